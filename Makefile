@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
-.PHONY: demo test lint pytest quick studies bench reliability schemas lock clean
+.PHONY: demo test lint pytest quick studies bench reliability docs pictures schemas lock clean
 
 demo: $(STAMP)
 	$(BIN)/pmabench demo --out demo-run
@@ -39,6 +39,13 @@ bench: $(STAMP)
 reliability: $(STAMP)
 	$(BIN)/python -m tests.reliability $(PART)
 
+docs: $(STAMP)
+	$(BIN)/python -m sphinx -q -W --keep-going docs docs/_build
+	@echo docs/_build/index.html
+
+pictures: $(STAMP)
+	$(BIN)/python -m tests.pictures
+
 schemas: $(STAMP)
 	$(BIN)/python -m pmabench schema --all --out docs/schemas
 
@@ -52,4 +59,4 @@ $(STAMP): requirements.lock pyproject.toml
 	touch $(STAMP)
 
 clean:
-	rm -rf $(VENV) build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	rm -rf $(VENV) build dist docs/_build .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

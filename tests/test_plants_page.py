@@ -43,7 +43,7 @@ def folder(tmp_path, monkeypatch):
 
 
 def call(line, *more):
-    return execute(Command("docs/plants.md", shlex.join([*shlex.split(line), *more]), "", {}))
+    return execute(Command("docs/plants.md", shlex.join([*shlex.split(line), *more])))
 
 
 def command(word):

@@ -80,7 +80,7 @@ class ChannelRecord:
 class OutputRecord:
     """One commanded quantity; `low` and `high` are the active command limits [SI].
 
-    `low_from` and `high_from` say who set them, as file:line:column.
+    `low_from` and `high_from` say who set them, as `file:line:column`.
     """
 
     name: str
@@ -140,7 +140,7 @@ class TripRecord:
     action: str
     """What happens then: `warn`, `hold` (nothing new is commanded until it is over), `stop` (controlled), `vent`."""
     source: str = ""
-    """file:line:column of the limit."""
+    """`file:line:column` of the limit."""
     kind: str = "range"
     window: float = 0.0
     """Over what time a burst falls [s]."""

@@ -39,12 +39,12 @@ command.add_command(fit)
 @common
 def list_models(ui: Ui) -> int | None:
     """Every model, by family."""
-    from pmabench.model.library import FAMILIES, MODELS
+    from pmabench.model.library import FAMILIES, models
 
-    models = sorted(MODELS.values(), key=lambda model: FAMILIES.index(model.family))
+    known = sorted(models().values(), key=lambda model: FAMILIES.index(model.family))
     data = {
         "schema": "pmabench.models/1",
-        "models": [{"name": m.name, "family": m.family, "title": m.title, "source": m.source} for m in models],
+        "models": [{"name": m.name, "family": m.family, "title": m.title, "source": m.source} for m in known],
     }
 
     def human() -> None:
@@ -52,12 +52,12 @@ def list_models(ui: Ui) -> int | None:
 
         heads = ["family", "model", "what it gives"]
         rows = []
-        for before, model in zip([None, *models], models, strict=False):
+        for before, model in zip([None, *known], known, strict=False):
             again = before is not None and before.family == model.family
             rows.append(["" if again else model.family, model.name, model.title])
         print_grid(ui.console(columns=120), heads, rows, heads)
 
-    ui.result(data, human, (model.name for model in models))
+    ui.result(data, human, (model.name for model in known))
     return None
 
 

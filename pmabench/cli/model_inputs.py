@@ -27,11 +27,12 @@ def pairs(_context: click.Context, _parameter: click.Parameter, values: tuple[st
 def named_model(name: str) -> Model:
     """The model, or UsageError with the nearest name."""
     from pmabench.base.errors import UsageError, did_you_mean
-    from pmabench.model.library import MODELS
+    from pmabench.model.library import models
 
-    if name not in MODELS:
-        raise UsageError(f'no model "{name}"{did_you_mean(name, MODELS)}')
-    return MODELS[name]
+    known = models()
+    if name not in known:
+        raise UsageError(f'no model "{name}"{did_you_mean(name, known)}')
+    return known[name]
 
 
 def read_inputs(

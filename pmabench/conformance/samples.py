@@ -33,6 +33,7 @@ SHARE = 0.001
 """How far a value may be from the plant's, of the channel's range: converters, digits, calibrations rounded."""
 STATES = (
     State(0.0, 0.0, 5.0),
+    State(487.3e3, 0.0371, 211.0),
     State(487.3e3, 0.0371, 611.0),
     State(123.7e3, 0.0083, 27.0),
     State(0.0, 0.0, 5.0, supply=False),

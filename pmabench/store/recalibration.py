@@ -61,7 +61,7 @@ class Recalibration:
                 ("gives readings in", column.get("raw_unit"), new.raw_unit),
             ):
                 if is_ != wanted:
-                    text = f"{column['name']} {what} {is_ or 'nothing that is text'}, the calibration is of {wanted}"
+                    text = f"{column['name']} {what} {is_ or 'nothing that is known'}, the calibration is of {wanted}"
                     raise invalid(path, text)
             old = column.get("scale") or {}
             slope, offset = float(old.get("slope", 1.0)), float(old.get("offset", 0.0))

@@ -147,8 +147,8 @@ def test_agreeing_campaigns_with_weights_raise_an_alarm_in_one_of_a_hundred_at_m
     """Static load, contraction, and the free length against the pressures at which a held muscle begins to pull."""
     specimen = "mas-20-250-paper0"
     pressures = ("sweep.matrix.pressure", "{start: 40 kPa, stop: 360 kPa, step: 20 kPa}")
-    free = recorded(tmp_path, "free-contraction", "mock", specimen, pressures, ("sweep.repeat.count", "2"))
-    held = recorded(tmp_path, "isometric-pressurisation", "mock-actuator", specimen, ("sweep.repeat.count", "2"))
+    free = recorded(tmp_path, "free-contraction", "mock-ideal", specimen, pressures, ("sweep.repeat.count", "2"))
+    held = recorded(tmp_path, "isometric-pressurisation", "mock-actuator-ideal", specimen, ("sweep.repeat.count", "2"))
     alarms = set()
     for seed in range(100, 150):
         weights = [replace(run, manifest=free.manifest) for run in of_weights(seed)]

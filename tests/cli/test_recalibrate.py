@@ -184,5 +184,5 @@ def test_what_a_search_found_moves_with_its_channel_and_a_zero_stays_zero(tmp_pa
     slope, offset = (about["columns"][0]["scale"][key] for key in ("slope", "offset"))
     assert slope * 15.0 + offset == pytest.approx(0.0)  # 15 counts read 0 before, by the session's zero
     assert refound(was.trials, lines)[0].found["lift"]["pressure"] == pytest.approx(lift * new.slope / 2.0)
-    with pytest.raises(InvalidFile, match="gives readings in nothing that is told"):
+    with pytest.raises(InvalidFile, match="gives readings in nothing that is known"):
         Recalibration({"pressure": new}).columns({"columns": [column | {"raw_unit": ""}]}, "run")

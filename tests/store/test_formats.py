@@ -151,3 +151,8 @@ def test_each_format_recognises_its_own_files_and_no_other():
         content = path.read_bytes()
         assert [name for name, each in formats().items() if each.recognise(content)] == [path.suffix.removeprefix(".")]
     assert format_of(b"t,p,f\n0,1,2\n").name == "text"
+
+
+def test_a_page_describes_every_format():
+    pages = "\n".join(page.read_text(encoding="utf-8") for page in (ROOT / "docs").rglob("*.md"))
+    assert [name for name in formats() if f"| `{name}`" not in pages] == []

@@ -177,7 +177,7 @@ def test_mutated_maps_are_read_or_refused(tmp_path_factory, data):
 
 
 def test_the_map_in_the_documentation_is_good(tmp_path):
-    text = (ROOT / "docs" / "old-runs.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "maps.md").read_text(encoding="utf-8")
     example = text.split("```yaml\n")[1].split("```")[0]
     rules = rules_of(tmp_path, example)
     assert rules.file.analysis.force_above == 20.0

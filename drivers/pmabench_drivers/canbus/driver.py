@@ -97,7 +97,7 @@ class CanBus(Driver):
         ask = not self._nodes  # sensors that only send tell nothing of themselves
         adapter = partial(open_adapter, device.address, bitrate, ask=ask)
         self._link = Link(device.name, device.address, adapter, self._clock, self._take)
-        try:
+        with self._closed_on_error():
             wanted: set[int] = set()
             for node in self._nodes.values():
                 node.open(deadline)
@@ -108,9 +108,6 @@ class CanBus(Driver):
             self._refuse_narrow_limits(deadline)
             self._refuse_missing_velocity()
             return self._identity()
-        except DeviceError:
-            self.close()
-            raise
 
     def close(self) -> None:
         """Send no SYNC any more and let go of the adapter; drives stay in their state."""

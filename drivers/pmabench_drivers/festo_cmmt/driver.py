@@ -81,7 +81,7 @@ class FestoCmmt(Polled):
         self.close()
         line = self._line = DriveLink(self._device.name, self._device.address)
         until = monotonic() + OPEN
-        try:
+        with self._closed_on_error():
             identity = line.identity(until)
             selected = self._opened().parameter(t.TELEGRAM, "uint16", until)
             if selected != t.TELEGRAM_111:
@@ -90,9 +90,6 @@ class FestoCmmt(Polled):
             self._compare_units(until)
             self._found = line.get(t.TIMEOUT, until)
             status = self._look(until)
-        except DeviceError:
-            self.close()
-            raise
         self._path.rest_at(status.position)
         self._cycle.start(self._options.rate)
         return identity

@@ -66,13 +66,10 @@ class FestoCpxE(ModbusDevice):
         self.close()
         line = self._new_line()
         self._line, until = line, monotonic() + OPEN
-        try:
+        with self._closed_on_error():
             identity = line.identity(until)
             self._compare(line, until)
             self._found = self._get(TIMEOUT, until)
-        except DeviceError:
-            self.close()
-            raise
         self._alive.start(KEEP_ALIVE)
         return identity
 

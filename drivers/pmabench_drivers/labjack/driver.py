@@ -75,14 +75,11 @@ class LabJack(ModbusDevice):
         """Connect, prove the order of words, read who it is and the constants that make volts of its counts."""
         super().open()
         deadline = monotonic() + OPEN
-        try:
+        with self._closed_on_error():
             try:
                 return self._identify_model(deadline)
             except Unanswered:
                 return self._identify_model(deadline)  # asking twice moves nothing
-        except DeviceError:
-            self.close()
-            raise
 
     def _identify_model(self, deadline: float) -> Identity:
         self._prove_words(deadline)

@@ -75,14 +75,11 @@ class ModbusDevice(Controlled):
         self.close()
         self._line = self._new_line()
         deadline = monotonic() + OPEN
-        try:
+        with self._closed_on_error():
             found = {name: self._identify(item, deadline) for name, item in self._map.identity.items()}
             if not found and self._spans:
                 first = self._spans[0]
                 self._line.read(first.table, first.address, first.count, deadline, first.registers[0].name)
-        except DeviceError:
-            self.close()
-            raise
         maker, model, serial, firmware = (found.get(name, "") for name in ("maker", "model", "serial", "firmware"))
         return Identity(maker, model, serial, firmware, simulated=model.startswith(EMULATED), clock=COMPUTER)
 

@@ -51,7 +51,7 @@ class NiDaq(Led):
         """Find the device, see that it has what the bench uses, prepare its tasks; outputs stay as they are."""
         self.close()
         link = self._link = Connection(self._device.name, self._options)
-        try:
+        with self._closed_on_error():
             with link.calls(OPEN):
                 link.load()
             until = monotonic() + OPEN
@@ -61,9 +61,6 @@ class NiDaq(Led):
                 second = self._second = Connection(self._device.name, self._options)
                 with second.calls(until - monotonic()):
                     second.attach()
-        except DeviceError:
-            self.close()
-            raise
         return identity
 
     def close(self) -> None:

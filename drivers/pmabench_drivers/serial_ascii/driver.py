@@ -48,12 +48,9 @@ class SerialIndicator(Polled):
         options = self._options
         settings = {"bytesize": options.data_bits, "parity": options.parity, "stopbits": options.stop_bits}
         self._port = SerialPort(self._device.name, self._device.address, options.baud, self._clock, **settings)
-        try:
+        with self._closed_on_error():
             model = self._ask_identity()
             self._first_line()
-        except DeviceError:
-            self.close()
-            raise
         simulated = model.startswith(EMULATED)
         return Identity("", model or "serial ASCII indicator", "", "", simulated=simulated, clock=COMPUTER)
 

@@ -63,12 +63,9 @@ class SerialLineDaq(Led):
         """Open the port for this program alone, ask who is there, and end sampling; outputs stay as they are."""
         self.close()
         link = self._link = Link(self._device.name, self._device.address, self._options, self._clock, self._take)
-        try:
+        with self._closed_on_error():
             identity = self._identify(link, monotonic() + OPEN)
             link.ask(monotonic() + CALL, "G", 0)
-        except DeviceError:
-            self.close()
-            raise
         return identity
 
     def close(self) -> None:

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from functools import partial
 from typing import Any
 
@@ -46,6 +47,19 @@ class Driver(ABC):
         reader = Reader()
         cls.read_options(device, reader)
         return reader.problems
+
+    @abstractmethod
+    def close(self) -> None:
+        """Let go of the link; harmless when repeated."""
+
+    @contextmanager
+    def _closed_on_error(self) -> Iterator[None]:
+        """Opening: what fails leaves nothing open."""
+        try:
+            yield
+        except DeviceError:
+            self.close()
+            raise
 
     def _error(self, message: str, what: str = "") -> DeviceError:
         return DeviceError(self._device.name, message, what)

@@ -52,11 +52,8 @@ class SerialStream(Driver):
         """Quiet it, see that it is the right device, and set what a true record needs; nothing is saved in it."""
         self.close()
         self._port = SerialPort(self._device.name, self._device.address, self._options.baud, self._clock)
-        try:
+        with self._closed_on_error():
             return self._greet()
-        except DeviceError:
-            self.close()
-            raise
 
     def close(self) -> None:
         """Quiet it and let go of the port."""

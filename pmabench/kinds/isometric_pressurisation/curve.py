@@ -11,7 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from pmabench.analysis.shared.isometric_lines import Mask, Test, as_test, ends
-from pmabench.analysis.shared.onset import onset
+from pmabench.analysis.shared.onset import SEEN, onset
+from pmabench.analysis.shared.samples import noise_of
 from pmabench.store.records import Array, RunData, TrialData
 
 PHASES = ("fill", "empty")
@@ -120,19 +121,21 @@ def straight_from(mean: Mean) -> tuple[float | None, float]:
     return None, off
 
 
-def begins(trial: TrialData) -> tuple[float | None, float | None]:
+def begins(trial: TrialData, times: float = 1.0) -> tuple[float | None, float | None]:
     """Pressure at which the force leaves its level of rest while filling, and reaches it while emptying [Pa].
 
     The rule is that of `onset`: the first sample that leaves the level of the rest before the ramp by six times its
     noise, at least 0.2 N or a thousandth of the largest force, followed back along the line through the next samples.
-    While emptying the same backwards in time, from the rest after the ramp.
+    While emptying the same backwards in time, from the rest after the ramp. `times` as large a threshold is another
+    choice that an analyst could have made.
     """
     ramps = {c.phase: c for c in trial.commands if c.kind == "ramp" and c.phase in PHASES and c.data.get("rate")}
     use = trial.usable & np.isfinite(trial.channels["force"]) & np.isfinite(trial.channels["pressure"])
     t, P, F = trial.t[use], trial.channels["pressure"][use], trial.channels["force"][use]
     if len(ramps) < 2 or len(t) < 2:
         return None, None
-    least = max(LEAST, 1e-3 * float(np.max(np.abs(F))))
+    rest = F[t < ramps["fill"].t - 1e-9] if "fill" in ramps and times > 1 else F[:0]
+    least = times * max(LEAST, 1e-3 * float(np.max(np.abs(F))), SEEN * noise_of(rest))
     turn, over = ramps["empty"].t, ends(ramps["empty"])
     up = (t >= ramps["fill"].t - REST) & (t < turn)
     down = (t >= turn) & (t <= over + REST)

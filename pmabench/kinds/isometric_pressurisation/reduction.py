@@ -46,6 +46,8 @@ from pmabench.store.records import Array, RunData
 KIND = "isometric-pressurisation"
 THRESHOLD, SECTIONS, SIDES, CORRECTED = "force-threshold", "isometric-sections", "isometric-sides", "corrected-force"
 SECTION = "daerden-section"
+TIMES = 3.0
+"""Another threshold of the force, as a multiple: noise hides how it begins, and that it begins late grows with it."""
 CHANNELS = ("pressure", "force")
 PULLED = 5 * LEAST
 """A muscle whose force changes less is slack [N]."""
@@ -264,6 +266,10 @@ def _begins(cell: Cell, scales: Scales) -> list[Estimate]:
         half = 0.5 * (abs(float((both[:, 0] - both[:, 1]).mean())) + _rate(cell) * step)
         side = np.array([test.trial.point.get("side", 0.0) for test in pairs])
         half = max(half, 0.5 * float(np.ptp([both[side == one].mean() for one in np.unique(side)])))
+        later = [begins(test.trial, TIMES) for test in pairs]
+        known = [0.5 * (one[0] + one[1]) - mean for one, mean in zip(later, both.mean(axis=1), strict=True)
+                 if one[0] is not None and one[1] is not None]  # fmt: skip
+        half = sqrt(half**2 + (float(np.mean(known)) if known else 0.0) ** 2)
         scale = scales.part({"pressure": value}, {"pressure": 1.0})
         found.append(
             Estimate(
@@ -271,7 +277,8 @@ def _begins(cell: Cell, scales: Scales) -> list[Estimate]:
                 Parts(repeats=spread(values), method=half, calibration=scale, skew=late), len(values),
                 note=sentences(
                     "" if len(values) > 1 else "no repeats part: one test only",
-                    "method: half the difference of filling and emptying, with half a sample, or of the two sides",
+                    "method: half the difference of filling and emptying, with half a sample, or of the two sides; and "
+                    "what a threshold three times as large makes of it",
                 ),
                 trials=tuple(test.name for test in cell.tests),
             )

@@ -38,7 +38,7 @@ STEPS_OF_ONE = "one trial: the repeats part is the scatter of its steps, and rep
 ONE_STEP = "no repeats part: one step"
 DRIFTS = 0.02
 """What the force would still change by after a rest, as a share of its step, that is doubted."""
-SEVERAL = 0.25
+SEVERAL = 0.4
 """Share of a time constant by which that of the later part may differ where there is one exponential."""
 SURE = 0.9995
 """Probability of Student's t beyond which a change from cycle to cycle is seen."""

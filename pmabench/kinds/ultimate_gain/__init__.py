@@ -15,8 +15,9 @@ RESULTS = (
 )
 METHODS = {
     "open-loop": (
-        "Steps of pressure to both sides of the operating point, no loop closed. A dead time and a lag are fitted from "
-        "command to pressure, a gain, a lag for each direction and the inertia from the measured pressure to the "
+        "Steps of pressure to both sides of the operating point, no loop closed. A dead time and a lag, or two where "
+        "the steps show them, are fitted from command to pressure, a gain, a lag for each direction and the inertia "
+        "from the measured pressure to the "
         "contraction; K_u and T_u solve the phase equation ω L + Σ atan(ω T) = π of both, with the mean of the two "
         "directions (Ziegler and Nichols 1942). Where rests depend on the side they were reached from, as friction "
         "makes them, neither is told."

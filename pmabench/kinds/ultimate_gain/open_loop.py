@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from pmabench.analysis.shared.form import Doubt
 from pmabench.base.quantities import show
 from pmabench.kinds.ultimate_gain.open_loop_fit import Friction, Moved, Regulator, Step, fit
 from pmabench.model.loop import Loop, Ultimate, ultimate
@@ -22,8 +23,11 @@ PHASE = "open-loop"
 BEFORE = 0.5
 """So much of the rest before the first step is used [s]."""
 FEWEST_CYCLES = 3
-GAP = {"doubt": 0.015, "fault": 0.04}
+GAP = {"doubt": 0.002, "fault": 0.04}
 """Distance between the rests reached from both sides, over the swing between the outer rests: 0 without friction."""
+OF_GAP = 7.0
+"""Share by which K_u and T_u may be off where rests depend on their side, over that gap: what play and creep make of
+loops of known gain is at most that."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +55,16 @@ class StepsFound:
             slip = {"gap": self.friction.gap, "coulomb": self.friction.balance.coulomb}
             told["friction"] = {name: value if isfinite(value) else None for name, value in slip.items()}
         return {**told, "cycles": [asdict(cycle) for cycle in self.cycles], "amplitude": self.amplitude}
+
+    @property
+    def sided(self) -> Doubt:
+        """What rests that depend on the side they were reached from are worth of K_u and T_u, as a share."""
+        gap = 0.0 if self.friction is None else abs(self.friction.gap)
+        reason = (
+            f"rests reached from above and from below lie {gap:.2%} of the swing apart: friction, play or creep, which "
+            "the fitted loop has not. Take larger steps, or a closed loop"
+        )
+        return Doubt("rests that depend on their side", "method", OF_GAP * gap, gap > GAP["doubt"], reason)
 
     @property
     def bent(self) -> float:
@@ -99,7 +113,7 @@ def examine(run: RunData, trial: TrialData) -> StepsFound:
     single = []
     for cycle in cycles:
         at = (t >= cycle[0].t - BEFORE) & (t < cycle[-1].t + (cycle[-1].t - cycle[-2].t))
-        part = fit(t[at], x[at], P[at], cycle, lag)
+        part = fit(t[at], x[at], P[at], cycle, lag, regulator)
         one = None if isinstance(part, str) else _loop(StepsFound(None, *part), period, off or 0.0)
         if one is not None:
             single.append(ultimate(one))
@@ -175,7 +189,7 @@ def _loop(found: StepsFound, period: float, off: float) -> Loop | None:
     tau = sum(moved.tau) / 2
     root = complex(tau * tau - 4 * moved.beta) ** 0.5
     pair = [(tau + root) / 2, (tau - root) / 2] if moved.beta > 0 else [complex(tau)]
-    lags = [complex((regulator.fill + regulator.vent) / 2), *pair]
+    lags = [complex((regulator.fill + regulator.vent) / 2), complex(regulator.second), *pair]
     dead_time = max(0.0, regulator.dead_time) + period / 2
     try:
         loop = Loop(gain, dead_time, tuple(lag if lag.imag else lag.real for lag in lags if lag))

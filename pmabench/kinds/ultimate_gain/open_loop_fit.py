@@ -23,6 +23,10 @@ SEGMENT = 0.02
 """Length of the stretches over which the balance of forces is averaged [s]."""
 MOVING = 0.1
 """Share of the largest speed above which the sign of Coulomb friction is certain."""
+BETTER = 10.0
+"""Sum of squares over the variance, by which a second lag must make the fit better to be taken."""
+OVER = 30.0
+"""Lags after which a step response has ended."""
 SLIGHT = 1e-6
 """Inertia over stiffness below which there is no second lag [s^2]."""
 
@@ -38,13 +42,17 @@ class Step:
 
 @dataclass(frozen=True)
 class Regulator:
-    """Command to pressure: gain [1], dead time [s], lags while filling and venting [s], and what is left [Pa]."""
+    """Command to pressure: gain [1], dead time [s], lags while filling and venting [s], and what is left [Pa].
+
+    `second` is a lag of both directions [s]; 0 where the steps do not show one.
+    """
 
     gain: float
     dead_time: float
     fill: float
     vent: float
     residual: float
+    second: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -99,12 +107,15 @@ class Friction:
 
 
 def fit(
-    t: Array, x: Array, P: Array, steps: Sequence[Step], lag: float
+    t: Array, x: Array, P: Array, steps: Sequence[Step], lag: float, like: Regulator | None = None
 ) -> tuple[Regulator, Moved, Friction | None] | str:
-    """Both parts fitted to samples at even times; a sentence where something did not move. P is that over the bias."""
+    """Both parts fitted to samples at even times; a sentence where something did not move. P is that over the bias.
+
+    `like` is the regulator of a longer record, with as many lags.
+    """
     if len(t) < FEWEST or np.ptp(P) <= SEEN * noise_of(P) or np.ptp(x) <= SEEN * noise_of(x):
         return "the steps are not to be seen above the noise of pressure or displacement, or not sampled"
-    regulator = _regulator(t, P, steps, lag)
+    regulator = _regulator(t, P, steps, lag, like)
     P = P + lag * np.gradient(P, t)
     moved = _moved(t, x, P, steps, balance(t, x, P, friction=False))
     if moved.gain <= 0:
@@ -124,16 +135,22 @@ def _response(s: Array, lags: Sequence[float]) -> Array:
     return value
 
 
-def _regulator(t: Array, P: Array, steps: Sequence[Step], sensor: float) -> Regulator:
-    """Least squares of the steps through a dead time and a lag, of its own for filling and for venting."""
+def _regulator(t: Array, P: Array, steps: Sequence[Step], sensor: float, like: Regulator | None) -> Regulator:
+    """Least squares of the steps through a dead time and a lag, one for filling and one for venting.
+
+    With a second lag where that makes the fit better than noise can (`BETTER`), or where `like` has one.
+    """
     starts = np.searchsorted(t, [step.t for step in steps])
     shift = float(P[: max(1, starts[0])].mean())
+    period = float(np.median(np.diff(t)))
 
     def columns(p: Array) -> Array:
         made = np.zeros_like(t)
-        for step, k in zip(steps, starts, strict=True):
-            lag = exp(p[1] if step.height > 0 else p[2])
-            made[k:] += step.height * _response(t[k:] - step.t - p[0], (lag, sensor))
+        for step, k in zip(steps, starts.tolist(), strict=True):
+            lags = (exp(p[1] if step.height > 0 else p[2]), *np.exp(p[3:]), sensor)
+            over = k + int((OVER * max(lags) + max(p[0], 0.0)) / period) + 1
+            made[k:over] += step.height * _response(t[k:over] - step.t - p[0], lags)
+            made[over:] += step.height
         return np.column_stack([np.ones_like(t), made / steps[0].height])
 
     def solved(p: Array) -> tuple[float, Array]:
@@ -144,11 +161,21 @@ def _regulator(t: Array, P: Array, steps: Sequence[Step], sensor: float) -> Regu
     def misfit(p: Array) -> Array:
         return solved(p)[1] / steps[0].height
 
-    period = float(np.median(np.diff(t)))
-    bounds = ([-2 * period, log(period / 2), log(period / 2)], [5.0, log(20.0), log(20.0)])
-    found = least_squares(misfit, [0.02, log(0.05), log(0.05)], x_scale=[0.01, 0.3, 0.3], bounds=bounds, xtol=1e-6)
-    gain, residual = solved(found.x)
-    return Regulator(gain, float(found.x[0]), exp(found.x[1]), exp(found.x[2]), float(np.std(residual)))
+    def fitted(start: Sequence[float]) -> Regulator:
+        more = len(start) - 1
+        bounds = ([-2 * period, *[log(period / 2)] * more], [5.0, *[log(20.0)] * more])
+        found = least_squares(misfit, start, x_scale=[0.01, *[0.3] * more], bounds=bounds, xtol=1e-6).x
+        gain, residual = solved(found)
+        second = exp(found[3]) if more > 2 else 0.0
+        return Regulator(gain, float(found[0]), exp(found[1]), exp(found[2]), float(np.std(residual)), second)
+
+    if like is not None:
+        begin = [like.dead_time, log(like.fill), log(like.vent)]
+        return fitted([*begin, *([log(like.second)] if like.second else [])])
+    one = fitted([0.02, log(0.05), log(0.05)])
+    lag = 0.5 * (one.fill + one.vent)
+    two = fitted([max(0.0, one.dead_time - 0.1 * lag), log(one.fill), log(one.vent), log(max(0.2 * lag, period))])
+    return two if len(t) * 2 * log(one.residual / two.residual) > BETTER else one
 
 
 def balance(t: Array, x: Array, P: Array, *, friction: bool) -> Balance:

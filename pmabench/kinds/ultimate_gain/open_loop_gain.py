@@ -15,6 +15,7 @@ import numpy as np
 from pmabench.analysis.results import Estimate, Finding, Parts, Trace
 from pmabench.analysis.shared import skew, student
 from pmabench.analysis.shared.calibration import Scales, sentences
+from pmabench.analysis.shared.form import weighed
 from pmabench.base.quantities import show
 from pmabench.kinds.ultimate_gain.cell import GainCell
 from pmabench.kinds.ultimate_gain.open_loop import StepsFound, examine, samples_of, steps_of
@@ -72,7 +73,7 @@ def _estimate(cell: StepsCell, symbol: str, unit: str, quantity: str) -> Estimat
     scales = Scales.of(cell.runs)
     pressure = "pressure_command" if "pressure_command" in scales.gains else "pressure"
     scaled = (pressure, "displacement") if symbol == "K_u" else ()
-    return Estimate(
+    told = Estimate(
         symbol,
         value,
         unit,
@@ -94,6 +95,8 @@ def _estimate(cell: StepsCell, symbol: str, unit: str, quantity: str) -> Estimat
         ),
         trials=tuple(cell.trials[i].name for i in cell.good),
     )
+    worst = max((found.sided for found in good), key=lambda one: one.half)
+    return weighed(told, [replace(worst, half=worst.half * value)])
 
 
 def _skew(cell: StepsCell, name: str) -> float:

@@ -16,8 +16,11 @@
 | `loads` | end stops, force, hanging mass, spring, imposed displacement |
 | `compositions` | parallel, series, cascade; the loop that a controller sees |
 
-`description` says what a model is. A new model is a function decorated with `described` in one of these modules.
+`description` says what a model is. A new model is a function decorated with `described`, in one of these modules or in
+a package that names its module in the entry-point group `pmabench.models`.
 """
+
+from importlib.metadata import entry_points
 
 from pmabench.model.library import (  # noqa: F401  each enters its models
     braid,
@@ -36,4 +39,11 @@ from pmabench.model.library import (  # noqa: F401  each enters its models
 )
 from pmabench.model.library.description import FAMILIES, MODELS, Model, OutsideDomain, Parameter, Refusal
 
-__all__ = ["FAMILIES", "MODELS", "Model", "OutsideDomain", "Parameter", "Refusal"]
+__all__ = ["FAMILIES", "MODELS", "Model", "OutsideDomain", "Parameter", "Refusal", "models"]
+
+
+def models() -> dict[str, Model]:
+    """Every model by name, those of installed packages included."""
+    for point in entry_points(group="pmabench.models"):
+        point.load()  # enters its models, once
+    return MODELS

@@ -92,11 +92,8 @@ def _write_trace(trace: Trace, path: Path) -> None:
 
 def read_analysis(folder: Path) -> Analysis:
     """The inverse of `write_analysis`; raises InvalidFile with what is wrong."""
-    path = folder / ANALYSIS
-    if not path.is_file():
-        raise invalid(folder, f"is not an analysis folder: there is no {ANALYSIS} in it")
-    data = read_json(path, SCHEMA, "analysis", LONGEST)
-    with _as_damage(path):
+    data = _data(folder)
+    with _as_damage(folder / ANALYSIS):
         curves, traces = (data.pop(name) for name in ("curves", "traces"))
         needed = {name: data[name] for name in ("estimates", "dropped", "findings", "facts")}
         rest: Analysis = _read(Analysis, {**data, **needed, "results": []})
@@ -106,6 +103,12 @@ def read_analysis(folder: Path) -> Analysis:
             traces=tuple(_trace(folder, trace) for trace in traces),
             results=_read(tuple[Result, ...], data.get("results", [])),
         )
+
+
+def _data(folder: Path) -> dict[str, Any]:
+    if not (folder / ANALYSIS).is_file():
+        raise invalid(folder, f"is not an analysis folder: there is no {ANALYSIS} in it")
+    return read_json(folder / ANALYSIS, SCHEMA, "analysis", LONGEST)
 
 
 def analyses_below(path: Path) -> list[Path]:
@@ -124,11 +127,7 @@ def runs_of(folder: Path) -> list[Path]:
     Looked for next to the analysis folder and its parents, in a folder `runs` there, and where `analyses/each` has the
     same folders; what is not found is left out.
     """
-    path = folder / ANALYSIS
-    try:
-        names = json.loads(path.read_bytes())["runs"]
-    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
-        raise invalid(folder, f"is not an analysis folder: {ANALYSIS} cannot be read") from error
+    names = _data(folder).get("runs")
     found = []
     parents = list(folder.resolve().parents)
     places = parents[:4]

@@ -15,8 +15,8 @@ from typing import Any, Literal
 import numpy as np
 
 from pmabench.base.errors import invalid
-from pmabench.store.formats.matrices import together
 from pmabench.store.formats.record import Column, Format, Layout, Recorded, begins, damaged, numbers
+from pmabench.store.formats.shared.matrices import together
 
 DEEPEST = 8
 MOST_COLUMNS = 200

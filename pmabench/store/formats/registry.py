@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from functools import lru_cache
+from importlib import import_module
 from importlib.metadata import entry_points
+from pkgutil import iter_modules
 
 from pmabench.base.errors import invalid
-from pmabench.store.formats import lvm, mat, tdms, text
+from pmabench.store import formats as folder
+from pmabench.store.formats import text
 from pmabench.store.formats.record import Format
 
 GROUP = "pmabench.formats"
@@ -19,7 +22,9 @@ def formats() -> dict[str, Format]:
 
     Raises InvalidFile where an entry point names no `Format`, or one with another name.
     """
-    known = {each.name: each for each in (text.FORMAT, lvm.FORMAT, tdms.FORMAT, mat.FORMAT)}
+    modules = [each.name for each in iter_modules(folder.__path__, f"{folder.__name__}.") if not each.ispkg]
+    records = [getattr(import_module(name), "FORMAT", None) for name in modules]
+    known = {record.name: record for record in records if record is not None}
     for point in entry_points(group=GROUP):
         try:
             found = point.load()

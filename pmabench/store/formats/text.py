@@ -78,7 +78,7 @@ class TextLayout(Layout):
 
 
 def _reader(**question: Any) -> Any:
-    from pmabench.store.formats.text_reader import TextReader
+    from pmabench.store.formats.shared.text_reader import TextReader
 
     return TextReader(**question)
 
@@ -89,5 +89,5 @@ FORMAT = Format(
     layout=TextLayout,
     recognise=lambda content: False,  # it is what no other format recognises
     reader=_reader,
-    modules=("pmabench.store.formats.text_reader",),
+    modules=("pmabench.store.formats.shared.text_reader",),
 )

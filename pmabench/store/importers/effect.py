@@ -29,14 +29,15 @@ def slope(pressure: Array, other: Array) -> float | None:
 def follower_of(values: Mapping[str, Array], kept: Bools) -> str:
     """The channel that goes with pressure, force or displacement; empty where there is none."""
     names = [name for name in ("force", "displacement") if name in values and "pressure" in values]
-    return max(names, key=lambda name: _together(values["pressure"][kept], values[name][kept]), default="")
+    return max(names, key=lambda name: abs(correlation(values["pressure"][kept], values[name][kept])), default="")
 
 
-def _together(a: Array, b: Array) -> float:
+def correlation(a: Array, b: Array) -> float:
+    """Correlation of two channels, shape (n,) each, where both have a value; 0 where one does not move."""
     good = np.isfinite(a) & np.isfinite(b)
-    if good.sum() < FEWEST or np.ptp(a[good]) == 0 or np.ptp(b[good]) == 0:
+    if good.sum() < 3 or np.ptp(a[good]) == 0 or np.ptp(b[good]) == 0:
         return 0.0
-    return abs(float(np.corrcoef(a[good], b[good])[0, 1]))
+    return float(np.corrcoef(a[good], b[good])[0, 1])
 
 
 def in_words(value: float, follower: str) -> str:

@@ -23,22 +23,14 @@ PLACE = "{test}"
 """In the name of a column: the name of the test."""
 Text = Annotated[str, Field(max_length=600)]
 Role = Literal[
-    "time",
-    "date",
-    "pressure",
-    "displacement",
-    "force",
-    "pressure_command",
-    "displacement_command",
-    "supply",
-    "angle",
-    "phase",
-    "trial",
-    "point",
-    "flags",
-    "simulated",
-    "ignore",
+    "time", "date", "pressure", "displacement", "force", "pressure_command", "displacement_command", "supply", "angle",
+    "phase", "trial", "point", "flags", "simulated", "ignore",
+]  # fmt: skip
+Written = Literal[
+    "number", "index", "header step", "clock", "date and time", "epoch", "serial days", "matlab days", "labview"
 ]
+SCALES = {"points", "line", "recorded_with", "contraction", "range", "dropout", "blip", "spike"}
+"""What only a column that is measured or commanded has."""
 Confirmable = Literal["counts", "gain", "jump", "lag", "magnitude", "pressure-unit", "sibling", "swap", "time-unit"]
 NUMBERS = frozenset(("phase", "trial", "flags", "simulated", "ignore"))
 """Roles of columns that measure nothing: they have no unit and no scale."""
@@ -110,9 +102,7 @@ class ColumnFile(Strict):
     """Time constant of the sensor."""
     reference: Text = ""
     """Where the scale comes from."""
-    written: Literal[
-        "number", "index", "header step", "clock", "date and time", "epoch", "serial days", "matlab days", "labview"
-    ] = "number"
+    written: Written = "number"
     """How a column of time is written: `number` counts units from any zero; `index` counts samples, `period` apart;
     `header step` counts samples, whose Start and Increment the header gives; `clock` is HH:MM:SS, of one day or with a
     column `is: date`; `date and time` both in one text; `epoch` counts units from 1970, `labview` seconds from 1904;
@@ -147,16 +137,7 @@ class ColumnFile(Strict):
             raise ValueError('"written: index" and "period" belong together, for instance "period: 1 ms"')
         if self.contraction is not None and self.is_ != "displacement":
             raise ValueError('"contraction" is for "is: displacement" only')
-        given = {
-            "points",
-            "line",
-            "recorded_with",
-            "contraction",
-            "range",
-            "dropout",
-            "blip",
-            "spike",
-        } & self.model_fields_set
+        given = SCALES & self.model_fields_set
         if not measured and given:
             raise ValueError(f'"{self.is_}" takes no "{min(given)}"')
         if self.late_by[0] > self.late_by[1]:

@@ -20,7 +20,7 @@ from pmabench.base.quantities import CHANNEL_QUANTITY, show
 from pmabench.files.document import Document, Location, read_document, validate
 from pmabench.files.quantity import unit_factor
 from pmabench.store.formats.record import TIME
-from pmabench.store.formats.times import Stamps
+from pmabench.store.formats.shared.times import Stamps
 from pmabench.store.importers.map_file import NUMBERS, PLACE, ColumnFile, Line, MapFile, Trials
 from pmabench.store.importers.questions import Question, settle
 

@@ -17,7 +17,7 @@ from pmabench.base.errors import invalid
 from pmabench.base.text import printable
 from pmabench.store.formats.record import TIME, Layout
 from pmabench.store.formats.registry import formats
-from pmabench.store.formats.times import Clock, Stamps, step_in
+from pmabench.store.formats.shared.times import Clock, Stamps, step_in
 from pmabench.store.importers.spool import Columns
 from pmabench.store.importers.warm import Answer, read_apart
 from pmabench.store.records import Array

@@ -134,7 +134,7 @@ def test_halt_switches_nothing_on(rig):
 def test_a_drive_that_does_not_stop_is_told(rig, monkeypatch):
     device = on(rig)
     device.follow("position", Segment("ramp", device._clock.now(), 0.0, 20000.0, rate=5000.0))
-    monkeypatch.setattr(rig.inside, "_stand", lambda: None)
+    monkeypatch.setattr(rig.inside, "_hold", lambda: None)
     why = "drive.position: was commanded to stop and still moves"
     assert until(lambda: why in str(timed(device.halt, "position")[1]), 2)
 

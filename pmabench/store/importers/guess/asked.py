@@ -14,6 +14,7 @@ import numpy as np
 
 from pmabench.base.quantities import show
 from pmabench.files.quantity import unit_factor
+from pmabench.store.importers.effect import slope
 from pmabench.store.importers.guess.columns import OF_ROLE, Proposal, is_whole, lattice, lone, words
 from pmabench.store.importers.guess.record import Guess
 from pmabench.store.importers.questions import OPEN
@@ -238,13 +239,9 @@ def threshold_of(guess: Guess) -> tuple[Asked, list[str]] | None:
 
 def _slope(P: Array, F: Array, above: float = -np.inf) -> float:
     """Slope of the straight line through what lies above a force; 0 where there is none."""
-    use = F > above
-    if use.sum() < 20 or np.ptp(P[use]) == 0:
-        return 0.0
     with np.errstate(all="ignore"):  # damaged files hold numbers of any size
-        p, f = P[use] - P[use].mean(), F[use] - F[use].mean()
-        slope = float(p @ f / (p @ p))
-    return slope if np.isfinite(slope) else 0.0
+        found = slope(P[above < F], F[above < F]) or 0.0
+    return found if np.isfinite(found) else 0.0
 
 
 def two_clocks(columns: list[Proposal]) -> Iterator[Asked]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pmabench.store.formats.times import seconds_of
+from pmabench.store.formats.shared.times import seconds_of
 from pmabench.store.records import Array
 
 ENOUGH = 0.99

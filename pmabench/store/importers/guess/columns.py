@@ -13,6 +13,7 @@ from typing import get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from pmabench.store.importers.effect import correlation
 from pmabench.store.importers.guess.clock import counted
 from pmabench.store.importers.map_file import PointName
 from pmabench.store.importers.units import QUANTITY, spelled
@@ -142,7 +143,7 @@ def _unknown(proposals: Sequence[Proposal]) -> None:
             or len(pressure.values) != len(proposal.values)
         ):
             continue
-        together = _together(proposal.values, pressure.values)
+        together = correlation(proposal.values, pressure.values)
         if abs(together) > 0.8:
             proposal.doubts.append(f"goes with the pressure (correlation {together:.2f}): is it force or displacement?")
             if all(p.role != "force" for p in proposals):
@@ -325,10 +326,10 @@ def _by_shape(proposals: Sequence[Proposal]) -> None:
     pressure.reasons.append(f"never far below zero, {top:.4g} at most: like a pressure in {scale}")
     if command is not None:
         command.role, command.unit = "pressure_command", scale
-        together = _together(command.values, pressure.values)
+        together = correlation(command.values, pressure.values)
         command.reasons.append(f"rests at levels, and the pressure goes with it (correlation {together:.2f})")
         command.doubts.append("that it is the command of the pressure is a guess: no name says it")
-    follow = [p for p in others if abs(_together(p.values, pressure.values)) > 0.5]
+    follow = [p for p in others if abs(correlation(p.values, pressure.values)) > 0.5]
     if len(follow) > 1 and not taken & {"force", "displacement"}:
         _displacement(follow, pressure)
     if "force" not in taken:
@@ -352,8 +353,8 @@ def _phases(proposal: Proposal) -> bool:
 
 def _force(others: Sequence[Proposal], pressure: Proposal) -> None:
     """The column without a name that goes with the pressure best, where one does."""
-    force = max(others, key=lambda p: abs(_together(p.values, pressure.values)), default=None)
-    together = 0.0 if force is None else _together(force.values, pressure.values)
+    force = max(others, key=lambda p: abs(correlation(p.values, pressure.values)), default=None)
+    together = 0.0 if force is None else correlation(force.values, pressure.values)
     if force is None or abs(together) <= 0.5:
         return
     force.role, force.unit = "force", "N"
@@ -370,7 +371,7 @@ def _command(bare: Sequence[Proposal]) -> Proposal | None:
             continue
         rests = float(np.mean(np.diff(values) == 0)) > 0.9
         twin = any(
-            _together(proposal.values, p.values) > 0.8 and _pressure_unit(p.good) == _pressure_unit(values)
+            correlation(proposal.values, p.values) > 0.8 and _pressure_unit(p.good) == _pressure_unit(values)
             for p in bare
             if p is not proposal and float(np.mean(np.diff(p.good) == 0)) <= 0.9
         )
@@ -387,7 +388,7 @@ def _displacement(follow: Sequence[Proposal], pressure: Proposal) -> None:
     if not unit:
         return
     smallest.role, smallest.unit = "displacement", unit
-    together = _together(smallest.values, pressure.values)
+    together = correlation(smallest.values, pressure.values)
     smallest.reasons.append(
         f"goes with the pressure (correlation {together:.2f}), {top:.4g} at most: a length in {unit}?"
     )
@@ -406,16 +407,9 @@ def held(column: Proposal, pressure: Proposal | None) -> bool:
         return True
     together = 0.0
     if pressure is not None:
-        together = _together(column.values, pressure.values)
+        together = correlation(column.values, pressure.values)
     still = STILL / METRES[column.unit] if column.unit in METRES else 0.0
     return high - low < max(still, HELD * max(abs(low), abs(high))) and abs(together) < 0.5
-
-
-def _together(a: Array, b: Array) -> float:
-    good = np.isfinite(a) & np.isfinite(b)
-    if good.sum() < 3 or np.ptp(a[good]) == 0 or np.ptp(b[good]) == 0:
-        return 0.0
-    return float(np.corrcoef(a[good], b[good])[0, 1])
 
 
 def _pressure_unit(values: Array) -> str | None:

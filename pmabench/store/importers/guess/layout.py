@@ -10,9 +10,9 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 
 from pmabench.base.errors import invalid
-from pmabench.store.formats.fields import MINUS
+from pmabench.store.formats.shared.fields import MINUS
+from pmabench.store.formats.shared.times import Stamps, step_in
 from pmabench.store.formats.text import MARKS, TextLayout
-from pmabench.store.formats.times import Stamps, step_in
 from pmabench.store.importers.guess.clock import clock_and_date, interval_in, looks_like_time, written
 from pmabench.store.importers.units import spelled
 

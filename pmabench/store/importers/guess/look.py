@@ -10,8 +10,8 @@ import numpy as np
 from pmabench.base.errors import invalid
 from pmabench.base.imported import Imported
 from pmabench.store.formats import text
-from pmabench.store.formats.matrices import alike, is_clock, matrix_of
 from pmabench.store.formats.registry import format_of
+from pmabench.store.formats.shared.matrices import alike, is_clock, matrix_of
 from pmabench.store.formats.text import TextLayout
 from pmabench.store.importers.guess.columns import Proposal, choose, unit_in
 from pmabench.store.importers.guess.layout import TextGuess, guess_layout

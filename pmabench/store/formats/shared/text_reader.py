@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from pmabench.base.errors import InvalidFile, Problem, did_you_mean, invalid
 from pmabench.store.arrow import arrow_csv, pa
-from pmabench.store.formats.fields import MINUS, NUMBER, Fields
+from pmabench.store.formats.shared.fields import MINUS, NUMBER, Fields
+from pmabench.store.formats.shared.times import seconds_of
 from pmabench.store.formats.text import MARKS, TextLayout
-from pmabench.store.formats.times import seconds_of
 from pmabench.store.records import Array
 
 PIECE = 4_000_000

@@ -6,8 +6,8 @@ import re
 
 import numpy as np
 
+from pmabench.store.formats.shared.times import seconds_of
 from pmabench.store.formats.text import TextLayout
-from pmabench.store.formats.times import seconds_of
 
 THOUSANDS = {"comma": ",", "point": ".", "blank": " \u00a0\u2009\u202f", "apostrophe": "'\u2019"}
 """Signs between groups of three digits."""

@@ -1,0 +1,1 @@
+"""What formats share: `text_reader` with `fields`, `times` of other programs, `matrices` that have a clock each."""
