@@ -57,7 +57,7 @@ def process(
 
 
 def open_analysis(*folders: Path | str) -> Results:
-    """Analysis folders as `pmabench process` wrote them, with their runs as far as they are found beside them.
+    """Analysis folders as `pmabench process` wrote them, with their runs as far as they are found next to them.
 
     Raises InvalidFile for what is no analysis.
     """
@@ -110,7 +110,7 @@ class Run:
     def trial(self, number: int) -> pd.DataFrame:
         """The samples of a trial: time [s], channels and flags; UsageError where there is no such trial.
 
-        Of several attempts the last stands.
+        Of several attempts the last counts.
         """
         found = [trial for trial in self.data.trials if trial.number == number]
         if not found:
@@ -188,7 +188,7 @@ class Results:
 
 
 def estimates_frame(analyses: Sequence[Analysis]) -> pd.DataFrame:
-    """One row for each estimate, SI; the unit of value and interval stands in the row, as symbols differ."""
+    """One row for each estimate, SI; the unit of value and interval is in the row, as symbols differ."""
     points = list(dict.fromkeys(name for a in analyses for e in a.estimates for name in e.at))
     rows = []
     for analysis in analyses:

@@ -18,7 +18,7 @@ class Clock(Protocol):
         ...
 
     def back_to(self, moment: float) -> bool:
-        """Take bench time back to `moment` [s] where that can be done; tells whether it was."""
+        """Take bench time back to `moment` [s] where that can be done; returns whether it was."""
         ...
 
 

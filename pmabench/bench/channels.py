@@ -1,4 +1,4 @@
-"""Channels of a bench file with their calibrations, which are found beside the file that names them."""
+"""Channels of a bench file with their calibrations, which are found next to the file that names them."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def _calibration(c: Compilation, name: str, quantity: str, location: Location) -
 
 
 def _folders(c: Compilation, location: Location) -> list[Path]:
-    """Where calibrations may lie: beside the file that names the calibration, then beside every file of the bench."""
+    """Where calibrations may lie: next to the file that names the calibration, then next to every file of the bench."""
     files = [c.bench_document.place(location)[0], *c.bench_document.texts]
     parents = dict.fromkeys(Path(file).resolve().parent for file in files)
     return [folder for parent in parents for folder in (parent / "calibrations", parent.parent / "calibrations")]

@@ -1,4 +1,4 @@
-"""A bench and a specimen while they are compiled: their models, where each value stands, every problem found."""
+"""A bench and a specimen while they are compiled: their models, where each value is written, every problem found."""
 
 from __future__ import annotations
 

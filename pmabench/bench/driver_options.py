@@ -4,11 +4,11 @@ A driver may have a class method `check(device: DeviceRecord)` that yields (plac
 place starts at the device (`options` or `address`) or at the top of the bench file (`channels`, `outputs`, `interlocks`
 by name). It must touch no device and import nothing heavy.
 
-Another one, `fastest(device: DeviceRecord)`, may tell the highest rate at which it samples with these options [Hz], so
-that a protocol that asks for more is warned of, and `lacks(device: DeviceRecord)` yields what of these options may
+Another one, `fastest(device: DeviceRecord)`, may return its highest sample rate with these options [Hz], so that a
+protocol that asks for more is warned of, and `lacks(device: DeviceRecord)` yields what of these options may
 surprise, each going on after "this bench has"; both are asked only where nothing is wrong with the options.
 
-The option `map`, where it is text, names a YAML file beside the bench file: its content takes its place. So does the
+The option `map`, where it is text, names a YAML file next to the bench file: its content takes its place. So does the
 text of a DBC file (messages of a CAN bus), which the option `dbc` names, and the numbers of a plant file, where the
 option `plant` names one.
 """
@@ -116,7 +116,7 @@ def _read_dbc(c: Compilation, name: str, at: Location) -> str | None:
     """The text of a DBC file, kept for the run's snapshot; None where it is a problem. Such files are in Latin-1."""
     path = Path(name)
     if path.is_absolute() or ".." in path.parts or path.suffix.lower() != ".dbc":
-        c.fault(at, f'a .dbc file beside this one is expected, for instance "sensors/load-cell.dbc", not "{name}"')
+        c.fault(at, f'a .dbc file next to this one is expected, for instance "sensors/load-cell.dbc", not "{name}"')
         return None
     try:
         with (Path(c.bench_document.place(at)[0]).parent / path).open("rb") as stream:
@@ -135,7 +135,7 @@ def _read_plant(c: Compilation, device: DeviceRecord, at: Location) -> dict[str,
     """The numbers of a plant file, kept for the run's snapshot; None where it is a problem."""
     name = device.options[PLANT]
     if not isinstance(name, str):
-        c.fault(at, "the name of a plant, or a plant file beside this one, is expected")
+        c.fault(at, "the name of a plant, or a plant file next to this one, is expected")
         return None
     path = _yaml_path(c, name, at, "plants/my-muscle.yaml")
     if path is None:
@@ -153,18 +153,18 @@ def _read_plant(c: Compilation, device: DeviceRecord, at: Location) -> dict[str,
 
 
 def _yaml_path(c: Compilation, name: str, at: Location, example: str) -> Path | None:
-    """The path of a .yaml file beside the file that names it at `at`; None where it is a problem."""
+    """The path of a .yaml file next to the file that names it at `at`; None where it is a problem."""
     path = Path(name)
     if path.is_absolute() or ".." in path.parts or path.suffix != ".yaml":
-        c.fault(at, f'a .yaml file beside this one is expected, for instance "{example}", not "{name}"')
+        c.fault(at, f'a .yaml file next to this one is expected, for instance "{example}", not "{name}"')
         return None
     return Path(c.bench_document.place(at)[0]).parent / path
 
 
 def _keep(c: Compilation, name: str, text: str, at: Location) -> bool:
-    """Keep the text for the run's snapshot; False, with a problem, where another file stands there by this name."""
+    """Keep the text for the run's snapshot; False, with a problem, where another file already has this name."""
     if name == "protocol.yaml" or c.texts.setdefault(name, text) != text:
-        c.fault(at, f'in the record of a run another file is called "{name}"; give this one a name of its own')
+        c.fault(at, f'in the record of a run another file is called "{name}"; give this one another name')
         return False
     return True
 

@@ -2,12 +2,12 @@
 
 A driver is a class that is built as `Driver(device, clock)` from a `DeviceRecord` and a clock, imports nothing heavy
 before `open`, and implements `Device` and those of the small capabilities below that its device has.
-Values that cross this interface are in the device's own units (counts, volts, pascal ...); the scaling to SI stands
-beside them in the records and is done above the driver. Raises only `pmabench.base.errors.DeviceError`.
+Values that cross this interface are in the device's own units (counts, volts, pascal ...); the scaling to SI is
+next to them in the records and is done above the driver. Raises only `pmabench.base.errors.DeviceError`.
 
 In real time each device has one thread that calls it. A call returns within 0.2 s (`open` within 2 s) or raises; no
 write is retried; after a time-out the line is drained, so that no answer belongs to an older question. `collect` never
-waits for a sample: a polled device has a thread of its own that polls. A class method `check(device)` may name what is
+waits for a sample: a polled device has its own thread that polls. A class method `check(device)` may name what is
 wrong with the options before anything is opened, others, `fastest(device)` and `lacks(device)`,
 how fast it samples at most with them, and what of them may surprise:
 `pmabench.bench.driver_options`.
@@ -69,7 +69,7 @@ __all__ = [
 COMPUTER = "computer"
 """`Identity.clock` of a device that has none, whose driver stamps its samples."""
 EMULATED = "emulated "
-"""How the model begins that an emulator tells over its wire: what it records is never taken for a real muscle."""
+"""How the model name of an emulator begins: what it records is never taken for a real muscle."""
 UNPROVEN = f"{EMULATED}unproven "
 """How it begins where the emulator took its wiring and scales from the bench file, so that an error cancels out."""
 
@@ -185,7 +185,7 @@ class Follower(Protocol):
 
 @runtime_checkable
 class Hands(Protocol):
-    """A bench whose operator is part of the device: it is told what hands did, as answered at the prompt."""
+    """A bench whose operator is part of the device: it is informed of what hands did, as answered at the prompt."""
 
     def place(self, load: Load) -> None:
         """The free end now carries `load`."""
@@ -232,7 +232,7 @@ class Watchdog(Protocol):
         ...
 
     def feed_watchdog(self) -> None:
-        """Tell the device that the program lives."""
+        """Show the device that the program is alive."""
         ...
 
     def disarm_watchdog(self) -> None:
@@ -261,7 +261,7 @@ class Rescue(Protocol):
     """Has a second way to its outputs, for when the usual call hangs."""
 
     def rescue(self, output: str, value: float) -> None:
-        """Command `value` [device units; 0 and 1 for a valve] over a connection of its own, within 0.2 s, no retry.
+        """Command `value` [device units; 0 and 1 for a valve] over a separate connection, within 0.2 s, no retry.
 
         Called from another thread than the one that may be hanging.
         """

@@ -20,7 +20,7 @@ LOOKED_AT = 300e3
 
 
 class Simulated(NamedTuple):
-    """What tells a simulated muscle from others."""
+    """What distinguishes a simulated muscle from others."""
 
     length: float
     """Mounted length [m]."""

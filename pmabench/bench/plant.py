@@ -193,7 +193,7 @@ class _Curves:
             return {}
 
         def printed(reading: tuple[float, str] | None, at: Location, missing: float) -> float:
-            """A pressure in the printed unit; as it stands where it is in that unit."""
+            """A pressure in the printed unit; unchanged where it is in that unit already."""
             if reading is None or reading[1] == given.pressure:
                 return missing if reading is None else reading[0]
             return self._si(reading, "pressure", at) / pressure
@@ -345,4 +345,4 @@ def _way_out(curve: dict[str, Any], highest: float) -> str:
     for _ in range(60):
         middle = (low + high) / 2
         low, high = (low, middle) if _value(piece, middle) > 0 else (middle, high)
-    return f"a muscle cannot push: give 0 as a piece of its own up to the break at {high * pressure / 1e3:.10g} kPa"
+    return f"a muscle cannot push: give 0 as a separate piece up to the break at {high * pressure / 1e3:.10g} kPa"

@@ -1,6 +1,6 @@
 """The compiled bench as plain records, and its JSON: all that guard, engine and drivers know of a bench file.
 
-Standard library only. Values are SI; what a device itself speaks stands beside as a `Scale`.
+Standard library only. Values are SI; a `Scale` has what the device itself speaks.
 """
 
 from __future__ import annotations
@@ -62,9 +62,9 @@ class ChannelRecord:
     raw_unit: str
     scale: Scale
     low: float
-    """Lowest value that the channel can tell [SI]."""
+    """Lowest value that the channel can measure [SI]."""
     high: float
-    """Highest value that the channel can tell [SI]."""
+    """Highest value that the channel can measure [SI]."""
     reference: str = "gauge"
     calibration: CalibrationRecord = field(default_factory=CalibrationRecord)
     zero: float | None = None
@@ -109,7 +109,7 @@ class ValveRecord:
     output: str
     energised: str = "closed"
     safe: str = "open"
-    """Where the safe state leaves it; while the bench runs it stands the other way."""
+    """Where the safe state leaves it; while the bench runs it is the other way."""
 
 
 @dataclass(frozen=True)
@@ -193,9 +193,9 @@ class DeviceRecord:
     verified_firmware: str = ""
     """The firmware for which the bench file says so; empty: any."""
     fastest: float = 0.0
-    """Highest rate at which it samples with these options [Hz]; 0: its driver does not tell."""
+    """Highest rate at which it samples with these options [Hz]; 0: its driver does not say."""
     fastest_from: str = ""
-    """Where that stands, as `path:line:column`."""
+    """Where that is written, as `path:line:column`."""
 
     @property
     def guarded(self) -> bool:

@@ -106,7 +106,7 @@ def _bound(c: Compilation, name: str, reading: Reading | None, key: str) -> floa
 
 
 def _inside(c: Compilation, at: Location, value: float, channel: ChannelRecord) -> None:
-    """A trip lies where the channel can tell it: inside its range, and not far beyond what its calibration covers."""
+    """A trip must be measurable by the channel: inside its range, and not far beyond what its calibration covers."""
     quantity = channel.quantity
     if not channel.low < value < channel.high:
         span = f"{show(channel.low, quantity)} to {show(channel.high, quantity)}"
@@ -230,7 +230,7 @@ def _watch(
     elif kind == "burst":
         high = _above_zero(c, entry.falls, quantity, (*at, "falls"))
         if high is not None and high >= channel.high - channel.low:
-            c.fault((*at, "falls"), "is more than the channel can tell: it would never be seen")
+            c.fault((*at, "falls"), "is more than the channel can measure: it would never be seen")
     elif kind == "slack":
         low = c.si(entry.below, quantity, (*at, "below")) if entry.below else None
         if low is not None:

@@ -15,7 +15,7 @@ OPEN = "??"
 
 
 def unfilled(bench: Path, documents: Sequence[Document]) -> list[Problem]:
-    """A problem for each `??` in these files and in the calibrations that lie beside the bench file."""
+    """A problem for each `??` in these files and in the calibrations next to the bench file."""
     found = [problem for document in documents for problem in _open_places(document)]
     channels = documents[0].data.get("channels")
     for channel in channels.values() if isinstance(channels, dict) else ():

@@ -152,7 +152,7 @@ def _moments(texts: tuple[str, ...], last: float, out: Path | None) -> list[floa
 
 
 def _deliver(ui: Ui, found: Result, out: Path | None, moments: list[float], *, result_too: bool, as_csv: bool) -> None:
-    """Write what was asked for, and tell the result."""
+    """Write what was asked for, and show the result."""
     from pmabench.report.cascade.cascade_record import as_data, csv_text, write_result
 
     written = write_result(found, out) if out is not None and result_too else []

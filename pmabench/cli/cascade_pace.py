@@ -18,8 +18,8 @@ BLOCK = 0.05
 """Time of one block [s]."""
 CLOSE = 0.02
 """How far elapsed and simulated time may lie apart."""
-WIDTH, BESIDE = 60, 30
-"""Letters of the whole chain where there is room, and of what stands beside it."""
+WIDTH, MARGIN = 60, 30
+"""Letters of the whole chain where there is room, and of what is next to it."""
 Show = Callable[[float, Sequence[float], Sequence[bool]], None]
 """Takes the time [s], the contraction of each muscle [m], and which of them are under pressure."""
 
@@ -62,7 +62,7 @@ def shower(ui: Ui, lengths: Sequence[float]) -> Show:
         if ui.quiet or (not live and t - last[0] < 1 - 1e-9):
             return
         last[0] = t
-        width = min(max(get_terminal_size().columns - BESIDE, 10), WIDTH) if live else WIDTH
+        width = min(max(get_terminal_size().columns - MARGIN, 10), WIDTH) if live else WIDTH
         text = f"{t:8.2f} s {drawn(lengths, x, on, width)} x {1e3 * sum(x):7.2f} mm"
         if live:
             rewrite(text)

@@ -58,7 +58,7 @@ def command(
 
 
 def plan_summary(plan: Plan, mounted: Mounted) -> dict[str, Any]:
-    """Duration, rows, bytes, and each command's range beside the active limits, in SI.
+    """Duration, rows, bytes, and each command's range next to the active limits, in SI.
 
     The duration holds the session that comes first, where the bench declares one and none counts now.
     """

@@ -133,7 +133,7 @@ def prepare_streams() -> None:
 
 
 def rewrite(text: str = "") -> None:
-    """Take the line of progress away that stands on stderr, and put `text` there."""
+    """Replace the line of progress on stderr, if any, by `text` there."""
     with suppress(OSError):
         stream = raw(sys.stderr)
         stream.write("\r\x1b[2K" + spelled(text))
@@ -150,7 +150,7 @@ NOT_WRITTEN = RecordError.exit_code
 
 
 def output_lost(error: OSError) -> int:
-    """The exit code where stdout took no more: a closed pipe is no failure, anything else is told."""
+    """The exit code where stdout took no more: a closed pipe is no failure, anything else is reported."""
     for stream in (sys.stdout, sys.stderr):  # what is left in them would fail again at the end of the program
         with suppress(OSError, ValueError, AttributeError):
             if stream is sys.stdout or error.errno == EPIPE:
@@ -220,7 +220,7 @@ def session_options(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def login_name() -> str:
-    """Who is logged in; `unknown` where the machine does not tell."""
+    """Who is logged in; `unknown` where the machine does not say."""
     import getpass
 
     try:

@@ -123,7 +123,7 @@ def _is_table(text: str) -> bool:
 
 
 def _side(name: str, text: str) -> tuple[Side, list[Path]]:
-    """The analyses that a path stands for, and the folders of their runs as far as they are at hand."""
+    """The analyses in a path, and the folders of their runs as far as they are at hand."""
     from pmabench.analysis.verdict.comparison import Side
     from pmabench.cli.process import analyse, load_runs
     from pmabench.store.analyses.folder import analyses_below, read_analysis, runs_of
@@ -177,7 +177,7 @@ def _calibrations(manifest: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
 
 
 def _published(text: str, analyses: Sequence[Analysis], runs: Sequence[Path]) -> tuple[Side, list[Published]]:
-    """A table as the reference, and how its points lie beside the curves of figures."""
+    """A table as the reference, and how its points compare with the curves of figures."""
     from pmabench.analysis.verdict.comparison import Side
     from pmabench.cli.process import load_runs
     from pmabench.cli.report_overlays import read_overlays

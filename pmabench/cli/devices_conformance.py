@@ -27,7 +27,7 @@ def conformance(
 ) -> int:
     """Try DRIVER (its name, or module:Class) against its own emulator: one line for each promise of a driver.
 
-    What is tried is a device of a bench file, with the emulator behind a wire of its own; no address of the file is
+    What is tried is a device of a bench file, with the emulator behind its own wire; no address of the file is
     reached. Exit code 6 where a check fails. How to write a driver: docs/drivers.md.
     """
     from pmabench.conformance import FAILED, run, subject

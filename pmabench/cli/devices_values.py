@@ -129,7 +129,7 @@ def _print_reading(record: ChannelRecord, reading: Reading, data: Mapping[str, A
         click.echo(f"mean of {reading.count} samples at {data['rate']:g} Hz; noise {noise} rms, drift {drift}")
     if not data["in_range"]:
         ends = f"{shown(record.low, 6)} to {shown(record.high, 6)}"
-        click.echo(f"this is outside what the channel can tell, {ends}: look at the sensor and its wire")
+        click.echo(f"this is outside what the channel can measure, {ends}: look at the sensor and its wire")
     if data["simulated"]:
         click.echo("SIMULATED")
 

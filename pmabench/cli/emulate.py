@@ -63,7 +63,7 @@ def command(
 ) -> int | None:
     """Serve the devices of BENCH whose drivers have an emulator on this machine, in real time, until Ctrl-C.
 
-    Devices stand at the addresses of the bench file: TCP at its address (port 0 takes a free one, which is printed),
+    Devices answer at the addresses of the bench file: TCP at its address (port 0 takes a free one, which is printed),
     serial ports as links to pseudo-terminals. What is typed here happens: "load 6 kg" (all that hangs on the free
     end), "fault DEVICE delay 300 ms count 5", "fault DEVICE clear", "plant burst for 2 s"; "after 5 s" behind a line
     lets it happen then.

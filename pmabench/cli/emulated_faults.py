@@ -20,7 +20,7 @@ USE = '"load 6 kg", "fault DEVICE delay 300 ms count 5", "fault DEVICE clear" or
 
 @dataclass(frozen=True)
 class Happening:
-    """What the emulator is told, and when [s from now]."""
+    """What the emulator shall do, and when [s from now]."""
 
     after: float
     wanted: Mapping[str, Any]
@@ -39,7 +39,7 @@ class Happening:
 
 
 class Schedule:
-    """Does what is due, each thing at its time, on a thread of its own."""
+    """Does what is due, each thing at its time, on its own thread."""
 
     def __init__(self, act: Callable[[Mapping[str, Any]], object], report: Callable[[str], None]) -> None:
         self._act, self._report = act, report
@@ -70,7 +70,7 @@ class Schedule:
 
 
 class Faults:
-    """Makes what the emulator `served` is told out of what people write."""
+    """Turns what people write into requests to the emulator `served`."""
 
     def __init__(self, served: Any, gravity: float, carriage: float) -> None:
         self._served, self._gravity, self._carriage = served, gravity, carriage

@@ -24,8 +24,8 @@ SAMPLES = ("csv", "parquet", "mat")
 def command(ui: Ui, sources: tuple[Path, ...], form: str, output: Path) -> int | None:
     """Write samples and trials of one RUN (csv, parquet, mat), or the coefficients of analyses (all formats).
 
-    A folder of analyses stands for all in it. For latex, json, python-control and mujoco runs are processed first.
-    Units stand in the heads of columns.
+    A folder of analyses means all in it. For latex, json, python-control and mujoco runs are processed first.
+    Units are in the heads of columns.
     """
     from pmabench.cli.process import apart
     from pmabench.notebook import Results, open_analysis, open_run

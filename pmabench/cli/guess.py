@@ -22,7 +22,7 @@ SECONDS = 10.0
 
 
 def guess(ui: Ui, files: Sequence[Path], spans: Sequence[str], output: Path | None) -> int | None:
-    """Tell what the files seem to hold, and write the map where `output` says."""
+    """Report what the files seem to hold, and write the map where `output` says."""
     from pmabench.files.document import Document
     from pmabench.kinds.registry import importable
     from pmabench.store.importers.guess.guess import guess_files

@@ -1,4 +1,4 @@
-"""`pmabench history`: one specimen over its life, from its runs and the analyses beside them; computes no fit."""
+"""`pmabench history`: one specimen over its life, from its runs and the analyses next to them; computes no fit."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ ANALYSES = ("*/analysis.json", "*/*/analysis.json", "*/*/*/analysis.json")
 def command(ui: Ui, specimen: str, folder: Path, output: Path | None) -> int | None:
     """One SPECIMEN over its life: coefficients, cycles and time at pressure from its runs in FOLDER.
 
-    SPECIMEN is a specimen file, the name of a shipped one, or a serial number as runs tell it. Coefficients come from
-    the analyses beside the runs (`process` makes them); simulated runs are never mixed with real ones.
+    SPECIMEN is a specimen file, the name of a shipped one, or a serial number as in the runs. Coefficients come from
+    the analyses next to the runs (`process` makes them); simulated runs are never mixed with real ones.
     """
     from pmabench.analysis.verdict.life import chosen, findings, references_of, series_of
 
@@ -49,7 +49,7 @@ def command(ui: Ui, specimen: str, folder: Path, output: Path | None) -> int | N
     remarks = [*findings(life, chosen(series), references), *notes]
     if not series_of(analyses, life):
         remarks.append(
-            _note("no analysis beside these runs tells a coefficient that is followed: pmabench process makes them")
+            _note("no analysis next to these runs has a coefficient that is followed: pmabench process makes them")
         )
     title = next(row.specimen for row in rows)
     data = _json(title, life, series, references, remarks)
@@ -106,7 +106,7 @@ def _names(text: str) -> set[str]:
 def _life(ui: Ui, folder: Path, rows: Sequence[Row]) -> tuple[list[Past], list[Row], list[Analysis]]:
     """The runs in order of time, with what each did to the specimen; those with reference trials; leaks of self-tests.
 
-    One that cannot be read is told and left out.
+    One that cannot be read is reported and left out.
     """
     from pmabench.analysis.verdict.life import leak_of, pasts, use_of
     from pmabench.store.reader import RunFiles, events_of
@@ -128,7 +128,7 @@ def _life(ui: Ui, folder: Path, rows: Sequence[Row]) -> tuple[list[Past], list[R
         if (leak := leak_of(row.id, events, simulated=row.simulated)) is not None:
             leaks.append(leak)
     if not used:
-        raise invalid(folder, "none of the runs of this specimen can be read; pmabench runs verify tells more")
+        raise invalid(folder, "none of the runs of this specimen can be read; pmabench runs verify says more")
     return pasts(used), referring, leaks
 
 
@@ -163,7 +163,7 @@ def _is_of(path: Path, runs: set[str]) -> bool:
 
 
 def _loaded(ui: Ui, folder: Path, rows: Sequence[Row]) -> Iterator[RunData]:
-    """The runs with their samples; one that cannot be read is told and left out."""
+    """The runs with their samples; one that cannot be read is reported and left out."""
     from pmabench.store.reader import open_run
 
     for row in rows:

@@ -1,4 +1,4 @@
-"""`pmabench import`: old files of other programs become runs, by a map; what is suspicious is told, never mended."""
+"""`pmabench import`: old files of other programs become runs, by a map; doubts are reported, nothing is mended."""
 
 from __future__ import annotations
 

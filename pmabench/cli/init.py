@@ -114,7 +114,7 @@ def _included(path: Path) -> Iterator[tuple[str, str]]:
     if not isinstance(name, str):
         return
     if Path(name).parent != Path() or name in {f"{role}.yaml" for role in ROLES}:
-        raise invalid(path, f'includes "{name}", which cannot lie in a lab folder; name a file beside it')
+        raise invalid(path, f'includes "{name}", which cannot lie in a lab folder; name a file next to it')
     yield name, _text(path.parent / name)
     yield from _included(path.parent / name)
 

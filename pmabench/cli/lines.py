@@ -14,7 +14,7 @@ Wait = Callable[[], None]
 
 
 class AtLines:
-    """A person at standard input. `realtime`: bench time passes while they think; else it stands."""
+    """A person at standard input. `realtime`: bench time passes while they think; else it waits."""
 
     def __init__(self, *, realtime: bool) -> None:
         self._realtime = realtime

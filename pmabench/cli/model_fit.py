@@ -1,4 +1,4 @@
-"""`pmabench model fit`: inputs of a model that make it follow measured rows, with intervals and what is not told."""
+"""`pmabench model fit`: fits inputs of a model to measured rows, with intervals, and says what cannot be found."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What people give as inputs of a model: single values with units, ranges and lists, told all at once where wrong."""
+"""What people give as inputs of a model: values with units, ranges and lists; all errors are reported at once."""
 
 from __future__ import annotations
 

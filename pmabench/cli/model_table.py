@@ -12,7 +12,7 @@ Column = Mapping[str, Any]
 
 
 def print_table(ui: Ui, columns: Sequence[Column], keys: int) -> None:
-    """The columns in display units; the first `keys` of them stand in every part of a table that is too wide."""
+    """The columns in display units; the first `keys` of them are repeated in every part of a table that is too wide."""
     from pmabench.report.terminal import print_grid
 
     heads = [f"{column['name']} {display_unit(column['quantity'])}".strip() for column in columns]
@@ -22,7 +22,7 @@ def print_table(ui: Ui, columns: Sequence[Column], keys: int) -> None:
 
 
 def _cells(column: Column) -> list[str]:
-    """Each value; what is nothing beside the largest of the column is 0."""
+    """Each value; what is negligible against the largest of the column is 0."""
     numbers = [abs(value) for value in column["values"] if isinstance(value, float)]
     least = 1e-9 * max(numbers, default=0.0)
     return [

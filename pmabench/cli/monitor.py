@@ -200,7 +200,7 @@ class _Keys:
 
 
 class _AtKeys:
-    """An operator in front of the screen: questions stand among the notices, the key y answers."""
+    """An operator in front of the screen: questions are among the notices, the key y answers."""
 
     def __init__(self, page: Page, keys: _Keys) -> None:
         self._page, self._keys = page, keys

@@ -1,4 +1,4 @@
-"""`pmabench note`: words, pictures and exclusions beside a run; nothing that was recorded is touched."""
+"""`pmabench note`: words, pictures and exclusions added to a run; nothing that was recorded is touched."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 @click.command(name="process")
 @click.argument("runs", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="RUN...|FOLDER...")
 @click.option(
-    "--out", type=click.Path(path_type=Path), help="Analysis folder; in analyses/ beside the folder runs/ if not given."
+    "--out", type=click.Path(path_type=Path), help="Analysis folder; in analyses/ next to runs/ if not given."
 )
 @click.option("--each", is_flag=True, help="Each run on its own and one table, as for a folder of runs.")
 @click.option("--jobs", type=click.IntRange(1, 256), metavar="N", help="So many processes share a folder of runs.")
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     multiple=True,
     metavar="SYMBOL=FORM",
     help="Contraction runs: F_ce, K, B_c or B_r over pressure as constant, line, polynomial or polygon, in a joint fit"
-    " beside the straight lines between pressures.",
+    " next to the straight lines between pressures.",
 )
 @click.option(
     "--bootstrap",
@@ -63,8 +63,8 @@ def command(
     RUNS named one by one are taken together: one analysis for each kind of test of each specimen.
 
     Of a FOLDER of runs each run is taken on its own, with those that it continues: an analysis folder for each in
-    analyses/each, and one table over all of them beside those (all-runs.csv, .parquet, .json). Runs that did not change
-    since the last time are not computed again; a run that cannot be used is told at the end and stops no other.
+    analyses/each, and one table over all of them next to those (all-runs.csv, .parquet, .json). Runs that have not
+    changed since the last time are not computed again. A run that cannot be used is named at the end; the others go on.
     """
     from pmabench.kinds import registry
     from pmabench.store.below import ANALYSES, holds_runs
@@ -149,16 +149,16 @@ def verdict_lines(analyses: Sequence[Analysis], runs: Sequence[RunData], failed:
 
 
 def campaign_folder(folder: Path) -> Path:
-    """Where analyses go: beside a folder that is called `runs`, so that `runs/*` are runs and nothing else."""
+    """Where analyses go: next to a folder that is called `runs`, so that `runs/*` are runs and nothing else."""
     return folder.parent if folder.name == "runs" else folder
 
 
 GUIDED = ("session", "self-test", "calibration", "setup")
-"""Kinds of runs that have no trials: what they found stands in their events."""
+"""Kinds of runs that have no trials: what they found is in their events."""
 
 
 def without_analyses(ui: Ui, paths: Sequence[Path]) -> list[Path]:
-    """The paths that are neither analyses nor guided runs, which lie among runs named with `*`; those are told."""
+    """The paths that are neither analyses nor guided runs, which lie among runs named with `*`; those are reported."""
     skipped = {path: why for path in paths if (why := _nothing_to_process(path))}
     if len(skipped) == len(paths):
         raise invalid(paths[0], f"{skipped[paths[0]]} and no run with trials; give run folders")
@@ -170,7 +170,7 @@ def without_analyses(ui: Ui, paths: Sequence[Path]) -> list[Path]:
 def apart(sources: Sequence[Path]) -> tuple[list[Path], list[Path]]:
     """Analysis folders, and the other sources.
 
-    A folder of analyses stands for all of them; among runs, named with `*`, it is left to `without_analyses` to skip.
+    A folder of analyses means all of them; among runs, named with `*`, it is left to `without_analyses` to skip.
     """
     from pmabench.store.analyses.folder import analyses_below
 
@@ -200,7 +200,7 @@ def _nothing_to_process(path: Path) -> str:
         return ""
     from pmabench.store.folder import read_manifest
 
-    with suppress(InvalidFile):  # what is wrong with it is told when it is loaded
+    with suppress(InvalidFile):  # what is wrong with it is reported when it is loaded
         kind = read_manifest(path).get("kind")
         return f"is a run of kind {kind}" if kind in GUIDED else ""
     return ""

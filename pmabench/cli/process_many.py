@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 TOLD_EVERY = 10.0
 """Seconds between lines of progress where there is no terminal."""
 MOST_LINES = 20
-"""Lines of one kind on the screen; the rest stands in the table."""
+"""Lines of one kind on the screen; the rest is in the table."""
 
 
 def process_folders(

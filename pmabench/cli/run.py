@@ -100,7 +100,7 @@ def execute(
 ) -> Outcome:
     """Run a prepared plan, after a session where its bench has one and none counts.
 
-    With a display of its own in real time, with a line of progress in virtual time. `session` are options of `ensure`.
+    With a display in real time, with a line of progress in virtual time. `session` are options of `ensure`.
     """
     from pmabench.engine.run import run_plan
     from pmabench.protocol.plan import Ask

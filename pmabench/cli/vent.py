@@ -115,7 +115,7 @@ def _from_file(bench: str, known: list[str]) -> tuple[Station, dict[str, Any]]:
 
 
 def _all_at_once(ui: Ui, found: list[tuple[Station, dict[str, Any]]], began: float) -> list[Vented]:
-    """Vent each bench in a thread of its own: none waits for another. Raises the first error when all are done."""
+    """Vent each bench in its own thread: none waits for another. Raises the first error when all are done."""
     vented: dict[int, Vented] = {}
     errors: dict[int, Exception] = {}
 

@@ -59,7 +59,7 @@ def _find(ui: Ui, place: Path, *, wait: bool) -> Path:
 
 
 def _json(folder: Path, state: RunState) -> dict[str, Any]:
-    """The documented object: how the run stands or ended, and each trial's line."""
+    """The documented object: the state of the run or how it ended, and each trial's line."""
     return {
         "schema": "pmabench.watch/1",
         "run": str(folder),

@@ -1,4 +1,4 @@
-"""What a person sees of a run: a process of its own that reads what the run writes, and can neither stop nor slow it.
+"""What a person sees of a run: a separate process that reads what the run writes, and can neither stop nor slow it.
 
 - `follow`: the run folder, read on from where reading stopped; `kept`: samples for curves and trials
 - `channel`: values against limits; `progress`: where the plan is; `state`: all that is known now

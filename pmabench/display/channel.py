@@ -46,7 +46,7 @@ class Channel:
         return 1 if near or (self.command_high is not None and value > self.command_high + slip) else 0
 
     def axis(self) -> tuple[float, float]:
-        """Ends of the bar [SI]: its trip limits, a little beyond; else what may be commanded or what it can tell."""
+        """Ends of the bar [SI]: its trip limits, a little beyond; else limits of the command or of the range."""
         low = self.trip_low if self.trip_low is not None else min(0.0, self.command_low or 0.0)
         high = self.trip_high if self.trip_high is not None else self.command_high
         if high is None or not high > low:

@@ -18,7 +18,7 @@
     display.close()
 
 Ctrl-C reaches the run itself, as without a display. What is printed to the terminal meanwhile spoils the picture until
-its next line changes: use `tell`.
+its next line changes: use `log`.
 """
 
 from __future__ import annotations

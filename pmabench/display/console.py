@@ -265,7 +265,7 @@ class Console:
             print(line.encode(encoding, "replace").decode(encoding), file=self._stream, flush=True)
 
     def _close(self, width: int) -> None:
-        """What stays on the terminal: the last trials and, where the run itself does not tell it, how it ended."""
+        """What stays on the terminal: the last trials and, where the run itself does not say so, how it ended."""
         lines = closing(self.state, width)
         if self._link is None:
             lines = [*lines, Text(last_line(self.state))]
@@ -367,7 +367,7 @@ class Console:
             self._send({"key": key.lower()}, f"{key.lower()} pressed: {PRESSED[key.lower()]}")
 
     def _send(self, message: dict[str, Any], text: str, *, comes_back: bool = False) -> None:
-        """Send a message and tell it in the log, unless the run's own record of it will be shown."""
+        """Send a message and add it to the log, unless the run's own record of it will be shown."""
         taken = self._link is not None and self._link.send(message)
         if not taken:
             self.state.log(f"{text}; the run did not take it", "fault")

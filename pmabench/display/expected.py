@@ -1,4 +1,4 @@
-"""What a run's specimen file already believes of the muscle, for comparison beside the measured; fits nothing."""
+"""What a run's specimen file already believes of the muscle, to compare the measured with; fits nothing."""
 
 from __future__ import annotations
 

@@ -250,7 +250,7 @@ class Follower:
         return [(stream, stream.read()) for stream in self.streams.values()]
 
     def notes(self) -> list[str]:
-        """Notes that were added beside the run since the last call."""
+        """Notes that were added to the run since the last call."""
         found = sorted((self.folder / "notes").glob("[0-9]*/note.json"))
         fresh, self._notes = found[self._notes :], len(found)
         texts = []
@@ -275,7 +275,7 @@ class Follower:
         if not self.manifest:
             return "waiting"
         if self.seal is None and not self.manifest.get("writer"):
-            return "running"  # a system that does not tell whether the writer lives
+            return "running"  # a system that cannot say whether the writer lives
         return status_of(self.manifest, self.seal)
 
     def _begin(self) -> None:

@@ -13,12 +13,12 @@ FAINT, WARN, GOOD = "dim", "bold black on yellow", "green"
 VALUE, OFF, PLACE = 7, 6, 7
 """Widths of a value, of its distance from what it is compared with, and of a part of the operating point."""
 WIDE = 108
-"""From this width on doubts stand in the line of their trial, else below it."""
+"""From this width on doubts are in the line of their trial, else below it."""
 _HIDDEN = ("mass", "cycles", "setpoint", "bias", "mean", "amplitude")
 
 
 def point_columns(lines: Sequence[TrialLine]) -> list[str]:
-    """Names of the operating point that tell trials apart."""
+    """Names of the operating point that differ between trials."""
     names = list(dict.fromkeys(name for line in lines for name in line.point))
     return [name for name in names if name not in _HIDDEN] or names[:1]
 
@@ -66,7 +66,7 @@ def _row(line: TrialLine, names: Sequence[str]) -> Text:
 def trial_table(lines: Sequence[TrialLine], width: int, room: int, spare: int = 0) -> list[Text]:
     """A heading and the last trials, newest at the end, at most `room` lines in all; empty where there is no room.
 
-    With `spare` lines beyond, what percent and star mean is told below where it does not fit beside the heading.
+    With `spare` lines beyond, the meaning of percent and star is below where it does not fit next to the heading.
     """
     if not lines or room < 2:
         return []

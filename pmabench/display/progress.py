@@ -39,7 +39,7 @@ class Progress:
         self._out = 0.0
         """Time that does not count [s]."""
         self._aside: float | None = None
-        """Since when the plan stands still [s]: in a pause, or in a trial that is none of it."""
+        """Since when the plan has not moved on [s]: in a pause, or in a trial that is none of it."""
         self._leapt = 0.0
         """Duration of what the pointer went over [s], less what it went back."""
         self._first: float | None = None

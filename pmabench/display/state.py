@@ -29,7 +29,7 @@ CURVES = 30.0
 LONGEST_CURVES = 120.0
 """... or to the beginning of the trial, at most so far."""
 LIVE = 2.0
-"""Values that the run itself tells are shown for so long [s]."""
+"""How long values that the run itself sends are shown [s]."""
 LATEST = 1.0
 """A trial gets its line so long after its end at the latest [s], whatever samples are missing."""
 LOG = 200
@@ -128,7 +128,7 @@ class RunState:
         self.fresh.append(notice)
 
     def live(self, values: Mapping[str, float], now: float | None = None) -> None:
-        """Values [SI] that the run itself tells, while it records nothing."""
+        """Values [SI] that the run itself sends while it records nothing."""
         known = {name: float(value) for name, value in values.items() if isinstance(value, int | float)}
         when = time.time() if now is None else now
         if self._live is None or when >= self._live[0]:
@@ -297,7 +297,7 @@ class RunState:
         self.samples.forget(min([self._t - LONGEST_CURVES, *begun]) - 1.0)
 
     def _ages(self, now: float) -> None:
-        """Age of each newest value by the time of its file; values that the run tells are younger."""
+        """Age of each newest value by the time of its file; values that the run sends are younger."""
         for channel in self.channels.values():
             stream = self.files.streams.get(channel.stream)
             channel.age = max(0.0, now - stream.written) if stream is not None and channel.value is not None else None

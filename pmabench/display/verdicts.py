@@ -32,7 +32,7 @@ REACHED = (0.02, 3e3)
 
 @dataclass(frozen=True)
 class Number:
-    """One quantity of a trial beside what it is compared with [SI]."""
+    """One quantity of a trial and what it is compared with [SI]."""
 
     symbol: str
     quantity: str
@@ -41,7 +41,7 @@ class Number:
     reference_is: str = ""
     """`expected` (of the specimen file) or `repeats` (their mean); empty: none."""
     assumed: bool = False
-    """Whether it leans on the specimen file: one load alone does not tell K from F_ce."""
+    """Whether it depends on the specimen file: with one load alone K and F_ce cannot be separated."""
 
     @property
     def off(self) -> float | None:

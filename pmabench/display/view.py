@@ -1,6 +1,6 @@
 """The whole picture of a run as lines of exactly the asked width and number; knows the state, no terminal.
 
-Colours are the sixteen of every terminal; text that must stand out carries its own background, and a sign besides.
+Colours are the sixteen of every terminal; text that must be noticed has its own background, and a sign too.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ TALLEST = 16
 WANTED = (("pause", "will pause"), ("repeat", "will repeat this trial"))
 """Keys of the operator that wait for the end of the trial, in words."""
 FRESH = 3.0
-"""Age up to which a pressure may stand beside a question to hands [s]."""
+"""Age up to which a pressure is shown with a question to the operator [s]."""
 OLD = 1.0
 """Age of the newest sample from which on it is marked while samples are recorded [s]."""
 
@@ -273,7 +273,7 @@ def _notice(t: float | None, text: str, level: str, width: int) -> list[Text]:
 
 
 def _curves(state: RunState, width: int, height: int) -> list[Text]:
-    """Pressure, displacement and force beside each other: a title with the range, the curve, and the time."""
+    """Pressure, displacement and force next to each other: a title with the range, the curve, and the time."""
     shown = [(state.channels[name], colour) for name, colour in CURVES if name in state.channels]
     if not shown:
         return []

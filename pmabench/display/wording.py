@@ -71,7 +71,7 @@ def value_text(value: float | None, name: str, span: float) -> str:
 
 
 def point_text(point: Mapping[str, float]) -> str:
-    """An operating point in words; the moving mass is left out where the load is told."""
+    """An operating point in words; the moving mass is left out where the load is given."""
     shown = []
     for name, value in point.items():
         if name in _HIDDEN and "load" in point:

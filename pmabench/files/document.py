@@ -36,7 +36,7 @@ Place = tuple[str, int, int]
 
 
 class Document:
-    """A YAML file: its plain data, where each value stands, and the texts that it was made of.
+    """A YAML file: its plain data, where each value is, and the texts that it was made of.
 
     A top-level `include: other.yaml` takes the other file first; keys given here replace those of the same name.
     """
@@ -160,7 +160,7 @@ class Document:
             if not isinstance(key_node, ScalarNode) or key == "<<":
                 raise invalid(self.path, "a key must be a plain name", *place)
             if key in data:
-                raise invalid(self.path, f'key "{key}" stands twice', *place)
+                raise invalid(self.path, f'key "{key}" is given twice', *place)
             data[key] = self._plain(value_node, (*location, key))
             self._keys[*location, key] = (self.path, *place)
         return data
@@ -264,7 +264,7 @@ def _problems(model: type[BaseModel], document: Document, error: ValidationError
 
 
 def _in_data(data: Any, at: Location, location: tuple[str | int, ...]) -> Location:
-    """The location without the tags of unions, which do not stand in the file."""
+    """The location without the tags of unions, which are not in the file."""
     for part in at:
         data = data[part]
     found: list[str | int] = []
@@ -300,7 +300,7 @@ def _sentence(model: type[BaseModel], item: Any) -> tuple[str, bool]:
         wanted = str(context.get("tag", ""))
         return f'"{wanted}" is not known here{did_you_mean(wanted, options)}' if wanted else item["msg"], False
     if kind in {"model_type", "model_attributes_type", "dict_type"}:
-        return f'"{name}" needs keys and values of its own, not "{value}"', False
+        return f'"{name}" needs its own keys and values, not "{value}"', False
     if kind in {"list_type", "tuple_type"}:
         return f'"{name}" needs a list, not "{value}"', False
     message = item["msg"].replace("Input should be", f'"{value}" should be')
@@ -312,7 +312,7 @@ def _names(model: type[BaseModel]) -> list[str]:
 
 
 def _models_at(model: Any, location: tuple[str | int, ...]) -> list[type[BaseModel]]:
-    """The models that may stand at a location: annotations walked, all branches of unions kept."""
+    """The models that may be at a location: annotations walked, all branches of unions kept."""
     here = [model]
     for part in location:
         step: list[Any] = []

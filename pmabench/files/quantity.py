@@ -97,7 +97,7 @@ def unit_factor(unit: str, quantity: str) -> float:
     """How many SI units one `unit` of `quantity` is; raises ValueError with a hint where it is none."""
     if unit == "%":
         if quantity != "ratio":
-            raise ValueError(f'"%" stands only where a ratio is expected, here a {quantity}, {_hint(quantity)}')
+            raise ValueError(f'"%" is allowed only where a ratio is expected, here a {quantity}, {_hint(quantity)}')
         return 0.01
     if quantity == "count":
         if unit in {"count", "counts", "1"}:
@@ -262,7 +262,7 @@ else:
 
 
 def raw_quantity(value: object) -> tuple[float, str]:
-    """`"9.998 V"` to `(9.998, "V")`: a reading in device units, kept as it stands."""
+    """`"9.998 V"` to `(9.998, "V")`: a reading in device units, kept as it is."""
     if isinstance(value, str):
         match = _PATTERN.fullmatch(value.strip())
         if match is not None and isfinite(float(match[1])):

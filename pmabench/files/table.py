@@ -40,7 +40,7 @@ class Cell:
 
 @dataclass(frozen=True)
 class Column:
-    """One column: the whole head, what stands before its unit, the unit (None where none is written), the cells."""
+    """One column: the whole head, what is before its unit, the unit (None where none is written), the cells."""
 
     head: Cell
     name: str
@@ -152,7 +152,7 @@ def _split(number: int, line: str, mark: str) -> list[Cell]:
 
 @dataclass(frozen=True)
 class Wanted:
-    """What a column may stand for: its names (the first is the one in messages) and its quantity."""
+    """What a column may mean: its names (the first is the one in messages) and its quantity."""
 
     names: tuple[str, ...]
     quantity: str

@@ -1,7 +1,7 @@
 """The arm of paper 2: four contractors, one of which bends it against a load at its end; knows no time.
 
 Its state is the contraction of the bending muscle against the arm's middle, x = r alpha: an arc of one curvature whose
-middle keeps its length. The angle is that of `arm-angle` of the library; below 0.45 bar, where the paper tells nothing,
+middle keeps its length. The angle is that of `arm-angle` of the library; below 0.45 bar, where the paper says nothing,
 it goes on a straight line to 0 without pressure.
 """
 
@@ -17,7 +17,7 @@ from pmabench.model.plant import Plant
 from pmabench.model.regulator import Regulator
 
 STIFFNESS, DAMPING = 5e3, 1e3
-"""Assumed, for the way there; paper 2 tells none [N/m, N.s/m]."""
+"""Assumed, for the way there; paper 2 gives none [N/m, N.s/m]."""
 STEP = 1e3
 """Between the points of angle over pressure [Pa]; the lines between are within 0.02 deg."""
 STOP = 0.20
@@ -28,7 +28,7 @@ GRAVITY = 9.81
 
 @dataclass(frozen=True)
 class Arm:
-    """`length` of its muscles, `radius` of the circle on which the outer ones stand [m] (paper 2)."""
+    """`length` of its muscles, `radius` of the circle of the outer ones [m] (paper 2)."""
 
     name: str = "arm of four contractors of 30 cm"
     length: float = 0.30

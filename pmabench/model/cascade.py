@@ -1,4 +1,4 @@
-"""Muscles end to end, each with pressure steps of its own, in time; knows no file and no drawing.
+"""Muscles end to end, each with its own pressure steps, in time; knows no file and no drawing.
 
 Without inertia one force goes through the whole chain: the load F_L. So each muscle moves as if it were alone with
 this load, and the contractions add. What does not add is force: the sum of F_ce that paper 1 plots is a sum of

@@ -19,7 +19,7 @@ from pmabench.model.muscle import Friction, Muscle
 DEFAULT = {p.name: p.value for p in MODELS["corrected-force"].parameters}
 HIGHEST = next(p.high for p in MODELS["sigmoid-length"].parameters if p.name == "pressure")
 STIFFNESS, DAMPING, DAMPING_RELAX = 5e3, 1e3, 1.5e3
-"""Assumed, for the way there and for loads; paper 2 tells none [N/m, N.s/m]."""
+"""Assumed, for the way there and for loads; paper 2 gives none [N/m, N.s/m]."""
 POINTS = 201
 """Points of length over pressure, close together where its slope is infinite; the lines between are within 10 um."""
 STOP = 0.40

@@ -45,7 +45,7 @@ class Described:
 
     @classmethod
     def of(cls, data: Mapping[str, Any]) -> Described:
-        """The inverse of `to_dict`; what it did not tell (plans of earlier versions) is as a muscle has it."""
+        """The inverse of `to_dict`; what the data lack (plans of earlier versions) is as a muscle has it."""
         values = {field.name: _value(field.name, data[field.name]) for field in fields(Muscle) if field.name in data}
         muscle = Muscle(**{"name": str(data["source"]), **values})
         low, high = data["domain"]

@@ -19,7 +19,7 @@ STOP = 0.30
 """Contraction at which it can go no further [1]: beyond the 25 % of 6 bar."""
 GRID = np.linspace(LOW, HIGH, 501)
 ORDER = 10
-"""Of the polynomial that stands for F_ce at x_max over pressure: within 0.02 N, worth 0.3 um."""
+"""Order of the polynomial that replaces F_ce at x_max over pressure: within 0.02 N, worth 0.3 um."""
 FCE_EVAL = ("x0", "xmax")
 
 

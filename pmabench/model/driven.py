@@ -191,7 +191,7 @@ class DrivenPlant:
         return float(x[0]), float(P[0]), float(F[0])
 
     def advance(self, until: float, times: Sequence[float] | Array = ()) -> Motion:
-        """Go on to `until` [s] and tell what happened at `times` [s], rising, between now and `until`.
+        """Go on to `until` [s] and return what happened at `times` [s], rising, between now and `until`.
 
         Whether the actuator stalls is looked at at these times and at `until`.
         """

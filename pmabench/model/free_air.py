@@ -37,7 +37,7 @@ LOOK = 0.01
 """At rest the regulator is looked at so often [s], whether it comes to the other side of the muscle's pressure."""
 PER_SWING = 16
 """And at least so often in a period of what swings [1]."""
-BESIDE, SOON = 0.01, 1e-3
+CLOSE, SOON = 0.01, 1e-3
 """So far it counts as on neither side [Pa]; then that of so much later counts [s]."""
 FAR, BRIEF = 200.0, 1e-6
 """Further from the regulator's [Pa] the pressure takes no step that is longer than its lag, or than this [s]."""
@@ -111,7 +111,7 @@ class AirPlant(Plant):
         self._flows = self._paces()
 
     def _paces(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """V / lag of the pressure [m3/s], and how far it comes towards the regulator's [1]; venting, and filling."""
+        """V / lag of the pressure [m3/s] and fraction of the regulator's step that is reached [1]; venting, filling."""
         paces = [0.0 if self._shut else self.air.polytropic * self.air.rT * C for C in (self.air.vent, self.air.fill)]
         venting, filling = ((pace + self._leak, pace / (pace + self._leak) if pace else 0.0) for pace in paces)
         return venting, filling
@@ -142,7 +142,7 @@ class AirPlant(Plant):
         """
         u, t, P = self._u, self.time, self._known.value(self.time)
         gap = u.value(t) - P
-        if abs(gap) < BESIDE:
+        if abs(gap) < CLOSE:
             gap = u.value(t + SOON) - P
         fills = gap > 0
         total, share = self._flows[fills]
@@ -151,19 +151,19 @@ class AirPlant(Plant):
         if u.settled(t, SETTLED_PRESSURE):
             u = Trace(t, u.level)
         found = answer(u, t, P, self._tube.at(self.x)[0] / total, share)
-        if self._shut or self.air.fill == self.air.vent or (u.settled(t, BESIDE) and not self._leak):
+        if self._shut or self.air.fill == self.air.vent or (u.settled(t, CLOSE) and not self._leak):
             return found, math.inf
         side = 1 if fills else -1
         fastest = max(u.omega, *(mode[1] for mode in u.modes), 0.0)
         look = min(LOOK, 2 * math.pi / PER_SWING / fastest) if fastest else LOOK
         grid = np.linspace(t, end, int((end - t) / look) + 2)
-        beyond = np.flatnonzero(side * (u.values(grid) - found.values(grid)) < -BESIDE)
+        beyond = np.flatnonzero(side * (u.values(grid) - found.values(grid)) < -CLOSE)
         if beyond.size == 0:
             return found, end
         low, high = float(grid[max(beyond[0] - 1, 0)]), float(grid[beyond[0]])
         before, after = (side * (u.value(s) - found.value(s)) for s in (low, high))
         for _ in range(30):  # regula falsi, the end that stays for the second time counting half
-            if not before > 0 or after > -BESIDE:
+            if not before > 0 or after > -CLOSE:
                 break
             middle = high - after * (high - low) / (after - before)
             off = side * (u.value(middle) - found.value(middle))

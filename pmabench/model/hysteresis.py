@@ -95,7 +95,7 @@ class Branch:
         self._x, self._force = x, float(self._at(np.array(x)))
 
     def _turns_before(self, until: float) -> list[float]:
-        """The turns of the piece that are due before `until` [s], each told once."""
+        """The turns of the piece that are due before `until` [s], each returned once."""
         while self._known < until:
             window = PERIODS * 2 * math.pi / self._trace.omega if self._trace.omega else math.inf
             begin, self._known = self._known, self._known + window

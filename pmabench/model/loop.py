@@ -217,7 +217,7 @@ class Margins:
     """How far a loop is from instability."""
 
     gain_margin: float
-    """Factor on K_p [1] at which it becomes unstable; below 1 it is unstable as it stands."""
+    """Factor on K_p [1] at which it becomes unstable; below 1 it is unstable already."""
     phase_margin: float
     """Phase [rad] that may be lost at gain crossover; infinite where the loop gain stays below 1."""
     M_s: float

@@ -133,7 +133,7 @@ class Plant:
         return self.x, P, max(pull, self.force) if self.x >= muscle.stop else self.force
 
     def advance(self, until: float, times: Sequence[float] | Array = ()) -> Motion:
-        """Go on to `until` [s] and tell what happened at `times` [s], rising, between now and `until`.
+        """Go on to `until` [s] and return what happened at `times` [s], rising, between now and `until`.
 
         Stretches without motion cost next to nothing; sliding is integrated by LSODA, restarted at every command,
         stop and turn; stretches up to 4 ms (a loop closed every sample) are taken by implicit steps.

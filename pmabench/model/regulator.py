@@ -161,7 +161,7 @@ class Trace(NamedTuple):
 def answer(trace: Trace, t: float, value: float, lag: float, share: float = 1.0) -> Trace:
     """The exact answer of `lag` y' = `share` u - y to a closed form u, from y(t) = `value` on; `lag` > 0 [s].
 
-    Each part c exp(p s) of u comes out as c / (1 + p lag) exp(p s); a p of -1 / lag counts as a little beside it.
+    Each part c exp(p s) of u comes out as c / (1 + p lag) exp(p s); a p of -1 / lag counts as a little different.
     """
     since = t - trace.start
     level = share * (trace.level + trace.slope * since)
@@ -347,7 +347,7 @@ class Regulated:
         self._end = self._change(wave, way, t, end)
 
     def _answer(self, wave: Wave, t: float, value: float, lag: float) -> Trace:
-        """The answer of a lag to a wave; a leak beside it makes it faster and leaves it short of the command."""
+        """The answer of a lag to a wave; a leak in parallel makes it faster and leaves it short of the command."""
         share = 1 / (1 + lag * self.regulator.leak)
         if share == 1:
             return lagged(wave, t, value, lag)

@@ -25,7 +25,7 @@ TOGETHER: dict[str, tuple[str, str, str]] = {
     "isobaric": ("displacement", "force", "pressure"),
     "pressure-loop": ("pressure", "displacement", "frequency"),
 }
-"""Kinds of traces that are loops: what is across, what is up, and which mark tells them apart."""
+"""Kinds of traces that are loops: what is across, what is up, and which mark differs between them."""
 MOST_TOGETHER = 5
 
 
@@ -196,7 +196,7 @@ def _setpoint(trace: Trace) -> str:
 
 
 def oscillations(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
-    """Swings near the ultimate gain beside their growth over gain, a row for each set-point."""
+    """Swings near the ultimate gain and their growth over gain, a row for each set-point."""
     pairs: dict[str, list[Trace | None]] = {}
     for trace in traces:
         place = 0 if trace.figure == "oscillation" else 1

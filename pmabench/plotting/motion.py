@@ -1,4 +1,4 @@
-"""Figures of measured motion beside the fitted muscle: contraction over pressure, and what residuals look like.
+"""Figures of measured motion compared with the fitted muscle: contraction over pressure, and what residuals look like.
 
 Draws through `motion_plots`; residuals are described and not tested: at 500 Hz every whiteness test rejects.
 """
@@ -110,7 +110,7 @@ def over_pressure(traces: Sequence[Trace], simulated: bool) -> list[Picture]:
 
 
 def residuals(traces: Sequence[Trace], simulated: bool) -> list[Picture]:
-    """Autocorrelation of measured less modelled contraction, and its quantiles beside those of a normal one."""
+    """Autocorrelation of measured less modelled contraction, and its quantiles against those of a normal one."""
     able = [t for t in traces if has(t, *NAMES)]
     parts = [(t, _residual(t)) for t in able]
     parts = [(t, values) for t, values in parts if len(values) > 2 * LAGS and np.std(values) > 0]
@@ -130,7 +130,7 @@ def residuals(traces: Sequence[Trace], simulated: bool) -> list[Picture]:
         "autocorrelation. A free run that comes to rest a little off, as friction lets it, stays off until the next "
         "command, so its errors agree over seconds and say little of the form; that is tested on the segments of the "
         "fit, see `form` among the findings. Right: "
-        "quantiles of the residuals, each trial by its own standard deviation, beside those of a normal distribution."
+        "quantiles of the residuals, each trial by its own standard deviation, against those of a normal distribution."
     )
     alt = (
         f"Left: autocorrelation of residuals over lags up to {lags[-1]:.3g} s, "

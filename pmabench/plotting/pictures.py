@@ -146,7 +146,7 @@ def numbers(traces: Sequence[tuple[str, Trace]], wanted: Sequence[str] = ()) -> 
 
 
 def _texts(values: Array, rows: NDArray[np.intp]) -> list[str]:
-    """Numbers of a column at some rows; what is nothing beside its largest is 0."""
+    """Numbers of a column at some rows; what is negligible against its largest is 0."""
     known = np.abs(values[np.isfinite(values)])
     least = NOTHING * float(known.max()) if len(known) else 0.0
     return [

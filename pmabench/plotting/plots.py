@@ -92,7 +92,7 @@ def grid(figure: Figure, rows: int, columns: int, **options: Any) -> Any:
 
 
 def fit_labels(figure: Figure) -> None:
-    """Move the left ends of axes to the right where their labels would be cut by the edge or by axes beside them."""
+    """Move the left ends of axes to the right where their labels would be cut by the edge or by neighbouring axes."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
     canvas: Any = FigureCanvasAgg(figure)
@@ -181,7 +181,7 @@ def coefficients(points: Sequence[Points], x_label: str, y_label: str, height: f
 
 
 def _apart(points: Sequence[Points]) -> list[Array]:
-    """What each series is above the first one's curve, where series lie too close to be told apart; else nothing."""
+    """What each series is above the first one's curve, where series lie too close to be seen apart; else nothing."""
     points = [p for p in points if not p.published]
     if len(points) < 2 or points[0].curve is None or len({p.group for p in points}) < 2:
         return []

@@ -137,7 +137,7 @@ def spoken(name: str) -> str:
 
 
 def point_text(at: Mapping[str, float]) -> str:
-    """An operating point in words: `P = 300 kPa, f = 0.5 Hz`; the moving mass is left out where the load is told."""
+    """An operating point in words: `P = 300 kPa, f = 0.5 Hz`; the moving mass is left out where the load is given."""
     parts = []
     for name in in_order(at, POINTS):
         if name == "mass" and "load" in at:

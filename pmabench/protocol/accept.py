@@ -31,7 +31,7 @@ IN_EXPECTED = ("F_ce", "K", "B_c", "B_r", "F_c")
 
 def _wider_than_nothing(value: float) -> float:
     if not value > 0:
-        raise ValueError(f'{show(value, "ratio")}: an interval is wider than nothing, for instance "5 %"')
+        raise ValueError(f'{show(value, "ratio")}: an interval must be > 0 %, for instance "5 %"')
     return value
 
 
@@ -128,7 +128,7 @@ def find_faults(
 def _needs_expected(c: Compilation, name: str) -> None:
     place: Location = ("accept", name, "of_specimen")
     if name not in IN_EXPECTED:
-        c.fault(place, f"a specimen file does not tell {name}; it can tell {', '.join(IN_EXPECTED)}")
+        c.fault(place, f"a specimen file does not give {name}; it can give {', '.join(IN_EXPECTED)}")
     elif c.mounted.specimen_file.expected is None:
         c.fault(place, 'the specimen file has no "expected" section to compare with')
 

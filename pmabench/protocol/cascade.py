@@ -1,4 +1,4 @@
-"""Cascade files: muscles end to end, each with its model and pressure steps of its own; a simulation, no bench."""
+"""Cascade files: muscles end to end, each with its own model and pressure steps; a simulation, no bench."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ class MuscleFile(Strict):
 
 
 class CascadeFile(Strict):
-    """A chain; muscles stand in the order from the fixed end to the load."""
+    """A chain; muscles are in the order from the fixed end to the load."""
 
     schema_: Annotated[Literal["pmabench.cascade/1"], Field(alias="schema")]
     name: Annotated[str, Field(max_length=120)]
@@ -244,7 +244,7 @@ class _Reading:
     def _plant_of_a_file(self, name: str, kind: str, at: Location) -> _Law | None:
         path = self.folder / name
         if not path.is_file():
-            self.fault(f'there is no plant file "{name}" beside this file', *at, "plant")
+            self.fault(f'there is no plant file "{name}" next to this file', *at, "plant")
             return None
         try:
             numbers = read_plant(path).numbers

@@ -214,7 +214,7 @@ class Compilation:
             if name not in names:
                 self.fault(("record", index), f'the bench has no channel "{name}"; it has {", ".join(names)}')
             if name in self.head.record[:index]:
-                self.fault(("record", index), f'"{name}" stands twice')
+                self.fault(("record", index), f'"{name}" is given twice')
         for needed in self.head.cannot_do_without:
             if needed not in self.head.record:
                 self.fault(("record",), f'lacks "{needed}", without which nothing can be fitted; add it')

@@ -1,7 +1,7 @@
 """The pressure that a driven end makes: air that its motion pushes together, against what the bench and muscle bear.
 
 A muscle that is stretched loses volume. What its regulator cannot let out in time raises the pressure (paper 3, chamber
-equation). Predicted with the bench's `air: conductance`; where that is not told, a fast motion counts as closed.
+equation). Predicted with the bench's `air: conductance`; where that is not given, a fast motion counts as closed.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ POLYTROPIC = 1.4
 ALPHA = 2.6
 """Exponent of the volume: above 2, that of an ideal braid, the volume changes more; the safe side."""
 SLOW = 10.0
-"""A motion whose period is at least so long [s] is slow for any regulator that does not tell its conductance."""
+"""A motion whose period is at least so long [s] is slow for any regulator whose conductance is unknown."""
 STEPS = 360
 PERIODS = 4
 
@@ -128,7 +128,7 @@ def not_pushed_together(
     how = (
         "with the bench's air conductance"
         if supply is not None
-        else "as a closed volume, for the bench tells no air: {conductance: {fill, vent}}"
+        else "as a closed volume, for the bench file has no air: {conductance: {fill, vent}}"
     )
     options = " or ".join(allowed) or "slower motions"
     c.fault(
@@ -148,7 +148,7 @@ def _largest(allowed: Callable[[float], bool]) -> float:
 
 
 def _down(value: float) -> float:
-    """Two digits, rounded down, so that what is told as allowed is."""
+    """Two digits, rounded down, so that what is reported as allowed is."""
     if value <= 0:
         return 0.0
     digit = 10.0 ** (len(f"{int(value * 1e9)}") - 11)

@@ -39,7 +39,7 @@ class FrictionFile(Strict):
 
 
 class ReferenceModel(Strict):
-    """Which model is simulated beside the measurement.
+    """Which model is simulated next to the measurement.
 
     `coefficients` is `specimen` (what its file expects), the name of a preset or a plant file with its kind (`paper0
     ideal`, `muscle.yaml bench`), or the folder of an analysis that gives F_ce, K and B_c over pressure.
@@ -148,13 +148,13 @@ def _plant_file(text: str) -> tuple[str, str] | None:
 
 
 def _read_plant(c: Compilation, name: str) -> dict[str, Any]:
-    """The numbers of a plant file, looked for from the current folder, then beside the protocol."""
+    """The numbers of a plant file, looked for from the current folder, then next to the protocol."""
     from pmabench.bench.plant import read_plant
 
     places = [Path(name), Path(str(c.document.path)).parent / name]
     path = next((place for place in places if place.is_file()), None)
     if path is None:
-        raise ValueError(f'there is no plant file "{name}" here or beside the protocol')
+        raise ValueError(f'there is no plant file "{name}" here or next to the protocol')
     return read_plant(path).numbers
 
 
@@ -225,7 +225,7 @@ def _rising(table: dict[str, list[tuple[float, float]]]) -> dict[str, list[tuple
 def read_folder(c: Compilation, name: str, needed: tuple[str, ...]) -> Analysis:
     """The analysis in a folder that a protocol names (or in the one folder inside it) that gives what is needed.
 
-    A relative path is looked for from the current folder, then beside the protocol. Raises ValueError in words.
+    A relative path is looked for from the current folder, then next to the protocol. Raises ValueError in words.
     """
     from pmabench.store.analyses.folder import ANALYSIS, read_analysis
 

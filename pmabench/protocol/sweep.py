@@ -82,7 +82,7 @@ class Sweep(Strict, Generic[Axes]):
 
 @dataclass(frozen=True)
 class Point:
-    """One operating point of a sweep: raw values by axis, where each stands in the file, and the repeat's number."""
+    """One operating point of a sweep: raw values by axis, where each is in the file, and the repeat's number."""
 
     values: dict[str, Any]
     places: dict[str, Location]

@@ -25,8 +25,8 @@ def print_grid(
 ) -> None:
     """Print `rows` under `heads`; columns in `texts` are left-justified and may be wrapped, the others hold numbers.
 
-    The first `keys` columns stand in every part of a table that must be parted. Signs that a terminal would obey become
-    blanks.
+    The first `keys` columns are repeated in every part of a table that must be split. Signs that a terminal would obey
+    become blanks.
     """
     from rich.text import Text
 
@@ -62,7 +62,7 @@ def _word(cell: str) -> int:
 
 
 def _parts(least: Sequence[int], keys: int, width: int) -> list[list[int]]:
-    """Indices of the columns of each part; a part has one column beside the keys, even where that is too wide."""
+    """Indices of the columns of each part; a part has one column next to the keys, even where that is too wide."""
     first = list(range(keys))
     parts: list[list[int]] = [list(first)]
     for index in range(keys, len(least)):

@@ -135,7 +135,7 @@ REFUSED = {
     "a force that pushes": (
         "F_ce", "F_ce: {coefficients: [-49, 1.08], unit: N, pressure: kPa}",
         "F_ce falls to -49 N at 0 kPa; it must be never below zero from 0 kPa to highest_pressure, 500 kPa; "
-        "a muscle cannot push: give 0 as a piece of its own up to the break at 45.37037037 kPa",
+        "a muscle cannot push: give 0 as a separate piece up to the break at 45.37037037 kPa",
     ),
     "a force without air": (
         "F_ce", "F_ce: {coefficients: [44.6, 2.91], unit: N, pressure: kPa}", 'give the "domain" from which on it holds',
@@ -272,8 +272,8 @@ def test_a_bench_takes_the_plant_of_a_file_and_keeps_it(tmp_path):
     [
         ("{plant: muscle.yaml}", "muscle.yaml holds up to 500 kPa, and this bench may command 600 kPa"),
         ("{plant: absent.yaml}", "cannot be read"),
-        ("{plant: ../muscle.yaml}", 'a .yaml file beside this one is expected, for instance "plants/my-muscle.yaml"'),
-        ("{plant: {law: three-element}}", "the name of a plant, or a plant file beside this one, is expected"),
+        ("{plant: ../muscle.yaml}", 'a .yaml file next to this one is expected, for instance "plants/my-muscle.yaml"'),
+        ("{plant: {law: three-element}}", "the name of a plant, or a plant file next to this one, is expected"),
         ("{plant: paper1}", 'did you mean "paper0"'),
         ("{plant: broken.yaml}", '"source" is missing'),
         ("{plant: specimen.yaml}", 'in the record of a run another file is called "specimen.yaml"'),

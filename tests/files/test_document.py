@@ -46,7 +46,7 @@ many:
         '4:3 unknown key "presure"; did you mean "pressure"?',
         '5:19 "kPa" is no unit of length, for instance "10 mm"',
         '7:13 "on" is no frequency with a unit, for instance "500 Hz"',
-        '8:6 "b" needs keys and values of its own, not "12:30"',
+        '8:6 "b" needs its own keys and values, not "12:30"',
     ]
 
 
@@ -57,7 +57,7 @@ def test_a_missing_key_is_named_at_its_parent(tmp_path):
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("name: x\nname: y\n", "stands twice"),
+        ("name: x\nname: y\n", "is given twice"),
         ("- 1\n", "keys and values"),
         ("name: !!python/object/apply:os.system [x]\n", "tags are not allowed"),
         ("name: [\n", "not readable as YAML"),

@@ -243,7 +243,7 @@ def test_a_record_without_what_the_fit_needs_is_refused(name):
 
 @pytest.mark.parametrize("interval", ["-2 %", "0"])
 def test_an_accepted_interval_is_wider_than_nothing(interval):
-    with pytest.raises(InvalidFile, match="an interval is wider than nothing"):
+    with pytest.raises(InvalidFile, match="an interval must be > 0 %"):
         plan("contraction-relaxation", ("accept.K.relative_interval", interval))
 
 

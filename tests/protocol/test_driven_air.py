@@ -72,7 +72,7 @@ def test_a_bench_that_does_not_tell_its_regulator_counts_as_closed_unless_it_is_
     bench.write_text("\n".join(kept))
     mounted = mount(bench, ROOT / "fixtures" / "specimens" / "daerden-20-200.yaml")
     protocol = ROOT / "protocols" / "sinusoidal-displacement-paper3.yaml"
-    with pytest.raises(InvalidFile, match="as a closed volume, for the bench tells no air: {conductance"):
+    with pytest.raises(InvalidFile, match="as a closed volume, for the bench file has no air: {conductance"):
         make_plan(protocol, mounted, [])
     only_slow = [(f"sweep.concat.{i}.zip.{name}", f"[{value}]") for i in (0, 1)
                  for name, value in (("frequency", "0.05 Hz"), ("pressure", "3 bar"), ("amplitude", "23 mm"))]  # fmt: skip

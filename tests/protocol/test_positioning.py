@@ -278,7 +278,7 @@ def test_a_plant_file_is_a_model_too_and_is_carried_as_numbers(tmp_path):
     path.write_text(path.read_text().replace("K:", "K: -1 N/mm  #"))
     assert f"{path}:" in refused(("model.coefficients", str(path)), protocol="validation")
     absent = refused(("model.coefficients", "absent.yaml"), protocol="validation")
-    assert 'no plant file "absent.yaml" here or beside the protocol' in absent
+    assert 'no plant file "absent.yaml" here or next to the protocol' in absent
     driven = str(ROOT / "fixtures" / "plants" / "daerden.yaml")
     assert "no three-element muscle with a free end" in refused(("model.coefficients", driven), protocol="validation")
 

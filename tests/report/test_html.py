@@ -241,7 +241,7 @@ def test_empty_and_unknown_analyses_make_a_report(tmp_path):
 def test_the_section_of_coefficients_is_never_empty(analysis):
     text = render([analysis], [])
     section = text[text.index('id="coefficients"') :].partition("<section")[0]
-    assert "<tbody>" in section or "stand under each test" in section
+    assert "<tbody>" in section or "the values are under each test" in section
 
 
 NUMBERS = (0.0, -1.0, 1e300, -1e-300, 1e308)

@@ -45,7 +45,7 @@ class Parameter:
     symbol: str
     quantity: str
     value: float | str
-    """Reference value [SI], taken where nothing else is given; where it is from stands in `origin`."""
+    """Reference value [SI], taken where nothing else is given; `origin` says where it is from."""
     meaning: str
     low: float = -INF
     high: float = INF

@@ -19,7 +19,7 @@ from pmabench.report.cascade.cascade_record import Link, Result
 
 WIDTH = 1000.0
 LEFT, RIGHT = 84.0, 112.0
-"""Room beside the chain: moment and wall; load and contraction [px]."""
+"""Room next to the chain: moment and wall; load and contraction [px]."""
 FITTING = 0.085
 """Length of a fitting in nominal lengths of its muscle."""
 THICKEST = 58.0
@@ -35,7 +35,7 @@ def px(value: float) -> str:
 
 @dataclass(frozen=True)
 class Shape:
-    """One muscle in pixels: where it begins, its length, and what makes its outline; `tint` 0..1 tells its pressure."""
+    """One muscle in pixels: where it begins, its length, and what makes its outline; `tint` 0..1 shows its pressure."""
 
     begin: float
     length: float
@@ -133,8 +133,8 @@ def _braid(number: int, link: Link, scale: float) -> str:
 def chain(scene: Scene, row: int, tag: str = "", *, names: bool = False) -> str:
     """The chain at a row, its axis at y = 0.
 
-    `tag` tells its patterns from those of other chains in the same drawing; without one its parts carry classes that
-    an animation looks for.
+    `tag` keeps its patterns apart from those of other chains in the same drawing; without one its parts carry classes
+    that an animation looks for.
     """
     parts, live = [_wall(scene.half)], not tag
     shapes = scene.shapes(row)
@@ -164,7 +164,7 @@ def _muscle(i: int, shape: Shape, scene: Scene, tag: str, *, names: bool) -> str
         f"scale({shape.length / (link.length * scene.scale):.4f} {shape.radius / (link.radius * scene.scale):.4f})"
     )
     strands = f'<path class="strands" d="{d}" fill="url(#braid{i})"/>'
-    if tag:  # a pattern of its own, stretched to this length and width
+    if tag:  # a pattern for this muscle alone, stretched to this length and width
         local = f"braid{i}-{tag}"
         strands = (
             f'<pattern id="{local}" href="#braid{i}" patternTransform="{stretch}"/><path d="{d}" fill="url(#{local})"/>'
@@ -237,7 +237,7 @@ def come(tip: float, end: float, y: float) -> str:
 
 
 def moments_of(result: Result, count: int = SNAPSHOTS) -> list[float]:
-    """Moments that tell the course: as much motion, and a little of the time, between each and the next [s]."""
+    """Moments that show the course best: as much motion, and a little of the time, between each and the next [s]."""
     t = np.array(result.time)
     moved = np.abs(np.diff(np.array([link.displacement for link in result.muscles]), axis=1)).sum(axis=0)
     share = moved / (moved.sum() or 1.0) + 0.25 * np.diff(t) / (t[-1] - t[0])
@@ -252,7 +252,7 @@ def row_at(result: Result, moment: float) -> int:
 
 
 def snapshots(result: Result, moments: Sequence[float], *, head: bool = True) -> str:
-    """The chain at several moments below each other, with a scale; one `<svg>` that stands alone."""
+    """The chain at several moments below each other, with a scale; one complete `<svg>`."""
     scene = Scene(result)
     step, top = 2 * scene.low + 24, 82.0 if head else 18.0
     height = top + step * len(moments) + 44

@@ -52,7 +52,7 @@ def write_drawings(result: Result, folder: Path, moments: Sequence[float] = ()) 
 
 
 def _file(figure: Drawn) -> str:
-    """The figure's element as a file of its own, twice the size."""
+    """The figure's element as a separate file, twice the size."""
     left, top, width, height = (float(part) for part in figure.svg.split('viewBox="')[1].split('"')[0].split())
     inner = figure.svg.replace("<svg ", f'<svg x="{left}" y="{top}" width="{width}" height="{height}" ', 1)
     return standalone(inner, width, height, figure.title).replace(

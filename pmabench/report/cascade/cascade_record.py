@@ -60,7 +60,7 @@ class Result(_Strict):
     force_ce: Column
     force: Column
     written: list[str] = []
-    """Files that a command wrote beside what it printed."""
+    """Files that a command wrote in addition to what it printed."""
 
 
 UNITS = {
@@ -73,7 +73,7 @@ EACH = ("pressure", "displacement", "force_ce")
 
 @dataclass(frozen=True)
 class Head:
-    """What is said of a chain besides its course: `muscles` are (name, law, length, radius, braid angle, assumed)."""
+    """What describes a chain, without its course: `muscles` are (name, law, length, radius, braid angle, assumed)."""
 
     name: str
     source: str
@@ -83,7 +83,7 @@ class Head:
 
 
 def result(head: Head, course: Course, paced: dict[str, float] | None) -> Result:
-    """The result of a course; `paced` tells seconds `simulated` and `elapsed` where it was paced."""
+    """The result of a course; `paced` has the seconds `simulated` and `elapsed` where it was paced."""
     links = [
         Link(
             name=name,

@@ -15,7 +15,7 @@ NAMED_ALONE = 0.01
 
 
 def budget_table(analysis: Analysis) -> Table | None:
-    """One row for each estimate that has a budget; what was not assessed stands in the caption. None without any."""
+    """One row for each estimate that has a budget; the caption names what was not assessed. None without any."""
     members = [e for e in analysis.estimates if e.budget and e.value is not None and e.parts.combined is not None]
     if not members:
         return None

@@ -1,4 +1,4 @@
-"""Checks beside the residual, and how the fitted muscle follows whole trials, as tables of text; computes nothing."""
+"""Checks other than the residual, and how the fitted muscle follows whole trials, as tables of text."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def check_tables(analysis: Analysis) -> Iterator[Table]:
         if check.quantity == "ratio" and check.name in NAMES
     ]
     if rows:
-        yield Table("Checks beside the residual", pd.DataFrame(rows, dtype=object))
+        yield Table("Checks other than the residual", pd.DataFrame(rows, dtype=object))
     free_runs = analysis.facts.get("free_run")
     runs = [row for entry in (free_runs if isinstance(free_runs, list | tuple) else ()) if (row := _run(entry))]
     if runs:

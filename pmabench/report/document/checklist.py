@@ -1,6 +1,6 @@
 """What ISO/IEC 17025:2017, 7.8.2 and 7.8.3, asks of a report, and whether this one has it; names what is missing.
 
-The clauses are told in our own words. A laboratory's name, its customer and who authorises stand in no run: whoever
+The clauses are in our own words. No run holds a laboratory's name, its customer and who authorises: whoever
 writes the report gives them (`Issuer`). Nothing here says that a laboratory is accredited.
 """
 
@@ -20,7 +20,7 @@ Answer = tuple[str, str, bool, str]
 
 @dataclass(frozen=True)
 class Issuer:
-    """Who gives the report out; empty where it was not told."""
+    """Who gives the report out; empty where it was not given."""
 
     laboratory: str = ""
     """Name and address."""
@@ -42,7 +42,7 @@ class Item:
     asked: str
     there: bool
     said: str
-    """Where it stands, or what to do."""
+    """Where it is, or what to do."""
 
 
 def checklist(
@@ -63,7 +63,7 @@ def checklist(
     items = [
         ("7.8.2.1 a", "a title", True, "first page"),
         _asked("7.8.2.1 b, c", "the laboratory, its address, where it was tested", issuer.laboratory, "--laboratory"),
-        ("7.8.2.1 d", "an identification on every page", True, "the report's number stands at the foot of each page"),
+        ("7.8.2.1 d", "an identification on every page", True, "the report's number is at the foot of each page"),
         _asked("7.8.2.1 e", "the customer", issuer.customer, "--customer"),
         _either("7.8.2.1 f", "the method", sources, "Protocol, Methods", "name the source in the protocol"),
         _either("7.8.2.1 g", "the item, unmistakably", bool(specimen), specimen, "give make, type and serial number"),
@@ -84,7 +84,7 @@ def checklist(
             "test conditions",
             session,
             "warm-up, self-test and zeros: session of each run",
-            "no session with zeros and supply is in the record; room temperature and supply are not told",
+            "no session with zeros and supply is in the record; room temperature and supply are not known",
         ),
         (
             "7.8.3.1 b",
@@ -119,7 +119,7 @@ def _measurement(estimates: Sequence[Estimate], runs: Sequence[RunData]) -> Iter
 
 
 def _asked(clause: str, asked: str, answer: str, option: str) -> Answer:
-    return clause, asked, bool(answer), answer or f"not told; give {option}, or write it by hand"
+    return clause, asked, bool(answer), answer or f"not given; use {option}, or write it by hand"
 
 
 def _either(clause: str, asked: str, there: bool, where: str, otherwise: str) -> Answer:

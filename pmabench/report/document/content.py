@@ -125,7 +125,7 @@ def content_of(
     published: Sequence[overlays.Published] = (),
     issuer: Issuer | None = None,
 ) -> Content:
-    """What there is to say of `analyses` and of the `runs` behind them, with `published` tables beside.
+    """What there is to say of `analyses` and of the `runs` behind them, compared with the tables `published`.
 
     Raises InvalidFile for a published table that matches no figure.
     """
@@ -306,7 +306,7 @@ def _tuning(analyses: Sequence[Analysis]) -> list[Grid]:
 
 
 def _methods(methods: Sequence[str]) -> list[tuple[str, str]]:
-    """Names and descriptions; methods with one description stand together."""
+    """Names and descriptions; methods with the same description in one row."""
     found: dict[str, list[str]] = {}
     for method in methods:
         description = described(method) or "Not described here."

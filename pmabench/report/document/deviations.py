@@ -14,11 +14,11 @@ from pmabench.report.document.provenance import get, text_of
 from pmabench.store.records import RunData, TrialData
 
 RATE_OFF = 0.01
-"""Share by which a sample rate differs from the planned one before it is told."""
+"""Share by which a sample rate differs from the planned one before it is reported."""
 PRESSURE_OFF = 0.02
-"""Share of the largest commanded pressure by which the pressure at rest is off its command before it is told."""
+"""Share of the largest commanded pressure by which the pressure at rest is off its command before it is reported."""
 AT_REST = 0.5
-"""The last so many seconds of a command that stands still four times as long are rest [s]."""
+"""The last so many seconds of a command that is unchanged for four times as long are rest [s]."""
 
 
 def deviations(runs: Sequence[RunData], names: Mapping[str, str]) -> list[str]:

@@ -17,7 +17,7 @@ SHORT = 16
 FEWEST_IN_GROUP = 3
 """Rows a method, from which on methods become headings of groups of rows instead of a column."""
 MUTED = ("not identifiable", UNRESOLVED, WITHHELD)
-"""Texts that stand in place of a number."""
+"""Texts in place of a number."""
 _PAIR = re.compile(r"(−?[\d.]+) ± ([\d.]+)")
 _NUMBER = re.compile(r"[−-]?[\d.,]+(×10[⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+)?")
 

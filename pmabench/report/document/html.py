@@ -29,10 +29,10 @@ def write_report(
     published: Sequence[overlays.Published] = (),
     issuer: Issuer | None = None,
 ) -> Path:
-    """Write the report of `analyses`, with what `runs` tell of bench, specimen and protocol, to `path`.
+    """Write the report of `analyses`, with what `runs` record of bench, specimen and protocol, to `path`.
 
-    `published` tables are drawn beside; `issuer` is who gives it out. Raises RecordError where it cannot be written,
-    InvalidFile for a table that matches no figure.
+    `published` tables are drawn for comparison; `issuer` is who gives it out. Raises RecordError where it cannot be
+    written, InvalidFile for a table that matches no figure.
     """
     return write_page(content_of(analyses, runs, title=title, published=published, issuer=issuer), path)
 

@@ -11,11 +11,11 @@ from pmabench.plotting.wording import clean
 from pmabench.report.document.tables import note_text
 
 BRIEF = 18
-"""Letters of what stands beside its number itself."""
+"""Longest text that is printed next to its number itself [letters]."""
 
 
 class Codes:
-    """Long texts as they come in a report, each told once in a table of its own and by its code elsewhere."""
+    """Long texts as they come in a report, each printed once in a table, and by its code elsewhere."""
 
     def __init__(self, letter: str, head: str, brief: int) -> None:
         self.letter, self.head, self.brief = letter, head, brief

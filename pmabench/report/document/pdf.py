@@ -102,7 +102,7 @@ class _Data:
             ],
             "front": self.figures(c.front),
             "protocol": self.grid(c.protocol, "What was tested"),
-            "benches": self.pairs([(name, about or "No devices are told.") for name, about in c.benches]),
+            "benches": self.pairs([(name, about or "No devices are recorded.") for name, about in c.benches]),
             "deviations": [symbol_parts(text) for text in c.deviations],
             "missing": ", ".join(c.missing),
             "notes": [self.note(note) for note in c.notes],

@@ -1,4 +1,4 @@
-"""What runs tell of themselves, as text for a page: specimen, bench, protocol, deviations, hashes, calibrations.
+"""What runs record about themselves, as text for a page: specimen, bench, protocol, deviations, hashes, calibrations.
 
 Manifests are untrusted and everything in them is optional; nothing here raises for what is missing or odd.
 """
@@ -175,7 +175,7 @@ def _points(run: RunData) -> str:
 
 
 def run_table(runs: Sequence[RunData], names: Mapping[str, str]) -> pd.DataFrame:
-    """Identity of every run: id, when, and the hashes that tell whether it was changed."""
+    """Identity of every run: id, when, and the hashes that show whether it was changed."""
     rows = []
     for run in runs:
         row = {

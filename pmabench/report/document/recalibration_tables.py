@@ -1,6 +1,6 @@
 """What was taken otherwise than it was recorded, by whom and why, and what that changed, as text; computes nothing.
 
-All of it stands in the facts of analyses that `recalibrate` made, which may come from a file of anybody's.
+All of it is in the facts of analyses that `recalibrate` made, which may come from a file of anybody's.
 """
 
 from __future__ import annotations

@@ -32,7 +32,7 @@ LONGEST_JOINT = 60
 COEFFICIENTS = {"F_ce", "K", "B_c", "B_r", "B"}
 """A method that gives one of these over pressure belongs in the coefficient table."""
 PLACES = {"pressure", "mean", "amplitude"}
-"""Coordinates of the table of primary methods; what has others (a frequency, a set-point) stands under its test."""
+"""Coordinates of the table of primary methods; results with others (a frequency, a set-point) are under their test."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ def note_text(estimate: Estimate) -> str:
 
 
 def least(estimate: Estimate) -> float:
-    """What can be told at all of an estimate, in its display unit; terms of curves have units of their own: 0."""
+    """The smallest value that means anything, in the display unit of an estimate; 0 for terms of curves."""
     return RESOLVED if estimate.quantity in QUANTITIES else 0.0
 
 
@@ -77,7 +77,7 @@ def coefficient_table(analyses: Sequence[Analysis]) -> pd.DataFrame:
 def primary_table(analyses: Sequence[Analysis]) -> tuple[pd.DataFrame, str]:
     """The coefficients of each test's primary method, which comes first in it: one row per operating point; text.
 
-    Beside the pressure, the columns have what a coefficient was found at in several places (a mean, an amplitude); the
+    Next to the pressure, the columns have what a coefficient was found at in several places (a mean, an amplitude); the
     text says where it was one.
     """
     chosen = [

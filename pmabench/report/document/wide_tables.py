@@ -1,7 +1,7 @@
 """Tables too wide for a page, cut into several.
 
-Rows at points of another kind (with an amplitude) stand apart, then methods that have columns of their own; what is
-still too wide is cut by columns.
+Rows at points of another kind (with an amplitude) are split off first, then methods with other columns; what is still
+too wide is cut by columns.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from pmabench.plotting.wording import POINTS, clean, point_shown
 from pmabench.report.document.tables import Table
 
 MOST = 7.0
-"""Most columns of values beside those of the operating point; one without intervals counts as `PLAIN` of one."""
+"""Most columns of values next to those of the operating point; one without intervals counts as `PLAIN` of one."""
 PLAIN = 0.6
 
 

@@ -1,4 +1,4 @@
-"""Figures that bring tests together: blocked force beside free contraction, force over contraction at set pressures.
+"""Figures that bring tests together: blocked force next to free contraction, force over contraction at set pressures.
 
 The second is the surface of force, pressure and contraction as a family of curves: what was measured, and what the
 three-element model F = F_ce(P) - K(P) x makes of it.
@@ -97,7 +97,7 @@ def _points(estimates: Sequence[Estimate]) -> tuple[Array, Array, Array]:
 
 
 def _nominal(analyses: Sequence[Analysis]) -> float:
-    """Nominal length [m] as free contraction has it, else as isometric tests do; NaN where neither tells."""
+    """Nominal length [m] as free contraction has it, else as isometric tests do; NaN where neither has it."""
     for a in analyses:
         value = a.facts.get("nominal_length")
         specimen = a.facts.get("specimen")

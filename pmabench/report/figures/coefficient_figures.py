@@ -20,11 +20,11 @@ from pmabench.report.words.names import declared
 
 TOGETHER = (("K",), ("B_c", "B_r", "B"), ("F_ce",))
 """Symbols that are drawn over all tests together, those of one plot together."""
-BESIDE = {"pressure", "mean", "amplitude"}
-"""Coordinates that a value in a plot over pressure may have: means and amplitudes of sines stand side by side."""
+OVER_PRESSURE = {"pressure", "mean", "amplitude"}
+"""Coordinates that a value in a plot over pressure may have: means and amplitudes of sines are drawn side by side."""
 MOST_SERIES = 8
 FEWEST = 3
-"""Places that a plot of further coefficients needs; fewer stand in the tables well enough."""
+"""Places that a plot of further coefficients needs; for fewer the tables are enough."""
 CURVE_POINTS = 60
 
 
@@ -37,7 +37,7 @@ def over_pressure(analyses: Sequence[Analysis], results: Mapping[str, Result] | 
             (analysis, e)
             for analysis in analyses
             for e in analysis.estimates
-            if e.symbol in symbols and "pressure" in e.at and set(e.at) <= BESIDE and not e.coordinate
+            if e.symbol in symbols and "pressure" in e.at and set(e.at) <= OVER_PRESSURE and not e.coordinate
         ]
         drawn = _figure(symbols, results, "pressure", _without_variants(members))
         if drawn is not None:
@@ -46,7 +46,7 @@ def over_pressure(analyses: Sequence[Analysis], results: Mapping[str, Result] | 
 
 
 def _without_variants(members: Sequence[tuple[Analysis, Estimate]]) -> list[tuple[Analysis, Estimate]]:
-    """Without `loop-gap, mean over the stroke` where there is `loop-gap`: variants stand in the tables."""
+    """Without `loop-gap, mean over the stroke` where there is `loop-gap`: variants are in the tables."""
     methods = {e.method for _, e in members}
     return [
         (a, e)

@@ -1,6 +1,6 @@
-"""Published or catalogue points beside one's own results: what can be matched, marks in figures, mean differences.
+"""Published or catalogue points compared with results of runs: what can be matched, marks in figures, mean differences.
 
-Published values become an analysis of kind `published` and points beside traces; they enter no fit and no verdict.
+Published values become an analysis of kind `published` and points in traces; they enter no fit and no verdict.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from pmabench.kinds import registry
 from pmabench.plotting.rounding import rounded
 from pmabench.plotting.wording import clean, number, point_shown, shown
 from pmabench.report.document.provenance import get
-from pmabench.report.figures.coefficient_figures import BESIDE
+from pmabench.report.figures.coefficient_figures import OVER_PRESSURE
 from pmabench.store.records import Array, RunData
 
 HEADS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
@@ -52,7 +52,7 @@ class Published:
 
 @dataclass(frozen=True)
 class Comparison:
-    """One quantity beside what is published of it."""
+    """One quantity compared with what is published of it."""
 
     name: str
     over: str
@@ -67,7 +67,7 @@ class Comparison:
 
 
 def length_of(runs: Sequence[RunData]) -> float | None:
-    """The one nominal length of all specimens [m]; None where runs tell several or none."""
+    """The one nominal length of all specimens [m]; None where runs have several or none."""
     lengths = {get(run.manifest, "specimen", "nominal_length") for run in runs}
     known = {float(value) for value in lengths if isinstance(value, int | float) and not isinstance(value, bool)}
     return known.pop() if len(known) == 1 else None
@@ -149,9 +149,13 @@ def _place(trace: Trace, fixed: str) -> float | None:
 
 
 def _plain(e: Estimate, symbol: str) -> bool:
-    """Whether it stands in the figure of that symbol over pressure."""
+    """Whether it is in the figure of that symbol over pressure."""
     return (
-        e.symbol == symbol and "pressure" in e.at and set(e.at) <= BESIDE and e.value is not None and not e.coordinate
+        e.symbol == symbol
+        and "pressure" in e.at
+        and set(e.at) <= OVER_PRESSURE
+        and e.value is not None
+        and not e.coordinate
     )
 
 

@@ -64,7 +64,7 @@ def _primary_values(analysis: Analysis) -> dict[str, dict[float, float]]:
 def control_model(analysis: Analysis, runs: Sequence[RunData] = ()) -> ControlModel:
     """The model of an analysis that has F_ce, K and damping over pressure; UsageError for one that has not.
 
-    `runs` tell the moving mass; without them it is the load over gravity.
+    `runs` give the moving mass; without them it is the load over gravity.
     """
     primary = analysis.estimates[0].method if analysis.estimates else ""
     values = _primary_values(analysis)
@@ -80,10 +80,10 @@ def control_model(analysis: Analysis, runs: Sequence[RunData] = ()) -> ControlMo
     for symbol in ("F_ce", "K", "B_c", "B_r"):
         known = values.get(symbol) or values["B_c"]
         if symbol not in values:
-            notes.append("B_r is not known; B_c stands in its place")
+            notes.append("B_r is not known; B_c is taken in its place")
         lacking = [f"{at / 1e3:g} kPa" for at in shared if at not in known]
         if lacking and symbol in values:
-            notes.append(f"{symbol} is not known at {', '.join(lacking)}: taken from the pressures beside it")
+            notes.append(f"{symbol} is not known at {', '.join(lacking)}: taken from the pressures next to it")
         places = sorted(known)
         params[symbol] = _joined(P, places, [known[at] for at in places])
     friction = [
@@ -200,7 +200,7 @@ def control_text(model: ControlModel, analysis: Analysis) -> str:
 
 
 def inside(text: str) -> str:
-    """Text that cannot leave the docstring that it stands in."""
+    """Text that cannot end the docstring around it."""
     return "".join(
         sign if sign.isascii() and (sign.isalnum() or sign in " ._-:/") else "?" for sign in clean(text, 120)
     )

@@ -1,6 +1,6 @@
 """Runs and analyses as files of other programs: CSV, Parquet, MATLAB, LaTeX, JSON, python-control, MuJoCo; no estimate.
 
-Units stand in the heads of columns, in field metadata (Parquet) or in a struct `units` (MATLAB). Text is inert in each.
+Units are in the heads of columns, in field metadata (Parquet) or in a struct `units` (MATLAB). Text is inert in each.
 The same input gives the same bytes.
 """
 
@@ -143,7 +143,7 @@ def _fields(names: Sequence[str] | Mapping[str, Any]) -> list[str]:
 
 
 def _struct(frame: pd.DataFrame) -> dict[str, Any]:
-    """A frame as a struct of columns with their units in a struct beside."""
+    """A frame as a struct of columns and a struct of their units."""
     columns, units = {}, {}
     heads = [_split(str(c)) for c in frame.columns]
     for field, (_, unit), column in zip(_fields([name for name, _ in heads]), heads, frame.columns, strict=True):

@@ -37,7 +37,7 @@ def mujoco_model(analysis: Analysis, runs: Sequence[RunData] = ()) -> ControlMod
     lines = {name: np.polyval(line_through(P, values[name]), ends) for name, _ in LINES}
     both = {"B_c": lines["B"], "B_r": lines["B"]}
     params = model.params | {"P": ends, "F_ce": lines["F_ce"], "K": lines["K"], **both}
-    notes = [*model.notes, "one damping stands for both directions: the mean of B_c and B_r"]
+    notes = [*model.notes, "one damping for both directions: the mean of B_c and B_r"]
     return replace(model, params=params, notes=notes, deviation=deviation_of(analysis, runs, params))
 
 

@@ -20,7 +20,7 @@ from pmabench.store.below import Task
 from pmabench.store.fingerprint import fingerprint, program
 
 Progress = Callable[[int, int, int], None]
-"""Is told how many runs are done, of how many, and how many of them had not changed."""
+"""Called with the number of runs that are done, of all, and of those that had not changed."""
 RESULTS = ("computed", "unchanged")
 """States of entries with coefficients."""
 WORST = (7, 3, 1, 6)
@@ -72,7 +72,7 @@ def process_many(
 ) -> Many:
     """Write the analysis of each task below `out`, where it was not done before, and remember what came out.
 
-    `options`: kind -> those of its reduction, plain data. What is wrong with a run stands in its entry. Raises
+    `options`: kind -> those of its reduction, plain data. What is wrong with a run is in its entry. Raises
     RecordError where `out` cannot be made.
     """
     try:

@@ -1,6 +1,6 @@
-"""What came out of each run the last time, in an SQLite file beside the analyses; it may be lost at any time.
+"""What came out of each run the last time, in an SQLite file next to the analyses; it may be lost at any time.
 
-An entry counts as long as its key is the same, which stands for the run, what was said of it, the program and its
+An entry counts as long as its key is the same, a hash of the run, what was said of it, the program and its
 options, and the files of its analysis are those that were written. Standard library only.
 """
 
@@ -17,7 +17,7 @@ from pmabench.store.fingerprint import stamp
 
 CACHE = ".processed.sqlite"
 TABLE = ""
-"""Stands where the place of a run stands, for the table of all of them."""
+"""In place of the path of a run: the table of all of them."""
 _VERSION = 1
 
 

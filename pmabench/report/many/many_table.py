@@ -23,11 +23,11 @@ FIRST = {"run": "", "started": "", "specimen": "", "kind": "", "simulated": Fals
 LAST = {"trials": 0, "not accepted": "", "analysis": ""}
 """Columns before and after the numbers."""
 KEPT = ("run", "runs", "kind", "started", "specimen", "simulated", "folder", "estimates", "dropped", "findings")
-"""What JSON tells of a run; verdicts and exclusions come with it."""
+"""Keys of a run in JSON; verdicts and exclusions come with it."""
 
 
 def write_table(many: Many) -> list[Path]:
-    """`all-runs.csv`, `.parquet` and `.json` beside the analyses, as far as they are not there already.
+    """`all-runs.csv`, `.parquet` and `.json` next to the analyses, as far as they are not there already.
 
     Raises RecordError where they cannot be written.
     """
@@ -50,7 +50,7 @@ def write_table(many: Many) -> list[Path]:
 
 
 def plain_entry(entry: Mapping[str, Any]) -> dict[str, Any]:
-    """A result as JSON tells it, the same whether it was worked out now or before."""
+    """A result as in JSON, the same whether it was worked out now or before."""
     return {name: entry[name] for name in (*KEPT, "verdicts", "excluded", "since")}
 
 

@@ -13,7 +13,7 @@ from pmabench.analysis.many import stopped
 from pmabench.base.errors import InvalidFile, PmaError
 
 WITHOUT_TRIALS = ("session", "self-test", "calibration", "setup")
-"""Kinds of runs that have no trials: what they found stands in their events."""
+"""Kinds of runs that have no trials: what they found is in their events."""
 
 
 def process_batch(things: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:

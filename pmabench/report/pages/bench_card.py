@@ -76,5 +76,5 @@ def _height(card: Mapping[str, Any], width: float) -> float:
 
 
 def unbroken(text: object) -> str:
-    """The text with its numbers kept beside their units."""
+    """The text with its numbers kept next to their units."""
     return re.sub(r"(?<=\d) (?=\S)", "\u00a0", str(text))

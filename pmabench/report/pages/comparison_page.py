@@ -56,7 +56,7 @@ def write_comparison(
             [*drawn, *([scores] if scores is not None else [])],
             [
                 TextTable("Coefficient by coefficient", heads, rows, 3),
-                TextTable("Curves beside published points", curve_heads, curve_table, 3),
+                TextTable("Curves compared with published points", curve_heads, curve_table, 3),
             ],
         ),
         path,

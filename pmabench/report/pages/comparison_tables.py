@@ -44,6 +44,6 @@ def _value(e: Estimate, scale: float) -> str:
 
 
 def curve_rows(curves: Sequence[Comparison]) -> Rows:
-    """A row for each curve beside published points."""
+    """A row for each curve compared with published points."""
     frame = comparison_table(curves)
     return [str(head) for head in frame.columns], [[str(cell) for cell in row] for row in frame.itertuples(index=False)]

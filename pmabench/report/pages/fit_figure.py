@@ -29,7 +29,7 @@ ALONE = 'xmlns="http://www.w3.org/2000/svg" font-family="sans-serif" style="back
 
 
 def write_fit(fit: ModelFit, path: Path, name: str, source: str = "") -> None:
-    """Draw `fit` to an SVG file; `name` of the data and their `source` stand in its description. RecordError."""
+    """Draw `fit` to an SVG file; `name` of the data and their `source` are in its description. RecordError."""
     outputs = {o.name: o for o in fit.model.outputs}
     unit = shown(outputs[fit.output].quantity)
     title = f"{fit.model.name} fitted to {clean(name, 60)}"

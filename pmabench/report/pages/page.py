@@ -1,4 +1,4 @@
-"""A short page of its own, for what is no characterisation report: facts, findings, figures, tables; computes nothing.
+"""A short page for what is no characterisation report: facts, findings, figures, tables; computes nothing.
 
 One self-contained HTML file; every text on it is escaped.
 """
@@ -31,7 +31,7 @@ class TextTable:
 
 @dataclass(frozen=True)
 class Page:
-    """What stands on it."""
+    """What it shows."""
 
     kicker: str
     title: str

@@ -89,7 +89,7 @@ def test_a_dbc_file_beside_the_bench_file_is_read_and_kept(folder):
 
 @pytest.mark.parametrize(
     ("name", "message"),
-    [("../cell.dbc", "a .dbc file beside this one"), ("/etc/passwd", "a .dbc file beside this one"), ("no.dbc", "cannot read")],
+    [("../cell.dbc", "a .dbc file next to this one"), ("/etc/passwd", "a .dbc file next to this one"), ("no.dbc", "cannot read")],
 )  # fmt: skip
 def test_another_file_is_refused_at_its_place(folder, name, message):
     path = folder / "bench.yaml"
