@@ -318,6 +318,8 @@ def _weighed(estimates: Sequence[Estimate], points: Sequence[Point], length: flo
         "a zero or a mount that moved, or creep. Look for the cause, rest longer, and measure again"
     )
     by_set = {point.set: point for point in points}
+    friction = max((float(np.max(np.abs(point.gaps))) for point in points if len(point.gaps)), default=0.0)
+    # what friction holds back at 0 kPa is half the gap there, and the mean of both directions is free of it
     steepest = max(points, key=lambda point: point.x)
     found = []
     for e in estimates:
@@ -329,7 +331,7 @@ def _weighed(estimates: Sequence[Estimate], points: Sequence[Point], length: flo
         noise = max(rest.noise for rest in point.rests)
         doubts = (
             Doubt(MOTION, "method", share * still.most, still.seen, rests),
-            Doubt(ZERO, "drift", share * off, off > view.CLEAR * noise, zero),
+            Doubt(ZERO, "drift", share * off, off > max(view.CLEAR * noise, friction), zero),
         )
         found.append(weighed(e, doubts, None if e.symbol == "P_half" else largest * share))
     return found
@@ -353,6 +355,8 @@ def _other_form(points: Sequence[Point], fit: ModelFit) -> str:
     scatter = np.sqrt(squares / max(1, freedom) / np.array([len(point.repeats) for point in points]))
     error = np.hypot(scatter, FLOOR * max(abs(point.x) for point in points))
     off = np.abs(fit.computed - fit.measured)
+    if not error.all():
+        return ""  # nothing contracted
     worst = int(np.argmax(off / error))
     if off[worst] <= FURTHEST * error[worst]:
         return ""
