@@ -112,7 +112,7 @@ def _taken(waiting):
 def pytest_collection_modifyitems(config, items):
     waiting = [item for item in items if item.get_closest_marker("realtime")]
     for item in waiting:
-        if _rig_of(item):
+        if _rig_of(item) or CONFORMANCE in item.nodeid:
             item.add_marker("alone")  # answers within milliseconds are asserted in many of them
     if not _whole_suite(config):
         return

@@ -301,7 +301,8 @@ def _until(command: Command) -> str:
             terminal.type(key)
             time.sleep(0.3)
         killed = note.get("end") == "kill"
-        code = terminal.stop(signal.SIGKILL if killed else signal.SIGINT)
+        ends = note.get("keys", "").endswith("v")  # vents, and ends by itself: Ctrl-C would meet it on its way out
+        code = terminal.over() if ends else terminal.stop(signal.SIGKILL if killed else signal.SIGINT)
     finally:
         terminal.stop(signal.SIGKILL)
     assert killed or code in STOPPED, f"{command.place}: {command.line}: {code}\n{terminal.printed}"
