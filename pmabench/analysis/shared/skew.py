@@ -19,7 +19,7 @@ from pmabench.store.records import Array, RunData, TrialData
 WIDE = 0.25
 """A coefficient is not told where the skew alone is worth more than this share of it, and more than all else."""
 REFUSED = "not identifiable in time"
-EQUAL, ARRIVALS = "stated equal", "host arrivals"
+EQUAL, ARRIVALS, STAMPED = "stated equal", "host arrivals", "stamped by the computer"
 """`ClockInfo.how`."""
 NO_JITTER = 1e-6
 """Arrivals that scatter less than this about a device's own stamps [s] are those stamps."""

@@ -189,7 +189,7 @@ def examine(campaign: Campaign, segments: Segments, fit: Fit, trust: Trust, nois
 
     `trust` is without that; `noise` (n,) [N] is what the channels explain of each segment.
     """
-    own, after = noise_covariance(segments, fit, campaign.noise_of_means)
+    own, after = _noise(campaign, segments, fit)
     own = np.maximum(own, (FLOOR * rms_of(segments.force)) ** 2)
     known = causes(campaign, segments, fit)
     may = allowed(campaign, segments, known)
@@ -209,6 +209,20 @@ def examine(campaign: Campaign, segments: Segments, fit: Fit, trust: Trust, nois
         max(MOST_RATIO, sqrt(1 + SURE * sqrt(2 / free))), max(MOST_ALIKE, SURE / sqrt(max(1, len(pairs)))),
     )  # fmt: skip
     return form, hiding(form, Scales.of(campaign.runs), segments, fit, trust, np.ones(len(segments), bool))
+
+
+def _noise(campaign: Campaign, segments: Segments, fit: Fit) -> tuple[Array, Array]:
+    """Variance of each row [N^2], shape (n,), and covariance with the next, shape (n - 1,).
+
+    The times of polled samples scatter by no more than half a poll; how much of that they do is estimated from the
+    residuals, which grow with the speed by it.
+    """
+    still, after = noise_covariance(segments, fit, campaign.noise_of_means)
+    moving, following = noise_covariance(segments, fit, campaign.noise_of_means, campaign.late)
+    more = moving - still
+    share = float(more @ (fit.residual**2 - still) / (more @ more)) if more.any() else 0.0
+    share = min(max(share, 0.0), 1.0)
+    return still + share * more, after + share * (following - after)
 
 
 def hiding(form: Form, scales: Scales, segments: Segments, fit: Solved, trust: Trust, rows: NDArray[np.bool_]) -> Trust:

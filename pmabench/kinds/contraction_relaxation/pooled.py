@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.analysis.shared.samples import Noise
-from pmabench.kinds.contraction_relaxation.segment_noise import covariance
+from pmabench.kinds.contraction_relaxation.segment_noise import ON_TIME, covariance
 from pmabench.kinds.contraction_relaxation.segments import Segments
 from pmabench.store.records import Array
 
@@ -274,13 +274,13 @@ def expected_noise(segments: Segments, fit: Solved, noise: Noise) -> Array:
     return np.asarray(np.sqrt(noise_covariance(segments, fit, noise)[0]))
 
 
-def noise_covariance(segments: Segments, fit: Solved, noise: Noise) -> tuple[Array, Array]:
+def noise_covariance(segments: Segments, fit: Solved, noise: Noise, late: Noise = ON_TIME) -> tuple[Array, Array]:
     """Of the residuals, as in `segment_noise`: from the noise of the cell or, where none measures, in M x''; of the
     pressure, by the slope of F_ce - K x; of the displacement, by K and in the velocity by B.
     """
     P = segments.pressure
     damping = np.where(segments.way > 0, fit.values("B_c", P), fit.values("B_r", P))
-    return covariance(segments, force_by_pressure(segments, fit), fit.values("K", P), damping, noise)
+    return covariance(segments, force_by_pressure(segments, fit), fit.values("K", P), damping, noise, late)
 
 
 def force_by_pressure(segments: Segments, fit: Solved) -> Array:

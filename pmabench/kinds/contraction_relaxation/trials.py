@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pmabench.analysis.results import Dropped
 from pmabench.analysis.shared.samples import Noise, Samples
-from pmabench.analysis.shared.skew import apart
+from pmabench.analysis.shared.skew import STAMPED, apart
 from pmabench.kinds.contraction_relaxation.segments import Gate, noise_of_means, noise_seen, samples_of, steps_seen
 from pmabench.store.records import RunData, TrialData
 
@@ -31,6 +31,19 @@ class Campaign:
     """The part of the noise that the steps of the channels' values make."""
     noise_of_means: Noise
     """The noise that means over a segment show, where that is larger: smooth noise, as of filters."""
+
+    @property
+    def late(self) -> Noise:
+        """How much the times of single samples scatter [s]: those of devices that are polled, by the computer's stamps.
+
+        They are late by the time of an answer, which scatters by as much as it is on the mean, or more.
+        """
+        found = {}
+        for channel in ("pressure", "displacement", *(("force",) if self.cell else ())):
+            streams = [(run, run.channels[channel].stream) for run in self.runs if channel in run.channels]
+            clocks = [run.clocks[stream] for run, stream in streams if stream in run.clocks]
+            found[channel] = max((clock.uncertainty for clock in clocks if clock.how == STAMPED), default=0.0)
+        return Noise(**found)
 
     def name(self, number: int) -> str:
         """`run/number` of a trial."""
