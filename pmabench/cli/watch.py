@@ -27,7 +27,7 @@ def command(ui: Ui, run: Path, *, plain: bool, wait: bool) -> int | None:
     folder = _find(ui, run, wait=wait)
     several = folder != run
     from pmabench.display.console import watch
-    from pmabench.display.plain import last_line
+    from pmabench.display.lines import last_line
 
     try:
         state = watch(folder, plain=plain, color=ui.color, quiet=ui.json or ui.quiet, on=several)

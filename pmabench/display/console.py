@@ -25,12 +25,11 @@ from rich.text import Text
 from pmabench.base import terminal
 from pmabench.base.errors import Interrupted, UsageError
 from pmabench.base.text import raw
-from pmabench.display.child import LEAVE
-from pmabench.display.link import Link
-from pmabench.display.plain import first_line, last_line, plain_line
-from pmabench.display.quantities import prepare
+from pmabench.display.child import LEAVE, Link
+from pmabench.display.follow import awaits_another, run_after
+from pmabench.display.lines import first_line, last_line, plain_line
 from pmabench.display.state import RunState
-from pmabench.display.succession import awaits_another, run_after
+from pmabench.display.verdicts import prepare
 from pmabench.display.view import Extra, Question, closing, screen
 from pmabench.display.wording import clean
 

@@ -15,11 +15,9 @@ from typing import Any
 import numpy as np
 
 from pmabench.display.channel import Channel, Setting
-from pmabench.display.expected import read_expected
-from pmabench.display.follow import Block, Follower, StreamTail
-from pmabench.display.kept import Kept
+from pmabench.display.follow import Block, Follower, Kept, StreamTail
 from pmabench.display.progress import Progress
-from pmabench.display.verdicts import TrialLine, Verdicts
+from pmabench.display.verdicts import TrialLine, Verdicts, read_expected
 from pmabench.display.wording import event_text
 from pmabench.store.records import Event, Flag, RunData
 from pmabench.store.trials import cut_trials

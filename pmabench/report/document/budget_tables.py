@@ -5,8 +5,7 @@ from __future__ import annotations
 import pandas as pd
 
 from pmabench.analysis.results import Analysis, Estimate
-from pmabench.plotting.rounding import half_width
-from pmabench.plotting.wording import clean, point_text, shown, symbol_text
+from pmabench.plotting.wording import clean, half_width, point_text, shown, symbol_text
 from pmabench.report.document.tables import Table, least
 from pmabench.report.words.names import kind_title
 

@@ -9,8 +9,7 @@ import pandas as pd
 
 from pmabench.analysis.results import Analysis
 from pmabench.analysis.verdict.checks import NAMES, checks_of
-from pmabench.plotting.rounding import rounded
-from pmabench.plotting.wording import clean, number, point_shown
+from pmabench.plotting.wording import clean, number, point_shown, rounded
 from pmabench.report.document.tables import Table
 
 _RUN = (("nrmse", "NRMSE [%]", 0.01), ("contraction", "contracting [%]", 0.01), ("relaxation", "relaxing [%]", 0.01))

@@ -19,7 +19,7 @@ from pmabench.kinds import registry
 from pmabench.kinds.reduce import verdicts
 from pmabench.plotting import wording
 from pmabench.plotting.pictures import Picture
-from pmabench.plotting.rounding import printed
+from pmabench.plotting.wording import printed
 from pmabench.report.document import provenance, tables
 from pmabench.report.document.budget_tables import budget_table
 from pmabench.report.document.check_tables import check_tables

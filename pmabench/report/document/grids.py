@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import pandas as pd
 
-from pmabench.plotting.rounding import UNRESOLVED, WITHHELD
+from pmabench.plotting.wording import UNRESOLVED, WITHHELD
 
 MOST_ROWS = 600
 BRIEF = 32

@@ -11,8 +11,7 @@ from typing import Any, TypeGuard
 import pandas as pd
 
 from pmabench.analysis.results import Analysis
-from pmabench.plotting.rounding import rounded
-from pmabench.plotting.wording import clean, point_text, shown, symbol_text
+from pmabench.plotting.wording import clean, point_text, rounded, shown, symbol_text
 from pmabench.report.document.tables import Table
 
 SAME = 1e-7

@@ -14,14 +14,20 @@ import pandas as pd
 from pmabench.analysis.results import AGREEMENT, Analysis, Estimate
 from pmabench.base.kind import Result
 from pmabench.base.quantities import QUANTITIES
-from pmabench.plotting.rounding import RAISED, RESOLVED, UNRESOLVED, WITHHELD, cut, half_width, rounded
 from pmabench.plotting.wording import (
     POINTS,
+    RAISED,
+    RESOLVED,
+    UNRESOLVED,
+    WITHHELD,
     clean,
+    cut,
+    half_width,
     in_order,
     number,
     point_shown,
     point_text,
+    rounded,
     shown,
     spoken,
     symbol_text,

@@ -15,8 +15,7 @@ import pandas as pd
 from pmabench.analysis.results import Analysis, Estimate, Trace
 from pmabench.plotting.pictures import Picture, bound, drawable, has, picture
 from pmabench.plotting.plots import FAINT, FULL, INK, PALETTE, Array, blank, few_ticks, grid
-from pmabench.plotting.rounding import rounded
-from pmabench.plotting.wording import shown
+from pmabench.plotting.wording import rounded, shown
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

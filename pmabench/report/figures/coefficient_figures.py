@@ -13,8 +13,18 @@ from pmabench.base.kind import Result
 from pmabench.plotting import plots
 from pmabench.plotting.pictures import Picture, picture
 from pmabench.plotting.plots import Array, Points
-from pmabench.plotting.rounding import RAISED
-from pmabench.plotting.wording import POINTS, Shown, clean, in_order, number, point_shown, shown, spoken, symbol_text
+from pmabench.plotting.wording import (
+    POINTS,
+    RAISED,
+    Shown,
+    clean,
+    in_order,
+    number,
+    point_shown,
+    shown,
+    spoken,
+    symbol_text,
+)
 from pmabench.report.document.tables import cell, least
 from pmabench.report.words.names import declared
 

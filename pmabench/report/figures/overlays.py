@@ -16,8 +16,7 @@ from pmabench.analysis.results import PUBLISHED, Analysis, Estimate, PublishedPo
 from pmabench.base.errors import InvalidFile, Problem
 from pmabench.base.quantities import QUANTITIES
 from pmabench.kinds import registry
-from pmabench.plotting.rounding import rounded
-from pmabench.plotting.wording import clean, number, point_shown, shown
+from pmabench.plotting.wording import clean, number, point_shown, rounded, shown
 from pmabench.report.document.provenance import get
 from pmabench.report.figures.coefficient_figures import OVER_PRESSURE
 from pmabench.store.records import Array, RunData

@@ -13,8 +13,7 @@ from typing import Any
 
 from pmabench.analysis.results import Analysis, Curve, Estimate
 from pmabench.base.errors import RecordError
-from pmabench.plotting.rounding import WITHHELD
-from pmabench.plotting.wording import POINTS, clean, in_order, plain_unit, point_shown, shown, symbol_text
+from pmabench.plotting.wording import POINTS, WITHHELD, clean, in_order, plain_unit, point_shown, shown, symbol_text
 from pmabench.store.analyses.folder import write_analysis
 
 FORMULA = tuple("=+-@＝＋－＠")

@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Any
 from pmabench.analysis.results import Estimate
 from pmabench.analysis.verdict.changes import Change
 from pmabench.base.errors import RecordError
-from pmabench.plotting.rounding import rounded
 from pmabench.plotting.wording import plain_unit as plain
-from pmabench.plotting.wording import point_text, shown, symbol_text
+from pmabench.plotting.wording import point_text, rounded, shown, symbol_text
 from pmabench.report.files.csv_files import csv_text
 from pmabench.report.terminal import print_grid
 from pmabench.store.folder import plain as as_json

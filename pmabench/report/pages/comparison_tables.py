@@ -6,8 +6,7 @@ from collections.abc import Sequence
 
 from pmabench.analysis.results import Estimate
 from pmabench.analysis.verdict.comparison import Difference, Side, percent
-from pmabench.plotting.rounding import rounded
-from pmabench.plotting.wording import clean, point_text, shown, symbol_text
+from pmabench.plotting.wording import clean, point_text, rounded, shown, symbol_text
 from pmabench.report.figures.overlays import Comparison, comparison_table
 
 Rows = tuple[list[str], list[list[str]]]

@@ -13,8 +13,7 @@ from pmabench.analysis.results import Finding
 from pmabench.analysis.verdict.life import Past, References, Series, chosen
 from pmabench.plotting import plots
 from pmabench.plotting.pictures import LARGEST, Picture, picture
-from pmabench.plotting.rounding import rounded
-from pmabench.plotting.wording import clean, point_text, shown
+from pmabench.plotting.wording import clean, point_text, rounded, shown
 from pmabench.report.pages.history_tables import run_rows, value_rows
 from pmabench.report.pages.page import Page, TextTable, write_page
 from pmabench.report.words.names import kind_title

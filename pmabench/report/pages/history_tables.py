@@ -6,8 +6,7 @@ from collections.abc import Sequence
 
 from pmabench.analysis.verdict.life import Past, Series, chosen
 from pmabench.base.quantities import in_words
-from pmabench.plotting.rounding import rounded
-from pmabench.plotting.wording import clean, point_text, shown, symbol_text
+from pmabench.plotting.wording import clean, point_text, rounded, shown, symbol_text
 from pmabench.report.words.names import kind_title
 
 Rows = tuple[list[str], list[list[str]]]
