@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     from pmabench.model.cascade import Course
     from pmabench.model.curve import Array
-    from pmabench.report.cascade.cascade_record import Result
+    from pmabench.report.cascade_record import Result
 
 ROWS = 25
 """Rows of the table for people."""
@@ -50,7 +50,7 @@ def simulate(ui: Ui, file: str, out: Path | None, moments: tuple[str, ...], *, p
     from pmabench.files.shipped import find_file
     from pmabench.model import cascade
     from pmabench.protocol.cascade import read_cascade
-    from pmabench.report.cascade.cascade_record import Head, result
+    from pmabench.report.cascade_record import Head, result
 
     _not_both(ui, as_csv=as_csv)
     plan = read_cascade(find_file("cascade", file))
@@ -86,7 +86,7 @@ def replay(ui: Ui, source: Path, out: Path | None, moments: tuple[str, ...], *, 
     import numpy as np
 
     from pmabench.model.cascade import Course
-    from pmabench.report.cascade.cascade_record import read_result
+    from pmabench.report.cascade_record import read_result
 
     _not_both(ui, as_csv=as_csv)
     found = read_result(source)
@@ -153,11 +153,11 @@ def _moments(texts: tuple[str, ...], last: float, out: Path | None) -> list[floa
 
 def _deliver(ui: Ui, found: Result, out: Path | None, moments: list[float], *, result_too: bool, as_csv: bool) -> None:
     """Write what was asked for, and show the result."""
-    from pmabench.report.cascade.cascade_record import as_data, csv_text, write_result
+    from pmabench.report.cascade_record import as_data, csv_text, write_result
 
     written = write_result(found, out) if out is not None and result_too else []
     if out is not None:
-        from pmabench.report.cascade.cascade_page import write_drawings
+        from pmabench.report.cascade_page import write_drawings
 
         written += write_drawings(found, out, moments)
     data = as_data(found) | {"written": [str(path) for path in written]}

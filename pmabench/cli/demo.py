@@ -18,7 +18,7 @@ def command(ui: Ui, out: Path, seed: int) -> int | None:
     """Characterise a simulated muscle: run every shipped kind of protocol, fit, and write the report."""
     from pmabench.cli.campaign import run_campaign, severity
     from pmabench.cli.process import analyse, load_runs, print_analyses, write
-    from pmabench.report.document.html import write_report
+    from pmabench.report.document.content import content_of, write_page
 
     started = time.monotonic()
     outcomes = run_campaign(ui, "demo", out / "runs", operator_name="demo", yes=True, seed=seed)
@@ -30,7 +30,8 @@ def command(ui: Ui, out: Path, seed: int) -> int | None:
     runs = load_runs([outcome.folder for outcome in outcomes if outcome.folder is not None])
     analyses = analyse(runs)
     folders = write(analyses, runs, out / "analyses" / runs[0].id)
-    report = write_report(analyses, runs, out / "report.html", title="Characterisation of a simulated MAS-20-250")
+    content = content_of(analyses, runs, title="Characterisation of a simulated MAS-20-250")
+    report = write_page(content, out / "report.html")
     elapsed = time.monotonic() - started
     data = {
         "schema": "pmabench.demo/1",

@@ -242,7 +242,7 @@ def _print(
     ui: Ui, life: Sequence[Past], series: Sequence[Series], remarks: Sequence[Finding], path: str | None
 ) -> None:
     from pmabench.plotting.wording import clean
-    from pmabench.report.pages.history_tables import run_rows, value_rows
+    from pmabench.report.pages.history_page import run_rows, value_rows
     from pmabench.report.terminal import print_grid
 
     console = ui.console(columns=160)

@@ -27,8 +27,7 @@ def process_folders(
     ui: Ui, given: Sequence[Path], out: Path, jobs: int, cluster: str | None, options: Mapping[str, Any]
 ) -> int | None:
     """Process each run below `given` on its own, with options by kind; the exit code."""
-    from pmabench.report.many.many import process_many
-    from pmabench.report.many.many_table import write_table
+    from pmabench.report.many.many import process_many, write_table
     from pmabench.store.below import tasks_below
 
     tasks = tasks_below(given)
@@ -96,7 +95,7 @@ def _duration(seconds: float) -> str:
 
 
 def _data(many: Many, paths: Sequence[Path]) -> dict[str, Any]:
-    from pmabench.report.many.many_table import SCHEMA, plain_entry
+    from pmabench.report.many.many import SCHEMA, plain_entry
 
     return {
         "schema": SCHEMA,

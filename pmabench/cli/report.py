@@ -45,8 +45,7 @@ def command(
     from pmabench.cli.process import analyse, apart, load_runs, since_lines, without_analyses
     from pmabench.cli.report_overlays import read_overlays
     from pmabench.report.document.checklist import Issuer
-    from pmabench.report.document.content import content_of
-    from pmabench.report.document.html import write_page
+    from pmabench.report.document.content import content_of, write_page
     from pmabench.store.analyses.folder import read_analysis, runs_of
 
     for path in (path for path in (output, pdf, xlsx) if path is not None and path.is_fifo()):

@@ -24,9 +24,9 @@ from pmabench.model import cascade
 from pmabench.model.cascade import PrintedMuscle, Step, simulate
 from pmabench.model.outline import quadratic
 from pmabench.protocol.cascade import read_cascade
-from pmabench.report.cascade.cascade_drawing import Scene, moments_of, snapshots
-from pmabench.report.cascade.cascade_page import frame_rows
-from pmabench.report.cascade.cascade_record import Result, read_result
+from pmabench.report.cascade_drawing import Scene, moments_of, snapshots
+from pmabench.report.cascade_page import frame_rows
+from pmabench.report.cascade_record import Result, read_result
 
 ROOT = Path(__file__).resolve().parents[2]
 SHIPPED = ROOT / "fixtures" / "cascades"

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from pmabench.analysis.results import Analysis, Curve, Estimate
-from pmabench.base.errors import RecordError
 from pmabench.plotting.wording import POINTS, WITHHELD, clean, in_order, plain_unit, point_shown, shown, symbol_text
+from pmabench.report.writing import writing
 from pmabench.store.analyses.folder import write_analysis
 
 FORMULA = tuple("=+-@＝＋－＠")
@@ -23,10 +23,8 @@ FORMULA = tuple("=+-@＝＋－＠")
 def write_with_tables(analysis: Analysis, folder: Path) -> Path:
     """An analysis folder with its tables as CSV, as people want it; raises RecordError where it cannot be written."""
     write_analysis(analysis, folder)
-    try:
+    with writing(folder, "the tables"):
         write_tables(analysis, folder)
-    except OSError as error:
-        raise RecordError(f"{folder}: the tables cannot be written: {error.strerror or error}") from error
     return folder
 
 

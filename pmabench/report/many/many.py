@@ -1,21 +1,26 @@
-"""Many runs, each on its own: what did not change is taken from the last time, the rest is worked out, in one order.
+"""Many runs, each on its own, and one table over all of them: what did not change is taken from the last time.
 
-Nothing heavy is imported here, so that a second pass over an archive costs no more than looking at it.
+Each is loaded, reduced and written from plain data to plain data, never with an exception, in whatever process does it.
+Nothing that reduces is imported here, so that a second pass over an archive costs no more than looking at it. The table
+has a row per run, method and operating point, numbers in display units; the same results give the same bytes.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pmabench.analysis.many import Pool, share
-from pmabench.base.errors import RecordError
+from pmabench.analysis.many import Pool, share, stopped
+from pmabench.base.errors import InvalidFile, PmaError, RecordError
+from pmabench.plotting.wording import POINTS, in_order, plain_unit, point_shown, shown, symbol_text
+from pmabench.report.files.csv_files import csv_text
 from pmabench.report.many import many_cache
-from pmabench.report.many.processed import lost, process_batch
+from pmabench.report.words import in_common
+from pmabench.report.writing import writing
 from pmabench.store.below import Task
 from pmabench.store.fingerprint import fingerprint, program
 
@@ -124,3 +129,202 @@ def process_many(
 def _code(entry: Mapping[str, Any]) -> set[int]:
     """The exit code that an entry asks for."""
     return {int(entry["exit_code"])} if "error" in entry else {6} if entry.get("verdicts") else set()
+
+
+NAME = "all-runs"
+SCHEMA = "pmabench.process-many/1"
+FIRST = {"run": "", "started": "", "specimen": "", "kind": "", "simulated": False, "method": ""}
+LAST = {"trials": 0, "not accepted": "", "analysis": ""}
+"""Columns before and after the numbers."""
+KEPT = ("run", "runs", "kind", "started", "specimen", "simulated", "folder", "estimates", "dropped", "findings")
+"""Keys of a run in JSON; verdicts and exclusions come with it."""
+
+
+def write_table(many: Many) -> list[Path]:
+    """`all-runs.csv`, `.parquet` and `.json` next to the analyses, as far as they are not there already.
+
+    Raises RecordError where they cannot be written.
+    """
+    paths = [many.out / f"{NAME}.{suffix}" for suffix in ("csv", "parquet", "json")]
+    key = many.key
+    if many_cache.table_written(many.out, key, paths):
+        return paths
+    rows, numbers = table_rows(many.results())
+    columns = [*FIRST, *numbers, *LAST]
+    ordered = [{name: row.get(name) for name in columns} for row in rows]
+    with writing(many.out, "the table"):
+        paths[0].write_text(csv_text(ordered, columns), encoding="utf-8", newline="")
+        _write_parquet(ordered, numbers, paths[1])
+        with paths[2].open("w", encoding="utf-8", newline="") as file:
+            file.writelines(_json_lines(many))
+    many_cache.keep_table(many.out, key, paths)
+    return paths
+
+
+def plain_entry(entry: Mapping[str, Any]) -> dict[str, Any]:
+    """A result as in JSON, the same whether it was worked out now or before."""
+    return {name: entry[name] for name in (*KEPT, "verdicts", "excluded", "since")}
+
+
+def _json_lines(many: Many) -> Iterable[str]:
+    """One object, a run on each line."""
+    yield f'{{"schema": "{SCHEMA}",\n "runs": ['
+    before = "\n  "
+    for entry in many.results():
+        yield before + json.dumps(plain_entry(entry), sort_keys=True, ensure_ascii=False, allow_nan=False)
+        before = ",\n  "
+    yield "\n ]\n}\n"
+
+
+def table_rows(entries: Iterable[Mapping[str, Any]]) -> tuple[list[dict[str, Any]], dict[str, tuple[str, str]]]:
+    """The rows, and of each column of numbers its quantity and unit, in the order of the table."""
+    rows: list[dict[str, Any]] = []
+    points: set[str] = set()
+    symbols: set[tuple[str, str, str, str]] = set()
+    orders: dict[str, list[str]] = {}
+    for entry in entries:
+        orders[entry["kind"]] = entry.get("symbols") or [e["symbol"] for e in entry["estimates"]]
+        about = {name: entry[name] for name in ("run", "started", "specimen", "kind", "simulated")}
+        about |= {"not accepted": "; ".join(entry["verdicts"]), "analysis": entry["folder"]}
+        found: dict[tuple[Any, ...], dict[str, Any]] = {}
+        for e in entry["estimates"]:
+            row = found.setdefault((e["method"], *sorted(e["at"].items())), {**about, "method": e["method"]})
+            row["trials"] = max(row.get("trials", 0), e["n"])
+            for name, value in e["at"].items():
+                points.add(name)
+                row[_point_head(name)[0]] = value / point_shown(name)[1].scale
+            symbol = (e["symbol"], e["coordinate"], e["quantity"], e["unit"])
+            symbols.add(symbol)
+            unit = shown(e["quantity"], e["unit"])
+            for (head, _), value in zip(_heads(*symbol), (e["value"], e["half_width"]), strict=True):
+                row[head] = None if value is None else value / unit.scale
+        rows += found.values()
+    numbers = dict(_point_head(name) for name in in_order(sorted(points), POINTS))
+    for name in in_common(orders.values()):
+        for symbol in sorted(symbol for symbol in symbols if symbol[0] == name):
+            numbers |= dict(_heads(*symbol))
+    return rows, numbers
+
+
+def _point_head(name: str) -> tuple[str, tuple[str, str]]:
+    label, unit = point_shown(name)
+    return _with_unit(label, plain_unit(unit.unit)), ("point", plain_unit(unit.unit))
+
+
+def _heads(symbol: str, coordinate: str, quantity: str, unit: str) -> list[tuple[str, tuple[str, str]]]:
+    text, in_unit = symbol_text(symbol, coordinate), plain_unit(shown(quantity, unit).unit)
+    return [
+        (_with_unit(text, in_unit), (quantity, in_unit)),
+        (_with_unit(f"{text} half width 95 %", in_unit), (quantity, in_unit)),
+    ]
+
+
+def _with_unit(text: str, unit: str) -> str:
+    return f"{text} [{unit}]" if unit else text
+
+
+def _write_parquet(rows: Sequence[Mapping[str, Any]], numbers: Mapping[str, tuple[str, str]], path: Path) -> None:
+    from pmabench.store.arrow import pa, pq
+
+    types = {str: pa.string(), bool: pa.bool_(), int: pa.int64()}
+    fields = [pa.field(name, types[type(kind)]) for name, kind in FIRST.items()]
+    fields += [
+        pa.field(name, pa.float64(), metadata={"quantity": quantity, "unit": unit})
+        for name, (quantity, unit) in numbers.items()
+    ]
+    fields += [pa.field(name, types[type(kind)]) for name, kind in LAST.items()]
+    arrays = [pa.array([row[field.name] for row in rows], type=field.type) for field in fields]
+    table = pa.Table.from_arrays(arrays, schema=pa.schema(fields))
+    pq.write_table(table, path, compression="zstd", compression_level=3)
+
+
+WITHOUT_TRIALS = ("session", "self-test", "calibration", "setup")
+"""Kinds of runs that have no trials: what they found is in their events."""
+
+
+def process_batch(things: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """What came out of each of `things`: `path` of a run, analysis `folder` to write below `out`, `options` by kind."""
+    return [] if stopped() else [process_one(thing) for thing in things]
+
+
+def lost(thing: Mapping[str, Any], why: str) -> dict[str, Any]:
+    """The result of a run on which the process that worked on it died."""
+    return {
+        "error": f"{thing['path']}  the process that worked on it died ({why}); give this run alone",
+        "exit_code": 1,
+    }
+
+
+def process_one(thing: Mapping[str, Any]) -> dict[str, Any]:
+    """The entry of a run in the table of many.
+
+    `error` and `exit_code` where it cannot be processed, `skipped` for a run that has no trials, else what `_entry`
+    gives.
+    """
+    try:
+        return _entry(Path(thing["path"]), Path(thing["out"]), thing["folder"], thing.get("options") or {})
+    except InvalidFile as error:
+        return {"error": str(error), "exit_code": error.exit_code}
+    except PmaError as error:
+        return {"error": f"{thing['path']}  {error}", "exit_code": error.exit_code}
+    except Exception as error:
+        message = str(error).splitlines()[0] if str(error) else ""
+        what = f"an error in the program, please report it: {type(error).__name__}: {message}"
+        return {"error": f"{thing['path']}  {what}", "exit_code": 1}
+
+
+def _entry(path: Path, out: Path, folder: str, options: Mapping[str, Any]) -> dict[str, Any]:
+    from pmabench.kinds.reduce import reduce_runs, specimen_of, verdicts
+    from pmabench.report.files.csv_files import write_with_tables
+    from pmabench.report.words import declared
+    from pmabench.store.chain import open_chains
+    from pmabench.store.fingerprint import stamp
+    from pmabench.store.folder import plain, read_manifest
+
+    kind = read_manifest(path).get("kind")
+    if kind in WITHOUT_TRIALS:
+        return {"skipped": f"is a run of kind {kind}"}
+    runs = open_chains([path])
+    (analysis,) = reduce_runs(runs, options)
+    written = write_with_tables(analysis, out / folder / analysis.kind)
+    entry: dict[str, Any] = plain(
+        {
+            "run": runs[-1].id,
+            "runs": [run.id for run in runs],
+            "kind": analysis.kind,
+            "started": str(runs[0].manifest.get("started_utc", "")),
+            "specimen": specimen_of(runs[-1]),
+            "simulated": analysis.simulated,
+            "folder": f"{folder}/{analysis.kind}",
+            "stamp": stamp(written),
+            "symbols": list(declared([analysis])),
+            "estimates": [
+                {
+                    "symbol": e.symbol,
+                    "coordinate": e.coordinate,
+                    "at": dict(e.at),
+                    "value": e.value,
+                    "unit": e.unit,
+                    "quantity": e.quantity,
+                    "ci95": None if e.ci95 is None else list(e.ci95),
+                    "half_width": e.parts.combined,
+                    "n": e.n,
+                    "method": e.method,
+                }
+                for e in analysis.estimates
+            ],
+            "dropped": len(analysis.dropped),
+            "findings": {
+                level: sum(f.level == level for f in analysis.findings) for level in ("fault", "doubt", "note")
+            },
+            "verdicts": verdicts(runs, [analysis]),
+            "excluded": [
+                {"run": run.id, "trial": note.excluded, "because": note.because, "operator": note.operator}
+                for run in runs
+                for note in run.notes
+                if note.exclude is not None
+            ],
+            "since": {run.id: run.since.as_data() for run in runs if run.since.sentences},
+        }
+    )
+    return entry

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 from pmabench.analysis.results import Estimate
 from pmabench.analysis.verdict.changes import Change
-from pmabench.base.errors import RecordError
 from pmabench.plotting.wording import plain_unit as plain
 from pmabench.plotting.wording import point_text, rounded, shown, symbol_text
 from pmabench.report.files.csv_files import csv_text
 from pmabench.report.terminal import print_grid
+from pmabench.report.writing import write_file
 from pmabench.store.folder import plain as as_json
 
 if TYPE_CHECKING:
@@ -85,12 +85,6 @@ def write_changes(
         "channels": list(channels),
         "changes": [change.to_dict() for change in changes],
     }
-    paths = [folder / f"{NAME}.csv", folder / f"{NAME}.json"]
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        paths[0].write_bytes(csv_text(rows, ["kind", "symbol"]).encode())
-        text = json.dumps(as_json(data), indent=1, sort_keys=True, ensure_ascii=False, allow_nan=False)
-        paths[1].write_bytes(f"{text}\n".encode())
-    except OSError as error:
-        raise RecordError(f"{folder}: the changes cannot be written: {error.strerror or error}") from error
-    return paths
+    text = json.dumps(as_json(data), indent=1, sort_keys=True, ensure_ascii=False, allow_nan=False)
+    files = {f"{NAME}.csv": csv_text(rows, ["kind", "symbol"]), f"{NAME}.json": f"{text}\n"}
+    return [write_file(folder / name, data, "the changes") for name, data in files.items()]

@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.analysis.fitting.model_fit import ModelFit
-from pmabench.base.errors import RecordError
 from pmabench.model.library import OutsideDomain, Parameter
 from pmabench.plotting import plots
 from pmabench.plotting.plots import FAINT, FULL, MARKERS, PALETTE, blank, few_ticks, grid
 from pmabench.plotting.svg import drawing, to_svg
 from pmabench.plotting.wording import clean, number, shown
+from pmabench.report.writing import write_file
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -40,10 +40,7 @@ def write_fit(fit: ModelFit, path: Path, name: str, source: str = "") -> None:
     with drawing():
         svg = to_svg(_draw(fit, title), alt)
     text = svg.replace("<svg ", f"<svg {ALONE} ", 1)
-    try:
-        path.write_text(f"{text}\n", encoding="utf-8", newline="")
-    except OSError as error:
-        raise RecordError(f"{path}: the figure cannot be written: {error.strerror or error}") from error
+    write_file(path, f"{text}\n", "the figure")
 
 
 def _draw(fit: ModelFit, title: str) -> Figure:

@@ -1,25 +1,162 @@
-"""Figures of a simulated chain in the style of reports: contraction, sum of F_ce, and the chain's force, kept apart."""
+"""The page of a simulated chain: its figures, and a drawing that moves, with a slider; one self-contained HTML file."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import json
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from math import degrees
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pmabench import __version__
+from pmabench.base.quantities import show
 from pmabench.plotting import plots
 from pmabench.plotting.plots import FAINT, FULL, HALF, INK, PALETTE, QUIET, RED, Array, blank, few_ticks, grid
 from pmabench.plotting.svg import drawing, to_svg
-from pmabench.report.cascade.cascade_record import Result
+from pmabench.report.cascade_drawing import (
+    FITTING,
+    LEFT,
+    WIDTH,
+    Scene,
+    chain,
+    definitions,
+    moments_of,
+    opacity,
+    pressure_key,
+    ruler,
+    snapshots,
+    standalone,
+)
+from pmabench.report.cascade_record import Result
+from pmabench.report.writing import render, write_file
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+FRAME = 1 / 30
+"""Time between frames [s], longer where there would be too many."""
+MOST_FRAMES, MOST_SHAPES = 1800, 30_000
+
+
+def write_drawings(result: Result, folder: Path, moments: Sequence[float] = ()) -> list[Path]:
+    """The page `cascade.html`, the still `snapshots.svg` and each figure as SVG; RecordError where they cannot be."""
+    drawn = figures(result)
+    chosen = moments or moments_of(result)
+    files = {"cascade.html": page(result, drawn, chosen), "snapshots.svg": snapshots(result, chosen)}
+    for figure in drawn:
+        files[f"{figure.name}.svg"] = _file(figure)
+    return [write_file(folder / name, text, "the drawing") for name, text in files.items()]
+
+
+def _file(figure: Drawn) -> str:
+    """The figure's element as a separate file, twice the size."""
+    left, top, width, height = (float(part) for part in figure.svg.split('viewBox="')[1].split('"')[0].split())
+    inner = figure.svg.replace("<svg ", f'<svg x="{left}" y="{top}" width="{width}" height="{height}" ', 1)
+    return standalone(inner, width, height, figure.title).replace(
+        f'width="{width:g}" height="{height:g}" role', f'width="{2 * width:g}" height="{2 * height:g}" role', 1
+    )
+
+
+def page(result: Result, drawn: Sequence[Drawn], moments: Sequence[float]) -> str:
+    """The page as text; every name is escaped."""
+    scene = Scene(result)
+    rows = frame_rows(result)
+    height = 2 * scene.low + 108
+    first, *others = drawn
+    context = {
+        "version": __version__,
+        "name": result.name,
+        "source": result.source,
+        "width": WIDTH,
+        "height": round(height, 1),
+        "axis": round(scene.low + 57, 1),
+        "definitions": definitions(scene),
+        "key": pressure_key(scene),
+        "chain": chain(scene, 0, names=True),
+        "ruler": ruler(scene),
+        "frames": len(rows) - 1,
+        "first": {
+            "t": f"{result.time[0]:.2f} s",
+            "x": f"{1e3 * result.displacement[0]:.1f} mm",
+            "f": f"{result.force[0]:.0f} N",
+            "s": f"{result.force_ce_sum[0]:.0f} N",
+        },
+        "over_time": first.svg,
+        "still": _own_names(snapshots(result, moments, head=False)),
+        "figures": others,
+        "muscles": [
+            {
+                "name": link.name,
+                "law": link.law,
+                "length": show(link.length, "length"),
+                "pressure": show(max(link.pressure), "pressure", 4),
+                "most": f"{show(max(link.displacement), 'length', 4)}, "
+                f"{100 * max(link.displacement) / link.length:.1f} %",
+                "shape": f"radius {show(link.radius, 'length')}, braid {degrees(link.braid_angle):.1f} deg"
+                + (f" ({' and '.join(link.assumed).replace('_', ' ')} assumed)" if link.assumed else ""),
+            }
+            for link in result.muscles
+        ],
+        "load": show(result.load, "force"),
+        "fce_eval": result.fce_eval,
+        "data": json.dumps(frames(result, scene, rows), allow_nan=False, separators=(",", ":")),
+    }
+    return render("cascade.html.j2", context)
+
+
+def _own_names(still: str) -> str:
+    """The still with names of its parts that no other drawing on the page has."""
+    for mark in ('id="', "url(#", 'href="#', 'labelledby="'):
+        still = still.replace(mark, f"{mark}still-")
+    return still.strip()
+
+
+def frame_rows(result: Result) -> list[int]:
+    """Samples that are frames, evenly spaced in time, first and last among them."""
+    t = np.array(result.time)
+    most = max(2, min(MOST_FRAMES, MOST_SHAPES // len(result.muscles)))
+    count = int(min(max((t[-1] - t[0]) / FRAME + 1, 2), most))
+    rows = np.searchsorted(t, np.linspace(t[0], t[-1], count) - 0.5 * float(np.median(np.diff(t))))
+    return [int(row) for row in np.unique(np.clip(rows, 0, len(t) - 1))]
+
+
+def frames(result: Result, scene: Scene, rows: Sequence[int]) -> dict[str, Any]:
+    """All numbers of the animation, in pixels of its drawing, and in s, mm and N; numbers only, no texts."""
+    shapes = [scene.shapes(row) for row in rows]
+    muscles = []
+    for i, link in enumerate(result.muscles):
+        mine = [shape[i] for shape in shapes]
+        numbers: dict[str, Any] = {
+            name: [round(getattr(shape, name), 2) for shape in mine]
+            for name in ("begin", "length", "radius", "meet", "body")
+        }
+        numbers["tint"] = [round(opacity(shape.tint), 3) for shape in mine]
+        numbers |= {
+            "fitting": round(mine[0].fitting, 3),
+            "rest": round(link.length * scene.scale, 3),
+            "gap": round(FITTING * link.length * scene.scale, 3),
+        }
+        muscles.append(numbers)
+    return {
+        "muscles": muscles,
+        "t": [round(result.time[row], 6) for row in rows],
+        "x": [round(1e3 * result.displacement[row], 3) for row in rows],
+        "f": [round(result.force[row], 2) for row in rows],
+        "s": [round(result.force_ce_sum[row], 2) for row in rows],
+        "end": round(scene.end, 2),
+        "low": round(scene.low, 2),
+        "left": LEFT,
+        "track": [round(value, 2) for value in cursor_track()],
+    }
+
+
 MOST_NAMED = 6
 """Muscles that get a colour and a name of their own."""
 POINTS = 900
-LEFT, RIGHT, TOP, BOTTOM = 0.62, 0.12, 0.42, 0.38
+ROOM_LEFT, ROOM_RIGHT, ROOM_TOP, ROOM_BOTTOM = 0.62, 0.12, 0.42, 0.38
 """Room around the curves over time [in]."""
 HIGH = 3.6
 """Height of that figure [in]."""
@@ -90,7 +227,17 @@ def time_figure(result: Result) -> Figure:
     t = np.array(result.time)[rows]
     named = len(result.muscles) <= MOST_NAMED
     figure = blank(FULL, HIGH)
-    cells = grid(figure, 2, 1, left=LEFT, right=RIGHT, top=TOP, bottom=BOTTOM, down=0.16, height_ratios=(1.9, 1))
+    cells = grid(
+        figure,
+        2,
+        1,
+        left=ROOM_LEFT,
+        right=ROOM_RIGHT,
+        top=ROOM_TOP,
+        bottom=ROOM_BOTTOM,
+        down=0.16,
+        height_ratios=(1.9, 1),
+    )
     upper, lower = figure.add_subplot(cells[0]), figure.add_subplot(cells[1])
     base = np.zeros(len(rows))
     for link, colour in zip(result.muscles, colours(len(result.muscles)), strict=True):
@@ -116,7 +263,7 @@ def time_figure(result: Result) -> Figure:
 
 def cursor_track() -> tuple[float, float, float, float]:
     """Where the curves over time begin and end in their SVG: left, right, upper, lower [px of its view box]."""
-    return LEFT * PT, (FULL - RIGHT) * PT, TOP * PT, (HIGH - BOTTOM) * PT
+    return ROOM_LEFT * PT, (FULL - ROOM_RIGHT) * PT, ROOM_TOP * PT, (HIGH - ROOM_BOTTOM) * PT
 
 
 def _legend(figure: Figure, wanted: bool) -> None:

@@ -15,7 +15,7 @@ import numpy as np
 
 from pmabench.model.outline import Outline, outline
 from pmabench.plotting.plots import FAINT, INK, QUIET, RED, WARN
-from pmabench.report.cascade.cascade_record import Link, Result
+from pmabench.report.cascade_record import Link, Result
 
 WIDTH = 1000.0
 LEFT, RIGHT = 84.0, 112.0

@@ -14,8 +14,9 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from pmabench.base.errors import RecordError, invalid
+from pmabench.base.errors import invalid
 from pmabench.model.cascade import Course
+from pmabench.report.writing import write_file
 from pmabench.store.json_files import read_model
 
 SCHEMA: Literal["pmabench.cascade-result/1"] = "pmabench.cascade-result/1"
@@ -125,13 +126,7 @@ def write_result(found: Result, folder: Path) -> list[Path]:
         "cascade.json": json.dumps(as_data(found), allow_nan=False, separators=(",", ":")) + "\n",
         "cascade.csv": csv_text(found),
     }
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for name, text in files.items():
-            (folder / name).write_text(text, encoding="utf-8", newline="")
-    except OSError as error:
-        raise RecordError(f"{folder}: the result cannot be written: {error.strerror or error}") from error
-    return [folder / name for name in files]
+    return [write_file(folder / name, text, "the result") for name, text in files.items()]
 
 
 def csv_text(found: Result) -> str:
