@@ -1,4 +1,4 @@
-"""How reports are written to files, and how their pages are rendered: one self-contained HTML file, every text escaped."""
+"""How reports are written to files, and how their pages are rendered: self-contained HTML, every text escaped."""
 
 from __future__ import annotations
 

@@ -60,7 +60,7 @@ class Deviation:
 
 @dataclass(frozen=True)
 class ControlModel:
-    """Parameters of `control_law.rates`, and how well they do."""
+    """Parameters of `rates`, and how well they do."""
 
     params: dict[str, Any]
     method: str

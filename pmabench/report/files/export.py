@@ -211,11 +211,8 @@ def _results_latex(results: Results, out: Path) -> list[Path]:
 
 def _results_json(results: Results, out: Path) -> list[Path]:
     data = {"schema": "pmabench.coefficients/1", "analyses": [plain(a.to_dict()) for a in results.analyses]}
-    return [
-        write_file(
-            out, json.dumps(data, indent=1, sort_keys=True, ensure_ascii=False, allow_nan=False) + "\n", "the export"
-        )
-    ]
+    text = json.dumps(data, indent=1, sort_keys=True, ensure_ascii=False, allow_nan=False)
+    return [write_file(out, text + "\n", "the export")]
 
 
 def _results_control(results: Results, out: Path) -> list[Path]:

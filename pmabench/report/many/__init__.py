@@ -1,1 +1,1 @@
-"""Many runs: `many`, which works out only what has changed (`many_cache`), one by one (`processed`); `many_table`."""
+"""Many runs: `many` works out what has changed, run by run, and writes their table; `many_cache` keeps the rest."""
