@@ -96,8 +96,8 @@ def _quantity(text: str, quantity: str, option: str) -> float:
 
 
 def _run(ui: Ui, mounted: Mounted, request: Request, out: Path, operator: str, *, yes: bool) -> Calibrated:
-    from pmabench.cli.lines import AtLines
-    from pmabench.cli.progress import progress_line
+    from pmabench.cli.operator import AtLines
+    from pmabench.cli.outcome import progress_line
     from pmabench.engine.operator import ConfirmedBeforehand, Nobody
     from pmabench.session.calibration import calibrate
 
@@ -152,7 +152,7 @@ def _write(mounted: Mounted, request: Request, done: Calibrated, into: Path, unt
 
 
 def _show_result(ui: Ui, request: Request, done: Calibrated, path: Path | None, quantity: str) -> None:
-    from pmabench.cli.run import outcome_json, print_outcome
+    from pmabench.cli.outcome import outcome_json, print_outcome
     from pmabench.report.terminal import print_grid
     from pmabench.session.calibration import REGULATOR, as_json, budget
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pmabench.cli.common import Ui, common, say, session_options
-from pmabench.cli.next_steps import show_next
+from pmabench.cli.outcome import show_next
 
 if TYPE_CHECKING:
     from pmabench.engine.run import Outcome
@@ -27,7 +27,7 @@ def command(
     ui: Ui, file: str, out: Path, operator: str, session: dict[str, Any], *, yes: bool, resume: bool
 ) -> int | None:
     """Run every protocol of the campaign FILE in order; the first run that does not finish ends it."""
-    from pmabench.cli.run import outcome_json
+    from pmabench.cli.outcome import outcome_json
 
     outcomes = run_campaign(ui, file, out, operator_name=operator, yes=yes, resume=resume, session=session)
     data = {"schema": "pmabench.campaign-outcome/1", "runs": [outcome_json(outcome) for outcome in outcomes]}

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pmabench.cli.common import Ui, common, plan_options
-from pmabench.cli.space import needed, size, too_little
 
 if TYPE_CHECKING:
     from pmabench.bench.compile import Mounted
@@ -34,7 +33,7 @@ def command(
     simulate: bool,
 ) -> int | None:
     """Check PROTOCOL against a bench and a specimen, and show the plan."""
-    from pmabench.cli.prepare import prepare
+    from pmabench.cli.prepare import prepare, too_little
 
     prepared = prepare(protocol, bench, specimen, settings)
     plan, mounted, warnings = prepared.plan, prepared.mounted, prepared.warnings()
@@ -62,6 +61,7 @@ def plan_summary(plan: Plan, mounted: Mounted) -> dict[str, Any]:
 
     The duration holds the session that comes first, where the bench declares one and none counts now.
     """
+    from pmabench.cli.prepare import needed
     from pmabench.session.length import session_length
     from pmabench.session.state import kept, out_of_date, utc_now
 
@@ -132,6 +132,7 @@ def _simulate(plan: Plan, mounted: Mounted) -> dict[str, Any]:
 
 def _print(ui: Ui, plan: Plan, summary: dict[str, Any], peaks: dict[str, Any] | None, warnings: list[str]) -> None:
     from pmabench.base.quantities import CHANNEL_QUANTITY, in_words, show
+    from pmabench.cli.prepare import size
     from pmabench.report.terminal import print_grid
 
     console = ui.console()

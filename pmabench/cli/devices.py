@@ -1,6 +1,6 @@
-"""`pmabench devices`: drivers that are installed, what a bench's devices answer, the self-test of a bench.
+"""`pmabench devices`: installed drivers, what devices answer, the self-test of a bench, conformance of a driver.
 
-`read` and `set` are in `pmabench.cli.devices_values`, `conformance` in `pmabench.cli.devices_conformance`.
+`read` and `set` are in `pmabench.cli.devices_values`.
 """
 
 from __future__ import annotations
@@ -13,11 +13,12 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from pmabench.base.errors import DeviceError, UsageError
-from pmabench.cli import devices_conformance, devices_values
-from pmabench.cli.common import Ui, common
+from pmabench.base.errors import DeviceError, UsageError, VerdictFailed, did_you_mean
+from pmabench.cli.common import Ui, common, say
+from pmabench.cli.devices_values import read, set_
 
 if TYPE_CHECKING:
+    from pmabench.conformance import Result
     from pmabench.session.checks import Check
 
 CAPABILITIES = {
@@ -39,9 +40,8 @@ def command() -> None:
     """Drivers that are installed, and what the devices of a bench answer."""
 
 
-command.add_command(devices_values.read)
-command.add_command(devices_values.set_)
-command.add_command(devices_conformance.conformance)
+command.add_command(read)
+command.add_command(set_)
 
 
 @command.command(name="list")
@@ -114,8 +114,6 @@ def probe(
     if (bench is None) == (driver is None) or (driver is None) != (address is None) or (test and bench is None):
         raise UsageError("give a BENCH, or --driver and --address of one device")
     if driver is not None and address is not None:
-        from pmabench.cli.devices_alone import who_answers
-
         identities = who_answers(driver, address, options)
         data: dict[str, Any] = {"schema": "pmabench.probe/1", "bench": None, "devices": identities, "channels": []}
         ui.result(data, lambda: _print_probe(ui, identities, []))
@@ -211,10 +209,8 @@ def _standing(identity: dict[str, Any]) -> str:
 
 def _self_test(ui: Ui, bench: str, specimen: str, out: Path, operator: str, *, yes: bool) -> int:
     from pmabench.bench.compile import mount
-    from pmabench.cli.checks import print_checks
-    from pmabench.cli.lines import AtLines
-    from pmabench.cli.progress import progress_line
-    from pmabench.cli.run import outcome_json, print_outcome
+    from pmabench.cli.operator import AtLines
+    from pmabench.cli.outcome import outcome_json, print_checks, print_outcome, progress_line
     from pmabench.engine.operator import ConfirmedBeforehand, Nobody, Operator
     from pmabench.files.shipped import find_file
     from pmabench.session.self_test import run_self_test
@@ -250,3 +246,92 @@ def _self_test(ui: Ui, bench: str, specimen: str, out: Path, operator: str, *, y
 
     ui.result(data, human)
     return outcome.exit_code
+
+
+def who_answers(driver: str, address: str, options: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """Open a device by the name of its driver (or `module:Class`) and its address, ask who it is, and close.
+
+    `options` are those of a bench file, as name=value. Raises UsageError where they cannot be read, DeviceError where
+    the driver refuses them or nobody answers.
+    """
+    from pmabench.base.clock import RealClock
+    from pmabench.bench.interface import DeviceRecord
+    from pmabench.bench.registry import driver_class, verified
+    from pmabench.engine.untried import doubt
+    from pmabench.guard.links import OPENS_WITHIN, load_driver
+    from pmabench.guard.owner import Owner
+
+    try:
+        target = driver_class(driver)
+    except ValueError as error:
+        raise UsageError(f"--driver: {error}; or give module:Class") from error
+    record = DeviceRecord("device", target, address, dict(_option(text) for text in options))
+    device = load_driver(record, RealClock())
+    owner = Owner(record.name)
+    try:
+        identity = owner.call(device.open, OPENS_WITHIN)
+    finally:
+        owner.call(device.close, OPENS_WITHIN)
+    record = DeviceRecord("device", target, address, verified=verified(type(device)))
+    return {record.name: {**vars(identity), "verified": record.verified, "doubt": doubt(record, identity)}}
+
+
+def _option(text: str) -> tuple[str, Any]:
+    """`rate=50 Hz` as a bench file would give it."""
+    from ruamel.yaml import YAML
+    from ruamel.yaml.error import YAMLError
+
+    name, equals, value = text.partition("=")
+    if not equals or not name:
+        raise UsageError(f'--option: "{text}" is not name=value, for instance rate=50 Hz')
+    try:
+        return name, YAML(typ="safe", pure=True).load(value)
+    except YAMLError as error:
+        raise UsageError(f'--option {name}: "{value}" cannot be read as in a bench file') from error
+
+
+@command.command(name="conformance")
+@click.argument("driver")
+@click.option("--bench", help="Bench file with a device of this driver; else the shipped one with most to try.")
+@click.option("--device", help="Its name in the bench file; else the one of this driver with most to try.")
+@click.option("--hostile", type=click.IntRange(0, 10_000_000), default=300, show_default=True, help="Damaged answers.")
+@click.option("--seed", type=int, default=1, show_default=True, help="Which damage; the same seed, the same damage.")
+@click.option("--check", "only", multiple=True, metavar="NAME", help="Only this one; may be repeated.")
+@common
+def conformance(
+    ui: Ui, driver: str, bench: str | None, device: str | None, hostile: int, seed: int, only: tuple[str, ...]
+) -> int:
+    """Try DRIVER (its name, or module:Class) against its own emulator: one line for each promise of a driver.
+
+    What is tried is a device of a bench file, with the emulator behind its own wire; no address of the file is
+    reached. Exit code 6 where a check fails. How to write a driver: docs/drivers.md.
+    """
+    from pmabench.conformance import FAILED, run, subject
+    from pmabench.conformance.suite import CHECKS, HOSTILE
+    from pmabench.files.shipped import find_file
+
+    for name in only:
+        if name not in CHECKS and name != HOSTILE:
+            raise UsageError(f'no check "{name}"{did_you_mean(name, [*CHECKS, HOSTILE])}')
+    tried = subject(driver, find_file("bench", bench) if bench else None, device)
+    ui.note(f"{tried.record.driver} as {tried.record.name} of {tried.bench}")
+    results: list[Result] = []
+    for result in run(tried, hostile=hostile, seed=seed, only=only):
+        results.append(result)
+        if not ui.json and (result.verdict == FAILED or not ui.quiet):
+            click.echo(f"{result.verdict:<15} {result.check:<16} {result.why}")
+    failed = [result.check for result in results if result.verdict == FAILED]
+    data = {
+        "schema": "pmabench.conformance/1",
+        "driver": tried.record.driver,
+        "device": tried.record.name,
+        "bench": tried.bench,
+        "hostile": hostile,
+        "seed": seed,
+        "checks": [asdict(result) for result in results],
+    }
+    if ui.json:
+        ui.result(data, lambda: None)
+    if failed:
+        say(f"{len(failed)} of {len(results)} checks failed: {', '.join(failed)}")
+    return VerdictFailed.exit_code if failed else 0

@@ -162,8 +162,8 @@ def set_(
     run of kind setup. It ends by --for or by Ctrl-C, and vents on every way out.
     """
     from pmabench.bench.compile import mount
-    from pmabench.cli.lines import AtLines
-    from pmabench.cli.run import show_outcome
+    from pmabench.cli.operator import AtLines
+    from pmabench.cli.outcome import show_outcome
     from pmabench.engine.operator import ConfirmedBeforehand, Operator
     from pmabench.files.quantity import parse_quantity
     from pmabench.files.shipped import find_file

@@ -9,9 +9,19 @@ import click
 
 from pmabench.cli.common import Ui, common
 from pmabench.cli.model_fit import fit
-from pmabench.cli.model_inputs import grid, named_model, pairs, read_inputs, shown
+from pmabench.cli.model_inputs import (
+    cell,
+    display_unit,
+    grid,
+    named_model,
+    pairs,
+    print_csv,
+    print_table,
+    read_inputs,
+    shown,
+    si_unit,
+)
 from pmabench.cli.model_simulate import simulate
-from pmabench.cli.model_table import cell, display_unit, print_csv, print_table, si_unit
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

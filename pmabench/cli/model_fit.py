@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pmabench.cli.common import Ui, common
-from pmabench.cli.model_inputs import named_model, pairs, read_inputs, shown
-from pmabench.cli.model_table import display_unit, si_unit
+from pmabench.cli.model_inputs import display_unit, named_model, pairs, read_inputs, shown, si_unit
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pmabench.cli.common import Ui, common
-from pmabench.cli.model_table import print_csv, print_table, si_unit
+from pmabench.cli.model_inputs import print_csv, print_table, si_unit
 
 if TYPE_CHECKING:
     from pmabench.model.curve import Array

@@ -87,7 +87,7 @@ def _monitor(ui: Ui, bench: CompiledBench, seconds: float | None, *, plain: bool
 
 
 def _jog(ui: Ui, mounted: Mounted, out: Path, operator: str, seconds: float | None) -> int:
-    from pmabench.cli.run import show_outcome
+    from pmabench.cli.outcome import show_outcome
     from pmabench.session.jog import BLOCK, KEYS, jog
 
     live = _Live(mounted.bench, simulated=False)
