@@ -10,7 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from pmabench.base.clock import RealClock
+from pmabench.base.errors import UsageError
+from pmabench.base.quantities import show
 from pmabench.cli.common import Ui, common, rewrite, say
+from pmabench.files.shipped import find_file
 
 if TYPE_CHECKING:
     from pmabench.base.clock import Clock
@@ -49,7 +53,6 @@ def simulate(ui: Ui, file: str, out: Path | None, moments: tuple[str, ...], *, p
     """Simulate the chain of a cascade FILE (or the shipped paper1, unlike) as fast as possible, or paced."""
     import numpy as np
 
-    from pmabench.files.shipped import find_file
     from pmabench.model import cascade
     from pmabench.protocol.cascade import read_cascade
     from pmabench.report.cascade_record import Head, result
@@ -113,7 +116,6 @@ def _play(ui: Ui, times: Array, step: Callable[[Array], Course], lengths: list[f
     """The whole course in real time, and how long it took [s]."""
     import numpy as np
 
-    from pmabench.base.clock import RealClock
     from pmabench.model.cascade import Course
 
     blocks, elapsed = paced(times, step, RealClock(), shower(ui, lengths))
@@ -125,15 +127,12 @@ def _play(ui: Ui, times: Array, step: Callable[[Array], Course], lengths: list[f
 
 
 def _not_both(ui: Ui, *, as_csv: bool) -> None:
-    from pmabench.base.errors import UsageError
-
     if as_csv and ui.json:
         raise UsageError("--csv or --json, not both")
 
 
 def _moments(texts: tuple[str, ...], last: float, out: Path | None) -> list[float]:
     """The moments of the still [s]; UsageError with all that is wrong."""
-    from pmabench.base.errors import UsageError
     from pmabench.files.quantity import parse_quantity
 
     found, problems = [], []
@@ -179,7 +178,6 @@ def _show_result(ui: Ui, found: Result) -> None:
     """Who is in the chain, and the totals in time."""
     import numpy as np
 
-    from pmabench.base.quantities import show
     from pmabench.cli.model_inputs import print_table
 
     convention = f"; F_ce of the printed model at {found.fce_eval}" if found.fce_eval else ""

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, TextIO, cast
 
 import click
 
-from pmabench.base.errors import InvalidFile, PmaError, RecordError
+from pmabench.base.errors import InvalidFile, PmaError, RecordError, UsageError
 from pmabench.base.text import Spelled, raw, spelled
 
 if TYPE_CHECKING:
@@ -217,6 +217,21 @@ def session_options(function: Callable[..., Any]) -> Callable[..., Any]:
         return function(*args, session={"anew": new_session, "skip_warm_up": because.strip()}, **kwargs)
 
     return command
+
+
+def read_quantity(option: str, text: str, quantity: str) -> float:
+    """The value [SI] of what was typed with its unit; UsageError that names the option."""
+    from pmabench.files.quantity import parse_quantity
+
+    try:
+        return parse_quantity(text.strip(), quantity)
+    except ValueError as error:
+        raise UsageError(f"{option}: {error}") from error
+
+
+def fields(thing: object, *names: str) -> dict[str, Any]:
+    """These attributes by name, for JSON."""
+    return {name: getattr(thing, name) for name in names}
 
 
 def login_name() -> str:

@@ -13,9 +13,16 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from pmabench.base.clock import RealClock
 from pmabench.base.errors import DeviceError, UsageError, VerdictFailed, did_you_mean
+from pmabench.base.quantities import show
 from pmabench.cli.common import Ui, common, say
 from pmabench.cli.devices_values import read, set_
+from pmabench.cli.operator import AtLines
+from pmabench.cli.outcome import outcome_json, print_checks, print_outcome, progress_line
+from pmabench.engine.operator import ConfirmedBeforehand, Nobody, Operator
+from pmabench.files.shipped import find_file
+from pmabench.report.terminal import print_grid
 
 if TYPE_CHECKING:
     from pmabench.conformance import Result
@@ -76,8 +83,6 @@ def _driver(name: str, target: str) -> dict[str, Any]:
 
 
 def _print_drivers(ui: Ui, rows: Sequence[dict[str, Any]]) -> None:
-    from pmabench.report.terminal import print_grid
-
     heads = ["driver", "verified", "can"]
     table = [[row["name"], row["verified"], row["problem"] or ", ".join(row["can"])] for row in rows]
     print_grid(ui.console(), heads, table, heads)
@@ -136,7 +141,6 @@ def _read_once(bench: str) -> tuple[str, dict[str, dict[str, Any]], list[dict[st
     """Name of the bench, who answers by device, and a row for each channel with the mean and noise of half a second."""
     from pmabench.bench.compile import mount_alone
     from pmabench.engine.untried import doubt
-    from pmabench.files.shipped import find_file
     from pmabench.session.listening import listen
     from pmabench.session.look import looking
 
@@ -171,9 +175,6 @@ def _read_once(bench: str) -> tuple[str, dict[str, dict[str, Any]], list[dict[st
 
 
 def _print_probe(ui: Ui, identities: dict[str, dict[str, Any]], channels: Sequence[dict[str, Any]]) -> None:
-    from pmabench.base.quantities import show
-    from pmabench.report.terminal import print_grid
-
     console = ui.console()
     rows = [
         [name, f"{i['maker']} {i['model']}", i["serial"], i["firmware"], _standing(i)] for name, i in identities.items()
@@ -209,10 +210,6 @@ def _standing(identity: dict[str, Any]) -> str:
 
 def _self_test(ui: Ui, bench: str, specimen: str, out: Path, operator: str, *, yes: bool) -> int:
     from pmabench.bench.compile import mount
-    from pmabench.cli.operator import AtLines
-    from pmabench.cli.outcome import outcome_json, print_checks, print_outcome, progress_line
-    from pmabench.engine.operator import ConfirmedBeforehand, Nobody, Operator
-    from pmabench.files.shipped import find_file
     from pmabench.session.self_test import run_self_test
     from pmabench.store.folder import read_manifest
 
@@ -254,7 +251,6 @@ def who_answers(driver: str, address: str, options: Sequence[str]) -> dict[str, 
     `options` are those of a bench file, as name=value. Raises UsageError where they cannot be read, DeviceError where
     the driver refuses them or nobody answers.
     """
-    from pmabench.base.clock import RealClock
     from pmabench.bench.interface import DeviceRecord
     from pmabench.bench.registry import driver_class, verified
     from pmabench.engine.untried import doubt
@@ -308,7 +304,6 @@ def conformance(
     """
     from pmabench.conformance import FAILED, run, subject
     from pmabench.conformance.suite import CHECKS, HOSTILE
-    from pmabench.files.shipped import find_file
 
     for name in only:
         if name not in CHECKS and name != HOSTILE:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import heapq
 import re
+import sys
 import threading
 from collections.abc import Callable, Mapping
 from contextlib import suppress
@@ -18,8 +19,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from pmabench.base.errors import InvalidFile, Problem, did_you_mean
+from pmabench.base.errors import InvalidFile, Problem, RecordError, UsageError, did_you_mean
 from pmabench.cli.common import Ui, common
+from pmabench.files.shipped import find_file
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -83,11 +85,9 @@ def command(
     """
     from importlib.metadata import entry_points
 
-    from pmabench.base.errors import RecordError, UsageError
     from pmabench.base.system import ENGINE, real_time
     from pmabench.bench.compile import mount_alone
     from pmabench.bench.truth import read_truth, truth_of
-    from pmabench.files.shipped import find_file
 
     real_time(ENGINE)  # a device does not wait for other programs
     path = find_file("bench", bench)
@@ -148,7 +148,6 @@ def _serve(ui: Ui, served: Any, truth: Path | None, faults: Faults, file: Path |
 
 def _in_si(text: str) -> str:
     """What is wrong on purpose, its value without a unit, in SI."""
-    from pmabench.base.errors import UsageError
     from pmabench.files.quantity import parse_quantity
 
     head, equals, value = text.partition("=")
@@ -162,7 +161,6 @@ def _in_si(text: str) -> str:
 
 def _muscle(name: str, outputs: Iterable[OutputRecord]) -> str | dict[str, Any]:
     """A preset by name, or what a plant file says."""
-    from pmabench.base.errors import UsageError, did_you_mean
     from pmabench.bench.plant import read_plant
 
     if not name.endswith(".yaml"):
@@ -177,8 +175,6 @@ def _muscle(name: str, outputs: Iterable[OutputRecord]) -> str | dict[str, Any]:
 
 def _typed(ui: Ui, happenings: Faults, schedule: Schedule) -> None:
     """Carry out the lines that are typed."""
-    import sys
-
     for line in sys.stdin:
         if not line.strip():
             continue

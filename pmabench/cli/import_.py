@@ -12,8 +12,10 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pmabench.base.errors import RecordError, UsageError
+from pmabench.base.quantities import CHANNEL_QUANTITY
 from pmabench.base.text import printable
-from pmabench.cli.common import Ui, common
+from pmabench.cli.common import Ui, common, fields
+from pmabench.files.shipped import find_file
 
 if TYPE_CHECKING:
     from pmabench.store.importers.guess.columns import Proposal
@@ -58,7 +60,6 @@ def command(
         raise UsageError("give --map to import, or --guess (with --span and -o) to have a map proposed")
     if guessing or map_name is None:
         return guess(ui, files, span, output)
-    from pmabench.files.shipped import find_file
     from pmabench.kinds.registry import importable
     from pmabench.store.importers.importing import import_files
 
@@ -96,16 +97,9 @@ def command(
 
 
 def _plain(run: ImportedRun) -> dict[str, Any]:
-    return {
-        "run": str(run.path),
-        "id": run.id,
-        "source": str(run.source),
-        "kind": run.kind,
-        "rows": run.rows,
-        "trials": run.trials,
-        "flagged": dict(run.flagged),
-        "findings": [vars(finding) for finding in run.findings],
-    }
+    findings = [vars(finding) for finding in run.findings]
+    about = fields(run, "id", "kind", "rows", "trials", "flagged")
+    return {"run": str(run.path), "source": str(run.source), "findings": findings} | about
 
 
 SECONDS = 10.0
@@ -172,17 +166,10 @@ def guess(ui: Ui, files: Sequence[Path], spans: Sequence[str], output: Path | No
 
 
 def _about(column: Proposal) -> dict[str, Any]:
-    return {
-        "name": column.name,
-        "is": column.role,
-        "unit": column.unit,
-        "reasons": column.reasons,
-        "doubts": column.doubts,
-    }
+    return {"is": column.role, **fields(column, "name", "unit", "reasons", "doubts")}
 
 
 def _span(text: str) -> tuple[str, Span]:
-    from pmabench.base.quantities import CHANNEL_QUANTITY
     from pmabench.files.quantity import raw_quantity, unit_factor
     from pmabench.store.importers.guess.write import Span
 

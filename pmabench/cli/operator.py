@@ -6,11 +6,14 @@ import os
 import select
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING
 
 from pmabench.base.errors import Interrupted
 from pmabench.cli.common import rewrite, say
-from pmabench.display.child import Display
 from pmabench.engine.operator import ConfirmedBeforehand, Nobody
+
+if TYPE_CHECKING:
+    from pmabench.display.child import Display
 
 
 class _Keys:
@@ -39,7 +42,7 @@ class _Keys:
 
 
 class Confirmed(_Keys):
-    """`--yes`: every prompt counts as answered, and the record says so; keys and notes are heeded all the same."""
+    """`--yes`: every prompt counts as answered, and the record says so; keys and notes still count."""
 
     def ask(self, text: str, measured: Mapping[str, float], wait: Callable[[], None]) -> str:
         """Answered without a person."""

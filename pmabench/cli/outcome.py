@@ -13,7 +13,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from pmabench.cli.common import Ui, rewrite, say
+from pmabench.cli.common import Ui, fields, rewrite, say
+from pmabench.files.shipped import shipped_folder
+from pmabench.report.terminal import print_grid
 
 if TYPE_CHECKING:
     from pmabench.bench.interface import CompiledBench
@@ -40,8 +42,6 @@ def show_next(ui: Ui, outcome: Outcome, bench: CompiledBench, *, trials: bool) -
 
 def _named(bench: CompiledBench) -> str:
     """The bench as it can be typed here: a shipped one by its name, another by its file."""
-    from pmabench.files.shipped import shipped_folder
-
     path = Path(bench.path)
     if path == (shipped_folder("bench") / path.name).resolve():
         return path.stem
@@ -53,14 +53,8 @@ def outcome_json(outcome: Outcome) -> dict[str, Any]:
     return {
         "schema": "pmabench.outcome/1",
         "run": str(outcome.folder),
-        "status": outcome.status,
-        "why": outcome.why,
-        "exit_code": outcome.exit_code,
-        "vent": None
-        if outcome.vent is None
-        else {"result": outcome.vent.result, "actions": list(outcome.vent.actions)},
-        "bench_seconds": outcome.bench_seconds,
-        "rows": outcome.rows,
+        **fields(outcome, "status", "why", "exit_code", "bench_seconds", "rows"),
+        "vent": None if outcome.vent is None else fields(outcome.vent, "result", "actions"),
         "trials_failed": [index + 1 for index in outcome.trials_failed],
     }
 
@@ -115,8 +109,6 @@ def progress_line(ui: Ui, title: str) -> Iterator[Callable[[Progress], None]]:
 
 def print_checks(ui: Ui, checks: Sequence[Check], *, err: bool = False) -> None:
     """The table of a self-test; below it what to look at."""
-    from pmabench.report.terminal import print_grid
-
     if not checks:
         return
     console = ui.console(err=err)

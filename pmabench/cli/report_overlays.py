@@ -6,6 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from pmabench.base.errors import InvalidFile, Problem, UsageError, invalid
+from pmabench.base.quantities import QUANTITIES
+
 if TYPE_CHECKING:
     from pmabench.files.table import Column
     from pmabench.report.figures.overlays import Published
@@ -13,8 +16,6 @@ if TYPE_CHECKING:
 
 def read_overlays(given: Sequence[str]) -> list[Published]:
     """The tables of `FILE[:LABEL]`; InvalidFile with every head and cell that is wrong, of all files."""
-    from pmabench.base.errors import InvalidFile, Problem, UsageError
-
     found, problems = [], list[Problem]()
     for text in given:
         path, label = _parted(text)
@@ -42,7 +43,6 @@ def _parted(text: str) -> tuple[Path, str]:
 
 
 def _read(path: Path, label: str) -> Published:
-    from pmabench.base.errors import InvalidFile, invalid
     from pmabench.files.table import numbers, read_table
     from pmabench.report.figures.overlays import COORDINATES, HEADS, Published
 
@@ -70,8 +70,6 @@ def _read(path: Path, label: str) -> Published:
 
 
 def _unit(quantity: str) -> str:
-    from pmabench.base.quantities import QUANTITIES
-
     return QUANTITIES[quantity].shown_in
 
 

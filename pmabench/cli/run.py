@@ -14,7 +14,9 @@ import click
 from pmabench.base.errors import RecordError, UsageError
 from pmabench.base.system import ENGINE, ordinary, real_time
 from pmabench.cli.common import Ui, common, plan_options, rewrite, session_options
+from pmabench.cli.operator import AtDisplay, Confirmed, InLines
 from pmabench.cli.outcome import print_checks, progress_line, show_next, show_outcome
+from pmabench.engine.operator import AtTerminal, ConfirmedBeforehand, Nobody
 
 if TYPE_CHECKING:
     from pmabench.bench.compile import Mounted
@@ -166,7 +168,6 @@ def _operated(ui: Ui, mounted: Mounted, title: str, *, yes: bool) -> Iterator[tu
         with progress_line(ui, title) as progress:
             yield _operator(mounted, yes=yes), {"progress": progress}
         return
-    from pmabench.cli.operator import AtDisplay, Confirmed
     from pmabench.display.child import Display
 
     display = Display(color=ui.color)
@@ -192,8 +193,6 @@ def _somebody(mounted: Mounted) -> bool:
 
 def _operator(mounted: Mounted, *, yes: bool) -> Operator:
     """Who answers without a display."""
-    from pmabench.cli.operator import InLines
-    from pmabench.engine.operator import AtTerminal, ConfirmedBeforehand, Nobody
 
     def write(text: str) -> None:
         if sys.stderr.isatty():

@@ -13,8 +13,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from pmabench.base.errors import UsageError, invalid
 from pmabench.base.kind import load
+from pmabench.base.quantities import QUANTITIES, show
 from pmabench.cli.common import Ui, common
+from pmabench.report.terminal import print_grid
 
 if TYPE_CHECKING:
     from pmabench.analysis.results import Analysis, Estimate
@@ -61,7 +64,6 @@ def command(
 ) -> int | None:
     """Gains of the tuning rules from K_u and T_u, from an analysis, or from RUNS in which no loop was closed."""
     from pmabench.analysis.tuning import facts, rules_named
-    from pmabench.base.errors import UsageError
     from pmabench.model.rules.registry import all_rules
 
     _check_one_source(runs, [ku is not None, tu is not None], analysis, steps=steps, model=model)
@@ -103,8 +105,6 @@ def _check_one_source(
     runs: tuple[Path, ...], given: list[bool], analysis: Path | None, *, steps: bool, model: bool
 ) -> None:
     """Raise UsageError unless there is one source of K_u and T_u; `given`: whether --ku and --tu are."""
-    from pmabench.base.errors import UsageError
-
     from_runs = steps or model
     if (steps and model) or from_runs != bool(runs) or (from_runs and (any(given) or analysis is not None)):
         way = "--model" if model and not steps else "--steps"
@@ -134,7 +134,6 @@ def _measured_pairs(
 def _tuned(pairs: Pairs, rules: tuple[Rule, ...]) -> list[tuple[Estimate, Estimate, tuple[Gains, ...]]]:
     """Each K_u and T_u with its gains by rule. Raises UsageError."""
     from pmabench.analysis.tuning import tune
-    from pmabench.base.errors import UsageError
 
     try:
         found = [(gain, time, tune(gain, time, rules, loop)) for gain, time, loop in pairs]
@@ -149,7 +148,6 @@ def _tuned(pairs: Pairs, rules: tuple[Rule, ...]) -> list[tuple[Estimate, Estima
 
 def _reduced(ui: Ui, runs: tuple[Path, ...]) -> Analysis:
     """What the open-loop steps of runs give; other ways to K_u in them are in the findings."""
-    from pmabench.base.errors import invalid
     from pmabench.cli.process import load_runs, without_analyses
     from pmabench.kinds import registry
 
@@ -171,7 +169,6 @@ def _reduced(ui: Ui, runs: tuple[Path, ...]) -> Analysis:
 def _ultimate_text(gain: Estimate, period: Estimate) -> str:
     """Operating point, K_u and T_u with their intervals, and where they come from."""
     from pmabench.analysis.results import POINT_QUANTITIES
-    from pmabench.base.quantities import show
 
     names = [name for name in POINT_QUANTITIES if name in gain.at]
     where = ", ".join(f"{name} {show(gain.at[name], POINT_QUANTITIES[name])}" for name in names)
@@ -210,7 +207,6 @@ def _seconds(option: str, text: str) -> float:
 
 def _quantity(option: str, text: str, quantity: str, least: float) -> tuple[float, bool]:
     """The value [SI], and whether it was written without a unit."""
-    from pmabench.base.errors import UsageError
     from pmabench.files.quantity import parse_quantity
 
     bare = True
@@ -233,7 +229,6 @@ def _quantity(option: str, text: str, quantity: str, least: float) -> tuple[floa
 def _measured(folder: Path) -> list[tuple[Estimate, Estimate, Loop | None]]:
     """Gain, period and the identified loop (where there is one) at each operating point."""
     from pmabench.analysis.tuning import measured_loops
-    from pmabench.base.errors import invalid
     from pmabench.store.analyses.folder import read_analysis
 
     found = measured_loops(read_analysis(folder))
@@ -248,7 +243,6 @@ Pairs = list[tuple["Estimate", "Estimate", "Loop | None"]]
 def _with_loop(pairs: Pairs, dead_time: str | None, lags: tuple[str, ...]) -> tuple[Pairs, list[str]]:
     """The pairs, each with the loop of the given dead time and lags where its period fits, and a sentence on each."""
     from pmabench.analysis.tuning import loop_of
-    from pmabench.base.errors import UsageError
 
     if dead_time is None:
         raise UsageError("--lag is for --dead-time; give both, or neither")
@@ -273,9 +267,6 @@ def _late(time: float) -> str:
 
 
 def _print(ui: Ui, gains: tuple[Gains, ...]) -> None:
-    from pmabench.base.quantities import QUANTITIES
-    from pmabench.report.terminal import print_grid
-
     def cell(estimate: Any) -> str:
         if estimate is None or estimate.value is None:
             return ""
@@ -322,7 +313,6 @@ class Where:
     @classmethod
     def read(cls, setpoints: Sequence[str], load: str | None, period: str | None) -> Where:
         """From what was typed; UsageError for what cannot be."""
-        from pmabench.base.errors import UsageError
         from pmabench.files.quantity import parse_mass_or_force, parse_quantity
 
         def quantity(option: str, text: str, kind: str, most: float) -> float:
@@ -369,7 +359,6 @@ def by_folder(folder: Path, where: Where) -> Analysis:
 
 def by_runs(ui: Ui, runs: Sequence[Path], where: Where) -> Analysis:
     """K_u and T_u by the model that is fitted to runs; they must be of one specimen."""
-    from pmabench.base.errors import invalid
     from pmabench.cli.process import load_runs, without_analyses
     from pmabench.kinds import registry
     from pmabench.kinds.reduce import reduce_runs, reduction_of
@@ -387,7 +376,6 @@ def by_runs(ui: Ui, runs: Sequence[Path], where: Where) -> Analysis:
 
 
 def _found(path: Path, analysis: Analysis, where: Where, period: float) -> Analysis:
-    from pmabench.base.errors import invalid
     from pmabench.kinds import registry
 
     try:
