@@ -13,7 +13,7 @@ import click
 from pmabench.base.clock import RealClock
 from pmabench.base.errors import UsageError
 from pmabench.base.quantities import show
-from pmabench.cli.common import Ui, common, rewrite, say
+from pmabench.cli.common import Ui, common, fields, rewrite, say
 from pmabench.files.shipped import find_file
 
 if TYPE_CHECKING:
@@ -55,7 +55,7 @@ def simulate(ui: Ui, file: str, out: Path | None, moments: tuple[str, ...], *, p
 
     from pmabench.model import cascade
     from pmabench.protocol.cascade import read_cascade
-    from pmabench.report.cascade_record import Head, result
+    from pmabench.report.cascade_record import result
 
     _not_both(ui, as_csv=as_csv)
     plan = read_cascade(find_file("cascade", file))
@@ -70,14 +70,9 @@ def simulate(ui: Ui, file: str, out: Path | None, moments: tuple[str, ...], *, p
         pace_kept = {"simulated": float(times[-1]), "elapsed": elapsed}
     else:
         course = cascade.simulate(members, times)
-    head = Head(
-        plan.name,
-        plan.source,
-        plan.load[0],
-        plan.fce_eval,
-        [(m.name, m.law, m.length, m.radius, m.braid_angle, m.assumed) for m in plan.muscles],
-    )
-    _deliver(ui, result(head, course, pace_kept), out, at, result_too=True, as_csv=as_csv)
+    about = fields(plan, "name", "source", "fce_eval") | {"load": plan.load[0]}
+    muscles = [fields(m, "name", "law", "length", "radius", "braid_angle", "assumed") for m in plan.muscles]
+    _deliver(ui, result(about, muscles, course, pace_kept), out, at, result_too=True, as_csv=as_csv)
     return None
 
 
@@ -153,14 +148,14 @@ def _moments(texts: tuple[str, ...], last: float, out: Path | None) -> list[floa
 
 def _deliver(ui: Ui, found: Result, out: Path | None, moments: list[float], *, result_too: bool, as_csv: bool) -> None:
     """Write what was asked for, and show the result."""
-    from pmabench.report.cascade_record import as_data, csv_text, write_result
+    from pmabench.report.cascade_record import csv_text, write_result
 
     written = write_result(found, out) if out is not None and result_too else []
     if out is not None:
         from pmabench.report.cascade_page import write_drawings
 
         written += write_drawings(found, out, moments)
-    data = as_data(found) | {"written": [str(path) for path in written]}
+    data = found.model_dump(by_alias=True) | {"written": [str(path) for path in written]}
 
     def human() -> None:
         if as_csv:

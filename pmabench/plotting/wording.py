@@ -88,6 +88,18 @@ class Shown:
         """`text [unit]`; `text` alone where there is no unit."""
         return f"{text} [{self.unit}]" if self.unit else text
 
+    def plain_label(self, text: str) -> str:
+        """As `label`, the unit in ASCII, for files."""
+        return f"{text} [{plain_unit(self.unit)}]" if self.unit else text
+
+    def of(self, value: float | None) -> float | None:
+        """An SI value in this unit."""
+        return None if value is None else value / self.scale
+
+    def rounded(self, value: float | None, half: float | None = None, digits: int = 4) -> str:
+        """`rounded` of an SI value and half width in this unit."""
+        return rounded(self.of(value), self.of(half), digits)
+
 
 def shown(quantity: str, unit: str = "") -> Shown:
     """The unit to show for a quantity of `QUANTITIES`; for others their SI unit with kPa and mm in it."""

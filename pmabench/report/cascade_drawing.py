@@ -84,17 +84,8 @@ class Scene:
             line, s = self._outline(link, float(self.x[i, row])), self.scale
             fitting = FITTING * link.length * s
             tint = link.pressure[row] / self.highest if self.highest else 0.0
-            found.append(
-                Shape(
-                    place + fitting,
-                    line.length * s,
-                    line.fitting * s,
-                    line.radius * s,
-                    line.meet * s,
-                    line.body * s,
-                    tint,
-                )
-            )
+            sizes = (line.length, line.fitting, line.radius, line.meet, line.body)
+            found.append(Shape(place + fitting, *(size * s for size in sizes), tint))
             place += 2 * fitting + line.length * s
         return found
 

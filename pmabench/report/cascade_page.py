@@ -34,6 +34,7 @@ from pmabench.report.cascade_record import Result
 from pmabench.report.writing import render, write_file
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 FRAME = 1 / 30
@@ -280,51 +281,51 @@ def _legend(figure: Figure, wanted: bool) -> None:
         )
 
 
+def _half(x_label: str, y_label: str, *, left: float = 0.62, top: float = 0.28) -> tuple[Figure, Axes]:
+    """A figure of half width with one pair of axes, which begin at 0 upwards."""
+    figure = blank(HALF, 2.7)
+    axes = figure.add_subplot(grid(figure, 1, 1, left=left, top=top)[0])
+    axes.set_xlabel(x_label)
+    axes.set_ylabel(y_label)
+    return figure, axes
+
+
 def pressure_figure(result: Result) -> Figure:
     """Contraction over the mean pressure."""
     rows = _rows(result)
     mean = 1e-3 * np.mean([link.pressure for link in result.muscles], axis=0)[rows]
     x = 1e3 * np.array(result.displacement)[rows]
-    figure = blank(HALF, 2.7)
-    axes = figure.add_subplot(grid(figure, 1, 1, left=0.56, top=0.42)[0])
+    figure, axes = _half("mean pressure [kPa]", "x [mm]", left=0.56, top=0.42)
     top = int(np.argmax(x))
     axes.plot(mean[: top + 1], x[: top + 1], color=PALETTE[0], linewidth=1.1, label="until it is shortest")
     axes.plot(mean[top:], x[top:], color=PALETTE[1], linewidth=1.1, label="after")
-    axes.set_xlabel("mean pressure [kPa]")
-    axes.set_ylabel("x [mm]")
-    axes.set_ylim(bottom=0)
-    few_ticks(axes)
-    _legend(figure, True)
-    return figure
+    return _finished(figure, axes, legend=True)
 
 
 def sum_figure(result: Result) -> Figure:
     """Sum of F_ce over contraction, dashed: it is no force."""
     rows = _rows(result)
-    figure = blank(HALF, 2.7)
-    axes = figure.add_subplot(grid(figure, 1, 1, left=0.62)[0])
+    figure, axes = _half("x [mm]", "sum of coefficients F_ce [N]")
     x, total = 1e3 * np.array(result.displacement)[rows], np.array(result.force_ce_sum)[rows]
     axes.plot(x, total, color=QUIET, linewidth=1.1, linestyle=(0, (5, 2)))
-    axes.set_xlabel("x [mm]")
-    axes.set_ylabel("sum of coefficients F_ce [N]")
-    axes.set_ylim(bottom=0)
-    few_ticks(axes)
-    return figure
+    return _finished(figure, axes, legend=False)
 
 
 def force_figure(result: Result) -> Figure:
     """Force of the chain over its contraction, with its F_ce and the load."""
     rows = _rows(result)
-    figure = blank(HALF, 2.7)
-    axes = figure.add_subplot(grid(figure, 1, 1, left=0.62, top=0.58)[0])
+    figure, axes = _half("x [mm]", "F [N]", top=0.58)
     x = 1e3 * np.array(result.displacement)[rows]
     axes.plot(x, np.array(result.force_ce)[rows], color=FAINT, linewidth=1.0, label="F_ce of the chain")
     axes.plot(x, np.array(result.force)[rows], color=RED, linewidth=1.2, label="force if it is held")
     if result.load > 0:
         axes.axhline(result.load, color=INK, linewidth=0.7, linestyle=(0, (4, 3)), label="load")
-    axes.set_xlabel("x [mm]")
-    axes.set_ylabel("F [N]")
+    return _finished(figure, axes, legend=True)
+
+
+def _finished(figure: Figure, axes: Axes, *, legend: bool) -> Figure:
     axes.set_ylim(bottom=0)
     few_ticks(axes)
-    _legend(figure, True)
+    if legend:
+        _legend(figure, True)
     return figure

@@ -6,8 +6,7 @@ import csv
 import io
 import json
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -72,58 +71,23 @@ TOTALS = ("time", "displacement", "force_ce_sum", "force_ce", "force")
 EACH = ("pressure", "displacement", "force_ce")
 
 
-@dataclass(frozen=True)
-class Head:
-    """What describes a chain, without its course: `muscles` are (name, law, length, radius, braid angle, assumed)."""
+def result(
+    about: Mapping[str, Any], muscles: Sequence[Mapping[str, Any]], course: Course, paced: dict[str, float] | None
+) -> Result:
+    """The result of a course; `about` and `muscles` have what describes the chain and each of its links.
 
-    name: str
-    source: str
-    load: float
-    fce_eval: str
-    muscles: Sequence[tuple[str, str, float, float, float, Sequence[str]]]
-
-
-def result(head: Head, course: Course, paced: dict[str, float] | None) -> Result:
-    """The result of a course; `paced` has the seconds `simulated` and `elapsed` where it was paced."""
-    links = [
-        Link(
-            name=name,
-            law=law,
-            length=length,
-            radius=radius,
-            braid_angle=angle,
-            assumed=list(assumed),
-            pressure=course.P[i].tolist(),
-            displacement=course.x[i].tolist(),
-            force_ce=course.F_ce[i].tolist(),
-        )
-        for i, (name, law, length, radius, angle, assumed) in enumerate(head.muscles)
-    ]
-    return Result(
-        name=head.name,
-        source=head.source,
-        load=head.load,
-        fce_eval=head.fce_eval,
-        paced=paced,
-        units=UNITS,
-        muscles=links,
-        time=course.t.tolist(),
-        displacement=course.displacement.tolist(),
-        force_ce_sum=course.force_ce_sum.tolist(),
-        force_ce=course.force_ce.tolist(),
-        force=course.force.tolist(),
-    )
-
-
-def as_data(found: Result) -> dict[str, Any]:
-    """The result as plain data for JSON."""
-    return found.model_dump(by_alias=True)
+    `paced` has the seconds `simulated` and `elapsed` where it was paced.
+    """
+    columns = zip(muscles, course.P.tolist(), course.x.tolist(), course.F_ce.tolist(), strict=True)
+    links = [Link(**muscle, pressure=P, displacement=x, force_ce=F_ce) for muscle, P, x, F_ce in columns]
+    totals = {name: getattr(course, name).tolist() for name in TOTALS if name != "time"}
+    return Result(**about, paced=paced, units=UNITS, muscles=links, time=course.t.tolist(), **totals)
 
 
 def write_result(found: Result, folder: Path) -> list[Path]:
     """`cascade.json` and `cascade.csv` in the folder, which is made."""
     files = {
-        "cascade.json": json.dumps(as_data(found), allow_nan=False, separators=(",", ":")) + "\n",
+        "cascade.json": json.dumps(found.model_dump(by_alias=True), allow_nan=False, separators=(",", ":")) + "\n",
         "cascade.csv": csv_text(found),
     }
     return [write_file(folder / name, text, "the result") for name, text in files.items()]

@@ -51,6 +51,11 @@ def get(data: Any, *names: str) -> Any:
     return data
 
 
+def _name_of(entry: Any) -> str:
+    """The name in an entry, else the entry itself."""
+    return text_of((entry.get("name") if isinstance(entry, Mapping) else None) or entry)
+
+
 def specimens(runs: Sequence[RunData]) -> list[tuple[str, str]]:
     """Name and description of every specimen."""
     found: dict[str, str] = {}
@@ -86,8 +91,7 @@ def benches(runs: Sequence[RunData]) -> list[tuple[str, str]]:
     """Name of every bench, and its devices."""
     found: dict[str, str] = {}
     for run in runs:
-        bench = run.manifest.get("bench")
-        name = text_of(bench.get("name") if isinstance(bench, Mapping) and bench.get("name") else bench)
+        name = _name_of(run.manifest.get("bench"))
         if not name:
             continue
         devices = run.manifest.get("devices")
@@ -150,8 +154,7 @@ def protocol_table(runs: Sequence[RunData], names: Mapping[str, str]) -> pd.Data
 
 
 def _protocol(run: RunData) -> str:
-    protocol = run.manifest.get("protocol")
-    name = text_of(protocol.get("name") if isinstance(protocol, Mapping) and protocol.get("name") else protocol)
+    name = _name_of(run.manifest.get("protocol"))
     source = text_of(run.manifest.get("source"))
     return f"{name} (after: {source})" if source else name
 
@@ -272,15 +275,11 @@ def methods_paragraph(analyses: Sequence[Analysis], runs: Sequence[RunData]) -> 
 
 def citation(title: str, report_id: str, when: str, simulated: bool) -> tuple[str, str]:
     """How to cite the report: one line, and the same as a BibTeX entry."""
+    from pmabench.report.files.latex import escaped
+
     year = when[-10:-6] if re.fullmatch(r"\d{4}", when[-10:-6]) else ""
     note = f"report {report_id}, pmabench {__version__}" + (", simulated" if simulated else "")
     line = f"{title}. Characterisation {note}{', ' + when if when else ''}."
-    fields = {"title": _tex(title), "note": _tex(note[:1].upper() + note[1:])} | ({"year": year} if year else {})
+    fields = {"title": escaped(title), "note": escaped(note[:1].upper() + note[1:])} | ({"year": year} if year else {})
     body = ",\n".join(f"  {name} = {{{text}}}" for name, text in fields.items())
     return line, f"@misc{{pmabench-{report_id},\n{body}\n}}"
-
-
-def _tex(text: str) -> str:
-    from pmabench.report.files.latex import escaped
-
-    return escaped(text)

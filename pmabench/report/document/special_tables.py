@@ -6,14 +6,14 @@ Facts of an analysis may come from a file of anybody's: what is odd in them is l
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, TypeGuard
+from typing import Any
 
 import pandas as pd
 
 from pmabench.analysis.results import Analysis, Estimate
 from pmabench.analysis.verdict.checks import NAMES, checks_of
 from pmabench.plotting.wording import clean, half_width, number, point_shown, point_text, rounded, shown, symbol_text
-from pmabench.report.document.tables import Table, least, note_text
+from pmabench.report.document.tables import Table, half_of, is_number, least, mappings, note_text
 from pmabench.report.words import kind_title
 
 NAMED_ALONE = 0.01
@@ -98,13 +98,13 @@ def _run(entry: Any) -> dict[str, str]:
     row = {}
     for name in ("pressure", "load"):
         label, unit = point_shown(name)
-        if _is_number(entry.get(name)):
+        if is_number(entry.get(name)):
             row[unit.label(label)] = rounded(entry[name] / unit.scale, None, 4)
-    if len(row) < 2 or not _is_number(entry.get("nrmse")):
+    if len(row) < 2 or not is_number(entry.get("nrmse")):
         return {}
-    row["trials"] = number(entry["trials"]) if _is_number(entry.get("trials")) else ""
-    row |= {head: rounded(entry[key] / scale, None, 2) for key, head, scale in _RUN if _is_number(entry.get(key))}
-    if _is_number(entry.get("rms")):
+    row["trials"] = number(entry["trials"]) if is_number(entry.get("trials")) else ""
+    row |= {head: rounded(entry[key] / scale, None, 2) for key, head, scale in _RUN if is_number(entry.get(key))}
+    if is_number(entry.get("rms")):
         row["rms [mm]"] = rounded(entry["rms"] / 1e-3, None, 2)
     return row
 
@@ -117,13 +117,13 @@ def reduced_with(analyses: Sequence[Analysis]) -> dict[tuple[str, str], str]:
     """Run and channel -> what its samples were reduced with where that is not what they were recorded with."""
     found: dict[tuple[str, str], list[str]] = {}
     for analysis in analyses:
-        for channel in _mappings(analysis.facts.get("recalibrated")):
+        for channel in mappings(analysis.facts.get("recalibrated")):
             name, late = str(channel.get("channel", "")), channel.get("late")
-            if _is_number(late):
+            if is_number(late):
                 words = f"taken as {1e3 * late:.6g} ms older than its time stamps"
                 places = [(run, words) for run in analysis.runs]
             else:
-                scales = _mappings(channel.get("scales"))
+                scales = mappings(channel.get("scales"))
                 places = [(str(s.get("run", "")), _calibration(channel.get("calibration"), s)) for s in scales]
             for run, words in places:
                 reasons = found.setdefault((run, name), [])
@@ -146,7 +146,7 @@ def _calibration(record: Any, scale: Mapping[str, Any]) -> str:
 def who(analyses: Sequence[Analysis]) -> Iterator[tuple[tuple[str, ...], str]]:
     """The runs of each recalibration, and a sentence: what, when, by whom and why."""
     for analysis in analyses:
-        recalibration, channels = analysis.facts.get("recalibration"), _mappings(analysis.facts.get("recalibrated"))
+        recalibration, channels = analysis.facts.get("recalibration"), mappings(analysis.facts.get("recalibrated"))
         if not channels:
             continue
         about = recalibration if isinstance(recalibration, Mapping) else {}
@@ -162,7 +162,7 @@ def change_tables(analysis: Analysis) -> Iterator[Table]:
     recalibration = analysis.facts.get("recalibration")
     rows = [
         row
-        for entry in _mappings(recalibration.get("changes") if isinstance(recalibration, Mapping) else None)
+        for entry in mappings(recalibration.get("changes") if isinstance(recalibration, Mapping) else None)
         if (row := _row(entry))
     ]
     if rows:
@@ -179,7 +179,7 @@ def _row(entry: Mapping[str, Any]) -> dict[str, str]:
     if not isinstance(symbol, str):
         return {}
     unit = shown(str(entry.get("quantity", "")), str(entry.get("unit", "")))
-    point = {str(k): float(v) for k, v in at.items() if _is_number(v)} if isinstance(at, Mapping) else {}
+    point = {str(k): float(v) for k, v in at.items() if is_number(v)} if isinstance(at, Mapping) else {}
     row = {
         "method": clean(entry.get("method", ""), 120),
         "coefficient": symbol_text(symbol, str(entry.get("coordinate", ""))),
@@ -192,27 +192,16 @@ def _row(entry: Mapping[str, Any]) -> dict[str, str]:
         value = about.get("value") if isinstance(about, Mapping) else None
         ends = about.get("ci95") if isinstance(about, Mapping) else None
         row[head] = "none"
-        if _is_number(value):
+        if is_number(value):
             values[side] = float(value)
-            reach = None
-            if isinstance(ends, list | tuple) and len(ends) == 2 and all(_is_number(end) for end in ends):
-                reach = (ends[1] - ends[0]) / 2 / unit.scale
-            row[head] = rounded(value / unit.scale, reach)
+            row[head] = unit.rounded(value, half_of(ends))
     if len(values) == 2:
         difference, size = values["after"] - values["before"], abs(values["before"])
         half_width, small = entry.get("half_width"), abs(difference) <= SAME * size
-        half = float(half_width) / unit.scale if _is_number(half_width) and half_width else None
+        half = float(half_width) / unit.scale if is_number(half_width) and half_width else None
         row["difference"] = "0" if small else rounded(difference / unit.scale, half)
         row["%"] = "" if not size else "0" if small else f"{100 * difference / size:+.2f}".replace("-", "\u2212")
     return row
-
-
-def _mappings(value: Any) -> list[Mapping[str, Any]]:
-    return [item for item in value if isinstance(item, Mapping)] if isinstance(value, list | tuple) else []
-
-
-def _is_number(value: Any) -> TypeGuard[float]:
-    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 BRIEF = 18

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from math import radians
+from typing import Any, TypeGuard
 
 import pandas as pd
 
@@ -59,7 +60,7 @@ def cell(estimate: Estimate) -> str:
         return UNRESOLVED
     if half is not None and estimate.positive and 0 <= estimate.value < half:
         return cut(estimate.value / scale, half / scale)
-    return rounded(estimate.value / scale, None if half is None else half / scale)
+    return shown(estimate.quantity, estimate.unit).rounded(estimate.value, half)
 
 
 def note_text(estimate: Estimate) -> str:
@@ -323,11 +324,8 @@ def findings_table(analyses: Sequence[Analysis]) -> pd.DataFrame:
 def tuning_table(analyses: Sequence[Analysis]) -> pd.DataFrame:
     """Controller settings of every rule, ideal and parallel form, with margins where a model is known; text."""
     rows = []
-    for entry in (e for a in analyses for e in _mappings(a.facts.get("tuning"))):
-        row = {
-            "operating point": point_text(_numbers(entry.get("at"))),
-            "rule": clean(entry.get("rule", "")),
-        }
+    for entry in (e for a in analyses for e in mappings(a.facts.get("tuning"))):
+        row = {"operating point": point_text(_numbers(entry.get("at"))), "rule": clean(entry.get("rule", ""))}
         gains = entry.get("gains")
         for symbol, found in gains.items() if isinstance(gains, Mapping) else ():
             if not isinstance(found, Mapping):
@@ -336,10 +334,7 @@ def tuning_table(analyses: Sequence[Analysis]) -> pd.DataFrame:
             value, ends = found.get("value"), found.get("ci95")
             if not isinstance(value, int | float):
                 continue
-            half = None
-            if isinstance(ends, list | tuple) and len(ends) == 2 and all(isinstance(x, int | float) for x in ends):
-                half = (ends[1] - ends[0]) / 2
-            row[unit.label(clean(symbol))] = rounded(value / unit.scale, None if half is None else half / unit.scale)
+            row[unit.label(clean(symbol))] = unit.rounded(value, half_of(ends))
         margins = _numbers(entry.get("margins"))
         for name, head, scale in _MARGINS:
             if name in margins:
@@ -359,20 +354,29 @@ def tuning_table(analyses: Sequence[Analysis]) -> pd.DataFrame:
 _MARGINS = (
     ("M_s", "M_s", 1.0),
     ("gain_margin", "gain margin [×]", 1.0),
-    ("phase_margin", "phase margin [deg]", 0.0174532925199433),
+    ("phase_margin", "phase margin [deg]", radians(1)),
 )
 
 
-def _mappings(value: Any) -> list[Mapping[str, Any]]:
+def mappings(value: Any) -> list[Mapping[str, Any]]:
     """The mappings in a list; facts may hold anything."""
     return [item for item in value if isinstance(item, Mapping)] if isinstance(value, list | tuple) else []
 
 
+def is_number(value: Any) -> TypeGuard[float]:
+    """Whether it is a number and no truth value."""
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def half_of(ends: Any) -> float | None:
+    """Half the width of an interval in facts; None where it is none."""
+    pair = isinstance(ends, list | tuple) and len(ends) == 2 and all(map(is_number, ends))
+    return (ends[1] - ends[0]) / 2 if pair else None
+
+
 def _numbers(value: Any) -> dict[str, float]:
     """The numbers of a mapping; facts may hold anything."""
-    if not isinstance(value, Mapping):
-        return {}
-    return {str(k): float(v) for k, v in value.items() if isinstance(v, int | float) and not isinstance(v, bool)}
+    return {str(k): float(v) for k, v in value.items() if is_number(v)} if isinstance(value, Mapping) else {}
 
 
 MOST = 7.0

@@ -48,16 +48,8 @@ class _Model:
         self.words = ""
         self.P, self.F_ce, self.K = np.empty(0), np.empty(0), np.empty(0)
         for method, words in MODELS:
-            known: dict[str, dict[float, float]] = {
-                symbol: {
-                    e.at["pressure"]: e.value
-                    for a in analyses
-                    for e in a.estimates
-                    if (e.method, e.symbol) == (method, symbol)
-                    and set(e.at) == {"pressure"}
-                    and e.value is not None
-                    and not e.coordinate
-                }
+            known = {
+                symbol: {e.at["pressure"]: e.value or 0.0 for e in _over_pressure(analyses, symbol, method)}
                 for symbol in ("F_ce", "K")
             }
             both = sorted(set(known["F_ce"]) & set(known["K"]))

@@ -179,19 +179,7 @@ def control_text(model: ControlModel, analysis: Analysis) -> str:
     mark = "SIMULATED. " if analysis.simulated else ""
     lines += [f"{mark}Method {inside(model.method)}, pmabench {__version__}; runs:"]
     lines += [f"- {inside(run)}" for run in analysis.runs]
-    if model.deviation is None:
-        lines += ["", "How far it is off the fit was not found: the analysis has no free runs."]
-    else:
-        d = model.deviation
-        lines += [
-            "",
-            f"Along the pressures of {d.runs} measured trials its contraction is {d.rms * 1e3:.2g} mm rms off",
-        ]
-        lines += [
-            f"that of the fitted muscle (largest {d.largest * 1e3:.2g} mm), and {d.measured_rms * 1e3:.2g} mm rms"
-        ]
-        lines += ["off the measured one."]
-    lines += [f"{note[:1].upper()}{note[1:]}." for note in model.notes]
+    lines += ["", *remarks_of(model)]
     lines += ['Friction makes it stiff: control.input_output_response(..., solve_ivp_method="LSODA").']
     lines += ["The coefficients hold inside the pressures of `P`; M is the moving mass: put yours.", '"""', ""]
     lines += ["from typing import Any", "", "import control", "import numpy as np", ""]
@@ -220,6 +208,18 @@ def control_text(model: ControlModel, analysis: Analysis) -> str:
         '"""Contraction x [m] under pressure P [Pa gauge] and load F_L [N]."""',
     ]
     return "\n".join(lines) + "\n"
+
+
+def remarks_of(model: ControlModel) -> list[str]:
+    """How far it is off the fit, and its notes, in lines for the head of a file."""
+    lines = ["How far it is off the fit was not found: the analysis has no free runs."]
+    if (d := model.deviation) is not None:
+        lines = [
+            f"Along the pressures of {d.runs} measured trials its contraction is {d.rms * 1e3:.2g} mm rms off",
+            f"that of the fitted muscle (largest {d.largest * 1e3:.2g} mm), and {d.measured_rms * 1e3:.2g} mm rms",
+            "off the measured one.",
+        ]
+    return [*lines, *(f"{note[:1].upper()}{note[1:]}." for note in model.notes)]
 
 
 def inside(text: str) -> str:

@@ -17,7 +17,7 @@ from typing import Any
 from pmabench.analysis.many import Pool, share, stopped
 from pmabench.base.errors import InvalidFile, PmaError, RecordError
 from pmabench.plotting.wording import POINTS, in_order, plain_unit, point_shown, shown, symbol_text
-from pmabench.report.files.csv_files import csv_text
+from pmabench.report.files.csv_files import csv_text, point_head
 from pmabench.report.many import many_cache
 from pmabench.report.words import in_common
 from pmabench.report.writing import writing
@@ -192,35 +192,25 @@ def table_rows(entries: Iterable[Mapping[str, Any]]) -> tuple[list[dict[str, Any
             row["trials"] = max(row.get("trials", 0), e["n"])
             for name, value in e["at"].items():
                 points.add(name)
-                row[_point_head(name)[0]] = value / point_shown(name)[1].scale
+                row[point_head(name)] = value / point_shown(name)[1].scale
             symbol = (e["symbol"], e["coordinate"], e["quantity"], e["unit"])
             symbols.add(symbol)
             unit = shown(e["quantity"], e["unit"])
             for (head, _), value in zip(_heads(*symbol), (e["value"], e["half_width"]), strict=True):
-                row[head] = None if value is None else value / unit.scale
+                row[head] = unit.of(value)
         rows += found.values()
-    numbers = dict(_point_head(name) for name in in_order(sorted(points), POINTS))
+    ordered = in_order(sorted(points), POINTS)
+    numbers = {point_head(name): ("point", plain_unit(point_shown(name)[1].unit)) for name in ordered}
     for name in in_common(orders.values()):
         for symbol in sorted(symbol for symbol in symbols if symbol[0] == name):
             numbers |= dict(_heads(*symbol))
     return rows, numbers
 
 
-def _point_head(name: str) -> tuple[str, tuple[str, str]]:
-    label, unit = point_shown(name)
-    return _with_unit(label, plain_unit(unit.unit)), ("point", plain_unit(unit.unit))
-
-
 def _heads(symbol: str, coordinate: str, quantity: str, unit: str) -> list[tuple[str, tuple[str, str]]]:
-    text, in_unit = symbol_text(symbol, coordinate), plain_unit(shown(quantity, unit).unit)
-    return [
-        (_with_unit(text, in_unit), (quantity, in_unit)),
-        (_with_unit(f"{text} half width 95 %", in_unit), (quantity, in_unit)),
-    ]
-
-
-def _with_unit(text: str, unit: str) -> str:
-    return f"{text} [{unit}]" if unit else text
+    text, in_unit = symbol_text(symbol, coordinate), shown(quantity, unit)
+    about = (quantity, plain_unit(in_unit.unit))
+    return [(in_unit.plain_label(head), about) for head in (text, f"{text} half width 95 %")]
 
 
 def _write_parquet(rows: Sequence[Mapping[str, Any]], numbers: Mapping[str, tuple[str, str]], path: Path) -> None:
@@ -238,6 +228,8 @@ def _write_parquet(rows: Sequence[Mapping[str, Any]], numbers: Mapping[str, tupl
     pq.write_table(table, path, compression="zstd", compression_level=3)
 
 
+ESTIMATE = ("symbol", "coordinate", "at", "value", "unit", "quantity", "ci95", "n", "method")
+"""What is kept of an estimate."""
 WITHOUT_TRIALS = ("session", "self-test", "calibration", "setup")
 """Kinds of runs that have no trials: what they found is in their events."""
 
@@ -299,18 +291,7 @@ def _entry(path: Path, out: Path, folder: str, options: Mapping[str, Any]) -> di
             "stamp": stamp(written),
             "symbols": list(declared([analysis])),
             "estimates": [
-                {
-                    "symbol": e.symbol,
-                    "coordinate": e.coordinate,
-                    "at": dict(e.at),
-                    "value": e.value,
-                    "unit": e.unit,
-                    "quantity": e.quantity,
-                    "ci95": None if e.ci95 is None else list(e.ci95),
-                    "half_width": e.parts.combined,
-                    "n": e.n,
-                    "method": e.method,
-                }
+                {name: getattr(e, name) for name in ESTIMATE} | {"half_width": e.parts.combined}
                 for e in analysis.estimates
             ],
             "dropped": len(analysis.dropped),

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 
 import pandas as pd
 
-from pmabench.analysis.results import PUBLISHED, Analysis, Estimate
+from pmabench.analysis.results import PUBLISHED, Analysis
 from pmabench.analysis.verdict import comparison
 from pmabench.analysis.verdict.comparison import Difference, Side, percent
 from pmabench.plotting import plots
 from pmabench.plotting.pictures import Picture, drawable, picture
-from pmabench.plotting.wording import clean, in_order, point_text, rounded, shown, spoken, symbol_text
+from pmabench.plotting.wording import clean, in_order, point_text, shown, spoken, symbol_text
 from pmabench.report.figures.coefficient_figures import over_pressure
 from pmabench.report.figures.overlays import Comparison, comparison_table
 from pmabench.report.pages.page import Page, TextTable, write_page
@@ -132,20 +132,15 @@ def rows_of(a: Side, b: Side, differences: Sequence[Difference]) -> Rows:
                 symbol_text(d.a.symbol, d.a.coordinate),
                 point_text({name: float(f"{value:.6g}") for name, value in d.a.at.items()}),
                 unit.unit,
-                marks[0] + _value(d.a, unit.scale),
-                marks[1] + _value(d.b, unit.scale),
-                rounded(d.value / unit.scale, None if d.half is None else d.half / unit.scale, 3),
+                marks[0] + unit.rounded(d.a.value, d.a.parts.combined),
+                marks[1] + unit.rounded(d.b.value, d.b.parts.combined),
+                unit.rounded(d.value, d.half, 3),
                 "" if d.relative is None else percent(d.relative).replace("-", "−"),
                 "" if d.score is None else f"{d.score:+.2f}".replace("-", "−"),
                 {True: "", False: "differs", None: "no interval"}[d.agrees],
             ]
         )
     return heads, rows
-
-
-def _value(e: Estimate, scale: float) -> str:
-    half = e.parts.combined
-    return rounded(None if e.value is None else e.value / scale, None if half is None else half / scale)
 
 
 def curve_rows(curves: Sequence[Comparison]) -> Rows:

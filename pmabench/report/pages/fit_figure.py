@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.analysis.fitting.model_fit import ModelFit
-from pmabench.model.library import OutsideDomain, Parameter
+from pmabench.model.library import OutsideDomain
 from pmabench.plotting import plots
 from pmabench.plotting.plots import FAINT, FULL, MARKERS, PALETTE, blank, few_ticks, grid
 from pmabench.plotting.svg import drawing, to_svg
@@ -44,7 +44,6 @@ def write_fit(fit: ModelFit, path: Path, name: str, source: str = "") -> None:
 
 
 def _draw(fit: ModelFit, title: str) -> Figure:
-    known = {p.name: p for p in fit.model.parameters}
     over = max(fit.columns, key=lambda name: len(np.unique(fit.columns[name])))
     others = [name for name in fit.columns if name != over]
     rows = np.column_stack([fit.columns[name] for name in others]) if others else np.zeros((len(fit.measured), 0))
@@ -53,27 +52,14 @@ def _draw(fit: ModelFit, title: str) -> Figure:
     if len(groups) > MOST_CURVES:
         _measured_over_computed(figure, fit, title)
     else:
-        _curves(
-            figure,
-            fit,
-            title,
-            over,
-            [dict(zip(others, row, strict=True)) for row in groups],
-            np.asarray(member.ravel(), dtype=np.intp),
-            known,
-        )
+        _curves(figure, fit, title, over, [dict(zip(others, row, strict=True)) for row in groups], member.ravel())
     return figure
 
 
 def _curves(
-    figure: Figure,
-    fit: ModelFit,
-    title: str,
-    over: str,
-    groups: list[dict[str, Any]],
-    member: NDArray[np.intp],
-    known: dict[str, Parameter],
+    figure: Figure, fit: ModelFit, title: str, over: str, groups: list[dict[str, Any]], member: NDArray[np.intp]
 ) -> None:
+    known = {p.name: p for p in fit.model.parameters}
     quantity = next(o.quantity for o in fit.model.outputs if o.name == fit.output)
     unit, x_unit = shown(quantity), shown(known[over].quantity)
     cells = grid(figure, 1, 1, left=0.6, top=0.32, right=1.35 if len(groups) > 1 else 0.12)[0]
@@ -99,16 +85,8 @@ def _curves(
         )
         drawn = np.flatnonzero(mine)[:: -(-int(mine.sum()) // MOST_MARKS)]
         for axes, y in ((upper, fit.measured), (lower, residual)):
-            axes.plot(
-                x[drawn] / x_unit.scale,
-                y[drawn] / unit.scale,
-                MARKERS[i % len(MARKERS)],
-                color=color,
-                markerfacecolor="white",
-                markersize=3.6,
-                markeredgewidth=0.9,
-                label=label,
-            )
+            look = {"color": color, "markerfacecolor": "white", "markersize": 3.6, "markeredgewidth": 0.9}
+            axes.plot(x[drawn] / x_unit.scale, y[drawn] / unit.scale, MARKERS[i % len(MARKERS)], label=label, **look)
     lower.axhline(0, color=FAINT, linewidth=0.6, zorder=0)
     upper.set_title(title)
     upper.set_ylabel(unit.label(fit.output))

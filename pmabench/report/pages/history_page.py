@@ -185,5 +185,4 @@ def _cell(one: Series, past: Past) -> str:
     if moment is None or moment.estimate.value is None:
         return ""
     e = moment.estimate
-    scale, half = shown(e.quantity, e.unit).scale, e.parts.combined
-    return rounded(moment.estimate.value / scale, None if half is None else half / scale)
+    return shown(e.quantity, e.unit).rounded(e.value, e.parts.combined)
