@@ -177,7 +177,7 @@ def _read_once(bench: str) -> tuple[str, dict[str, dict[str, Any]], list[dict[st
 def _print_probe(ui: Ui, identities: dict[str, dict[str, Any]], channels: Sequence[dict[str, Any]]) -> None:
     console = ui.console()
     rows = [
-        [name, f"{i['maker']} {i['model']}", i["serial"], i["firmware"], _standing(i)] for name, i in identities.items()
+        [name, f"{i['maker']} {i['model']}", i["serial"], i["firmware"], _proven(i)] for name, i in identities.items()
     ]
     heads = ["device", "answers as", "serial", "firmware", ""]
     print_grid(console, heads, rows, heads)
@@ -199,7 +199,7 @@ def _print_probe(ui: Ui, identities: dict[str, dict[str, Any]], channels: Sequen
     print_grid(console, ["channel", "wire", "raw", "value", "noise (rms)"], table, ("channel", "wire"))
 
 
-def _standing(identity: dict[str, Any]) -> str:
+def _proven(identity: dict[str, Any]) -> str:
     """Whether a device is simulated, and its scales not proven by that, or what its driver was verified on."""
     from pmabench.bench.interface import UNPROVEN
 

@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from math import inf
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from pmabench.base.errors import InvalidFile, UsageError, did_you_mean
 from pmabench.base.quantities import QUANTITIES, show
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from pmabench.files.table import Column, Table, Wanted
-    from pmabench.model.curve import Array
-    from pmabench.model.library import Model, Parameter
-    from pmabench.model.library.description import Output
+from pmabench.files.table import Column, Table, Wanted, meaning, numbers, read_table
+from pmabench.model.curve import Array
+from pmabench.model.library import Model, Parameter
+from pmabench.model.library.description import Output
 
 SYNONYMS = {
     "pressure": ("P", "p"),
@@ -69,8 +66,6 @@ def read_measured(
 
     A folder is an analysis: its table of coefficients. Raises UsageError, InvalidFile.
     """
-    from pmabench.files.table import numbers, read_table
-
     notes: list[str] = []
     table = _only(read_table(path / "coefficients.csv" if path.is_dir() else path), only)
     inputs, outputs, unused, problems = _columns(model, table, renamed)
@@ -145,8 +140,6 @@ def _columns(
     model: Model, table: Table, renamed: Sequence[tuple[str, str]]
 ) -> tuple[Found, Found, list[str], list[Any]]:
     """Columns of inputs and outputs by name with their units, heads that are neither, and problems."""
-    from pmabench.files.table import meaning
-
     inputs: Found = {}
     outputs: Found = {}
     unused: list[str] = []
@@ -187,8 +180,6 @@ def _columns(
 
 def _wanted(model: Model, *, given_as_output: bool) -> list[Wanted]:
     """Names and symbols of inputs or outputs; a symbol that two share counts for none."""
-    from pmabench.files.table import Wanted
-
     inputs = [p for p in model.parameters if not p.choices]
     own = {p.name for p in inputs}
     outputs = [o for o in model.outputs if o.name not in own]

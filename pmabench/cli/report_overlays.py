@@ -4,14 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from pmabench.base.errors import InvalidFile, Problem, UsageError, invalid
 from pmabench.base.quantities import QUANTITIES
-
-if TYPE_CHECKING:
-    from pmabench.files.table import Column
-    from pmabench.report.figures.overlays import Published
+from pmabench.files.table import Column, Wanted, meaning, numbers, read_table, unit_scale
+from pmabench.report.figures.overlays import COORDINATES, HEADS, Published
 
 
 def read_overlays(given: Sequence[str]) -> list[Published]:
@@ -43,9 +40,6 @@ def _parted(text: str) -> tuple[Path, str]:
 
 
 def _read(path: Path, label: str) -> Published:
-    from pmabench.files.table import numbers, read_table
-    from pmabench.report.figures.overlays import COORDINATES, HEADS, Published
-
     table = read_table(path)
     chosen: dict[str, tuple[Column, str, str | None]] = {}
     problems = []
@@ -75,9 +69,6 @@ def _unit(quantity: str) -> str:
 
 def _meaning(column: Column) -> tuple[str, str, str | None] | None:
     """Name, quantity and unit of a column: the first of its meanings whose unit fits, else the first."""
-    from pmabench.files.table import Wanted, meaning, unit_scale
-    from pmabench.report.figures.overlays import HEADS
-
     able = []
     for name, quantity, heads in HEADS:
         found = meaning(column, [Wanted(heads, quantity)])

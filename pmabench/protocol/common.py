@@ -50,7 +50,7 @@ class ProtocolHead(Strict):
     gives: ClassVar[tuple[str, ...]] = ()
     """Coefficients that the reduction of this kind can give."""
     checks: ClassVar[tuple[str, ...]] = ()
-    """Checks that the reduction of this kind makes beside them."""
+    """Checks that the reduction of this kind makes in addition to them."""
     with_static: ClassVar[bool] = False
     """Whether its F_ce can be compared with that of static load."""
     schema_: Annotated[Literal["pmabench.protocol/1"], Field(alias="schema")]

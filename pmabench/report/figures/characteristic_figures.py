@@ -120,7 +120,7 @@ def _ends(analyses: Sequence[Analysis]) -> list[Picture]:
         f"share of the nominal length of {nominal / mm.scale:.4g} mm. Marks with 95 % intervals.{line_words}"
     )
     alt = (
-        f"Blocked force over pressure, up to {F.max():.4g} N at {P_F[int(np.argmax(F))] / kPa.scale:.4g} kPa, beside "
+        f"Blocked force over pressure, up to {F.max():.4g} N at {P_F[int(np.argmax(F))] / kPa.scale:.4g} kPa, next to "
         f"free contraction over pressure, up to {x.max() / mm.scale:.4g} mm ({100 * x.max() / nominal:.3g} % of the "
         f"nominal length) at {P_x[int(np.argmax(x))] / kPa.scale:.4g} kPa."
     )
