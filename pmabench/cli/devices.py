@@ -16,7 +16,7 @@ import click
 from pmabench.base.clock import RealClock
 from pmabench.base.errors import DeviceError, UsageError, VerdictFailed, did_you_mean
 from pmabench.base.quantities import show
-from pmabench.cli.common import Ui, common, say
+from pmabench.cli.common import Ui, common, fields, say
 from pmabench.cli.devices_values import read, set_
 from pmabench.cli.operator import AtLines
 from pmabench.cli.outcome import outcome_json, print_checks, print_outcome, progress_line
@@ -159,18 +159,9 @@ def _read_once(bench: str) -> tuple[str, dict[str, dict[str, Any]], list[dict[st
     for channel in compiled.channels:
         one = series.get(channel.name)
         reading = one.reading() if one is not None else None
-        channels.append(
-            {
-                "channel": channel.name,
-                "device": channel.device,
-                "input": channel.input,
-                "quantity": channel.quantity,
-                "raw": channel.scale.to_raw(reading.mean) if reading else None,
-                "raw_unit": channel.raw_unit,
-                "value": reading.mean if reading else None,
-                "noise": reading.noise if reading else None,
-            }
-        )
+        about = {"channel": channel.name} | fields(channel, "device", "input", "quantity", "raw_unit")
+        measured = (channel.scale.to_raw(reading.mean), reading.mean, reading.noise) if reading else (None,) * 3
+        channels.append(about | dict(zip(("raw", "value", "noise"), measured, strict=True)))
     return compiled.name, identities, channels
 
 
@@ -186,16 +177,11 @@ def _print_probe(ui: Ui, identities: dict[str, dict[str, Any]], channels: Sequen
     console.print()
     table = []
     for row in channels:
-        given = row["value"] is not None
-        table.append(
-            [
-                row["channel"],
-                f"{row['device']}.{row['input']}",
-                f"{row['raw']:.6g} {row['raw_unit']}" if given else "no sample",
-                show(row["value"], row["quantity"], 5) if given else "",
-                show(row["noise"], row["quantity"], 2) if given else "",
-            ]
-        )
+        values = ["no sample", "", ""]
+        if row["value"] is not None:
+            measured = [show(row[name], row["quantity"], digits) for name, digits in (("value", 5), ("noise", 2))]
+            values = [f"{row['raw']:.6g} {row['raw_unit']}", *measured]
+        table.append([row["channel"], f"{row['device']}.{row['input']}", *values])
     print_grid(console, ["channel", "wire", "raw", "value", "noise (rms)"], table, ("channel", "wire"))
 
 

@@ -13,7 +13,7 @@ import click
 
 from pmabench.base.errors import DeviceError, UsageError, did_you_mean
 from pmabench.base.quantities import CHANNEL_QUANTITY, QUANTITIES, show
-from pmabench.cli.common import Ui, common, read_quantity
+from pmabench.cli.common import Ui, common, fields, read_quantity
 from pmabench.cli.operator import AtLines
 from pmabench.cli.outcome import show_outcome
 from pmabench.engine.operator import ConfirmedBeforehand, Operator
@@ -96,13 +96,10 @@ def _reading_json(record: ChannelRecord, reading: Reading, rate: float, *, avera
     return {
         "schema": "pmabench.reading/1",
         "channel": record.name,
-        "device": record.device,
-        "input": record.input,
-        "quantity": record.quantity,
+        **fields(record, "device", "input", "quantity", "raw_unit"),
         "value": number(reading.mean),
         "unit": QUANTITIES[record.quantity].unit,
         "raw": number(float(record.scale.to_raw(reading.mean))),
-        "raw_unit": record.raw_unit,
         "noise": number(reading.noise) if averaged else None,
         "drift": number(reading.drift) if averaged else None,
         "samples": reading.count,

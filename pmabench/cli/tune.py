@@ -16,7 +16,7 @@ import click
 from pmabench.base.errors import UsageError, invalid
 from pmabench.base.kind import load
 from pmabench.base.quantities import QUANTITIES, show
-from pmabench.cli.common import Ui, common
+from pmabench.cli.common import Ui, common, read_quantity
 from pmabench.report.terminal import print_grid
 
 if TYPE_CHECKING:
@@ -201,29 +201,21 @@ def _time(ui: Ui, text: str) -> Estimate:
     return Estimate("T_u", value, "s", "time", "given")
 
 
-def _seconds(option: str, text: str) -> float:
-    return _quantity(option, text, "time", 0.0)[0]
-
-
 def _quantity(option: str, text: str, quantity: str, least: float) -> tuple[float, bool]:
     """The value [SI], and whether it was written without a unit."""
-    from pmabench.files.quantity import parse_quantity
-
-    bare = True
     try:
-        value = float(text)
+        value, bare = float(text), True
     except ValueError:
-        bare = False
-        try:
-            value = parse_quantity(text, quantity)
-        except ValueError as error:
-            raise UsageError(f"{option}: {error}") from error
-    most = 1e6 if quantity == "time" else 1e30
+        value, bare = read_quantity(option, text, quantity), False
+    return _within(option, text, quantity, value, least, 1e6 if quantity == "time" else 1e30), bare
+
+
+def _within(option: str, text: str, quantity: str, value: float, least: float, most: float) -> float:
+    """The value, which must lie between both [SI]."""
     if not least <= value <= most:
-        raise UsageError(
-            f'{option}: "{text}" is no {quantity} that can be; expected is {least:g} to {most:g} in SI units'
-        )
-    return value, bare
+        expected = f"expected is {least:g} to {most:g} in SI units"
+        raise UsageError(f'{option}: "{text}" is no {quantity} that can be; {expected}')
+    return value
 
 
 def _measured(folder: Path) -> list[tuple[Estimate, Estimate, Loop | None]]:
@@ -246,7 +238,8 @@ def _with_loop(pairs: Pairs, dead_time: str | None, lags: tuple[str, ...]) -> tu
 
     if dead_time is None:
         raise UsageError("--lag is for --dead-time; give both, or neither")
-    dead, rest = _seconds("--dead-time", dead_time), [_seconds("--lag", lag) for lag in lags]
+    dead = _quantity("--dead-time", dead_time, "time", 0.0)[0]
+    rest = [_quantity("--lag", lag, "time", 0.0)[0] for lag in lags]
     found, notes = [], []
     for gain, period, known in pairs:
         try:
@@ -313,16 +306,10 @@ class Where:
     @classmethod
     def read(cls, setpoints: Sequence[str], load: str | None, period: str | None) -> Where:
         """From what was typed; UsageError for what cannot be."""
-        from pmabench.files.quantity import parse_mass_or_force, parse_quantity
+        from pmabench.files.quantity import parse_mass_or_force
 
         def quantity(option: str, text: str, kind: str, most: float) -> float:
-            try:
-                value = parse_quantity(text, kind)
-            except ValueError as error:
-                raise UsageError(f"{option}: {error}") from error
-            if not 0 <= value <= most:
-                raise UsageError(f'{option}: "{text}" is no {kind} that can be; expected is 0 to {most:g} in SI units')
-            return value
+            return _within(option, text, kind, read_quantity(option, text, kind), 0.0, most)
 
         places = tuple(quantity("--setpoint", text, "length", LONGEST) for text in setpoints)
         try:

@@ -28,7 +28,20 @@ from pmabench.plotting.pictures import (
     spread,
     unit_of,
 )
-from pmabench.plotting.plots import BLUE, FAINT, FULL, HALF, PALETTE, QUIET, Array, Panel, blank, few_ticks, grid
+from pmabench.plotting.plots import (
+    BLUE,
+    FAINT,
+    FULL,
+    HALF,
+    PALETTE,
+    QUIET,
+    Array,
+    Panel,
+    blank,
+    few_ticks,
+    grid,
+    legend_above,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -172,10 +185,9 @@ def _draw_curves(panels: Sequence[Panel], x_label: str, y_label: str) -> Figure:
     for i, one in enumerate(panels):
         color = PALETTE[i % len(PALETTE)]
         axes.plot(one.columns["x"], one.columns["y"], color=color, linewidth=0.9, label=one.title)
-    axes.set_xlabel(x_label)
-    axes.set_ylabel(y_label)
+    axes.set(xlabel=x_label, ylabel=y_label)
     few_ticks(axes)
-    figure.legend(loc="upper left", bbox_to_anchor=(0.03, 1 - 0.13 / 2.7), ncols=2, handletextpad=0.4)
+    legend_above(figure, 2, at=(0.105, 0.13), handletextpad=0.4)
     return figure
 
 
@@ -187,15 +199,13 @@ def _draw_residuals(lags: Array, correlations: Sequence[tuple[str, Array]], norm
     left.axhline(0, color=QUIET, linewidth=0.8)
     for i, (name, values) in enumerate(correlations):
         left.plot(lags, values, color=PALETTE[i % len(PALETTE)], linewidth=0.9, label=name)
-    left.set_xlabel("lag [s]")
-    left.set_ylabel("autocorrelation")
+    left.set(xlabel="lag [s]", ylabel="autocorrelation")
     left.set_ylim(min(-0.3, 1.1 * min(float(values.min()) for _, values in correlations)), 1.05)
     few_ticks(left)
     ends = (float(normal[0]), float(normal[-1]))
     right.plot(ends, ends, color=FAINT, linewidth=1.0)
     right.plot(normal, quantiles, ".", color=BLUE, markersize=3)
-    right.set_xlabel("quantile of a normal distribution")
-    right.set_ylabel("quantile of residuals")
+    right.set(xlabel="quantile of a normal distribution", ylabel="quantile of residuals")
     few_ticks(right)
     figure.legend(*left.get_legend_handles_labels(), loc="upper left", bbox_to_anchor=(0.06, 0.985), ncols=3)
     return figure

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from math import ceil
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -27,6 +27,7 @@ from pmabench.plotting.plots import (
     blank,
     few_ticks,
     grid,
+    legend_above,
     published,
 )
 
@@ -34,6 +35,9 @@ if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+NOTE: dict[str, Any] = {"textcoords": "offset points", "ha": "right", "fontsize": 7.5}
+"""Look of a text at a line."""
 
 
 def overlay(panels: Sequence[Panel], labels: dict[str, str]) -> Figure:
@@ -65,9 +69,7 @@ def overlay(panels: Sequence[Panel], labels: dict[str, str]) -> Figure:
             lower.set_ylabel(labels["residual"])
             figure.align_ylabels([upper, lower])
         lower.set_xlabel(labels["t"])
-    width, height = figure.get_size_inches()
-    handles = figure.axes[0].get_legend_handles_labels()
-    figure.legend(*handles, loc="upper left", bbox_to_anchor=(0.5 / width, 1 - 0.06 / height), ncols=2)
+    legend_above(figure, 2)
     return figure
 
 
@@ -85,16 +87,8 @@ def lifts(panels: Sequence[Panel], labels: dict[str, str]) -> Figure:
         for line, (name, color) in enumerate((("set-down", GREEN), ("lift", RED))):
             if name in panel.marks:
                 upper.axhline(panel.marks[name], color=color, linewidth=0.8, linestyle=(0, (4, 3)))
-                upper.annotate(
-                    f"{name} {panel.marks[name]:.4g}",
-                    (1, 0.04),
-                    xycoords="axes fraction",
-                    xytext=(-2, 9 * line),
-                    textcoords="offset points",
-                    ha="right",
-                    color=color,
-                    fontsize=7.5,
-                )
+                text, place = f"{name} {panel.marks[name]:.4g}", (-2, 9 * line)
+                upper.annotate(text, (1, 0.04), xycoords="axes fraction", xytext=place, color=color, **NOTE)
         lower.plot(t, panel.columns["displacement"], color=QUIET, linewidth=0.9)
         upper.set_title(panel.title)
         upper.tick_params(labelbottom=False)
@@ -118,9 +112,7 @@ def oscillations(rows: Sequence[tuple[Panel | None, Panel | None]], labels: dict
             axes.plot(swing.columns["t"], swing.columns["measured"], color=BLUE, linewidth=0.9)
             if "setpoint" in swing.marks:
                 axes.axhline(swing.marks["setpoint"], color=QUIET, linewidth=0.8, linestyle=(0, (4, 3)))
-            axes.set_title(swing.title)
-            axes.set_xlabel(labels["t"])
-            axes.set_ylabel(labels["measured"])
+            axes.set(title=swing.title, xlabel=labels["t"], ylabel=labels["measured"])
             few_ticks(axes, x=8, y=5)
         if growth is not None:
             growth_axes(figure.add_subplot(cells[i, 1]), growth, labels)
@@ -139,18 +131,9 @@ def growth_axes(axes: Axes, growth: Panel, labels: dict[str, str]) -> None:
     axes.plot(gain[used], ratio[used], "o", color=BLUE)
     if "K_u" in growth.marks:
         axes.axvline(growth.marks["K_u"], color=RED, linewidth=0.9, linestyle=(0, (4, 3)))
-        axes.annotate(
-            growth.title,
-            (growth.marks["K_u"], 0.06),
-            xycoords=("data", "axes fraction"),
-            xytext=(-3, 0),
-            textcoords="offset points",
-            ha="right",
-            color=RED,
-            fontsize=7.5,
-        )
-    axes.set_xlabel(labels["gain"])
-    axes.set_ylabel(labels["log_ratio"])
+        axes.annotate(growth.title, (growth.marks["K_u"], 0.06), xycoords=("data", "axes fraction"), xytext=(-3, 0),
+                      color=RED, **NOTE)  # fmt: skip
+    axes.set(xlabel=labels["gain"], ylabel=labels["log_ratio"])
     few_ticks(axes, x=5, y=5)
 
 
@@ -190,9 +173,7 @@ def loops(panels: Sequence[tuple[str, Sequence[tuple[str, Panel]], Panel | None]
         axes = figure.add_subplot(cells[i], sharex=first, sharey=first)
         first = first or axes
         for name, line in lines:
-            color = (
-                PALETTE[list(named).index(name) % len(PALETTE)] if name in named else PALETTE[len(named) % len(PALETTE)]
-            )
+            color = PALETTE[(list(named).index(name) if name in named else len(named)) % len(PALETTE)]
             (drawn,) = axes.plot(line.columns["x"], line.columns["y"], color=color, linewidth=0.9)
             named.setdefault(name, drawn)
         if mean is not None:
@@ -208,11 +189,7 @@ def loops(panels: Sequence[tuple[str, Sequence[tuple[str, Panel]], Panel | None]
     from matplotlib.lines import Line2D
 
     named["mean"] = Line2D([], [], color=INK, linewidth=0.9, linestyle=(0, (4, 2)))
-    width, height = figure.get_size_inches()
-    figure.legend(
-        list(named.values()), list(named), loc="upper left", bbox_to_anchor=(0.5 / width, 1 - 0.06 / height),
-        ncols=3 if alone else 6,
-    )  # fmt: skip
+    legend_above(figure, 3 if alone else 6, (list(named.values()), list(named)))
     return figure
 
 
@@ -229,17 +206,12 @@ def means(panels: Sequence[Panel], labels: dict[str, str]) -> Figure:
         lower.plot(panel.columns["x"], panel.columns["gap"], color=color, linewidth=1.0)
     upper.tick_params(labelbottom=False)
     upper.set_ylabel(labels["y"])
-    lower.set_ylabel(labels["gap"])
-    lower.set_xlabel(labels["x"])
+    lower.set(ylabel=labels["gap"], xlabel=labels["x"])
     lower.axhline(0, color=FAINT, linewidth=0.6, zorder=0)
     few_ticks(upper)
     few_ticks(lower, y=3)
     figure.align_ylabels([upper, lower])
-    width, height = figure.get_size_inches()
-    handles = upper.get_legend_handles_labels()
-    figure.legend(
-        *handles, loc="upper left", bbox_to_anchor=(0.1 / width, 1 - 0.12 / height), ncols=4, columnspacing=0.8
-    )
+    legend_above(figure, 4, at=(0.1, 0.12), columnspacing=0.8)
     return figure
 
 
@@ -253,8 +225,7 @@ def marks_and_line(panel: Panel, labels: dict[str, str]) -> Figure:
     axes.plot(x[::stride], panel.columns["y"][::stride], "o", color=INK, markerfacecolor="white", label="measured")
     for i, (name, at, y) in enumerate(panel.published):
         axes.plot(at, y, CROSSES[i % len(CROSSES)], color=INK, label=name)
-    axes.set_xlabel(labels["x"])
-    axes.set_ylabel(labels["y"])
+    axes.set(xlabel=labels["x"], ylabel=labels["y"])
     axes.legend(loc="best")
     few_ticks(axes)
     return figure
@@ -287,9 +258,7 @@ def sine_pressure(panels: Sequence[Panel], labels: dict[str, str]) -> Figure:
             upper.set_ylabel(labels["y"])
             lower.set_ylabel(labels["error"])
             figure.align_ylabels([upper, lower])
-    width, height = figure.get_size_inches()
-    handles = figure.axes[0].get_legend_handles_labels()
-    figure.legend(*handles, loc="upper left", bbox_to_anchor=(0.5 / width, 1 - 0.06 / height), ncols=3)
+    legend_above(figure, 3)
     return figure
 
 

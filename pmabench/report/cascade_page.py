@@ -255,8 +255,7 @@ def time_figure(result: Result) -> Figure:
     upper.set_ylim(bottom=0)
     upper.tick_params(labelbottom=False)
     upper.set_ylabel("x [mm]")
-    lower.set_ylabel("P [kPa]")
-    lower.set_xlabel("time [s]")
+    lower.set(ylabel="P [kPa]", xlabel="time [s]")
     figure.align_ylabels([upper, lower])
     _legend(figure, named)
     return figure
@@ -269,24 +268,16 @@ def cursor_track() -> tuple[float, float, float, float]:
 
 def _legend(figure: Figure, wanted: bool) -> None:
     """Above the axes, where it covers nothing."""
-    width, height = figure.get_size_inches()
-    handles, labels = figure.axes[0].get_legend_handles_labels()
-    if wanted or len(labels) > 1:
-        figure.legend(
-            handles,
-            labels,
-            loc="upper left",
-            bbox_to_anchor=(0.5 / width, 1 - (0.08 if width > HALF else 0.2) / height),
-            ncols=min(7 if width > HALF else 2, len(labels)),
-        )
+    count, wide = len(figure.axes[0].get_legend_handles_labels()[1]), figure.get_size_inches()[0] > HALF
+    if wanted or count > 1:
+        plots.legend_above(figure, min(7 if wide else 2, count), at=(0.5, 0.08 if wide else 0.2))
 
 
 def _half(x_label: str, y_label: str, *, left: float = 0.62, top: float = 0.28) -> tuple[Figure, Axes]:
     """A figure of half width with one pair of axes, which begin at 0 upwards."""
     figure = blank(HALF, 2.7)
     axes = figure.add_subplot(grid(figure, 1, 1, left=left, top=top)[0])
-    axes.set_xlabel(x_label)
-    axes.set_ylabel(y_label)
+    axes.set(xlabel=x_label, ylabel=y_label)
     return figure, axes
 
 

@@ -154,8 +154,7 @@ def _draw_ends(left: Side, right: Side, nominal: float) -> Figure:
         axes = figure.add_subplot(cells[i])
         axes.plot(through, model, color=FAINT, linewidth=1.6, zorder=1)
         axes.errorbar(P, y, yerr=half, fmt="o", color=PALETTE[i], markersize=3.8, elinewidth=0.9, linewidth=0)
-        axes.set_xlabel("P [kPa]")
-        axes.set_ylabel(heads[i])
+        axes.set(xlabel="P [kPa]", ylabel=heads[i])
         few_ticks(axes)
         if i:
             share = axes.secondary_yaxis("right", functions=_scaled(100 / nominal))
@@ -271,8 +270,7 @@ def _draw_family(levels: Sequence[Level], nominal: float) -> Figure:
         axes.plot(1e3 * zero, np.zeros(len(zero)), "D", color=color, markerfacecolor="white", markersize=4.2,
                   markeredgewidth=1.0, zorder=4, clip_on=False)  # fmt: skip
     axes.axhline(0, color=FAINT, linewidth=0.8, zorder=0)
-    axes.set_xlabel("contraction x [mm]")
-    axes.set_ylabel("force F [N]")
+    axes.set(xlabel="contraction x [mm]", ylabel="force F [N]")
     few_ticks(axes, x=8)
     if np.isfinite(nominal):
         share = axes.secondary_xaxis("top", functions=_scaled(0.1 / nominal))

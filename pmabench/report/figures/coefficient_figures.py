@@ -297,14 +297,10 @@ def drawing_of(t: Array, values: Array, mean: Array, x_label: str, word: str, un
         lower.plot(t, values[i] - mean, color=color, linewidth=0.8)
     upper.tick_params(labelbottom=False)
     upper.set_ylabel(f"{word} [{unit}]")
-    lower.set_ylabel(f"off mean [{unit}]")
-    lower.set_xlabel(x_label)
+    lower.set(ylabel=f"off mean [{unit}]", xlabel=x_label)
     few_ticks(upper)
     few_ticks(lower, y=3)
     figure.align_ylabels([upper, lower])
-    width, height = figure.get_size_inches()
     handles, labels = upper.get_legend_handles_labels()
-    figure.legend(
-        handles[::-1], labels[::-1], loc="upper left", bbox_to_anchor=(0.5 / width, 1 - 0.06 / height), ncols=2
-    )
+    plots.legend_above(figure, 2, (handles[::-1], labels[::-1]))
     return figure

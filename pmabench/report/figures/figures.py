@@ -29,7 +29,7 @@ from pmabench.plotting.pictures import (
     picture,
     spread,
 )
-from pmabench.plotting.plots import FULL, MARKERS, PALETTE, Array, blank, few_ticks, grid
+from pmabench.plotting.plots import FULL, MARKERS, PALETTE, Array, blank, few_ticks, grid, legend_above
 from pmabench.plotting.wording import COLUMNS, clean, in_order, point_shown, point_text, shown
 from pmabench.report.document.tables import cell
 from pmabench.report.figures import characteristic_figures, coefficient_figures
@@ -213,11 +213,8 @@ def drawing_of(series: Sequence[Series], x_label: str) -> Figure:
                 color = PALETTE[n % len(PALETTE)]
                 axes.errorbar(x, y, yerr=half, fmt=MARKERS[n % len(MARKERS)], color=color, markersize=3.6,
                               elinewidth=0.9, linewidth=0.7, linestyle="-", label=place)  # fmt: skip
-        axes.set_xlabel(x_label)
-        axes.set_ylabel(f"{HEADS[symbol]} [{'%' if symbol == 'eta' else 'J'}]")
+        axes.set(xlabel=x_label, ylabel=f"{HEADS[symbol]} [{'%' if symbol == 'eta' else 'J'}]")
         axes.set_ylim(bottom=0.0, top=None if symbol != "eta" else 100.0)
         few_ticks(axes, x=5)
-    width, height = figure.get_size_inches()
-    handles = figure.axes[0].get_legend_handles_labels()
-    figure.legend(*handles, loc="upper left", bbox_to_anchor=(0.4 / width, 1 - 0.06 / height), ncols=3)
+    legend_above(figure, 3, at=(0.4, 0.06))
     return figure

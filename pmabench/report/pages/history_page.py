@@ -109,8 +109,7 @@ def _control(one: References, *, simulated: bool) -> Picture:
             rows = [i for i in range(len(strokes)) if (i in alarms) == alarm]
             axes.plot(place[rows], strokes[rows], "s" if alarm else "o", color=plots.RED if alarm else plots.BLUE,
                       markersize=4, linestyle="none")  # fmt: skip
-        axes.set_xlabel("reference trial, in order of time")
-        axes.set_ylabel("stroke [mm]")
+        axes.set(xlabel="reference trial, in order of time", ylabel="stroke [mm]")
         axes.locator_params(axis="x", integer=True)
         return figure
 
