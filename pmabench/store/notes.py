@@ -22,8 +22,16 @@ from typing import Any
 
 from pmabench.base.errors import InvalidFile, UsageError, invalid
 from pmabench.store import folder as files
-from pmabench.store.folder import cannot_write, open_json, read_file, read_manifest, sealed_json, sync_folder
-from pmabench.store.regular import is_regular, sha256_of
+from pmabench.store.folder import (
+    cannot_write,
+    is_regular,
+    open_json,
+    read_file,
+    read_manifest,
+    sealed_json,
+    sha256_of,
+    sync_folder,
+)
 
 NOTE_SCHEMA = "pmabench.note/1"
 HEAD_SCHEMA = "pmabench.notes/1"
@@ -143,9 +151,9 @@ def _append(
 
 
 def _check_trial(run: Path, trial: int) -> None:
-    from pmabench.store.journal import decode
+    from pmabench.store.folder import decode_lines
 
-    lines = decode(read_file(run, files.EVENTS)).lines if is_regular(run / files.EVENTS) else ()
+    lines = decode_lines(read_file(run, files.EVENTS)).lines if is_regular(run / files.EVENTS) else ()
     begun = sorted({line["data"].get("trial") for line in lines if line["kind"] == "trial-begin"} - {None})
     if trial not in begun:
         text = f"trials {begun[0] + 1} to {begun[-1] + 1}" if begun else "no trial yet"

@@ -19,19 +19,15 @@ from numpy.typing import NDArray
 from pmabench.base.errors import invalid
 from pmabench.base.quantities import QUANTITIES
 from pmabench.store import folder as files
-from pmabench.store.archive import read_archive
 from pmabench.store.arrow import pa
-from pmabench.store.clocks import fit_clock, stamped
-from pmabench.store.folder import read_file, read_manifest, read_seal, status_of
-from pmabench.store.journal import Journal, decode
+from pmabench.store.folder import Journal, decode_lines, is_regular, read_file, read_manifest, read_seal, status_of
 from pmabench.store.livestream import FLAGS, TIME, LiveReader, numbers
 from pmabench.store.notes import read_notes
 from pmabench.store.recalibration import Line, Recalibration, refound
-from pmabench.store.records import Array, ChannelInfo, ClockInfo, Event, Flags, RunData
-from pmabench.store.regular import is_regular
+from pmabench.store.records import Array, ChannelInfo, ClockInfo, Event, Flags, RunData, cut_trials, exclude
+from pmabench.store.seal import read_archive
 from pmabench.store.since import Since, altered, late_guard, since
-from pmabench.store.timebase import onto
-from pmabench.store.trials import cut_trials, exclude
+from pmabench.store.timebase import fit_clock, onto, stamped
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -203,7 +199,7 @@ class RunFiles:
         """The events; of an unsealed run those before the first that is not whole."""
         if self.seal is None and not self.has(files.EVENTS):
             return Journal(())
-        return decode(self.read(files.EVENTS))
+        return decode_lines(self.read(files.EVENTS))
 
     def plan(self) -> dict[str, Any]:
         """The plan as it was kept; empty where there is none, as in imports."""

@@ -12,17 +12,23 @@ import numpy as np
 
 from pmabench.base.errors import InvalidFile, invalid
 from pmabench.store import folder as files
-from pmabench.store.archive import read_archive
 from pmabench.store.arrow import pa
-from pmabench.store.folder import files_of, read_file, read_manifest, read_seal, status_of
-from pmabench.store.journal import Journal, decode
+from pmabench.store.folder import (
+    Journal,
+    decode_lines,
+    files_of,
+    is_regular,
+    read_file,
+    read_manifest,
+    read_seal,
+    status_of,
+)
 from pmabench.store.livestream import LiveReader
 from pmabench.store.notes import check_notes
 from pmabench.store.reader import RunFiles, events_of
-from pmabench.store.records import Flag
-from pmabench.store.regular import is_regular
+from pmabench.store.records import Flag, trial_spans
+from pmabench.store.seal import read_archive
 from pmabench.store.since import added, fault_of, odd
-from pmabench.store.trials import trial_spans
 
 _TOLD = np.uint16(Flag.GAP | Flag.LATE | Flag.TIME_JUMP)
 
@@ -107,7 +113,7 @@ def _read(folder: Path, seal: Mapping[str, Any] | None, name: str) -> bytes:
 
 def _events(folder: Path, seal: Mapping[str, Any] | None) -> list[Finding]:
     try:
-        journal = decode(_read(folder, seal, files.EVENTS)) if is_regular(folder / files.EVENTS) else Journal(())
+        journal = decode_lines(_read(folder, seal, files.EVENTS)) if is_regular(folder / files.EVENTS) else Journal(())
     except InvalidFile as error:
         return [Finding(files.EVENTS, error.problems[0].message)]
     if seal is None:

@@ -16,8 +16,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from pmabench.base.errors import RecordError
-from pmabench.store.folder import AppendFile, open_json, status_of
-from pmabench.store.naming import check_name, run_name
+from pmabench.store.folder import AppendFile, check_name, open_json, run_name, status_of
 from pmabench.store.reader import open_run, read_stream
 from pmabench.store.seal import close_interrupted
 from pmabench.store.verify import verify

@@ -20,14 +20,13 @@ import numpy as np
 
 from pmabench.base.errors import InvalidFile, Problem, invalid
 from pmabench.base.imported import Imported
-from pmabench.store.folder import PLAN, Copy
+from pmabench.store.folder import PLAN, Copy, run_name
 from pmabench.store.importers import plausible, siblings
 from pmabench.store.importers.found import Found, plain
+from pmabench.store.importers.map_file import Question
 from pmabench.store.importers.map_rules import ImportMap, read_map
 from pmabench.store.importers.prepare import Prepared, placed, prepare_all
-from pmabench.store.importers.questions import Question
 from pmabench.store.importers.siblings import Summary
-from pmabench.store.naming import run_name
 from pmabench.store.records import Flag
 from pmabench.store.writer import RunWriter
 

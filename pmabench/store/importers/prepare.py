@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, time
 from fnmatch import fnmatchcase
@@ -10,21 +10,20 @@ from pathlib import Path
 
 import numpy as np
 
-from pmabench.base.errors import invalid
+from pmabench.base.errors import InvalidFile, Problem, invalid
 from pmabench.store.exported import NAME as RECORD
 from pmabench.store.exported import Exported, read_record
-from pmabench.store.importers import long, plausible, quality, units
+from pmabench.store.importers import long, plausible, quality
 from pmabench.store.importers.found import Checked, Found
 from pmabench.store.importers.long import Seen
 from pmabench.store.importers.magnitude import muscle_of, slope_of_held
+from pmabench.store.importers.map_file import Question, spelled
 from pmabench.store.importers.map_rules import ColumnRule, ImportMap, NameRule
-from pmabench.store.importers.order import pressure_late
-from pmabench.store.importers.questions import Question
+from pmabench.store.importers.plausible import pressure_late
 from pmabench.store.importers.segments import Segment, segments
 from pmabench.store.importers.siblings import Summary
 from pmabench.store.importers.table import Table, read_table
-from pmabench.store.records import Array, Flag, Flags
-from pmabench.store.trials import trial_spans
+from pmabench.store.records import Array, Flag, Flags, trial_spans
 
 NOTES_BYTES = 100_000
 PAUSED = ("record", "column")
@@ -107,7 +106,7 @@ def _read(path: Path, rules: ImportMap) -> Table:
 
 
 def _prepared(path: Path, rules: ImportMap, table: Table, name: str, number: int) -> Prepared:
-    units.agree(path, rules.columns, table.units)
+    _units_agree(path, rules.columns, table.units)
     named = _named(path, rules, table.started)
     if name:
         named = replace(named, test=named.test or number + 1)
@@ -154,6 +153,18 @@ def _prepared(path: Path, rules: ImportMap, table: Table, name: str, number: int
         or (record is not None and record.simulated)
         or bool(np.any(seen.values.get("simulated", 0.0))),
     )
+
+
+def _units_agree(path: Path, columns: Sequence[ColumnRule], units: Mapping[str, str]) -> None:
+    """Raises InvalidFile where the file gives a column another unit than the map does."""
+    problems = []
+    for column in columns:
+        said, mapped = spelled(units.get(column.column, "")), spelled(column.raw_unit)
+        if said and mapped and said != mapped and column.back == (1.0, 0.0):
+            text = f'says that the unit of "{column.column}" is {said}, the map says {mapped}'
+            problems.append(Problem(str(path), 0, 0, text))
+    if problems:
+        raise InvalidFile(problems)
 
 
 def _held(rules: ImportMap) -> bool:

@@ -14,11 +14,9 @@ import numpy as np
 
 from pmabench.base.quantities import show
 from pmabench.files.quantity import unit_factor
-from pmabench.store.importers.effect import slope
-from pmabench.store.importers.guess.columns import OF_ROLE, Proposal, is_whole, lattice, lone, words
-from pmabench.store.importers.guess.record import Guess
-from pmabench.store.importers.questions import OPEN
-from pmabench.store.importers.units import QUANTITY
+from pmabench.store.importers.found import slope
+from pmabench.store.importers.guess.columns import OF_ROLE, Guess, Proposal, is_whole, lattice, lone, words
+from pmabench.store.importers.map_file import OPEN, QUANTITY
 from pmabench.store.records import Array
 
 HIGHEST = {"pressure": (2e4, 1.6e6), "force": (1.0, 3e4), "length": (3e-4, 3.0)}

@@ -1,8 +1,14 @@
-"""Looks at files that were never seen: their format, their columns, their sampling, and how they part into trials."""
+"""Looks at files that were never seen: their format, their columns, their sampling, and how they part into trials.
+
+Names of files and folders may contain dates, numbers of tests and operating points. The record next to a file that
+`pmabench export` wrote answers all that a guess would ask.
+"""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
+from math import pi
 from pathlib import Path
 
 import numpy as np
@@ -10,14 +16,118 @@ import numpy as np
 from pmabench.base.errors import InvalidFile, PmaError, invalid
 from pmabench.base.imported import Imported
 from pmabench.files.shipped import shipped_folder
+from pmabench.store.exported import NAME as RECORD
+from pmabench.store.exported import Known, read_record
 from pmabench.store.formats.text import TextLayout
-from pmabench.store.importers.guess.columns import is_whole
-from pmabench.store.importers.guess.exported import as_exported
+from pmabench.store.importers.guess.columns import Guess, is_whole
 from pmabench.store.importers.guess.look import LOOKED_AT, SECONDS, look
-from pmabench.store.importers.guess.names import found_in, frequency_of
-from pmabench.store.importers.guess.record import Guess
 from pmabench.store.importers.guess.signs import choose_kind, count, share
 from pmabench.store.importers.map_rules import read_map
+
+
+def as_exported(guess: Guess, files: Sequence[Path]) -> bool:
+    """Whether the files are samples that `pmabench export` wrote with their record, which then leaves no question."""
+    place = files[0].resolve().parent / RECORD
+    if not place.is_file():
+        return False
+    record = read_record(place)
+    if record.file not in {path.name for path in files}:
+        return False
+    if len(files) > 1:
+        raise invalid(place, f"goes with {record.file} alone: import that file, the others hold no samples of trials")
+    if record.kind not in guess.kinds:
+        raise invalid(place, f'is of a run of kind "{record.kind}", which cannot be imported here')
+    guess.kind, guess.trials = record.kind, {"by": "record"}
+    guess.exported, guess.simulated = True, record.simulated
+    text = f"{RECORD} next to it says what {record.run} commanded and found, trial by trial"
+    guess.reasons["trials"] = [text]
+    for column in guess.columns:
+        known = record.columns.get(column.name)
+        column.role, column.doubts, column.question, column.reasons = "ignore", [], "", ["the record has it"]
+        if column.name == "t [s]":
+            column.role, column.reasons = "time", []
+        elif column.name in ("flags", "simulated"):
+            column.role, column.reasons = column.name, []
+        elif known is not None:
+            column.role, column.reasons = known.channel, []
+            column.extra = _as_known(known, column.unit)
+    specimen = record.about.get("specimen")
+    if isinstance(specimen, dict):
+        guess.specimen = {key: str(specimen[key]) for key in ("make", "type", "serial") if specimen.get(key)}
+    return True
+
+
+def _as_known(known: Known, unit: str) -> list[str]:
+    """Lines of a map for what a record knows of the calibration of a channel."""
+    lines = {
+        f"expanded_uncertainty: {known.offset_uncertainty:.9g} {unit}": known.offset_uncertainty,
+        f"gain_uncertainty: {100 * known.gain_uncertainty:.9g} %": known.gain_uncertainty,
+        f"sensor_lag: {known.sensor_lag:.9g} s": known.sensor_lag,
+    }
+    return [line for line, value in lines.items() if value]
+
+
+_PARTS = (
+    (re.compile(r"\d{4}-\d{2}-\d{2}"), "date", ""),
+    (re.compile(r"(?<=\{date\}[_T -])\d{6}(?!\d)"), "clock", ""),
+    (re.compile(r"(?<=rads[-_])\d+(?:[.,]\d+)?|(?<=rad-s[-_])\d+(?:[.,]\d+)?"), "frequency", "rad/s"),
+    (re.compile(r"\d+(?:[.,]\d+)?(?=[_-]?Hz)"), "frequency", "Hz"),
+    (re.compile(r"(?<=[A-Za-z_-])\d+(?:[.,]\d+)?(?=kPa)"), "pressure", "kPa"),
+    (re.compile(r"(?<=[A-Za-z_-])\d+(?:[.,]\d+)?(?=bar)"), "pressure", "bar"),
+    (re.compile(r"(?<=[A-Za-z_-])\d+(?:[.,]\d+)?(?=kg)"), "mass", "kg"),
+    (re.compile(r"(?<=[A-Za-z_-])\d+(?:[.,]\d+)?(?=mm)"), "contraction", "mm"),
+    (re.compile(r"(?<=[Tt]est)\d{1,6}|(?<=[Rr]un)\d{1,6}|(?<=[Tt]rial)\d{1,6}"), "test", ""),
+)
+CONTRACTED = re.compile(
+    r"(kink(ed)?|contract(ion|ed)?|contr|held|hold|at|shortened|short|x|dx|eps)[-_ ]?$", re.IGNORECASE
+)
+"""What comes before a length that is a contraction, and no diameter."""
+
+
+def found_in(
+    files: Sequence[Path], of: str, *, lengths: bool = True
+) -> tuple[set[str], str, list[str], dict[str, str], bool]:
+    """Keys in the names, from files or folders, their forms, units, and whether they have a decimal comma.
+
+    A length that nothing calls a contraction, and that is the same in all names, may as well be a diameter: none then.
+    """
+    sizes: set[str] = set()
+    units: dict[str, str] = {}
+    comma = False
+    forms: dict[str, None] = {}
+    for path in files:
+        form = re.sub(r"[{}*]", "?", path.stem if of == "file" else path.resolve().parent.name)
+        for pattern, key, unit in _PARTS:
+            found = [match for match in pattern.finditer(form) if key != "contraction" or lengths]
+            called = [match for match in found if CONTRACTED.search(form[: match.start()])]
+            match = next(iter(called or found), None)
+            if match is None or "{" + key + "}" in form or (unit and units.get(key, unit) != unit):
+                continue
+            if form[: match.start()].endswith("}") or form[match.end() :].startswith("{"):
+                continue
+            sizes |= {match[0]} if key == "contraction" and not called else set()
+            comma |= "," in match[0]
+            form = f"{form[: match.start()]}{{{key}}}{form[match.end() :]}"
+            if unit:
+                units[key] = unit
+        forms[form] = None
+    if len(sizes) == 1:
+        return found_in(files, of, lengths=False)
+    keys = {key for form in forms for key in re.findall(r"\{(\w+)\}", form)}
+    if "?" in "".join(forms) or (of == "folder" and keys <= {"test"}):
+        keys = set()
+    return keys, of, list(forms), units, comma
+
+
+def frequency_of(path: Path, of: str, units: Mapping[str, str]) -> float | None:
+    """The frequency in the name of a file or of its folder [Hz]; `units`: those of the forms."""
+    name = path.resolve().parent.name if of == "folder" else path.stem
+    for pattern, key, unit in _PARTS:
+        match = pattern.search(name) if key == "frequency" and units.get(key) == unit else None
+        if match is not None:
+            return float(match[0].replace(",", ".")) / (2 * pi if unit == "rad/s" else 1.0)
+    return None
+
 
 FILES = 20
 """Files of one guess that are looked at; the columns are those of the first."""

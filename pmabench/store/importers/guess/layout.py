@@ -10,11 +10,10 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 
 from pmabench.base.errors import invalid
-from pmabench.store.formats.shared.fields import MINUS
-from pmabench.store.formats.shared.times import Stamps, step_in
+from pmabench.store.formats.shared.times import MINUS, Stamps, step_in
 from pmabench.store.formats.text import MARKS, TextLayout
 from pmabench.store.importers.guess.clock import clock_and_date, interval_in, looks_like_time, written
-from pmabench.store.importers.units import spelled
+from pmabench.store.importers.map_file import spelled
 
 TABLE = 0.5
 """Least share of the lines below the first row of numbers that are such rows, too."""

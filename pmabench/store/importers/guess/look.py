@@ -10,15 +10,13 @@ import numpy as np
 from pmabench.base.errors import invalid
 from pmabench.base.imported import Imported
 from pmabench.store.formats import text
-from pmabench.store.formats.registry import format_of
-from pmabench.store.formats.shared.matrices import alike, is_clock, matrix_of
+from pmabench.store.formats.mat import alike, is_clock, matrix_of
+from pmabench.store.formats.record import format_of
 from pmabench.store.formats.text import TextLayout
-from pmabench.store.importers.guess.columns import Proposal, choose, unit_in
+from pmabench.store.importers.guess.columns import Guess, Proposal, choose, unit_in
 from pmabench.store.importers.guess.layout import TextGuess, guess_layout
-from pmabench.store.importers.guess.record import Guess
-from pmabench.store.importers.map_file import PLACE
+from pmabench.store.importers.map_file import PLACE, spelled
 from pmabench.store.importers.table import Table, content_of, read_table
-from pmabench.store.importers.units import spelled
 from pmabench.store.records import Array
 
 LOOKED_AT = 20_000_000
