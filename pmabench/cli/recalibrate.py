@@ -145,7 +145,7 @@ def _quantity(file: Path) -> str:
 def _scale(file: Path, quantity: str) -> NewScale:
     from dataclasses import asdict
 
-    from pmabench.bench.calibration import read_calibration
+    from pmabench.bench.channels import read_calibration
     from pmabench.store.recalibration import NewScale
 
     read = read_calibration(file, quantity)

@@ -27,8 +27,7 @@ from pmabench.model.curve import Array
 from pmabench.model.motion import Course, Record
 from pmabench.model.muscle import Muscle
 from pmabench.model.plant import REST, Plant
-from pmabench.model.regulator import Regulator, Trace, answer
-from pmabench.model.signal import to_nanosecond
+from pmabench.model.regulator import Regulator, Trace, answer, to_nanosecond
 from pmabench.model.slip import ABSOLUTE, RELATIVE, SETTLED_PRESSURE, TIME, State
 
 METRE = 1.5e-7

@@ -30,8 +30,7 @@ import numpy as np
 from pmabench.model.curve import Array
 from pmabench.model.motion import NOTHING, Course, Grid, Motion, Record
 from pmabench.model.muscle import Muscle
-from pmabench.model.regulator import Regulated, Regulator, Trace
-from pmabench.model.signal import Wave, to_nanosecond
+from pmabench.model.regulator import Regulated, Regulator, Trace, Wave, to_nanosecond
 from pmabench.model.slip import SETTLED_PRESSURE, glide, slide
 
 SETTLED_SPEED = 2e-8
@@ -62,7 +61,7 @@ class Plant:
     --------
     >>> import numpy as np
     >>> from pmabench.model.presets import preset
-    >>> from pmabench.model.signal import constant
+    >>> from pmabench.model.regulator import constant
     >>> setup = preset("paper0", "ideal")
     >>> plant = Plant(setup.muscle, setup.regulator, force=58.86, mass=0.5)
     >>> plant.command(constant(0.0, 300e3))

@@ -2,30 +2,102 @@
 
 `ideal`: no friction, no noise, regulator exact behind 40 ms of dead time. `bench`: lag, dead time, stiction and noise.
 A hysteresis belongs to the muscle: both have it.
+
+The arm of paper 2 has four contractors, one of which bends it against a load at its end. Its state is the contraction
+of the bending muscle against the arm's middle, x = r alpha: an arc of one curvature whose middle keeps its length. The
+angle is that of `arm-angle` of the library; below 0.45 bar, where the paper says nothing, it goes on a straight line to
+0 without pressure.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, TypeAlias
 
+import numpy as np
+
 from pmabench.model.air import Air
-from pmabench.model.arm import Arm, ArmPlant
 from pmabench.model.curve import Curve
 from pmabench.model.driven import Actuator, DrivenPlant
 from pmabench.model.free_air import AirPlant
 from pmabench.model.hysteresis import Hysteresis
+from pmabench.model.motion import Noise
 from pmabench.model.muscle import Friction, Muscle
 from pmabench.model.overrides import Overrides
 from pmabench.model.plant import Plant
 from pmabench.model.regulator import Regulator
-from pmabench.model.sensors import Noise
+
+ARM_STIFFNESS, ARM_DAMPING = 5e3, 1e3
+"""Assumed, for the way there; paper 2 gives none [N/m, N.s/m]."""
+ARM_STEP = 1e3
+"""Between the points of angle over pressure [Pa]; the lines between are within 0.02 deg."""
+ARM_STOP = 0.20
+"""Contraction of the bending muscle at which it can go no further [1]: 115 deg, beyond all of paper 2."""
+GRAVITY = 9.81
+"""What turns the weight at the arm's end into the mass of the formula [m/s2]."""
+
+
+@dataclass(frozen=True)
+class Arm:
+    """`length` of its muscles, `radius` of the circle of the outer ones [m] (paper 2)."""
+
+    name: str = "arm of four contractors of 30 cm"
+    length: float = 0.30
+    radius: float = 0.03
+    friction: Friction = field(default_factory=Friction)
+
+    def under(self, force: float) -> Muscle:
+        """The arm as a muscle without load that comes to x = r alpha with `force` [N] at its end.
+
+        Raises
+        ------
+        ValueError
+            Beyond the loads of paper 2.
+        """
+        from pmabench.model.library import MODELS  # needs the presets, which need this module
+
+        model = MODELS["arm-angle"]
+        pressure, known = model.parameters
+        load = force / GRAVITY
+        if not known.low <= load <= known.high * (1 + 1e-9):
+            most = f"{known.low:g} to {known.high:g} kg"
+            raise ValueError(f"the arm of paper 2 is known for {most} at its end, not for {load:.4g} kg")
+        P = np.linspace(pressure.low, pressure.high, round((pressure.high - pressure.low) / ARM_STEP) + 1)
+        angle = model.evaluate({"pressure": P, "load": min(load, known.high)})["angle"]
+        pull = ARM_STIFFNESS * self.radius * np.maximum(angle, 0.0)
+        return Muscle(
+            name=self.name,
+            F_ce=Curve.through([0.0, *P.tolist()], [0.0, *pull.tolist()]),
+            K=Curve(((ARM_STIFFNESS,),)),
+            B_c=Curve(((ARM_DAMPING,),)),
+            B_r=Curve(((ARM_DAMPING,),)),
+            friction=self.friction,
+            length=self.length,
+            stop=ARM_STOP * self.length,
+        )
+
+
+class ArmPlant(Plant):
+    """The arm behind the regulator of its bending muscle; a load changes where it comes to, and moves with it."""
+
+    def __init__(
+        self, arm: Arm, regulator: Regulator, *, force: float = 0.0, mass: float = 0.5, start: float = 0.0
+    ) -> None:
+        self.arm = arm
+        super().__init__(arm.under(force), regulator, force=force, mass=mass, start=start)
+
+    def load(self, force: float, mass: float) -> None:
+        """From now on `force` [N] hangs on the arm's end and moves with `mass` [kg > 0]; ValueError as `Arm.under`."""
+        super().load(0.0, mass)
+        self.muscle = self.arm.under(force)
+        self._f_ce, self._stiffness = self.muscle.F_ce.function(), self.muscle.K.function()
+        self._damping = {1: self.muscle.B_c.function(), -1: self.muscle.B_r.function()}
+
 
 if TYPE_CHECKING:
-    from pmabench.model.contractor_muscle import ContractorMuscle
-    from pmabench.model.daerden_muscle import DaerdenMuscle
+    from pmabench.model.published_muscles import ContractorMuscle, DaerdenMuscle
 
     AnyMuscle: TypeAlias = Muscle | DaerdenMuscle | ContractorMuscle | Arm
 
@@ -68,8 +140,8 @@ def paper0_air() -> Muscle:
 
 
 def dmsp_40_305(fce_eval: str = "x0") -> Muscle:
-    """Festo DMSP-40-305 of paper 1: S and D as printed, the rest assumed (`pmabench.model.dmsp_muscle`)."""
-    from pmabench.model.dmsp_muscle import dmsp_40_305  # needs the library of models, which needs this module
+    """Festo DMSP-40-305 of paper 1: S and D as printed, the rest assumed (`pmabench.model.published_muscles`)."""
+    from pmabench.model.published_muscles import dmsp_40_305  # needs the library of models, which needs this module
 
     return dmsp_40_305(fce_eval)
 
@@ -82,11 +154,11 @@ MUSCLES: dict[str, Callable[[], Muscle]] = {
 }
 """Those of the three-element model."""
 CONTRACTORS = {f"contractor-{cm}": cm / 100 for cm in (15, 20, 25, 30, 40)}
-"""Those of paper 2 with their lengths [m] (`pmabench.model.contractor_muscle`)."""
+"""Those of paper 2 with their lengths [m] (`pmabench.model.published_muscles`)."""
 ARM = "arm-30"
-"""That of four contractors of paper 2 (`pmabench.model.arm`)."""
+"""That of four contractors of paper 2 (`pmabench.model.presets`)."""
 PLANTS = (*MUSCLES, "daerden", *CONTRACTORS, ARM)
-"""All of them; `daerden` is the muscle of paper 3, for a driven end only (`pmabench.model.daerden_muscle`)."""
+"""All of them; `daerden` is the muscle of paper 3, for a driven end only (`pmabench.model.published_muscles`)."""
 DAERDEN_HEIGHT, DAERDEN_WIDTH = 30.0, 0.006
 """Its hysteresis: half the gap [N], contraction over which a turn fades to 1/e [1]; paper 3 shows a gap of 60 N."""
 
@@ -174,7 +246,7 @@ def preset(plant: str, kind: str = "bench", overrides: Overrides | None = None) 
             muscle = replace(muscle, F_ce=dmsp_40_305(overrides.fce_eval).F_ce)
         air = None
         if plant == "paper0-air":
-            from pmabench.model.daerden_muscle import assumed_air  # as below
+            from pmabench.model.published_muscles import assumed_air  # as below
 
             natural_frequency, damping_ratio = BENCH_SECOND
             regulator = Regulator(DEAD_TIME, natural_frequency=natural_frequency, damping_ratio=damping_ratio)
@@ -184,11 +256,11 @@ def preset(plant: str, kind: str = "bench", overrides: Overrides | None = None) 
         return changed(Setup(Arm(friction=ARM_FRICTION), regulator, ARM_NOISE, BENCH_FOLLOW_LAG), kind, overrides)
     # these need the library of models, which needs this module
     if plant in CONTRACTORS:
-        from pmabench.model.contractor_muscle import ContractorMuscle
+        from pmabench.model.published_muscles import ContractorMuscle
 
         contractor = ContractorMuscle(name=plant, length=CONTRACTORS[plant])
         return changed(Setup(contractor, regulator, BENCH_NOISE, BENCH_FOLLOW_LAG), kind, overrides)
-    from pmabench.model.daerden_muscle import DaerdenMuscle, assumed_air
+    from pmabench.model.published_muscles import DaerdenMuscle, assumed_air
 
     stretchy = DaerdenMuscle()
     hysteresis = Hysteresis(DAERDEN_HEIGHT, DAERDEN_WIDTH * stretchy.length)

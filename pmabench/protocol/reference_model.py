@@ -109,9 +109,8 @@ def _presets() -> list[str]:
 def _of_preset(c: Compilation, model: ReferenceModel, at: Location) -> dict[str, Any] | None:
     from dataclasses import replace
 
-    from pmabench.model.described import Described
+    from pmabench.model.described import Described, setup_of
     from pmabench.model.muscle import Friction, Muscle
-    from pmabench.model.plant_file import setup_of
     from pmabench.model.presets import changed, preset
     from pmabench.model.regulator import Regulator
 

@@ -9,7 +9,7 @@ import pytest
 
 from pmabench.model import slip
 from pmabench.model.plant import STEP
-from pmabench.model.signal import constant
+from pmabench.model.regulator import constant
 from tests.benchmarks.least import least
 from tests.benchmarks.test_plant_speed import ALOFT, levels, peer, plant
 

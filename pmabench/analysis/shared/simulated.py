@@ -12,7 +12,7 @@ import numpy as np
 from pmabench.analysis.shared import replay
 from pmabench.model.described import Described
 from pmabench.model.pid import PID
-from pmabench.model.signal import constant
+from pmabench.model.regulator import constant
 from pmabench.store.records import Array, RunData, TrialData
 
 LEAST_MASS = 0.5

@@ -13,7 +13,7 @@ from pmabench.base.errors import did_you_mean
 from pmabench.base.quantities import show
 from pmabench.files.document import Location, Strict
 from pmabench.files.quantity import Gain, Length, Pressure, Time
-from pmabench.model.rules import registry as rules
+from pmabench.model.rules import record as rules
 from pmabench.protocol.common import Compilation
 from pmabench.protocol.reference_model import read_folder
 
