@@ -1,7 +1,7 @@
 """The compiled bench as plain records, and its JSON: all that guard, engine and drivers know of a bench file.
 
-And what is really wired to the devices of a rig, for emulators. Standard library only. Values are SI; a `Scale` has what
-the device itself gives.
+And what is really wired to the devices of a rig, for emulators. Standard library only. Values are SI; a `Scale` has
+what the device itself gives.
 """
 
 from __future__ import annotations

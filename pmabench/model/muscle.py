@@ -1,8 +1,8 @@
 """A muscle: three-element force with friction, a chain of several at rest, and the outline of one; no load, no time.
 
 Outline: a cylinder between two curved ends (paper 1 eq. 21). The braid does not stretch, so the body of a muscle that
-is shorter is wider: r(eps) = r0 sqrt(1 - (1 - eps)^2 cos^2 theta0) / sin theta0. The ends stay at r0, where the fittings
-hold them.
+is shorter is wider: r(eps) = r0 sqrt(1 - (1 - eps)^2 cos^2 theta0) / sin theta0. The ends stay at r0, where the
+fittings hold them.
 """
 
 from __future__ import annotations
