@@ -105,7 +105,7 @@ class Format:
     Raises InvalidFile with what is wrong, at its line where there is one.
     """
     reader: Callable[..., Any] | None = None
-    """Makes a reader that takes a file in pieces, for a format whose files may not fit into memory; see `importers.apart`."""
+    """Makes a reader that takes a file in pieces, for a format whose files may not fit into memory; see `apart`."""
     modules: Sequence[str] = ()
     """Modules that `read` imports: imported before the time that a file may take is counted."""
     package: str = ""
