@@ -16,17 +16,6 @@ from typing import Any
 
 from pmabench.base.errors import InvalidFile, invalid
 from pmabench.store import folder as files
-from pmabench.store.folder import (
-    decode_lines,
-    files_of,
-    is_regular,
-    is_run_name,
-    journal_summary,
-    read_file,
-    read_manifest,
-    read_seal,
-    status_of,
-)
 from pmabench.store.since import added, late_files
 
 ANALYSES, ANALYSIS = "analyses", "analysis.json"
@@ -72,7 +61,7 @@ def _found(folder: Path) -> Iterator[Path]:
         if any(entry.name in (files.MANIFEST, files.SEAL) for entry in inside):
             yield place
             continue
-        if is_run_name(place.name) and not any(Path(entry, ANALYSIS).exists() for entry in inside):
+        if files.is_run_name(place.name) and not any(Path(entry, ANALYSIS).exists() for entry in inside):
             yield place  # an emptied run folder; analyses of a run are in a folder of the same name
             continue
         waiting += [
@@ -111,8 +100,8 @@ def _chain(run: Path) -> tuple[Path, ...]:
     """The run and those before it as their manifests name them; who opens it reports what is wrong with a link."""
     chain = [run]
     with suppress(InvalidFile, KeyError, TypeError):
-        while b'"continues"' in read_file(chain[0], files.MANIFEST):
-            link = read_manifest(chain[0]).get("continues")
+        while b'"continues"' in files.read_file(chain[0], files.MANIFEST):
+            link = files.read_manifest(chain[0]).get("continues")
             if link is None:
                 break
             before = chain[0].resolve().parent / Path(str(link["run"])).name
@@ -127,7 +116,7 @@ def _renamed(run: Path, name: str) -> Path:
     """The folder next to `run` that holds the run `name` under another name."""
     for folder in sorted(run.resolve().parent.iterdir()):
         with suppress(InvalidFile):
-            if (folder / files.MANIFEST).is_file() and read_manifest(folder).get("id") == name:
+            if (folder / files.MANIFEST).is_file() and files.read_manifest(folder).get("id") == name:
                 return folder
     raise invalid(run, f"continues {name}, which is not next to it")
 
@@ -233,16 +222,16 @@ def _stamp(path: Path) -> str:
 
 def _read(folder: Path) -> Row:
     try:
-        manifest = read_manifest(folder)
-        seal = read_seal(folder)
-        status = status_of(manifest, seal)
+        manifest = files.read_manifest(folder)
+        seal = files.read_seal(folder)
+        status = files.status_of(manifest, seal)
     except InvalidFile:
         manifest, seal, status = {}, {}, "damaged"
     if seal is None:
-        found = journal_summary(manifest, decode_lines(_events(folder)), [])
+        found = files.journal_summary(manifest, files.decode_lines(_events(folder)), [])
         size = 0
         with suppress(OSError):
-            size = sum(path.stat().st_size for _name, path in files_of(folder) if is_regular(path))
+            size = sum(path.stat().st_size for _name, path in files.files_of(folder) if files.is_regular(path))
     else:
         found = seal
         size = sum(int(entry["bytes"]) for entry in seal.get("files", {}).values())
@@ -274,7 +263,7 @@ def _read(folder: Path) -> Row:
 
 def _events(folder: Path) -> bytes:
     with suppress(InvalidFile):
-        return read_file(folder, files.EVENTS) if is_regular(folder / files.EVENTS) else b""
+        return files.read_file(folder, files.EVENTS) if files.is_regular(folder / files.EVENTS) else b""
     return b""
 
 

@@ -128,14 +128,14 @@ def _linked(path: Path, link: Any) -> Path:
         raise invalid(
             path / files.MANIFEST, "does not say which run it continues (`continues`: run, sha256)"
         ) from error
-    for folder in _beside(path, name):
+    for folder in _next_to(path, name):
         if not is_regular(folder / files.SEAL) or sha256_of(folder / files.SEAL) != digest:
             raise invalid(folder, f"was not closed as it was when {path.name} continued it: its seal is another one")
         return folder
     raise invalid(path, f"continues {name}, which is not next to it; put that run's folder there")
 
 
-def _beside(path: Path, name: str) -> Iterator[Path]:
+def _next_to(path: Path, name: str) -> Iterator[Path]:
     """Folders next to `path` that hold the run `name`: the one of that name first, then one that was renamed."""
     parent = path.resolve().parent
     named = [parent / name] if Path(name).name == name else []

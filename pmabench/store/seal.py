@@ -24,22 +24,6 @@ from typing import Any
 from pmabench.base.errors import InvalidFile, RecordError
 from pmabench.store import folder as files
 from pmabench.store.arrow import pa, pq
-from pmabench.store.folder import (
-    cannot_write,
-    decode_lines,
-    is_regular,
-    journal_summary,
-    part_of,
-    plain,
-    read_file,
-    read_manifest,
-    read_seal,
-    reason_of,
-    sealed_json,
-    sha256_of,
-    sync_folder,
-    write_whole,
-)
 from pmabench.store.livestream import LiveReader, about_stream, raw_bytes
 from pmabench.store.since import adopt
 
@@ -81,7 +65,7 @@ def archive(live: Path, target: Path) -> Archived:
             raise ValueError("what was read back is not what was written")
         kept = Archived(reader.rows, reader.fault, reader.torn)
         part.replace(target)
-        sync_folder(target.parent)
+        files.sync_folder(target.parent)
     finally:
         with suppress(OSError):
             part.unlink(missing_ok=True)
@@ -179,21 +163,21 @@ FOR_EVENTS = 64 * 1024
 
 def keep_room(folder: Path) -> None:
     """Reserve the room for the end of a run in its folder. Raises OSError where there is not so much."""
-    _reserve(part_of(folder / files.SEAL), FOR_SEAL)
-    _reserve(part_of(folder / files.EVENTS), FOR_EVENTS)
+    _reserve(files.part_of(folder / files.SEAL), FOR_SEAL)
+    _reserve(files.part_of(folder / files.EVENTS), FOR_EVENTS)
 
 
 def free_for_events(folder: Path) -> None:
     """Give the room for the last events back to the disk, for them. Harmless when repeated."""
     with suppress(OSError):
-        part_of(folder / files.EVENTS).unlink()
+        files.part_of(folder / files.EVENTS).unlink()
 
 
 def write_into_room(path: Path, content: bytes) -> None:
     """As `write_whole`, in the room that was kept for `path`, where there is some. Raises OSError."""
-    part = part_of(path)
-    if not is_regular(part):
-        write_whole(path, content)
+    part = files.part_of(path)
+    if not files.is_regular(part):
+        files.write_whole(path, content)
         return
     fd = os.open(part, os.O_WRONLY | getattr(os, "O_BINARY", 0) | getattr(os, "O_NOFOLLOW", 0))
     try:
@@ -203,7 +187,7 @@ def write_into_room(path: Path, content: bytes) -> None:
     finally:
         os.close(fd)
     part.replace(path)
-    sync_folder(path.parent)
+    files.sync_folder(path.parent)
 
 
 def _reserve(path: Path, size: int) -> None:
@@ -257,28 +241,30 @@ def seal(folder: Path, status: str, why: str, end: Mapping[str, Any]) -> None:
     """
     streams = _turn(folder / files.STREAMS)
     if streams.failure is not None:
-        text = str(cannot_write(folder, streams.failure))
-        known = status == "error" and reason_of(streams.failure) in why  # a full disk is named once
+        text = str(files.cannot_write(folder, streams.failure))
+        known = status == "error" and files.reason_of(streams.failure) in why  # a full disk is named once
         status, why = "error", why if known else f"{text}; before that: {status} {why}".rstrip()
     _tidy(folder)
-    manifest = read_manifest(folder)
-    journal = decode_lines(read_file(folder, files.EVENTS) if os.path.lexists(folder / files.EVENTS) else b"")
+    manifest = files.read_manifest(folder)
+    events = files.read_file(folder, files.EVENTS) if os.path.lexists(folder / files.EVENTS) else b""
+    journal = files.decode_lines(events)
     content = {
         "schema": files.SEAL_SCHEMA,
         "id": manifest["id"],
         "status": status,
         "why": why,
-        "end": plain(end),
+        "end": files.plain(end),
         "closed_utc": datetime.now(UTC).isoformat(timespec="milliseconds"),
-        **journal_summary(manifest, journal, streams.spans),
+        **files.journal_summary(manifest, journal, streams.spans),
         "events": len(journal.lines),
         "events_fault": journal.fault,
         "streams": streams.described,
         "files": {
-            name: {"sha256": sha256_of(path), "bytes": path.stat().st_size} for name, path in _part_of_the_run(folder)
+            name: {"sha256": files.sha256_of(path), "bytes": path.stat().st_size}
+            for name, path in _part_of_the_run(folder)
         },
     }
-    write_into_room(folder / files.SEAL, sealed_json(content))
+    write_into_room(folder / files.SEAL, files.sealed_json(content))
     for path in (folder / name for name in (files.SEAL, *content["files"])):
         with suppress(OSError):
             path.chmod(0o444)
@@ -290,7 +276,7 @@ def _part_of_the_run(folder: Path) -> Iterator[tuple[str, Path]]:
     """The files that are sealed: not the notes, which may come at any time, and nothing that is no file of a run."""
     for name, path in files.files_of(folder):
         note = name == files.NOTES_HEAD or name.startswith(f"{files.NOTES}/")
-        if not note and is_regular(path) and not STRAY.fullmatch(name):
+        if not note and files.is_regular(path) and not STRAY.fullmatch(name):
             yield name, path
 
 
@@ -300,7 +286,7 @@ def _tidy(folder: Path) -> None:
     room = files.part_of(folder / files.SEAL)
     for place in (folder, folder / files.STREAMS):
         for path in place.glob(".*.part"):
-            if path != room and is_regular(path) and path.name != f".{files.NOTES_HEAD}.part":
+            if path != room and files.is_regular(path) and path.name != f".{files.NOTES_HEAD}.part":
                 path.unlink()
 
 
@@ -325,7 +311,7 @@ def _turn(folder: Path) -> _Streams:
 
 
 def _found(folder: Path, pattern: str) -> list[Path]:
-    return [] if folder.is_symlink() else [path for path in sorted(folder.glob(pattern)) if is_regular(path)]
+    return [] if folder.is_symlink() else [path for path in sorted(folder.glob(pattern)) if files.is_regular(path)]
 
 
 def close_interrupted(folder: Path) -> Path:
@@ -333,8 +319,8 @@ def close_interrupted(folder: Path) -> Path:
 
     Raises RecordError where its writer still lives or it cannot be written, InvalidFile where it is no run.
     """
-    manifest = read_manifest(folder)
-    if read_seal(folder) is not None:
+    manifest = files.read_manifest(folder)
+    if files.read_seal(folder) is not None:
         return folder
     if files.status_of(manifest, None) == "running":
         raise RecordError(f"{folder} is still being written by process {manifest['writer']['pid']}")
@@ -342,5 +328,5 @@ def close_interrupted(folder: Path) -> Path:
         adopt(folder)
         seal(folder, "interrupted", "the program that wrote it ended without closing it", {})
     except (OSError, ValueError, InvalidFile) as error:
-        raise cannot_write(folder, error) from error
+        raise files.cannot_write(folder, error) from error
     return folder

@@ -52,7 +52,7 @@ def serve(kind: str, ask: BinaryIO, answer: BinaryIO) -> None:
         question = json.loads(line)
         content = ask.read(question["bytes"])
         if absent:
-            _tell(answer, {"absent": absent}, [])
+            _send_answer(answer, {"absent": absent}, [])
             continue
         end_after_cpu(CPU + CPU_PER_MB * len(content) / 1e6)
         try:
@@ -64,10 +64,10 @@ def serve(kind: str, ask: BinaryIO, answer: BinaryIO) -> None:
         except (MemoryError, RecursionError) as error:
             head, arrays = {"lack": type(error).__name__}, []
         end_after_cpu(0.0)
-        _tell(answer, head, arrays)
+        _send_answer(answer, head, arrays)
 
 
-def _tell(answer: BinaryIO, head: Mapping[str, Any], arrays: Sequence[Any]) -> None:
+def _send_answer(answer: BinaryIO, head: Mapping[str, Any], arrays: Sequence[Any]) -> None:
     answer.write(json.dumps(head).encode() + b"\n")
     for array in arrays:
         answer.write(np.ascontiguousarray(array, dtype="<f8").data)

@@ -147,7 +147,7 @@ def map_text(guess: Guess, spans: Mapping[str, Span]) -> str:
     if guess.role("time") is None:
         lines.append('  "@time": {is: time, unit: s}  # made from the period, for no column is a time')
     lines += test_lines(guess)
-    lines += ["", *_name_tells(guess)]
+    lines += ["", *_name_lines(guess)]
     gap = f"{guess.gap * 1e3:.3g} ms" if guess.gap < 1 else f"{guess.gap:.3g} s"
     low, high = (f"{rate:.4g}" for rate in guess.rate)
     lines.append(f"sampling: {{rate: [{low} Hz, {high} Hz], gap: {gap}}}{_why(guess, 'sampling')}")
@@ -339,7 +339,7 @@ def _blip(values: np.ndarray) -> float | None:
     return low if far and len(near) and here[1:-1].sum() == alone.sum() and here.sum() <= 0.01 * len(values) else None
 
 
-def _name_tells(guess: Guess) -> list[str]:
+def _name_lines(guess: Guess) -> list[str]:
     if not guess.forms:
         return []
     lines = [f"name_tells:{_why(guess, 'name_tells')}", f"  of: {guess.form_of}"]
