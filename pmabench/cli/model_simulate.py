@@ -186,7 +186,7 @@ def _setup(plant: str, kind: str, changes: Overrides, waves: tuple[Wave, ...]) -
         from pathlib import Path
 
         from pmabench.bench.plant import read_plant
-        from pmabench.model.described import setup_of
+        from pmabench.model.presets import setup_of
 
         numbers = read_plant(Path(plant)).numbers
         setup, highest = changed(setup_of(numbers), kind, changes), float(numbers["highest_pressure"])

@@ -16,11 +16,10 @@ from pmabench.bench.plant import read_plant
 from pmabench.files.document import Document, Location, Strict, read_document, validate
 from pmabench.files.quantity import Frequency, Length, Load, Pressure, Time, parse_quantity
 from pmabench.model.cascade import Member, PlantMuscle, PrintedMuscle, Step
-from pmabench.model.described import setup_of
 from pmabench.model.library.coefficients import DMSP_ANGLE, DMSP_LENGTH, DMSP_PRESSURE, DMSP_RADIUS
 from pmabench.model.muscle import Muscle
 from pmabench.model.overrides import Overrides
-from pmabench.model.presets import MUSCLES, Setup, changed, preset
+from pmabench.model.presets import MUSCLES, Setup, changed, preset, setup_of
 
 G = 9.81
 CARRIAGE, FORCE_MASS = 2.0, 0.5

@@ -11,8 +11,7 @@ from typing import Any
 from pmabench.base.errors import InvalidFile, Problem, RecordError, invalid
 from pmabench.store import folder as files
 from pmabench.store.folder import is_regular, read_manifest, read_seal, sha256_of, status_of
-from pmabench.store.reader import open_run
-from pmabench.store.recalibration import Recalibration
+from pmabench.store.reader import Recalibration, open_run
 from pmabench.store.records import RunData, exclude, supersede
 from pmabench.store.seal import close_interrupted
 

@@ -17,8 +17,7 @@ from pmabench.base.errors import InvalidFile
 from pmabench.bench.compile import mount
 from pmabench.bench.plant import read_plant
 from pmabench.bench.records import device_from
-from pmabench.model.described import setup_of
-from pmabench.model.presets import changed, preset
+from pmabench.model.presets import changed, preset, setup_of
 from pmabench.model.regulator import constant
 from tests.bench.benches import BENCHES, ROOT, SPECIMEN
 

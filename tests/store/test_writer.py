@@ -393,7 +393,14 @@ class _Died(BaseException):
 
 @pytest.mark.parametrize(
     "place",
-    ["seal._digest", "seal.span_of", "folder.decode_lines", "folder.sha256_of", "seal.write_into_room", "seal._write_all"],
+    [
+        "seal._digest",
+        "seal.span_of",
+        "folder.decode_lines",
+        "folder.sha256_of",
+        "seal.write_into_room",
+        "seal._write_all",
+    ],
 )
 def test_a_program_that_dies_while_it_closes_loses_nothing(tmp_path, monkeypatch, place):
     writer = begin(tmp_path)

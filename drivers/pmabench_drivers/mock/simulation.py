@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 
 from pmabench.base.errors import DeviceError, did_you_mean
 from pmabench.bench.interface import Block, ChannelRecord, DeviceRecord, Load, Scale, Segment
-from pmabench.model.described import setup_of
 from pmabench.model.driven import Actuator, DrivenPlant
 from pmabench.model.plant import Plant
-from pmabench.model.presets import Arm, changed, preset
+from pmabench.model.presets import Arm, changed, preset, setup_of
 from pmabench.model.regulator import Wave, constant, ramp, sine
 from pmabench_drivers.mock.channels import Channel, Column, Damage, as_block
 from pmabench_drivers.mock.options import (

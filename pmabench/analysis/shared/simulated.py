@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from pmabench.analysis.shared import replay
-from pmabench.model.described import Described
 from pmabench.model.pid import PID
+from pmabench.model.presets import Described
 from pmabench.model.regulator import constant
 from pmabench.store.records import Array, RunData, TrialData
 

@@ -256,16 +256,3 @@ def hysteresis_loop(
     down = -height + (turn + height) * np.exp(-(contraction - contraction_low) / width)
     up = height - (turn + height) * np.exp(-(contraction_high - contraction) / width)
     return {"contracting": down, "expanding": up, "gap": up - down}
-
-
-def hysteresis_path(contraction: Array, height: float, width: float, start: float = 0.0) -> Array:
-    """F_h [N] along a path of contractions [1], shape (n,), from F_h = `start` [N] on; what lies between is "
-    "monotone.
-    """
-    force = np.empty(len(contraction))
-    last, at = start, float(contraction[0])
-    for index, eps in enumerate(np.asarray(contraction, dtype=np.float64).tolist()):
-        end = -float(np.sign(eps - at)) * height
-        last = end + (last - end) * float(np.exp(-abs(eps - at) / width)) if eps != at else last
-        force[index], at = last, eps
-    return force

@@ -4,7 +4,7 @@
 - `table`: the columns of one file, read in processes of their own (`apart`)
 - `prepare`: one file read, scaled and checked, in parts where it is long (`long`); `importing`: the runs
 - checks: `quality` of one channel; `plausible` of several against each other, with `magnitude` and `midfile`;
-  `siblings` compares files; `found`: a finding, and what its samples change
-- `segments` cuts into trials; `motion` finds steps, ramps and sines, `commanded` names them as commands
+  `importing` compares files; `found`: a finding, and what its samples change
+- `segments` cuts into trials, by the steps, ramps and sines that `motion` finds and names as commands
 - `guess`: a proposed map for files that were never seen
 """

@@ -6,8 +6,7 @@ A finding that flags samples is completed by the slope over pressure with and wi
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
-from typing import Any
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +36,20 @@ class Found:
     """Change of the slope over pressure by these samples [1]; None where it was not measured."""
     withholds: bool = False
     """No rule can set it right: what rests on the file is withheld until the map answers it."""
+
+
+@dataclass(frozen=True)
+class Summary:
+    """What is compared between files at the same point: the peak of each channel [SI]."""
+
+    point: tuple[tuple[str, float], ...]
+    peaks: Mapping[str, float]
+    numbers: Mapping[str, float]
+    """The same peaks as the numbers in the file."""
+    trusted: bool
+    """False where the file was found wrong already."""
+    slope: float | None = None
+    """Force over pressure where there is force [N/Pa], of a muscle that is held."""
 
 
 @dataclass(frozen=True)
@@ -88,11 +101,6 @@ class Report:
     def with_effect(self, place: int, effect: float, text: str) -> None:
         """Add what the samples of a finding change to it."""
         self.found[place] = replace(self.found[place], effect=effect, text=f"{self.found[place].text}; {text}")
-
-
-def plain(found: Found) -> dict[str, Any]:
-    """A finding as the manifest keeps it."""
-    return asdict(found)
 
 
 FEWEST = 20

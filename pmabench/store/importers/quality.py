@@ -12,7 +12,7 @@ from math import sqrt
 import numpy as np
 
 from pmabench.base.quantities import show
-from pmabench.store.importers.found import Bools, Checked, Found, Report, add_effects
+from pmabench.store.importers.found import Bools, Checked, Found, Report, add_effects, correlation
 from pmabench.store.importers.motion import runs
 from pmabench.store.records import Array, Flag, Flags
 
@@ -383,8 +383,7 @@ def _channel(report: Report, channel: Checked) -> None:
     rule, raw, name = channel.rule, channel.raw, channel.rule.role
     nothing = ~np.isfinite(raw) | ~np.isfinite(channel.si)
     report.mark(nothing, Flag.DROPOUT, "note", "missing", "no value in the file", name)
-    with np.errstate(invalid="ignore"):
-        absurd = ((np.abs(raw) > LARGEST) | ((np.abs(raw) < 1.0 / LARGEST) & (raw != 0))) & ~nothing
+    absurd = ((np.abs(raw) > LARGEST) | ((np.abs(raw) < 1.0 / LARGEST) & (raw != 0))) & ~nothing
     text = f"reads below {1 / LARGEST:.0e} or above {LARGEST:.0e}, as no device does: the file is damaged here"
     report.mark(absurd, Flag.SUSPECT, "fault", "absurd", text, name)
     out = nothing | absurd
@@ -404,11 +403,9 @@ def _channel(report: Report, channel: Checked) -> None:
     if rule.whole:
         _whole(report, channel, looked_at)
     low, high = rule.low, rule.high
-    with np.errstate(invalid="ignore"):
-        if rule.whole:
-            beyond = ((channel.si <= low) | (channel.si >= high)) & looked_at
-        else:
-            beyond = ((channel.si < low) | (channel.si > high)) & looked_at
+    beyond = ((channel.si < low) | (channel.si > high)) & looked_at
+    if rule.whole:
+        beyond |= ((channel.si == low) | (channel.si == high)) & looked_at
     bounds = f"{show(low, rule.quantity, 4)} to {show(high, rule.quantity, 4)}"
     level = "doubt" if float(np.mean(beyond)) > OFTEN else "note"
     report.mark(beyond, Flag.OVERRANGE, level, "out-of-range", f"is at or beyond its range, {bounds}", name)
@@ -459,11 +456,8 @@ def _stale(report: Report, channel: Checked, longest: float) -> None:
 def against_sign(flags: Flags, values: Mapping[str, Array], channel: str) -> Found | None:
     """A doubt where `channel` falls while pressure rises; both of shape (n,), SI."""
     good = (flags & np.uint16(Flag.DROPOUT | Flag.OVERRANGE | Flag.TIME_JUMP | Flag.SUSPECT)) == 0
-    pressure, other = values["pressure"][good], values[channel][good]
-    if len(pressure) < 10 or np.ptp(pressure) == 0 or np.ptp(other) == 0:
-        return None
-    together = float(np.corrcoef(pressure, other)[0, 1])
-    if together > OPPOSITE:
+    together = correlation(values["pressure"][good], values[channel][good])
+    if good.sum() < 10 or together > OPPOSITE:
         return None
     text = f"{channel}: falls while pressure rises (correlation {together:.2f}): its sign, or the column, may be wrong"
     return Found("doubt", "sign", text, channel)

@@ -139,12 +139,12 @@ class Table:
     """Line in the file of each row, from 1; number of the row where the file has no lines."""
     cut_end: bool
     """The last row may be cut."""
-    units: Mapping[str, str]
-    """Name -> unit, as the file says."""
     started: datetime | None
     """When the recording began, as the file says, in the time zone of who recorded it."""
-    doubts: tuple[str, ...]
-    left_out: tuple[str, ...]
+    units: Mapping[str, str] = field(default_factory=dict)
+    """Name -> unit, as the file says."""
+    doubts: tuple[str, ...] = ()
+    left_out: tuple[str, ...] = ()
     """Columns of the file that were not asked for."""
     cut_row: str = ""
     """What was left out at the end of the file, since it is no whole row."""
@@ -289,10 +289,7 @@ def _read_pieces(path: Path, kind: str, question: Mapping[str, Any], stamps: Sta
         columns=rows.columns,
         lines=rows.lines,
         cut_end=rows.cut_end,
-        units={},
         started=rows.started,
-        doubts=(),
-        left_out=(),
         cut_row=printable(rows.cut_row),
         starts=tuple(rows.starts),
     )

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from pmabench.base.imported import Imported
 from pmabench.store.formats.record import Layout
 from pmabench.store.importers.found import correlation
-from pmabench.store.importers.guess.clock import counted
 from pmabench.store.importers.map_file import QUANTITY, PointName, spelled
 from pmabench.store.records import Array
 
@@ -51,6 +50,18 @@ OF_ROLE = {
     "supply": "pressure",
     "displacement": "length",
 }
+COUNTS = (
+    ("serial days", "d", 36_526.0, 54_789.0),
+    ("matlab days", "d", 730_486.0, 748_749.0),
+    ("epoch", "s", 0.94e9, 2.53e9),
+    ("labview", "s", 3.03e9, 4.61e9),
+    ("epoch", "ms", 0.94e12, 2.53e12),
+    ("epoch", "us", 0.94e15, 2.53e15),
+    ("epoch", "ns", 0.94e18, 2.53e18),
+)
+"""How written, unit, and the numbers of the years 2000 to 2050."""
+LONGEST_STEP = {"d": 5e-5, "s": 10.0, "ms": 1e4, "us": 1e7, "ns": 1e10}
+"""Median step of a recording that counts so, in that unit; days in longer steps may be seconds."""
 
 
 @dataclass
@@ -184,6 +195,24 @@ def _by_name(proposal: Proposal) -> None:
     proposal.role = role
     if role != "ignore":
         proposal.reasons.append(text)
+
+
+def counted(values: Array) -> tuple[str, str] | None:
+    """How a column of numbers counts from a day, and in which unit; None where it is a plain number.
+
+    An empty first text: it may be days or a plain number.
+    """
+    if len(values) < 2 or not np.isfinite(values).all():
+        return None
+    steps = np.diff(values)
+    step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
+    for kind, unit, low, high in COUNTS:
+        if low <= float(values.min()) and float(values.max()) <= high and 0 < step:
+            if step <= LONGEST_STEP[unit]:
+                return kind, unit
+            if unit == "d" and step <= 1e-2:
+                return "", unit
+    return None
 
 
 UNLIKE_TIME = "is named or measured like a time"
