@@ -14,7 +14,8 @@ from pathlib import Path
 from pmabench.base.quantities import show
 from pmabench.bench.compile import Mounted
 from pmabench.bench.files import Reading
-from pmabench.bench.interface import ChannelRecord, DeviceRecord, SafeAction, TripRecord, ValveRecord
+from pmabench.bench.interface import ChannelRecord, DeviceRecord, SafeAction, TripRecord
+from pmabench.bench.safety import RATE_OF
 
 BY_HAND = "Press the emergency stop, shut off the air, vent by hand."
 
@@ -44,10 +45,6 @@ def _device_of(mounted: Mounted, output: str) -> DeviceRecord | None:
         if output in {*(o.name for o in device.outputs), *(v.name for v in device.valves)}:
             return device
     return None
-
-
-def _dump(mounted: Mounted) -> ValveRecord | None:
-    return next((valve for valve in mounted.bench.valves if valve.name == "dump_valve"), None)
 
 
 def _opens_unheard(mounted: Mounted) -> DeviceRecord | None:
@@ -107,7 +104,7 @@ def _air(mounted: Mounted) -> Iterator[str]:
         least = show(trip.low or 0.0, "pressure")
         yield f"Supply below {least} for {seconds(trip.delay)}: {trip.action}."
     for trip in following[: 0 if supply else 1]:
-        yield f"{_noticed(trip)}: {trip.action}."
+        yield f"{noticed(trip)}: {trip.action}."
     if not supply and not following:
         yield "NOBODY IS TOLD: look at the gauge."
     yield "Air that comes back brings the pressure back: vent first."
@@ -127,12 +124,12 @@ def _link(mounted: Mounted) -> Iterator[str]:
 def _sensor(mounted: Mounted) -> Iterator[str]:
     watched = [t for t in mounted.bench.trips if t.channel == "pressure" and t.kind in {"stale", "frozen", "off-range"}]
     low = [t for t in mounted.bench.trips if t.channel == "pressure" and t.kind == "range" and t.low is not None]
-    noticed = [f"{_noticed(trip)}: {trip.action}" for trip in watched]
-    noticed += [f"reads below {show(trip.low or 0.0, 'pressure')}: {trip.action}" for trip in low]
-    if not noticed:
+    seen = [f"{noticed(trip)}: {trip.action}" for trip in watched]
+    seen += [f"reads below {show(trip.low or 0.0, 'pressure')}: {trip.action}" for trip in low]
+    if not seen:
         yield "A DEAD SENSOR IS NOT NOTICED."
     else:
-        text = "; ".join(noticed)
+        text = "; ".join(seen)
         yield f"{text[0].upper()}{text[1:]}."
 
 
@@ -142,9 +139,9 @@ def _interlock(mounted: Mounted) -> str:
     return "Vent; the bench stays tripped until somebody has looked and reset it."
 
 
-def noticed(trip: TripRecord, quantity: str) -> str:
+def noticed(trip: TripRecord, quantity: str = "pressure") -> str:
     """What a trip of the watch list looks at, in words."""
-    rate = {"pressure": "pressure rate", "length": "speed", "force": "force rate"}.get(quantity, quantity)
+    rate = RATE_OF.get(quantity, quantity)
     high = trip.high or 0.0
     lasting = f" for {seconds(trip.delay)}" if trip.delay else ""
     return {
@@ -156,10 +153,6 @@ def noticed(trip: TripRecord, quantity: str) -> str:
         "burst": f"falls {show(high, quantity)} within {seconds(trip.window)}{lasting}",
         "slack": f"below {show(trip.low or 0.0, quantity)}{lasting}",
     }[trip.kind]
-
-
-def _noticed(trip: TripRecord) -> str:
-    return noticed(trip, "pressure")
 
 
 Rows = list[list[str]]
@@ -245,12 +238,7 @@ def _facts(mounted: Mounted) -> Iterator[list[str]]:
         yield ["Never above", f"{never} ({specimen.limits.source})"]
     else:
         yield ["Specimen", "any: its own limits come on top of these"]
-    free_end = {
-        "weights": "weights",
-        "actuator": "driven by an actuator",
-        "fixed": "fixed",
-        "free": "free",
-    }[file.free_end]
+    free_end = "driven by an actuator" if file.free_end == "actuator" else file.free_end
     if file.weights is not None and file.weights.catch_height is not None:
         free_end += f", catch height {show(file.weights.catch_height, 'length')}"
     yield ["Free end", free_end]
@@ -297,12 +285,17 @@ def _limits(mounted: Mounted) -> Iterator[list[str]]:
             yield ["contraction", "", "", f"above {_reading(limit.trip)}", limit.action + after, source]
 
 
+def _quantities(mounted: Mounted) -> dict[str, str]:
+    """Quantity of each channel and output."""
+    return {each.name: each.quantity for each in (*mounted.bench.outputs, *mounted.bench.channels)}
+
+
 def _reading(reading: Reading) -> str:
     return f"{reading[0]:g} {reading[1]}"
 
 
 def _trip(trip: TripRecord, mounted: Mounted) -> list[str]:
-    quantity = next(channel.quantity for channel in mounted.bench.channels if channel.name == trip.channel)
+    quantity = _quantities(mounted)[trip.channel]
     bounds = [f"below {show(trip.low, quantity)}"] if trip.low is not None else []
     bounds += [f"above {show(trip.high, quantity)}"] if trip.high is not None else []
     after = f" after {seconds(trip.delay)}" if trip.delay else ""
@@ -310,10 +303,8 @@ def _trip(trip: TripRecord, mounted: Mounted) -> list[str]:
 
 
 def _action(action: SafeAction, mounted: Mounted) -> tuple[str, str]:
-    quantities = {output.name: output.quantity for output in mounted.bench.outputs}
-    quantities |= {channel.name: channel.quantity for channel in mounted.bench.channels}
-    quantity = quantities.get(action.target, "pressure")
-    rate = {"pressure": "pressure rate", "length": "speed"}.get(quantity, "pressure rate")
+    quantity = _quantities(mounted).get(action.target, "pressure")
+    rate = RATE_OF.get(quantity, "pressure rate")
     target = action.target.replace("_", " ")
     text = {
         "set": f"{target} to {show(action.value, quantity)}",
@@ -328,7 +319,7 @@ def _action(action: SafeAction, mounted: Mounted) -> tuple[str, str]:
 
 
 def _watch(mounted: Mounted) -> Iterator[list[str]]:
-    quantities = {channel.name: channel.quantity for channel in mounted.bench.channels}
+    quantities = _quantities(mounted)
     for trip in mounted.bench.trips:
         if trip.kind != "range":
             yield [trip.channel, noticed(trip, quantities[trip.channel]), trip.action]

@@ -276,11 +276,7 @@ def device_from(data: Mapping[str, Any]) -> DeviceRecord:
     """A device from its JSON object, as `dataclasses.asdict` gives it."""
     channels = tuple(
         ChannelRecord(
-            **{
-                **item,
-                "scale": Scale(**item["scale"]),
-                "calibration": CalibrationRecord(**item["calibration"]),
-            }
+            **{**item, "scale": Scale(**item["scale"]), "calibration": CalibrationRecord(**item["calibration"])}
         )
         for item in data["channels"]
     )

@@ -17,16 +17,6 @@ from pmabench.bench.files.parts import Reading
 from pmabench.bench.files.specimen import CalibrationFile, ExpectedFile, SpecimenFile, any_specimen
 
 __all__ = [
-    "BenchFile",
-    "CalibrationFile",
-    "DeviceFile",
-    "ExpectedFile",
-    "LimitFile",
-    "OutputFile",
-    "Reading",
-    "SafeActionFile",
-    "SpecimenFile",
-    "ValveFile",
-    "WatchFile",
-    "any_specimen",
-]
+    "BenchFile", "CalibrationFile", "DeviceFile", "ExpectedFile", "LimitFile", "OutputFile", "Reading",
+    "SafeActionFile", "SpecimenFile", "ValveFile", "WatchFile", "any_specimen",
+]  # fmt: skip

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -132,6 +133,16 @@ def numbers(values: object) -> Array | None:
     if array.ndim != 1 or array.dtype.kind not in "biuf":
         return None
     return np.ascontiguousarray(array, dtype=np.float64)
+
+
+def distinct(names: Sequence[str]) -> list[str]:
+    """The names in order; one that was there before with its number: `name (2)`."""
+    seen: Counter[str] = Counter()
+    found = []
+    for name in names:
+        seen[name] += 1
+        found.append(name if seen[name] == 1 else f"{name} ({seen[name]})")
+    return found
 
 
 GROUP = "pmabench.formats"

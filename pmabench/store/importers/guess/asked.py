@@ -79,7 +79,7 @@ def unit_of(column: Proposal, guess: Guess) -> Asked | None:
     if said and not column.bare:
         if column.role == "supply":
             return None
-        if _possible(_typical(column.good), column.unit, quantity):
+        if _possible(_top(column.good, 0.95), column.unit, quantity):
             return _steep(column, guess) if column.role == "pressure" else _counted(column, guess)
         head = (
             f'"{column.name}" is in {column.unit} by its name, {_reach(top, column.unit, quantity)}, which no test has'
@@ -264,13 +264,9 @@ def _in_seconds(column: Proposal) -> Array:
     return column.good * unit_factor(column.unit or "s", "time")
 
 
-def _top(values: Array) -> float:
-    return float(np.quantile(np.abs(values), 0.995)) if len(values) else 0.0
-
-
-def _typical(values: Array) -> float:
-    """A value that some wrong samples do not move, near the highest one."""
-    return float(np.quantile(np.abs(values), 0.95)) if len(values) else 0.0
+def _top(values: Array, share: float = 0.995) -> float:
+    """The highest value, but for a share of samples that may be wrong."""
+    return float(np.quantile(np.abs(values), share)) if len(values) else 0.0
 
 
 def _possible(top: float, unit: str, quantity: str) -> bool:

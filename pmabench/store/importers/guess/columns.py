@@ -197,6 +197,12 @@ def _by_name(proposal: Proposal) -> None:
         proposal.reasons.append(text)
 
 
+def usual_step(values: Array) -> float:
+    """Median of the steps upward; 0 where there is none."""
+    steps = np.diff(values)
+    return float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
+
+
 def counted(values: Array) -> tuple[str, str] | None:
     """How a column of numbers counts from a day, and in which unit; None where it is a plain number.
 
@@ -204,8 +210,7 @@ def counted(values: Array) -> tuple[str, str] | None:
     """
     if len(values) < 2 or not np.isfinite(values).all():
         return None
-    steps = np.diff(values)
-    step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
+    step = usual_step(values)
     for kind, unit, low, high in COUNTS:
         if low <= float(values.min()) and float(values.max()) <= high and 0 < step:
             if step <= LONGEST_STEP[unit]:
@@ -266,8 +271,7 @@ BRIEF, RARE = 0.5, 0.5
 
 
 def _time_unit(time: Proposal) -> None:
-    steps = np.diff(time.values)
-    step = float(np.median(steps[steps > 0]))
+    step = usual_step(time.values)
     for unit, factor in TIMES.items():
         if FASTEST >= 1.0 / (step * factor) >= SLOWEST:
             time.unit = unit
@@ -283,8 +287,7 @@ def _time_unit(time: Proposal) -> None:
 
 def _said_time(time: Proposal) -> None:
     """A time whose unit makes of the file what no test is, while another unit makes a usual one of it."""
-    steps = np.diff(time.values)
-    step, many = float(np.median(steps[steps > 0])), len(time.values)
+    step, many = usual_step(time.values), len(time.values)
     rate, lasts = 1.0 / (step * TIMES[time.unit]), step * many * TIMES[time.unit]
     usual = [
         unit for unit, s in TIMES.items() if FASTEST >= 1.0 / (step * s) >= 10 * SLOWEST and step * many * s >= SHORTEST
@@ -437,9 +440,7 @@ def held(column: Proposal, pressure: Proposal | None) -> bool:
     low, high = (float(value) for value in np.quantile(x, [0.01, 0.99]))
     if high - low == 0:
         return True
-    together = 0.0
-    if pressure is not None:
-        together = correlation(column.values, pressure.values)
+    together = 0.0 if pressure is None else correlation(column.values, pressure.values)
     still = STILL / METRES[column.unit] if column.unit in METRES else 0.0
     return high - low < max(still, HELD * max(abs(low), abs(high))) and abs(together) < 0.5
 

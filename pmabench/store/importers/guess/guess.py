@@ -22,7 +22,7 @@ from pmabench.store.formats import text
 from pmabench.store.formats.mat import alike, is_clock, matrix_of
 from pmabench.store.formats.record import format_of
 from pmabench.store.formats.text import TextLayout
-from pmabench.store.importers.guess.columns import Guess, Proposal, choose, is_whole, unit_in
+from pmabench.store.importers.guess.columns import Guess, Proposal, choose, is_whole, unit_in, usual_step
 from pmabench.store.importers.guess.layout import TextGuess, guess_layout
 from pmabench.store.importers.guess.signs import choose_kind, count, share
 from pmabench.store.importers.map_file import PLACE, spelled
@@ -97,8 +97,8 @@ def _several(guess: Guess, tests: list[str], shown: str, columns: Mapping[str, A
 
 def _usual_step(columns: Mapping[str, Array], matrix: str) -> float:
     """The median step of the clock of a matrix."""
-    clock = next((v for name, v in columns.items() if matrix_of(name) == matrix and is_clock(v)), None)
-    return 0.0 if clock is None else float(np.median(np.diff(clock)))
+    clock = (v for name, v in columns.items() if matrix_of(name) == matrix and is_clock(v))
+    return usual_step(next(clock, np.empty(0)))
 
 
 def _look_at_text(path: Path, guessed: TextGuess, kinds: Mapping[str, Imported]) -> Guess:
@@ -118,14 +118,15 @@ def _look_at_text(path: Path, guessed: TextGuess, kinds: Mapping[str, Imported])
         for name in numbers
         if stamps is None or name != stamps.date
     ]
+    order = ""
+    if stamps is not None:
+        order = "??" if guessed.open_order else stamps.order if stamps.order != "year first" else ""
     for column in columns:
         if stamps is not None and column.name == stamps.column:
-            column.unit, column.written, column.bare = "s", stamps.written, False
-            column.order = "??" if guessed.open_order else stamps.order if stamps.order != "year first" else ""
+            column.unit, column.written, column.bare, column.order = "s", stamps.written, False, order
     choose(columns)
     words = [Proposal(name, np.empty(0), reasons=["holds words, not numbers"]) for name in guessed.texts]
     if stamps is not None and stamps.date:
-        order = "??" if guessed.open_order else stamps.order if stamps.order != "year first" else ""
         words.append(Proposal(stamps.date, np.empty(0), role="date", order=order, reasons=["the day of the clock"]))
     falls = next((c.name for c in columns if c.unit in SECONDS and is_clock(-c.values) and c.written == "number"), "")
     if falls and all(column.role != "time" for column in columns):

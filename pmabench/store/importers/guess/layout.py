@@ -13,6 +13,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 
 from pmabench.base.errors import invalid
+from pmabench.store.formats.record import distinct
 from pmabench.store.formats.shared.times import MINUS, Stamps, seconds_of, step_in
 from pmabench.store.formats.text import MARKS, TextLayout
 from pmabench.store.importers.map_file import spelled
@@ -515,10 +516,4 @@ def _twice(names: Sequence[str]) -> bool:
 
 def _apart(names: Sequence[str]) -> list[str]:
     """Names that differ, none of them empty."""
-    seen: Counter[str] = Counter()
-    found = []
-    for k, name in enumerate(names):
-        text = name[:100] or f"column {k + 1}"
-        seen[text] += 1
-        found.append(text if seen[text] == 1 else f"{text} ({seen[text]})")
-    return found
+    return distinct([name[:100] or f"column {k + 1}" for k, name in enumerate(names)])
