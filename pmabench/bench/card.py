@@ -287,7 +287,8 @@ def _limits(mounted: Mounted) -> Iterator[list[str]]:
 
 def _quantities(mounted: Mounted) -> dict[str, str]:
     """Quantity of each channel and output."""
-    return {each.name: each.quantity for each in (*mounted.bench.outputs, *mounted.bench.channels)}
+    found = {output.name: output.quantity for output in mounted.bench.outputs}
+    return found | {channel.name: channel.quantity for channel in mounted.bench.channels}
 
 
 def _reading(reading: Reading) -> str:
