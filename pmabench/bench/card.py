@@ -238,7 +238,7 @@ def _facts(mounted: Mounted) -> Iterator[list[str]]:
         yield ["Never above", f"{never} ({specimen.limits.source})"]
     else:
         yield ["Specimen", "any: its own limits come on top of these"]
-    free_end = "driven by an actuator" if file.free_end == "actuator" else file.free_end
+    free_end = "driven by an actuator" if file.free_end == "actuator" else str(file.free_end)
     if file.weights is not None and file.weights.catch_height is not None:
         free_end += f", catch height {show(file.weights.catch_height, 'length')}"
     yield ["Free end", free_end]
