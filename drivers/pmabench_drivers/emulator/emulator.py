@@ -9,7 +9,7 @@ from typing import Any, Protocol, cast
 
 from pmabench.base.errors import UsageError, did_you_mean
 from pmabench.bench.interface import DeviceRecord
-from pmabench.bench.wiring import Truth
+from pmabench.bench.records import Truth
 from pmabench_drivers.emulator.control import Control
 from pmabench_drivers.emulator.faults import EVENTS, Faults, Kind
 from pmabench_drivers.emulator.log import CommandLog

@@ -13,7 +13,7 @@ from itertools import combinations
 
 from pmabench.base.errors import UsageError, did_you_mean
 from pmabench.bench.interface import Scale
-from pmabench.bench.wiring import Wired
+from pmabench.bench.records import Wired
 from pmabench_drivers.emulator.truth import moved
 
 KINDS = {
