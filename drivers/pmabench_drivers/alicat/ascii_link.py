@@ -1,5 +1,14 @@
 """An Alicat controller over its ASCII protocol: one question, one answer, and no late answer taken for a new one.
 
+Its data line is read by the list of columns that the device sends. Under the heads of that list the columns are of
+fixed width; `*` marks what is in a line only at times::
+
+    A D00 ID_ NAME______________________ TYPE_______ WIDTH NOTES___________________
+    A D01 700 Unit ID                    string          1
+    A D02 006 Gauge Press                s decimal     7/2 010 02 PSIG
+    A D03 038 Gauge Press Setpt          s decimal     7/2 010 02 PSIG
+    A D04 702 *Status                    string          3 HLD
+
 Answers carry no number. After one that did not come in time the next line may be that one, late: nothing is believed
 until the device was asked for its firmware, whose answer looks like no other. Answers come in the order of the
 questions, so what follows that one is new. Set-points do not wait for this; what the device holds is asked afterwards.
@@ -10,23 +19,155 @@ from __future__ import annotations
 
 import re
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from time import monotonic
 from typing import TYPE_CHECKING, Any
 
 from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import COMPUTER, EMULATED, Identity
-from pmabench_drivers.alicat.layout import Layout, read_layout
-from pmabench_drivers.alicat.options import OUTPUT, UNITS, Options
-from pmabench_drivers.alicat.reading import HELD, Reading
-from pmabench_drivers.shared.lines import LONGEST_LINE, Splitter, Unreadable, Wrong, readable
+from pmabench_drivers.alicat.options import HELD, OUTPUT, UNITS, Options, Reading
 from pmabench_drivers.shared.link import Still, Unanswered, always, opened, reason, turn
-from pmabench_drivers.shared.serial_port import hand_over, open_port, received
+from pmabench_drivers.shared.serial_port import (
+    LONGEST_LINE,
+    Splitter,
+    Unreadable,
+    Wrong,
+    hand_over,
+    open_port,
+    readable,
+    received,
+    text_of,
+)
 
 if TYPE_CHECKING:
     from serial import Serial
+
+HEAD = re.compile(r"\S D00 (?P<id>ID_+) (?P<name>NAME_+) (?P<type>TYPE_+) (?P<width>WIDTH_*) (?P<notes>NOTES_*)\s*")
+ROW = re.compile(r"(?P<unit_id>\S) D(?P<number>\d\d) .*")
+NUMBER = re.compile(r"[+-]?\d{1,9}(?:\.\d{1,6})?")
+MOST_ROWS = 60
+UNIT_ID, ERROR, STATUS = 700, 701, 702
+ABSOLUTE_SET_POINT = 34
+MEASURED_BY = {38: 6, 39: 7}
+"""Statistic of the set-point -> that of the pressure that it controls: gauge, and differential to the open air."""
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column of every line."""
+
+    statistic: int
+    name: str
+    decimal: bool
+    width: int
+    decimals: int
+    unit_code: int
+    unit: str
+
+
+@dataclass(frozen=True)
+class Layout:
+    """How a data line is to be read."""
+
+    unit_id: str
+    columns: tuple[Column, ...]
+    codes: frozenset[str]
+    """Status codes that a line may end with."""
+    pressure: int
+    """Which column is the controlled pressure; counts from 0."""
+    set_point: int
+
+    @property
+    def decimals(self) -> int:
+        """Decimals of the set-point."""
+        return self.columns[self.set_point].decimals
+
+    @property
+    def length(self) -> int:
+        """Characters of a line without status."""
+        return sum(column.width + 1 for column in self.columns)
+
+    def read(self, line: bytes) -> tuple[float, float, frozenset[str]]:
+        """Pressure, set-point and status codes; raises `Unreadable`, or `Wrong` for a refusal."""
+        words = _text(line).split()
+        if words in (["?"], [self.unit_id, "?"]):
+            raise Wrong("refuses what it was asked (?)")
+        count = len(self.columns)
+        if len(words) < count or words[0].upper() != self.unit_id or not set(words[count:]) <= self.codes:
+            raise Unreadable(f'"{readable(line)}"')
+        for column, word in zip(self.columns, words, strict=False):
+            if column.decimal and not _fits(column, word):
+                raise Unreadable(f'"{readable(line)}"')
+        return float(words[self.pressure]), float(words[self.set_point]), frozenset(words[count:])
+
+
+def read_layout(lines: Sequence[bytes], unit_id: str) -> Layout:
+    """The layout that a list of columns describes; raises `Wrong` where it is none that can be driven."""
+    texts = [_text(line) for line in lines]
+    head = HEAD.fullmatch(texts[0]) if texts else None
+    if head is None:
+        first = f'; it begins with "{readable(lines[0])}"' if lines else ""
+        raise Wrong(f"its list of columns is not one that is known here (firmware 6v21 or later is needed){first}")
+    columns: list[Column] = []
+    codes: set[str] = set()
+    if len(texts) > MOST_ROWS:
+        raise Wrong(f"its list of columns has more than {MOST_ROWS} rows")
+    for expected, text in enumerate(texts[1:], 1):
+        row = ROW.fullmatch(text)
+        if row is None or row["unit_id"].upper() != unit_id or int(row["number"]) != expected:
+            raise Wrong(f'its list of columns is not whole: row {expected} reads "{text[:60]}"')
+        statistic, name, kind, width = (text[slice(*head.span(key))].strip() for key in ("id", "name", "type", "width"))
+        notes = text[head.start("notes") :].split()
+        if not statistic.isdecimal():
+            raise Wrong(f'its list of columns cannot be read: row {expected} reads "{text[:60]}"')
+        if name.startswith("*"):
+            codes.update(notes[:1] if int(statistic) in {ERROR, STATUS} else ())
+            continue
+        columns.append(_column(int(statistic), name, kind, width, notes, text))
+    return _chosen(columns, frozenset(codes), unit_id)
+
+
+def _column(statistic: int, name: str, kind: str, width: str, notes: Sequence[str], text: str) -> Column:
+    digits, _, decimals = width.partition("/")
+    if not digits.isdecimal() or (decimals and not decimals.isdecimal()):
+        raise Wrong(f'its list of columns cannot be read: "{text[:60]}"')
+    code = int(notes[0]) if len(notes) >= 2 and notes[0].isdecimal() else -1
+    unit = notes[-1] if notes else ""
+    return Column(statistic, name, "decimal" in kind, int(digits), int(decimals or 0), code, unit)
+
+
+def _chosen(columns: Sequence[Column], codes: frozenset[str], unit_id: str) -> Layout:
+    """The columns of set-point and controlled pressure."""
+    statistics = [column.statistic for column in columns]
+    if not statistics or statistics[0] != UNIT_ID:
+        raise Wrong("its data line does not begin with its unit ID")
+    if ABSOLUTE_SET_POINT in statistics:
+        raise Wrong("controls absolute pressure: set its control variable to gauge pressure")
+    for index, statistic in enumerate(statistics):
+        wanted = MEASURED_BY.get(statistic)
+        if wanted is None:
+            continue
+        if wanted not in statistics:
+            raise Wrong(f'its data line does not contain the pressure of "{columns[index].name}"')
+        layout = Layout(unit_id, tuple(columns), codes, statistics.index(wanted), index)
+        if not (columns[index].decimal and columns[layout.pressure].decimal):
+            raise Wrong("its pressures are no decimal numbers")
+        return layout
+    raise Wrong("its data line has no set-point of a pressure: is it a pressure controller?")
+
+
+def _fits(column: Column, word: str) -> bool:
+    """Whether a number has as many characters and decimals as its column says: one that lost a character has not."""
+    point = len(word) - word.find(".") - 1 if "." in word else 0
+    return NUMBER.fullmatch(word) is not None and len(word) == column.width and point == column.decimals
+
+
+def _text(line: bytes) -> str:
+    return text_of(line).rstrip()
+
 
 PUSH = 0.1
 """Longest time to hand a command to the port [s]."""

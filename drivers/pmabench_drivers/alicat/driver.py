@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING
 from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import DeviceRecord, Identity, OutputRecord
-from pmabench_drivers.alicat.options import ASCII, Options, read_options
-from pmabench_drivers.alicat.reading import NO_VALUE, OVER, Reading, trouble
+from pmabench_drivers.alicat.options import ASCII, NO_VALUE, OVER, Options, Reading, read_options, trouble
 from pmabench_drivers.shared.device import Controlled
 from pmabench_drivers.shared.link import Still
 from pmabench_drivers.shared.polling import JOIN

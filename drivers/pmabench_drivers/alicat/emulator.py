@@ -14,11 +14,10 @@ from pmabench_drivers.alicat.emulated_commands import Commands
 from pmabench_drivers.alicat.emulated_controller import Controller
 from pmabench_drivers.alicat.options import ASCII, read_options
 from pmabench_drivers.emulator.faults import IGNORE, LINK, MODBUS, OVER, RESTART, SETPOINT, STATUS, STUCK, Faults
-from pmabench_drivers.emulator.frames import ADDRESS, VALUE, Refused, Request, read_cells
 from pmabench_drivers.emulator.log import CommandLog
-from pmabench_drivers.emulator.modbus_server import RtuDevice
-from pmabench_drivers.emulator.on_terminal import OnTerminal
+from pmabench_drivers.emulator.modbus_server import ADDRESS, VALUE, Refused, Request, RtuDevice, read_cells
 from pmabench_drivers.emulator.plant import RealPlant
+from pmabench_drivers.emulator.ports import OnTerminal
 from pmabench_drivers.shared.options import options_of
 
 BITS = {"POV": 6, "HLD": 8, "ADC": 9, "EXH": 10, "OPL": 11}

@@ -15,8 +15,7 @@ from typing import TYPE_CHECKING
 from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import COMPUTER, EMULATED, Identity
-from pmabench_drivers.alicat.options import OUTPUT, Options
-from pmabench_drivers.alicat.reading import Reading, from_bits
+from pmabench_drivers.alicat.options import OUTPUT, Options, Reading, from_bits
 from pmabench_drivers.modbus.registers import Register, decode, decode_text, encode
 from pmabench_drivers.shared.link import Still, Unanswered, always, opened, turn
 

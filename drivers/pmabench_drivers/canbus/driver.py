@@ -13,16 +13,13 @@ from pmabench.bench.interface import COMPUTER, EMULATED, UNPROVEN, Block, Device
 from pmabench_drivers.canbus import frames as f
 from pmabench_drivers.canbus.drive import Drive
 from pmabench_drivers.canbus.link import Link, open_adapter
-from pmabench_drivers.canbus.node import Node
+from pmabench_drivers.canbus.node import Node, Transducer
 from pmabench_drivers.canbus.options import READY, Options, read_options
-from pmabench_drivers.canbus.rows import Rows
-from pmabench_drivers.canbus.signals import Signals
-from pmabench_drivers.canbus.transducer import Transducer
-from pmabench_drivers.shared.device import Driver
+from pmabench_drivers.canbus.rows import Rows, Signals
+from pmabench_drivers.shared.device import Driver, refuse_nonsense, stepped
 from pmabench_drivers.shared.link import opened
 from pmabench_drivers.shared.options import Reader
 from pmabench_drivers.shared.polling import JOIN, Cycle, Samples
-from pmabench_drivers.shared.segments import refuse_nonsense, stepped
 
 CALL = 0.18
 """Longest time that a call takes [s]."""

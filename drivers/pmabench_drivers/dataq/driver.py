@@ -8,10 +8,20 @@ from time import monotonic
 from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import EMULATED, UNPROVEN, DeviceRecord, Identity
-from pmabench_drivers.dataq.options import Options, read_options, scan_inputs
-from pmabench_drivers.dataq.wire import DIGITAL, DIVIDEND, Lost, Scans, divisors, packet, volts
-from pmabench_drivers.shared.pace import Pace
-from pmabench_drivers.shared.serial_stream import PATIENCE, SerialStream
+from pmabench_drivers.dataq.wire import (
+    DIGITAL,
+    DIVIDEND,
+    Lost,
+    Options,
+    Scans,
+    divisors,
+    packet,
+    read_options,
+    scan_inputs,
+    volts,
+)
+from pmabench_drivers.shared.polling import Pace
+from pmabench_drivers.shared.serial_port import STREAM_PATIENCE, SerialStream
 
 END = b"\r"
 STOP = b"stop\r"
@@ -84,7 +94,7 @@ class Dataq(SerialStream):
 
     @property
     def _patience(self) -> float:
-        return max(PATIENCE, 3 / self._rate)
+        return max(STREAM_PATIENCE, 3 / self._rate)
 
     def _missing(self) -> str:
         return "has sent no scan"

@@ -20,13 +20,11 @@ from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import DeviceRecord, Identity, Segment
 from pmabench_drivers.festo_cmmt import telegram as t
 from pmabench_drivers.festo_cmmt.options import POSITION, SET_POINT, CmmtOptions, read_options
-from pmabench_drivers.festo_cmmt.path import Path
-from pmabench_drivers.modbus.registers import Register, RegisterMap, WatchdogRegisters
-from pmabench_drivers.modbus.watchdog import DeviceWatchdog
-from pmabench_drivers.shared.device import Polled
+from pmabench_drivers.festo_cmmt.telegram import Path
+from pmabench_drivers.modbus.registers import DeviceWatchdog, Register, RegisterMap, WatchdogRegisters
+from pmabench_drivers.shared.device import Polled, refuse_nonsense
 from pmabench_drivers.shared.link import Unanswered, opened
 from pmabench_drivers.shared.polling import JOIN
-from pmabench_drivers.shared.segments import refuse_nonsense
 
 if TYPE_CHECKING:
     from pmabench_drivers.festo_cmmt.link import DriveLink

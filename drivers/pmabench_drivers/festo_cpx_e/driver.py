@@ -22,8 +22,7 @@ from pmabench_drivers.shared.link import Unanswered
 from pmabench_drivers.shared.polling import Cycle
 
 if TYPE_CHECKING:
-    from pmabench_drivers.festo_cpx_e.line import NamedLine
-    from pmabench_drivers.modbus.adapter import Line
+    from pmabench_drivers.modbus.adapter import Line, NamedLine
 
 KEEP_ALIVE = 40.0
 """How often it is asked while no watchdog of ours is armed [Hz]: its own time-out is 100 ms from the factory on."""
@@ -80,7 +79,7 @@ class FestoCpxE(ModbusDevice):
         super().close()
 
     def _new_line(self) -> NamedLine:
-        from pmabench_drivers.festo_cpx_e.line import NamedLine
+        from pmabench_drivers.modbus.adapter import NamedLine
 
         return NamedLine(self._device.name, self._device.address, self._map.timeout)
 

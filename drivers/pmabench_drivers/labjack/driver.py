@@ -19,9 +19,8 @@ from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import EMULATED, UNPROVEN, Block, DeviceRecord, Identity
 from pmabench_drivers.labjack import registers as r
-from pmabench_drivers.labjack.calibration import COUNT, FLASH, Gain, gains
-from pmabench_drivers.labjack.options import Options, read_options
-from pmabench_drivers.labjack.stream import Plan, StreamLink
+from pmabench_drivers.labjack.registers import Options, read_options
+from pmabench_drivers.labjack.stream import COUNT, FLASH, Gain, Plan, StreamLink, gains
 from pmabench_drivers.labjack.watchdog import Watchdog
 from pmabench_drivers.modbus import ModbusDevice
 from pmabench_drivers.modbus.driver import CALL, OPEN

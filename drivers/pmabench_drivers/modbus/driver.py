@@ -13,8 +13,7 @@ from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import COMPUTER, EMULATED, DeviceRecord, Identity
 from pmabench_drivers.modbus.map_file import Options, read_options, write_function
-from pmabench_drivers.modbus.registers import Register, decode, decode_text, encode, spans
-from pmabench_drivers.modbus.watchdog import DeviceWatchdog
+from pmabench_drivers.modbus.registers import DeviceWatchdog, Register, decode, decode_text, encode, spans
 from pmabench_drivers.shared.device import Controlled
 from pmabench_drivers.shared.link import Still, Unanswered, always, opened
 from pmabench_drivers.shared.options import Reader
@@ -34,7 +33,7 @@ class ModbusDevice(Controlled):
     Raw values are those of the registers; the scaling is the bench's. Ramps and sines are stepped at the poll rate.
     """
 
-    emulator = "pmabench_drivers.emulator.modbus_server"
+    emulator = "pmabench_drivers.modbus.emulated"
     read_options = staticmethod(read_options)
     _options: Options
 
@@ -53,7 +52,7 @@ class ModbusDevice(Controlled):
     @classmethod
     def map_schema(cls) -> dict[str, Any]:
         """The JSON Schema of the file that the option `map` names."""
-        from pmabench_drivers.modbus.map_schema import map_schema
+        from pmabench_drivers.modbus.map_file import map_schema
 
         return map_schema()
 

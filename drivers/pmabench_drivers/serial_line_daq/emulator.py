@@ -13,11 +13,20 @@ from pmabench.base.errors import UsageError
 from pmabench.bench.interface import DeviceRecord
 from pmabench_drivers.emulator import faults as f
 from pmabench_drivers.emulator.log import CommandLog
-from pmabench_drivers.emulator.on_terminal import OnTerminal
-from pmabench_drivers.emulator.plant import RealPlant
-from pmabench_drivers.emulator.wiring import Wiring
-from pmabench_drivers.serial_line_daq.options import WATCHDOG, read_options
-from pmabench_drivers.serial_line_daq.wire import ARMED, LEVELS, PROTOCOL, VENTED, VERSION, NoLine, decode, encode
+from pmabench_drivers.emulator.plant import RealPlant, Wiring
+from pmabench_drivers.emulator.ports import OnTerminal
+from pmabench_drivers.serial_line_daq.wire import (
+    ARMED,
+    LEVELS,
+    PROTOCOL,
+    VENTED,
+    VERSION,
+    WATCHDOG,
+    NoLine,
+    decode,
+    encode,
+    read_options,
+)
 from pmabench_drivers.shared.options import options_of
 
 INPUTS, DIGITAL, OUTPUTS, VALVES = 6, 2, 1, 1

@@ -7,7 +7,7 @@ import hypothesis.strategies as st
 import pytest
 from hypothesis import given, settings
 from pmabench_drivers.canbus.frames import Frame
-from pmabench_drivers.canbus.sdo import Objects
+from pmabench_drivers.canbus.node import Objects
 
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import Segment

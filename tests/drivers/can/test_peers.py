@@ -12,7 +12,7 @@ from canopen.objectdictionary import ODArray, ODRecord, ODVariable
 from canopen.objectdictionary import datatypes as dt
 from canopen.profiles.p402 import BaseNode402
 from pmabench_drivers.canbus import CanBus
-from pmabench_drivers.canbus.hub import Hub
+from pmabench_drivers.canbus.emulated import Hub
 from pmabench_drivers.emulator.faults import LINK, Faults
 
 from pmabench.base.clock import RealClock

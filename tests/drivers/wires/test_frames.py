@@ -9,7 +9,7 @@ from time import monotonic
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from pmabench_drivers.emulator import frames
+from pmabench_drivers.emulator import modbus_server as frames
 from pmabench_drivers.modbus import ModbusDevice
 from pmabench_drivers.modbus.adapter import Line, Serial, Unanswered
 
