@@ -29,18 +29,8 @@ from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import COMPUTER, EMULATED, Identity
 from pmabench_drivers.alicat.options import HELD, OUTPUT, UNITS, Options, Reading
+from pmabench_drivers.shared import serial_port as sp
 from pmabench_drivers.shared.link import Still, Unanswered, always, opened, reason, turn
-from pmabench_drivers.shared.serial_port import (
-    LONGEST_LINE,
-    Splitter,
-    Unreadable,
-    Wrong,
-    hand_over,
-    open_port,
-    readable,
-    received,
-    text_of,
-)
 
 if TYPE_CHECKING:
     from serial import Serial
@@ -94,13 +84,13 @@ class Layout:
         """Pressure, set-point and status codes; raises `Unreadable`, or `Wrong` for a refusal."""
         words = _text(line).split()
         if words in (["?"], [self.unit_id, "?"]):
-            raise Wrong("refuses what it was asked (?)")
+            raise sp.Wrong("refuses what it was asked (?)")
         count = len(self.columns)
         if len(words) < count or words[0].upper() != self.unit_id or not set(words[count:]) <= self.codes:
-            raise Unreadable(f'"{readable(line)}"')
+            raise sp.Unreadable(f'"{sp.readable(line)}"')
         for column, word in zip(self.columns, words, strict=False):
             if column.decimal and not _fits(column, word):
-                raise Unreadable(f'"{readable(line)}"')
+                raise sp.Unreadable(f'"{sp.readable(line)}"')
         return float(words[self.pressure]), float(words[self.set_point]), frozenset(words[count:])
 
 
@@ -109,20 +99,20 @@ def read_layout(lines: Sequence[bytes], unit_id: str) -> Layout:
     texts = [_text(line) for line in lines]
     head = HEAD.fullmatch(texts[0]) if texts else None
     if head is None:
-        first = f'; it begins with "{readable(lines[0])}"' if lines else ""
-        raise Wrong(f"its list of columns is not one that is known here (firmware 6v21 or later is needed){first}")
+        first = f'; it begins with "{sp.readable(lines[0])}"' if lines else ""
+        raise sp.Wrong(f"its list of columns is not one that is known here (firmware 6v21 or later is needed){first}")
     columns: list[Column] = []
     codes: set[str] = set()
     if len(texts) > MOST_ROWS:
-        raise Wrong(f"its list of columns has more than {MOST_ROWS} rows")
+        raise sp.Wrong(f"its list of columns has more than {MOST_ROWS} rows")
     for expected, text in enumerate(texts[1:], 1):
         row = ROW.fullmatch(text)
         if row is None or row["unit_id"].upper() != unit_id or int(row["number"]) != expected:
-            raise Wrong(f'its list of columns is not whole: row {expected} reads "{text[:60]}"')
+            raise sp.Wrong(f'its list of columns is not whole: row {expected} reads "{text[:60]}"')
         statistic, name, kind, width = (text[slice(*head.span(key))].strip() for key in ("id", "name", "type", "width"))
         notes = text[head.start("notes") :].split()
         if not statistic.isdecimal():
-            raise Wrong(f'its list of columns cannot be read: row {expected} reads "{text[:60]}"')
+            raise sp.Wrong(f'its list of columns cannot be read: row {expected} reads "{text[:60]}"')
         if name.startswith("*"):
             codes.update(notes[:1] if int(statistic) in {ERROR, STATUS} else ())
             continue
@@ -133,7 +123,7 @@ def read_layout(lines: Sequence[bytes], unit_id: str) -> Layout:
 def _column(statistic: int, name: str, kind: str, width: str, notes: Sequence[str], text: str) -> Column:
     digits, _, decimals = width.partition("/")
     if not digits.isdecimal() or (decimals and not decimals.isdecimal()):
-        raise Wrong(f'its list of columns cannot be read: "{text[:60]}"')
+        raise sp.Wrong(f'its list of columns cannot be read: "{text[:60]}"')
     code = int(notes[0]) if len(notes) >= 2 and notes[0].isdecimal() else -1
     unit = notes[-1] if notes else ""
     return Column(statistic, name, "decimal" in kind, int(digits), int(decimals or 0), code, unit)
@@ -143,20 +133,20 @@ def _chosen(columns: Sequence[Column], codes: frozenset[str], unit_id: str) -> L
     """The columns of set-point and controlled pressure."""
     statistics = [column.statistic for column in columns]
     if not statistics or statistics[0] != UNIT_ID:
-        raise Wrong("its data line does not begin with its unit ID")
+        raise sp.Wrong("its data line does not begin with its unit ID")
     if ABSOLUTE_SET_POINT in statistics:
-        raise Wrong("controls absolute pressure: set its control variable to gauge pressure")
+        raise sp.Wrong("controls absolute pressure: set its control variable to gauge pressure")
     for index, statistic in enumerate(statistics):
         wanted = MEASURED_BY.get(statistic)
         if wanted is None:
             continue
         if wanted not in statistics:
-            raise Wrong(f'its data line does not contain the pressure of "{columns[index].name}"')
+            raise sp.Wrong(f'its data line does not contain the pressure of "{columns[index].name}"')
         layout = Layout(unit_id, tuple(columns), codes, statistics.index(wanted), index)
         if not (columns[index].decimal and columns[layout.pressure].decimal):
-            raise Wrong("its pressures are no decimal numbers")
+            raise sp.Wrong("its pressures are no decimal numbers")
         return layout
-    raise Wrong("its data line has no set-point of a pressure: is it a pressure controller?")
+    raise sp.Wrong("its data line has no set-point of a pressure: is it a pressure controller?")
 
 
 def _fits(column: Column, word: str) -> bool:
@@ -166,7 +156,7 @@ def _fits(column: Column, word: str) -> bool:
 
 
 def _text(line: bytes) -> str:
-    return text_of(line).rstrip()
+    return sp.text_of(line).rstrip()
 
 
 PUSH = 0.1
@@ -196,7 +186,7 @@ class AsciiLink:
         self._lock = threading.Lock()
         self._port: Serial | None = None
         self._layout: Layout | None = None
-        self._splitter = Splitter(b"\r", whole=True)
+        self._splitter = sp.Splitter(b"\r", whole=True)
         self._lines: list[bytes] = []
         self._clean = True
         """Whether no older answer can still come."""
@@ -215,7 +205,7 @@ class AsciiLink:
             about = self._about(deadline)
             try:
                 self._layout = read_layout(self._listed("??D*", deadline), self._options.letter)
-            except (Wrong, Unreadable) as error:
+            except (sp.Wrong, sp.Unreadable) as error:
                 raise DeviceError(self._device, str(error)) from None
             self._refuse_other_unit(self._layout)
             self._refuse_other_source(deadline)
@@ -236,7 +226,7 @@ class AsciiLink:
     def fastest(self) -> float:
         """Polls a second that the line can carry [Hz]."""
         layout = self._layout
-        return 0.8 * self._options.baud / 10 / (10 + (layout.length if layout else LONGEST_LINE))
+        return 0.8 * self._options.baud / 10 / (10 + (layout.length if layout else sp.LONGEST_LINE))
 
     # -- what a controller does -----------------------------------------------------------------------------------
 
@@ -327,8 +317,8 @@ class AsciiLink:
     # -- opening --------------------------------------------------------------------------------------------------
 
     def _open_port(self) -> None:
-        self._port = open_port(self._device, self._address, baudrate=self._options.baud, timeout=PIECE)
-        self._splitter, self._lines = Splitter(b"\r", whole=True), []
+        self._port = sp.open_port(self._device, self._address, baudrate=self._options.baud, timeout=PIECE)
+        self._splitter, self._lines = sp.Splitter(b"\r", whole=True), []
         self._clean, self._late_until = True, 0.0
 
     def _about(self, deadline: float) -> dict[int, str]:
@@ -347,7 +337,7 @@ class AsciiLink:
                 number = int(row["number"])
                 found[number] = row["text"].strip().removeprefix(_LABELS.get(number, "")).strip()
         if not found and lines[0].strip()[:1].upper() not in {b"?", self._options.letter.encode()}:
-            raise DeviceError(self._device, f'sends "{readable(lines[0])}": another unit ID, or it sends by itself')
+            raise DeviceError(self._device, f'sends "{sp.readable(lines[0])}": another unit ID, or it sends by itself')
         return found
 
     def _refuse_other_unit(self, layout: Layout) -> None:
@@ -390,9 +380,9 @@ class AsciiLink:
         line = self._ask(command, deadline, patience)
         try:
             pressure, set_point, status = self._shape.read(line)
-        except Wrong as error:
+        except sp.Wrong as error:
             raise DeviceError(self._device, str(error)) from None
-        except Unreadable as error:
+        except sp.Unreadable as error:
             raise Unanswered(self._device, f"answers {error}, which is not its data line") from None
         return Reading(pressure, set_point, status, asked, self._clock.now())
 
@@ -411,7 +401,7 @@ class AsciiLink:
         if not lines:
             raise Unanswered(self._device, f"no answer from {self._address} within {patience:g} s")
         if not certain or len(lines) > 1:
-            raise Unanswered(self._device, f'more than one answer at a time, from "{readable(lines[0])}" on')
+            raise Unanswered(self._device, f'more than one answer at a time, from "{sp.readable(lines[0])}" on')
         self._clean = True
         return lines[0]
 
@@ -424,7 +414,7 @@ class AsciiLink:
             raise Unanswered(self._device, message)
         if not pending:
             self._drain()
-            self._splitter = Splitter(b"\r", whole=True)
+            self._splitter = sp.Splitter(b"\r", whole=True)
             self._late_until, self._asked_since = now + self._options.slowest, False
             self._send("VE")
         while monotonic() < limit:
@@ -450,11 +440,11 @@ class AsciiLink:
         return found
 
     def _send(self, command: str) -> None:
-        hand_over(self._opened(), f"{self._options.letter}{command}\r".encode("ascii"), PUSH)
+        sp.hand_over(self._opened(), f"{self._options.letter}{command}\r".encode("ascii"), PUSH)
 
     def _receive(self) -> bool:
         """Take what comes within a short time; whether anything came."""
-        data = received(self._opened())
+        data = sp.received(self._opened())
         self._lines += self._splitter.feed(data.replace(b"\n", b""))
         return bool(data)
 

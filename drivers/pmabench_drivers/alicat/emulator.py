@@ -42,15 +42,8 @@ class AsciiDevice(OnTerminal):
     def __init__(self, controller: Controller, letter: str, log: CommandLog) -> None:
         self.controller, self._letter, self._commands = controller, letter, Commands(controller, letter)
         super().__init__(controller.device, log, Faults(LINK, STUCK, IGNORE, OVER, STATUS, RESTART, SETPOINT))
+        self.restart, self.change_set_point = controller.restart, controller.change_set_point
         self._data = b""
-
-    def restart(self) -> None:
-        """As after power-on; the line stays."""
-        self.controller.restart()
-
-    def change_set_point(self, value: float) -> None:
-        """Another set-point, entered at its display."""
-        self.controller.change_set_point(value)
 
     def change_held(self) -> bool:
         """The analogue input gives its set-point from now on, as chosen at its display; always possible."""
@@ -90,7 +83,7 @@ class ModbusCells:
 
     def __init__(self, controller: Controller) -> None:
         self.device, self.controller, self.faults = controller.device, controller, Faults()
-        self._command = (0, 0)
+        self._command, self.change_set_point = (0, 0), controller.change_set_point
 
     def look_at_watchdog(self) -> None:
         """It has none: silence changes nothing."""
@@ -99,11 +92,6 @@ class ModbusCells:
         """As after power-on; the line stays."""
         self._command = (0, 0)
         self.controller.restart()
-
-    def change_set_point(self, value: float) -> bool:
-        """Another set-point, entered at its display."""
-        self.controller.change_set_point(value)
-        return True
 
     def carry_out(self, request: Request, connection: int, *, ignore: bool = False) -> list[int]:
         """What is read, or nothing; `Refused` where the device says no."""

@@ -15,15 +15,15 @@ import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Protocol, cast
+from typing import Any
 
 from pmabench.base.errors import UsageError, did_you_mean
 from pmabench.bench.interface import DeviceRecord
 from pmabench.bench.wiring import Truth
-from pmabench_drivers.emulator.faults import EVENTS, Faults, Kind
+from pmabench_drivers.emulator.faults import EVENTS, Kind
 from pmabench_drivers.emulator.log import CommandLog
 from pmabench_drivers.emulator.plant import RealPlant
-from pmabench_drivers.emulator.ports import refuse_others
+from pmabench_drivers.emulator.ports import accepted, hang_up, refuse_others
 from pmabench_drivers.emulator.truth import Errors, apply, wired
 from pmabench_drivers.mock.options import ARM
 
@@ -41,16 +41,10 @@ class Control:
 
     def close(self) -> None:
         """Listen no more."""
-        with contextlib.suppress(OSError):
-            self._listener.shutdown(socket.SHUT_RDWR)
-        self._listener.close()
+        hang_up(self._listener)
 
     def _accept(self) -> None:
-        while True:
-            try:
-                connection, _peer = self._listener.accept()
-            except OSError:
-                return
+        for connection in accepted(self._listener):
             threading.Thread(target=self._serve, args=(connection,), daemon=True).start()
 
     def _serve(self, connection: socket.socket) -> None:
@@ -83,19 +77,6 @@ def server_of(driver: str) -> str:
         return str(getattr(getattr(import_module(module), name), "emulator", "")) if name else ""
     except (ImportError, AttributeError):
         return ""
-
-
-class Served(Protocol):
-    """One emulated device at its address."""
-
-    address: str
-    faults: Faults
-
-    def start(self) -> None:
-        """Begin to serve."""
-
-    def close(self) -> None:
-        """Hang up."""
 
 
 class Emulator:
@@ -136,7 +117,8 @@ class Emulator:
         self.plant_faults = PLANT
         self.plant = RealPlant(plant, preset, dump_valve=valve, driven=driven, seed=seed)
         self.log = CommandLog(log)
-        self.devices: dict[str, Served] = {}
+        self.devices: dict[str, Any] = {}
+        """Each emulated device: its `address` and `faults`, `start`, `close`, and what can happen to it."""
         try:
             for device, error in zip(served, errors, strict=True):
                 self.devices[device.name] = self._serve(device, error)
@@ -163,9 +145,9 @@ class Emulator:
         """What is served where, a line each."""
         return [f"{name}: {device.address}" for name, device in self.devices.items()]
 
-    def _serve(self, device: DeviceRecord, errors: Errors) -> Served:
+    def _serve(self, device: DeviceRecord, errors: Errors) -> Any:
         seen = self.plant.seen(errors, proven=self.proven)
-        served = cast(Served, import_module(server_of(device.driver)).serve(device, seen, self.log))
+        served = import_module(server_of(device.driver)).serve(device, seen, self.log)
         seen.faults = served.faults
         return served
 

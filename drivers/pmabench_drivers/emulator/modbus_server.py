@@ -7,32 +7,19 @@ Serial Line 1.02, section 6.2.2.
 
 from __future__ import annotations
 
-import contextlib
 import socket
 import struct
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import count
-from typing import Protocol
+from typing import Any, Protocol
 
 from pmabench.bench.interface import DeviceRecord
-from pmabench_drivers.emulator.faults import (
-    EVENTS,
-    EXPIRY,
-    LINK,
-    MODBUS,
-    RESTART,
-    SETPOINT,
-    STUCK,
-    WATCHDOG_OFF,
-    Fault,
-    Faults,
-    Kind,
-    Outgoing,
-)
+from pmabench_drivers.emulator import faults as f
+from pmabench_drivers.emulator.faults import Fault, Kind, Outgoing
 from pmabench_drivers.emulator.log import CommandLog
-from pmabench_drivers.emulator.ports import Terminal, bracketed, host_of, listen
+from pmabench_drivers.emulator.ports import Terminal, accepted, bracketed, hang_up, host_of, listen
 
 READS = {1: "coil", 2: "discrete", 3: "holding", 4: "input"}
 WRITES = {5: "coil", 6: "holding", 15: "coil", 16: "holding"}
@@ -179,7 +166,7 @@ def split_rtu(data: bytes) -> tuple[int, bytes, bytes] | None:
 
 WATCH = 0.005
 """How often the watchdog is looked at [s]."""
-KINDS = (LINK, STUCK, MODBUS)
+KINDS = (f.LINK, f.STUCK, f.MODBUS)
 
 Send = Callable[[bytes, Fault], None]
 """Sends an answer without its frame as a fault lets it."""
@@ -187,8 +174,8 @@ Send = Callable[[bytes, Fault], None]
 
 def events(registers: object) -> Iterator[dict[str, Kind]]:
     """The events that can happen to what is behind a wire."""
-    for kinds in (EXPIRY, WATCHDOG_OFF, RESTART, SETPOINT):
-        if all(hasattr(registers, EVENTS[name]) for name in kinds):
+    for kinds in (f.EXPIRY, f.WATCHDOG_OFF, f.RESTART, f.SETPOINT):
+        if all(hasattr(registers, f.EVENTS[name]) for name in kinds):
             yield kinds
 
 
@@ -209,7 +196,7 @@ class _Device:
 
     def __init__(self, registers: Answering, unit_id: int, log: CommandLog) -> None:
         self.registers, self.log, self.unit_id = registers, log, unit_id
-        self.faults = Faults(*KINDS, *events(registers))
+        self.faults = f.Faults(*KINDS, *events(registers))
         self._connections = count(1)
         self._ended = threading.Event()
         self._threads = [threading.Thread(target=self._watch, name="emulated watchdog", daemon=True)]
@@ -223,24 +210,11 @@ class _Device:
         """End."""
         self._ended.set()
 
-    def expire_watchdog(self) -> bool:
-        """Let the watchdog expire; whether it was armed."""
-        return bool(self._of_registers("expire_watchdog"))
-
-    def switch_off_watchdog(self) -> bool:
-        """Switch the watchdog off from outside; whether it was armed."""
-        return bool(self._of_registers("switch_off_watchdog"))
-
-    def restart(self) -> None:
-        """Begin as after power-on; connections stay."""
-        self._of_registers("restart")
-
-    def change_set_point(self, value: float) -> bool:
-        """Command a set-point from outside [register]; whether there is one."""
-        return bool(self._of_registers("change_set_point", value))
-
-    def _of_registers(self, event: str, *values: float) -> object:
-        return getattr(self.registers, event)(*values)
+    def __getattr__(self, event: str) -> Any:
+        """What happens to it from outside (`faults.EVENTS`) happens to its registers."""
+        if event not in f.EVENTS.values():
+            raise AttributeError(event)
+        return getattr(self.registers, event)
 
     def answer(self, pdu: bytes, connection: int, send: Send) -> None:
         """Carry out a request and send its answer as the fault of the moment lets it."""
@@ -288,19 +262,11 @@ class TcpDevice(_Device):
     def close(self) -> None:
         """Close every connection."""
         super().close()
-        for end in (self._listener, *self._open):
-            with contextlib.suppress(OSError):
-                end.shutdown(socket.SHUT_RDWR)
-            end.close()
+        hang_up(self._listener, *self._open)
 
     def _accept(self) -> None:
-        while not self._ended.is_set():
-            try:
-                connection, _peer = self._listener.accept()
-            except OSError:
-                return
+        for connection in accepted(self._listener):
             number = next(self._connections)
-            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             self._open.add(connection)
             self.log.note("connect", self.registers.device.name, connection=number)
             threading.Thread(target=self._serve, args=(connection, number), daemon=True).start()

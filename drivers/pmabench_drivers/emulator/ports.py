@@ -9,6 +9,7 @@ import socket
 import threading
 import tty
 from abc import ABC, abstractmethod
+from collections.abc import Iterator
 from ipaddress import ip_address
 from pathlib import Path
 from time import monotonic
@@ -40,6 +41,23 @@ def listen(device: str, host: str, port: int) -> socket.socket:
         return socket.create_server((host, port), family=family)
     except OSError as error:
         raise UsageError(f"cannot serve {device} at {bracketed(host)}:{port}: {error.strerror}") from None
+
+
+def accepted(listener: socket.socket) -> Iterator[socket.socket]:
+    """Each connection that is made, until nobody listens any more."""
+    with contextlib.suppress(OSError):
+        while True:
+            connection, _peer = listener.accept()
+            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            yield connection
+
+
+def hang_up(*ends: socket.socket | None) -> None:
+    """Close sockets under whoever waits for them; harmless when repeated."""
+    for end in filter(None, ends):
+        with contextlib.suppress(OSError):
+            end.shutdown(socket.SHUT_RDWR)
+        end.close()
 
 
 def refuse_others(device: str, address: str) -> None:

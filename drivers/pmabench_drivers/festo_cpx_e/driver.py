@@ -55,7 +55,6 @@ class FestoCpxE(ModbusDevice):
         positions = {self._terminal.module_of(name).position for name in names}
         self._used = [module for module in self._terminal.modules if module.position in positions]
         self._alive = Cycle(f"keep alive {device.name}", self._keep_alive, clock)
-        self._armed = False
         self._found = 0.0
 
     # -- life -----------------------------------------------------------------------------------------------------
@@ -74,7 +73,6 @@ class FestoCpxE(ModbusDevice):
 
     def close(self) -> None:
         """End polling and let go of the connection; the terminal's own time-out runs from then on."""
-        self._armed = False
         self._alive.stop()
         super().close()
 
@@ -281,14 +279,11 @@ class FestoCpxE(ModbusDevice):
         if seconds < t.SHORTEST:
             raise self._error(f"waits {t.SHORTEST:g} s at least, not {seconds:g} s", "watchdog")
         self._get(TIMEOUT)
-        held = super().arm_watchdog(seconds)
-        self._armed = True
-        return held
+        return super().arm_watchdog(seconds)
 
     def disarm_watchdog(self) -> None:
         """Give the terminal the time-out back that it had when it was opened."""
-        self._watchdog.forget()
-        self._armed = False
+        self._armed = 0.0
         self._put(TIMEOUT, self._found)
 
 

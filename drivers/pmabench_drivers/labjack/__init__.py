@@ -1,7 +1,7 @@
 """LabJack T7, T8 and T4: analogue inputs (a T7 streams them), DACs, digital lines, watchdog, over Ethernet.
 
-`registers`: addresses, words, and what the bench file says; `stream`: packets, volts and their connection; `watchdog`:
-the device's own; `driver`: the device interface. Commands go through the Modbus driver. `emulated`, `emulated_map`,
+`registers`: addresses, words, and what the bench file says; `stream`: packets, volts and their connection; `driver`:
+the device interface. Commands go through the Modbus driver. `emulated`, `emulated_map`,
 `emulated_stream`: a device on this machine, for `pmabench emulate`.
 """
 

@@ -17,7 +17,6 @@ import socket
 import struct
 import threading
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import partial
 from time import monotonic
 from typing import Any
@@ -71,15 +70,6 @@ LAST_READ = 4
 
 Signature = tuple[int, ...]
 """What tells an answer from others: function code, and number of bytes or address."""
-
-
-@dataclass(frozen=True)
-class Serial:
-    """How a serial line is set."""
-
-    baud: int = 19200
-    parity: str = "N"
-    stop_bits: int = 1
 
 
 class _Tcp(ModbusTcpClient):
@@ -149,10 +139,13 @@ class _Rtu(ModbusSerialClient):
 
 
 class Line:
-    """The connection of one device at `address` (HOST:PORT, or the path of a serial port), used by any thread."""
+    """The connection of one device at `address` (HOST:PORT, or the path of a serial port), used by any thread.
+
+    `serial`: settings of a serial line, by the names of `serial.Serial`.
+    """
 
     def __init__(
-        self, device: str, address: str, *, unit_id: int, timeout: float, slowest: float, serial: Serial
+        self, device: str, address: str, unit_id: int, timeout: float, slowest: float = 0.0, serial: Any = None
     ) -> None:
         self._device, self._address = device, address
         self._unit_id, self._timeout, self._slowest = unit_id, timeout, slowest
@@ -163,14 +156,7 @@ class Line:
         self.is_serial = not port.isdecimal()
         self._client: _Tcp | _Rtu
         if self.is_serial:
-            self._client = _Rtu(
-                address,
-                baudrate=serial.baud,
-                parity=serial.parity,
-                stopbits=serial.stop_bits,
-                timeout=timeout,
-                retries=0,
-            )
+            self._client = _Rtu(address, timeout=timeout, retries=0, **(serial or {}))
         else:
             self._client = _Tcp(host, port=int(port), timeout=timeout, retries=0)
 
@@ -324,7 +310,7 @@ class NamedLine(Line):
     """A Modbus TCP connection whose other end also tells its names."""
 
     def __init__(self, device: str, address: str, timeout: float) -> None:
-        super().__init__(device, address, unit_id=1, timeout=timeout, slowest=0.0, serial=Serial())
+        super().__init__(device, address, 1, timeout)
 
     def identification(self, deadline: float) -> dict[int, str]:
         """Objects 0 to 5 before `deadline` [s, monotonic]: maker, code, revision, address, product, model."""

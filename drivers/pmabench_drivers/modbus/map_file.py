@@ -11,17 +11,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from pmabench.bench.interface import DeviceRecord, OutputRecord
-from pmabench_drivers.modbus.registers import (
-    BIT_TABLES,
-    FUNCTIONS,
-    READ,
-    TABLES,
-    TYPES,
-    Register,
-    RegisterMap,
-    WatchdogRegisters,
-    encode,
-)
+from pmabench_drivers.modbus import registers as r
+from pmabench_drivers.modbus.registers import Register, RegisterMap, WatchdogRegisters, encode
 from pmabench_drivers.shared.options import BAUDS, PARITIES, Place, Reader
 
 IDENTITY = ("maker", "model", "serial", "firmware", "constant")
@@ -87,10 +78,10 @@ def _read_map(data: Any, place: Place, reader: Reader) -> RegisterMap:
         "words": reader.choice(given, "words", place, (HIGH, LOW), HIGH),
         "bytes": reader.choice(given, "bytes", place, (HIGH, LOW), HIGH),
     }
-    functions = given.get("functions", list(FUNCTIONS))
-    if not isinstance(functions, list | tuple) or not functions or any(f not in FUNCTIONS for f in functions):
-        reader.fault((*place, "functions"), f"a list of function codes is expected, out of {list(FUNCTIONS)}")
-        functions = FUNCTIONS
+    functions = given.get("functions", list(r.FUNCTIONS))
+    if not isinstance(functions, list | tuple) or not functions or any(f not in r.FUNCTIONS for f in functions):
+        reader.fault((*place, "functions"), f"a list of function codes is expected, out of {list(r.FUNCTIONS)}")
+        functions = r.FUNCTIONS
     readers = {key: (*place, key) for key in ("identity", "inputs", "outputs")}
     allowed = tuple(functions)
 
@@ -131,15 +122,15 @@ def _register(
     """One register; `use` is `inputs`, `outputs`, `identity` or `uptime`."""
     given = reader.keys(data, place, REGISTER_KEYS, ("address",))
     writes = use == "outputs"
-    tables = ("holding", "coil") if writes else TABLES
+    tables = ("holding", "coil") if writes else r.TABLES
     table = reader.choice(given, "table", place, tables, "holding")
-    single = table in BIT_TABLES
-    types = ("bit",) if single else (*TYPES, "text") if use == "identity" else tuple(TYPES)
+    single = table in r.BIT_TABLES
+    types = ("bit",) if single else (*r.TYPES, "text") if use == "identity" else tuple(r.TYPES)
     kind = reader.choice(given, "type", place, types, "bit" if single else "uint16")
     words = reader.choice(given, "words", place, (HIGH, LOW), usual["words"]) == LOW
     low_bytes = reader.choice(given, "bytes", place, (HIGH, LOW), usual["bytes"]) == LOW
     bit = reader.whole(given, "bit", place, 0, 31, 0) if "bit" in given else -1
-    if bit >= 0 and (single or writes or kind not in {"uint16", "uint32"} or bit >= 16 * TYPES[kind][1]):
+    if bit >= 0 and (single or writes or kind not in {"uint16", "uint32"} or bit >= 16 * r.TYPES[kind][1]):
         reader.fault((*place, "bit"), "only an input register of type uint16 or uint32 has bits that are read")
         bit = -1
     length = reader.whole(given, "length", place, 1, 60, 1) if kind == "text" else 0
@@ -169,8 +160,8 @@ def _register(
         reader.fault((*place, "expect"), 'belongs to a register of "identity"')
     if register.address + register.count > 65536:
         reader.fault((*place, "address"), "the value would reach beyond address 65535")
-    if (not writes or register.read_back) and READ[table] not in functions:
-        reader.fault((*place, "table"), f"function {READ[table]}, which reads it, is not among the allowed ones")
+    if (not writes or register.read_back) and r.READ[table] not in functions:
+        reader.fault((*place, "table"), f"function {r.READ[table]}, which reads it, is not among the allowed ones")
     if writes and write_function(register, functions) == 0:
         reader.fault((*place, "table"), "none of the allowed functions can write it")
     return register
@@ -293,9 +284,9 @@ def _object(properties: Schema, required: tuple[str, ...] = ()) -> Schema:
 def _register_schema(use: str) -> Schema:
     """A register among the `inputs`, the `outputs` or in the `identity`."""
     properties: Schema = {
-        "table": {"enum": list(WRITTEN if use == "outputs" else TABLES), "default": "holding"},
+        "table": {"enum": list(WRITTEN if use == "outputs" else r.TABLES), "default": "holding"},
         "address": {**_whole(0, 65535), "description": "from 0, as on the wire: 40001 in a manual is holding 0"},
-        "type": {"enum": ["bit", *TYPES, *(["text"] if use == "identity" else [])], "default": "uint16"},
+        "type": {"enum": ["bit", *r.TYPES, *(["text"] if use == "identity" else [])], "default": "uint16"},
         "words": _order("order of the two registers of a 32-bit value"),
         "bytes": _order("order of the bytes in a register"),
     }
@@ -306,7 +297,7 @@ def _register_schema(use: str) -> Schema:
     if use == "identity":
         properties["length"] = {**_whole(1, 60), "description": "registers of a text"}
         properties["expect"] = {**_number(), "description": "what it must hold"}
-    bits: Schema = {"properties": {"table": {"enum": list(BIT_TABLES)}}, "required": ["table"]}
+    bits: Schema = {"properties": {"table": {"enum": list(r.BIT_TABLES)}}, "required": ["table"]}
     return {
         **_object(properties, ("address",)),
         "if": bits,
@@ -340,7 +331,7 @@ def map_schema() -> Schema:
         "timeout": _quantity("longest wait for an answer", "100 ms"),
         "slowest": _quantity("how long after a question the device may still answer; serial lines", "1 s"),
         "rate": _quantity("highest poll rate", "100 Hz"),
-        "functions": {"type": "array", "minItems": 1, "items": {"enum": list(FUNCTIONS)}},
+        "functions": {"type": "array", "minItems": 1, "items": {"enum": list(r.FUNCTIONS)}},
         "identity": _object(dict.fromkeys(("maker", "model", "serial", "firmware", "constant"), identity)),
         "inputs": {"type": "object", "additionalProperties": polled},
         "outputs": {"type": "object", "additionalProperties": written},
