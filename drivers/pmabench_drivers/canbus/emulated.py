@@ -44,23 +44,15 @@ PREFIX = f"slcan:{TCP}"
 
 
 class Hub:
-    """Frames from one adapter reach all others and `take`; `turn` is called with the time [s, monotonic]."""
+    """Frames from one adapter reach all others and the nodes in this process, as a kind of hub says."""
 
-    def __init__(
-        self,
-        name: str,
-        address: str,
-        take: Callable[[Frame], None],
-        turn: Callable[[float], None],
-        faults: Faults,
-        tap: Tap,
-    ) -> None:
+    def __init__(self, name: str, address: str, faults: Faults, tap: Tap) -> None:
         host, _, port = address.removeprefix(PREFIX).rpartition(":")
         if not address.startswith(PREFIX) or not host or not port.isdecimal():
             raise UsageError(f'{name} is at {address}; an emulator serves a bus at "{PREFIX}127.0.0.1:PORT" only')
         self._listener = listen(name, "127.0.0.1" if host == "localhost" else host, int(port))
         self.address = f"{PREFIX}{host}:{self._listener.getsockname()[1]}"
-        self._take, self._turn, self._faults, self._tap = take, turn, faults, tap
+        self.faults, self._tap = faults, tap
         self._outgoing = Outgoing(GARBAGE)
         self._selector = selectors.DefaultSelector()
         self._selector.register(self._listener, selectors.EVENT_READ)
@@ -85,7 +77,7 @@ class Hub:
 
     def send(self, frame: Frame) -> None:
         """A frame of a node in this process, as the fault of the moment lets it through."""
-        fault, line = self._faults.next(), line_of(frame)
+        fault, line = self.faults.next(), line_of(frame)
         if fault.kind in {"hang-up", "reset"}:
             self.hang_up()
         elif fault.kind == "delay":
@@ -97,6 +89,12 @@ class Hub:
         """Close every connection."""
         for link in list(self._rests):
             self._forget(link)
+
+    def _take(self, frame: Frame) -> None:
+        """A frame has come from an adapter."""
+
+    def _turn(self, now: float) -> None:
+        """Time passes [s, monotonic]."""
 
     # -- adapters -----------------------------------------------------------------------------------------------------
 
@@ -149,7 +147,7 @@ class Hub:
         self._write(link, b"Z\r" if frame.extended else b"z\r")
         for other in [other for other in self._rests if other is not link]:
             self._write(other, line + b"\r" if frame.remote else line_of(frame))
-        if self._faults.peek().kind != "silence":
+        if self.faults.peek().kind != "silence":
             self._take(frame)
 
     def _out(self, data: bytes) -> None:
@@ -195,20 +193,18 @@ CYCLE = 0.01
 
 def serve(device: DeviceRecord, plant: RealPlant, log: CommandLog) -> EmulatedBus:
     """The bus that the driver of `device` talks to."""
-    options = options_of(device, read_options)
-    return EmulatedBus(device, options, plant, log)
+    return EmulatedBus(device, options_of(device, read_options), plant, log)
 
 
-class EmulatedBus:
+class EmulatedBus(Hub):
     """One bus: its faults are those of the adapter's line, and `CAN`."""
 
     def __init__(self, device: DeviceRecord, options: Options, plant: RealPlant, log: CommandLog) -> None:
         self._device, self._plant, self._log = device, plant, log
         self._events: SimpleQueue[str] = SimpleQueue()
         """What is to happen in the hub's thread."""
-        self.faults = Faults(LINK, STUCK, EXPIRY, WATCHDOG_OFF, SETPOINT, CAN)
-        self._hub = Hub(device.name, device.address, self._take, self._turn, self.faults, log.tap(device.name))
-        self.address = self._hub.address
+        faults = Faults(LINK, STUCK, EXPIRY, WATCHDOG_OFF, SETPOINT, CAN)
+        super().__init__(device.name, device.address, faults, log.tap(device.name))
         self.nodes: dict[str, EmulatedNode] = {}
         for name, node in options.nodes.items():
             self.nodes[name] = self._drive(name, node.number) if node.profile == 402 else self._gauge(name, node.number)
@@ -216,16 +212,8 @@ class EmulatedBus:
         for message in options.messages.values():
             channels = {c.input.partition(".")[2]: c for c in device.channels if c.input.startswith(f"{message.name}.")}
             if channels:
-                self._messages.append(_Sender(message, channels, plant, self._hub.send))
+                self._messages.append(_Sender(message, channels, plant, self.send))
         self._booted = False
-
-    def start(self) -> None:
-        """Begin to serve."""
-        self._hub.start()
-
-    def close(self) -> None:
-        """Hang up."""
-        self._hub.close()
 
     def expire_watchdog(self) -> bool:
         """Let the drives miss the program's heartbeat; whether one waited for it."""
@@ -269,11 +257,11 @@ class EmulatedBus:
             self._log.note(kind, self._device.name, node=name, **shown, **data)
 
         model = self._plant.model("CiA 402 drive")
-        return EmulatedDrive(number, model, self._hub.send, self._plant, scale, stroke, note)
+        return EmulatedDrive(number, model, self.send, self._plant, scale, stroke, note)
 
     def _gauge(self, name: str, number: int) -> EmulatedNode:
         channel = next((c for c in self._device.channels if c.input == f"{name}.position"), None)
-        node = EmulatedNode(number, 406, self._plant.model("CiA 406 transducer"), self._hub.send)
+        node = EmulatedNode(number, 406, self._plant.model("CiA 406 transducer"), self.send)
 
         def position() -> int:
             if channel is None:
@@ -315,7 +303,7 @@ class EmulatedBus:
 
     def _befall(self, kind: str, value: int) -> None:
         if kind == "reset":
-            self._hub.hang_up()
+            self.hang_up()
         for node in self.nodes.values():
             if kind != "emergency":
                 node.reset()

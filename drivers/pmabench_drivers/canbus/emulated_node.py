@@ -54,15 +54,8 @@ class Entry:
 
 
 LOST_HEARTBEAT = 0x8130
-ERRORS, SYNC_ID, SYNC_PERIOD, HARDWARE, GUARD_TIME, LIFE_FACTOR, EMCY_ID = (
-    0x1003,
-    0x1005,
-    0x1006,
-    0x1009,
-    0x100C,
-    0x100D,
-    0x1014,
-)
+ERRORS, SYNC_ID, SYNC_PERIOD, HARDWARE = 0x1003, 0x1005, 0x1006, 0x1009
+GUARD_TIME, LIFE_FACTOR, EMCY_ID = 0x100C, 0x100D, 0x1014
 BOOTING = 0.05
 """From a reset until it says that it has started [s]."""
 KEPT = 4

@@ -19,19 +19,11 @@ from typing import Any
 from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError
 from pmabench_drivers.canbus.frames import Frame
+from pmabench_drivers.shared.link import Listening, reason
 from pmabench_drivers.shared.serial_port import hand_over
 
-RATES = {
-    10_000: "S0",
-    20_000: "S1",
-    50_000: "S2",
-    100_000: "S3",
-    125_000: "S4",
-    250_000: "S5",
-    500_000: "S6",
-    800_000: "S7",
-    1_000_000: "S8",
-}
+BIT_RATES = (10_000, 20_000, 50_000, 100_000, 125_000, 250_000, 500_000, 800_000, 1_000_000)
+RATES = {rate: f"S{number}" for number, rate in enumerate(BIT_RATES)}
 """Bit rate -> the adapter's command for it."""
 TCP = "socket://"
 CONNECT = 1.0
@@ -148,8 +140,7 @@ INTERFACES = ("socketcan", "slcan", "pcan", *NUMBERED)
 """`slcan`, and python-can's names of what it is asked for."""
 WAIT = 0.05
 """Longest single wait for a frame [s]."""
-JOIN = 0.15
-"""How long the reading thread is given to end [s]."""
+
 
 Take = Callable[[Frame, float], None]
 """Takes a frame and when it came [s, bench time]."""
@@ -210,22 +201,26 @@ def open_adapter(address: str, bitrate: int, *, ask: bool) -> Adapter:
     return PythonCan(interface, int(channel) if interface in NUMBERED else channel, bitrate)
 
 
-class Link:
-    """An open adapter; `take` is called in the reading thread. Raises DeviceError."""
+class Link(Listening):
+    """An open adapter; `take` is called in the reading thread, with a frame and when it came. Raises DeviceError."""
 
-    def __init__(self, device: str, address: str, adapter: Callable[[], Adapter], clock: Clock, take: Take) -> None:
-        self._device, self._address, self._clock, self._take = device, address, clock, take
-        self._lock, self._halt = threading.Lock(), threading.Event()
-        self.gone = ""
-        """Why the adapter was lost."""
+    def __init__(
+        self,
+        device: str,
+        address: str,
+        adapter: Callable[[], Adapter],
+        clock: Clock,
+        take: Callable[[Any, float], None],
+    ) -> None:
+        super().__init__(device, address, clock)
+        self._lock = threading.Lock()
         try:
             self._adapter = adapter()
         except OSError as error:
-            raise DeviceError(device, f"cannot open {address}: {error.strerror or error}") from None
+            raise DeviceError(device, f"cannot open {address}: {reason(error)}") from None
         self.serial = self._adapter.serial
         """Serial number of the adapter, where it is known."""
-        self._thread = threading.Thread(target=self._read, name=f"can {device}", daemon=True)
-        self._thread.start()
+        self.listen(take)
 
     def send(self, identifier: int, data: bytes = b"") -> None:
         """Hand a frame to the adapter, once."""
@@ -235,27 +230,12 @@ class Link:
             with self._lock:
                 self._adapter.send(Frame(identifier, data))
         except OSError as error:
-            raise DeviceError(self._device, f"cannot send to {self._address}: {error.strerror or error}") from None
+            raise DeviceError(self._device, f"cannot send to {self._address}: {reason(error)}") from None
 
     def close(self) -> None:
         """Let go of the adapter; harmless when repeated."""
-        self._halt.set()
-        if self._thread is not threading.current_thread():
-            self._thread.join(JOIN)
+        self.hush()
         self._adapter.close()
 
-    def _read(self) -> None:
-        while not self._halt.is_set():
-            try:
-                frame = self._adapter.receive(WAIT)
-            except (OSError, ValueError, TypeError) as error:  # ValueError, TypeError: it was closed meanwhile
-                if not self._halt.is_set():
-                    self.gone = f"lost {self._address}: {getattr(error, 'strerror', None) or error}"
-                return
-            if frame is None or self._halt.is_set():
-                continue
-            try:
-                self._take(frame, self._clock.now())
-            except Exception as error:  # the owner learns it at the next call
-                self.gone = f"reading {self._address} broke off: {error}"
-                return
+    def _receive(self) -> Frame | None:
+        return self._adapter.receive(WAIT)

@@ -211,6 +211,14 @@ class Node(ABC):
             sleep(0.005)
         self._watched = True
 
+    def takers(self) -> dict[int, Callable[[bytes], bool | None]]:
+        """What takes its answers, heartbeats and emergencies, by their identifiers."""
+        return {
+            f.SDO_ANSWER + self.number: self.objects.take,
+            f.HEARTBEAT + self.number: self.take_heartbeat,
+            f.EMCY + self.number: self.take_emergency,
+        }
+
     @abstractmethod
     def set_up(self, deadline: float) -> None:
         """Whatever the kind of node needs, PDOs first of all."""

@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import os
 import select
-import threading
 from abc import abstractmethod
 from collections.abc import Callable, Iterator
 from time import monotonic
@@ -19,7 +18,7 @@ from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import Block, DeviceRecord, Identity
 from pmabench_drivers.shared.device import Driver
-from pmabench_drivers.shared.link import opened, reason
+from pmabench_drivers.shared.link import Listening, opened, reason
 from pmabench_drivers.shared.polling import Samples
 
 LONGEST_LINE = 120
@@ -72,8 +71,6 @@ PIECE = 0.02
 """Longest single wait for bytes [s]."""
 PUSH = 0.1
 """Longest time to hand bytes to the port [s]."""
-JOIN = 0.15
-"""How long the reading thread is given to end [s]."""
 MOST = 20_000
 """More than this is never kept while an answer is waited for [bytes]."""
 
@@ -109,16 +106,12 @@ def received(port: Any) -> bytes:
     return data + bytes(port.read(min(port.in_waiting, MOST)))
 
 
-class SerialPort:
+class SerialPort(Listening):
     """An open port of one program alone; every call is bounded. Raises DeviceError."""
 
     def __init__(self, device: str, address: str, baud: int, clock: Clock, **settings: Any) -> None:
-        self._device, self._address, self._clock = device, address, clock
+        super().__init__(device, address, clock)
         self._port = open_port(device, address, baudrate=baud, timeout=PIECE, **settings)
-        self._halt = threading.Event()
-        self._thread: threading.Thread | None = None
-        self.gone = ""
-        """Why the port was lost while it was listened to."""
 
     def send(self, data: bytes) -> None:
         """Hand bytes to the port, once."""
@@ -145,48 +138,14 @@ class SerialPort:
         except (OSError, TypeError) as error:  # TypeError: it was closed meanwhile
             raise DeviceError(self._device, f"{what} {self._address}: {reason(error)}") from None
 
-    def listen(self, take: Callable[[bytes, float], None]) -> None:
-        """From now on a thread hands each piece to `take`, with the time it came [s, bench time]."""
-        self.hush()
-        self.gone, self._halt = "", threading.Event()
-        self._thread = threading.Thread(
-            target=self._read, args=(take, self._halt), name=f"serial {self._device}", daemon=True
-        )
-        self._thread.start()
-
-    @property
-    def listening(self) -> bool:
-        """Whether somebody listens."""
-        return self._thread is not None
-
-    def hush(self) -> None:
-        """Listen no more; harmless when repeated."""
-        self._halt.set()
-        thread, self._thread = self._thread, None
-        if thread is not None and thread is not threading.current_thread():
-            thread.join(JOIN)
+    def _receive(self) -> bytes:
+        return received(self._port)
 
     def close(self) -> None:
         """Let go of the port; harmless when repeated."""
         self.hush()
         with contextlib.suppress(OSError):
             self._port.close()
-
-    def _read(self, take: Callable[[bytes, float], None], halt: threading.Event) -> None:
-        while not halt.is_set():
-            try:
-                data = received(self._port)
-            except (OSError, TypeError) as error:
-                if not halt.is_set():
-                    self.gone = f"lost {self._address}: {reason(error)}"
-                return
-            if not data or halt.is_set():
-                continue
-            try:
-                take(data, self._clock.now())
-            except Exception as error:  # the owner learns it at the next collect
-                self.gone = f"reading {self._address} broke off: {error}"
-                return
 
 
 STREAM_PATIENCE = 0.5

@@ -123,7 +123,7 @@ class PeerDrive:
 
 
 def test_the_driver_drives_a_drive_of_the_canopen_library():
-    hub = Hub("bus", "slcan:socket://127.0.0.1:0", lambda _f: None, lambda _t: None, Faults(LINK), lambda _k, _d: None)
+    hub = Hub("bus", "slcan:socket://127.0.0.1:0", Faults(LINK), lambda _k, _d: None)
     hub.start()
     peer = driver = None
     try:
