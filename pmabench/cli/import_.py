@@ -18,8 +18,7 @@ from pmabench.cli.common import Ui, common, fields
 from pmabench.files.shipped import find_file
 
 if TYPE_CHECKING:
-    from pmabench.store.importers.guess.columns import Proposal
-    from pmabench.store.importers.guess.record import Guess
+    from pmabench.store.importers.guess.columns import Guess, Proposal
     from pmabench.store.importers.guess.write import Span
     from pmabench.store.importers.importing import ImportedRun
 
@@ -112,7 +111,7 @@ def guess(ui: Ui, files: Sequence[Path], spans: Sequence[str], output: Path | No
     from pmabench.kinds.registry import importable
     from pmabench.store.importers.guess.guess import guess_files
     from pmabench.store.importers.guess.write import map_text, still_open
-    from pmabench.store.importers.questions import questions_of
+    from pmabench.store.importers.map_file import questions_of
 
     time_spans = dict(map(_span, spans))
     if output is not None and output.exists():

@@ -16,7 +16,7 @@ from pmabench.analysis.many import Pool, Processes
 from pmabench.cli.common import Ui
 from pmabench.plotting.wording import clean
 from pmabench.report.many.many import SCHEMA, Many, plain_entry, process_many, write_table
-from pmabench.store.below import tasks_below
+from pmabench.store.catalogue import tasks_below
 
 LINE_EVERY = 10.0
 """Seconds between lines of progress where there is no terminal."""

@@ -16,7 +16,7 @@ from pmabench.cli.common import Ui, common, fields, login_name, read_quantity
 if TYPE_CHECKING:
     from pmabench.analysis.results import Analysis
     from pmabench.analysis.verdict.changes import Change
-    from pmabench.store.recalibration import NewScale, Recalibration
+    from pmabench.store.reader import NewScale, Recalibration
     from pmabench.store.records import RunData
 
 SCALE = ("calibration", "slope", "offset", "offset_uncertainty", "gain_uncertainty")
@@ -61,7 +61,7 @@ def command(
     from pmabench.kinds.registry import loops
     from pmabench.report.pages.change_tables import print_changes, write_changes
     from pmabench.store.chain import open_chains
-    from pmabench.store.recalibration import refuse_loops
+    from pmabench.store.reader import refuse_loops
 
     if not calibrations and not skews:
         raise UsageError("nothing is to be changed: give --calibration FILE or --skew CHANNEL=TIME")
@@ -105,7 +105,7 @@ def command(
 
 
 def _asked(runs: Sequence[RunData], calibrations: Sequence[str], skews: Sequence[str]) -> Recalibration:
-    from pmabench.store.recalibration import LONGEST, Recalibration, channel_for
+    from pmabench.store.reader import LONGEST, Recalibration, channel_for
 
     scales: dict[str, NewScale] = {}
     for text in calibrations:
@@ -136,10 +136,10 @@ def _named(text: str, runs: Sequence[RunData]) -> tuple[str, Path]:
 
 
 def _scale(file: Path) -> NewScale:
-    from pmabench.bench.calibration import read_calibration
+    from pmabench.bench.channels import read_calibration
     from pmabench.bench.files import CalibrationFile
     from pmabench.files.document import read_document, validate
-    from pmabench.store.recalibration import NewScale
+    from pmabench.store.reader import NewScale
 
     quantity = validate(CalibrationFile, read_document(file)).quantity
     read = read_calibration(file, quantity)

@@ -64,7 +64,7 @@ def command(
 ) -> int | None:
     """Gains of the tuning rules from K_u and T_u, from an analysis, or from RUNS in which no loop was closed."""
     from pmabench.analysis.tuning import facts, rules_named
-    from pmabench.model.rules.registry import all_rules
+    from pmabench.model.rules.record import all_rules
 
     _check_one_source(runs, [ku is not None, tu is not None], analysis, steps=steps, model=model)
     where = Where.read(setpoints, load, period)

@@ -13,8 +13,8 @@ from pmabench.cli.main import main
 from pmabench.report.files.csv_files import csv_text
 from pmabench.report.many.many import process_many, process_one, table_rows
 from pmabench.store.analyses.folder import runs_of
-from pmabench.store.below import tasks_below
-from pmabench.store.fingerprint import fingerprint
+from pmabench.store.catalogue import tasks_below
+from pmabench.store.since import fingerprint
 from tests.benchmarks.archive import stiffness_and_damping, write_run
 from tests.store.runs import closed
 

@@ -14,8 +14,8 @@ import numpy as np
 
 from pmabench.plotting.wording import clean, number, shown
 from pmabench.report.document.provenance import get, text_of
+from pmabench.store.folder import open_regular
 from pmabench.store.records import RunData, TrialData
-from pmabench.store.regular import open_regular
 
 RATE_OFF = 0.01
 """Share by which a sample rate differs from the planned one before it is reported."""

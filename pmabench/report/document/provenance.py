@@ -17,8 +17,8 @@ from pmabench import __version__
 from pmabench.analysis.results import AGREEMENT, Analysis
 from pmabench.plotting.wording import POINTS, clean, in_order, number, point_shown, shown
 from pmabench.report.words import described, kind_title
+from pmabench.store.folder import is_regular, sha256_of
 from pmabench.store.records import RunData
-from pmabench.store.regular import is_regular, sha256_of
 
 LISTED = 8
 """Values of a swept coordinate that are listed; of more, the ends and the count are."""

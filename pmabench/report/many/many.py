@@ -21,8 +21,8 @@ from pmabench.report.files.csv_files import csv_text, point_head
 from pmabench.report.many import many_cache
 from pmabench.report.words import in_common
 from pmabench.report.writing import writing
-from pmabench.store.below import Task
-from pmabench.store.fingerprint import fingerprint, program
+from pmabench.store.catalogue import Task
+from pmabench.store.since import fingerprint, program
 
 Progress = Callable[[int, int, int], None]
 """Called with the number of runs that are done, of all, and of those that had not changed."""
@@ -270,8 +270,8 @@ def _entry(path: Path, out: Path, folder: str, options: Mapping[str, Any]) -> di
     from pmabench.report.files.csv_files import write_with_tables
     from pmabench.report.words import declared
     from pmabench.store.chain import open_chains
-    from pmabench.store.fingerprint import stamp
     from pmabench.store.folder import plain, read_manifest
+    from pmabench.store.since import stamp
 
     kind = read_manifest(path).get("kind")
     if kind in WITHOUT_TRIALS:
