@@ -129,33 +129,14 @@ class Painter:
                 select.select([], [self._fd], [], 1.0)
 
 
-_ASCII = {
-    "━": "=",
-    "─": "-",
-    "●": "O",
-    "╎": ":",
-    "┃": "|",
-    "…": "~",
-    "±": "~",
-    "·": "|",
-    "▏": "_",
-    "\N{REPLACEMENT CHARACTER}": "?",
-}
+_ASCII = dict(zip("━─●╎┃…±·▏\N{REPLACEMENT CHARACTER}", "=-O:|~~|_?", strict=True))
 
 
 def rendered(lines: Sequence[Text], width: int, *, color: bool, ascii_only: bool = False) -> list[str]:
     """Lines with the codes of the sixteen colours; without `color` bold, dim and reverse are left."""
-    rich = Rich(
-        file=io.StringIO(),
-        force_terminal=True,
-        color_system="standard",
-        no_color=not color,
-        width=width,
-        legacy_windows=False,
-        highlight=False,
-        markup=False,
-        emoji=False,
-    )
+    plain = dict.fromkeys(("legacy_windows", "highlight", "markup", "emoji"), False)
+    terminal_like: dict[str, Any] = {"force_terminal": True, "color_system": "standard", "no_color": not color}
+    rich = Rich(file=io.StringIO(), width=width, **terminal_like, **plain)
     texts = []
     for line in lines:
         with rich.capture() as captured:
@@ -171,9 +152,7 @@ def rendered(lines: Sequence[Text], width: int, *, color: bool, ascii_only: bool
 def _dots(character: str) -> str:
     """A braille character as a sign that every terminal has, by where its dots are."""
     code = ord(character) - 0x2800
-    return {(False, False): " ", (True, False): "'", (False, True): ".", (True, True): ":"}[
-        bool(code & 0x1B), bool(code & 0xE4)
-    ]
+    return " '.:"[bool(code & 0x1B) + 2 * bool(code & 0xE4)]
 
 
 class Console:

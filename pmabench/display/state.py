@@ -325,11 +325,9 @@ class RunState:
     def specimen(self) -> str:
         """Type and serial."""
         specimen = self.files.manifest.get("specimen")
-        return (
-            f"{specimen.get('type', '')} {specimen.get('serial', '')}".strip()
-            if isinstance(specimen, dict)
-            else str(specimen or "")
-        )
+        if isinstance(specimen, dict):
+            return f"{specimen.get('type', '')} {specimen.get('serial', '')}".strip()
+        return str(specimen or "")
 
     @property
     def trials(self) -> int:

@@ -64,7 +64,7 @@ class Extra:
 def screen(state: RunState, width: int, height: int, extra: Extra | None = None) -> list[Text]:
     """The picture: `height` lines, none wider than `width` columns."""
     if not state.files.there:
-        return _fill([Text(clean(state.files.problem or f"waiting for {state.files.folder}"))], width, height)
+        return fill([Text(clean(state.files.problem or f"waiting for {state.files.folder}"))], width, height)
     width, height = max(20, width), max(3, height)
     extra = extra or Extra()
     footer = _footer(extra)
@@ -74,11 +74,11 @@ def screen(state: RunState, width: int, height: int, extra: Extra | None = None)
     left = room - len(lines)
     if left >= 3:
         lines += _lower(state, width, left, curves=not asked or left > 16)
-    lines = _fill(lines, width, room)
-    return [*lines, *_fill([footer], width, 1)] if footer else lines
+    lines = fill(lines, width, room)
+    return [*lines, *fill([footer], width, 1)] if footer else lines
 
 
-def _fill(lines: Sequence[Text], width: int, height: int) -> list[Text]:
+def fill(lines: Sequence[Text], width: int, height: int) -> list[Text]:
     """Cut to width and height; empty lines where there are too few."""
     kept = list(lines[:height]) + [Text() for _ in range(height - len(lines))]
     for line in kept:
@@ -341,4 +341,4 @@ def _footer(extra: Extra) -> Text | None:
 
 def closing(state: RunState, width: int, most: int = 12) -> list[Text]:
     """What is worth keeping on the terminal when the picture goes: the last trials."""
-    return _fill(table := trial_table(state.lines, width, most, spare=1), width, len(table))
+    return fill(table := trial_table(state.lines, width, most, spare=1), width, len(table))

@@ -85,7 +85,7 @@ class Scene:
             fitting = FITTING * link.length * s
             tint = link.pressure[row] / self.highest if self.highest else 0.0
             sizes = (line.length, line.fitting, line.radius, line.meet, line.body)
-            found.append(Shape(place + fitting, *(size * s for size in sizes), tint))
+            found.append(Shape(place + fitting, *(size * s for size in sizes), tint=tint))
             place += 2 * fitting + line.length * s
         return found
 

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 MOST_CURVES = 8
 """Combinations of the other inputs up to which each has a curve; with more, computed is drawn over measured."""
 POINTS = 121
+MARK: dict[str, Any] = {"markerfacecolor": "white", "markersize": 3.6, "markeredgewidth": 0.9}
 MOST_MARKS = 400
 """Marks of a curve that are drawn, evenly chosen."""
 ALONE = 'xmlns="http://www.w3.org/2000/svg" font-family="sans-serif" style="background: #fff"'
@@ -85,8 +86,8 @@ def _curves(
         )
         drawn = np.flatnonzero(mine)[:: -(-int(mine.sum()) // MOST_MARKS)]
         for axes, y in ((upper, fit.measured), (lower, residual)):
-            look = {"color": color, "markerfacecolor": "white", "markersize": 3.6, "markeredgewidth": 0.9}
-            axes.plot(x[drawn] / x_unit.scale, y[drawn] / unit.scale, MARKERS[i % len(MARKERS)], label=label, **look)
+            place, look = (x[drawn] / x_unit.scale, y[drawn] / unit.scale), MARKERS[i % len(MARKERS)]
+            axes.plot(*place, look, color=color, label=label, **MARK)
     lower.axhline(0, color=FAINT, linewidth=0.6, zorder=0)
     upper.set(title=title, ylabel=unit.label(fit.output))
     upper.tick_params(labelbottom=False)
