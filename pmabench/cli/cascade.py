@@ -108,7 +108,7 @@ def replay(ui: Ui, source: Path, out: Path | None, moments: tuple[str, ...], *, 
 
 
 def _play(ui: Ui, times: Array, step: Callable[[Array], Course], lengths: list[float]) -> tuple[Course, float]:
-    """The whole course in real time, and how long it took [s]."""
+    """Simulate or replay in real time; the whole course, and how long it took [s]."""
     import numpy as np
 
     from pmabench.model.cascade import Course
@@ -147,7 +147,7 @@ def _moments(texts: tuple[str, ...], last: float, out: Path | None) -> list[floa
 
 
 def _deliver(ui: Ui, found: Result, out: Path | None, moments: list[float], *, result_too: bool, as_csv: bool) -> None:
-    """Write what was asked for, and show the result."""
+    """Write the files that were requested, and show the result."""
     from pmabench.report.cascade_record import csv_text, write_result
 
     written = write_result(found, out) if out is not None and result_too else []
@@ -170,7 +170,7 @@ def _deliver(ui: Ui, found: Result, out: Path | None, moments: list[float], *, r
 
 
 def _show_result(ui: Ui, found: Result) -> None:
-    """Who is in the chain, and the totals in time."""
+    """Print the muscles of the chain, and a table of the totals over time."""
     import numpy as np
 
     from pmabench.cli.model_inputs import print_table

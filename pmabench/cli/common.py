@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 @dataclass
 class Ui:
-    """Where a command prints: results on stdout, everything else on stderr; quiet: results and errors only."""
+    """Output of a command: results on stdout, everything else on stderr; quiet: results and errors only."""
 
     json: bool = False
     verbose: bool = False
@@ -71,7 +71,7 @@ class Ui:
         from rich.segment import Segment
 
         class Plain(Console):
-            """Leaves a closed pipe to the command, and spells texts, as any other output does."""
+            """A console that leaves a closed pipe to the command, and spells control characters."""
 
             def on_broken_pipe(self) -> None:
                 raise BrokenPipeError(EPIPE, os.strerror(EPIPE))
@@ -205,7 +205,7 @@ def plan_options(*, required: bool = True) -> Callable[[Callable[..., Any]], Cal
 
 
 def session_options(function: Callable[..., Any]) -> Callable[..., Any]:
-    """How the session before a run is held; together one argument `session`."""
+    """Options of the session before a run; passed on as one argument `session`."""
 
     @click.option("--new-session", is_flag=True, help="Warm-up, self-test and zeros again, though a session counts.")
     @click.option("--skip-warm-up", is_flag=True, help="Leave the warm-up of the session out; with --because.")

@@ -147,7 +147,7 @@ def _serve(ui: Ui, served: Any, truth: Path | None, faults: Faults, file: Path |
 
 
 def _in_si(text: str) -> str:
-    """What is wrong on purpose, its value without a unit, in SI."""
+    """An entry of `--wrong` with its value in SI."""
     from pmabench.files.quantity import parse_quantity
 
     head, equals, value = text.partition("=")
@@ -190,14 +190,14 @@ USE = '"load 6 kg", "fault DEVICE delay 300 ms count 5", "fault DEVICE clear" or
 
 @dataclass(frozen=True)
 class Happening:
-    """What the emulator shall do, and when [s from now]."""
+    """A request to the emulator, and when it is due [s from now]."""
 
     after: float
     wanted: Mapping[str, Any]
 
     @property
     def text(self) -> str:
-        """In words."""
+        """The event in words."""
         wanted = self.wanted
         if "load" in wanted:
             return f"the free end carries {wanted['load']['force']:g} N"
@@ -209,7 +209,7 @@ class Happening:
 
 
 class Schedule:
-    """Does what is due, each thing at its time, on its own thread."""
+    """Carries out requests at their times, in a thread."""
 
     def __init__(self, act: Callable[[Mapping[str, Any]], object], report: Callable[[str], None]) -> None:
         self._act, self._report = act, report
@@ -218,7 +218,7 @@ class Schedule:
         threading.Thread(target=self._run, name="what happens", daemon=True).start()
 
     def add(self, happenings: list[Happening]) -> None:
-        """Let them happen, counted from now."""
+        """Schedule them, their times counted from now."""
         with self._changed:
             now = monotonic()
             for item in happenings:
@@ -246,7 +246,7 @@ class Faults:
         self._served, self._gravity, self._carriage = served, gravity, carriage
 
     def of_file(self, path: Path) -> list[Happening]:
-        """Everything in a file; `InvalidFile` with every problem."""
+        """All requests of a file; raises InvalidFile with every problem."""
         from pmabench.bench.files.plant import FaultsFile
         from pmabench.files.document import read_document, validate
 
@@ -273,7 +273,7 @@ class Faults:
         return found
 
     def of_line(self, line: str) -> list[Happening]:
-        """A typed line; ValueError for one that means nothing."""
+        """The requests of a typed line; raises ValueError for one that cannot be understood."""
         from pmabench.files.quantity import parse_mass_or_force, parse_quantity
 
         given = {key: value.strip() for key, value in OPTION.findall(line)}
@@ -303,7 +303,7 @@ class Faults:
         return {"load": {"force": force, "mass": mass + self._carriage}}
 
     def plant(self, fault: str, after: float, lasts: float | None) -> list[Happening]:
-        """A fault of the plant, and its end."""
+        """Requests for a fault of the plant and for its end."""
         known = self._served.plant_faults
         name, _, over = fault.partition(" ")
         if name not in known or over not in {"", "over"}:
@@ -314,7 +314,7 @@ class Faults:
     def device(
         self, device: str, fault: str, value: Any, number: Any, after: float, lasts: float | None
     ) -> list[Happening]:
-        """A fault of a device, and its end."""
+        """Requests for a fault of a device and for its end."""
         wanted = {"device": device, "fault": fault, "value": _value(self._served.kind(device, fault), fault, value)}
         found = [Happening(after, {**wanted, "count": number or -1})]
         end = Happening(after + (lasts or 0.0), {"device": device, "fault": "clear"})
@@ -322,7 +322,7 @@ class Faults:
 
 
 def _value(kind: Any, fault: str, value: Any) -> float | None:
-    """How much, in SI where it has a unit."""
+    """The size of a fault, in SI where it has a unit."""
     from pmabench.files.quantity import parse_quantity
 
     if value is None:

@@ -165,7 +165,7 @@ def _unknown(
     begin: Mapping[str, Any],
     free: str | None,
 ) -> list[str]:
-    """What is fitted: as asked, or what the model names and acts on the output."""
+    """Inputs that are fitted: those of `--free`, or those that the model names and that change the output."""
     from pmabench.analysis.fitting.model_problem import acting
 
     able = [p.name for p in model.parameters if not p.choices and p.name not in measured.columns]

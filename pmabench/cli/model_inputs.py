@@ -151,7 +151,7 @@ def print_table(ui: Ui, columns: Sequence[Column], keys: int) -> None:
 
 
 def _cells(column: Column) -> list[str]:
-    """Each value; what is negligible against the largest of the column is 0."""
+    """Texts of a column's values; what is negligible against the largest is 0."""
     numbers = [abs(value) for value in column["values"] if isinstance(value, float)]
     least = 1e-9 * max(numbers, default=0.0)
     return [
@@ -178,7 +178,7 @@ def si_unit(quantity: str) -> str:
 
 
 def print_csv(columns: Sequence[Column]) -> None:
-    """All digits, SI; the head is `name [unit]`."""
+    """Print columns as CSV, SI values with all digits; heads are `name [unit]`."""
     writer = csv.writer(sys.stdout, lineterminator="\n")
     writer.writerow([f"{c['name']} [{c['unit']}]" if c["unit"] else c["name"] for c in columns])
     for row in zip(*(c["values"] for c in columns), strict=True):

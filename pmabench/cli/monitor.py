@@ -143,7 +143,7 @@ class _Live:
         self.page: Page = Page(bench.name, simulated, rows)
 
     def update(self, series: Mapping[str, Series], now: float, rate: float) -> None:
-        """Take in a block."""
+        """Update the page with a block of samples."""
         for name, one in series.items():
             row, reading = self._rows[name], one.reading()
             row.channel.value, row.noise = reading.mean, reading.noise
@@ -155,7 +155,7 @@ class _Live:
             self._rows[name].channel.age = max(0.0, now - last)
 
     def tare(self) -> None:
-        """What is shown counts from the values of now."""
+        """Show differences from the present values from now on."""
         for row in self._rows.values():
             row.tare = row.channel.value or 0.0
 
@@ -181,12 +181,12 @@ class _Keys:
         self._lock = threading.Lock()
 
     def add(self, keys: Sequence[str]) -> None:
-        """More keys."""
+        """Add keys that were pressed."""
         with self._lock:
             self._pressed.extend(keys)
 
     def taken(self) -> list[str]:
-        """All since the last call."""
+        """Keys pressed since the last call."""
         with self._lock:
             keys, self._pressed = self._pressed, []
         return keys

@@ -43,7 +43,7 @@ MOST = 1 << 16
 
 
 class Link:
-    """One end. What cannot be taken is not sent, and `send` says so."""
+    """One end of the link. A message that the other end cannot take is dropped, and `send` returns False."""
 
     def __init__(self, end: socket.socket) -> None:
         end.setblocking(False)
@@ -54,7 +54,7 @@ class Link:
         """Whether the other end is gone."""
 
     def fileno(self) -> int:
-        """For `select`."""
+        """The file descriptor, for `select`."""
         return self._socket.fileno()
 
     @property
@@ -83,7 +83,7 @@ class Link:
             self.closed = True
 
     def receive(self) -> list[dict[str, Any]]:
-        """What has come; lines that are no JSON objects are left out."""
+        """Messages received since the last call; lines that are no JSON objects are left out."""
         try:
             while len(self._in) < 4 * MOST:
                 piece = self._socket.recv(MOST)
@@ -100,7 +100,7 @@ class Link:
         return [message for message in map(_parsed, lines) if message is not None]
 
     def close(self) -> None:
-        """Let go; harmless when repeated."""
+        """Close this end; harmless when repeated."""
         self.closed = True
         self._socket.close()
 
@@ -180,7 +180,7 @@ class Display:
             self._link.send({"live": dict(values)})
 
     def poll(self) -> list[dict[str, Any]]:
-        """What came: `answer` {id, text}, `key`, `note`. Answers to what is not asked are left out."""
+        """Messages of the display: `answer` {id, text}, `key`, `note`. Answers to other questions are left out."""
         if self._link is None:
             return []
         self._link.flush()
@@ -192,7 +192,7 @@ class Display:
             self._sent = self._link.send({"ask": self._asked})
 
     def _counts(self, message: Mapping[str, Any]) -> bool:
-        """Whether a message is one that may come; a good answer ends its question."""
+        """Whether a message is valid; a valid answer ends its question."""
         answer = message.get("answer")
         if answer is None:
             return isinstance(message.get("key"), str) or isinstance(message.get("note"), str)
@@ -220,7 +220,7 @@ class Display:
         self._leave()
 
     def _leave(self) -> None:
-        """After a display that could not tidy up: the terminal as it was. Once, and without waiting."""
+        """Restore the terminal after a display that died before it could; done once, and without waiting."""
         process = self._process
         if process is None or self._lost or process.poll() is None:
             return

@@ -64,7 +64,7 @@ class Terminate(Exception):
 
 @contextmanager
 def tidy_signals(*, child: bool) -> Iterator[None]:
-    """Ends by signals are tidy, and the background stops nobody; Ctrl-C of a run's child is the run's."""
+    """Handle signals so that the terminal is restored; a child of a run ignores Ctrl-C, which is for the run."""
 
     def ended(number: int, _frame: object) -> None:
         raise Terminate(number)
@@ -92,7 +92,7 @@ class Painter:
         self._size = (0, 0)
 
     def size(self) -> tuple[int, int]:
-        """Columns and rows now."""
+        """Columns and rows of the terminal now."""
         try:
             width, height = os.get_terminal_size(self._fd)
         except OSError:
@@ -101,7 +101,7 @@ class Painter:
 
     @contextmanager
     def open(self) -> Iterator[None]:
-        """The other screen, and back."""
+        """Switch to the terminal's other screen, and back at the end."""
         self._write(ENTER_SCREEN)
         try:
             yield
@@ -110,7 +110,7 @@ class Painter:
                 self._write(LEAVE)
 
     def draw(self, lines: Sequence[Text], size: tuple[int, int]) -> None:
-        """Bring the screen to these lines."""
+        """Show these lines; only those that changed are written."""
         drawn = rendered(lines, size[0], color=self._color, ascii_only=self._ascii)
         before = self._drawn if size == self._size else []
         out = "" if before else "\x1b[0m\x1b[2J"
@@ -277,7 +277,7 @@ class Console:
     # -- the run ------------------------------------------------------------------------------------------------------
 
     def _listen(self) -> bool:
-        """Take in messages of the run; whether a question came or went, or the end."""
+        """Handle messages of the run; True where a question was asked or withdrawn, or the run ended."""
         urgent = False
         for message in self._link.receive() if self._link is not None else ():
             urgent |= "ask" in message or "end" in message
@@ -320,7 +320,7 @@ class Console:
             time.sleep(seconds)
 
     def _pressed(self, seconds: float) -> bool:
-        """Wait for keys and messages; whether something calls for a new picture at once."""
+        """Wait for keys and messages; True where the picture must be drawn again at once."""
         keys = self._keys
         if keys is None or not terminal.in_front(keys.fd):
             self._wait(seconds)
@@ -353,7 +353,7 @@ class Console:
             self.state.log(text)
 
     def _answer(self, key: str) -> None:
-        """One key of an answer; only one of the words counts."""
+        """Handle one key of an answer; only the words that were asked for count."""
         if key == terminal.ENTER:
             text = self._typed.strip().lower()
             self._typed, self._refused = "", text

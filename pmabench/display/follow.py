@@ -223,7 +223,7 @@ class Follower:
         return bool(self.manifest)
 
     def events(self) -> list[Event]:
-        """Events that are new; also reads what is written once."""
+        """New events; also reads the files that are written only once."""
         if not self.manifest:
             self._begin()
         if not self.manifest:
@@ -299,7 +299,7 @@ class Kept:
         self._blocks.setdefault(stream, deque()).append(block)
 
     def forget(self, before: float) -> None:
-        """Let go of blocks that end before a time [s], but the last of each stream."""
+        """Drop blocks that end before a time [s], except the last of each stream."""
         for blocks in self._blocks.values():
             while len(blocks) > 1 and blocks[0].t[-1] < before:
                 blocks.popleft()

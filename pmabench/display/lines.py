@@ -34,7 +34,7 @@ def number_text(number: Number) -> str:
 
 
 def off_text(number: Number) -> str:
-    """How far it is from what it is compared with."""
+    """The relative difference from the value that it is compared with."""
     off = number.off
     if off is None or number.assumed:
         return ""
@@ -106,7 +106,7 @@ def _legend(lines: Sequence[TrialLine]) -> str:
 
 
 def first_line(state: RunState) -> str:
-    """What run this is."""
+    """The kind, specimen and id of the run."""
     simulated = "SIMULATED " if state.simulated else ""
     return clean(f"{simulated}{state.kind}, {state.specimen}: {state.files.manifest.get('id', '')}")
 
@@ -133,7 +133,7 @@ def _number(number: Number) -> str:
 
 
 def last_line(state: RunState) -> str:
-    """How it ended, or that it has not."""
+    """How the run ended, or that it is still running."""
     doubtful = sum(not line.ok for line in state.lines)
     why = f": {clean(state.why)}" if state.why else ""
     trials = f"{state.done} of {state.trials} trials" + (f", {doubtful} in doubt" if doubtful else "")

@@ -72,7 +72,7 @@ class Number:
 
 @dataclass(frozen=True)
 class TrialLine:
-    """What is said of one trial."""
+    """The verdict on one trial, with its numbers and doubts."""
 
     index: int
     point: dict[str, float]
@@ -85,12 +85,12 @@ class TrialLine:
 
     @property
     def number(self) -> int:
-        """From 1, as people count."""
+        """Number of the trial, from 1."""
         return self.index + 1
 
     @property
     def ok(self) -> bool:
-        """Whether nothing speaks against the trial."""
+        """Whether there is no doubt about the trial."""
         return not self.doubts
 
     @property
@@ -99,7 +99,7 @@ class TrialLine:
         return self.status in USED
 
     def replaces(self, earlier: TrialLine) -> bool:
-        """Whether an earlier line gives way to this one: a repeat that did not finish takes nothing away."""
+        """Whether this line replaces an earlier one; a repeat that did not finish does not."""
         return earlier.index == self.index and (self.status == "finished" or earlier.status != "finished")
 
 
@@ -184,7 +184,7 @@ def _flagged(trial: TrialData) -> list[str]:
 
 
 def _not_reached(trial: TrialData) -> list[str]:
-    """A commanded pressure that the measured one has not come to before the next command."""
+    """A sentence where the measured pressure did not reach its command before the next one."""
     if "pressure" not in trial.channels or not len(trial.t):
         return []
     commands = [c for c in trial.commands if c.output == "pressure"]
@@ -203,7 +203,7 @@ def _not_reached(trial: TrialData) -> list[str]:
 
 
 def prepare(name: str) -> None:
-    """Import what a kind needs, which takes a second; so that the first trial's line holds up no key."""
+    """Import in advance what a kind needs, which takes a second, so that keys are not delayed at the first trial."""
     kind = registry.find(name)
     if kind and kind.live:
         kind.part("live")

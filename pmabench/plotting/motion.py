@@ -59,7 +59,7 @@ FREE_RUN = "the fitted muscle, run freely with the measured pressure"
 
 
 def motions(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
-    """Free runs of the fitted muscle, what they leave, and the same motion over the pressure."""
+    """Free runs of the fitted muscle, their residuals, and the same motion over the pressure."""
     found = overlays(traces, analysis)
     return found + residuals(traces, analysis.simulated) + over_pressure(traces, analysis.simulated)
 
@@ -171,7 +171,7 @@ def _residual(trace: Trace) -> Array:
 
 
 def _autocorrelation(values: Array) -> Array:
-    """Of values less their mean, lags 0 to `LAGS`, shape (LAGS + 1,); 1 at lag 0."""
+    """Autocorrelation of values less their mean at lags 0 to `LAGS`, shape (LAGS + 1,); 1 at lag 0."""
     x = values - values.mean()
     power = float(np.dot(x, x))
     return np.array([float(np.dot(x[: len(x) - lag], x[lag:])) / power for lag in range(LAGS + 1)])

@@ -186,7 +186,7 @@ def coefficients(points: Sequence[Points], x_label: str, y_label: str) -> Figure
 
 
 def _apart(points: Sequence[Points]) -> list[Array]:
-    """What each series is above the first one's curve, where series lie too close to be seen apart; else nothing."""
+    """Differences of each series from the curve of the first, where series are too close to be distinguished."""
     points = [p for p in points if not p.published]
     if len(points) < 2 or points[0].curve is None or len({p.group for p in points}) < 2:
         return []

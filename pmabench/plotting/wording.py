@@ -131,7 +131,7 @@ def shown(quantity: str, unit: str = "") -> Shown:
 
 
 def _typeset(unit: str) -> str:
-    """A middle dot for a product, raised exponents."""
+    """The unit with a middle dot for products and raised exponents."""
     return re.sub(r"(?<=[A-Za-z])[23]", lambda m: "²³"[int(m[0]) - 2], unit.replace(".", "·"))
 
 
@@ -144,6 +144,12 @@ def point_shown(name: str) -> tuple[str, Shown]:
     """Label and unit of a coordinate of an operating point."""
     label, quantity = POINTS.get(name, (name, ""))
     return clean(label), shown(quantity)
+
+
+def point_head(name: str) -> str:
+    """The head of a column with a coordinate of operating points: `P [kPa]`."""
+    label, unit = point_shown(name)
+    return unit.label(label)
 
 
 def spoken(name: str) -> str:

@@ -25,7 +25,7 @@ VENT_HOLD = 3.0
 
 @dataclass(frozen=True)
 class Believed:
-    """What is believed of the specimen at one pressure: F_ce [N], K [N/m], B_c and B_r [N.s/m], F_c [N]."""
+    """Expected coefficients of the specimen at one pressure: F_ce [N], K [N/m], B_c and B_r [N.s/m], F_c [N]."""
 
     F_ce: float
     K: float
@@ -239,7 +239,7 @@ def not_pushed_together(
 
 
 def _largest(allowed: Callable[[float], bool]) -> float:
-    """The largest share below 1 that is allowed, by halving; 0 where none is."""
+    """The largest fraction below 1 that is allowed, found by bisection; 0 where none is."""
     low, high = 0.0, 1.0
     for _ in range(12):
         middle = 0.5 * (low + high)
@@ -248,7 +248,7 @@ def _largest(allowed: Callable[[float], bool]) -> float:
 
 
 def _down(value: float) -> float:
-    """Two digits, rounded down, so that what is reported as allowed is."""
+    """A number rounded down to two digits, so that the value reported as allowed is allowed."""
     if value <= 0:
         return 0.0
     digit = 10.0 ** (len(f"{int(value * 1e9)}") - 11)

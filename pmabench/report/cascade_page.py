@@ -43,7 +43,7 @@ MOST_FRAMES, MOST_SHAPES = 1800, 30_000
 
 
 def write_drawings(result: Result, folder: Path, moments: Sequence[float] = ()) -> list[Path]:
-    """The page `cascade.html`, the still `snapshots.svg` and each figure as SVG; RecordError where they cannot be."""
+    """Write the page `cascade.html`, the still `snapshots.svg` and each figure as SVG. Raises RecordError."""
     drawn = figures(result)
     chosen = moments or moments_of(result)
     files = {"cascade.html": page(result, drawn, chosen), "snapshots.svg": snapshots(result, chosen)}
@@ -109,7 +109,7 @@ def page(result: Result, drawn: Sequence[Drawn], moments: Sequence[float]) -> st
 
 
 def _own_names(still: str) -> str:
-    """The still with names of its parts that no other drawing on the page has."""
+    """The still with the ids of its parts renamed, so that no other drawing on the page has the same."""
     for mark in ('id="', "url(#", 'href="#', 'labelledby="'):
         still = still.replace(mark, f"{mark}still-")
     return still.strip()
@@ -262,12 +262,12 @@ def time_figure(result: Result) -> Figure:
 
 
 def cursor_track() -> tuple[float, float, float, float]:
-    """Where the curves over time begin and end in their SVG: left, right, upper, lower [px of its view box]."""
+    """Left, right, upper and lower end of the curves over time in their SVG [px of its view box]."""
     return ROOM_LEFT * PT, (FULL - ROOM_RIGHT) * PT, ROOM_TOP * PT, (HIGH - ROOM_BOTTOM) * PT
 
 
 def _legend(figure: Figure, wanted: bool) -> None:
-    """Above the axes, where it covers nothing."""
+    """Put the legend above the axes, where it covers nothing."""
     count, wide = len(figure.axes[0].get_legend_handles_labels()[1]), figure.get_size_inches()[0] > HALF
     if wanted or count > 1:
         plots.legend_above(figure, min(7 if wide else 2, count), at=(0.5, 0.08 if wide else 0.2))

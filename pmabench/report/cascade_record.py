@@ -29,7 +29,7 @@ class _Strict(BaseModel):
 
 
 class Link(_Strict):
-    """One muscle of a result: who it is, its shape without contraction [m, rad], and what it did [SI]."""
+    """One muscle of a result: name and law, shape without contraction [m, rad], and its motion over time [SI]."""
 
     name: str
     law: str
@@ -43,7 +43,7 @@ class Link(_Strict):
 
 
 class Result(_Strict):
-    """A chain and what it did; columns in SI, all of one length. `units` names them."""
+    """The simulated motion of a chain; columns over time in SI, all of one length, with their `units`."""
 
     schema_: Annotated[Literal["pmabench.cascade-result/1"], Field(alias="schema")] = SCHEMA
     simulated: Literal[True] = True
@@ -85,7 +85,7 @@ def result(
 
 
 def write_result(found: Result, folder: Path) -> list[Path]:
-    """`cascade.json` and `cascade.csv` in the folder, which is made."""
+    """Write `cascade.json` and `cascade.csv` into the folder, which is made where needed."""
     files = {
         "cascade.json": json.dumps(found.model_dump(by_alias=True), allow_nan=False, separators=(",", ":")) + "\n",
         "cascade.csv": csv_text(found),
@@ -108,7 +108,7 @@ def csv_text(found: Result) -> str:
 
 
 def read_result(path: Path) -> Result:
-    """A result that was written, from its JSON file or the folder of it; `InvalidFile` in a sentence."""
+    """Read a result from its JSON file or its folder. Raises InvalidFile."""
     file = path / "cascade.json" if path.is_dir() else path
     missing = "there is no result here; pmabench cascade simulate FILE --out FOLDER writes one"
     found = read_model(Result, file, SCHEMA, "result of a cascade", MOST_BYTES, missing)

@@ -239,7 +239,7 @@ def _results(analyses: Sequence[Analysis], names: Mapping[str, str], parents: Pa
 
 
 class _Figures:
-    """Numbers figures in the order in which they come, and knows which are there already."""
+    """Numbers the figures of a report in their order, and remembers which were drawn."""
 
     def __init__(self) -> None:
         self.count = 0

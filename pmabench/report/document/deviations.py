@@ -6,6 +6,7 @@ Manifests are untrusted and everything in them is optional; nothing here raises 
 from __future__ import annotations
 
 import base64
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -47,10 +48,7 @@ def _recorded(run: RunData) -> Iterator[str]:
 
 def _trials(run: RunData) -> Iterator[str]:
     """Trials that ended otherwise, are missing, came twice or in another order, or are excluded by a note."""
-    count: dict[str, int] = {}
-    for trial in run.trials:
-        if trial.status != "finished":
-            count[trial.status] = count.get(trial.status, 0) + 1
+    count = Counter(trial.status for trial in run.trials if trial.status != "finished")
     if count:
         yield "trials: " + ", ".join(f"{n} {status}" for status, n in count.items())
     planned = run.manifest.get("trials_planned")
@@ -120,7 +118,7 @@ def _pressure_off(run: RunData) -> tuple[float, float, int]:
 
 
 def _end(run: RunData) -> Iterator[str]:
-    """How it was watched and ended."""
+    """Prompts that nobody answered, a vent by the guard, and an end without a confirmed safe state."""
     answered = sum(e.kind == "answer" and "--yes" in str(e.data.get("answer", "")) for e in run.events)
     if answered:
         yield f"prompts to the operator confirmed beforehand (--yes): {answered}"

@@ -33,7 +33,7 @@ class Cell:
 
 @dataclass(frozen=True)
 class Column:
-    """How a column is set."""
+    """Head and alignment of a column."""
 
     head: str
     align: str

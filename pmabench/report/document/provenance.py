@@ -7,7 +7,9 @@ here raises for what is missing or odd.
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -23,12 +25,7 @@ from pmabench.store.records import RunData
 LISTED = 8
 """Values of a swept coordinate that are listed; of more, the ends and the count are."""
 LONGEST_SEAL = 10_000_000
-SPECIMEN: tuple[tuple[str, str, str], ...] = (
-    ("nominal_length", "nominal length", "length"),
-    ("inner_diameter", "inner diameter", "length"),
-    ("braid_angle", "braid angle", "angle"),
-    ("mass", "mass", "mass"),
-)
+SPECIMEN = {"nominal_length": "length", "inner_diameter": "length", "braid_angle": "angle", "mass": "mass"}
 
 
 def text_of(value: Any, longest: int = 300) -> str:
@@ -73,11 +70,10 @@ def specimens(runs: Sequence[RunData]) -> list[tuple[str, str]]:
 
 def _specimen(specimen: Mapping[str, Any]) -> str:
     lines = []
-    for key, words, quantity in SPECIMEN:
-        value = specimen.get(key)
+    for key, quantity in SPECIMEN.items():
+        value, unit = specimen.get(key), shown(quantity)
         if isinstance(value, int | float) and not isinstance(value, bool):
-            unit = shown(quantity)
-            lines.append(f"{words} {number(value / unit.scale)} {unit.unit}")
+            lines.append(f"{key.replace('_', ' ')} {number(value / unit.scale)} {unit.unit}")
     length = get(specimen, "mounted", "length")
     if isinstance(length, int | float):
         at = text_of(get(specimen, "mounted", "at"))
@@ -118,16 +114,13 @@ def when(runs: Sequence[RunData]) -> str:
 
 def operators(runs: Sequence[RunData]) -> str:
     """Everyone who was at the bench."""
-    return ", ".join(
-        dict.fromkeys(text_of(run.manifest.get("operator")) for run in runs if run.manifest.get("operator"))
-    )
+    names = [text_of(run.manifest.get("operator")) for run in runs if run.manifest.get("operator")]
+    return ", ".join(dict.fromkeys(names))
 
 
 def statuses(runs: Sequence[RunData]) -> str:
     """How the runs ended, in a phrase."""
-    counts: dict[str, int] = {}
-    for run in runs:
-        counts[clean(run.status, 40)] = counts.get(clean(run.status, 40), 0) + 1
+    counts = Counter(clean(run.status, 40) for run in runs)
     ended = ", ".join(f"{count} {status}" for status, count in counts.items())
     return f"{len(runs)} run{'s' if len(runs) != 1 else ''}: {ended}" if runs else "the runs are not at hand"
 
@@ -204,11 +197,9 @@ def run_table(runs: Sequence[RunData], names: Mapping[str, str]) -> pd.DataFrame
 
 def _seal(run: RunData) -> str:
     path = Path(run.path) / "seal.json"
-    try:
+    with suppress(OSError, ValueError):
         if run.path and is_regular(path) and path.stat().st_size < LONGEST_SEAL:
             return sha256_of(path)
-    except (OSError, ValueError):
-        return ""
     return ""
 
 

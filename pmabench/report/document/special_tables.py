@@ -209,7 +209,7 @@ BRIEF = 18
 
 
 class Codes:
-    """Long texts as they come in a report, each printed once in a table, and by its code elsewhere."""
+    """Codes for long texts: a text is printed once in a table, and its code everywhere else."""
 
     def __init__(self, letter: str, head: str, brief: int) -> None:
         self.letter, self.head, self.brief = letter, head, brief

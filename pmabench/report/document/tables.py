@@ -26,6 +26,7 @@ from pmabench.plotting.wording import (
     half_width,
     in_order,
     number,
+    point_head,
     point_shown,
     point_text,
     rounded,
@@ -93,10 +94,7 @@ def primary_table(analyses: Sequence[Analysis]) -> tuple[pd.DataFrame, str]:
         for e in a.estimates
         if "pressure" in e.at and set(e.at) <= PLACES and not e.coordinate and e.method == a.estimates[0].method
     ]
-    by = {
-        symbol: list(dict.fromkeys(e.method for e in chosen if e.symbol == symbol))
-        for symbol in {e.symbol for e in chosen}
-    }
+    by = {symbol: {e.method for e in chosen if e.symbol == symbol} for symbol in {e.symbol for e in chosen}}
     met = {name: {e.at[name] for e in chosen if name in e.at} for name in PLACES - {"pressure"}}
     alike = {name: next(iter(values)) for name, values in met.items() if len(values) == 1}
     slim = [replace(e, at={name: at for name, at in e.at.items() if name not in alike}) for e in chosen]
@@ -127,7 +125,7 @@ def _by_point(
     order = list(results)
     estimates = sorted(estimates, key=lambda e: order.index(e.symbol))
     points = in_order((name for e in estimates for name in e.at), POINTS)
-    heads = {name: point_shown(name)[1].label(point_shown(name)[0]) for name in points}
+    heads = {name: point_head(name) for name in points}
     rows: dict[tuple[float, ...], dict[str, str]] = {}
     for e in estimates:
         at = {name: round(e.at[name] / point_shown(name)[1].scale, 6) for name in points if name in e.at}
@@ -157,16 +155,15 @@ def other_tables(analysis: Analysis) -> list[Table]:
             del constant[in_order(names, POINTS)[0]]
         constant_text = point_text(constant)
         moving = [spoken(name) for name in in_order(names, POINTS) if name not in constant]
-        caption = f"Values by {' and '.join(moving) or 'operating point'}" + (
-            f", at {constant_text}" if constant_text else ""
-        )
+        at = f", at {constant_text}" if constant_text else ""
+        caption = f"Values by {' and '.join(moving) or 'operating point'}{at}"
         slim = [replace(e, at={k: v for k, v in e.at.items() if k not in constant}) for e in members]
         tables.append(Table(caption, pivot_table(_merged(slim), results)))
     return tables
 
 
 def _merged(estimates: Sequence[Estimate]) -> Sequence[Estimate]:
-    """The same under one joint name of method, where no two methods give the same symbol: fewer, fuller rows."""
+    """The estimates under one joint method name, where no two methods give the same symbol: fewer rows."""
     methods: dict[str, set[str]] = {}
     for e in estimates:
         methods.setdefault(_column(e), set()).add(e.method)
@@ -191,10 +188,9 @@ def pivot_table(estimates: Sequence[Estimate], results: Mapping[str, Result]) ->
         place = tuple(e.at.get(name, float("-inf")) for name in names)
         row = rows.setdefault((methods.index(e.method), place), {"method": clean(e.method)})
         for name in names:
-            label, unit = point_shown(name)
-            row[unit.label(label)] = number(e.at[name] / unit.scale) if name in e.at else ""
+            row[point_head(name)] = number(e.at[name] / point_shown(name)[1].scale) if name in e.at else ""
         row[_column(e)] = cell(e)
-    heads = [point_shown(name)[1].label(point_shown(name)[0]) for name in names]
+    heads = [point_head(name) for name in names]
     frame = pd.DataFrame([rows[key] for key in sorted(rows)], columns=["method", *heads, *columns], dtype=object)
     return frame.fillna("")
 
@@ -284,9 +280,8 @@ def polynomials_table(analyses: Sequence[Analysis]) -> pd.DataFrame:
         first = shown(curve.terms[0].quantity, curve.terms[0].unit)
         low, high, centre, scale = (f"{x / unit.scale:.5g}" for x in (*curve.domain, curve.centre, curve.scale))
         row = {"coefficient": clean(curve.symbol), "unit": first.unit}
-        row["method"] = (
-            f"{clean(curve.method)}; z = ({label} − {centre}) / {scale}, {low} to {high} {unit.unit}".strip()
-        )
+        where = f"z = ({label} − {centre}) / {scale}, {low} to {high} {unit.unit}"
+        row["method"] = f"{clean(curve.method)}; {where}".strip()
         for n, term in enumerate(curve.terms):
             row["1" if n == 0 else "z" + str(n).translate(RAISED) * (n > 1)] = cell(term)
         row |= {"R²": _r2(curve.r2), "rms": half_width(curve.residual_rms / first.scale)}
@@ -421,7 +416,7 @@ def narrow(table: Table) -> list[Table]:
 
 def _columns(frame: pd.DataFrame) -> tuple[list[str], list[str]]:
     """Heads of method and operating point, and those of values."""
-    heads = {"method", *(point_shown(name)[1].label(point_shown(name)[0]) for name in POINTS)}
+    heads = {"method", *(point_head(name) for name in POINTS)}
     return [c for c in frame.columns if c in heads], [c for c in frame.columns if c not in heads]
 
 
@@ -431,7 +426,7 @@ def _used(frame: pd.DataFrame, values: Sequence[str]) -> list[str]:
 
 
 def _width(frame: pd.DataFrame, columns: Sequence[str]) -> float:
-    """Of columns together, in columns with intervals."""
+    """Width of columns together, counted in columns with intervals."""
     return sum(1.0 if frame[c].astype(str).str.contains("±").any() else PLAIN for c in columns)
 
 

@@ -122,12 +122,12 @@ def _budgets(analyses: Sequence[Analysis]) -> list[dict[str, Any]]:
 
 
 def _width(values: Sequence[Any]) -> float:
-    """Of a column, in letters."""
+    """Width of a column [letters]."""
     return min(WIDEST, max(9, *(len(value) if isinstance(value, str) else 10 for value in values)) + 1)
 
 
 def _height(values: Sequence[Any], widths: Sequence[float]) -> float:
-    """Of a row whose texts are wrapped in columns of these widths [points]: programs do not all find it themselves."""
+    """Height of a row [points] with texts wrapped in columns of these widths; not all programs find it themselves."""
     texts = [(value, width) for value, width in zip(values, widths, strict=True) if isinstance(value, str)]
     lines = [len(wrap(value[:COUNTED], int(0.9 * width))) for value, width in texts if len(value) > width]
     return min(TALLEST, LINE * max((*lines, 1)))

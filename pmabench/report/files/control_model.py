@@ -50,7 +50,7 @@ SLOW = 1e-6
 
 @dataclass(frozen=True)
 class Deviation:
-    """What the exported model is off: from the fitted muscle of the analysis, and from what was measured [m]."""
+    """Differences of the exported model from the fitted muscle of the analysis and from the measurement [m]."""
 
     runs: int
     rms: float
@@ -127,7 +127,7 @@ def _free_runs(analysis: Analysis) -> list[Trace]:
 
 
 def _joined(P: Array, places: Sequence[float], values: Sequence[float]) -> Array:
-    """Values at P by straight lines between places, which go on beyond them."""
+    """Values at P, interpolated linearly between places and extrapolated beyond them."""
     if len(places) == 1:
         return np.full(len(P), values[0])
     left = np.clip(np.searchsorted(places, P) - 1, 0, len(places) - 2)
@@ -142,7 +142,7 @@ def _masses(runs: Sequence[RunData]) -> dict[float, float]:
 
 
 def deviation_of(analysis: Analysis, runs: Sequence[RunData], params: dict[str, Any]) -> Deviation | None:
-    """What a model with these parameters is off along the free runs of an analysis; None without any."""
+    """The deviation of a model with these parameters along the free runs of an analysis; None without any."""
     fitted, measured = [], []
     masses = _masses(runs)
     for trace in _free_runs(analysis):
@@ -223,7 +223,7 @@ def remarks_of(model: ControlModel) -> list[str]:
 
 
 def inside(text: str) -> str:
-    """Text that cannot end the docstring around it."""
+    """Text without the signs that could end the docstring or comment that holds it."""
     return "".join(
         sign if sign.isascii() and (sign.isalnum() or sign in " ._-:/") else "?" for sign in clean(text, 120)
     )

@@ -37,7 +37,7 @@ def write_tables(analysis: Analysis, folder: Path) -> list[Path]:
     points = in_order((name for d in analysis.dropped for name in d.point), POINTS)
     dropped = [
         {"trial": d.trial}
-        | {point_head(name): d.point[name] / point_shown(name)[1].scale if name in d.point else None for name in points}
+        | {plain_head(name): d.point[name] / point_shown(name)[1].scale if name in d.point else None for name in points}
         | {"reason": d.reason}
         for d in analysis.dropped
     ]
@@ -95,7 +95,7 @@ def coefficient_rows(estimates: Sequence[Estimate]) -> list[dict[str, Any]]:
         unit = shown(e.quantity, e.unit)
         row = rows.setdefault((e.method, tuple(e.at.get(name) for name in names)), {"method": e.method})
         for name in names:
-            row[point_head(name)] = e.at[name] / point_shown(name)[1].scale if name in e.at else None
+            row[plain_head(name)] = e.at[name] / point_shown(name)[1].scale if name in e.at else None
         symbol = symbol_text(e.symbol, e.coordinate)
         row[unit.plain_label(symbol)] = unit.of(e.value)
         row[unit.plain_label(f"{symbol} half width 95 %")] = unit.of(e.parts.combined)
@@ -113,7 +113,7 @@ def estimate_rows(analyses: Sequence[Analysis]) -> list[dict[str, Any]]:
             unit = shown(e.quantity, e.unit)
             row: dict[str, Any] = {"kind": analysis.kind, "symbol": e.symbol, "coordinate": e.coordinate}
             for name in names:
-                row[point_head(name)] = e.at[name] / point_shown(name)[1].scale if name in e.at else None
+                row[plain_head(name)] = e.at[name] / point_shown(name)[1].scale if name in e.at else None
             ends = e.ci95 or (None, None)
             numbers = {"value": e.value, "low95": ends[0], "high95": ends[1], "repeats": e.parts.repeats}
             numbers |= {"method_part": e.parts.method, "calibration": e.parts.calibration, "skew": e.parts.skew}
@@ -125,7 +125,7 @@ def estimate_rows(analyses: Sequence[Analysis]) -> list[dict[str, Any]]:
     return rows
 
 
-def point_head(name: str) -> str:
+def plain_head(name: str) -> str:
     """The head of a column with a coordinate of operating points."""
     label, unit = point_shown(name)
     return unit.plain_label(label)

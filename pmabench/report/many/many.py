@@ -17,7 +17,7 @@ from typing import Any
 from pmabench.analysis.many import Pool, share, stopped
 from pmabench.base.errors import InvalidFile, PmaError, RecordError
 from pmabench.plotting.wording import POINTS, in_order, plain_unit, point_shown, shown, symbol_text
-from pmabench.report.files.csv_files import csv_text, point_head
+from pmabench.report.files.csv_files import csv_text, plain_head
 from pmabench.report.many import many_cache
 from pmabench.report.words import in_common
 from pmabench.report.writing import writing
@@ -36,7 +36,7 @@ KEPT_EVERY = 200
 
 @dataclass(frozen=True)
 class Many:
-    """What came out, in the order of the tasks."""
+    """The results of many runs, in the order of the tasks."""
 
     out: Path
     entries: tuple[tuple[str, str, str], ...]
@@ -127,7 +127,7 @@ def process_many(
 
 
 def _code(entry: Mapping[str, Any]) -> set[int]:
-    """The exit code that an entry asks for."""
+    """The exit codes that follow from an entry: that of its error, 6 for a failed verdict, or none."""
     return {int(entry["exit_code"])} if "error" in entry else {6} if entry.get("verdicts") else set()
 
 
@@ -192,7 +192,7 @@ def table_rows(entries: Iterable[Mapping[str, Any]]) -> tuple[list[dict[str, Any
             row["trials"] = max(row.get("trials", 0), e["n"])
             for name, value in e["at"].items():
                 points.add(name)
-                row[point_head(name)] = value / point_shown(name)[1].scale
+                row[plain_head(name)] = value / point_shown(name)[1].scale
             symbol = (e["symbol"], e["coordinate"], e["quantity"], e["unit"])
             symbols.add(symbol)
             unit = shown(e["quantity"], e["unit"])
@@ -200,7 +200,7 @@ def table_rows(entries: Iterable[Mapping[str, Any]]) -> tuple[list[dict[str, Any
                 row[head] = unit.of(value)
         rows += found.values()
     ordered = in_order(sorted(points), POINTS)
-    numbers = {point_head(name): ("point", plain_unit(point_shown(name)[1].unit)) for name in ordered}
+    numbers = {plain_head(name): ("point", plain_unit(point_shown(name)[1].unit)) for name in ordered}
     for name in in_common(orders.values()):
         for symbol in sorted(symbol for symbol in symbols if symbol[0] == name):
             numbers |= dict(_heads(*symbol))
@@ -235,7 +235,7 @@ WITHOUT_TRIALS = ("session", "self-test", "calibration", "setup")
 
 
 def process_batch(things: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """What came out of each of `things`: `path` of a run, analysis `folder` to write below `out`, `options` by kind."""
+    """Process each of `things`: `path` of a run, analysis `folder` to write below `out`, `options` by kind."""
     return [] if stopped() else [process_one(thing) for thing in things]
 
 

@@ -47,7 +47,7 @@ def _cell(estimate: Estimate | None, unit: Shown) -> str:
 
 
 def _signed(value: float, half: float | None, size: float, unit: Shown) -> str:
-    """A difference of values of this size [SI]; 0 where it is no more than rounding."""
+    """Text of a difference between values of this size [SI]; 0 where it is only rounding."""
     if abs(value) <= SAME * size:
         return "0"
     text = unit.rounded(value, half or None)

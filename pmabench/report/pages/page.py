@@ -28,7 +28,7 @@ class TextTable:
 
 @dataclass(frozen=True)
 class Page:
-    """What it shows."""
+    """The content of the page."""
 
     kicker: str
     title: str
