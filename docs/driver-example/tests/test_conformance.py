@@ -4,7 +4,8 @@
 
 from pathlib import Path
 
-from pmabench.conformance import FAILED, run, subject
+from pmabench.conformance import FAILED, run
+from pmabench.conformance import suite as subject
 
 BENCH = Path(__file__).resolve().parents[1] / "bench.yaml"
 
