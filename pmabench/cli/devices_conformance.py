@@ -30,8 +30,7 @@ def conformance(
     What is tried is a device of a bench file, with the emulator behind its own wire; no address of the file is
     reached. Exit code 6 where a check fails. How to write a driver: docs/drivers.md.
     """
-    from pmabench.conformance import FAILED, run
-    from pmabench.conformance import suite as subject
+    from pmabench.conformance import FAILED, run, subject
     from pmabench.conformance.suite import CHECKS, HOSTILE
     from pmabench.files.shipped import find_file
 

@@ -103,7 +103,7 @@ def options(rig: Rig) -> str:
         ("an interlock at an input", "interlocks", "input"),
     ):
         if items := getattr(rig.record, group):
-            changed = {group: (replace(items[0], **{name: NOWHERE}), *items[1:])}
+            changed: dict[str, Any] = {group: (replace(items[0], **{name: NOWHERE}), *items[1:])}
             wrong.append((f"{what} that does not exist", replace(rig.record, **changed)))
     for what, record in wrong:
         if not list(check(record)):

@@ -7,8 +7,7 @@ PART=hostile` try all.
 import pytest
 
 from pmabench.bench.registry import drivers
-from pmabench.conformance import FAILED, run
-from pmabench.conformance import suite as subject
+from pmabench.conformance import FAILED, run, subject
 from pmabench.conformance.suite import CHECKS
 from tests.reliability.cases import cases
 

@@ -4,8 +4,7 @@
 
 from pathlib import Path
 
-from pmabench.conformance import FAILED, run
-from pmabench.conformance import suite as subject
+from pmabench.conformance import FAILED, run, subject
 
 BENCH = Path(__file__).resolve().parents[1] / "bench.yaml"
 
