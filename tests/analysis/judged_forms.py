@@ -13,13 +13,19 @@ from pmabench.engine.laws.relay import Relay
 from pmabench.kinds.closed_volume import reduction as closed_volume
 from pmabench.kinds.free_contraction import reduction as free_contraction
 from pmabench.kinds.isometric_pressurisation import reduction as isometric_pressurisation
+from pmabench.kinds.recorded_sine import reduction as recorded_sine
 from pmabench.kinds.step_displacement import reduction as step_displacement
 from pmabench.kinds.ultimate_gain import reduction as ultimate_gain
 from pmabench.store.records import ChannelInfo, Command, RunData, TrialData
-from tests.judge import closed, displaced, free, held, loop
+from tests.judge import closed, displaced, free, held, loop, sines
 from tests.judge.record import Trial, Truth
 
-CHANNELS = {"pressure": ("pressure", "Pa"), "displacement": ("length", "m"), "force": ("force", "N")}
+CHANNELS = {
+    "pressure": ("pressure", "Pa"),
+    "displacement": ("length", "m"),
+    "force": ("force", "N"),
+    "pressure_command": ("pressure", "Pa"),
+}
 SPECIMEN = {"nominal_length": 0.25}
 
 
@@ -57,6 +63,10 @@ def closed_volume_of(cause: str, size: float, seed: int) -> Analysis:
     run = as_run("closed-volume", as_trials(trials, {"closed": {"found": True}}), closed.RATE,
                  {**settings, "by": "volume"})  # fmt: skip
     return closed_volume.reduce([run])
+
+
+def sines_of(cause: str, size: float, seed: int) -> Analysis:
+    return recorded_sine.reduce([as_run("recorded-sine", as_trials(sines.campaign(cause, size, seed)), sines.RATE, {})])
 
 
 def isometric_of(cause: str, size: float, seed: int) -> Analysis:
@@ -148,6 +158,7 @@ KINDS = {
     "free-contraction": Kind(free_contraction_of, free.truth, free.FULL, "pressure"),
     "isometric-pressurisation": Kind(isometric_of, held.truth, held.FULL, ""),
     "step-displacement": Kind(steps_of, displaced.truth, displaced.FULL, "step"),
+    "recorded-sine": Kind(sines_of, sines.truth, sines.FULL, "frequency"),
     "open-loop": Kind(open_loop_of, _loop_truth, loop.FULL, "none"),
     "relay": Kind(relay_of, _loop_truth, loop.FULL, "none", ("relay-fit",)),
     "gain-steps": Kind(gain_steps_of, _loop_truth, loop.FULL, "none"),
