@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,10 +14,11 @@ from pmabench.kinds.closed_volume import reduction as closed_volume
 from pmabench.kinds.free_contraction import reduction as free_contraction
 from pmabench.kinds.isometric_pressurisation import reduction as isometric_pressurisation
 from pmabench.kinds.recorded_sine import reduction as recorded_sine
+from pmabench.kinds.recorded_step import reduction as recorded_step
 from pmabench.kinds.step_displacement import reduction as step_displacement
 from pmabench.kinds.ultimate_gain import reduction as ultimate_gain
 from pmabench.store.records import ChannelInfo, Command, RunData, TrialData
-from tests.judge import closed, displaced, free, held, loop, sines
+from tests.judge import closed, displaced, free, held, loop, rung, sines
 from tests.judge.record import Trial, Truth
 
 CHANNELS = {
@@ -67,6 +68,12 @@ def closed_volume_of(cause: str, size: float, seed: int) -> Analysis:
 
 def sines_of(cause: str, size: float, seed: int) -> Analysis:
     return recorded_sine.reduce([as_run("recorded-sine", as_trials(sines.campaign(cause, size, seed)), sines.RATE, {})])
+
+
+def rung_of(cause: str, size: float, seed: int) -> Analysis:
+    trials = as_trials(rung.campaign(cause, size, seed))
+    steps = [replace(one, commands=tuple(replace(c, kind="set") for c in one.commands)) for one in trials]
+    return recorded_step.reduce([as_run("recorded-step", steps, rung.RATE, {})])
 
 
 def isometric_of(cause: str, size: float, seed: int) -> Analysis:
@@ -159,6 +166,7 @@ KINDS = {
     "isometric-pressurisation": Kind(isometric_of, held.truth, held.FULL, ""),
     "step-displacement": Kind(steps_of, displaced.truth, displaced.FULL, "step"),
     "recorded-sine": Kind(sines_of, sines.truth, sines.FULL, "frequency"),
+    "recorded-step": Kind(rung_of, rung.truth, rung.FULL, "from"),
     "open-loop": Kind(open_loop_of, _loop_truth, loop.FULL, "none"),
     "relay": Kind(relay_of, _loop_truth, loop.FULL, "none", ("relay-fit",)),
     "gain-steps": Kind(gain_steps_of, _loop_truth, loop.FULL, "none"),
