@@ -19,7 +19,7 @@ from typing import Any
 
 from pmabench.base.errors import UsageError, did_you_mean
 from pmabench.bench.interface import DeviceRecord
-from pmabench.bench.wiring import Truth
+from pmabench.bench.records import Truth
 from pmabench_drivers.emulator.faults import EVENTS, CommandLog, Kind
 from pmabench_drivers.emulator.plant import RealPlant
 from pmabench_drivers.emulator.ports import accepted, hang_up, refuse_others

@@ -12,12 +12,10 @@ from numpy.typing import NDArray
 
 from pmabench.base.errors import DeviceError, did_you_mean
 from pmabench.bench.interface import Block, ChannelRecord, DeviceRecord, Load, Scale, Segment
-from pmabench.model.arm import Arm
 from pmabench.model.driven import Actuator, DrivenPlant
 from pmabench.model.plant import Plant
-from pmabench.model.plant_file import setup_of
-from pmabench.model.presets import changed, preset
-from pmabench.model.signal import Wave, constant, ramp, sine
+from pmabench.model.presets import Arm, changed, preset, setup_of
+from pmabench.model.regulator import Wave, constant, ramp, sine
 from pmabench_drivers.mock import options as o
 from pmabench_drivers.mock.channels import Channel, Column, Damage, as_block
 from pmabench_drivers.mock.options import Options, SensorError
