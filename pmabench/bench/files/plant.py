@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 
 from pmabench.base.quantities import show
-from pmabench.bench.files.parts import Name, Reading, Text
+from pmabench.bench.files.specimen import Name, Reading, Text
 from pmabench.files.document import Strict
 from pmabench.files.quantity import (
     Angle,

@@ -243,8 +243,8 @@ def beyond_neighbours(values: Array, swings: bool = True) -> Array:
         median = np.partition(near, ALONE, axis=1)[:, ALONE]
         cut = np.isnan(near).any(axis=1)
         median[cut] = np.nanmedian(near[cut], axis=1)
-        before = _level(around[:, AROUND - ALONE - 2 : AROUND - ALONE + 1])
-        after = _level(around[:, AROUND + ALONE : AROUND + ALONE + 3])
+        before = np.median(around[:, AROUND - ALONE - 2 : AROUND - ALONE + 1], axis=1)
+        after = np.median(around[:, AROUND + ALONE : AROUND + ALONE + 3], axis=1)
         end = np.isnan(before - after)
         step = np.where(end, high[rows] - low[rows], np.abs(before - after))
         off = step if swings else np.where(end, step, 0.0)
@@ -263,12 +263,6 @@ def _extremes(values: Array) -> tuple[Array, Array]:
             run, done = least(run[:-more], run[more:]), done + more
         ends.append(least(run[: len(values)], run[AROUND + ALONE :][: len(values)]))
     return ends[0], ends[1]
-
-
-def _level(around: Array) -> Array:
-    """The middle of three neighbours; NaN where one is beyond the end."""
-    low, high = np.minimum(around[:, 0], around[:, 1]), np.maximum(around[:, 0], around[:, 1])
-    return np.asarray(np.maximum(low, np.minimum(high, around[:, 2])))
 
 
 def spike_limit(values: Array, apart: Array) -> float:
