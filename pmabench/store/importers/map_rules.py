@@ -376,7 +376,7 @@ class _Rules:
         return slope * reading[0] + offset if reading[1] == unit else self.si(reading, quantity, at)
 
     def name_rule(self) -> NameRule | None:
-        file = self.file.name_tells
+        file = self.file.from_name
         if file is None:
             return None
         used: set[str] = set()
