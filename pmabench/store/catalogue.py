@@ -287,7 +287,7 @@ def _load(path: Path) -> dict[str, tuple[str, Row]]:
 
 
 def _row(kept: dict[str, Any]) -> Row:
-    """JSON has lists where a row has tuples."""
+    """A row from the cache, where JSON has lists for tuples."""
     kept |= {name: tuple(value) for name, value in kept.items() if isinstance(value, list)}
     return Row(**kept)
 

@@ -235,7 +235,7 @@ def status_of(manifest: Mapping[str, Any], seal: Mapping[str, Any] | None) -> st
 
 
 def this_process() -> dict[str, Any]:
-    """What no other process of this machine has, before and after; empty where Linux does not say."""
+    """What identifies this process among all of this machine, also later ones; empty where Linux does not say."""
     fields = _process(os.getpid())
     return {"pid": os.getpid(), "started": fields[1], "boot": _boot()} if fields else {}
 
@@ -413,7 +413,7 @@ class Journal:
 
 
 def decode_lines(raw: bytes, seq: int = 0, crc: int = 0) -> Journal:
-    """Every whole line from the start on; nothing after a bad one is believed.
+    """Every whole line from the start on; nothing after a bad line is taken.
 
     Where `raw` goes on after lines that were read before, `seq` is their number and `crc` that of the last of them.
     """

@@ -176,7 +176,7 @@ def _write_head(run: Path, manifest: Mapping[str, Any], count: int, last: str) -
 
 @contextmanager
 def _alone(run: Path) -> Iterator[None]:
-    """One note at a time, where the system has locks on folders."""
+    """Lock the run folder, so that one note is written at a time, where the system has such locks."""
     if sys.platform == "win32":
         yield
         return

@@ -204,13 +204,13 @@ class RunWriter:
             raise self._failure
 
     def _pump(self) -> None:
-        """A thread: hands samples over; never waits for the disk itself."""
+        """A thread: hands samples to the operating system, and does not wait for the disk."""
         while not self._stop.wait(FLUSH_EVERY):
             if not self._dare([(stream.file.path, stream.drain) for stream in list(self._streams.values())]):
                 return
 
     def _sync(self) -> None:
-        """A thread: lets what was handed over survive a power cut."""
+        """A thread: syncs what was handed over, so that it survives a power cut."""
         while not self._stop.wait(SYNC_EVERY):
             self._syncing = time.monotonic()
             streams = [stream.file for stream in list(self._streams.values())]
@@ -219,7 +219,7 @@ class RunWriter:
             self._syncing = None
 
     def _dare(self, acts: Sequence[tuple[Path, Callable[[], None]]]) -> bool:
-        """Whether all could be done; whatever fails: the run is not being recorded, and its engine must know."""
+        """Whether all acts succeeded; any failure means that the run is not recorded, and is kept for its engine."""
         for path, act in acts:
             try:
                 act()
@@ -284,7 +284,7 @@ class RunWriter:
 
 
 def _with(failure: RecordError, status: str, why: str) -> str:
-    """Why a run ends that could not be written, with what it would have ended by; nothing is said twice."""
+    """The failure of the record with the status and cause that the run had before it; nothing is repeated."""
     return why if why.startswith(str(failure)) else f"{failure}; before that: {status} {why}".rstrip()
 
 

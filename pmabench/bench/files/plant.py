@@ -34,7 +34,7 @@ NEUTRAL = acos(1 / sqrt(3)) - 1e-3
 
 
 def _within(low: float, high: float, quantity: str) -> AfterValidator:
-    """Refuses what no plant has, in the units of people."""
+    """A validator that refuses values which no plant has, with a message in usual units."""
 
     def check(value: float) -> float:
         if not low <= value <= high:

@@ -40,7 +40,7 @@ CPU_PER_MB = 0.3
 
 
 def serve(kind: str, ask: BinaryIO, answer: BinaryIO) -> None:
-    """Answer until nobody asks any more."""
+    """Answer questions until the other side closes its end."""
     form, absent = formats()[kind], ""
     try:
         for module in form.modules:  # before any clock runs
@@ -75,7 +75,7 @@ def _send_answer(answer: BinaryIO, head: Mapping[str, Any], arrays: Sequence[Any
 
 
 def _reader(form: Format, question: Mapping[str, Any]) -> Any:
-    """What reads the file that begins; its pieces follow."""
+    """The reader of the file that begins with this question; its pieces follow."""
     layout = form.layout.model_construct(**question["layout"])  # it was checked by who asks
     asked = {key: question[key] for key in ("path", "wanted", "optional", "ignored")}
     if form.reader is None:

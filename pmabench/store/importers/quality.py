@@ -291,7 +291,7 @@ def spike_limit(values: Array, apart: Array) -> float:
 
 
 def _some(values: Array) -> Array:
-    """Of many values so few, evenly spread, that their quantiles cost little."""
+    """Some of many values, evenly spread, so that their quantiles cost little."""
     return values[:: 1 + len(values) // ENOUGH]
 
 
