@@ -125,12 +125,12 @@ def fault_of(folder: Path, name: str, digest: str, size: int | None = None) -> s
 
 
 def odd(path: Path) -> str:
-    """What a path is that should be a regular file."""
+    """A sentence that says what a path is which should be a regular file."""
     return f"is {kind_of(path.lstat().st_mode)}, which no run contains"
 
 
 def late_folder(folder: Path) -> Path:
-    """Where lies what came late for a run."""
+    """The folder next to a run for files that came after its seal."""
     whole = folder if folder.name not in {"", ".", ".."} else folder.resolve()
     return whole.with_name(whole.name + files.LATE)
 
@@ -283,7 +283,7 @@ def _walk(folder: Path, prefix: str = "") -> Iterator[tuple[str, os.DirEntry[str
 
 @cache
 def program() -> str:
-    """Hash of the code that makes results, and of the versions of the libraries that reckon."""
+    """Hash of the code that makes results, and of the versions of the libraries that compute."""
     digest = hashlib.sha256()
     root = Path(__file__).resolve().parents[1]
     for part in PARTS:
