@@ -67,7 +67,7 @@ def command(
     changed since the last time are not computed again. A run that cannot be used is named at the end; the others go on.
     """
     from pmabench.kinds import registry
-    from pmabench.store.below import ANALYSES, holds_runs
+    from pmabench.store.catalogue import ANALYSES, holds_runs
 
     asked = registry.options_for(
         {"forms": list(forms), "bootstrap": bootstrap, "regulator": regulator, "polish": polish}
@@ -207,7 +207,7 @@ def _nothing_to_process(path: Path) -> str:
 
 
 def _holds_analyses(path: Path) -> bool:
-    from pmabench.store.below import ANALYSES
+    from pmabench.store.catalogue import ANALYSES
 
     if not path.is_dir() or (path / "manifest.json").exists():
         return False
@@ -218,7 +218,7 @@ def _holds_analyses(path: Path) -> bool:
 
 def load_runs(paths: Sequence[Path]) -> list[RunData]:
     """Every run with those that it continues, or `InvalidFile` with what is wrong with each that is none."""
-    from pmabench.store.below import holds_runs
+    from pmabench.store.catalogue import holds_runs
     from pmabench.store.chain import open_chains
 
     for path in paths:

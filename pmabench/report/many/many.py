@@ -16,8 +16,8 @@ from pmabench.analysis.many import Pool, share
 from pmabench.base.errors import RecordError
 from pmabench.report.many import many_cache
 from pmabench.report.many.processed import lost, process_batch
-from pmabench.store.below import Task
-from pmabench.store.fingerprint import fingerprint, program
+from pmabench.store.catalogue import Task
+from pmabench.store.since import fingerprint, program
 
 Progress = Callable[[int, int, int], None]
 """Called with the number of runs that are done, of all, and of those that had not changed."""

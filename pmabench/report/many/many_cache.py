@@ -13,7 +13,7 @@ from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any
 
-from pmabench.store.fingerprint import stamp
+from pmabench.store.since import stamp
 
 CACHE = ".processed.sqlite"
 TABLE = ""

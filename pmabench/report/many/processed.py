@@ -52,8 +52,8 @@ def _entry(path: Path, out: Path, folder: str, options: Mapping[str, Any]) -> di
     from pmabench.report.files.csv_files import write_with_tables
     from pmabench.report.words.names import declared
     from pmabench.store.chain import open_chains
-    from pmabench.store.fingerprint import stamp
     from pmabench.store.folder import plain, read_manifest
+    from pmabench.store.since import stamp
 
     kind = read_manifest(path).get("kind")
     if kind in WITHOUT_TRIALS:
