@@ -118,6 +118,13 @@ def fault_of(folder: Path, name: str, digest: str, size: int | None = None) -> s
     return "" if unchanged else "was changed: its sha256 does not fit"
 
 
+def as_sealed(folder: Path) -> bool:
+    """Whether every file of a sealed run, and every note, holds the bytes that were written."""
+    sealed = (files.read_seal(folder) or {}).get("files", {})
+    same = all(not fault_of(folder, name, entry["sha256"], entry["bytes"]) for name, entry in sealed.items())
+    return same and next(iter(notes.check_notes(folder)), None) is None
+
+
 def odd(path: Path) -> str:
     """What a path is that should be a regular file."""
     return f"is {kind_of(path.lstat().st_mode)}, which no run contains"
