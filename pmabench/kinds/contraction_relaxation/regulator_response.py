@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from math import log, sqrt
 
 import numpy as np
+
 from pmabench.analysis.results import Estimate, Finding, Parts
 from pmabench.analysis.shared import skew
 from pmabench.base.quantities import show
