@@ -14,8 +14,7 @@ from pmabench.analysis.results import Analysis, Estimate, Finding, Parts
 from pmabench.base.errors import did_you_mean
 from pmabench.base.quantities import show
 from pmabench.model.loop import Answer, Controller, Loop, Margins, dead_time_for, margins, set_point_step, ultimate
-from pmabench.model.rules.record import Rule
-from pmabench.model.rules.registry import all_rules
+from pmabench.model.rules.record import Rule, all_rules
 
 FOLLOWING: dict[str, tuple[tuple[str, str], tuple[str, str]]] = {
     "Pa/m": (("Pa/(m.s)", "integral gain"), ("Pa.s/m", "derivative gain")),

@@ -34,36 +34,11 @@ from pmabench.bench.records import (
 )
 
 __all__ = [
-    "COMPUTER",
-    "EMULATED",
-    "UNPROVEN",
-    "Block",
-    "CalibrationRecord",
-    "ChannelRecord",
-    "CompiledBench",
-    "Device",
-    "DeviceRecord",
-    "Follower",
-    "Hands",
-    "Identity",
-    "Inputs",
-    "InterlockRecord",
-    "Load",
-    "Motion",
-    "OutputRecord",
-    "ProofTest",
-    "Rescue",
-    "SafeAction",
-    "Scale",
-    "Segment",
-    "SetPoint",
-    "Stream",
-    "Supervised",
-    "Switch",
-    "TripRecord",
-    "ValveRecord",
-    "Watchdog",
-]
+    "COMPUTER", "EMULATED", "UNPROVEN", "Block", "CalibrationRecord", "ChannelRecord", "CompiledBench", "Device",
+    "DeviceRecord", "Follower", "Hands", "Identity", "Inputs", "InterlockRecord", "Load", "Motion", "OutputRecord",
+    "ProofTest", "Rescue", "SafeAction", "Scale", "Segment", "SetPoint", "Stream", "Supervised", "Switch",
+    "TripRecord", "ValveRecord", "Watchdog",
+]  # fmt: skip
 
 
 COMPUTER = "computer"

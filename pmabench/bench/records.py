@@ -1,6 +1,7 @@
 """The compiled bench as plain records, and its JSON: all that guard, engine and drivers know of a bench file.
 
-Standard library only. Values are SI; a `Scale` has what the device itself speaks.
+And what is really wired to the devices of a rig, for emulators. Standard library only. Values are SI; a `Scale` has
+what the device itself gives.
 """
 
 from __future__ import annotations
@@ -275,11 +276,7 @@ def device_from(data: Mapping[str, Any]) -> DeviceRecord:
     """A device from its JSON object, as `dataclasses.asdict` gives it."""
     channels = tuple(
         ChannelRecord(
-            **{
-                **item,
-                "scale": Scale(**item["scale"]),
-                "calibration": CalibrationRecord(**item["calibration"]),
-            }
+            **{**item, "scale": Scale(**item["scale"]), "calibration": CalibrationRecord(**item["calibration"])}
         )
         for item in data["channels"]
     )
@@ -288,3 +285,40 @@ def device_from(data: Mapping[str, Any]) -> DeviceRecord:
     interlocks = tuple(InterlockRecord(**item) for item in data.get("interlocks", ()))
     known = {"channels": channels, "outputs": outputs, "valves": valves, "interlocks": interlocks}
     return DeviceRecord(**{**data, **known})
+
+
+@dataclass(frozen=True)
+class Plug:
+    """What is plugged into one terminal: a sensor or an actuator with its signal, and how the terminal shows that."""
+
+    sensor: Scale
+    """Signal to SI."""
+    digits: Scale = field(default_factory=Scale)
+    """What the device gives or takes to the signal."""
+    unit: str = ""
+    """Of the signal: only plugs with the same one fit into each other's terminals."""
+    low: float = 0.0
+    """Where the range of the sensor begins [SI]."""
+
+    @property
+    def scale(self) -> Scale:
+        """What the device gives or takes to SI."""
+        return Scale(self.sensor.slope * self.digits.slope, float(self.sensor.to_si(self.digits.offset)))
+
+
+@dataclass(frozen=True)
+class Wired:
+    """One device as it is really wired: a record for its emulator, and the plugs by terminal."""
+
+    record: DeviceRecord
+    """Channels, outputs, valves and interlocks have the names of what they are in the plant, and the plugs' scales."""
+    inputs: Mapping[str, Plug]
+    outputs: Mapping[str, Plug]
+
+
+@dataclass(frozen=True)
+class Truth:
+    """A rig as its truth file says, by the names of its devices; without addresses."""
+
+    path: str
+    devices: Mapping[str, Wired]

@@ -9,19 +9,12 @@ from typing import Any
 
 from pmabench.base.errors import InvalidFile, Problem
 from pmabench.base.quantities import CHANNEL_QUANTITY
-from pmabench.bench.calibration import fit_line
+from pmabench.bench.channels import fit_line
 from pmabench.bench.driver_options import DBC, LONGEST, MAP
-from pmabench.bench.files.truth import ActuatorFile, DeviceTruth, Line, TruthFile
-from pmabench.bench.interface import (
-    ChannelRecord,
-    DeviceRecord,
-    InterlockRecord,
-    OutputRecord,
-    Scale,
-    ValveRecord,
-)
+from pmabench.bench.files.plant import ActuatorFile, DeviceTruth, Line, TruthFile
+from pmabench.bench.interface import ChannelRecord, DeviceRecord, InterlockRecord, OutputRecord, Scale, ValveRecord
+from pmabench.bench.records import Plug, Truth, Wired
 from pmabench.bench.registry import driver_class
-from pmabench.bench.wiring import Plug, Truth, Wired
 from pmabench.files.document import Document, Location, read_document, validate
 from pmabench.files.quantity import unit_factor
 from pmabench.files.shipped import shipped_folder

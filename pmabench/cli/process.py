@@ -69,7 +69,7 @@ def command(
     changed since the last time are not computed again. A run that cannot be used is named at the end; the others go on.
     """
     from pmabench.kinds import registry
-    from pmabench.store.below import ANALYSES, holds_runs
+    from pmabench.store.catalogue import ANALYSES, holds_runs
 
     asked = registry.options_for(
         {"forms": list(forms), "bootstrap": bootstrap, "regulator": regulator, "polish": polish}
@@ -157,7 +157,7 @@ def campaign_folder(folder: Path) -> Path:
 
 def place_of(run: Path) -> Path:
     """Where the analyses of runs are that are processed together, of which `run` is named first."""
-    from pmabench.store.below import ANALYSES
+    from pmabench.store.catalogue import ANALYSES
     from pmabench.store.folder import read_manifest
 
     return campaign_folder(run.resolve().parent) / ANALYSES / str(read_manifest(run)["id"])
@@ -165,7 +165,7 @@ def place_of(run: Path) -> Path:
 
 def chains(runs: Sequence[Path]) -> list[Path]:
     """The runs with those that they continue, each once."""
-    from pmabench.store.below import chain_of
+    from pmabench.store.catalogue import chain_of
 
     with suppress(InvalidFile):  # whoever loads them reports what is wrong
         return list({run.resolve(): run for given in runs for run in chain_of(given)}.values())
@@ -257,7 +257,7 @@ def _nothing_to_process(path: Path) -> str:
 
 
 def _holds_analyses(path: Path) -> bool:
-    from pmabench.store.below import ANALYSES
+    from pmabench.store.catalogue import ANALYSES
 
     if not path.is_dir() or (path / "manifest.json").exists():
         return False
@@ -268,7 +268,7 @@ def _holds_analyses(path: Path) -> bool:
 
 def load_runs(paths: Sequence[Path]) -> list[RunData]:
     """Every run with those that it continues, or `InvalidFile` with what is wrong with each that is none."""
-    from pmabench.store.below import holds_runs
+    from pmabench.store.catalogue import holds_runs
     from pmabench.store.chain import open_chains
 
     for path in paths:

@@ -36,7 +36,7 @@ def process_folders(
     """Process each run below `given` on its own, with options by kind; the exit code."""
     from pmabench.report.many.many import process_many
     from pmabench.report.many.many_table import write_table
-    from pmabench.store.below import tasks_below
+    from pmabench.store.catalogue import tasks_below
 
     tasks = tasks_below(given)
     with _pool(ui, jobs, cluster) as pool, _progress(ui) as progress:

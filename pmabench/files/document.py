@@ -166,16 +166,19 @@ class Document:
         return data
 
 
+_WORDS: dict[str, bool | None] = {
+    **dict.fromkeys(("", "~", "null", "Null", "NULL")),
+    **dict.fromkeys(("true", "True", "TRUE"), True),
+    **dict.fromkeys(("false", "False", "FALSE"), False),
+}
+
+
 def _scalar(node: ScalarNode) -> str | int | float | bool | None:
     text = str(node.value)
     if node.style in {"'", '"', "|", ">"}:
         return text
-    if text in {"", "~", "null", "Null", "NULL"}:
-        return None
-    if text in {"true", "True", "TRUE"}:
-        return True
-    if text in {"false", "False", "FALSE"}:
-        return False
+    if text in _WORDS:
+        return _WORDS[text]
     for kind in (int, float):
         try:
             if text[0] in "+-.0123456789" and "_" not in text:
@@ -236,9 +239,8 @@ def check_schema(model: type[BaseModel], document: Document) -> None:
     if found[1] == wanted[1]:
         message = f"is written in version {found[2]} of the {wanted[1]} file; this pmabench reads version {wanted[2]}"
     else:
-        message = (
-            f"is a {found[1]} file ({written}) where a {wanted[1]} file is expected ({expected}); give another file"
-        )
+        other = f"is a {found[1]} file ({written}) where a {wanted[1]} file is expected"
+        message = f"{other} ({expected}); give another file"
     raise InvalidFile([document.problem(("schema",), message)])
 
 
@@ -336,9 +338,6 @@ def _unwrapped(annotation: Any) -> list[Any]:
     if origin in {Union, types.UnionType}:
         return [part for arg in get_args(annotation) for part in _unwrapped(arg)]
     return [annotation]
-
-
-__all__ = ["Document", "Location", "Strict", "check_schema", "read_document", "validate"]
 
 
 def document_text(document: Document) -> str:

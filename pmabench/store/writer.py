@@ -2,7 +2,7 @@
 
 Samples wait in memory for at most a twentieth of a second of wall clock; a thread hands them to the operating system,
 and another one syncs them, so that a slow disk holds up nothing. The writer must not know plans, what trials mean, or
-SI values.
+SI values. Its README.txt says how to read a run without pmabench, in lines that the tests execute.
 """
 
 from __future__ import annotations
@@ -26,22 +26,67 @@ from numpy.typing import NDArray
 
 from pmabench.base.errors import InvalidFile, RecordError
 from pmabench.store import folder as files
-from pmabench.store.folder import (
-    AppendFile,
-    Copy,
-    cannot_write,
-    copy_whole,
-    plain,
-    sealed_json,
-    sync_folder,
-    write_whole,
-)
-from pmabench.store.journal import encode
 from pmabench.store.livestream import LiveStream, describe
-from pmabench.store.naming import check_name
-from pmabench.store.readme import README_TEXT
-from pmabench.store.room import free_for_events, keep_room
-from pmabench.store.seal import seal
+from pmabench.store.seal import free_for_events, keep_room, seal
+
+README_TEXT = """\
+A run of pmabench: what one execution of one plan commanded, measured and found.
+
+manifest.json      what, when, with which versions; who operated; hashes of the copied files
+plan.json, *.yaml  the plan and the files that it was compiled from, as they were
+events.jsonl       one JSON object per line: commands, trials, findings, the end
+streams/           samples: NAME.parquet (closed run) or NAME.arrows (running or interrupted), NAME.json (columns)
+guard.json         only where the program died: how the bench was vented after that
+seal.json          status, and sha256 of every file; a run without it did not end by itself
+notes/             what was noted since, also which trials are left out of fits and why; with hashes of its own
+
+Samples are stored as the device gave them; SI = slope * raw + offset, with the scale of each column in NAME.json.
+time_ns is the device's clock in nanoseconds; flags tell per sample what is wrong (0: nothing; 1 gap before,
+2 late, 4 overrange, 8 stale, 16 time jump, 32 dropout, 64 slack, 128 suspect; bits add up). Where host_ns is told
+(when the last sample of a batch came in, on the host's clock; in a closed run the metadata "arrivals" of the Parquet
+file, pairs of device and host clock), streams of several devices have clocks that differ in offset and drift.
+
+Closed run, Python with pandas and pyarrow, from inside this folder:
+
+    import json, pathlib, pandas
+    stream = sorted(pathlib.Path("streams").glob("*.parquet"))[0]
+    frame = pandas.read_parquet(stream)
+    for column in json.loads(stream.with_suffix(".json").read_text("utf-8"))["columns"]:
+        scale = column["scale"]
+        frame[column["name"]] = frame[column["name"]] * scale["slope"] + scale["offset"]
+    frame["t"] = frame["time_ns"] / 1e9
+
+Running or interrupted run, Python with pyarrow; stops at the last whole batch, checks each:
+
+    import pathlib, zlib, pyarrow
+    data = sorted(pathlib.Path("streams").glob("*.arrows"))[0].read_bytes()
+    batches, end, head = [], b"0", zlib.crc32(data[:8 + int.from_bytes(data[4:8], "little")])
+    reader = pyarrow.ipc.open_stream(data)
+    try:
+        while end == b"0":
+            batch, note = reader.read_next_batch_with_custom_metadata()
+            batch.validate(full=True)
+            told = b"%d %s %s%s" % (len(batches), note[b"rows"], note[b"end"], note.get(b"host_ns", b""))
+            crc = zlib.crc32(told, head)
+            for column in batch.columns: crc = zlib.crc32(column.to_numpy(), crc)
+            if crc != int(note[b"crc32"], 16): raise ValueError("its crc32 does not fit")
+            batches.append(batch); end = note[b"end"]
+    except Exception as torn: print("stopped before the first batch that is not whole:", repr(torn))
+    table = pyarrow.Table.from_batches(batches, reader.schema)
+
+Closed run, MATLAB (R2019a or newer), from inside this folder:
+
+    found = dir(fullfile("streams", "*.parquet"));
+    name = fullfile(found(1).folder, found(1).name);
+    T = parquetread(name);
+    about = jsondecode(fileread(replace(name, ".parquet", ".json")));
+    for k = 1:numel(about.columns)
+        c = about.columns(k);
+        T.(c.name) = double(T.(c.name)) * c.scale.slope + c.scale.offset;
+    end
+    T.t = double(T.time_ns) / 1e9;
+"""
+
 
 FLUSH_EVERY = 0.05
 """Samples go to the operating system after so long [s of wall clock]."""
@@ -63,7 +108,7 @@ class RunWriter:
     `append` and `event` may be called from several threads, not from a signal handler.
     """
 
-    def __init__(self, folder: Path, manifest: Mapping[str, Any], events: AppendFile) -> None:
+    def __init__(self, folder: Path, manifest: Mapping[str, Any], events: files.AppendFile) -> None:
         """Use `RunWriter.create`."""
         self.folder = folder
         self.waits = False
@@ -91,17 +136,17 @@ class RunWriter:
 
     @classmethod
     def create(
-        cls, parent: Path, name: str, manifest: Mapping[str, Any], snapshots: Mapping[str, bytes | Copy]
+        cls, parent: Path, name: str, manifest: Mapping[str, Any], snapshots: Mapping[str, bytes | files.Copy]
     ) -> RunWriter:
         """Make the folder `parent`/`name` (`name-2` ... where taken) with snapshots and manifest, whole and synced.
 
         `snapshots` maps names inside the folder to the bytes of files that the run was made from. What the manifest
         does not say of id, schema, start, versions and hashes is added. Leaves nothing behind where it fails.
         """
-        contents = {check_name(key): value for key, value in snapshots.items()}
+        contents = {files.check_name(key): value for key, value in snapshots.items()}
         contents[files.README] = README_TEXT.encode()
         made_parent = not parent.exists()
-        folder = parent / check_name(name)
+        folder = parent / files.check_name(name)
         made = False
         try:
             parent.mkdir(parents=True, exist_ok=True)
@@ -110,15 +155,15 @@ class RunWriter:
             (folder / files.STREAMS).mkdir()
             for key, content in contents.items():
                 (folder / key).parent.mkdir(parents=True, exist_ok=True)
-                if isinstance(content, Copy):
-                    copy_whole(folder / key, content)
+                if isinstance(content, files.Copy):
+                    files.copy_whole(folder / key, content)
                 else:
-                    write_whole(folder / key, content)
+                    files.write_whole(folder / key, content)
             keep_room(folder)
             full = _full_manifest(folder.name, manifest, contents)
-            events = AppendFile(folder / files.EVENTS).open()
-            write_whole(folder / files.MANIFEST, sealed_json(full))
-            sync_folder(parent)
+            events = files.AppendFile(folder / files.EVENTS).open()
+            files.write_whole(folder / files.MANIFEST, files.sealed_json(full))
+            files.sync_folder(parent)
         except (OSError, InvalidFile) as error:
             if made:
                 shutil.rmtree(folder, ignore_errors=True)
@@ -127,7 +172,7 @@ class RunWriter:
                     parent.rmdir()
             if isinstance(error, InvalidFile):
                 raise
-            raise cannot_write(folder, error) from error
+            raise files.cannot_write(folder, error) from error
         return cls(folder, full, events)
 
     def open_stream(self, name: str, columns: Sequence[Mapping[str, Any]], rate: float) -> None:
@@ -135,13 +180,13 @@ class RunWriter:
         self._check()
         if name in self._streams:
             raise RecordError(f"stream {name} is open already")
-        path = self.folder / files.STREAMS / f"{check_name(name)}.arrows"
+        path = self.folder / files.STREAMS / f"{files.check_name(name)}.arrows"
         about = describe(name, columns, rate)
         try:
             stream = LiveStream(path, about)
-            write_whole(path.with_suffix(".json"), json.dumps(about, indent=1).encode())
+            files.write_whole(path.with_suffix(".json"), json.dumps(about, indent=1).encode())
         except OSError as error:
-            raise cannot_write(path, error) from error
+            raise files.cannot_write(path, error) from error
         with self._lock:
             self._streams = {**self._streams, name: stream}
 
@@ -168,7 +213,7 @@ class RunWriter:
         most = PATIENT if self.waits else STALLED
         hung = live.waiting() > most or (syncing is not None and time.monotonic() - syncing > most)
         if self._failure is None and hung:
-            self._failure = cannot_write(live.file.path, TimeoutError(f"the disk took nothing for {most:g} s"))
+            self._failure = files.cannot_write(live.file.path, TimeoutError(f"the disk took nothing for {most:g} s"))
         self._check()
 
     def append_now(
@@ -194,7 +239,7 @@ class RunWriter:
 
     def _event(self, kind: str, t: float, data: Mapping[str, Any]) -> None:
         with self._lock:
-            line, self._crc = encode(self._seq, t, kind, data, self._crc)
+            line, self._crc = files.encode_line(self._seq, t, kind, data, self._crc)
             self._seq += 1
             self._last_t = max(self._last_t, float(t))
             self._lines.append(line)
@@ -208,7 +253,7 @@ class RunWriter:
         try:
             act()
         except OSError as error:
-            self._failure = self._failure or cannot_write(path, error)
+            self._failure = self._failure or files.cannot_write(path, error)
             return False
         return True
 
@@ -238,7 +283,7 @@ class RunWriter:
             try:
                 act()
             except Exception as error:
-                self._failure = self._failure or cannot_write(path, error)
+                self._failure = self._failure or files.cannot_write(path, error)
                 return False
         return True
 
@@ -267,7 +312,7 @@ class RunWriter:
         if failure is not None:
             status, why = "error", _with(failure, status, why)
         last = max([self._last_t, *(s.last_ns / 1e9 for s in self._streams.values() if s.last_ns is not None)])
-        self._event("end", last, {"status": status, "why": why, **plain(end)})
+        self._event("end", last, {"status": status, "why": why, **files.plain(end)})
         self._closed = True
         try:
             try:
@@ -276,12 +321,12 @@ class RunWriter:
                 self._events.write(b"".join(self._lines))
                 self._events.sync()
             except OSError as error:
-                failure = failure or cannot_write(self._events.path, error)
+                failure = failure or files.cannot_write(self._events.path, error)
                 status, why = "error", _with(failure, status, why)
             self._events.close()
             seal(self.folder, status, why, end)
         except (OSError, ValueError, InvalidFile) as error:
-            raise failure or cannot_write(self.folder, error) from error
+            raise failure or files.cannot_write(self.folder, error) from error
         if failure is not None:
             raise failure
         return self.folder
@@ -292,7 +337,7 @@ class RunWriter:
             try:
                 stream.finish()
             except OSError as error:
-                failure = failure or cannot_write(stream.file.path, error)
+                failure = failure or files.cannot_write(stream.file.path, error)
                 stream.file.close()
         return failure
 
@@ -311,7 +356,7 @@ def _make_folder(parent: Path, name: str) -> Path:
     raise FileExistsError(17, "a thousand runs of this name exist")
 
 
-def _full_manifest(name: str, given: Mapping[str, Any], contents: Mapping[str, bytes | Copy]) -> dict[str, Any]:
+def _full_manifest(name: str, given: Mapping[str, Any], contents: Mapping[str, bytes | files.Copy]) -> dict[str, Any]:
     versions = {"python": platform.python_version()}
     for library in ("pmabench", "numpy", "scipy", "pandas", "pyarrow"):
         with suppress(metadata.PackageNotFoundError):
@@ -328,7 +373,7 @@ def _full_manifest(name: str, given: Mapping[str, Any], contents: Mapping[str, b
         "versions": versions,
         "platform": platform.platform(),
         "snapshots": {
-            key: content.sha256 if isinstance(content, Copy) else hashlib.sha256(content).hexdigest()
+            key: content.sha256 if isinstance(content, files.Copy) else hashlib.sha256(content).hexdigest()
             for key, content in contents.items()
         },
         "writer": files.this_process(),

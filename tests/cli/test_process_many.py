@@ -16,8 +16,8 @@ from pmabench.report.many.many_table import table_rows
 from pmabench.report.many.processed import process_one
 from pmabench.store.analyses import made_from
 from pmabench.store.analyses.folder import runs_of
-from pmabench.store.below import tasks_below
-from pmabench.store.fingerprint import fingerprint
+from pmabench.store.catalogue import tasks_below
+from pmabench.store.since import fingerprint
 from tests.benchmarks.archive import stiffness_and_damping, write_run
 from tests.store.runs import closed
 

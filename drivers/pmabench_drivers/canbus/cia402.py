@@ -22,7 +22,7 @@ QUICK_STOP_ON_LOSS = 3
 STAY_STOPPED = 6
 """Quick stop option code: slow down on the quick stop ramp and stay in quick stop active, with torque."""
 
-SHUTDOWN, SWITCH_ON, ENABLE, QUICK_STOP, DISABLE_VOLTAGE, FAULT_RESET = 0x06, 0x07, 0x0F, 0x02, 0x00, 0x80
+SHUTDOWN, SWITCH_ON, ENABLE, QUICK_STOP, FAULT_RESET = 0x06, 0x07, 0x0F, 0x02, 0x80
 NEW_SET_POINT, AT_ONCE = 0x10, 0x20
 """Bits of the controlword in profile position: a new target is valid; it replaces the one under way."""
 TARGET_REACHED, INTERNAL_LIMIT, ACKNOWLEDGE = 1 << 10, 1 << 11, 1 << 12

@@ -11,8 +11,7 @@ from time import monotonic, sleep
 from pmabench.base.errors import DeviceError
 from pmabench_drivers.canbus import cia402 as c
 from pmabench_drivers.canbus import frames as f
-from pmabench_drivers.canbus.node import Node, Send
-from pmabench_drivers.canbus.sdo import Refused
+from pmabench_drivers.canbus.node import Node, Refused, Send
 
 POLL = 0.002
 """Pause between two looks at the statusword [s]."""

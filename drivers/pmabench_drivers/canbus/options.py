@@ -9,8 +9,7 @@ from typing import Any
 
 from pmabench.bench.interface import DeviceRecord, OutputRecord
 from pmabench_drivers.canbus.dbc import Message, NoDatabase, Signal, read_dbc
-from pmabench_drivers.canbus.link import INTERFACES, NUMBERED
-from pmabench_drivers.canbus.slcan import RATES
+from pmabench_drivers.canbus.link import INTERFACES, NUMBERED, RATES
 from pmabench_drivers.shared.options import Place, Reader
 
 PROFILES = (402, 406)

@@ -45,7 +45,7 @@ RESTART = {"restart": Kind("the device restarts, once: outputs as after power-on
 SETPOINT = {"setpoint": Kind("the set-point is changed from outside, once, to this in the device's unit", "level")}
 EXCEPTION = {"exception": Kind("the answer is this exception, or error, code", "number", 4.0)}
 IGNORE = {"ignore": Kind("what is written is acknowledged and not carried out")}
-MODBUS = {**EXCEPTION, **IGNORE, "wrong": Kind("registers that are read are so much too high", "number", 1.0)}
+MODBUS = EXCEPTION | IGNORE | {"wrong": Kind("registers that are read are so much too high", "number", 1.0)}
 NOISE = {"noise": Kind("the number is off by up to so much in the device's unit, another way each time", "level", 1.0)}
 OVER = {"over": Kind("the range is said to be exceeded")}
 UNIT = {"unit": Kind("the line is in another unit (N as kg, mm as in)")}
@@ -54,20 +54,7 @@ STATUS = {
     "sensor": Kind("the status says that the pressure sensor has failed"),
     "limit": Kind("the status says that it is over its pressure limit"),
 }
-KINDS = {
-    **LINK,
-    **STUCK,
-    **SKEW,
-    **EXPIRY,
-    **WATCHDOG_OFF,
-    **RESTART,
-    **SETPOINT,
-    **MODBUS,
-    **NOISE,
-    **OVER,
-    **UNIT,
-    **STATUS,
-}
+KINDS = LINK | STUCK | SKEW | EXPIRY | WATCHDOG_OFF | RESTART | SETPOINT | MODBUS | NOISE | OVER | UNIT | STATUS
 EVENTS = {
     "watchdog": "expire_watchdog",
     "watchdog-off": "switch_off_watchdog",

@@ -9,7 +9,7 @@ from time import monotonic, sleep
 
 from pmabench.base.errors import DeviceError
 from pmabench_drivers.festo_cmmt import telegram as t
-from pmabench_drivers.festo_cpx_e.line import NamedLine
+from pmabench_drivers.modbus.adapter import NamedLine
 from pmabench_drivers.modbus.registers import Register, decode, encode
 from pmabench_drivers.shared.link import Still, Unanswered, always
 

@@ -12,17 +12,15 @@ from time import monotonic
 from pmabench.base.errors import UsageError
 from pmabench.bench.interface import DeviceRecord
 from pmabench_drivers.emulator.faults import EXPIRY, RESTART, SETPOINT, SKEW, WATCHDOG_OFF, Fault, Faults
-from pmabench_drivers.emulator.frames import ADDRESS, FUNCTION, VALUE, Refused, Request
 from pmabench_drivers.emulator.log import CommandLog
-from pmabench_drivers.emulator.modbus_server import KINDS, TcpDevice
-from pmabench_drivers.emulator.plant import RealPlant
+from pmabench_drivers.emulator.modbus_server import ADDRESS, FUNCTION, KINDS, VALUE, Refused, Request, TcpDevice
+from pmabench_drivers.emulator.plant import RealPlant, Wiring
 from pmabench_drivers.emulator.ports import host_of
-from pmabench_drivers.emulator.wiring import Wiring
 from pmabench_drivers.labjack import registers as r
-from pmabench_drivers.labjack.calibration import COUNT, FLASH
 from pmabench_drivers.labjack.emulated_map import F32, FEEDBACK, WORDS, Cut, Unknown, Value, feedback, values_of, whole
 from pmabench_drivers.labjack.emulated_stream import FAULTS, Streamer
-from pmabench_drivers.labjack.options import Options, read_options
+from pmabench_drivers.labjack.registers import Options, read_options
+from pmabench_drivers.labjack.stream import COUNT, FLASH
 from pmabench_drivers.shared.options import options_of
 
 FAILED = 4

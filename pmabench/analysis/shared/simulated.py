@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from pmabench.analysis.shared import replay
-from pmabench.model.described import Described
 from pmabench.model.pid import PID
-from pmabench.model.signal import constant
+from pmabench.model.presets import Described
+from pmabench.model.regulator import constant
 from pmabench.store.records import Array, RunData, TrialData
 
 LEAST_MASS = 0.5

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, TypeAlias
+from typing import Annotated
 
 from pydantic import AfterValidator, BeforeValidator, Field, WithJsonSchema
 
@@ -33,25 +33,13 @@ def not_below_zero(value: float) -> float:
     return value
 
 
-if TYPE_CHECKING:
-    PressureAbove0: TypeAlias = float
-    PressureNotBelow0: TypeAlias = float
-    RateAbove0: TypeAlias = float
-    LengthAbove0: TypeAlias = float
-    TimeAbove0: TypeAlias = float
-    RatioAbove0: TypeAlias = float
-    AngleAbove0: TypeAlias = float
-    MassAbove0: TypeAlias = float
-    ConductanceAbove0: TypeAlias = float
-    RatioNotBelow0: TypeAlias = float
-else:
-    PressureAbove0 = Annotated[Pressure, AfterValidator(above_zero)]
-    PressureNotBelow0 = Annotated[Pressure, AfterValidator(not_below_zero)]
-    RateAbove0 = Annotated[PressureRate, AfterValidator(above_zero)]
-    LengthAbove0 = Annotated[Length, AfterValidator(above_zero)]
-    TimeAbove0 = Annotated[Time, AfterValidator(above_zero)]
-    RatioAbove0 = Annotated[Ratio, AfterValidator(above_zero)]
-    AngleAbove0 = Annotated[Angle, AfterValidator(above_zero)]
-    MassAbove0 = Annotated[Mass, AfterValidator(above_zero)]
-    ConductanceAbove0 = Annotated[Conductance, AfterValidator(above_zero)]
-    RatioNotBelow0 = Annotated[Ratio, AfterValidator(not_below_zero)]
+PressureAbove0 = Annotated[Pressure, AfterValidator(above_zero)]
+PressureNotBelow0 = Annotated[Pressure, AfterValidator(not_below_zero)]
+RateAbove0 = Annotated[PressureRate, AfterValidator(above_zero)]
+LengthAbove0 = Annotated[Length, AfterValidator(above_zero)]
+TimeAbove0 = Annotated[Time, AfterValidator(above_zero)]
+RatioAbove0 = Annotated[Ratio, AfterValidator(above_zero)]
+AngleAbove0 = Annotated[Angle, AfterValidator(above_zero)]
+MassAbove0 = Annotated[Mass, AfterValidator(above_zero)]
+ConductanceAbove0 = Annotated[Conductance, AfterValidator(above_zero)]
+RatioNotBelow0 = Annotated[Ratio, AfterValidator(not_below_zero)]

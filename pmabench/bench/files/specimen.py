@@ -1,15 +1,40 @@
-"""The specimen file: the muscle under test, what it bears, and what is already believed of it."""
+"""The specimen file (the muscle under test, what it bears, what is already believed of it) and the calibration file."""
 
 from __future__ import annotations
 
+import datetime
 from math import inf
 from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from pmabench.bench.files.parts import AngleAbove0, LengthAbove0, MassAbove0, PressureAbove0, RatioAbove0, Text
+from pmabench.bench.files.parts import (
+    AngleAbove0,
+    LengthAbove0,
+    MassAbove0,
+    PressureAbove0,
+    RatioAbove0,
+    RatioNotBelow0,
+    Reading,
+    Text,
+)
 from pmabench.files.document import Strict
-from pmabench.files.quantity import Damping, Force, Pressure, Stiffness
+from pmabench.files.quantity import Damping, Force, Pressure, Stiffness, Time
+
+
+class CalibrationFile(Strict):
+    """A calibration: reference points, and how well they are known (95 %, k = 2)."""
+
+    schema_: Annotated[Literal["pmabench.calibration/1"], Field(alias="schema")]
+    id: Text
+    quantity: Literal["pressure", "force", "length", "angle"]
+    reference: Text
+    date: datetime.date
+    valid_until: datetime.date | None = None
+    points: Annotated[list[tuple[Reading, Reading]], Field(min_length=2, max_length=200)]
+    expanded_uncertainty: Reading
+    gain_uncertainty: RatioNotBelow0 = 0.0
+    sensor_lag: Time = 0.0
 
 
 class MountedFile(Strict):

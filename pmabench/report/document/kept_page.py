@@ -15,8 +15,8 @@ from typing import Any
 
 from pmabench.base.errors import RecordError
 from pmabench.store.analyses.made_from import key_of
-from pmabench.store.fingerprint import stamp
-from pmabench.store.regular import open_regular
+from pmabench.store.folder import open_regular
+from pmabench.store.since import stamp
 
 NAME = ".report.kept"
 LONGEST = 200_000_000

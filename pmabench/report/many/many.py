@@ -16,8 +16,8 @@ from pmabench.analysis.many import Pool, share
 from pmabench.base.errors import RecordError
 from pmabench.report.many.processed import lost, process_batch, without_trials
 from pmabench.store.analyses import made_from
-from pmabench.store.below import Task
-from pmabench.store.fingerprint import program
+from pmabench.store.catalogue import Task
+from pmabench.store.since import program
 
 Progress = Callable[[int, int, int], None]
 """Called with the number of runs that are done, of all, and of those that had not changed."""

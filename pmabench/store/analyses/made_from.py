@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from pmabench.store import folder as files
-from pmabench.store.fingerprint import fingerprint, program, stamp
-from pmabench.store.regular import open_regular, sha256_of
+from pmabench.store.folder import open_regular, sha256_of
+from pmabench.store.since import fingerprint, program, stamp
 
 RECORD = ".made-from.json"
 SCHEMA = "pmabench.made-from/1"

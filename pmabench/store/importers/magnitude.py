@@ -16,10 +16,8 @@ import numpy as np
 
 from pmabench.base.quantities import show
 from pmabench.store.importers import motion
-from pmabench.store.importers.effect import in_words, slope
-from pmabench.store.importers.found import Bools, Checked, Report
-from pmabench.store.importers.questions import Question
-from pmabench.store.importers.units import spelled
+from pmabench.store.importers.found import Bools, Checked, Report, in_words, slope
+from pmabench.store.importers.map_file import Question, spelled
 from pmabench.store.records import UNUSABLE, Array, Flags
 
 STEEPEST = 17.0

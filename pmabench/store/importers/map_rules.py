@@ -21,8 +21,7 @@ from pmabench.files.document import Document, Location, read_document, validate
 from pmabench.files.quantity import unit_factor
 from pmabench.store.formats.record import TIME
 from pmabench.store.formats.shared.times import Stamps
-from pmabench.store.importers.map_file import NUMBERS, PLACE, ColumnFile, Line, MapFile, Trials
-from pmabench.store.importers.questions import Question, settle
+from pmabench.store.importers.map_file import NUMBERS, PLACE, ColumnFile, Line, MapFile, Question, Trials, settle
 
 _OF_POINT = {
     "length": "contraction lower upper start step mean amplitude setpoint",

@@ -9,7 +9,7 @@ from itertools import pairwise
 
 import pytest
 from pmabench_drivers.modbus import ModbusDevice
-from pmabench_drivers.shared.segments import stepped
+from pmabench_drivers.shared.device import stepped
 from pymodbus.client import ModbusTcpClient
 
 from pmabench.base.clock import RealClock

@@ -1,4 +1,4 @@
-"""The registers of an emulated Modbus device: what they read from the plant, what writing them does to it, watchdog.
+"""An emulated Modbus device: what its registers read from the plant, what writing them does to it, its watchdog.
 
 Served as the device's own register map says; what the map does not name answers with exception 2.
 """
@@ -10,12 +10,21 @@ from collections.abc import Iterable
 from time import monotonic
 
 from pmabench.bench.interface import DeviceRecord
-from pmabench_drivers.emulator.frames import ADDRESS, VALUE, Refused, Request
 from pmabench_drivers.emulator.log import CommandLog
-from pmabench_drivers.emulator.plant import RealPlant
-from pmabench_drivers.emulator.wiring import Wiring
-from pmabench_drivers.modbus.map_file import Options
+from pmabench_drivers.emulator.modbus_server import ADDRESS, VALUE, Refused, Request, RtuDevice, TcpDevice
+from pmabench_drivers.emulator.plant import RealPlant, Wiring
+from pmabench_drivers.modbus.map_file import Options, read_options
 from pmabench_drivers.modbus.registers import TYPES, Register, WatchdogRegisters, decode, encode
+from pmabench_drivers.shared.options import options_of
+
+
+def serve(device: DeviceRecord, plant: RealPlant, log: CommandLog) -> TcpDevice | RtuDevice:
+    """What a device of the driver `modbus` talks to: TCP, or RTU on a pseudo-terminal."""
+    options = options_of(device, read_options)
+    registers = Registers(device, options, plant, log)
+    if device.address.startswith("/"):
+        return RtuDevice(registers, options.map.unit_id, log, device.address)
+    return TcpDevice(registers, options.map.unit_id, log, int(device.address.rpartition(":")[2]))
 
 
 class Registers:
