@@ -137,7 +137,7 @@ def _named(text: str, runs: Sequence[RunData]) -> tuple[str, Path]:
 
 def _scale(file: Path) -> NewScale:
     from pmabench.bench.channels import read_calibration
-    from pmabench.bench.files import CalibrationFile
+    from pmabench.bench.files.specimen import CalibrationFile
     from pmabench.files.document import read_document, validate
     from pmabench.store.reader import NewScale
 

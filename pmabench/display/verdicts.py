@@ -23,7 +23,7 @@ from pmabench.store.records import UNUSABLE, Flag, RunData, TrialData
 
 def read_expected(folder: Path) -> Expected | None:
     """`expected` of the specimen file that a run was made from; None where there is none that can be read."""
-    from pmabench.bench.files import SpecimenFile
+    from pmabench.bench.files.specimen import SpecimenFile
     from pmabench.files.document import read_document, validate
 
     try:

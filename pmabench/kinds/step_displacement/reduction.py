@@ -15,9 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.analysis.results import Analysis, Dropped, Estimate, Finding, Parts, Trace, withhold
-from pmabench.analysis.shared import student
 from pmabench.analysis.shared.calibration import Scales, sentences
-from pmabench.analysis.shared.form import MOST_HIDDEN, Doubt, weighed
+from pmabench.analysis.shared.form import MOST_HIDDEN, Doubt, change_over, weighed
 from pmabench.analysis.shared.lines import mean_half
 from pmabench.analysis.shared.rest import Held, left
 from pmabench.analysis.shared.samples import NotUsable
@@ -40,8 +39,6 @@ DRIFTS = 0.02
 """What the force would still change by after a rest, as a share of its step, that is doubted."""
 SEVERAL = 0.4
 """Share of a time constant by which that of the later part may differ where there is one exponential."""
-SURE = 0.9995
-"""Probability of Student's t beyond which a change from cycle to cycle is seen."""
 LONGEST_TRACE = 1500
 UNTURNED = 0.05
 """Share of the friction between two rests that a small step may not have turned round yet."""
@@ -174,21 +171,13 @@ def _still_moving(rests: Sequence[Held]) -> Doubt:
 
 
 def _trend(values: Sequence[NDArray[np.float64]]) -> list[Doubt]:
-    """What a force changes by from the first cycle to the last [N], by one line for each trial; none without three."""
-    rows = [(np.arange(len(one)) - 0.5 * (len(one) - 1), one - one.mean()) for one in values if len(one) > 2]
-    if not rows:
+    """What a force changes by from the first cycle to the last [N], where that is seen."""
+    change = change_over(values)
+    if change is None or not change.seen:
         return []
-    place, off = (np.concatenate(column) for column in zip(*rows, strict=True))
-    freedom = len(off) - len(rows) - 1
-    power = float(place @ place)
-    slope = float(place @ off) / power
-    error = float(np.sqrt(np.sum((off - slope * place) ** 2) / freedom / power))
-    cycles = max(len(one) for one in values)
-    size, most = abs(slope) * cycles, (abs(slope) + float(student.ppf(0.975, freedom)) * error) * cycles
-    seen = abs(slope) > float(student.ppf(SURE, freedom)) * error
-    text = f"from cycle to cycle the force changes, by {show(size, 'force', 2)} in all: the cell drifts, or the muscle"
-    reason = f"{text} is not at rest yet. Do more cycles before those that count, and check the zero of the cell"
-    return [Doubt("change from cycle to cycle", "drift", most, seen, reason)] if seen else []
+    text = f"from cycle to cycle the force changes, by {show(change.size, 'force', 2)} in all: the cell drifts, or the"
+    reason = f"{text} muscle is not at rest yet. Do more cycles before those that count, and check the zero of the cell"
+    return [Doubt("change from cycle to cycle", "drift", change.most, seen=True, reason=reason)]
 
 
 def _findings(at: Mapping[str, float], group: Sequence[_Member]) -> list[Finding]:

@@ -1,1 +1,1 @@
-"""Many runs: `many` works out what has changed, run by run, and writes their table; `many_cache` keeps the rest."""
+"""Many runs: `many` works out what has changed, run by run, and writes one table over all of them."""

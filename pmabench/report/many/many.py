@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,11 +19,12 @@ from pmabench.analysis.many import Pool, share, stopped
 from pmabench.base.errors import InvalidFile, PmaError, RecordError
 from pmabench.plotting.wording import POINTS, in_order, plain_unit, point_shown, shown, symbol_text
 from pmabench.report.files.csv_files import csv_text, plain_head
-from pmabench.report.many import many_cache
 from pmabench.report.words import in_common
 from pmabench.report.writing import writing
+from pmabench.store.analyses import made_from
 from pmabench.store.catalogue import Task
-from pmabench.store.since import fingerprint, program
+from pmabench.store.folder import plain, read_manifest
+from pmabench.store.since import program
 
 Progress = Callable[[int, int, int], None]
 """Called with the number of runs that are done, of all, and of those that had not changed."""
@@ -30,8 +32,6 @@ RESULTS = ("computed", "unchanged")
 """States of entries with coefficients."""
 WORST = (7, 3, 1, 6)
 """Exit codes, the worst first."""
-KEPT_EVERY = 200
-"""So many results at most are lost where the program is ended."""
 
 
 @dataclass(frozen=True)
@@ -74,54 +74,43 @@ def process_many(
     pool: Pool | None = None,
     progress: Progress | None = None,
     options: Mapping[str, Any] | None = None,
+    *,
+    fresh: bool = False,
 ) -> Many:
     """Write the analysis of each task below `out`, where it was not done before, and remember what came out.
 
-    `options`: kind -> those of its reduction, plain data. What is wrong with a run is in its entry. Raises
-    RecordError where `out` cannot be made.
+    `options`: kind -> those of its reduction, plain data. `fresh`: compute every run. What is wrong with a
+    run is in its entry. Raises RecordError where `out` cannot be made.
     """
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise RecordError(f"{out}: cannot be made: {error.strerror or error}") from error
     options = dict(options or {})
-    about = f"{program()} {json.dumps(options, sort_keys=True)}"
-    kept = many_cache.load(out)
-    keys = [fingerprint(task.chain, about) for task in tasks]
+    keys = [made_from.key_of(task.chain, options) for task in tasks]
     found: dict[int, tuple[str, str]] = {}
     codes: set[int] = set()
     for number, task in enumerate(tasks):
-        before = many_cache.entry(kept.get(task.place), keys[number], out)
-        if before is not None:
-            found[number] = ("skipped" if "skipped" in before else "unchanged", kept[task.place][1])
+        before = {} if fresh else made_from.kept(out / task.place, keys[number], options).entry
+        before = before or without_trials(task.path)
+        if before:
+            found[number] = ("skipped" if "skipped" in before else "unchanged", json.dumps(before, allow_nan=False))
             codes |= _code(before)
     unchanged = len(found)
     left = [number for number in range(len(tasks)) if number not in found]
-    here = str(out.absolute())
+    common = {"out": str(out.absolute()), "options": options}
     things = [
-        {"path": str(tasks[number].path.absolute()), "out": here, "folder": tasks[number].place, "options": options}
+        {"path": str(tasks[number].path.absolute()), "folder": tasks[number].place, "key": keys[number], **common}
         for number in left
     ]
-    fresh: dict[str, tuple[str, str]] = {}
     if progress is not None:
         progress(unchanged, len(tasks), unchanged)
-    try:
-        for index, entry in share(things, process_batch, lost, pool):
-            number = left[index]
-            text = json.dumps(entry, allow_nan=False)
-            state = "failed" if "error" in entry else "skipped" if "skipped" in entry else "computed"
-            found[number] = (state, text)
-            codes |= _code(entry)
-            if state != "failed" and keys[number]:
-                fresh[tasks[number].place] = (keys[number], text)
-            if len(fresh) >= KEPT_EVERY:
-                many_cache.store(out, fresh)
-                fresh.clear()
-            if progress is not None:
-                progress(len(found), len(tasks), unchanged)
-    finally:
-        if fresh:
-            many_cache.store(out, fresh)
+    for index, entry in share(things, process_batch, lost, pool):
+        number = left[index]
+        found[number] = ("failed" if "error" in entry else "computed", json.dumps(entry, allow_nan=False))
+        codes |= _code(entry)
+        if progress is not None:
+            progress(len(found), len(tasks), unchanged)
     entries = tuple((str(task.path), *found[number]) for number, task in enumerate(tasks))
     return Many(out, entries, next((code for code in WORST if code in codes), max(codes, default=0)))
 
@@ -133,6 +122,8 @@ def _code(entry: Mapping[str, Any]) -> set[int]:
 
 NAME = "all-runs"
 SCHEMA = "pmabench.process-many/1"
+KEPT_TABLE = f".{NAME}.made-from.json"
+"""Says of which results the table is, so that it is not written again."""
 FIRST = {"run": "", "started": "", "specimen": "", "kind": "", "simulated": False, "method": ""}
 LAST = {"trials": 0, "not accepted": "", "analysis": ""}
 """Columns before and after the numbers."""
@@ -147,8 +138,10 @@ def write_table(many: Many) -> list[Path]:
     """
     paths = [many.out / f"{NAME}.{suffix}" for suffix in ("csv", "parquet", "json")]
     key = many.key
-    if many_cache.table_written(many.out, key, paths):
-        return paths
+    kept = many.out / KEPT_TABLE
+    with suppress(OSError, ValueError):
+        if json.loads(kept.read_bytes()) == [key, _stamps(paths)]:
+            return paths
     rows, numbers = table_rows(many.results())
     columns = [*FIRST, *numbers, *LAST]
     ordered = [{name: row.get(name) for name in columns} for row in rows]
@@ -157,8 +150,14 @@ def write_table(many: Many) -> list[Path]:
         _write_parquet(ordered, numbers, paths[1])
         with paths[2].open("w", encoding="utf-8", newline="") as file:
             file.writelines(_json_lines(many))
-    many_cache.keep_table(many.out, key, paths)
+    with suppress(OSError):
+        kept.write_text(json.dumps([key, _stamps(paths)]), encoding="utf-8")
     return paths
+
+
+def _stamps(paths: Iterable[Path]) -> list[list[int]]:
+    """Size and time of each file."""
+    return [[info.st_size, info.st_mtime_ns] for info in (path.stat() for path in paths)]
 
 
 def plain_entry(entry: Mapping[str, Any]) -> dict[str, Any]:
@@ -248,13 +247,9 @@ def lost(thing: Mapping[str, Any], why: str) -> dict[str, Any]:
 
 
 def process_one(thing: Mapping[str, Any]) -> dict[str, Any]:
-    """The entry of a run in the table of many.
-
-    `error` and `exit_code` where it cannot be processed, `skipped` for a run that has no trials, else what `_entry`
-    gives.
-    """
+    """The entry of a run in the table of many: `error` and `exit_code` where it cannot be processed."""
     try:
-        return _entry(Path(thing["path"]), Path(thing["out"]), thing["folder"], thing.get("options") or {})
+        return _entry(thing)
     except InvalidFile as error:
         return {"error": str(error), "exit_code": error.exit_code}
     except PmaError as error:
@@ -265,20 +260,27 @@ def process_one(thing: Mapping[str, Any]) -> dict[str, Any]:
         return {"error": f"{thing['path']}  {what}", "exit_code": 1}
 
 
-def _entry(path: Path, out: Path, folder: str, options: Mapping[str, Any]) -> dict[str, Any]:
+def without_trials(path: Path) -> dict[str, Any]:
+    """The entry of a run that has no trials; empty for any other, and where its manifest cannot be read."""
+    with suppress(InvalidFile):
+        kind = read_manifest(path).get("kind")
+        if kind in WITHOUT_TRIALS:
+            return {"skipped": f"is a run of kind {kind}"}
+    return {}
+
+
+def _entry(thing: Mapping[str, Any]) -> dict[str, Any]:
     from pmabench.kinds.reduce import reduce_runs, specimen_of, verdicts
     from pmabench.report.files.csv_files import write_with_tables
     from pmabench.report.words import declared
+    from pmabench.store.analyses.made_from import keep
     from pmabench.store.chain import open_chains
-    from pmabench.store.folder import plain, read_manifest
-    from pmabench.store.since import stamp
 
-    kind = read_manifest(path).get("kind")
-    if kind in WITHOUT_TRIALS:
-        return {"skipped": f"is a run of kind {kind}"}
-    runs = open_chains([path])
+    folder, options = thing["folder"], thing.get("options") or {}
+    place = Path(thing["out"], folder)
+    runs = open_chains([Path(thing["path"])])
     (analysis,) = reduce_runs(runs, options)
-    written = write_with_tables(analysis, out / folder / analysis.kind)
+    written = write_with_tables(analysis, place / analysis.kind)
     entry: dict[str, Any] = plain(
         {
             "run": runs[-1].id,
@@ -288,7 +290,6 @@ def _entry(path: Path, out: Path, folder: str, options: Mapping[str, Any]) -> di
             "specimen": specimen_of(runs[-1]),
             "simulated": analysis.simulated,
             "folder": f"{folder}/{analysis.kind}",
-            "stamp": stamp(written),
             "symbols": list(declared([analysis])),
             "estimates": [
                 {name: getattr(e, name) for name in ESTIMATE} | {"half_width": e.parts.combined}
@@ -308,4 +309,5 @@ def _entry(path: Path, out: Path, folder: str, options: Mapping[str, Any]) -> di
             "since": {run.id: run.since.as_data() for run in runs if run.since.sentences},
         }
     )
+    keep(place, thing.get("key", ""), [Path(run.path) for run in runs], options, [written], entry)
     return entry
