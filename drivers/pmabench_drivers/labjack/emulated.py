@@ -49,15 +49,14 @@ class Lines:
     directions: bool = False
 
 
+GROUPS = ((0, 8), (8, 8), (16, 4), (20, 3))
+"""First line and number of lines of FIO, EIO, CIO and MIO."""
 BITS = {
-    **{r.STATES + i: Lines(first, count) for i, (first, count) in enumerate(((0, 8), (8, 8), (16, 4), (20, 3)))},
-    **{
-        r.DIRECTIONS + i: Lines(first, count, True)
-        for i, (first, count) in enumerate(((0, 8), (8, 8), (16, 4), (20, 3)))
-    },
+    **{r.STATES + i: Lines(*group) for i, group in enumerate(GROUPS)},
+    **{r.DIRECTIONS + i: Lines(*group, directions=True) for i, group in enumerate(GROUPS)},
     **{r.STATES_OF_TWO + i: Lines(first, count) for i, (first, count) in enumerate(((0, 16), (8, 12), (16, 7)))},
     r.DIO_STATE: Lines(0, 23),
-    r.DIO_DIRECTION: Lines(0, 23, True),
+    r.DIO_DIRECTION: Lines(0, 23, directions=True),
 }
 """Registers of several lines."""
 
