@@ -340,7 +340,7 @@ IDENTIFY = b"\x2b\x0e"
 
 
 class NamedDevice(TcpDevice):
-    """Also tells its names, objects 0 to 5; `hear` is called for that question, as for any communication."""
+    """Also gives its names, objects 0 to 5; `hear` is called for that question, as for any communication."""
 
     def __init__(
         self, registers: Answering, names: Sequence[str], hear: Callable[[], None], log: CommandLog, port: int

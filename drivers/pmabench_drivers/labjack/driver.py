@@ -198,7 +198,7 @@ class LabJack(ModbusDevice):
         super().stop()
 
     def _end_stream(self) -> None:
-        """Tell the device and let go; one that does not hear it is stopped at the next start."""
+        """Stop the device and let go; one that does not answer is stopped at the next start."""
         link, self._stream = self._stream, None
         if link is None:
             return
@@ -219,7 +219,7 @@ class LabJack(ModbusDevice):
     # -- digital lines --------------------------------------------------------------------------------------------
 
     def switch(self, output: str, *, on: bool) -> None:
-        """Set a line high or low once, which makes it an output; the terminal tells whether it was done."""
+        """Set a line high or low once, which makes it an output; the level at the terminal shows whether it was done."""
         line, deadline, lost = self._line_of(output), monotonic() + CALL, ""
         try:
             self._put(self._switched(output), float(on), deadline)

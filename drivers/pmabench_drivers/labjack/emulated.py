@@ -23,7 +23,7 @@ from pmabench_drivers.labjack.stream import COUNT, FLASH
 from pmabench_drivers.shared.options import options_of
 
 FAILED = 4
-"""Exception code of whatever LabJack has a code of its own for."""
+"""Exception code of all errors that have a code of LabJack's."""
 SLOPES = ((3.1592e-4, -3.1571e-4, 33511.0), (3.1590e-5, -3.1575e-5, 33498.5))
 """Constants of this device, unlike those of any other: slopes and centre for 10 V and 1 V."""
 DAC_END = 0.993

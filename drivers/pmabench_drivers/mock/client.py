@@ -137,7 +137,7 @@ START_WITHIN = 5.0
 
 
 class MockClient:
-    """A bench whose simulated plant lives in real time in a process of its own (`pmabench_drivers.mock.server`).
+    """A bench whose simulated plant lives in real time in a separate process (`pmabench_drivers.mock.server`).
 
     Channels, outputs, dump valve, digital input and options are those of the driver `mock`
     (`pmabench_drivers.mock.driver.MockBench`), with `pmabench_drivers.mock.options.Service`. The address is
@@ -210,7 +210,7 @@ class MockClient:
         return link, Identity(**answer["identity"])
 
     def _start_process(self) -> None:
-        """Start the server in a session of its own; it returns when the plant is there or says why it is not."""
+        """Start the server in a new session; it returns when the plant is there or says why it is not."""
         import subprocess
 
         server = "pmabench_drivers.mock.server"
@@ -358,7 +358,7 @@ class MockClient:
         return {str(name): value for name, value in self._value("held").items()}
 
     def rescue(self, output: str, value: float) -> None:
-        """Command `value` [device units; 0 and 1 for the valve] over a connection of its own; no retry."""
+        """Command `value` [device units; 0 and 1 for the valve] over a separate connection; no retry."""
         if output not in self._valves:
             output_of(self._device, output, value)
         by = time.monotonic() + PATIENCE

@@ -16,11 +16,11 @@ ANGLE = "angle"
 SENSORS = ("pressure", "displacement", "force", ANGLE)
 """Channel inputs that are measured."""
 INPUTS = ("pressure", "displacement", "force", "supply", "pressure_set", "displacement_set", ANGLE)
-"""All channel inputs; each has a noise of its own by its place here."""
+"""All channel inputs; the noise of each is by its place here."""
 ARM = "arm-30"
 """The plant that is an arm."""
 FREE_LENGTHS = (0.15, 0.40)
-"""Of contractors whose length without load paper 2 tells [m]."""
+"""Of contractors whose length without load is in paper 2 [m]."""
 DUMP_VALVE = "dump_valve"
 """The output that switches the valve."""
 ISOLATION_VALVE = "isolation_valve"
@@ -74,9 +74,9 @@ class SensorError:
     offset: float = 0.0
     """What is added to it then [SI unit of the channel]."""
     reads: str = ""
-    """The input whose raw values it gives instead of its own: swapped plugs. It needs a channel of its own."""
+    """The input whose raw values it gives instead of its own: swapped plugs. That input needs a channel, too."""
     end: str = ""
-    """`low` or `high`: the channel stands at that end of its range: a broken wire, a short."""
+    """`low` or `high`: the channel stays at that end of its range: a broken wire, a short."""
     at: float = 0.0
     """From when on [s], as in `Faults`."""
 

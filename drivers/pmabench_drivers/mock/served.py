@@ -307,7 +307,7 @@ class Served:
         self._bench.write(next(iter(self._outputs)), float(value))
 
     def state(self) -> dict[str, Any]:
-        """How the plant stands, in SI, whatever is wrong with its link and sensors."""
+        """The state of the plant, in SI, whatever is wrong with its link and sensors."""
         simulation = self._bench.simulation()
         faults = {item.name: getattr(simulation.faults, item.name) for item in fields(Faults)}
         return {

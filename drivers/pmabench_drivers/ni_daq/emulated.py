@@ -280,7 +280,7 @@ def _found(known: dict[int, Any], request: Any) -> Answer:
 
 
 def _refuse(grpc: Any, context: Any, refused: Refused) -> None:
-    """An error of NI-DAQmx as the server tells it: its code is next to the answer."""
+    """An error of NI-DAQmx as the server reports it: its code is next to the answer."""
     context.set_trailing_metadata((("ni-error", str(refused.code)),))
     context.abort(grpc.StatusCode.UNKNOWN, str(refused))
 
