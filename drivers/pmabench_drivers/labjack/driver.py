@@ -219,7 +219,7 @@ class LabJack(ModbusDevice):
     # -- digital lines --------------------------------------------------------------------------------------------
 
     def switch(self, output: str, *, on: bool) -> None:
-        """Set a line high or low once, which makes it an output; the level at the terminal shows whether it was done."""
+        """Set a line high or low once, which makes it an output; its terminal shows whether it was done."""
         line, deadline, lost = self._line_of(output), monotonic() + CALL, ""
         try:
             self._put(self._switched(output), float(on), deadline)
