@@ -20,7 +20,7 @@ from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import EMULATED, UNPROVEN, Block, DeviceRecord, Identity
 from pmabench_drivers.labjack import registers as r
 from pmabench_drivers.labjack.registers import Options, read_options
-from pmabench_drivers.labjack.stream import COUNT, FLASH, Gain, Plan, StreamLink, gains
+from pmabench_drivers.labjack.stream import COUNT, FLASH, Gain, StreamLink, gains
 from pmabench_drivers.modbus import ModbusDevice
 from pmabench_drivers.modbus.driver import CALL, OPEN
 from pmabench_drivers.shared.link import Unanswered
@@ -144,7 +144,7 @@ class LabJack(ModbusDevice):
         link = StreamLink(name, self._names, (self._t7.host, self._t7.stream_port), deadline - monotonic(), self._clock)
         try:
             used = self._configure(rate, scans, deadline)
-            link.begin(Plan(used, scans, [self._tables[item.gain] for item in inputs]))
+            link.begin(used, scans, [self._tables[item.gain] for item in inputs])
             self.put(r.STREAM_ENABLE, r.u32(1), deadline, "stream")
         except DeviceError:
             link.close()
