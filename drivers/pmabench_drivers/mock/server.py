@@ -1,4 +1,4 @@
-"""The simulated plant as a process of its own, in real time, behind a loopback socket: `mock-realtime`'s other end.
+"""The simulated plant as a separate process, in real time, behind a loopback socket: `mock-realtime`'s other end.
 
     python -m pmabench_drivers.mock.server --address 127.0.0.1:47807 < device.json
 
