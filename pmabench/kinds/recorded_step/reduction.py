@@ -27,8 +27,10 @@ from pmabench.kinds.recorded_step import RESULTS
 from pmabench.kinds.recorded_step.motion import (
     DAMPING,
     FREQUENCY,
+    PERIODS,
     SHOWN,
     Motion,
+    Swing,
     extremes,
     fit_motion,
     free_swings,
