@@ -133,12 +133,12 @@ def as_sealed(folder: Path) -> bool:
 
 
 def odd(path: Path) -> str:
-    """What a path is that should be a regular file."""
+    """A sentence that says what a path is which should be a regular file."""
     return f"is {kind_of(path.lstat().st_mode)}, which no run contains"
 
 
 def late_folder(folder: Path) -> Path:
-    """Where lies what came late for a run."""
+    """The folder next to a run for files that came after its seal."""
     whole = folder if folder.name not in {"", ".", ".."} else folder.resolve()
     return whole.with_name(whole.name + files.LATE)
 
@@ -294,7 +294,7 @@ def _walk(folder: Path, prefix: str = "") -> Iterator[tuple[str, os.DirEntry[str
 @cache
 def program() -> str:
     """Hash of the code that makes results and reports, of pmabench and of packages that extend it, and of the versions
-    of the libraries that reckon and draw.
+    of the libraries that compute and draw.
     """
     digest = hashlib.sha256()
     root = Path(__file__).resolve().parents[1]

@@ -32,7 +32,7 @@ def truth(cause: str, size: float) -> Truth:
     right: Truth = {("t_d", "", 0.0): (DEAD, DEAD)}
     stuck = 2 * amount / K if cause == "friction" else 0.0
     more = 1 + (amount if cause == "creep" else 0.0)
-    bend = 0.5 * amount if cause == "bend" else 0.0
+    bend = amount if cause == "bend" else 0.0
     for before, way in ((LOW, WAY), (HIGH, -WAY)):
         ends = sorted((way * more - stuck, way * more + stuck)) if not bend else sorted(_bent_way(amount, way))
         right["t_d", "", before] = (DEAD, DEAD)
@@ -41,7 +41,7 @@ def truth(cause: str, size: float) -> Truth:
         size_P = (HIGH - LOW) * (1 if way > 0 else -1)
         slopes = sorted(size_P / end for end in ends)
         right["dP/dx", "", before] = (slopes[0], slopes[1])
-        right["K", "", before] = (K * (1 - bend), K * (1 + bend))
+        right["K", "", before] = (K * (1 + bend / 2 - 2 * bend * _rest(HIGH, bend) / WAY), K * (1 + bend / 2))
         right["B", "", before] = (B, B)
     return right
 

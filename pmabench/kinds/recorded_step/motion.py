@@ -119,6 +119,8 @@ class Swing:
     w: float
     D: float
     size: float
+    at: float
+    """Its middle [s from the step]."""
 
 
 def free_swings(t: Array, P: Array, x: Array, known: Motion, noise: float) -> list[Swing]:
@@ -131,17 +133,18 @@ def free_swings(t: Array, P: Array, x: Array, known: Motion, noise: float) -> li
         rows = (t > begin) & (t <= begin + length)
         if np.count_nonzero(rows) < FEWEST or (found and found[-1].size < CLEAR * noise):
             break
-        found.append(_free(t[rows] - begin, x[rows], known))
+        found.append(_free(t[rows], x[rows], known))
         begin += length
     return found
 
 
 def _free(t: Array, x: Array, known: Motion) -> Swing:
-    """Least squares of end + (A cos + B sin) of a decaying swing; end, A and B follow linearly."""
+    """Of one stretch: least squares of end + (A cos + B sin) of a decaying swing; end, A and B follow linearly."""
+    since = t - t[0]
 
     def shapes(p: Array) -> Array:
-        decay, turn = np.exp(-np.exp(p[0]) * t), np.exp(p[1]) * t
-        return np.column_stack([np.ones(len(t)), decay * np.cos(turn), decay * np.sin(turn)])
+        decay, turn = np.exp(-np.exp(p[0]) * since), np.exp(p[1]) * since
+        return np.column_stack([np.ones(len(since)), decay * np.cos(turn), decay * np.sin(turn)])
 
     def misfit(p: Array) -> Array:
         return np.asarray(shapes(p) @ np.linalg.lstsq(shapes(p), x, rcond=None)[0] - x) / max(float(np.ptp(x)), 1e-9)
@@ -150,7 +153,7 @@ def _free(t: Array, x: Array, known: Motion) -> Swing:
     terms = np.linalg.lstsq(shapes(solved.x), x, rcond=None)[0]
     rate, turn = (float(value) for value in np.exp(solved.x))
     w = float(np.hypot(rate, turn))
-    return Swing(w, rate / w, float(np.hypot(*terms[1:]) * np.exp(-rate * t[-1] / 2)))
+    return Swing(w, rate / w, float(np.hypot(*terms[1:]) * np.exp(-rate * since[-1] / 2)), float(t.mean()))
 
 
 def respond(t: Array, at: Array, jumps: Array, w: float, D: float) -> Array:

@@ -25,6 +25,7 @@ from pmabench.analysis.verdict.offers import Offer, everywhere, values_of
 from pmabench.base.quantities import show
 from pmabench.kinds.recorded_step import RESULTS
 from pmabench.kinds.recorded_step.motion import (
+    CLEAR,
     DAMPING,
     FREQUENCY,
     PERIODS,
@@ -60,7 +61,9 @@ ILL_FITTED = 0.1
 INSTEAD = "with a column of force or the load, a map of `kind: contraction-relaxation` gives K from such steps"
 ONCE = "no repeats part: one step only"
 STOPPED = 0.3
-"""Share of the swing to expect after a stretch below which friction has stopped it."""
+"""Share of the swing that the motion should have, below which friction has stopped it."""
+SWUNG = 7.0
+"""After so many times its time of decay a swing is over: a thousandth is left."""
 SHIFTS = 4
 OVERSHOOT = 0.05
 
@@ -307,16 +310,6 @@ def _at(
     ]
 
 
-def _without_friction(first: Swing, second: Swing, mass: float) -> float:
-    """B [N s/m] of two stretches of free swinging: dry friction adds c/size, so a line over 1/size is B without it."""
-    big, small = first.size, second.size
-    if small > (1 - STOPPED) * big:
-        return 2 * mass * first.D * first.w
-    stopped = small < STOPPED * big * np.exp(-2 * np.pi * PERIODS * first.D)
-    B = [2 * mass * one.D * one.w for one in (first, second)]
-    return 0.0 if stopped else (B[0] * big - B[1] * small) / (big - small)
-
-
 def _unsettled(steps: Sequence[Step]) -> list[Doubt]:
     """What the contraction still moves before the step and after it, as a share of the stroke."""
     stroke = abs(float(np.mean([step.stroke for step in steps])))
@@ -324,7 +317,8 @@ def _unsettled(steps: Sequence[Step]) -> list[Doubt]:
     for name, side in (("before the step", -1), ("after the step", 1)):
         holds = []
         for step in steps:
-            rows = step.t < 0 if side < 0 else step.t > AFTER
+            swung = SWUNG / (step.best.D * step.best.w)
+            rows = step.t < 0 if side < 0 else step.t > min(max(AFTER, swung), step.t[-1] - 1.0)
             t, x = step.t[rows], step.x[rows] * np.sign(step.stroke)
             holds.append(Held.of(t, x, max(float(t[0]), float(t[-1]) - 1.0)))
         further = left(holds)
@@ -380,24 +374,35 @@ def _muscle(
 
 
 def _free_doubts(symbol: str, value: float, wide: float, steps: Sequence[Step], masses: Sequence[float]) -> list[Doubt]:
-    """What the free swinging after the step says against K or B: it knows no time of the pressure."""
-    others = []
+    """What the free swinging after the step says against K or B, beyond the range `wide`: it knows no times."""
+    others, stopped = [], False
     for step, mass in zip(steps, masses, strict=True):
-        after = step.t > 0
-        swings = free_swings(step.t[after], step.P[after], step.x[after], step.best, step.noise)[:2]
+        after, best = step.t > 0, step.best
+        swings = free_swings(step.t[after], step.P[after], step.x[after], best, step.noise)[:2]
+        expected = [abs(step.stroke) * np.exp(-best.D * best.w * one.at) for one in swings]
+        sizes = [(one.size, size) for one, size in zip(swings, expected, strict=True) if size > CLEAR * step.noise]
+        stopped = stopped or any(size < STOPPED * more for size, more in sizes)
         if symbol == "K":
-            others += [mass * one.w**2 for one in swings[:1]]
-        elif len(swings) > 1:
+            others += [mass * one.w**2 for one in swings[:1] if one.size > CLEAR * step.noise]
+        elif len(sizes) > 1:
             others.append(_without_friction(swings[0], swings[1], mass))
-    apart = abs(float(np.mean(others)) - value) if others else 0.0
-    if apart <= wide:
-        return []
-    unit, why = (
-        ("stiffness", "its curve is bent, or the pressure is later than was said") if symbol == "K"
-        else ("damping", "dry friction, for the swing dies along a line")
-    )  # fmt: skip
-    text = f"the free swinging after the step gives a {symbol} that differs by {show(apart, unit, 2)}"
-    return [Doubt("free swinging", "method", apart, seen=True, reason=f"{text}: {why}; {INSTEAD}")]
+    unit = "stiffness" if symbol == "K" else "damping"
+    apart = abs(float(np.mean(others)) - value) - wide if others else 0.0
+    text = f"the free swinging after the step gives a {symbol} that is {show(apart, unit, 2)} outside of its range"
+    why = "the curve is bent, or the pressure is later than was said"
+    if symbol == "B":
+        why = "friction does not grow with the speed, for small swings die faster"
+    if stopped:
+        apart, text = abs(value), "the swinging after the step ends early"
+        why = "dry friction holds it, and this form has none"
+    return [Doubt("free swinging", "method", apart, seen=True, reason=f"{text}: {why}; {INSTEAD}")] if apart > 0 else []
+
+
+def _without_friction(first: Swing, second: Swing, mass: float) -> float:
+    """B [N s/m] of two stretches of free swinging: dry friction adds c/size, so a line over 1/size is B without it."""
+    big, small = first.size, second.size
+    one, other = (2 * mass * swing.D * swing.w for swing in (first, second))
+    return (one * big - other * small) / (big - small) if big > small else one
 
 
 def _ill_fitted(step: Step) -> str:
