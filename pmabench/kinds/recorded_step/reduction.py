@@ -28,7 +28,6 @@ from pmabench.kinds.recorded_step.motion import (
     CLEAR,
     DAMPING,
     FREQUENCY,
-    PERIODS,
     SHOWN,
     Motion,
     Swing,
