@@ -21,7 +21,7 @@ COVERED = 0.93
 CLEAN_WITHHELD = 0.02
 SEEDS = {
     "free-contraction": 16, "isometric-pressurisation": 16, "step-displacement": 8, "gain-steps": 4, "relay": 4,
-    "closed-volume": 2, "recorded-sine": 3, "recorded-step": 1,
+    "closed-volume": 2, "recorded-sine": 3, "recorded-step": 1, "arm-angle": 2,
 }  # fmt: skip
 """Sound campaigns in CI; open-loop steps take longer and are a study, and `test_open_loop` has some."""
 STUDIED = 34
@@ -82,6 +82,9 @@ def test_values_of_sound_tests_hold_the_truth_and_nothing_is_withheld(kind: str,
         ("recorded-step", "creep", 1.0, "the contraction is not at rest"),
         ("recorded-step", "friction", 0.5, "dry friction holds it"),
         ("recorded-step", "bend", 1.0, "outside of its range"),
+        ("arm-angle", "creep", 1.0, "the angle is not at rest"),
+        ("arm-angle", "slip", 1.0, "a cable or a mount slips"),
+        ("arm-angle", "other-curve", 1.0, "it is another curve"),
         ("step-displacement", "creep", 1.0, "the force is not at rest"),
         ("step-displacement", "two-times", 1.0, "it is not one exponential"),
         ("step-displacement", "cell-drift", 1.0, "the force is not at rest"),
