@@ -13,7 +13,7 @@ from pathlib import Path
 
 from pmabench.base.quantities import show
 from pmabench.bench.compile import Mounted
-from pmabench.bench.files import Reading
+from pmabench.bench.files.specimen import Reading
 from pmabench.bench.interface import ChannelRecord, DeviceRecord, SafeAction, TripRecord
 from pmabench.bench.safety import RATE_OF
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from pmabench.base.errors import InvalidFile, did_you_mean
 from pmabench.base.quantities import CHANNEL_QUANTITY, show
 from pmabench.bench.compilation import Compilation
-from pmabench.bench.files import CalibrationFile
+from pmabench.bench.files.specimen import CalibrationFile
 from pmabench.bench.interface import CalibrationRecord, ChannelRecord, OutputRecord, Scale, ValveRecord
 from pmabench.files.document import Location, document_text, read_document, validate
 from pmabench.files.quantity import unit_factor

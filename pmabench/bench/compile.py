@@ -17,7 +17,8 @@ from pmabench.base.errors import InvalidFile, Problem
 from pmabench.bench.channels import NAME, channels, outputs, valves
 from pmabench.bench.compilation import Compilation
 from pmabench.bench.driver_options import checked
-from pmabench.bench.files import BenchFile, DeviceFile, SpecimenFile
+from pmabench.bench.files.bench import BenchFile, DeviceFile
+from pmabench.bench.files.specimen import SpecimenFile
 from pmabench.bench.interface import ChannelRecord, CompiledBench, DeviceRecord, OutputRecord, SafeAction, ValveRecord
 from pmabench.bench.registry import HARDWARE, driver_class
 from pmabench.bench.remarks import lacks, mistaken

@@ -37,7 +37,7 @@ Piece = list[float]
 
 @dataclass(frozen=True)
 class Plant:
-    """A plant file that is right: its numbers (SI, and coefficients as they were printed), and its text."""
+    """A valid plant file: its numbers (SI, and coefficients as they were printed), and its text."""
 
     numbers: dict[str, Any]
     text: str

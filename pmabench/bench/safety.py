@@ -9,7 +9,8 @@ from collections.abc import Iterator, Mapping
 
 from pmabench.base.quantities import CHANNEL_QUANTITY, show
 from pmabench.bench.compilation import Compilation
-from pmabench.bench.files import LimitFile, Reading, SafeActionFile, WatchFile
+from pmabench.bench.files.bench import LimitFile, SafeActionFile, WatchFile
+from pmabench.bench.files.specimen import Reading
 from pmabench.bench.interface import (
     ChannelRecord,
     InterlockRecord,

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 from pmabench.base.errors import InvalidFile, Problem
 from pmabench.base.quantities import CHANNEL_QUANTITY
 from pmabench.bench.channels import fit_line
-from pmabench.bench.driver_options import DBC, LONGEST, MAP
+from pmabench.bench.driver_options import DBC, LONGEST, MAP, loaded
 from pmabench.bench.files.plant import ActuatorFile, DeviceTruth, Line, TruthFile
 from pmabench.bench.interface import ChannelRecord, DeviceRecord, InterlockRecord, OutputRecord, Scale, ValveRecord
 from pmabench.bench.records import Plug, Truth, Wired
@@ -155,9 +154,8 @@ def _text(path: Path) -> str:
 
 def _refused_by_driver(device: _Device, record: DeviceRecord) -> Iterator[Problem]:
     """What the driver finds wrong with the options and the names of terminals."""
-    module, _, name = record.driver.partition(":")
     try:
-        check = getattr(getattr(import_module(module), name), "check", None)
+        check = getattr(loaded(record.driver), "check", None)
     except (ImportError, AttributeError) as error:
         yield device.document.problem((*device.at, "driver"), f"the driver cannot be loaded: {error}")
         return

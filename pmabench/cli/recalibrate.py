@@ -136,7 +136,7 @@ def _named(text: str, runs: Sequence[RunData]) -> tuple[str, Path]:
 
 
 def _quantity(file: Path) -> str:
-    from pmabench.bench.files import CalibrationFile
+    from pmabench.bench.files.specimen import CalibrationFile
     from pmabench.files.document import read_document, validate
 
     return validate(CalibrationFile, read_document(file)).quantity

@@ -86,8 +86,9 @@ def _of_models(kind: str) -> dict[str, Any]:
 
     from pydantic import BaseModel, Field, TypeAdapter
 
-    from pmabench.bench.files import BenchFile, CalibrationFile, SpecimenFile
+    from pmabench.bench.files.bench import BenchFile
     from pmabench.bench.files.plant import AnyPlant, FaultsFile, TruthFile
+    from pmabench.bench.files.specimen import CalibrationFile, SpecimenFile
     from pmabench.kinds import registry
     from pmabench.kinds.campaign import CampaignFile
     from pmabench.kinds.compile import kind_class

@@ -199,16 +199,7 @@ class Trace(NamedTuple):
 
     def rate(self, t: float) -> float:
         """Rate of change at time t [s]."""
-        since, rate = t - self.start, self.slope
-        if self.decay:
-            rate -= self.decay / self.lag * math.exp(-since / self.lag)
-        if self.omega:
-            turn = self.omega * since
-            rate += self.omega * (self.sin_part * math.cos(turn) - self.cos_part * math.sin(turn))
-        for fade, omega, a, b in self.modes:
-            cosine, sine = math.cos(omega * since), math.sin(omega * since)
-            rate += math.exp(fade * since) * ((fade * a + omega * b) * cosine + (fade * b - omega * a) * sine)
-        return rate
+        return float(self.rates(np.array([t]))[0])
 
     def function(self) -> Callable[[float], float]:
         """The value over s = t - start [s], made for being called some thousand times."""

@@ -80,7 +80,7 @@ def tasks_below(given: Sequence[Path]) -> list[Task]:
     for folder in given:
         for run in (folder.is_dir() and runs_below(folder)) or [folder]:
             places.setdefault(run, run.relative_to(folder).as_posix() if run != folder else folder.resolve().name)
-    chains = {run: _chain(run) for run in places}
+    chains = {run: chain_of(run) for run in places}
     continued = {before.resolve() for chain in chains.values() for before in chain[:-1]}
     taken: set[str] = set()
     tasks = []
@@ -96,7 +96,7 @@ def tasks_below(given: Sequence[Path]) -> list[Task]:
     return tasks
 
 
-def _chain(run: Path) -> tuple[Path, ...]:
+def chain_of(run: Path) -> tuple[Path, ...]:
     """The run and those before it as their manifests name them; who opens it reports what is wrong with a link."""
     chain = [run]
     with suppress(InvalidFile, KeyError, TypeError):
@@ -237,6 +237,8 @@ def _read(folder: Path) -> Row:
         size = sum(int(entry["bytes"]) for entry in seal.get("files", {}).values())
         with suppress(OSError):
             size += (folder / files.SEAL).stat().st_size
+    link = manifest.get("continues")
+    done = link.get("trials_done") if isinstance(link, Mapping) else None
     names: list[str] = []
     with suppress(OSError):
         names = [entry.name for entry in added(folder, seal)] if seal else []
@@ -251,11 +253,11 @@ def _read(folder: Path) -> Row:
         why=str(found.get("why") or ""),
         simulated=bool(manifest.get("simulated")),
         trials_finished=int(found.get("trials_finished") or 0),
-        trials_before=_before(manifest.get("continues")),
+        trials_before=len(set(map(str, done))) if isinstance(done, list) else 0,
         trials_planned=int(found.get("trials_planned") or 0),
         duration=found.get("duration"),
         size=size,
-        continues=_continued(manifest.get("continues")),
+        continues=str(link.get("run") or "") if isinstance(link, Mapping) else "",
         added=tuple(names),
         late=tuple(late_files(folder)) if seal else (),
     )
@@ -265,15 +267,6 @@ def _events(folder: Path) -> bytes:
     with suppress(InvalidFile):
         return files.read_file(folder, files.EVENTS) if files.is_regular(folder / files.EVENTS) else b""
     return b""
-
-
-def _continued(link: Any) -> str:
-    return str(link.get("run") or "") if isinstance(link, Mapping) else ""
-
-
-def _before(link: Any) -> int:
-    done = link.get("trials_done") if isinstance(link, Mapping) else None
-    return len({str(trial) for trial in done}) if isinstance(done, list) else 0
 
 
 def _label(value: Any) -> str:
@@ -294,7 +287,7 @@ def _load(path: Path) -> dict[str, tuple[str, Row]]:
 
 
 def _row(kept: dict[str, Any]) -> Row:
-    """JSON has lists where a row has tuples."""
+    """A row from the cache, where JSON has lists for tuples."""
     kept |= {name: tuple(value) for name, value in kept.items() if isinstance(value, list)}
     return Row(**kept)
 

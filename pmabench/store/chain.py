@@ -55,7 +55,7 @@ def finished_trials(folder: Path) -> list[int]:
 
 
 def _finished(runs: Sequence[RunData]) -> list[int]:
-    """A reference trial that was done again is none of the plan's."""
+    """Indices of finished trials; a reference trial that was done again is not part of the plan."""
     return [t.index for run in runs for t in run.trials if t.status == "finished" and not t.again]
 
 
@@ -106,7 +106,7 @@ def _place(run: RunData) -> Path:
 
 
 def _load(folder: Path, anew: Recalibration | None = None) -> tuple[RunData, ...]:
-    """The chain with what superseded what, and no exclusions."""
+    """The chain with superseded trials marked; exclusions are not applied."""
     runs = [open_run(folder, honour_notes=False, anew=anew)]
     while (link := runs[0].manifest.get("continues")) is not None:
         path = Path(runs[0].path)

@@ -235,7 +235,7 @@ def status_of(manifest: Mapping[str, Any], seal: Mapping[str, Any] | None) -> st
 
 
 def this_process() -> dict[str, Any]:
-    """What no other process of this machine has, before and after; empty where Linux does not say."""
+    """What identifies this process among all of this machine, also later ones; empty where Linux does not say."""
     fields = _process(os.getpid())
     return {"pid": os.getpid(), "started": fields[1], "boot": _boot()} if fields else {}
 
@@ -318,22 +318,27 @@ class Copy:
     """What its bytes must be; a file that was changed is not copied."""
 
 
+def copy_file(source: Path, target: Path) -> tuple[str, int]:
+    """Copy a file, synced; the sha256 and the size [bytes] of what was copied. Raises OSError."""
+    digest = hashlib.sha256()
+    with source.open("rb") as old, target.open("wb") as new:
+        while piece := old.read(1 << 22):
+            digest.update(piece)
+            new.write(piece)
+        new.flush()
+        os.fsync(new.fileno())
+        return digest.hexdigest(), new.tell()
+
+
 def copy_whole(path: Path, source: Copy) -> None:
     """Copy a file so that it is there whole or not at all, and synced.
 
     Raises OSError, or InvalidFile where it is not what it was.
     """
     part = part_of(path)
-    digest = hashlib.sha256()
     try:
-        with source.path.open("rb") as old, part.open("wb") as file:
-            while piece := old.read(1 << 22):
-                digest.update(piece)
-                file.write(piece)
-            if digest.hexdigest() != source.sha256:
-                raise invalid(source.path, "was changed while it was read")
-            file.flush()
-            os.fsync(file.fileno())
+        if copy_file(source.path, part)[0] != source.sha256:
+            raise invalid(source.path, "was changed while it was read")
         part.replace(path)
     except (OSError, InvalidFile):
         with suppress(OSError):
@@ -408,7 +413,7 @@ class Journal:
 
 
 def decode_lines(raw: bytes, seq: int = 0, crc: int = 0) -> Journal:
-    """Every whole line from the start on; nothing after a bad one is believed.
+    """Every whole line from the start on; nothing after a bad line is taken.
 
     Where `raw` goes on after lines that were read before, `seq` is their number and `crc` that of the last of them.
     """

@@ -165,14 +165,8 @@ def _names(attach: Sequence[Path]) -> list[str]:
 
 
 def _copy(source: Path, part: Path, name: str) -> dict[str, Any]:
-    digest, size = hashlib.sha256(), 0
-    with source.open("rb") as given, (part / name).open("xb") as kept:
-        while piece := given.read(1 << 20):
-            digest.update(piece)
-            size += kept.write(piece)
-        kept.flush()
-        os.fsync(kept.fileno())
-    return {"name": name, "given": source.name, "sha256": digest.hexdigest(), "bytes": size}
+    digest, size = files.copy_file(source, part / name)
+    return {"name": name, "given": source.name, "sha256": digest, "bytes": size}
 
 
 def _write_head(run: Path, manifest: Mapping[str, Any], count: int, last: str) -> None:
@@ -182,7 +176,7 @@ def _write_head(run: Path, manifest: Mapping[str, Any], count: int, last: str) -
 
 @contextmanager
 def _alone(run: Path) -> Iterator[None]:
-    """One note at a time, where the system has locks on folders."""
+    """Lock the run folder, so that one note is written at a time, where the system has such locks."""
     if sys.platform == "win32":
         yield
         return

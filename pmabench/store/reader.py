@@ -113,7 +113,7 @@ def _since(folder: RunFiles) -> Since:
 
 
 def _reaches(stream: Samples) -> float:
-    """Until when a stream is recorded for certain [s]."""
+    """Time up to which a stream is certainly recorded [s]."""
     return float(stream.t[-1]) + 2.0 / stream.rate if len(stream.t) and stream.rate > 0 else -np.inf
 
 
@@ -174,7 +174,7 @@ class Samples:
 
     @classmethod
     def none(cls, name: str) -> Samples:
-        """No sample of no channel."""
+        """A stream without channels and samples."""
         none = np.empty(0, np.int64)
         return cls(name, 0.0, none, np.empty(0), {}, {}, {}, {}, np.empty(0, np.uint16), False, ClockInfo())
 
@@ -230,7 +230,7 @@ class RunFiles:
         return {**data, **{key: self.seal.get(key) for key in kept}}
 
     def guard(self) -> dict[str, Any]:
-        """How the guard process vented the bench after the program had died; empty where it had not to."""
+        """How the guard process vented the bench after the program had died; empty where it did not."""
         if not self.has(files.GUARD):
             return late_guard(self.path) if self.seal is None else {}
         try:
@@ -290,7 +290,7 @@ def _clock(name: str, events: tuple[Event, ...], arrivals: list[tuple[int, int]]
 
 
 def _in_si(table: Any, about: Mapping[str, Any], clock: ClockInfo, whole: bool) -> Samples:
-    """Device time becomes time of the run, raw values become SI."""
+    """The samples of a table with the time of the run instead of the device's, and in SI."""
     columns = {name: numbers(table.column(name).combine_chunks()) for name in table.column_names}
     time_ns = columns.pop(TIME)
     flags = columns.pop(FLAGS)
@@ -359,7 +359,7 @@ class NewScale:
 
 @dataclass(frozen=True)
 class Recalibration:
-    """What is to be taken otherwise than it was recorded."""
+    """Scales and shifts in time that replace those of the record."""
 
     scales: Mapping[str, NewScale] = field(default_factory=dict)
     """By channel."""
@@ -452,7 +452,7 @@ def channel_for(runs: Sequence[RunData], quantity: str, name: str = "") -> str:
 
 
 def refuse_loops(runs: Sequence[RunData], loops: Collection[str]) -> None:
-    """Raise InvalidFile for runs whose results rest on what a loop did with the values that it was given.
+    """Raise InvalidFile for runs whose results depend on what a control loop did with the values that it measured.
 
     `loops`: the kinds of test whose loop acts on calibrated values.
     """

@@ -289,7 +289,7 @@ def trial_spans(events: Sequence[Event]) -> list[tuple[float, float]]:
 
 
 def _cuts(events: Sequence[Event]) -> list[_Cut]:
-    """What belongs together: a command or finding of a trial goes to its latest beginning, or to the one to come."""
+    """Events grouped by trial: a command or finding belongs to the latest begin of its trial, or to the next."""
     cuts: list[_Cut] = []
     latest: dict[Any, _Cut] = {}
     for event in events:

@@ -191,7 +191,7 @@ def write_into_room(path: Path, content: bytes) -> None:
 
 
 def _reserve(path: Path, size: int) -> None:
-    """A file that has `size` bytes of the disk for itself."""
+    """Make a file for which `size` bytes of the disk are reserved."""
     fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), 0o644)
     try:
         if not _allocated(fd, size):

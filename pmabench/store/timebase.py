@@ -151,7 +151,7 @@ def _shortest(x: Array, delay: Array) -> Array:
 
 @dataclass(frozen=True)
 class Sampling:
-    """Of all intervals between neighbouring samples of the trials."""
+    """How evenly a run was sampled: statistics of the intervals between neighbouring samples of all trials."""
 
     rows: int
     rate: float
@@ -169,7 +169,7 @@ class Sampling:
 
 
 def sampling(trials: Sequence[TrialData]) -> Sampling | None:
-    """None where no trial has two samples."""
+    """Rate, jitter and gaps over all trials; None where no trial has two samples."""
     trials = [trial for trial in trials if len(trial.t) > 1]
     if not trials:
         return None

@@ -56,11 +56,11 @@ def _verify(folder: Path) -> list[Finding]:
     manifest = _or_finding(found, files.MANIFEST, lambda: files.read_manifest(folder)) or {}
     seal = _or_finding(found, files.SEAL, lambda: files.read_seal(folder))
     if seal is not None:
-        found += _sealed_files(folder, seal)
+        found += _changed(folder, {name: (entry["sha256"], entry["bytes"]) for name, entry in seal["files"].items()})
     else:
         if not os.path.lexists(folder / files.SEAL):
             found.append(Finding(files.SEAL, f"is missing: the run is {files.status_of(manifest, None)}"))
-        found += _snapshots(folder, manifest)
+        found += _changed(folder, {name: (digest, None) for name, digest in manifest.get("snapshots", {}).items()})
         found += [Finding(name, odd(path)) for name, path in files.files_of(folder) if not files.is_regular(path)]
     found += _events(folder, seal)
     found += _streams(folder, seal)
@@ -80,19 +80,11 @@ def _or_finding(found: list[Finding], name: str, read: Callable[[], dict[str, An
         return None
 
 
-def _sealed_files(folder: Path, seal: Mapping[str, Any]) -> Iterator[Finding]:
-    for name, entry in sorted(seal["files"].items()):
-        yield from _same_bytes(folder, name, entry["sha256"], entry["bytes"])
-
-
-def _snapshots(folder: Path, manifest: Mapping[str, Any]) -> Iterator[Finding]:
-    for name, digest in sorted(manifest.get("snapshots", {}).items()):
-        yield from _same_bytes(folder, name, digest)
-
-
-def _same_bytes(folder: Path, name: str, digest: str, size: int | None = None) -> Iterator[Finding]:
-    if fault := fault_of(folder, name, digest, size):
-        yield Finding(name, fault)
+def _changed(folder: Path, known: Mapping[str, tuple[str, int | None]]) -> Iterator[Finding]:
+    """Files that are not as they were; `known`: name -> sha256 and bytes, where these are known."""
+    for name, (digest, size) in sorted(known.items()):
+        if fault := fault_of(folder, name, digest, size):
+            yield Finding(name, fault)
 
 
 def _read(folder: Path, seal: Mapping[str, Any] | None, name: str) -> bytes:

@@ -29,65 +29,6 @@ from pmabench.store import folder as files
 from pmabench.store.livestream import LiveStream, describe
 from pmabench.store.seal import free_for_events, keep_room, seal
 
-README_TEXT = """\
-A run of pmabench: what one execution of one plan commanded, measured and found.
-
-manifest.json      what, when, with which versions; who operated; hashes of the copied files
-plan.json, *.yaml  the plan and the files that it was compiled from, as they were
-events.jsonl       one JSON object per line: commands, trials, findings, the end
-streams/           samples: NAME.parquet (closed run) or NAME.arrows (running or interrupted), NAME.json (columns)
-guard.json         only where the program died: how the bench was vented after that
-seal.json          status, and sha256 of every file; a run without it did not end by itself
-notes/             what was noted since, also which trials are left out of fits and why; with hashes of its own
-
-Samples are stored as the device gave them; SI = slope * raw + offset, with the scale of each column in NAME.json.
-time_ns is the device's clock in nanoseconds; flags tell per sample what is wrong (0: nothing; 1 gap before,
-2 late, 4 overrange, 8 stale, 16 time jump, 32 dropout, 64 slack, 128 suspect; bits add up). Where host_ns is told
-(when the last sample of a batch came in, on the host's clock; in a closed run the metadata "arrivals" of the Parquet
-file, pairs of device and host clock), streams of several devices have clocks that differ in offset and drift.
-
-Closed run, Python with pandas and pyarrow, from inside this folder:
-
-    import json, pathlib, pandas
-    stream = sorted(pathlib.Path("streams").glob("*.parquet"))[0]
-    frame = pandas.read_parquet(stream)
-    for column in json.loads(stream.with_suffix(".json").read_text("utf-8"))["columns"]:
-        scale = column["scale"]
-        frame[column["name"]] = frame[column["name"]] * scale["slope"] + scale["offset"]
-    frame["t"] = frame["time_ns"] / 1e9
-
-Running or interrupted run, Python with pyarrow; stops at the last whole batch, checks each:
-
-    import pathlib, zlib, pyarrow
-    data = sorted(pathlib.Path("streams").glob("*.arrows"))[0].read_bytes()
-    batches, end, head = [], b"0", zlib.crc32(data[:8 + int.from_bytes(data[4:8], "little")])
-    reader = pyarrow.ipc.open_stream(data)
-    try:
-        while end == b"0":
-            batch, note = reader.read_next_batch_with_custom_metadata()
-            batch.validate(full=True)
-            told = b"%d %s %s%s" % (len(batches), note[b"rows"], note[b"end"], note.get(b"host_ns", b""))
-            crc = zlib.crc32(told, head)
-            for column in batch.columns: crc = zlib.crc32(column.to_numpy(), crc)
-            if crc != int(note[b"crc32"], 16): raise ValueError("its crc32 does not fit")
-            batches.append(batch); end = note[b"end"]
-    except Exception as torn: print("stopped before the first batch that is not whole:", repr(torn))
-    table = pyarrow.Table.from_batches(batches, reader.schema)
-
-Closed run, MATLAB (R2019a or newer), from inside this folder:
-
-    found = dir(fullfile("streams", "*.parquet"));
-    name = fullfile(found(1).folder, found(1).name);
-    T = parquetread(name);
-    about = jsondecode(fileread(replace(name, ".parquet", ".json")));
-    for k = 1:numel(about.columns)
-        c = about.columns(k);
-        T.(c.name) = double(T.(c.name)) * c.scale.slope + c.scale.offset;
-    end
-    T.t = double(T.time_ns) / 1e9;
-"""
-
-
 FLUSH_EVERY = 0.05
 """Samples go to the operating system after so long [s of wall clock]."""
 SYNC_EVERY = 1.0
@@ -144,7 +85,7 @@ class RunWriter:
         does not say of id, schema, start, versions and hashes is added. Leaves nothing behind where it fails.
         """
         contents = {files.check_name(key): value for key, value in snapshots.items()}
-        contents[files.README] = README_TEXT.encode()
+        contents[files.README] = Path(__file__).with_name("readme.txt").read_bytes()
         made_parent = not parent.exists()
         folder = parent / files.check_name(name)
         made = False
@@ -263,13 +204,13 @@ class RunWriter:
             raise self._failure
 
     def _pump(self) -> None:
-        """A thread: hands samples over; never waits for the disk itself."""
+        """A thread: hands samples to the operating system, and does not wait for the disk."""
         while not self._stop.wait(FLUSH_EVERY):
             if not self._dare([(stream.file.path, stream.drain) for stream in list(self._streams.values())]):
                 return
 
     def _sync(self) -> None:
-        """A thread: lets what was handed over survive a power cut."""
+        """A thread: syncs what was handed over, so that it survives a power cut."""
         while not self._stop.wait(SYNC_EVERY):
             self._syncing = time.monotonic()
             streams = [stream.file for stream in list(self._streams.values())]
@@ -278,7 +219,7 @@ class RunWriter:
             self._syncing = None
 
     def _dare(self, acts: Sequence[tuple[Path, Callable[[], None]]]) -> bool:
-        """Whether all could be done; whatever fails: the run is not being recorded, and its engine must know."""
+        """Whether all acts succeeded; any failure means that the run is not recorded, and is kept for its engine."""
         for path, act in acts:
             try:
                 act()
@@ -343,7 +284,7 @@ class RunWriter:
 
 
 def _with(failure: RecordError, status: str, why: str) -> str:
-    """Why a run ends that could not be written, with what it would have ended by; nothing is said twice."""
+    """The failure of the record with the status and cause that the run had before it; nothing is repeated."""
     return why if why.startswith(str(failure)) else f"{failure}; before that: {status} {why}".rstrip()
 
 

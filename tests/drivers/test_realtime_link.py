@@ -14,8 +14,7 @@ from pathlib import Path
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from pmabench_drivers.mock.client import MockClient
-from pmabench_drivers.mock.wire import Inbox, Link, encode, parse_address
+from pmabench_drivers.mock.client import Inbox, Link, MockClient, encode, parse_address
 
 from pmabench.base.clock import RealClock, VirtualClock
 from pmabench.base.errors import DeviceError

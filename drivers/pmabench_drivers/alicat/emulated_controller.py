@@ -8,7 +8,7 @@ from time import monotonic
 
 from pmabench.bench.interface import DeviceRecord
 from pmabench_drivers.alicat.options import MCD, UNITS, Options
-from pmabench_drivers.emulator.log import CommandLog
+from pmabench_drivers.emulator.faults import CommandLog
 from pmabench_drivers.emulator.plant import RealPlant
 
 FULL_SCALE = 1.0e6

@@ -13,8 +13,18 @@ from pmabench.bench.interface import DeviceRecord
 from pmabench_drivers.alicat.emulated_commands import Commands
 from pmabench_drivers.alicat.emulated_controller import Controller
 from pmabench_drivers.alicat.options import ASCII, read_options
-from pmabench_drivers.emulator.faults import IGNORE, LINK, MODBUS, OVER, RESTART, SETPOINT, STATUS, STUCK, Faults
-from pmabench_drivers.emulator.log import CommandLog
+from pmabench_drivers.emulator.faults import (
+    IGNORE,
+    LINK,
+    MODBUS,
+    OVER,
+    RESTART,
+    SETPOINT,
+    STATUS,
+    STUCK,
+    CommandLog,
+    Faults,
+)
 from pmabench_drivers.emulator.modbus_server import ADDRESS, VALUE, Refused, Request, RtuDevice, read_cells
 from pmabench_drivers.emulator.plant import RealPlant
 from pmabench_drivers.emulator.ports import OnTerminal

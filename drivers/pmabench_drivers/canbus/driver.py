@@ -12,10 +12,9 @@ from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import COMPUTER, EMULATED, UNPROVEN, Block, DeviceRecord, Identity, OutputRecord, Segment
 from pmabench_drivers.canbus import frames as f
 from pmabench_drivers.canbus.drive import Drive
-from pmabench_drivers.canbus.link import Link, open_adapter
+from pmabench_drivers.canbus.link import Link, Rows, Signals, open_adapter
 from pmabench_drivers.canbus.node import Node, Transducer
 from pmabench_drivers.canbus.options import READY, Options, read_options
-from pmabench_drivers.canbus.rows import Rows, Signals
 from pmabench_drivers.shared.device import Driver, refuse_nonsense, stepped
 from pmabench_drivers.shared.link import opened
 from pmabench_drivers.shared.options import Reader

@@ -16,17 +16,25 @@ from typing import Any
 
 from pmabench.base.errors import UsageError
 from pmabench.bench.interface import ChannelRecord, DeviceRecord, OutputRecord, Scale
-from pmabench_drivers.canbus import cia402 as c
 from pmabench_drivers.canbus import frames as f
 from pmabench_drivers.canbus import node as t
-from pmabench_drivers.canbus.dbc import Message
 from pmabench_drivers.canbus.emulated_drive import STEP, EmulatedDrive, encoder_objects
 from pmabench_drivers.canbus.emulated_node import EmulatedNode
 from pmabench_drivers.canbus.frames import Frame
 from pmabench_drivers.canbus.link import TCP, line_of, read_line
-from pmabench_drivers.canbus.options import Options, read_options
-from pmabench_drivers.emulator.faults import EXPIRY, LINK, SETPOINT, STUCK, WATCHDOG_OFF, Faults, Kind, Outgoing
-from pmabench_drivers.emulator.log import CommandLog, Tap
+from pmabench_drivers.canbus.options import Message, Options, read_options
+from pmabench_drivers.emulator.faults import (
+    EXPIRY,
+    LINK,
+    SETPOINT,
+    STUCK,
+    WATCHDOG_OFF,
+    CommandLog,
+    Faults,
+    Kind,
+    Outgoing,
+    Tap,
+)
 from pmabench_drivers.emulator.plant import RealPlant
 from pmabench_drivers.emulator.ports import listen
 from pmabench_drivers.shared.options import options_of
@@ -233,7 +241,7 @@ class EmulatedBus(Hub):
     def change_set_point(self, value: float) -> bool:
         """Let the first drive hold another target [count], as by another program; whether there is a drive."""
         for drive in self._drives()[:1]:
-            drive.put(c.TARGET, 0, round(value).to_bytes(4, "little", signed=True))
+            drive.put(f.TARGET, 0, round(value).to_bytes(4, "little", signed=True))
         return bool(self._drives())
 
     def _drives(self) -> list[EmulatedDrive]:

@@ -206,7 +206,7 @@ class Node(ABC):
         until = min(deadline, monotonic() + STARTS)
         while self._state != f.OPERATIONAL:
             if monotonic() > until:
-                state = f.STATES.get(self._state, "silent")
+                state = f.NODE_STATES.get(self._state, "silent")
                 raise self.error(f"does not become operational: its heartbeat says {state}")
             sleep(0.005)
         self._watched = True
@@ -240,7 +240,7 @@ class Node(ABC):
         serial = self.objects.read_if_there(f.IDENTITY, 4, "I", deadline)
         self.errors = self.objects.read(f.ERROR_REGISTER, 0, "B", deadline)
         return {
-            "state": f.STATES.get(self._state, str(self._state)),
+            "state": f.NODE_STATES.get(self._state, str(self._state)),
             "starts": float(self._starts),
             "error register": float(self.errors),
             "serial number": "" if serial is None else str(serial),
@@ -253,7 +253,7 @@ class Node(ABC):
         self._heard, self._state = monotonic(), data[0] & 0x7F
         self._starts += self._state == f.BOOT
         if self._watched and self._state != f.OPERATIONAL and not self._trouble:
-            state = f.STATES.get(self._state, f"in state {self._state}")
+            state = f.NODE_STATES.get(self._state, f"in state {self._state}")
             self._trouble = f"{self.name}: is {state} all of a sudden; it has started again, or was commanded to stop"
 
     def take_emergency(self, data: bytes) -> None:

@@ -17,8 +17,7 @@ from typing import Any, Protocol
 
 from pmabench.bench.interface import DeviceRecord
 from pmabench_drivers.emulator import faults as f
-from pmabench_drivers.emulator.faults import Fault, Kind, Outgoing
-from pmabench_drivers.emulator.log import CommandLog
+from pmabench_drivers.emulator.faults import CommandLog, Fault, Kind, Outgoing
 from pmabench_drivers.emulator.ports import Terminal, accepted, bracketed, hang_up, host_of, listen
 
 READS = {1: "coil", 2: "discrete", 3: "holding", 4: "input"}

@@ -24,8 +24,7 @@ from pmabench.bench.interface import (
     Segment,
     ValveRecord,
 )
-from pmabench_drivers.emulator.faults import Faults
-from pmabench_drivers.emulator.log import CommandLog
+from pmabench_drivers.emulator.faults import CommandLog, Faults
 from pmabench_drivers.emulator.truth import Errors
 from pmabench_drivers.mock.driver import MockBench
 from pmabench_drivers.mock.options import ANGLE, ARM, DUMP_VALVE, E_STOP

@@ -16,8 +16,7 @@ from time import monotonic
 
 from pmabench.base.errors import UsageError
 from pmabench.bench.interface import DeviceRecord
-from pmabench_drivers.emulator.faults import GARBAGE, LINK, SKEW, STUCK, Fault, Faults, Kind, Outgoing
-from pmabench_drivers.emulator.log import CommandLog, Tap
+from pmabench_drivers.emulator.faults import GARBAGE, LINK, SKEW, STUCK, CommandLog, Fault, Faults, Kind, Outgoing, Tap
 
 
 def host_of(address: str) -> str:

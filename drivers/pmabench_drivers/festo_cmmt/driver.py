@@ -19,8 +19,7 @@ from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import DeviceRecord, Identity, Segment
 from pmabench_drivers.festo_cmmt import telegram as t
-from pmabench_drivers.festo_cmmt.options import POSITION, SET_POINT, CmmtOptions, read_options
-from pmabench_drivers.festo_cmmt.telegram import Path
+from pmabench_drivers.festo_cmmt.telegram import POSITION, SET_POINT, CmmtOptions, Path, read_options
 from pmabench_drivers.modbus.driver import CALL, Watched
 from pmabench_drivers.modbus.registers import Register, WatchdogRegisters
 from pmabench_drivers.shared.device import refuse_nonsense

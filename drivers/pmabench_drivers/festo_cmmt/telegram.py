@@ -1,12 +1,12 @@
-"""PROFIdrive telegram 111 as a CMMT takes and gives it, and where the drive is wanted at a time; knows no connection.
+"""PROFIdrive telegram 111 as a CMMT takes and gives it, where the drive is wanted at a time, and its options.
 
-Registers, bits and parameter numbers: Festo's own client library festo-edcon 1.0, read as a description of the wire.
-Words are in registers as they are, those of 32 bits low word first.
+Knows no connection; standard library only. Registers, bits and parameter numbers: Festo's own client library
+festo-edcon 1.0, read as a description of the wire. Words are in registers as they are, those of 32 bits low word first.
 
 A sine is streamed. In each cycle the drive gets the velocity that brings it to the sine's value at the end of the
 cycle, and a target beyond that in the same direction: so it never brakes for a target on the way, and goes on smoothly
 where a cycle comes late. The target is never outside the sine's own crests. What the drive loses by its acceleration is
-seen in where it is, and made up slowly. Standard library only.
+seen in where it is, and made up slowly.
 """
 
 from __future__ import annotations
@@ -16,9 +16,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import ceil
 
-from pmabench.bench.interface import Segment
+from pmabench.bench.interface import DeviceRecord, Segment
 from pmabench_drivers.modbus.registers import Register, decode, encode
 from pmabench_drivers.shared.device import stepped
+from pmabench_drivers.shared.options import Reader
 
 PROCESS_OUT, PROCESS_IN = 0, 100
 """First register of what is sent to the drive, and of what it tells."""
@@ -206,3 +207,50 @@ class Path:
         way = self._velocity * max(now - self._since, 0.0)
         left = self._to - self._from
         return self._to if way >= abs(left) else self._from + math.copysign(way, left)
+
+
+HERE = ("options",)
+POSITION, SET_POINT = "position", "set_point"
+"""What can be recorded: where the drive is, and where it is wanted at that moment. `POSITION` is also the output."""
+WHOLE = 2**31
+
+
+@dataclass(frozen=True)
+class CmmtOptions:
+    """Options of the driver `festo-cmmt` for a drive."""
+
+    rate: float
+    """Cycles of process data [Hz]."""
+    speed: float
+    """Of motions to a set-point that are no ramps [m/s]."""
+    acknowledge_faults: bool
+
+
+def read_options(device: DeviceRecord, reader: Reader) -> CmmtOptions:
+    """The options of a device, and the names that its channels and outputs use."""
+    given = reader.keys(device.options, HERE, ("rate", "speed", "acknowledge_faults"))
+    reader.host(device, "192.168.1.2:502")
+    for channel in device.channels:
+        place = ("channels", channel.name, "input")
+        has = f"; it has {POSITION} and {SET_POINT}"
+        if (
+            reader.known(place, "a CMMT has no", channel.input, [POSITION, SET_POINT], has)
+            and channel.raw_type != "int32"
+        ):
+            reader.fault(place, "gives counts: its calibration goes from count to the quantity")
+    for output in device.outputs:
+        at = ("outputs", output.name, "output")
+        if output.output != POSITION:
+            reader.fault(at, f'a CMMT has no output "{output.output}"; it has {POSITION}')
+        if output.quantity != "length":
+            reader.fault(at, f"a CMMT moves, and {output.quantity} is no length")
+        elif any(abs(float(output.scale.to_raw(value))) >= WHOLE for value in (output.low, output.high)):
+            reader.fault(at, "cannot be commanded over its whole range: positions have 32 bits")
+    if device.outputs and not device.watchdog:
+        reader.fault((), f'a drive that moves needs "watchdog", {SHORTEST:g} s to {LONGEST:g} s')
+    reader.watchdog(device, "a CMMT", SHORTEST, LONGEST)
+    return CmmtOptions(
+        reader.quantity(given, "rate", HERE, "frequency", 100.0, 1.0, 200.0),
+        reader.quantity(given, "speed", HERE, "speed", 0.02, 1e-4, 1.0),
+        reader.flag(given, "acknowledge_faults", HERE, default=False),
+    )

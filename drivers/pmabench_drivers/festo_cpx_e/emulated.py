@@ -13,7 +13,7 @@ from time import monotonic
 
 from pmabench.bench.interface import DeviceRecord
 from pmabench_drivers.emulator import modbus_server as frames
-from pmabench_drivers.emulator.log import CommandLog
+from pmabench_drivers.emulator.faults import CommandLog
 from pmabench_drivers.emulator.modbus_server import WATCH, NamedDevice
 from pmabench_drivers.emulator.plant import RealPlant, Wiring
 from pmabench_drivers.festo_cpx_e import terminal as t

@@ -6,8 +6,7 @@ import random
 from time import monotonic
 
 from pmabench.bench.interface import DeviceRecord
-from pmabench_drivers.emulator.faults import EXCEPTION, NOISE, OVER
-from pmabench_drivers.emulator.log import CommandLog
+from pmabench_drivers.emulator.faults import EXCEPTION, NOISE, OVER, CommandLog
 from pmabench_drivers.emulator.plant import RealPlant
 from pmabench_drivers.emulator.ports import Streaming
 from pmabench_drivers.ild1420.wire import WRAP, Options, code_of, encode, read_options

@@ -11,8 +11,7 @@ from time import monotonic
 
 from pmabench.base.errors import UsageError
 from pmabench.bench.interface import DeviceRecord
-from pmabench_drivers.emulator.faults import EXPIRY, RESTART, SETPOINT, SKEW, WATCHDOG_OFF, Fault, Faults
-from pmabench_drivers.emulator.log import CommandLog
+from pmabench_drivers.emulator.faults import EXPIRY, RESTART, SETPOINT, SKEW, WATCHDOG_OFF, CommandLog, Fault, Faults
 from pmabench_drivers.emulator.modbus_server import ADDRESS, FUNCTION, KINDS, VALUE, Refused, Request, TcpDevice
 from pmabench_drivers.emulator.plant import RealPlant, Wiring
 from pmabench_drivers.emulator.ports import host_of

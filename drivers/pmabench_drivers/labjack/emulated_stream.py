@@ -14,8 +14,7 @@ from collections import deque
 from collections.abc import Callable
 from time import monotonic, sleep
 
-from pmabench_drivers.emulator.faults import DeviceClock, Faults, Kind
-from pmabench_drivers.emulator.log import CommandLog
+from pmabench_drivers.emulator.faults import CommandLog, DeviceClock, Faults, Kind
 from pmabench_drivers.emulator.ports import accepted, hang_up, listen
 
 SHORTEST, LONGEST = 0.001, 0.01

@@ -10,7 +10,7 @@ from collections.abc import Iterable
 from time import monotonic
 
 from pmabench.bench.interface import DeviceRecord
-from pmabench_drivers.emulator.log import CommandLog
+from pmabench_drivers.emulator.faults import CommandLog
 from pmabench_drivers.emulator.modbus_server import ADDRESS, VALUE, Refused, Request, RtuDevice, TcpDevice
 from pmabench_drivers.emulator.plant import RealPlant, Wiring
 from pmabench_drivers.modbus.map_file import Options, read_options

@@ -10,8 +10,18 @@ from typing import Any
 
 from pmabench.base.errors import UsageError
 from pmabench.bench.interface import DeviceRecord
-from pmabench_drivers.emulator.faults import EXCEPTION, IGNORE, LINK, RESTART, SETPOINT, STUCK, Fault, Faults, damaged
-from pmabench_drivers.emulator.log import CommandLog
+from pmabench_drivers.emulator.faults import (
+    EXCEPTION,
+    IGNORE,
+    LINK,
+    RESTART,
+    SETPOINT,
+    STUCK,
+    CommandLog,
+    Fault,
+    Faults,
+    damaged,
+)
 from pmabench_drivers.emulator.plant import RealPlant
 from pmabench_drivers.emulator.ports import refuse_others
 from pmabench_drivers.ni_daq.emulated_tasks import AI, AO, BITS, DI, DO, FASTEST, SPANS, Board, Refused, Task

@@ -5,8 +5,7 @@ from __future__ import annotations
 import random
 
 from pmabench.bench.interface import DeviceRecord
-from pmabench_drivers.emulator.faults import LINK, NOISE, OVER, SKEW, STUCK, UNIT, DeviceClock, Faults
-from pmabench_drivers.emulator.log import CommandLog
+from pmabench_drivers.emulator.faults import LINK, NOISE, OVER, SKEW, STUCK, UNIT, CommandLog, DeviceClock, Faults
 from pmabench_drivers.emulator.plant import RealPlant
 from pmabench_drivers.emulator.ports import IDLE, OnTerminal
 from pmabench_drivers.serial_ascii.lines import Options, read_options

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
-from pmabench.bench.files.parts import (
+from pmabench.bench.files.specimen import (
     ConductanceAbove0,
     Name,
     PressureAbove0,

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 
 from pmabench.base.quantities import show
-from pmabench.bench.files.parts import Name, Reading, Text
+from pmabench.bench.files.specimen import Name, Reading, Text
 from pmabench.files.document import Strict
 from pmabench.files.quantity import (
     Angle,
@@ -34,7 +34,7 @@ NEUTRAL = acos(1 / sqrt(3)) - 1e-3
 
 
 def _within(low: float, high: float, quantity: str) -> AfterValidator:
-    """Refuses what no plant has, in the units of people."""
+    """A validator that refuses values which no plant has, with a message in usual units."""
 
     def check(value: float) -> float:
         if not low <= value <= high:

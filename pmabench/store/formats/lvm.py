@@ -49,7 +49,7 @@ class _Segment:
 
 
 class _File:
-    """The keys of the file's header, and what the rows look like by them."""
+    """The keys of the file's header, and the layout of its rows that follows from them."""
 
     def __init__(self, path: str, content: bytes) -> None:
         self.path = path

@@ -40,7 +40,7 @@ CPU_PER_MB = 0.3
 
 
 def serve(kind: str, ask: BinaryIO, answer: BinaryIO) -> None:
-    """Answer until nobody asks any more."""
+    """Answer questions until the other side closes its end."""
     form, absent = formats()[kind], ""
     try:
         for module in form.modules:  # before any clock runs
@@ -75,7 +75,7 @@ def _send_answer(answer: BinaryIO, head: Mapping[str, Any], arrays: Sequence[Any
 
 
 def _reader(form: Format, question: Mapping[str, Any]) -> Any:
-    """What reads the file that begins; its pieces follow."""
+    """The reader of the file that begins with this question; its pieces follow."""
     layout = form.layout.model_construct(**question["layout"])  # it was checked by who asks
     asked = {key: question[key] for key in ("path", "wanted", "optional", "ignored")}
     if form.reader is None:
@@ -142,7 +142,7 @@ def _some(names: list[str]) -> str:
 
 
 def main() -> None:
-    """Keep the answers to itself: what libraries print goes nowhere."""
+    """Be the child: answer on what was its standard output; what libraries print goes nowhere."""
     warnings.simplefilter("ignore")
     os.environ["HDF5_PLUGIN_PRELOAD"] = "::"  # no filter is loaded from a folder of this machine
     ask, answer = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")
@@ -210,16 +210,13 @@ class _Child:
             except (BrokenPipeError, ValueError) as error:
                 raise EOFError from error
 
-    def answer(self, size: int) -> tuple[Mapping[str, Any], bytes]:
-        """Head and numbers of the answer to a question with `size` bytes."""
-        answer = self.process.stdout
-        if answer is None:
+    def answer(self, size: int) -> Answer:
+        """The answer to a question with `size` bytes. EOFError where there is none, or one that cannot be."""
+        if self.process.stdout is None:
             raise EOFError
         with self._within(START + WALL * (CPU + CPU_PER_MB * size / 1e6)):
             try:
-                head = json.loads(_exactly(answer.readline(LONGEST_HEAD)))
-                count = _count(head)
-                return head, _exactly(answer.read(8 * count), 8 * count)
+                return _read_answer(self.process.stdout)
             except (BrokenPipeError, ValueError, TypeError, KeyError) as error:
                 raise EOFError from error
 
@@ -258,25 +255,18 @@ def _close(stream: IO[bytes] | None) -> None:
             stream.close()
 
 
-def _exactly(raw: bytes, size: int | None = None) -> bytes:
-    if not raw or (size is not None and len(raw) != size):
-        if size == 0:
-            return b""
-        raise EOFError
-    return raw
-
-
-def _count(head: Mapping[str, Any]) -> int:
-    """How many numbers follow a head; raises ValueError where it cannot be."""
+def _read_answer(stream: IO[bytes]) -> Answer:
+    """The next answer, its sizes checked before anything is built from it; ValueError and others where it is none."""
+    head = dict(json.loads(stream.readline(LONGEST_HEAD)))
     if "columns" not in head:
-        return 0
-    lengths = head.get("lengths", [head["rows"]] * len(head["columns"]))
-    count = sum(lengths) + head["rows"]
-    if any(not isinstance(n, int) or n < 0 for n in (*lengths, head["rows"])) or count > MOST_NUMBERS:
+        return Answer({}, np.empty(0), head)
+    lengths = [*head.get("lengths", [head["rows"]] * len(head["columns"])), head["rows"]]
+    count = sum(lengths)
+    if any(not isinstance(n, int) or n < 0 for n in lengths) or count > MOST_NUMBERS:
         raise ValueError("no such answer")
-    if len(lengths) != len(head["columns"]):
-        raise ValueError("no such answer")
-    return int(count)
+    numbers = np.frombuffer(stream.read(8 * count), dtype="<f8", count=count).astype(np.float64)
+    *columns, lines = np.split(numbers, np.cumsum(lengths)[:-1])
+    return Answer({str(name): part for name, part in zip(head["columns"], columns, strict=True)}, lines, head)
 
 
 _children: dict[str, _Child] = {}
@@ -299,14 +289,14 @@ def read_apart(kind: str, path: str, pieces: Iterable[bytes], question: Mapping[
                     child.send(piece, {**asked, "last": last})
                     if pending is not None:
                         yield pending  # a caller that stops here ends the child, for its answer is still to come
-                    head, numbers = child.answer(len(piece))
-                if "lack" in head:
+                    answer = child.answer(len(piece))
+                if "lack" in answer.head:
                     _children.pop(kind).end()
-                if "lack" not in head or not asked or child.asked == 1:
+                if "lack" not in answer.head or not asked or child.asked == 1:
                     break  # else what files before it left in the memory of the child may be in the way
             asked = {}
-            _check(kind, path, head)
-            pending = _answer(head, numbers)
+            _check(kind, path, answer.head)
+            pending = answer
     if pending is not None:
         yield pending
 
@@ -367,15 +357,6 @@ def _why(code: int, size: int) -> str:
         with suppress(ValueError):
             return f"made its reader end ({signal.Signals(-code).name})"
     return f"made its reader end (code {code})"
-
-
-def _answer(head: Mapping[str, Any], numbers: bytes) -> Answer:
-    flat = np.frombuffer(numbers, dtype="<f8").astype(np.float64)
-    lengths = head.get("lengths", [head["rows"]] * len(head["columns"]))
-    ends = np.cumsum([*lengths, head["rows"]])
-    parts = np.split(flat, ends[:-1])
-    columns = {str(name): part for name, part in zip(head["columns"], parts, strict=False)}
-    return Answer(columns, parts[-1], head)
 
 
 @atexit.register

@@ -119,12 +119,6 @@ def slope(pressure: Array, other: Array) -> float | None:
     return float(apart @ (other - other.mean())) / square if square > 0 and np.isfinite(square) else None
 
 
-def follower_of(values: Mapping[str, Array], kept: Bools) -> str:
-    """The channel that goes with pressure, force or displacement; empty where there is none."""
-    names = [name for name in ("force", "displacement") if name in values and "pressure" in values]
-    return max(names, key=lambda name: abs(correlation(values["pressure"][kept], values[name][kept])), default="")
-
-
 def correlation(a: Array, b: Array) -> float:
     """Correlation of two channels, shape (n,) each, where both have a value; 0 where one does not move."""
     good = np.isfinite(a) & np.isfinite(b)
@@ -144,7 +138,9 @@ def add_effects(report: Report, channels: Sequence[Checked]) -> None:
     """Complete each finding that flags samples by the slope over pressure with and without these samples."""
     values = {channel.rule.role: channel.si for channel in channels}
     usable = (report.flags & np.uint16(UNUSABLE)) == 0
-    follower = follower_of(values, usable)
+    names = [name for name in ("force", "displacement") if name in values and "pressure" in values]
+    together = {name: abs(correlation(values["pressure"][usable], values[name][usable])) for name in names}
+    follower = max(names, key=together.__getitem__, default="")
     if not follower or not report.rows:
         return
     pressure, other = values["pressure"], values[follower]
@@ -157,8 +153,7 @@ def add_effects(report: Report, channels: Sequence[Checked]) -> None:
             continue
         here: Bools = kept.copy()
         here[rows] = finite[rows]
-        with np.errstate(over="ignore", invalid="ignore"):
-            all_of_it = slope(pressure[here], other[here])
+        all_of_it = slope(pressure[here], other[here])
         if all_of_it is None or not np.isfinite(all_of_it) or without == 0:
             continue
         change = all_of_it / without - 1.0

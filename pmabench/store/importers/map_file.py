@@ -416,7 +416,7 @@ class MapFile(Strict):
     """Several tests in each file: names of columns that hold {test} are those of each test in turn; else in the order
     in which the header is repeated.
     """
-    name_tells: NameFile | None = None
+    from_name: Annotated[NameFile | None, Field(alias="name_tells")] = None
     notes: Annotated[str, Field(pattern=r"^[^/\\]{1,80}$")] | None = None
     """File next to it that holds notes, `*` is any text."""
     sampling: Sampling

@@ -230,7 +230,7 @@ def _lag(F: Array, P: Array, most: int) -> float:
 
 
 def _goes_on(first: Array, second: Array, shift: int) -> float | None:
-    """Where `first` stops or turns: what `second` does in `shift` points after it, by what it did in those before."""
+    """How much `second` changes in `shift` points after a stop or turn of `first`, by its change in those before."""
     before = np.concatenate([np.zeros(shift), first[shift:] - first[:-shift]])
     after = np.concatenate([first[shift:] - first[:-shift], np.zeros(shift)])
     large = np.abs(before) > 0.3 * float(np.max(np.abs(before)))

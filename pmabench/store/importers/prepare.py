@@ -193,7 +193,7 @@ def _own_flags(path: Path, values: Array) -> Flags:
 
 
 def _gaps_within(t: Array, flags: Flags, values: Mapping[str, Array], record: Exported | None, gap: float) -> None:
-    """Flag gaps within trials; between them nothing was recorded, and that is none."""
+    """Flag gaps within trials; a pause between trials is no gap."""
     if record is not None:
         begins = np.array(sorted(begin for begin, _ in trial_spans(record.events)))
         trial = np.searchsorted(begins, t - 1e-6).astype(np.float64)
@@ -286,7 +286,7 @@ def _summed(seen: Seen, table: Table) -> tuple[frozenset[str], Mapping[str, tupl
 
 
 def placed(found: Found, t: Array, rows: int) -> Found:
-    """What is about the whole file begins with its first row."""
+    """The finding with its row: one about the whole file gets the first."""
     return found if found.index is not None else replace(found, index=0, t=float(t[0]), count=rows)
 
 
@@ -339,6 +339,6 @@ def _notes(path: Path, pattern: str | None) -> tuple[str, bytes] | None:
 
 
 def _is_int(channel: Checked) -> bool:
-    """Stored as int32: whole counts throughout."""
+    """Whether a channel can be stored as int32: whole counts throughout."""
     raw = channel.raw
     return channel.rule.whole and bool(np.array_equal(raw, np.round(raw))) and float(np.abs(raw).max()) < 2**31 - 1

@@ -60,7 +60,7 @@ FEW = 50
 
 
 def codes(report: Report, channel: Checked, looked_at: Bools) -> Bools:
-    """Flag codes for "no value"; returns what of `looked_at`, shape (n,), is none."""
+    """Flag codes for "no value"; returns the samples of `looked_at`, shape (n,), that remain."""
     left = looked_at.copy()
     for code, where in _codes(channel, left, channel.rule.role.endswith("command")):
         text = f"reads exactly {code:.10g}, far from its other readings: a code for no value, or for beyond the range"
@@ -70,7 +70,7 @@ def codes(report: Report, channel: Checked, looked_at: Bools) -> Bools:
 
 
 def bursts(report: Report, channel: Checked, looked_at: Bools) -> Bools:
-    """Flag short stretches far from the signal, which a command may make; returns what of `looked_at` is none."""
+    """Flag short stretches far from the signal, which only a command may have; returns what remains of `looked_at`."""
     role, quantity = channel.rule.role, channel.rule.quantity
     if role.endswith("command"):
         return looked_at
@@ -112,7 +112,7 @@ def _codes(channel: Checked, looked_at: Bools, command: bool) -> Iterator[tuple[
 
 
 def _hits(numbers: Array, looked_at: Bools) -> dict[float, Bools]:
-    """Where each code is read, to seven digits as others may have stored it."""
+    """Code -> samples that read it, to seven digits, since other programs may have rounded it."""
     every = np.array(sorted({sign * code for code in CODES for sign in (1.0, -1.0)} - {1.0}))
     place = np.minimum(np.searchsorted(every, numbers - 1e-7 * np.abs(numbers)), len(every) - 1)
     rows = np.flatnonzero(looked_at & (np.abs(numbers - every[place]) <= 1e-7 * np.abs(every[place])))
@@ -151,7 +151,7 @@ def _leaps(numbers: Array, here: Bools, looked_at: Bools, least: float) -> Bools
 
 
 def _far(si: Array, looked_at: Bools) -> Bools:
-    """Readings apart from all others by more than these span, where the others move and these come in short runs."""
+    """Short runs of readings whose distance from all others is larger than the span of these, where the others move."""
     out = np.zeros(len(si), dtype=bool)
     rows = np.flatnonzero(looked_at)
     if len(rows) < FEW:
@@ -243,8 +243,8 @@ def beyond_neighbours(values: Array, swings: bool = True) -> Array:
         median = np.partition(near, ALONE, axis=1)[:, ALONE]
         cut = np.isnan(near).any(axis=1)
         median[cut] = np.nanmedian(near[cut], axis=1)
-        before = _level(around[:, AROUND - ALONE - 2 : AROUND - ALONE + 1])
-        after = _level(around[:, AROUND + ALONE : AROUND + ALONE + 3])
+        before = np.median(around[:, AROUND - ALONE - 2 : AROUND - ALONE + 1], axis=1)
+        after = np.median(around[:, AROUND + ALONE : AROUND + ALONE + 3], axis=1)
         end = np.isnan(before - after)
         step = np.where(end, high[rows] - low[rows], np.abs(before - after))
         off = step if swings else np.where(end, step, 0.0)
@@ -263,12 +263,6 @@ def _extremes(values: Array) -> tuple[Array, Array]:
             run, done = least(run[:-more], run[more:]), done + more
         ends.append(least(run[: len(values)], run[AROUND + ALONE :][: len(values)]))
     return ends[0], ends[1]
-
-
-def _level(around: Array) -> Array:
-    """The middle of three neighbours; NaN where one is beyond the end."""
-    low, high = np.minimum(around[:, 0], around[:, 1]), np.maximum(around[:, 0], around[:, 1])
-    return np.asarray(np.maximum(low, np.minimum(high, around[:, 2])))
 
 
 def spike_limit(values: Array, apart: Array) -> float:
@@ -297,7 +291,7 @@ def spike_limit(values: Array, apart: Array) -> float:
 
 
 def _some(values: Array) -> Array:
-    """Of many values so few, evenly spread, that their quantiles cost little."""
+    """Some of many values, evenly spread, so that their quantiles cost little."""
     return values[:: 1 + len(values) // ENOUGH]
 
 

@@ -148,7 +148,7 @@ def segments(
 
 
 def _as_own(found: Sequence[Segment], all_rows: _Rows) -> tuple[list[Segment], list[str]]:
-    """The trials with commands and operating points as a test of the program's own has them.
+    """The trials with commands and operating points in the form that runs of this program have.
 
     The operating point is what the map says, else what its columns say, else what the commands say.
     """

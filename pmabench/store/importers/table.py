@@ -45,7 +45,7 @@ class Columns(Mapping[str, Array]):
         weakref.finalize(self, _close, self._files)
 
     def append(self, piece: Mapping[str, Array]) -> None:
-        """Put rows behind those that there are. Raises OSError where the folder for temporary files is full."""
+        """Add rows at the end. Raises OSError where the folder for temporary files is full."""
         if not self._pieces:
             self._pieces = {name: [] for name in piece}
         for name, values in piece.items():
@@ -105,7 +105,7 @@ class Lines:
     _lines: list[int] = field(default_factory=list)
 
     def append(self, lines: Array) -> None:
-        """The lines of further rows, from 1."""
+        """Add the lines of further rows, counted from 1."""
         if not len(lines):
             return
         jumps = [0, *(np.flatnonzero(np.diff(lines) != 1) + 1).tolist()]
@@ -260,7 +260,7 @@ def _read_whole(path: Path, kind: str, question: Mapping[str, Any], stamps: Stam
 
 
 def _other_matrices(columns: Mapping[str, Array], time: str) -> list[str]:
-    """A doubt where channels are of another matrix than the clock."""
+    """A doubt where channels belong to another matrix than the clock."""
     of = {name: name.partition("(:,")[0] for name in columns if "(:," in name}
     others = [name for name, matrix in of.items() if time in of and matrix != of[time]]
     if not others:
@@ -318,7 +318,7 @@ class _Rows:
         self._clock: Clock | None = None
 
     def take(self, answer: Answer) -> None:
-        """The rows of the next piece."""
+        """Add the rows of the next piece."""
         columns, count = dict(answer.columns), len(answer.lines)
         starts = [int(start) for start in answer.head.get("starts", ())]
         if self.stamps is not None and self.stamps.column in columns:
