@@ -21,6 +21,7 @@ from pmabench.kinds import registry
 from pmabench.kinds.reduce import verdicts
 from pmabench.plotting import wording
 from pmabench.plotting.pictures import Picture
+from pmabench.plotting.svg import drawing
 from pmabench.plotting.wording import printed
 from pmabench.report.document import provenance, tables
 from pmabench.report.document.checklist import Issuer, Item, checklist
@@ -115,6 +116,7 @@ class Content:
     """A line, and a BibTeX entry."""
 
 
+@drawing()
 def content_of(
     analyses: Sequence[Analysis],
     runs: Sequence[RunData],
