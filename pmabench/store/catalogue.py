@@ -80,7 +80,7 @@ def tasks_below(given: Sequence[Path]) -> list[Task]:
     for folder in given:
         for run in (folder.is_dir() and runs_below(folder)) or [folder]:
             places.setdefault(run, run.relative_to(folder).as_posix() if run != folder else folder.resolve().name)
-    chains = {run: _chain(run) for run in places}
+    chains = {run: chain_of(run) for run in places}
     continued = {before.resolve() for chain in chains.values() for before in chain[:-1]}
     taken: set[str] = set()
     tasks = []
@@ -96,7 +96,7 @@ def tasks_below(given: Sequence[Path]) -> list[Task]:
     return tasks
 
 
-def _chain(run: Path) -> tuple[Path, ...]:
+def chain_of(run: Path) -> tuple[Path, ...]:
     """The run and those before it as their manifests name them; who opens it reports what is wrong with a link."""
     chain = [run]
     with suppress(InvalidFile, KeyError, TypeError):

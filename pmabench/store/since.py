@@ -19,6 +19,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cache
 from importlib import metadata
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -122,6 +123,13 @@ def fault_of(folder: Path, name: str, digest: str, size: int | None = None) -> s
     except OSError as error:
         return f"cannot be read: {error.strerror}"
     return "" if unchanged else "was changed: its sha256 does not fit"
+
+
+def as_sealed(folder: Path) -> bool:
+    """Whether every file of a sealed run, and every note, holds the bytes that were written."""
+    sealed = (files.read_seal(folder) or {}).get("files", {})
+    same = all(not fault_of(folder, name, entry["sha256"], entry["bytes"]) for name, entry in sealed.items())
+    return same and next(iter(notes.check_notes(folder)), None) is None
 
 
 def odd(path: Path) -> str:
@@ -231,9 +239,11 @@ def _listed(names: list[str]) -> str:
 
 
 READ = (files.MANIFEST, files.SEAL, files.NOTES_HEAD)
-PARTS = ("analysis", "base", "model", "report", "store")
-"""Packages that make results of runs."""
-LIBRARIES = ("numpy", "scipy", "pandas", "pyarrow")
+PARTS = ("analysis", "base", "bench", "files", "kinds", "model", "plotting", "report", "store")
+"""Packages that make results of runs, and reports of results."""
+LIBRARIES = ("numpy", "scipy", "pandas", "pyarrow", "matplotlib", "jinja2")
+GROUPS = ("pmabench.kinds", "pmabench.models", "pmabench.rules")
+"""Entry points by which other packages bring code that makes results."""
 
 
 def fingerprint(chain: Iterable[Path], about: str) -> str:
@@ -283,14 +293,28 @@ def _walk(folder: Path, prefix: str = "") -> Iterator[tuple[str, os.DirEntry[str
 
 @cache
 def program() -> str:
-    """Hash of the code that makes results, and of the versions of the libraries that compute."""
+    """Hash of the code that makes results and reports, of pmabench and of packages that extend it, and of the versions
+    of the libraries that compute and draw.
+    """
     digest = hashlib.sha256()
     root = Path(__file__).resolve().parents[1]
-    for part in PARTS:
-        for path in sorted((root / part).rglob("*.py")):
-            digest.update(f"{path.relative_to(root).as_posix()}\0".encode())
-            digest.update(path.read_bytes())
+    for place in [*(root / part for part in PARTS), *_extensions()]:
+        inside = _walk(place) if place.is_dir() else [("", place)]
+        for name, path in inside:
+            if not name.endswith(".pyc"):
+                digest.update(f"{place.name}/{name}\0".encode())
+                digest.update(Path(path).read_bytes())
     for library in LIBRARIES:
         with suppress(metadata.PackageNotFoundError):
             digest.update(f"{library} {metadata.version(library)}\0".encode())
     return digest.hexdigest()
+
+
+def _extensions() -> Iterator[Path]:
+    """Packages (folders) and modules (files) that are registered in `GROUPS`."""
+    modules = {point.module.partition(".")[0] for group in GROUPS for point in metadata.entry_points(group=group)}
+    for module in sorted(modules - {"pmabench"}):
+        with suppress(ImportError, ValueError):
+            found = find_spec(module)
+            if found is not None and found.origin:
+                yield Path(found.origin).parent if found.submodule_search_locations else Path(found.origin)

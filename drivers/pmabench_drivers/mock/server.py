@@ -43,7 +43,7 @@ from typing import TYPE_CHECKING, Any
 from pmabench.base.clock import RealClock
 from pmabench.base.errors import DeviceError, PmaError, invalid
 from pmabench.base.system import ENGINE, real_time
-from pmabench.bench.records import DeviceRecord, device_from
+from pmabench.bench.interface import DeviceRecord, device_from
 from pmabench_drivers.mock.client import Inbox, encode, parse_address
 
 if TYPE_CHECKING:
