@@ -10,6 +10,7 @@ import numpy as np
 from pmabench.analysis.results import Analysis
 from pmabench.engine.laws.gain_steps import GainSteps
 from pmabench.engine.laws.relay import Relay
+from pmabench.kinds.arm_angle import reduction as arm_angle
 from pmabench.kinds.closed_volume import reduction as closed_volume
 from pmabench.kinds.free_contraction import reduction as free_contraction
 from pmabench.kinds.isometric_pressurisation import reduction as isometric_pressurisation
@@ -18,7 +19,7 @@ from pmabench.kinds.recorded_step import reduction as recorded_step
 from pmabench.kinds.step_displacement import reduction as step_displacement
 from pmabench.kinds.ultimate_gain import reduction as ultimate_gain
 from pmabench.store.records import ChannelInfo, Command, RunData, TrialData
-from tests.judge import closed, displaced, free, held, loop, rung, sines
+from tests.judge import arm, closed, displaced, free, held, loop, rung, sines
 from tests.judge.record import Trial, Truth
 
 CHANNELS = {
@@ -26,6 +27,7 @@ CHANNELS = {
     "displacement": ("length", "m"),
     "force": ("force", "N"),
     "pressure_command": ("pressure", "Pa"),
+    "angle": ("angle", "rad"),
 }
 SPECIMEN = {"nominal_length": 0.25}
 
@@ -74,6 +76,12 @@ def rung_of(cause: str, size: float, seed: int) -> Analysis:
     trials = as_trials(rung.campaign(cause, size, seed))
     steps = [replace(one, commands=tuple(replace(c, kind="set") for c in one.commands)) for one in trials]
     return recorded_step.reduce([as_run("recorded-step", steps, rung.RATE, {})])
+
+
+def arm_of(cause: str, size: float, seed: int) -> Analysis:
+    run = as_run("arm-angle", as_trials(arm.campaign(cause, size, seed)), arm.RATE,
+                 {"preload": arm.PRELOAD, "angle": "measured", "compare": "nothing"})  # fmt: skip
+    return arm_angle.reduce([run])
 
 
 def isometric_of(cause: str, size: float, seed: int) -> Analysis:
@@ -167,6 +175,7 @@ KINDS = {
     "step-displacement": Kind(steps_of, displaced.truth, displaced.FULL, "step"),
     "recorded-sine": Kind(sines_of, sines.truth, sines.FULL, "frequency"),
     "recorded-step": Kind(rung_of, rung.truth, rung.FULL, "from"),
+    "arm-angle": Kind(arm_of, arm.truth, arm.FULL, "tip_mass"),
     "open-loop": Kind(open_loop_of, _loop_truth, loop.FULL, "none"),
     "relay": Kind(relay_of, _loop_truth, loop.FULL, "none", ("relay-fit",)),
     "gain-steps": Kind(gain_steps_of, _loop_truth, loop.FULL, "none"),

@@ -23,7 +23,7 @@ from pmabench.analysis.shared.samples import NotUsable
 from pmabench.analysis.verdict.offers import Offer, exactly, values_of, weighted
 from pmabench.base.quantities import show
 from pmabench.kinds.step_displacement import RESULTS
-from pmabench.kinds.step_displacement.relaxation import Relaxation, Steps, measure
+from pmabench.kinds.step_displacement.relaxation import Relaxation, Steps, filter_of, measure
 from pmabench.store.records import RunData, TrialData
 
 KIND = "step-displacement"
@@ -37,6 +37,8 @@ STEPS_OF_ONE = "one trial: the repeats part is the scatter of its steps, and rep
 ONE_STEP = "no repeats part: one step"
 DRIFTS = 0.02
 """What the force would still change by after a rest, as a share of its step, that is doubted."""
+BLUNT = 0.25
+"""Share of the peak above which what a filter may have taken off it is not left to its interval."""
 SEVERAL = 0.4
 """Share of a time constant by which that of the later part may differ where there is one exponential."""
 LONGEST_TRACE = 1500
@@ -47,6 +49,7 @@ RUBS = "friction between the two rests is in it"
 
 @dataclass(frozen=True, eq=False)
 class _Member:
+    run: RunData
     trial: TrialData
     steps: Steps
 
@@ -65,7 +68,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     for run in runs:
         for trial in run.trials:
             try:
-                members.append(_Member(trial, measure(run, trial, options or {})))
+                members.append(_Member(run, trial, measure(run, trial, options or {})))
             except NotUsable as reason:
                 dropped.append(Dropped(trial.name, trial.point, str(reason)))
     scales = Scales.of(runs)
@@ -113,6 +116,7 @@ def _estimates(
     extreme = hypot(EXTREME * noise, max(one.sampled for one in every))
     before, after = (_still_moving([getattr(one, name) for one in every]) for name in ("earlier", "later"))
     both = tuple(replace(one, half=one.half / moved) for one in (before, after))
+    blunt = _blunt(group, every)
     told: list[Estimate] = []
 
     def estimate(
@@ -133,9 +137,17 @@ def _estimates(
     stiffness, newton, second = ("N/m", "stiffness"), ("N", "force"), ("s", "time")
     slope = {"force": 1, "displacement": -1}
     estimate("K", stiffness, RELAXED, lambda one: one.static, slope, 0.0, doubts=both)
-    estimate("K", stiffness, PEAK, lambda one: one.instant, slope, extreme / moved, doubts=both[:1])
+    estimate(
+        "K",
+        stiffness,
+        PEAK,
+        lambda one: one.instant,
+        slope,
+        extreme / moved,
+        doubts=(both[0], replace(blunt, half=blunt.half / moved)),
+    )
     estimate("F", newton, RELAXED, lambda one: one.before, {"force": 1}, 0.0, "before", (before,))
-    estimate("F", newton, PEAK, lambda one: one.peak, {"force": 1}, extreme, "peak")
+    estimate("F", newton, PEAK, lambda one: one.peak, {"force": 1}, extreme, "peak", (blunt,))
     estimate("F", newton, RELAXED, lambda one: one.relaxed, {"force": 1}, 0.0, "relaxed", (after,))
     if all(np.isfinite(one.pressure_peak) for one in every):
         estimate("P_err", ("Pa", "pressure"), PEAK, lambda one: one.pressure_peak, {"pressure": 1}, 0.0)
@@ -161,6 +173,16 @@ def _one_time(tau: Estimate, apart: float) -> Estimate:
         return withhold(tau, f"{later} (below {SEVERAL:.0%} is accepted): it is not one exponential")
     note = sentences(tau.note, "no calibration part: a time has no scale")
     return replace(tau, parts=Parts(tau.parts.repeats, hypot(TAIL * value, apart)), note=note)
+
+
+def _blunt(group: Sequence[_Member], every: Sequence[Relaxation]) -> Doubt:
+    """What a filter of the force cell may have taken off the peaks [N]: no channel shows it."""
+    constant = max(filter_of(member.run) for member in group)
+    half = max(one.blunted for one in every)
+    text = f"a filter of the force cell of {show(constant, 'time', 2)} would take {show(half, 'force', 2)} off the peak"
+    reason = f"{text}: declare the `sensor_lag` of the channel, use a faster cell, or step more slowly"
+    rise = abs(float(np.mean([one.peak - one.before for one in every])))
+    return Doubt("filter of the force cell", "method", half, seen=True, reason=reason if half > BLUNT * rise else "")
 
 
 def _still_moving(rests: Sequence[Held]) -> Doubt:

@@ -42,6 +42,9 @@ POINT_QUANTITIES = {
 }
 """Name of a coordinate of an operating point -> its quantity; the order is that of columns."""
 
+NEVER_0 = ("stiffness", "gain", "frequency")
+"""Quantities of which a result that is declared positive is never 0; friction, damping and times may be."""
+
 
 @dataclass(frozen=True)
 class Parts:
@@ -177,6 +180,17 @@ def withhold(estimate: Estimate, reason: str) -> Estimate:
     )
 
 
+def _known(e: Estimate) -> Estimate:
+    """The estimate, or withheld where its interval reaches to 0 and it cannot be 0: only its order is known then."""
+    found = e.parts.combined
+    if e.quantity not in NEVER_0 or e.value is None or not found or found < abs(e.value):
+        return e
+    value, half = (show(number, e.quantity, 3) for number in (e.value, found))
+    widest = max((name for name, part in vars(e.parts).items() if part), key=lambda name: getattr(e.parts, name))
+    why = f"{value} +- {half} says nothing: the interval reaches to 0, and most of it is from {widest}"
+    return withhold(e, f"{why}. Look at what this part is made of, and repeat the test with that mended")
+
+
 def _ends_at_0(e: Estimate, positive: Set[str]) -> bool:
     """Whether the interval of an estimate ends at 0: a term of a curve may be below, but one of several times not."""
     return e.symbol in positive and (not e.coordinate or e.quantity == "time")
@@ -293,7 +307,8 @@ class Analysis:
             check_declared(self.kind, self.results, self.estimates, self.curves)
             positive = {result.symbol for result in self.results if result.positive}
             estimates = tuple(replace(e, positive=True) if _ends_at_0(e, positive) else e for e in self.estimates)
-            object.__setattr__(self, "estimates", estimates)
+            sure = tuple(_known(e) if e.symbol in positive and not e.coordinate else e for e in estimates)
+            object.__setattr__(self, "estimates", sure)
 
     @classmethod
     def of(
