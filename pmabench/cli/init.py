@@ -6,6 +6,7 @@ is written as `??`, and `check` refuses each until it is filled in.
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -13,7 +14,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from pmabench.base.errors import InvalidFile, RecordError, UsageError, invalid
 from pmabench.cli.common import Ui, common
+from pmabench.files.shipped import shipped_folder
 
 if TYPE_CHECKING:
     from pmabench.cli.prepare import Prepared
@@ -54,7 +57,6 @@ expanded_uncertainty: ??                       # k = 2, with a unit
 @common
 def command(ui: Ui, folder: Path, bench: str, specimen: str, protocol: str) -> int | None:
     """Write a lab folder: bench, specimen and protocol with all that they need, and a README. DIR must be empty."""
-    from pmabench.base.errors import UsageError
     from pmabench.cli.prepare import prepare
 
     try:
@@ -95,8 +97,6 @@ def _files(prepared: Prepared) -> Iterator[tuple[str, str]]:
 
 
 def _shipped(role: str, path: Path) -> bool:
-    from pmabench.files.shipped import shipped_folder
-
     return shipped_folder(role).resolve() in path.resolve().parents
 
 
@@ -107,7 +107,6 @@ def _calibration(name: str, shipped: dict[str, Any]) -> str:
 
 def _included(path: Path) -> Iterator[tuple[str, str]]:
     """What a file includes, and what that includes."""
-    from pmabench.base.errors import invalid
     from pmabench.files.document import Document
 
     name = Document(str(path), path.read_text()).data.get("include")
@@ -131,9 +130,6 @@ def _text(path: Path, depth: int = 0) -> str:
 
 def _write(folder: Path, files: dict[str, str]) -> None:
     """Write them and check them where they lie; nothing is left where that fails."""
-    import shutil
-
-    from pmabench.base.errors import RecordError
     from pmabench.cli.prepare import prepare
 
     there = folder.exists()
@@ -157,7 +153,6 @@ def _write(folder: Path, files: dict[str, str]) -> None:
 
 def _refuse_faulty(prepare: Callable[[], object]) -> None:
     """Raise what is wrong with the files, apart from what is to be filled in."""
-    from pmabench.base.errors import InvalidFile
     from pmabench.bench.compile import OPEN
 
     try:

@@ -140,7 +140,7 @@ def _session(data: Mapping[str, Any]) -> tuple[str, str]:
 
 
 def _self_test(data: Mapping[str, Any]) -> tuple[str, str]:
-    """How many of the checks came out how; what failed in full."""
+    """Counts of the checks by verdict; those that failed in full."""
     checks = [check for check in data.get("checks") or [] if isinstance(check, dict)]
     counts = Counter(str(check.get("verdict")) for check in checks)
     verdicts = ", ".join(f"{count} {verdict}" for verdict, count in counts.items())
@@ -159,7 +159,7 @@ def _zero_check(data: Mapping[str, Any]) -> tuple[str, str]:
 
 
 def _by_channel(data: Mapping[str, Any], entry: str) -> str:
-    """One number of each channel."""
+    """One number of each channel, as text."""
     zeros = []
     for name, zero in (data.get("channels") or {}).items():
         if isinstance(zero.get(entry), int | float):

@@ -58,7 +58,7 @@ def together(traces: Sequence[Trace], simulated: bool) -> list[Picture]:
 
 
 def _loop_name(trace: Trace, mark: str) -> str:
-    """What sets a loop apart, with its unit."""
+    """The frequency, pressure or other mark in which a loop differs from the others, with its unit."""
     if mark not in trace.marks:
         return head(trace)
     unit = shown(mark)

@@ -11,9 +11,7 @@ from click.testing import CliRunner
 import pmabench.report.many.many
 from pmabench.cli.main import main
 from pmabench.report.files.csv_files import csv_text
-from pmabench.report.many.many import process_many
-from pmabench.report.many.many_table import table_rows
-from pmabench.report.many.processed import process_one
+from pmabench.report.many.many import process_many, process_one, table_rows
 from pmabench.store.analyses import made_from
 from pmabench.store.analyses.folder import runs_of
 from pmabench.store.catalogue import tasks_below

@@ -17,8 +17,31 @@ from pmabench.analysis.results import Analysis, Trace
 from pmabench.base.errors import UsageError
 from pmabench.plotting.pictures import has
 from pmabench.plotting.wording import clean
-from pmabench.report.files.control_law import rates
 from pmabench.store.records import Array, RunData
+
+
+def rates(t: float, state: Any, inputs: Any, params: dict[str, Any]) -> Any:
+    """Rates of [contraction m, speed m/s] under [pressure Pa gauge, load N]: M x'' = F_ce - K x - B x' - F_c - F_L.
+
+    Coefficients are joined by straight lines over the pressure, which go on beyond its ends; stiffness and damping stay
+    above 0. Friction grows with the speed up to F_c within a few `v_0`; a stop of 1e8 N/m holds the muscle at 0.
+    """
+    x, v = float(state[0]), float(state[1])
+    pressure, load = float(inputs[0]), float(inputs[1])
+    knots = params["P"]
+    left = min(max(int(np.searchsorted(knots, pressure)) - 1, 0), max(len(knots) - 2, 0))
+    share = (pressure - knots[left]) / (knots[left + 1] - knots[left]) if len(knots) > 1 else 0.0
+
+    def at(name: str) -> float:
+        values = params[name]
+        return float(values[left] + share * (values[left + 1] - values[left])) if len(knots) > 1 else float(values[0])
+
+    damping = max(at("B_c" if v >= 0 else "B_r"), 1.0)
+    friction = params["F_c"] * np.tanh(v / params["v_0"])
+    stop = max(0.0, -1e8 * x - 4e4 * v) if x < 0 else 0.0
+    a = (at("F_ce") - max(at("K"), 1.0) * x - damping * v - friction - load + stop) / params["M"]
+    return np.array([v, a])
+
 
 GRAVITY = 9.80665
 SLOW = 1e-6
@@ -27,7 +50,7 @@ SLOW = 1e-6
 
 @dataclass(frozen=True)
 class Deviation:
-    """What the exported model is off: from the fitted muscle of the analysis, and from what was measured [m]."""
+    """Differences of the exported model from the fitted muscle of the analysis and from the measurement [m]."""
 
     runs: int
     rms: float
@@ -37,7 +60,7 @@ class Deviation:
 
 @dataclass(frozen=True)
 class ControlModel:
-    """Parameters of `control_law.rates`, and how well they do."""
+    """Parameters of `rates`, and how well they do."""
 
     params: dict[str, Any]
     method: str
@@ -104,7 +127,7 @@ def _free_runs(analysis: Analysis) -> list[Trace]:
 
 
 def _joined(P: Array, places: Sequence[float], values: Sequence[float]) -> Array:
-    """Values at P by straight lines between places, which go on beyond them."""
+    """Values at P, interpolated linearly between places and extrapolated beyond them."""
     if len(places) == 1:
         return np.full(len(P), values[0])
     left = np.clip(np.searchsorted(places, P) - 1, 0, len(places) - 2)
@@ -119,7 +142,7 @@ def _masses(runs: Sequence[RunData]) -> dict[float, float]:
 
 
 def deviation_of(analysis: Analysis, runs: Sequence[RunData], params: dict[str, Any]) -> Deviation | None:
-    """What a model with these parameters is off along the free runs of an analysis; None without any."""
+    """The deviation of a model with these parameters along the free runs of an analysis; None without any."""
     fitted, measured = [], []
     masses = _masses(runs)
     for trace in _free_runs(analysis):
@@ -156,19 +179,7 @@ def control_text(model: ControlModel, analysis: Analysis) -> str:
     mark = "SIMULATED. " if analysis.simulated else ""
     lines += [f"{mark}Method {inside(model.method)}, pmabench {__version__}; runs:"]
     lines += [f"- {inside(run)}" for run in analysis.runs]
-    if model.deviation is None:
-        lines += ["", "How far it is off the fit was not found: the analysis has no free runs."]
-    else:
-        d = model.deviation
-        lines += [
-            "",
-            f"Along the pressures of {d.runs} measured trials its contraction is {d.rms * 1e3:.2g} mm rms off",
-        ]
-        lines += [
-            f"that of the fitted muscle (largest {d.largest * 1e3:.2g} mm), and {d.measured_rms * 1e3:.2g} mm rms"
-        ]
-        lines += ["off the measured one."]
-    lines += [f"{note[:1].upper()}{note[1:]}." for note in model.notes]
+    lines += ["", *remarks_of(model)]
     lines += ['Friction makes it stiff: control.input_output_response(..., solve_ivp_method="LSODA").']
     lines += ["The coefficients hold inside the pressures of `P`; M is the moving mass: put yours.", '"""', ""]
     lines += ["from typing import Any", "", "import control", "import numpy as np", ""]
@@ -199,8 +210,20 @@ def control_text(model: ControlModel, analysis: Analysis) -> str:
     return "\n".join(lines) + "\n"
 
 
+def remarks_of(model: ControlModel) -> list[str]:
+    """How far it is off the fit, and its notes, in lines for the head of a file."""
+    lines = ["How far it is off the fit was not found: the analysis has no free runs."]
+    if (d := model.deviation) is not None:
+        lines = [
+            f"Along the pressures of {d.runs} measured trials its contraction is {d.rms * 1e3:.2g} mm rms off",
+            f"that of the fitted muscle (largest {d.largest * 1e3:.2g} mm), and {d.measured_rms * 1e3:.2g} mm rms",
+            "off the measured one.",
+        ]
+    return [*lines, *(f"{note[:1].upper()}{note[1:]}." for note in model.notes)]
+
+
 def inside(text: str) -> str:
-    """Text that cannot end the docstring around it."""
+    """Text without the signs that could end the docstring or comment that holds it."""
     return "".join(
         sign if sign.isascii() and (sign.isalnum() or sign in " ._-:/") else "?" for sign in clean(text, 120)
     )

@@ -14,7 +14,7 @@ import numpy as np
 
 from pmabench import __version__
 from pmabench.analysis.results import Analysis
-from pmabench.report.files.control_model import ControlModel, control_model, deviation_of, inside
+from pmabench.report.files.control_model import ControlModel, control_model, deviation_of, inside, remarks_of
 from pmabench.store.records import Array, RunData
 
 STEP = 0.0005
@@ -57,17 +57,8 @@ def mujoco_text(model: ControlModel, analysis: Analysis) -> str:
     remarks = ["SIMULATED."] if analysis.simulated else []
     remarks += [f"A pneumatic muscle as fitted: method {inside(model.method)}, pmabench {__version__}; runs:"]
     remarks += [inside(run) for run in analysis.runs]
-    if model.deviation is None:
-        remarks += ["How far it is off the fit was not found: the analysis has no free runs."]
-    else:
-        d = model.deviation
-        remarks += [
-            f"Along the pressures of {d.runs} measured trials its contraction is {d.rms * 1e3:.2g} mm rms off",
-            f"that of the fitted muscle (largest {d.largest * 1e3:.2g} mm), and {d.measured_rms * 1e3:.2g} mm rms",
-            "off the measured one.",
-        ]
-    remarks += [f"{note[:1].upper()}{note[1:]}." for note in model.notes]
     remarks += [
+        *remarks_of(model),
         f"It holds from {P[0] / 1e3:g} to {P[-1] / 1e3:g} kPa. Controls: pressure [Pa gauge] and load [N].",
         "The joint is the contraction [m]; the mass is the moving mass: put yours.",
     ]

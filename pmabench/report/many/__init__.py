@@ -1,1 +1,1 @@
-"""Many runs: `many`, which works out only what has changed, one by one (`processed`); `many_table`."""
+"""Many runs: `many` works out what has changed, run by run, and writes one table over all of them."""
