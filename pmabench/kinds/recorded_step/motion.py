@@ -128,7 +128,7 @@ def free_swings(t: Array, P: Array, x: Array, known: Motion, noise: float) -> li
     off = np.abs(P - np.median(P[t > t[-1] - 1.0])) > REACHED * np.ptp(P)
     begin = SETTLED * float(t[np.flatnonzero(off)[-1]]) if off.any() else 0.0
     length = PERIODS * 2 * np.pi / known.w
-    found = []
+    found: list[Swing] = []
     while begin + length < t[-1]:
         rows = (t > begin) & (t <= begin + length)
         if np.count_nonzero(rows) < FEWEST or (found and found[-1].size < CLEAR * noise):
