@@ -11,8 +11,17 @@ from pmabench.base.quantities import CHANNEL_QUANTITY
 from pmabench.bench.channels import fit_line
 from pmabench.bench.driver_options import DBC, LONGEST, MAP, loaded
 from pmabench.bench.files.plant import ActuatorFile, DeviceTruth, Line, TruthFile
-from pmabench.bench.interface import ChannelRecord, DeviceRecord, InterlockRecord, OutputRecord, Scale, ValveRecord
-from pmabench.bench.records import Plug, Truth, Wired
+from pmabench.bench.interface import (
+    ChannelRecord,
+    DeviceRecord,
+    InterlockRecord,
+    OutputRecord,
+    Plug,
+    Scale,
+    Truth,
+    ValveRecord,
+    Wired,
+)
 from pmabench.bench.registry import driver_class
 from pmabench.files.document import Document, Location, read_document, validate
 from pmabench.files.quantity import unit_factor

@@ -112,7 +112,7 @@ def _process_together(
     data: dict[str, Any] = {
         "schema": "pmabench.process/1",
         "folders": [str(path) for path in folders],
-        "analyses": [analysis.to_dict() for analysis in analyses],
+        "analyses": [analysis.to_dict() for analysis in analyses] if ui.json else [],
         "verdicts": failed,
         "excluded": [
             {"run": run.id, "trial": note.excluded, "because": note.because, "operator": note.operator}

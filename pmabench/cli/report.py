@@ -122,11 +122,13 @@ def _written(
 ) -> tuple[dict[str, str], Page]:
     """Write the report in each format that is wanted; what was written, and the page."""
     from pmabench.cli.process import since_lines
+    from pmabench.plotting.svg import import_without_3d
     from pmabench.report.document.checklist import Issuer
     from pmabench.report.document.content import content_of
     from pmabench.report.document.html import page_of
     from pmabench.report.document.kept_page import Page, write_text
 
+    import_without_3d()
     page = Page("", {run.id: run.since.as_data() for run in runs if run.since.sentences}, since_lines(runs))
     for line in page.remarks:
         ui.note(line)

@@ -19,7 +19,7 @@ from typing import Any
 from pmabench.base.clock import Clock, RealClock, VirtualClock
 from pmabench.base.errors import DeviceError, UsageError
 from pmabench.bench.interface import Device, DeviceRecord, Identity, Rescue, Stream, Watchdog
-from pmabench.bench.records import Truth as Wiring
+from pmabench.bench.interface import Truth as Wiring
 from pmabench.conformance.relay import Relay, SerialRelay, TcpRelay
 from pmabench.conformance.truth import Behind, Emulated, Inside, Truth
 from pmabench.guard.owner import PATIENCE, Call, Owner

@@ -9,8 +9,7 @@ from pathlib import Path
 
 from pmabench.base.errors import DeviceError, InvalidFile, UsageError
 from pmabench.bench.compile import mount_alone
-from pmabench.bench.interface import DeviceRecord
-from pmabench.bench.records import Truth
+from pmabench.bench.interface import DeviceRecord, Truth
 from pmabench.bench.registry import driver_class, drivers
 from pmabench.bench.truth import read_truth, truth_of
 from pmabench.conformance import broken_wire, commands, following, samples, unopened

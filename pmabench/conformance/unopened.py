@@ -26,7 +26,7 @@ LOADS = """
 import json, sys
 from importlib import import_module
 from pmabench.base.clock import RealClock
-from pmabench.bench.records import device_from
+from pmabench.bench.interface import device_from
 data = json.loads(sys.stdin.read())
 before = set(sys.modules)
 record = device_from(data)

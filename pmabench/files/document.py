@@ -244,20 +244,19 @@ def check_schema(model: type[BaseModel], document: Document) -> None:
     raise InvalidFile([document.problem(("schema",), message)])
 
 
-def validate(model: type[Model], document: Document, data: Any = None, at: Location = ()) -> Model:
-    """The model of a document (or of its part `data` at `at`), or `InvalidFile` with every problem."""
-    if data is None:
-        check_schema(model, document)
+def validate(model: type[Model], document: Document) -> Model:
+    """The model of a document, or `InvalidFile` with every problem."""
+    check_schema(model, document)
     try:
-        return model.model_validate(document.data if data is None else data)
+        return model.model_validate(document.data)
     except ValidationError as error:
-        raise InvalidFile(_problems(model, document, error, at)) from None
+        raise InvalidFile(_problems(model, document, error)) from None
 
 
-def _problems(model: type[BaseModel], document: Document, error: ValidationError, at: Location) -> Iterator[Problem]:
+def _problems(model: type[BaseModel], document: Document, error: ValidationError) -> Iterator[Problem]:
     seen: set[tuple[Location, str]] = set()
     for item in error.errors(include_url=False):
-        location = (*at, *_in_data(document.data, at, item["loc"]))
+        location = _in_data(document.data, item["loc"])
         message, on_key = _sentence(model, item)
         if (location, message) in seen:
             continue
@@ -265,10 +264,8 @@ def _problems(model: type[BaseModel], document: Document, error: ValidationError
         yield document.problem(location, message, key=on_key)
 
 
-def _in_data(data: Any, at: Location, location: tuple[str | int, ...]) -> Location:
+def _in_data(data: Any, location: Location) -> Location:
     """The location without the tags of unions, which are not in the file."""
-    for part in at:
-        data = data[part]
     found: list[str | int] = []
     for index, part in enumerate(location):
         if isinstance(data, Mapping) and isinstance(part, str):

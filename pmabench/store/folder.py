@@ -22,7 +22,7 @@ import stat
 import sys
 import zlib
 from collections.abc import Iterator, Mapping
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import cache
@@ -293,20 +293,26 @@ def part_of(path: Path) -> Path:
     return path.with_name(f".{path.name}.part")
 
 
-def write_whole(path: Path, content: bytes) -> None:
-    """Write a small file so that it is there whole or not at all, and synced. Raises OSError."""
+@contextmanager
+def _part(path: Path) -> Iterator[Path]:
+    """The hidden file to write, which then becomes `path`, synced; where writing fails it is removed."""
     part = part_of(path)
     try:
-        with part.open("wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
+        yield part
         part.replace(path)
-    except OSError:
+    except (OSError, InvalidFile):
         with suppress(OSError):
             part.unlink()
         raise
     sync_folder(path.parent)
+
+
+def write_whole(path: Path, content: bytes) -> None:
+    """Write a small file so that it is there whole or not at all, and synced. Raises OSError."""
+    with _part(path) as part, part.open("wb") as file:
+        file.write(content)
+        file.flush()
+        os.fsync(file.fileno())
 
 
 @dataclass(frozen=True)
@@ -335,16 +341,9 @@ def copy_whole(path: Path, source: Copy) -> None:
 
     Raises OSError, or InvalidFile where it is not what it was.
     """
-    part = part_of(path)
-    try:
+    with _part(path) as part:
         if copy_file(source.path, part)[0] != source.sha256:
             raise invalid(source.path, "was changed while it was read")
-        part.replace(path)
-    except (OSError, InvalidFile):
-        with suppress(OSError):
-            part.unlink()
-        raise
-    sync_folder(path.parent)
 
 
 def sync_folder(folder: Path) -> None:

@@ -33,22 +33,12 @@ ARRIVALS = "arrivals"
 """Metadata of the file: two lists, the clock of the device and of the host [ns], for the last sample of batches."""
 
 
-@dataclass(frozen=True)
-class Archived:
-    """What was kept of a live stream."""
-
-    rows: int
-    fault: str
-    """Why reading the live stream stopped before its end mark; empty: it did not."""
-    torn: bool
-    """Whether bytes were left that belong to no whole batch."""
-
-
-def archive(live: Path, target: Path) -> Archived:
+def archive(live: Path, target: Path) -> tuple[int, str, bool]:
     """Write the whole batches of `live` to the Parquet file `target`, synced, re-read and compared byte for byte.
 
-    Raises OSError where it cannot be written, ValueError where `live` has no whole schema or what was read back
-    differs; `target` then does not exist.
+    Returns the rows, why reading stopped before the end mark (empty: it did not), and whether bytes were left that
+    belong to no whole batch. Raises OSError where it cannot be written, ValueError where `live` has no whole schema or
+    what was read back differs; `target` then does not exist.
     """
     part = target.with_name(f".{target.name}.part")
     try:
@@ -63,13 +53,12 @@ def archive(live: Path, target: Path) -> Archived:
             same = _arrivals_of(written) == arrivals
         if not same or digests != [_digest(table) for table in _row_groups(part)]:
             raise ValueError("what was read back is not what was written")
-        kept = Archived(reader.rows, reader.fault, reader.torn)
         part.replace(target)
         files.sync_folder(target.parent)
     finally:
         with suppress(OSError):
             part.unlink(missing_ok=True)
-    return kept
+    return reader.rows, reader.fault, reader.torn
 
 
 def _write(part: Path, reader: LiveReader, source: mmap.mmap) -> list[bytes]:
@@ -294,13 +283,13 @@ def _turn(folder: Path) -> _Streams:
     streams = _Streams()
     for live in _found(folder, "*.arrows"):
         try:
-            kept = archive(live, live.with_suffix(".parquet"))
+            rows, fault, torn = archive(live, live.with_suffix(".parquet"))
         except (OSError, ValueError) as error:
             streams.failure = error if isinstance(error, OSError) else streams.failure
             streams.described[live.stem] = {"rows": None, "fault": str(error), "file": live.name}
             continue
-        streams.described[live.stem] = {"rows": kept.rows, "fault": kept.fault, "file": f"{live.stem}.parquet"}
-        if not kept.torn:
+        streams.described[live.stem] = {"rows": rows, "fault": fault, "file": f"{live.stem}.parquet"}
+        if not torn:
             live.unlink()
     for path in _found(folder, "*.parquet"):
         rows, low, high = span_of(path)

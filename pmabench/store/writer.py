@@ -189,11 +189,14 @@ class RunWriter:
             if self._try(self._events.path, lambda: self._events.write(b"".join(self._lines))):
                 self._lines.clear()
 
-    def _try(self, path: Path, act: Callable[[], None]) -> bool:
-        """Whether `act` could write `path`; the first failure of a run is the one that is reported."""
+    def _try(self, path: Path, act: Callable[[], None], failures: type[Exception] = OSError) -> bool:
+        """Whether `act` could write `path`; the first failure of a run is the one that is reported.
+
+        In the threads every failure counts: the run is then not recorded, and its engine must know.
+        """
         try:
             act()
-        except OSError as error:
+        except failures as error:
             self._failure = self._failure or files.cannot_write(path, error)
             return False
         return True
@@ -206,7 +209,7 @@ class RunWriter:
     def _pump(self) -> None:
         """A thread: hands samples to the operating system, and does not wait for the disk."""
         while not self._stop.wait(FLUSH_EVERY):
-            if not self._dare([(stream.file.path, stream.drain) for stream in list(self._streams.values())]):
+            if not all(self._try(s.file.path, s.drain, Exception) for s in list(self._streams.values())):
                 return
 
     def _sync(self) -> None:
@@ -214,19 +217,9 @@ class RunWriter:
         while not self._stop.wait(SYNC_EVERY):
             self._syncing = time.monotonic()
             streams = [stream.file for stream in list(self._streams.values())]
-            if not self._dare([(file.path, file.sync) for file in (*streams, self._events)]):
+            if not all(self._try(file.path, file.sync, Exception) for file in (*streams, self._events)):
                 return
             self._syncing = None
-
-    def _dare(self, acts: Sequence[tuple[Path, Callable[[], None]]]) -> bool:
-        """Whether all acts succeeded; any failure means that the run is not recorded, and is kept for its engine."""
-        for path, act in acts:
-            try:
-                act()
-            except Exception as error:
-                self._failure = self._failure or files.cannot_write(path, error)
-                return False
-        return True
 
     def _halt(self) -> None:
         """End the threads and hand over what still waits; at the interpreter's end at the latest."""

@@ -15,8 +15,8 @@ from ruamel.yaml import YAML
 
 from pmabench.base.errors import InvalidFile
 from pmabench.bench.compile import mount
+from pmabench.bench.interface import device_from
 from pmabench.bench.plant import read_plant
-from pmabench.bench.records import device_from
 from pmabench.model.presets import changed, preset, setup_of
 from pmabench.model.regulator import constant
 from tests.bench.benches import BENCHES, ROOT, SPECIMEN

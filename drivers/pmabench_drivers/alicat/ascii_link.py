@@ -283,7 +283,7 @@ class AsciiLink:
             return self._reading("", deadline).set_point
 
     def reported(self, deadline: float) -> dict[str, float | str]:
-        """Where its set-point comes from, where the firmware tells."""
+        """Where its set-point comes from, where the firmware says it."""
         if not self._reports_source:
             return {}
         with self._turn(deadline):
@@ -351,7 +351,7 @@ class AsciiLink:
                 raise DeviceError(self._device, message)
 
     def _refuse_other_source(self, deadline: float) -> None:
-        """Firmware before 10v05 does not tell; there each set-point is proven by its answer."""
+        """Firmware before 10v05 does not say it; there each set-point is proven by its answer."""
         words = self._ask("LSS", deadline, FIRST).decode("ascii", "replace").upper().split()
         self._reports_source = len(words) == 2 and words[1] in SOURCES
         if self._reports_source and words[1] != "S":

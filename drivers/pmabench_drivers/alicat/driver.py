@@ -46,7 +46,7 @@ class AlicatController(Controlled):
     # -- life -----------------------------------------------------------------------------------------------------
 
     def open(self) -> Identity:
-        """Connect and learn what the device tells of itself; nothing is commanded."""
+        """Connect and learn what the device says of itself; nothing is commanded."""
         self.close()
         kind = AsciiLink if self._options.protocol == ASCII else ModbusLink
         link = self._link = kind(self._device.name, self._device.address, self._options, self._clock)

@@ -12,7 +12,7 @@ ASCII, MODBUS = "ascii", "modbus"
 PCD, MCD = "PCD", "MCD"
 KEYS = ("protocol", "unit_id", "baud", "unit", "valves", "rate", "timeout", "slowest", "emulate")
 BAUDS = (19200, 38400, 57600, 115200)
-"""Slower lines cannot tell the columns within the time that opening may take."""
+"""Slower lines cannot list the columns within the time that opening may take."""
 INPUTS = ("pressure", "set_point")
 OUTPUT = "pressure"
 UNITS = {

@@ -60,7 +60,7 @@ class Drive(Node):
         self._set_period(deadline)
 
     def _set_period(self, deadline: float) -> None:
-        """Tell it the time between two SYNCs, over which it interpolates."""
+        """Set the time between two SYNCs, over which it interpolates."""
         units, exponent = round(self.period * 1e3), -3
         if abs(units * 1e-3 - self.period) > 1e-9:
             units, exponent = round(self.period * 1e4), -4

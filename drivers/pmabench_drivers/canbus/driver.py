@@ -86,7 +86,7 @@ class CanBus(Driver):
         deadline = monotonic() + OPEN
         self._takers = {identifier: take for node in self._nodes.values() for identifier, take in node.takers().items()}
         device, bitrate = self._device, self._options.bitrate
-        ask = not self._nodes  # sensors that only send tell nothing of themselves
+        ask = not self._nodes  # sensors that only send say nothing of themselves
         adapter = partial(open_adapter, device.address, bitrate, ask=ask)
         self._link = Link(device.name, device.address, adapter, self._clock, self._take)
         with self._closed_on_error():

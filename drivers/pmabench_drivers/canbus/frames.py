@@ -16,7 +16,7 @@ TPDO, RPDO = (0x180, 0x280), (0x200, 0x300)
 """Usual identifiers of the first PDOs of a node."""
 START, STOP, PREOPERATIONAL, RESET_NODE, RESET_COMMUNICATION = 0x01, 0x02, 0x80, 0x81, 0x82
 BOOT, STOPPED, OPERATIONAL, PREOP = 0x00, 0x04, 0x05, 0x7F
-"""States of a node as its heartbeat tells them."""
+"""States of a node in its heartbeat."""
 NODE_STATES = {BOOT: "starting", STOPPED: "stopped", OPERATIONAL: "operational", PREOP: "pre-operational"}
 
 DEVICE_TYPE, ERROR_REGISTER, DEVICE_NAME, SOFTWARE = 0x1000, 0x1001, 0x1008, 0x100A
@@ -213,7 +213,7 @@ NEXT = {
 
 
 def state_of(status: int) -> State | None:
-    """The state that a statusword tells; None for a word that CiA 402 does not know."""
+    """The state in a statusword; None for a word that CiA 402 does not know."""
     return next((state for mask, value, state in STATES if status & mask == value), None)
 
 

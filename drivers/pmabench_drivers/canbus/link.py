@@ -38,7 +38,7 @@ PUSH = 0.1
 RESTART = 0.3
 """A serial adapter is given so long after it was opened [s]."""
 ASKED = 0.2
-"""How long an adapter is given to tell its serial number [s]."""
+"""How long an adapter is given to answer with its serial number [s]."""
 LONGEST = 64
 """More of an unfinished line is forgotten [bytes]."""
 
@@ -85,7 +85,7 @@ class Slcan:
             time.sleep(RESTART)
         self._rest, self._frames = b"", deque[Frame]()
         self.serial = ""
-        """Serial number, where it was to `ask` for it and the adapter tells it."""
+        """Serial number, where it was to `ask` for it and the adapter has one."""
         self._write(f"\rC\r{RATES[bitrate]}\rO\r".encode())
         if ask:
             self._write(b"N\r")
@@ -199,7 +199,7 @@ Adapter = Slcan | PythonCan
 
 
 def open_adapter(address: str, bitrate: int, *, ask: bool) -> Adapter:
-    """The adapter at INTERFACE:CHANNEL; `ask`: find out its serial number, where it tells it."""
+    """The adapter at INTERFACE:CHANNEL; `ask`: find out its serial number, where it has one."""
     interface, _, channel = address.partition(":")
     if interface == "slcan":
         return Slcan(channel, bitrate, ask=ask)

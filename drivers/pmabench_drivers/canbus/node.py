@@ -174,7 +174,7 @@ class Node(ABC):
     """One node of the bus. `mapped` are its TPDOs in use: identifier -> what takes the data."""
 
     profile = 0
-    """Number of its device profile, as object 1000h tells it."""
+    """Number of its device profile, as object 1000h holds it."""
 
     def __init__(self, device: str, name: str, number: int, send: Send) -> None:
         self.device, self.name, self.number = device, name, number

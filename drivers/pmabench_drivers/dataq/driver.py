@@ -128,7 +128,7 @@ class Dataq(SerialStream):
             self._failure = f"sends more scans than {self._rate:g} a second"
 
     def _begin_again(self) -> None:
-        """Bytes were lost and nothing tells where a scan begins: stop, and start when the echo has come."""
+        """Bytes were lost and nothing shows where a scan begins: stop, and start when the echo has come."""
         now = monotonic()
         self.lost += 1
         self._losses = [moment for moment in self._losses if now - moment < WITHIN] + [now]

@@ -1,7 +1,7 @@
 """DATAQ devices: models, options, scans as bytes and their alignment; knows no port. Standard library only.
 
 Source: Data Acquisition Instrument Command Protocol, DATAQ Instruments, 2019. A scan has one word of two bytes for each
-entry of the scan list, low byte first, and no mark of its own. So the digital inputs are the last entry of each scan:
+entry of the scan list, low byte first, and no mark. So the digital inputs are the last entry of each scan:
 their low byte holds D1 and D0 complemented, their high byte D6 to D0, and as long as nothing is switched the word never
 changes; where it does, bytes were lost.
 """
@@ -85,7 +85,7 @@ def counts(model: Model, span: float, value: float) -> int:
 
 
 def plausible(word: int) -> bool:
-    """Whether a word can be that of the digital inputs: D1 and D0 stand in it twice, and there is no D7."""
+    """Whether a word can be that of the digital inputs: D1 and D0 are in it twice, and there is no D7."""
     low, high = word & 0xFF, word >> 8 & 0xFF
     return high < 0x80 and low & 3 == ~high & 3
 

@@ -18,8 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from pmabench.base.errors import UsageError, did_you_mean
-from pmabench.bench.interface import DeviceRecord
-from pmabench.bench.records import Truth
+from pmabench.bench.interface import DeviceRecord, Truth
 from pmabench_drivers.emulator.faults import EVENTS, CommandLog, Kind
 from pmabench_drivers.emulator.plant import RealPlant
 from pmabench_drivers.emulator.ports import accepted, hang_up, refuse_others

@@ -21,7 +21,7 @@ from typing import Any
 from pmabench.base.errors import did_you_mean
 
 Tap = Callable[[str, bytes], None]
-"""Told of what one device `received` and `sent`."""
+"""Takes what one device `received` and `sent`."""
 
 
 class CommandLog:
@@ -92,7 +92,7 @@ LINK = {
     "stale": Kind("the answer before comes once more, in place of the new one"),
     "truncated": Kind("so many bytes at the end of an answer are missing", "number", 1.0),
     "corrupted": Kind("the bits of this byte of an answer, counted from 0, are inverted", "number"),
-    "garbage": Kind("bytes of no meaning stand before an answer"),
+    "garbage": Kind("bytes of no meaning come before an answer"),
     "double": Kind("an answer comes twice"),
     "hang-up": Kind("the connection is closed at the next request"),
     "reset": Kind("the connection is reset at the next request; a board starts again"),

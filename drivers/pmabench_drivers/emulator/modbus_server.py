@@ -167,9 +167,6 @@ WATCH = 0.005
 """How often the watchdog is looked at [s]."""
 KINDS = (f.LINK, f.STUCK, f.MODBUS)
 
-Send = Callable[[bytes, Fault], None]
-"""Sends an answer without its frame as a fault lets it."""
-
 
 def events(registers: object) -> Iterator[dict[str, Kind]]:
     """The events that can happen to what is behind a wire."""
@@ -215,18 +212,17 @@ class _Device:
             raise AttributeError(event)
         return getattr(self.registers, event)
 
-    def answer(self, pdu: bytes, connection: int, send: Send) -> None:
-        """Carry out a request and send its answer as the fault of the moment lets it."""
+    def answer(self, pdu: bytes, connection: int) -> tuple[bytes, Fault] | None:
+        """Carry out a request: its answer without a frame, and the fault that meets it; None for no answer."""
         fault = self.faults.next()
         if fault.kind in {"hang-up", "reset"}:
             raise ConnectionAbortedError(fault.kind)
         if fault.kind == "silence":
-            return
+            return None
         try:
-            reply = self.reply(pdu, connection, fault)
+            return self.reply(pdu, connection, fault), fault
         except Refused as refused:
-            reply = refusal(pdu[0], refused.code)
-        send(reply, fault)
+            return refusal(pdu[0], refused.code), fault
 
     def reply(self, pdu: bytes, connection: int, fault: Fault) -> bytes:
         """Carry out a request and give its answer without a frame; `Refused` where the device says no."""
@@ -280,13 +276,10 @@ class TcpDevice(_Device):
                     transaction, unit, pdu, data = parts
                     if unit not in {self.unit_id, 0, 255}:
                         continue
-
-                    def send(reply: bytes, fault: Fault, transaction: int = transaction, unit: int = unit) -> None:
-                        leaving = outgoing.of(mbap(transaction, unit, reply), fault)
+                    if (answered := self.answer(pdu, number)) is not None:
+                        leaving = outgoing.of(mbap(transaction, unit, answered[0]), answered[1])
                         connection.sendall(leaving)
                         tap("sent", leaving)
-
-                    self.answer(pdu, number, send)
         except ConnectionAbortedError as error:
             if str(error) == "reset":
                 connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
@@ -323,12 +316,9 @@ class RtuDevice(_Device):
                 unit, pdu, data = parts
                 if unit != self.unit_id:
                     continue
-
-                def send(reply: bytes, fault: Fault, unit: int = unit) -> None:
-                    self._terminal.write(outgoing.of(rtu(unit, reply), fault))
-
                 try:
-                    self.answer(pdu, 1, send)
+                    if (answered := self.answer(pdu, 1)) is not None:
+                        self._terminal.write(outgoing.of(rtu(unit, answered[0]), answered[1]))
                 except ConnectionAbortedError:
                     self._terminal.close()
                     return
@@ -340,7 +330,7 @@ IDENTIFY = b"\x2b\x0e"
 
 
 class NamedDevice(TcpDevice):
-    """Also tells its names, objects 0 to 5; `hear` is called for that question, as for any communication."""
+    """Also gives its names, objects 0 to 5; `hear` is called for that question, as for any communication."""
 
     def __init__(
         self, registers: Answering, names: Sequence[str], hear: Callable[[], None], log: CommandLog, port: int
@@ -348,20 +338,13 @@ class NamedDevice(TcpDevice):
         super().__init__(registers, 1, log, port)
         self._names, self._hear = names, hear
 
-    def answer(self, pdu: bytes, connection: int, send: Send) -> None:
-        """Also function 43/14, which is met by the faults of the link that are about connections."""
+    def reply(self, pdu: bytes, connection: int, fault: Fault) -> bytes:
+        """Also the answer to function 43/14."""
         if pdu[:2] != IDENTIFY:
-            super().answer(pdu, connection, send)
-            return
+            return super().reply(pdu, connection, fault)
         self._hear()
-        fault = self.faults.next()
-        if fault.kind in {"hang-up", "reset"}:
-            raise ConnectionAbortedError(fault.kind)
-        if fault.kind == "silence":
-            return
         if len(pdu) != 4 or pdu[2] not in {1, 2}:
-            send(refusal(0x2B, VALUE), fault)
-            return
+            raise Refused(VALUE)
         objects = self._names[:3] if pdu[2] == 1 else self._names
         body = b"".join(bytes([i, len(text)]) + text.encode("ascii") for i, text in enumerate(objects))
-        send(bytes([0x2B, 0x0E, pdu[2], 0x82, 0, 0, len(objects)]) + body, fault)
+        return bytes([0x2B, 0x0E, pdu[2], 0x82, 0, 0, len(objects)]) + body

@@ -33,7 +33,7 @@ from pmabench_drivers.mock.simulation import Simulation
 RATE = 1000.0
 """The plant is sampled so often; whoever looks gets the latest sample, or that of a moment [Hz]."""
 KEPT = 2.0
-"""How long samples are kept for devices that sample at moments of their own [s]."""
+"""How long samples are kept for devices that choose the moments of their samples [s]."""
 TURN = 0.5
 """How often it is brought to the present while nobody looks [s]."""
 CHANNELS = {
@@ -144,7 +144,7 @@ class RealPlant:
     def at(self, moment: float) -> dict[str, float]:
         """What each channel measured at a moment of the last `KEPT` seconds [s, monotonic]: the sample before it.
 
-        For devices that a clock of their own times: they lose nothing when this machine looks late.
+        For devices with their own clock: they lose nothing when this machine looks late.
         """
         with self._lock:
             time_ns = round((moment - self._clock.start) * 1e9)

@@ -16,8 +16,7 @@ from dataclasses import dataclass, field, replace
 from itertools import combinations
 
 from pmabench.base.errors import UsageError, did_you_mean
-from pmabench.bench.interface import DeviceRecord, Scale
-from pmabench.bench.records import Plug, Truth, Wired
+from pmabench.bench.interface import DeviceRecord, Plug, Scale, Truth, Wired
 
 PLACES = ("server", "stream_port")
 """Options that say where to listen; they come from the bench file, as the address does."""

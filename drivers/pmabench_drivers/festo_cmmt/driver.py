@@ -1,4 +1,4 @@
-"""The device interface in front of a CMMT: telegram 111 in a cycle of its own, ramps by the drive, sines streamed.
+"""The device interface in front of a CMMT: telegram 111 in a cycle, ramps by the drive, sines streamed.
 
 One thread exchanges process data from `open` to `close`, as the drive expects it; nothing is written before the first
 command, so that `open` takes control from nobody. The newest command is all that is ever sent: a command of the caller
@@ -131,7 +131,7 @@ class FestoCmmt(Watched):
         self._every = 0
 
     def _tick(self) -> None:
-        """One cycle: what is commanded now, then what the drive tells."""
+        """One cycle: what is commanded now, then what the drive reports."""
         if self._hungry() or self._line is None:
             return  # whoever feeds it is gone: the cycle must not keep the drive's time-out quiet
         try:
@@ -318,7 +318,7 @@ class FestoCmmt(Watched):
         self._opened().put(t.TIMEOUT, self._found, monotonic() + CALL)
 
     def held(self) -> dict[str, float | str]:
-        """Its time-out [s], its telegram, its serial number where it tells one, and what forbids a motion."""
+        """Its time-out [s], its telegram, its serial number where it has one, and what forbids a motion."""
         until, line = monotonic() + CALL, self._opened()
         status = line.look(until)
         return {

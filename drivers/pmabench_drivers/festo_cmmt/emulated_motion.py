@@ -28,7 +28,7 @@ SENT: Mapping[int, Sequence[str]] = {
     111: POSITION,
 }
 """Telegram -> what the drive gets."""
-TOLD: Mapping[int, Sequence[str]] = {
+GIVEN: Mapping[int, Sequence[str]] = {
     1: ("ZSW1", "NIST_A"),
     9: ("ZSW1", "AKTSATZ", "ZSW2", "XIST_A"),
     102: ("ZSW1", "NIST_B", "ZSW2", "MELDW", "G1_ZSW", "G1_XIST1", "G1_XIST2"),
@@ -75,9 +75,9 @@ def split(telegram: int, words: Sequence[int]) -> dict[str, int]:
 
 
 def join(telegram: int, values: Mapping[str, int]) -> list[int]:
-    """The registers that tell `values`; 0 where nothing is given."""
+    """The registers that hold `values`; 0 where nothing is given."""
     words: list[int] = []
-    for name in TOLD[telegram]:
+    for name in GIVEN[telegram]:
         value = values.get(name, 0)
         words += [value >> 16 * i & 0xFFFF for i in range(2 if name in LONG else 1)]
     return words + [0] * (SIZE - len(words))

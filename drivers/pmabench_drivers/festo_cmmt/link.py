@@ -27,7 +27,7 @@ class DriveLink(NamedLine):
         self._mailbox = threading.Lock()
 
     def look(self, until: float) -> t.Status:
-        """What the drive tells now."""
+        """What the drive reports now."""
         return t.Status.of(self._again(t.PROCESS_IN, t.SIZE, until, "process data"))
 
     def look_once(self, until: float) -> t.Status:

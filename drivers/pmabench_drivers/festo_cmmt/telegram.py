@@ -22,7 +22,7 @@ from pmabench_drivers.shared.device import stepped
 from pmabench_drivers.shared.options import Reader
 
 PROCESS_OUT, PROCESS_IN = 0, 100
-"""First register of what is sent to the drive, and of what it tells."""
+"""First register of what is sent to the drive, and of what it reports."""
 SIZE, SENT = 28, 11
 """Registers of each of them, and those that telegram 111 takes of what is sent."""
 TIMEOUT = Register("watchdog time", "holding", 400, "uint32", low_word_first=True)
@@ -91,7 +91,7 @@ NOTHING = [0] * SENT
 
 @dataclass(frozen=True)
 class Status:
-    """What the drive tells in each cycle."""
+    """What the drive reports in each cycle."""
 
     word: int
     """ZSW1."""
@@ -134,7 +134,7 @@ CATCH_UP = 0.02
 
 
 class Path:
-    """Positions in user units of the drive; `clock` tells bench time [s]."""
+    """Positions in user units of the drive; `clock` gives bench time [s]."""
 
     def __init__(self, clock: Callable[[], float]) -> None:
         self._clock = clock

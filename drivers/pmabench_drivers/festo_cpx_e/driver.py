@@ -92,7 +92,7 @@ class FestoCpxE(ModbusDevice):
         try:
             line.read("holding", STATUS, 1, monotonic() + self._map.timeout, "status")
         except DeviceError:
-            return  # the next call that somebody makes tells it
+            return  # the next call that somebody makes reports it
 
     # -- what is there, and how it is set -------------------------------------------------------------------------
 
@@ -139,7 +139,7 @@ class FestoCpxE(ModbusDevice):
     def held(self) -> dict[str, float | str]:
         """Its time-out [s], how many modules it has and which report faults, whether it is forced, and who it is.
 
-        It tells no serial number in less than half a second.
+        It gives no serial number in less than half a second.
         """
         until = monotonic() + CALL
         watchdog, line = self._get(TIMEOUT, until) * 1e-3, self._opened()

@@ -162,7 +162,7 @@ class EmulatedTerminal:
     # -- the time-out ---------------------------------------------------------------------------------------------
 
     def look_at_watchdog(self) -> None:
-        """Nothing: `bite` is asked by the connection, which ends with it."""
+        """Nothing: the connection looks at the time-out by `fire`, and ends with it."""
 
     def expire_watchdog(self) -> bool:
         """Let the time-out end at the next look; whether there is one."""

@@ -28,9 +28,9 @@ SCENE = {
     262080: "cannot compute the value",
     262081: "sees a peak that is too large",
 }
-"""Codes that tell of what is before the laser: no number, as often as it happens."""
+"""Codes about what is in front of the laser: no number, as often as it happens."""
 SETTING = {262075: "sends more than its baud rate can carry", 262082: "has its laser switched off"}
-"""Codes that tell that something is set wrong."""
+"""Codes for something that is set wrong."""
 
 
 class Decoder:
@@ -45,7 +45,7 @@ class Decoder:
         self._code = -1
         self._skip = 0
         self.invalid = 0
-        """Places where a byte did not stand where it belongs."""
+        """How often a byte was out of its place."""
 
     def feed(self, data: bytes) -> list[tuple[int, int]]:
         """The measurements that end in `data`: code of the distance and counter, 18 bits each."""
@@ -96,7 +96,7 @@ def distance(code: int, span: int) -> float:
 
 
 def code_of(value: float, span: int) -> int:
-    """The code that the sensor sends for a distance [mm]; peaks outside have codes of their own."""
+    """The code that the sensor sends for a distance [mm]; peaks outside have other codes."""
     code = round((value / (0.01 * span) + 1.0) * FULL / 102.0)
     return 262077 if code < 0 else 262078 if code > FULL else code
 

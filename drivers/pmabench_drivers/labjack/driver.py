@@ -20,7 +20,7 @@ from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import EMULATED, UNPROVEN, Block, DeviceRecord, Identity
 from pmabench_drivers.labjack import registers as r
 from pmabench_drivers.labjack.registers import Options, read_options
-from pmabench_drivers.labjack.stream import COUNT, FLASH, Gain, Plan, StreamLink, gains
+from pmabench_drivers.labjack.stream import COUNT, FLASH, Gain, StreamLink, gains
 from pmabench_drivers.modbus import ModbusDevice
 from pmabench_drivers.modbus.driver import CALL, OPEN
 from pmabench_drivers.shared.link import Unanswered
@@ -144,7 +144,7 @@ class LabJack(ModbusDevice):
         link = StreamLink(name, self._names, (self._t7.host, self._t7.stream_port), deadline - monotonic(), self._clock)
         try:
             used = self._configure(rate, scans, deadline)
-            link.begin(Plan(used, scans, [self._tables[item.gain] for item in inputs]))
+            link.begin(used, scans, [self._tables[item.gain] for item in inputs])
             self.put(r.STREAM_ENABLE, r.u32(1), deadline, "stream")
         except DeviceError:
             link.close()
@@ -198,7 +198,7 @@ class LabJack(ModbusDevice):
         super().stop()
 
     def _end_stream(self) -> None:
-        """Tell the device and let go; one that does not hear it is stopped at the next start."""
+        """Stop the device and let go; one that does not answer is stopped at the next start."""
         link, self._stream = self._stream, None
         if link is None:
             return
@@ -219,7 +219,7 @@ class LabJack(ModbusDevice):
     # -- digital lines --------------------------------------------------------------------------------------------
 
     def switch(self, output: str, *, on: bool) -> None:
-        """Set a line high or low once, which makes it an output; the terminal tells whether it was done."""
+        """Set a line high or low once, which makes it an output; its terminal shows whether it was done."""
         line, deadline, lost = self._line_of(output), monotonic() + CALL, ""
         try:
             self._put(self._switched(output), float(on), deadline)

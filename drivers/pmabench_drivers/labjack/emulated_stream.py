@@ -1,4 +1,4 @@
-"""The stream of an emulated T7: scans at absolute times, a buffer of limited size, packets on a connection of its own.
+"""The stream of an emulated T7: scans at absolute times, a buffer of limited size, packets on a separate connection.
 
 Written from the packet's description and apart from the driver's reading of it, so that each is a check of the other.
 """

@@ -18,7 +18,7 @@ from pmabench_drivers.shared.options import Reader
 TEST, TEST_VALUE, TEST_FLOAT = 55100, 0x00112233, 55124
 PRODUCT_ID, HARDWARE_VERSION, FIRMWARE_VERSION, SERIAL_NUMBER = 60000, 60002, 60004, 60028
 EMULATED, UNPROVEN = 0, 1
-"""Serial numbers of emulated devices: with a truth of their own about wiring and scales, and without."""
+"""Serial numbers of emulated devices: with a truth file of wiring and scales, and without."""
 LAST_ERR_DETAIL, LAST_MB_ERR, LAST_ERR_FRAME = 55000, 55001, 55002
 RESET_CAUSE, RTC_TIME = 60014, 61500
 """Why it restarted last, as bits; its clock [s], from power-on or of the day."""
@@ -34,7 +34,7 @@ DACS = ("DAC0", "DAC1")
 DIO = 2000
 """FIO0, one register a line: writing makes it an output, reading an input."""
 DIO_STATE, DIO_DIRECTION, DIO_INHIBIT = 2800, 2850, 2900
-"""All lines as bits, as they stand; reading changes nothing."""
+"""All lines as bits, as they are now; reading changes nothing."""
 STATES, STATES_OF_TWO, DIRECTIONS = 2500, 2580, 2600
 """Of FIO, EIO, CIO, MIO each; of FIO with EIO, EIO with CIO, CIO with MIO."""
 LINES = {
@@ -69,7 +69,7 @@ class Model:
     ranges: Mapping[str, tuple[int, float]] = field(default_factory=dict)
     """Ranges of the inputs, the widest first; none where they cannot be set here."""
     restart_cause_from: float = 0.0
-    """Firmware from which on it tells why it restarted last."""
+    """Firmware from which on it reports why it restarted last."""
     streams: bool = False
     """Whether it is read by its stream, or asked for each sample."""
     finest: int = 16

@@ -187,18 +187,6 @@ AHEAD, DRIFT = 0.5, 1e-3
 PIECE = 65536
 
 
-@dataclass(frozen=True)
-class Plan:
-    """How the stream runs."""
-
-    rate: float
-    """Scans a second, as the device says [Hz]."""
-    scans: int
-    """Scans in a packet."""
-    tables: Sequence[array[float]]
-    """Volts of every count, for each channel of the scan list, shape (65536,)."""
-
-
 class StreamLink:
     """Receives one stream from its start to its end."""
 
@@ -217,10 +205,13 @@ class StreamLink:
             why = (error.strerror or str(error)).lower()
             raise DeviceError(device, f"no connection to {where}, where the stream comes from: {why}") from None
 
-    def begin(self, plan: Plan) -> None:
-        """Receive from now on; the device is started after this."""
-        self._plan = plan
-        self._packets = Packets(len(self._names), plan.scans)
+    def begin(self, rate: float, scans: int, tables: Sequence[array[float]]) -> None:
+        """Receive from now on; the device is started after this.
+
+        `rate` as the device says [Hz]; `scans` in a packet; volts of every count for each channel, shape (65536,).
+        """
+        self._rate, self._scans, self._tables = rate, scans, tables
+        self._packets = Packets(len(self._names), scans)
         self._start = self._last = self._clock.now()
         self._socket.settimeout(None)
         self._thread = threading.Thread(target=self._receive, name=f"labjack {self._device}", daemon=True)
@@ -252,7 +243,7 @@ class StreamLink:
         if not time:
             if failure:
                 raise DeviceError(self._device, f"the stream broke off: {failure}")
-            if silent > PATIENCE + 2 * self._plan.scans / self._plan.rate:
+            if silent > PATIENCE + 2 * self._scans / self._rate:
                 raise DeviceError(self._device, f"its stream has been silent for {silent:.2f} s")
         return Block(time, dict(zip(self._names, columns, strict=True)), host)
 
@@ -273,7 +264,7 @@ class StreamLink:
                 self._failure = failure
 
     def _keep(self, scans: Scans, arrived: float) -> None:
-        width, rate = len(self._names), self._plan.rate
+        width, rate = len(self._names), self._rate
         end = scans.first + len(scans.raw) // width
         elapsed = arrived - self._start
         if (end - 1) / rate > elapsed * (1 + DRIFT) + AHEAD:
@@ -281,7 +272,7 @@ class StreamLink:
         origin = round(self._start * 1e9)
         times = array("q", [origin + round(number * 1e9 / rate) for number in range(scans.first, end)])
         columns = [
-            array("d", map(table.__getitem__, scans.raw[index::width])) for index, table in enumerate(self._plan.tables)
+            array("d", map(table.__getitem__, scans.raw[index::width])) for index, table in enumerate(self._tables)
         ]
         with self._lock:
             self._time += times

@@ -11,7 +11,6 @@ only.
 from __future__ import annotations
 
 import json
-import math
 import os
 import socket
 import sys
@@ -24,9 +23,9 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from pmabench.base.clock import Clock, RealClock
-from pmabench.base.errors import DeviceError, did_you_mean
-from pmabench.bench.interface import Block, DeviceRecord, Identity, Load, OutputRecord, Segment
-from pmabench_drivers.mock.options import problems, read_options, split_service
+from pmabench.base.errors import DeviceError
+from pmabench.bench.interface import Block, DeviceRecord, Identity, Load, Segment
+from pmabench_drivers.mock.options import output_of, problems, read_options, split_service
 
 LONGEST_LINE = 1 << 20
 LONGEST_BYTES = 1 << 26
@@ -138,7 +137,7 @@ START_WITHIN = 5.0
 
 
 class MockClient:
-    """A bench whose simulated plant lives in real time in a process of its own (`pmabench_drivers.mock.server`).
+    """A bench whose simulated plant lives in real time in a separate process (`pmabench_drivers.mock.server`).
 
     Channels, outputs, dump valve, digital input and options are those of the driver `mock`
     (`pmabench_drivers.mock.driver.MockBench`), with `pmabench_drivers.mock.options.Service`. The address is
@@ -168,7 +167,6 @@ class MockClient:
             device = replace(device, options={**device.options, "log": log})
         self._device, self._clock = device, clock
         self._address = parse_address(device.name, device.address)
-        self._outputs = {output.output: output for output in device.outputs}
         self._valves = {valve.output for valve in device.valves}
         self._link: Link | None = None
         self._is_open = False
@@ -212,18 +210,11 @@ class MockClient:
         return link, Identity(**answer["identity"])
 
     def _start_process(self) -> None:
-        """Start the server in a session of its own; it returns when the plant is there or says why it is not."""
+        """Start the server in a new session; it returns when the plant is there or says why it is not."""
         import subprocess
 
-        command = [
-            sys.executable,
-            "-P",
-            "-m",
-            "pmabench_drivers.mock.server",
-            "--address",
-            self._device.address,
-            "--detach",
-        ]
+        server = "pmabench_drivers.mock.server"
+        command = [sys.executable, "-P", "-m", server, "--address", self._device.address, "--detach"]
         with subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, start_new_session=True
         ) as process:
@@ -314,22 +305,22 @@ class MockClient:
 
     def write(self, output: str, value: float) -> None:
         """Command a value [device units] at once; never retried."""
-        self._check(output, value)
+        output_of(self._device, output, value)
         self._ask("write", output=output, value=value)
 
     def read_back(self, output: str) -> float:
         """The set-point held now [device units]."""
-        self._check(output)
+        output_of(self._device, output)
         return float(self._value("read_back", output=output))
 
     def follow(self, output: str, segment: Segment) -> None:
         """Follow a ramp or a sine from its start on, or from now on if that has passed."""
-        self._check(output, *(value for value in asdict(segment).values() if not isinstance(value, str)))
+        output_of(self._device, output, *(value for value in asdict(segment).values() if not isinstance(value, str)))
         self._ask("follow", output=output, segment=asdict(segment))
 
     def halt(self, output: str) -> None:
         """Stop where it is and hold: the actuator at its place, the regulator at its set-point."""
-        self._check(output)
+        output_of(self._device, output)
         self._ask("halt", output=output)
 
     def place(self, load: Load) -> None:
@@ -347,15 +338,6 @@ class MockClient:
     def level(self, name: str) -> bool:
         """Whether the digital input is high."""
         return bool(self._value("level", name=name))
-
-    def _check(self, output: str, *values: float) -> OutputRecord:
-        record = self._outputs.get(output)
-        if record is None:
-            raise DeviceError(self._device.name, f'no output "{output}"{did_you_mean(output, self._outputs)}')
-        for value in values:
-            if not math.isfinite(value):
-                raise DeviceError(self._device.name, f"cannot be commanded to {value}", output)
-        return record
 
     # -- watchdog and second way ----------------------------------------------------------------------------------
 
@@ -376,9 +358,9 @@ class MockClient:
         return {str(name): value for name, value in self._value("held").items()}
 
     def rescue(self, output: str, value: float) -> None:
-        """Command `value` [device units; 0 and 1 for the valve] over a connection of its own; no retry."""
+        """Command `value` [device units; 0 and 1 for the valve] over a separate connection; no retry."""
         if output not in self._valves:
-            self._check(output, value)
+            output_of(self._device, output, value)
         by = time.monotonic() + PATIENCE
 
         def act() -> None:

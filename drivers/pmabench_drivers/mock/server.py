@@ -1,4 +1,4 @@
-"""The simulated plant as a process of its own, in real time, behind a loopback socket: `mock-realtime`'s other end.
+"""The simulated plant as a separate process, in real time, behind a loopback socket: `mock-realtime`'s other end.
 
     python -m pmabench_drivers.mock.server --address 127.0.0.1:47807 < device.json
 
@@ -43,7 +43,7 @@ from typing import TYPE_CHECKING, Any
 from pmabench.base.clock import RealClock
 from pmabench.base.errors import DeviceError, PmaError, invalid
 from pmabench.base.system import ENGINE, real_time
-from pmabench.bench.records import DeviceRecord, device_from
+from pmabench.bench.interface import DeviceRecord, device_from
 from pmabench_drivers.mock.client import Inbox, encode, parse_address
 
 if TYPE_CHECKING:

@@ -82,10 +82,7 @@ class Simulation:
         self._plant: Plant | DrivenPlant
         if options.free_end == "actuator":
             actuator = Actuator(
-                low=options.actuator_low,
-                high=options.actuator_high,
-                speed=options.actuator_speed,
-                force=options.actuator_force,
+                options.actuator_low, options.actuator_high, options.actuator_speed, options.actuator_force
             )
             self._plant = setup.driven(actuator, start=start)
         else:

@@ -62,14 +62,14 @@ SIGNATURES: dict[int, Callable[[Any], tuple[int, ...]]] = {
     6: lambda answer: (answer.address, answer.registers[0]),
     **dict.fromkeys((15, 16), lambda answer: (answer.address, answer.count)),
 }
-"""Function code -> what of an answer tells it from others."""
+"""Function code -> what distinguishes its answer from others."""
 FAILED = 0x80
 """Added to the function code of a refusal."""
 LAST_READ = 4
 """Function codes up to this one read."""
 
 Signature = tuple[int, ...]
-"""What tells an answer from others: function code, and number of bytes or address."""
+"""What distinguishes an answer from others: function code, and number of bytes or address."""
 
 
 class _Tcp(ModbusTcpClient):
@@ -307,7 +307,7 @@ BASIC, REGULAR = 1, 2
 
 
 class NamedLine(Line):
-    """A Modbus TCP connection whose other end also tells its names."""
+    """A Modbus TCP connection whose other end also gives its names."""
 
     def __init__(self, device: str, address: str, timeout: float) -> None:
         super().__init__(device, address, 1, timeout)

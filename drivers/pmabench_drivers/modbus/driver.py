@@ -1,6 +1,6 @@
 """The device interface in front of a Modbus device; knows registers by their names in the map, and no frames.
 
-One thread of its own polls the inputs and steps ramps and sines; calls and polls take turns on the one connection.
+One thread polls the inputs and steps ramps and sines; calls and polls take turns on the one connection.
 """
 
 from __future__ import annotations
@@ -218,7 +218,7 @@ class ModbusDevice(Watched, Controlled):
     # -- commands -------------------------------------------------------------------------------------------------
 
     def write(self, output: str, value: float) -> None:
-        """Command a value once; where no answer comes, what the device holds tells whether it was executed."""
+        """Command a value once; where no answer comes, what the device holds shows whether it was executed."""
         record = self._output(output)
         self._following.pop(output, None)
         self._put(self._map.outputs[output], value, resolution=record.resolution)

@@ -18,21 +18,8 @@ from pmabench_drivers.shared.options import BAUDS, PARITIES, Place, Reader
 IDENTITY = ("maker", "model", "serial", "firmware", "constant")
 REGISTER_KEYS = ("table", "address", "type", "words", "bytes", "bit", "length", "expect", "read_back")
 MAP_KEYS = (
-    "schema",
-    "name",
-    "source",
-    "unit_id",
-    "words",
-    "bytes",
-    "timeout",
-    "slowest",
-    "rate",
-    "functions",
-    "identity",
-    "inputs",
-    "outputs",
-    "watchdog",
-    "uptime",
+    *("schema", "name", "source", "unit_id", "words", "bytes", "timeout", "slowest", "rate", "functions"),
+    *("identity", "inputs", "outputs", "watchdog", "uptime"),
 )
 UPTIMES = ("uint32", "int32")
 """Types of a number that only grows until a restart."""

@@ -24,7 +24,7 @@ from pmabench_drivers.shared.link import Unanswered
 
 
 class Bounded:
-    """A gRPC connection of its own whose calls end in time; nothing is sent twice."""
+    """A separate gRPC connection whose calls end in time; nothing is sent twice."""
 
     def __init__(self, server: str, left: Callable[[], float]) -> None:
         import grpc
@@ -75,7 +75,7 @@ REASONS = {
 
 
 class Connection:
-    """One way to a device: NI-DAQmx here, or a connection of its own to a server."""
+    """One way to a device: NI-DAQmx here, or a separate connection to a server."""
 
     def __init__(self, name: str, options: Options) -> None:
         self._name, self._options = name, options

@@ -307,7 +307,7 @@ class NiDaq(Led):
     # -- lines -----------------------------------------------------------------------------------------------------
 
     def switch(self, output: str, *, on: bool) -> None:
-        """Set a valve's line once; reading it tells whether it was done."""
+        """Set a valve's line once; reading it shows whether it was done."""
         self._put_line(self._opened(), output, on=on)
 
     def is_on(self, output: str) -> bool:

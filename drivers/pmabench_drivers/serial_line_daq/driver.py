@@ -23,14 +23,14 @@ from pmabench_drivers.shared.polling import JOIN, Samples
 from pmabench_drivers.shared.serial_port import SerialPort, Splitter, readable
 
 
-class Link:
+class Link(SerialPort):
     """An open port; `on_sample` gets the fields of each `S` line and when it came [s, bench time], on its thread."""
 
     def __init__(
         self, device: str, address: str, baud: int, clock: Clock, on_sample: Callable[[list[str], float], None]
     ) -> None:
-        self._device, self._on_sample = device, on_sample
-        self._port = SerialPort(device, address, baud, clock)
+        super().__init__(device, address, baud, clock)
+        self._on_sample = on_sample
         self._turn, self._sending = threading.Lock(), threading.Lock()
         self._waiting: dict[int, tuple[threading.Event, list[list[str]]]] = {}
         self._number = random.randrange(1 << 20)
@@ -39,16 +39,7 @@ class Link:
         """Lines that could not be read."""
         self.last = ""
         """The last one of them."""
-        self._port.listen(self._read)
-
-    @property
-    def gone(self) -> str:
-        """Why the port is lost."""
-        return self._port.gone
-
-    def close(self) -> None:
-        """Let go of the port; harmless when repeated."""
-        self._port.close()
+        self.listen(self._read)
 
     def ask(self, deadline: float, letter: str, *values: int, still: Still = always, aside: bool = False) -> list[str]:
         """What the board answers before `deadline` [s, monotonic]; nothing is sent if `still()` is false by then.
@@ -66,7 +57,7 @@ class Link:
                     raise DeviceError(self._device, self.gone)
                 self._number = number = self._number % 999_999_999 + 1
                 self._waiting[number] = event, answer
-                self._port.send(w.encode(letter, number, *values))
+                self.send(w.encode(letter, number, *values))
             event.wait(max(0.0, deadline - monotonic()))
             self._waiting.pop(number, None)
         if not answer:

@@ -89,7 +89,7 @@ DRIFT = 2e-3
 
 
 class Timeline:
-    """Tells of each sample when it was taken; counts what was lost by the numbers.
+    """Gives the time of each sample; counts what was lost by the numbers.
 
     Number and clock say the same twice: a sample whose two do not fit is not believed.
     """

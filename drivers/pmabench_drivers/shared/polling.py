@@ -56,7 +56,7 @@ BEHIND = 0.02
 
 
 class Cycle:
-    """Calls `tick` in a thread of its own at start + k / rate.
+    """Calls `tick` in a thread at start + k / rate.
 
     Deadlines that passed while the computer did something else are made up as far as `BEHIND`; those that passed
     in a `tick` that took longer than a period are not: a slow device rests, so that others get their turn at it.

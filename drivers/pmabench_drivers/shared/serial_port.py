@@ -153,7 +153,7 @@ STREAM_PATIENCE = 0.5
 
 
 class SerialStream(Driver):
-    """One device on a port of its own; a kind of device says how it is greeted, quieted and read."""
+    """One device that has a port to itself; a kind of device says how it is greeted, quieted and read."""
 
     def __init__(self, device: DeviceRecord, clock: Clock) -> None:
         super().__init__(device, clock)

@@ -6,7 +6,7 @@ Everything is SI and plain data; `to_dict` is the documented JSON. Nothing here 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence, Set
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from math import isfinite, nan, sqrt
 from typing import Any
 
@@ -161,14 +161,14 @@ class Estimate:
             "unit": self.unit,
             "quantity": self.quantity,
             "ci95": None if ci is None else list(ci),
-            "parts": asdict(self.parts),
+            "parts": dict(vars(self.parts)),
             "bias": self.bias,
             "corrected": self.corrected,
             "n": self.n,
             "method": self.method,
             "note": self.note,
             "trials": list(self.trials),
-            "budget": [{**asdict(s), "share": share} for s, share in zip(self.budget, self.shares, strict=True)],
+            "budget": [{**vars(s), "share": share} for s, share in zip(self.budget, self.shares, strict=True)],
             "withheld": self.withheld,
         }
 
@@ -348,9 +348,9 @@ class Analysis:
             "runs": list(self.runs),
             "simulated": self.simulated,
             "estimates": [e.to_dict() for e in self.estimates],
-            "curves": [{**asdict(c), "terms": [term.to_dict() for term in c.terms]} for c in self.curves],
-            "dropped": [asdict(d) for d in self.dropped],
-            "findings": [asdict(f) for f in self.findings],
+            "curves": [{**vars(c), "terms": [term.to_dict() for term in c.terms]} for c in self.curves],
+            "dropped": [dict(vars(d)) for d in self.dropped],
+            "findings": [dict(vars(f)) for f in self.findings],
             "traces": [
                 {
                     "name": t.name,
@@ -363,7 +363,7 @@ class Analysis:
             ],
             "facts": dict(self.facts),
             "refusals": list(self.refusals),
-            "results": [asdict(result) for result in self.results],
+            "results": [dict(vars(result)) for result in self.results],
         }
 
 

@@ -234,7 +234,9 @@ class _Child:
     def end(self) -> int:
         """Stop the process; its exit code."""
         for stream in (self.process.stdin, self.process.stdout):
-            _close(stream)
+            if stream is not None:
+                with suppress(OSError):
+                    stream.close()
         with suppress(OSError):
             self.process.kill()
         return self.process.wait()
@@ -247,12 +249,6 @@ class _Child:
             code = 0
         self.end()
         return code
-
-
-def _close(stream: IO[bytes] | None) -> None:
-    if stream is not None:
-        with suppress(OSError):
-            stream.close()
 
 
 def _read_answer(stream: IO[bytes]) -> Answer:

@@ -14,9 +14,7 @@ from pymodbus.client import ModbusTcpClient
 
 from pmabench.base.clock import RealClock
 from pmabench.base.errors import DeviceError
-from pmabench.bench.interface import (
-    Segment,
-)
+from pmabench.bench.interface import Segment
 from tests.drivers.wires.rigs import MAP, Peer, emulated, opened, regulator, timed
 
 pytestmark = pytest.mark.realtime
