@@ -1,6 +1,6 @@
-"""Reduction of positioning runs: each set-point's response, steady-state error and limit cycle, beside a simulation.
+"""Reduction of positioning runs: each set-point's response, steady-state error and limit cycle; the same simulated.
 
-Measures of one hold are in `position_response`, the simulated loop in `simulated`.
+Measures of one hold are in `response`, the simulated loop in `analysis.shared.simulated`.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ LONGEST_TRACE = 4000
 EARLY = 4.0
 """Up to here [s] a trace is kept denser: half of its points."""
 BAND = 0.02
-"""Band that counts as settled where the plan tells none."""
+"""Band that counts as settled where the plan gives none."""
 MEASURES = {
     "e_ss": ("1", "ratio"),
     "OS": ("1", "ratio"),
@@ -290,10 +290,10 @@ def _cycles(holds: Sequence[Hold]) -> list[Finding]:
     for sticks, what in ((True, "stick-slip limit cycle"), (False, "sustained oscillation that does not stick")):
         mine = [hold for hold in hunting if hold.response.cycle is not None and hold.response.cycle.sticks == sticks]
         if mine:
-            text = f"{what} at {_places(mine)}: {_told(hold.response for hold in mine)}"
+            text = f"{what} at {_places(mine)}: {_in_words(hold.response for hold in mine)}"
             compared = [hold.simulated_response for hold in mine if hold.simulated_response is not None]
             if compared:
-                text += f"; simulated: {_told(compared)}"
+                text += f"; simulated: {_in_words(compared)}"
             lines.append(Finding("doubt", text + ("" if sticks else "; the gain is near or above the ultimate one")))
     still = [hold for hold in holds if hold.response.cycle is None]
     slow = [hold for hold in still if hold.response.wander > hold.response.smallest]
@@ -321,7 +321,7 @@ def _places(holds: Sequence[Hold]) -> str:
     return f"{len(points)} set-points from {show(points[0], 'length')} to {show(points[-1], 'length')}"
 
 
-def _told(responses: Iterable[Response]) -> str:
+def _in_words(responses: Iterable[Response]) -> str:
     """Size and period of the cycles, least to most."""
     cycles = [response.cycle for response in responses if response.cycle is not None]
     if not cycles:

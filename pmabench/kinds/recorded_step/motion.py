@@ -29,7 +29,7 @@ FEWEST = 12
 LAGS = (0.005, 0.01, 0.02, 0.04)
 """Lags [s] between the pressure that was measured and the one that drives."""
 AS_GOOD = 1.02
-"""Motions whose misfit is within this factor of the least are not told apart."""
+"""Motions whose misfit is within this factor of the least cannot be distinguished."""
 PERIODS = 1.5
 """Of a stretch of free swinging."""
 CLEAR = 20.0

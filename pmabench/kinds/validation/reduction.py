@@ -136,7 +136,7 @@ def _rest(trial: TrialData) -> float:
 
 
 def _steps(run: RunData, trials: Sequence[TrialData], model: Described) -> list[_Step]:
-    """Usable trials beside their simulations."""
+    """Usable trials with their simulations."""
     found = []
     origins = [_rest(trial) for trial in trials]
     driven = from_measured_pressure(model, trials, 1.0 / run.rate, origins)
