@@ -47,7 +47,7 @@ class Gains:
     def to_dict(self) -> dict[str, Any]:
         """Plain data; infinite margins as None."""
 
-        def told(made: Margins | Answer | None) -> dict[str, Any]:
+        def as_dict(made: Margins | Answer | None) -> dict[str, Any]:
             found = {} if made is None else asdict(made)
             return {name: value if isfinite(value) else None for name, value in found.items()}
 
@@ -57,9 +57,9 @@ class Gains:
             "form": self.rule.form,
             "source": self.rule.source,
             "gains": {e.symbol: e.to_dict() for e in self.estimates},
-            "margins": told(self.margins) or None,
-            "overshoot": told(self.answer).get("overshoot"),
-            "settling": told(self.answer).get("settling"),
+            "margins": as_dict(self.margins) or None,
+            "overshoot": as_dict(self.answer).get("overshoot"),
+            "settling": as_dict(self.answer).get("settling"),
         }
 
 

@@ -59,7 +59,7 @@ def run_campaign(
     from pmabench.cli.prepare import Prepared, seeded
     from pmabench.cli.run import execute
     from pmabench.files.shipped import find_file
-    from pmabench.kinds.campaign import plan_campaign
+    from pmabench.kinds.compile import plan_campaign
 
     name, planned = plan_campaign(find_file("campaign", file))
     outcomes: list[Outcome] = []

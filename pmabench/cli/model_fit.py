@@ -14,7 +14,7 @@ from pmabench.cli.model_table import display_unit, si_unit
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from pmabench.analysis.fitting.model_fit import ModelFit
+    from pmabench.analysis.model_fit import ModelFit
     from pmabench.cli.model_measured import Measured
     from pmabench.model.library import Model, Parameter
     from pmabench.model.library.description import Output
@@ -130,7 +130,7 @@ def _fit(
     model: Model, measured: Measured, given: Mapping[str, Any], begin: Mapping[str, Any], free: str | None
 ) -> ModelFit:
     """The fit, or UsageError with what makes it impossible."""
-    from pmabench.analysis.fitting.model_fit import fit_model
+    from pmabench.analysis.model_fit import fit_model
     from pmabench.base.errors import UsageError
     from pmabench.model.library import OutsideDomain
 
@@ -163,7 +163,7 @@ def _unknown(
     free: str | None,
 ) -> list[str]:
     """What is fitted: as asked, or what the model names and acts on the output."""
-    from pmabench.analysis.fitting.model_problem import acting
+    from pmabench.analysis.model_problem import acting
     from pmabench.base.errors import UsageError, did_you_mean
 
     able = [p.name for p in model.parameters if not p.choices and p.name not in measured.columns]

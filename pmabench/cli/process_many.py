@@ -46,7 +46,7 @@ def _pool(ui: Ui, jobs: int, cluster: str | None) -> Iterator[Pool | None]:
 
     pool: Pool | None = None
     if cluster is not None:
-        from pmabench.analysis.cluster import Cluster
+        from pmabench.analysis.many import Cluster
 
         pool = Cluster(cluster)
         for doubt in pool.doubts():

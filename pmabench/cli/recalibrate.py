@@ -14,7 +14,7 @@ from pmabench.cli.common import Ui, common, login_name
 
 if TYPE_CHECKING:
     from pmabench.analysis.results import Analysis
-    from pmabench.analysis.verdict.changes import Change
+    from pmabench.analysis.verdict.comparison import Change
     from pmabench.store.recalibration import NewScale, Recalibration
     from pmabench.store.records import ChannelInfo, RunData
 
@@ -52,7 +52,7 @@ def command(
 
     The runs and what was made of them before stay as they are; the new analyses get a folder of their own.
     """
-    from pmabench.analysis.verdict.changes import changes
+    from pmabench.analysis.verdict.comparison import changes
     from pmabench.cli.process import analyse, campaign_folder, load_runs, without_analyses, write
     from pmabench.kinds.registry import loops
     from pmabench.report.pages.change_tables import print_changes, write_changes

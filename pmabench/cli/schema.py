@@ -91,8 +91,7 @@ def _of_models(kind: str) -> dict[str, Any]:
     from pmabench.bench.files.plant import AnyPlant
     from pmabench.bench.files.truth import TruthFile
     from pmabench.kinds import registry
-    from pmabench.kinds.campaign import CampaignFile
-    from pmabench.kinds.compile import kind_class
+    from pmabench.kinds.compile import CampaignFile, kind_class
     from pmabench.protocol.cascade import CascadeFile
     from pmabench.store.importers.map_file import MapFile
 

@@ -11,7 +11,7 @@ from math import isfinite, sqrt
 
 import numpy as np
 
-from pmabench.analysis.shared.motion import never, not_moved
+from pmabench.analysis.shared.samples import never, not_moved
 from pmabench.analysis.trial import Expected, Measured, Quick
 from pmabench.base.quantities import show
 from pmabench.display.quantities import measure

@@ -2,14 +2,12 @@
 
 - `reduction`, made of `trials`, `segments`, `segment_noise`, `pooled`, `intervals`, `drift`, `values`, `curves`
   (regressions on pressure)
-- whether the data have the form of the fit, and what could hide in it: `form`, with `departures` and `weights`
-- the papers' way, dead times and bandwidth: `exponentials`, `steps`, `bandwidth`; words and overlays: `view`; whole
-  trials run freely: `free_run`; what speaks for the fit: `checks`
-- where asked for: chosen forms over pressure in `joint_forms`, `joint_fit`, `forms`; output error in `polish`,
-  `output_error`, `stretch`; draws over trials in `bootstrap`; the regulator in `regulator_response`
-- what it says of quantities that other tests measure, too: `offers`
-- by paper 1: `paper1`, made of `paper1_steps` and `known_force`; model against test in `paper1_view`
-- protocol files: `protocol`; one trial on the display: `live`; figures: `figures`
+- whether the data have the form of the fit, and what could hide in it: `form`, with `departures`; other `checks`
+- the way of the papers, dead times: `exponentials`, `bandwidth`; words and overlays: `view`
+- where asked for: chosen forms over pressure in `joint`; output error in `output_error`, `stretch`; the regulator in
+  `regulator_response`
+- by paper 1: `paper1`, made of `paper1_steps`; model against test in `paper1_view`
+- protocol files: `protocol`; one trial on the display: `live`
 """
 
 from pmabench.base.imported import Commanded, Imported
@@ -110,9 +108,9 @@ PAPER_1 = Kind(
     moves="displacement",
     compares="displacement",
     word="contraction",
-    offers="pmabench.kinds.contraction_relaxation.offers:by_paper_1",
+    offers="pmabench.kinds.contraction_relaxation.values:by_paper_1",
     figures={
-        "step-overlay": "pmabench.kinds.contraction_relaxation.figures:step_overlays",
+        "step-overlay": "pmabench.kinds.contraction_relaxation.paper1_view:step_overlays",
     },
 )
 KIND = Kind(
@@ -129,13 +127,13 @@ KIND = Kind(
     live="pmabench.kinds.contraction_relaxation.live:measure",
     moves="displacement",
     compares="displacement",
-    repeated="pmabench.analysis.shared.reference:stroke_of",
+    repeated="pmabench.analysis.shared.trials:stroke_of",
     repeated_is="stroke",
     word="contraction",
-    offers="pmabench.kinds.contraction_relaxation.offers:offers",
+    offers="pmabench.kinds.contraction_relaxation.values:offers",
     methods=METHODS,
     options=("forms", "bootstrap", "regulator", "polish"),
-    parts={"check options": "pmabench.kinds.contraction_relaxation.forms:check"},
+    parts={"check options": "pmabench.kinds.contraction_relaxation.joint:check"},
     also=(PAPER_1,),
     figures={
         "overlay": "pmabench.plotting.motion:motions",

@@ -20,11 +20,11 @@ from pmabench.analysis.results import Estimate
 from pmabench.analysis.shared.calibration import Scales
 from pmabench.base.quantities import show
 from pmabench.kinds.contraction_relaxation.departures import Cause, Way, allowed, causes, order
+from pmabench.kinds.contraction_relaxation.drift import Weighed, weighed
 from pmabench.kinds.contraction_relaxation.intervals import Hiding, Trust
 from pmabench.kinds.contraction_relaxation.pooled import FLOOR, SYMBOLS, Fit, Solved, noise_covariance, prior_of, rms_of
 from pmabench.kinds.contraction_relaxation.segments import Segments
 from pmabench.kinds.contraction_relaxation.trials import Campaign
-from pmabench.kinds.contraction_relaxation.weights import Weighed, weighed
 from pmabench.store.records import Array
 
 MOST_RATIO = 1.2

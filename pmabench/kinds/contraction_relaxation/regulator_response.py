@@ -24,7 +24,7 @@ METHOD = "regulator-response"
 BEFORE, AFTER = 0.1, 2.0
 """What of a step is fitted: from so long before the command to so long after it [s]."""
 FALL = 6.0
-"""A second lag is told where the corrected Akaike criterion falls by more than this."""
+"""A second lag is reported where the corrected Akaike criterion falls by more than this."""
 NAMES = ("dead time", "lag", "second lag")
 FEWEST = 20
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pmabench.analysis.shared.samples import Noise, Samples, noise_of
 from pmabench.store.records import Array, RunData, TrialData
 
-UNTOLD_MASS = 0.5
+ASSUMED_MASS = 0.5
 """Moving mass [kg] of a trial that names none; it counts only where no cell measures."""
 FEWEST_STILL = 8
 """Fewest samples at rest that tell of noise."""
@@ -116,7 +116,7 @@ def samples_of(run: RunData, trial: TrialData, number: int) -> Samples:
 
     P, x = channel("pressure"), channel("displacement")
     force = channel("force") if "force" in trial.channels else None
-    load, mass = trial.point.get("load", 0.0), trial.point.get("mass", UNTOLD_MASS)
+    load, mass = trial.point.get("load", 0.0), trial.point.get("mass", ASSUMED_MASS)
     return _finite(Samples(number, trial.t, P, x, force, trial.usable, load, mass))
 
 

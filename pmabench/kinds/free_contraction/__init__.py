@@ -1,7 +1,7 @@
 """The length of a muscle without load over pressure.
 
-- `reduction`; words and figures: `view`
-- protocol files: `protocol`; one trial on the display: `live`; figures: `figures`
+- `reduction`
+- protocol files: `protocol`; one trial on the display: `live`; words and figures: `figures`
 """
 
 from pmabench.base.imported import Commanded, Imported

@@ -1,8 +1,8 @@
 """Force over pressure at set contractions: slopes, S(eps), dead band, hysteresis, F_ce and K.
 
-- `reduction`, made of `curve`, `daerden` (S over contraction), `sections` (all contractions at one pressure) and
-  `blocked_force`; whether the tests have the form that is assumed: `form`; words and figures: `view`
-- protocol files: `protocol`; one trial on the display: `live`; figures: `figures`
+- `reduction`, made of `curve`, `daerden` (S over contraction), `sections` (all contractions at one pressure);
+  whether the tests have the form that is assumed: `form`
+- protocol files: `protocol`; one trial on the display: `live`; words and figures: `figures`
 """
 
 from pmabench.base.imported import Commanded, Imported

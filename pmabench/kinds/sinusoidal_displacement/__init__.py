@@ -1,7 +1,6 @@
 """A driven end moved as a sine at constant pressure: K, B, F_c, loops.
 
-- `reduction`, made of `fit`, `lines`, `mean_force`, `form` (whether the harmonics allow a straight line), `pressure`,
-  `work`; figures' columns: `traces`
+- `reduction`, made of `fit`, `mean_force`, `form` (whether the harmonics allow a straight line), `pressure`
 - protocol files: `protocol`; one trial on the display: `live`; figures: `figures`
 """
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pmabench.analysis.results import Estimate
-from pmabench.analysis.verdict.changes import Change
+from pmabench.analysis.verdict.comparison import Change
 from pmabench.base.errors import RecordError
 from pmabench.plotting.rounding import rounded
 from pmabench.plotting.wording import plain_unit as plain

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pmabench.analysis.fitting.model_fit import ModelFit
+from pmabench.analysis.model_fit import ModelFit
 from pmabench.base.errors import RecordError
 from pmabench.model.library import OutsideDomain, Parameter
 from pmabench.plotting import plots
