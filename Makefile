@@ -16,7 +16,7 @@ test: lint pytest
 # what asserts milliseconds or loads the machine, with nothing next to it.
 pytest: $(STAMP)
 	$(BIN)/python -m pytest -q -n auto --dist worksteal -m "not realtime and not study" $(PYTEST_ARGS)
-	$(BIN)/python -m pytest -q -n 2 --dist loadfile -m "realtime and not alone" $(PYTEST_ARGS)
+	$(BIN)/python -m pytest -q -n 2 --dist loadfile --no-loadscope-reorder -m "realtime and not alone" $(PYTEST_ARGS)
 	$(BIN)/python -m pytest -q -m "realtime and alone" $(PYTEST_ARGS)
 
 quick: $(STAMP)

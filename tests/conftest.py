@@ -48,6 +48,7 @@ CONFORMANCE = "tests/conformance/"
 SHARES = {"test_in_a_shipped_driver_it_is_found": 72}
 SHARE = 12
 """Of the tests of `CONFORMANCE` that wait in real time, every commit takes one in so many; `SHARES` names exceptions."""
+LONGEST = "tests/test_pages.py"
 CHOSEN = (*RIGS, *OF_ALL_RIGS, CONFORMANCE, "tests/outside/test_faults.py")
 
 
@@ -120,6 +121,7 @@ def pytest_collection_modifyitems(config, items):
     left_out |= {item for item in items if item.get_closest_marker("study")}
     config.hook.pytest_deselected(items=list(left_out))
     items[:] = [item for item in items if item not in left_out]
+    items.sort(key=lambda item: LONGEST not in item.nodeid)  # the longest begin first, others fill the rest
 
 
 def pytest_terminal_summary(terminalreporter, config):

@@ -21,8 +21,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-from pmabench_drivers.mock.client import MockClient
-from pmabench_drivers.mock.wire import Link, parse_address
+from pmabench_drivers.mock.client import Link, MockClient, parse_address
 
 from pmabench.base.clock import RealClock
 from pmabench.bench.interface import DeviceRecord

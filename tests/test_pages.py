@@ -19,7 +19,7 @@ BY_HAND = {
     "docs/many-runs.md": 1,  # a cluster of one's own; tests/benchmarks/test_cluster.py has one
 }
 """How many commands of a page only a person can do; of all others none."""
-ALWAYS = ("README.md", "CONTRIBUTING.md", "docs/first-day.md", "docs/when-it-goes-wrong.md", "docs/old-runs.md")
+ALWAYS = ("README.md", "CONTRIBUTING.md", "docs/first-day.md", "docs/old-runs.md")
 """What a newcomer types first; of the other pages each commit takes some, and `make studies` all."""
 DEVICE = re.compile("docs/(devices|driver)")
 TURNS, TURNS_OF_DEVICES = 3, 6

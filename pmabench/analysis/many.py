@@ -21,7 +21,7 @@ from importlib import import_module
 from typing import Any, Protocol, TypeVar
 
 from pmabench.base.errors import UsageError
-from pmabench.store.fingerprint import program
+from pmabench.store.since import program
 
 TRIM = "MALLOC_TRIM_THRESHOLD_"
 SMALL_TRIM = 1_000_000

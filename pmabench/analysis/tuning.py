@@ -6,7 +6,6 @@ Paper 0 prints 2.195 and 3 for the PI settings of K_u = 7.1 and T_u = 9 s; its o
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from math import isfinite, sqrt
 from typing import Any
@@ -15,8 +14,7 @@ from pmabench.analysis.results import Analysis, Estimate, Finding, Parts
 from pmabench.base.errors import did_you_mean
 from pmabench.base.quantities import show
 from pmabench.model.loop import Answer, Controller, Loop, Margins, dead_time_for, margins, set_point_step, ultimate
-from pmabench.model.rules.record import Rule
-from pmabench.model.rules.registry import all_rules
+from pmabench.model.rules.record import Rule, all_rules
 
 FOLLOWING: dict[str, tuple[tuple[str, str], tuple[str, str]]] = {
     "Pa/m": (("Pa/(m.s)", "integral gain"), ("Pa.s/m", "derivative gain")),
@@ -90,13 +88,16 @@ def tune(
         raise ValueError("no settings without an ultimate gain and a period above 0")
     made = []
     for rule in all_rules() if rules is None else rules:
-        with suppress(ValueError):
+        try:
             settings = rule.settings(K_u.value, T_u.value, loop)
-            made.append(
-                _of_loop(rule, K_u, settings) if rule.from_loop else _scaled(rule, K_u, K_u.value, T_u, T_u.value)
-            )
-            if loop is not None:
-                made[-1] = replace(made[-1], margins=margins(loop, settings), answer=set_point_step(loop, settings))
+        except ValueError:
+            if rule.from_loop:
+                continue
+            raise
+        gains = _of_loop(rule, K_u, settings) if rule.from_loop else _scaled(rule, K_u, K_u.value, T_u, T_u.value)
+        if loop is not None:
+            gains = replace(gains, margins=margins(loop, settings), answer=set_point_step(loop, settings))
+        made.append(gains)
     return tuple(made)
 
 

@@ -1,4 +1,7 @@
-"""The card of a bench: what hangs at the rig, as plain texts and rows; `pmabench.report.pages.bench_card` draws it."""
+"""The card of a bench: what hangs at the rig, and what happens when something fails, as plain texts and rows.
+
+`pmabench.report.pages.bench_card` draws it. What happens at a failure follows from valves, watchdogs and watch list.
+"""
 
 from __future__ import annotations
 
@@ -10,9 +13,147 @@ from pathlib import Path
 
 from pmabench.base.quantities import show
 from pmabench.bench.compile import Mounted
-from pmabench.bench.files import Reading
-from pmabench.bench.interface import ChannelRecord, SafeAction, TripRecord
-from pmabench.bench.story import failure_story, noticed, seconds
+from pmabench.bench.files.specimen import Reading
+from pmabench.bench.interface import ChannelRecord, DeviceRecord, SafeAction, TripRecord
+from pmabench.bench.safety import RATE_OF
+
+BY_HAND = "Press the emergency stop, shut off the air, vent by hand."
+
+
+def failure_story(mounted: Mounted) -> list[tuple[str, str]]:
+    """What may fail, and what happens then, for people at the rig; pure."""
+    if not mounted.bench.realtime:
+        return [("Anything", "Nothing is pressurised: this bench is simulated in virtual time.")]
+    return [
+        ("The program", "The guard, a process of its own, vents: at once after a crash, within 0.5 s after a freeze."),
+        ("The computer", " ".join(_computer(mounted))),
+        ("Electric power", " ".join(_power(mounted))),
+        ("Compressed air", " ".join(_air(mounted))),
+        ("Network or cable", " ".join(_link(mounted))),
+        ("Pressure sensor", " ".join(_sensor(mounted))),
+        ("An interlock", _interlock(mounted)),
+    ]
+
+
+def seconds(value: float) -> str:
+    """A time as people say it: `200 ms`, `5 s`."""
+    return f"{value * 1e3:.3g} ms" if value < 1 else f"{value:.3g} s"
+
+
+def _device_of(mounted: Mounted, output: str) -> DeviceRecord | None:
+    for device in mounted.bench.devices:
+        if output in {*(o.name for o in device.outputs), *(v.name for v in device.valves)}:
+            return device
+    return None
+
+
+def _opens_unheard(mounted: Mounted) -> DeviceRecord | None:
+    """The device whose watchdog opens the dump valve, if there is one."""
+    device = _device_of(mounted, "dump_valve")
+    return device if device is not None and device.watchdog else None
+
+
+def _computer(mounted: Mounted) -> Iterator[str]:
+    pressure, opens = _device_of(mounted, "pressure"), _opens_unheard(mounted)
+    if pressure is None:
+        yield "Nothing commands the pressure on this bench."
+    if pressure is not None and pressure.watchdog:
+        also = ""
+        if opens is not None:
+            same = opens is pressure
+            also = " and opens the dump valve" if same else f"; {opens.name} opens the dump valve"
+            also += "" if same else f" after {seconds(opens.watchdog)}"
+        yield f"{pressure.name} hears nothing and vents by itself after {seconds(pressure.watchdog)}{also}."
+    elif opens is not None:
+        yield f"{opens.name} hears nothing and opens the dump valve after {seconds(opens.watchdog)}: the muscle vents."
+        yield "The regulator keeps its last set-point."
+    elif pressure is not None:
+        yield f"NOTHING VENTS: {pressure.name} has no watchdog, and the pressure stays at its last value. {BY_HAND}"
+    drive = _device_of(mounted, "displacement")
+    if drive is not None:
+        yield "The drive's own watchdog ends its motion." if drive.watchdog else "THE DRIVE GOES ON."
+
+
+def _power(mounted: Mounted) -> Iterator[str]:
+    output = mounted.bench_file.set_points.get("pressure")
+    if mounted.bench_file.normally_open_dump:
+        yield "The dump valve opens and the muscle vents, whatever the regulator does."
+    elif output is not None and output.without_power == "vents":
+        yield "The regulator vents by itself."
+    elif output is not None:
+        yield f"THE REGULATOR MAY HOLD THE PRESSURE: nothing opens without power. {BY_HAND}"
+    yield from _load(mounted)
+    if _device_of(mounted, "displacement") is not None:
+        yield "The drive no longer holds the free end."
+
+
+def _load(mounted: Mounted) -> Iterator[str]:
+    weights = mounted.bench_file.weights
+    if weights is not None:
+        caught = f"the catch at {show(weights.catch_height, 'length')}" if weights.catch_height else "NOTHING"
+        yield f"The load comes down; {caught} stops it."
+
+
+def _air(mounted: Mounted) -> Iterator[str]:
+    yield "The pressure falls as far as the muscle leaks" + (
+        "; the load sinks." if mounted.bench_file.weights is not None else "."
+    )
+    supply = [trip for trip in mounted.bench.trips if trip.channel == "supply" and trip.low is not None]
+    following = [trip for trip in mounted.bench.trips if trip.kind == "following" and trip.channel == "pressure"]
+    for trip in supply[:1]:
+        least = show(trip.low or 0.0, "pressure")
+        yield f"Supply below {least} for {seconds(trip.delay)}: {trip.action}."
+    for trip in following[: 0 if supply else 1]:
+        yield f"{noticed(trip)}: {trip.action}."
+    if not supply and not following:
+        yield "NOBODY IS TOLD: look at the gauge."
+    yield "Air that comes back brings the pressure back: vent first."
+
+
+def _link(mounted: Mounted) -> Iterator[str]:
+    yield "A device that does not answer for 0.2 s ends the run; every other one is vented."
+    for device in mounted.bench.devices:
+        if device.guarded and device.watchdog:
+            moves = not device.valves and all(output.quantity == "length" for output in device.outputs)
+            does = "stops its motion" if device.outputs and moves else "vents"
+            yield f"{device.name} itself {does} after {seconds(device.watchdog)}."
+        elif device.outputs:
+            yield f"{device.name} keeps its last value: NO WATCHDOG."
+
+
+def _sensor(mounted: Mounted) -> Iterator[str]:
+    watched = [t for t in mounted.bench.trips if t.channel == "pressure" and t.kind in {"stale", "frozen", "off-range"}]
+    low = [t for t in mounted.bench.trips if t.channel == "pressure" and t.kind == "range" and t.low is not None]
+    seen = [f"{noticed(trip)}: {trip.action}" for trip in watched]
+    seen += [f"reads below {show(trip.low or 0.0, 'pressure')}: {trip.action}" for trip in low]
+    if not seen:
+        yield "A DEAD SENSOR IS NOT NOTICED."
+    else:
+        text = "; ".join(seen)
+        yield f"{text[0].upper()}{text[1:]}."
+
+
+def _interlock(mounted: Mounted) -> str:
+    if not any(device.interlocks for device in mounted.bench.devices):
+        return "THE PROGRAM DOES NOT SEE IT: no emergency stop, door or drive is wired to an input."
+    return "Vent; the bench stays tripped until somebody has looked and reset it."
+
+
+def noticed(trip: TripRecord, quantity: str = "pressure") -> str:
+    """What a trip of the watch list looks at, in words."""
+    rate = RATE_OF.get(quantity, quantity)
+    high = trip.high or 0.0
+    lasting = f" for {seconds(trip.delay)}" if trip.delay else ""
+    return {
+        "stale": f"no sample{lasting}",
+        "frozen": f"exactly the same{lasting}",
+        "off-range": f"at the end of its range{lasting}",
+        "rate": f"faster than {show(high, rate)}{lasting}",
+        "following": f"more than {show(high, quantity)} from the command{lasting}",
+        "burst": f"falls {show(high, quantity)} within {seconds(trip.window)}{lasting}",
+        "slack": f"below {show(trip.low or 0.0, quantity)}{lasting}",
+    }[trip.kind]
+
 
 Rows = list[list[str]]
 
@@ -97,12 +238,7 @@ def _facts(mounted: Mounted) -> Iterator[list[str]]:
         yield ["Never above", f"{never} ({specimen.limits.source})"]
     else:
         yield ["Specimen", "any: its own limits come on top of these"]
-    free_end = {
-        "weights": "weights",
-        "actuator": "driven by an actuator",
-        "fixed": "fixed",
-        "free": "free",
-    }[file.free_end]
+    free_end = "driven by an actuator" if file.free_end == "actuator" else str(file.free_end)
     if file.weights is not None and file.weights.catch_height is not None:
         free_end += f", catch height {show(file.weights.catch_height, 'length')}"
     yield ["Free end", free_end]
@@ -149,12 +285,18 @@ def _limits(mounted: Mounted) -> Iterator[list[str]]:
             yield ["contraction", "", "", f"above {_reading(limit.trip)}", limit.action + after, source]
 
 
+def _quantities(mounted: Mounted) -> dict[str, str]:
+    """Quantity of each channel and output."""
+    found = {output.name: output.quantity for output in mounted.bench.outputs}
+    return found | {channel.name: channel.quantity for channel in mounted.bench.channels}
+
+
 def _reading(reading: Reading) -> str:
     return f"{reading[0]:g} {reading[1]}"
 
 
 def _trip(trip: TripRecord, mounted: Mounted) -> list[str]:
-    quantity = next(channel.quantity for channel in mounted.bench.channels if channel.name == trip.channel)
+    quantity = _quantities(mounted)[trip.channel]
     bounds = [f"below {show(trip.low, quantity)}"] if trip.low is not None else []
     bounds += [f"above {show(trip.high, quantity)}"] if trip.high is not None else []
     after = f" after {seconds(trip.delay)}" if trip.delay else ""
@@ -162,10 +304,8 @@ def _trip(trip: TripRecord, mounted: Mounted) -> list[str]:
 
 
 def _action(action: SafeAction, mounted: Mounted) -> tuple[str, str]:
-    quantities = {output.name: output.quantity for output in mounted.bench.outputs}
-    quantities |= {channel.name: channel.quantity for channel in mounted.bench.channels}
-    quantity = quantities.get(action.target, "pressure")
-    rate = {"pressure": "pressure rate", "length": "speed"}.get(quantity, "pressure rate")
+    quantity = _quantities(mounted).get(action.target, "pressure")
+    rate = RATE_OF.get(quantity, "pressure rate")
     target = action.target.replace("_", " ")
     text = {
         "set": f"{target} to {show(action.value, quantity)}",
@@ -180,7 +320,7 @@ def _action(action: SafeAction, mounted: Mounted) -> tuple[str, str]:
 
 
 def _watch(mounted: Mounted) -> Iterator[list[str]]:
-    quantities = {channel.name: channel.quantity for channel in mounted.bench.channels}
+    quantities = _quantities(mounted)
     for trip in mounted.bench.trips:
         if trip.kind != "range":
             yield [trip.channel, noticed(trip, quantities[trip.channel]), trip.action]

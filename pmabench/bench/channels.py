@@ -1,16 +1,108 @@
-"""Channels of a bench file with their calibrations, which are found next to the file that names them."""
+"""Channels and outputs of a bench file with their scales: calibrations, command limits, valves.
+
+Calibrations lie next to the file that names them. A command limit is the intersection of device, bench and specimen.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from pmabench.base.errors import InvalidFile, did_you_mean
-from pmabench.base.quantities import CHANNEL_QUANTITY
-from pmabench.bench.calibration import Calibration, read_calibration
+from pmabench.base.quantities import CHANNEL_QUANTITY, show
 from pmabench.bench.compilation import Compilation
-from pmabench.bench.interface import CalibrationRecord, ChannelRecord, Scale
-from pmabench.files.document import Location
+from pmabench.bench.files.specimen import CalibrationFile
+from pmabench.bench.interface import CalibrationRecord, ChannelRecord, OutputRecord, Scale, ValveRecord
+from pmabench.files.document import Location, document_text, read_document, validate
+from pmabench.files.quantity import unit_factor
+
+MOST = 1e100
+"""Largest number that is believed; its square can still be reckoned with."""
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """A channel's scale, where it comes from, the unit of its raw readings, what it covers, and the file's text."""
+
+    scale: Scale = field(default_factory=Scale)
+    record: CalibrationRecord = field(default_factory=CalibrationRecord)
+    raw_unit: str = ""
+    text: str = ""
+    low: float = 0.0
+    """Lowest reference value [SI]."""
+    high: float = 0.0
+    """Highest reference value [SI]."""
+
+
+def read_calibration(path: Path, quantity: str) -> Calibration:
+    """The calibration in a file, for a channel that measures `quantity`; raises `InvalidFile` with every problem."""
+    document = read_document(path)
+    file = validate(CalibrationFile, document)
+    problems = []
+    raw_unit = file.points[0][0][1]
+    raw: list[float] = []
+    value: list[float] = []
+    if file.id != path.stem:
+        raise InvalidFile([document.problem(("id",), f'the id "{file.id}" is not the name of the file, "{path.stem}"')])
+    if file.quantity != quantity:
+        raise InvalidFile([document.problem(("quantity",), f"is of {file.quantity}, the channel measures {quantity}")])
+    for index, (reading, reference) in enumerate(file.points):
+        if reading[1] != raw_unit:
+            problems.append(document.problem(("points", index, 0), f"all readings in one unit, here {raw_unit}"))
+        raw.append(reading[0])
+        try:
+            value.append(reference[0] * unit_factor(reference[1], quantity))
+        except ValueError as error:
+            problems.append(document.problem(("points", index, 1), str(error)))
+    if file.valid_until is not None and file.valid_until < file.date:
+        problems.append(document.problem(("valid_until",), "ends before the calibration was made"))
+    try:
+        uncertainty = file.expanded_uncertainty[0] * unit_factor(file.expanded_uncertainty[1], quantity)
+        if uncertainty < 0:
+            raise ValueError("an uncertainty is not below zero")
+    except ValueError as error:
+        problems.append(document.problem(("expanded_uncertainty",), str(error)))
+    if problems:
+        raise InvalidFile(problems)
+    try:
+        scale = fit_line(raw, value)
+    except ValueError as error:
+        raise InvalidFile([document.problem(("points",), str(error))]) from error
+    bend = max(abs(scale.to_si(r) - v) for r, v in zip(raw, value, strict=True))
+    if bend > max(uncertainty, 1e-9 * max(abs(v) for v in value)):
+        message = f"bend away from a straight line by {show(bend, quantity)}, more than the uncertainty"
+        raise InvalidFile([document.problem(("points",), message)])
+    text = document_text(document)
+    record = CalibrationRecord(
+        id=file.id,
+        reference=file.reference,
+        date=file.date.isoformat(),
+        valid_until=file.valid_until.isoformat() if file.valid_until else "",
+        offset_uncertainty=uncertainty,
+        gain_uncertainty=file.gain_uncertainty,
+        sensor_lag=file.sensor_lag,
+        sha256=hashlib.sha256(text.encode()).hexdigest(),
+    )
+    return Calibration(scale, record, raw_unit, text, min(value), max(value))
+
+
+def fit_line(raw: list[float], value: list[float]) -> Scale:
+    """Least-squares line through reference points, value against raw; ValueError where they make none."""
+    if any(abs(number) > MOST for number in (*raw, *value)):
+        raise ValueError("a number is out of all range")
+    n = len(raw)
+    raw_mean, value_mean = sum(raw) / n, sum(value) / n
+    spread = sum((r - raw_mean) ** 2 for r in raw)
+    if spread == 0:
+        raise ValueError("all readings are the same: they make no line")
+    slope = sum((r - raw_mean) * (v - value_mean) for r, v in zip(raw, value, strict=True)) / spread
+    if slope == 0:
+        raise ValueError("the readings do not change with the reference: they make no line")
+    return Scale(slope, value_mean - slope * raw_mean)
+
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,79}")
 """What a calibration may be called: it is a file's name."""
@@ -81,3 +173,99 @@ def _folders(c: Compilation, location: Location) -> list[Path]:
     files = [c.bench_document.place(location)[0], *c.bench_document.texts]
     parents = dict.fromkeys(Path(file).resolve().parent for file in files)
     return [folder for parent in parents for folder in (parent / "calibrations", parent.parent / "calibrations")]
+
+
+SET_POINTS = ("pressure", "displacement")
+"""The outputs that take values, by name; every other name is a valve's and needs `energised`."""
+LEAST_ROOM = 1e-3
+"""A driven end stays below the specimen's contraction limit by the channel's uncertainty, at least by so much [1]."""
+
+
+def outputs(c: Compilation, channels: Mapping[str, ChannelRecord]) -> dict[str, OutputRecord]:
+    """Every output that takes values and has no problem, by name."""
+    return {name: output for name in c.bench.set_points if (output := _output(c, name, channels.get(name)))}
+
+
+def valves(c: Compilation) -> dict[str, ValveRecord]:
+    """Every valve, by name."""
+    found = {}
+    for name, file in c.bench.valves.items():
+        at: Location = ("outputs", name)
+        if name in SET_POINTS:
+            c.fault(at, f'"{name}" takes values and cannot be a valve; give the valve another name', key=True)
+        c.unknown((*at, "device"), "device", file.device, c.bench.devices)
+        found[name] = ValveRecord(name, file.device, file.output, file.energised)
+    return found
+
+
+def _output(c: Compilation, name: str, measured: ChannelRecord | None) -> OutputRecord | None:
+    file = c.bench.set_points[name]
+    at: Location = ("outputs", name)
+    if name not in SET_POINTS:
+        near = did_you_mean(name, SET_POINTS)
+        c.fault(at, f'no output is called "{name}"{near}; a valve needs "energised: closed" or "open"', key=True)
+        return None
+    quantity = CHANNEL_QUANTITY[name]
+    before = len(c.problems)
+    c.unknown((*at, "device"), "device", file.device, c.bench.devices)
+    raw_unit = file.scale[0][0][1]
+    points = [(raw[0], c.si(value, quantity, (*at, "scale", i, 1))) for i, (raw, value) in enumerate(file.scale)]
+    if len(c.problems) > before:
+        return None
+    if file.scale[1][0][1] != raw_unit:
+        c.fault((*at, "scale", 1, 0), f"both device values in one unit, here {raw_unit}")
+    try:
+        scale = fit_line([point[0] for point in points], [point[1] for point in points])
+    except ValueError as error:
+        c.fault((*at, "scale"), str(error))
+        return None
+    resolution = 0.0
+    if file.resolution is not None:
+        resolution = file.resolution[0]
+        if file.resolution[1] != raw_unit or resolution <= 0:
+            c.fault((*at, "resolution"), f"a step above zero in {raw_unit} is expected")
+    safe = 0.0 if file.safe is None else c.si(file.safe, quantity, (*at, "safe"))
+    if len(c.problems) > before:
+        return None
+    low, low_from, high, high_from = _limits(c, name, quantity, [point[1] for point in points], measured)
+    if len(c.problems) > before:
+        return None
+    if low >= high:
+        where: Location = ("limits", name)
+        c.fault(where, f"nothing may be commanded: {show(low, quantity)} ({low_from}) up to {show(high, quantity)}")
+    elif not low <= safe <= high:
+        c.fault((*at, "safe"), f"the safe value {show(safe, quantity)} is outside the command limits")
+    elif name == "pressure" and safe > max(low, 0.0):
+        c.fault((*at, "safe"), f"the safe value {show(safe, quantity)} leaves pressure on: it must be the lowest")
+    rate = c.bench.actuator.speed if c.bench.actuator and name == "displacement" else 0.0
+    return OutputRecord(
+        name, quantity, file.device, file.output, scale, resolution, safe, low, high, low_from, high_from, rate
+    )
+
+
+def _limits(
+    c: Compilation, name: str, quantity: str, ends: list[float], measured: ChannelRecord | None
+) -> tuple[float, str, float, str]:
+    """The highest of the lower limits and the lowest of the upper ones [SI], each with its place."""
+    scale = c.place("outputs", name, "scale")
+    lows, highs = [(min(ends), scale)], [(max(ends), scale)]
+    limit = c.bench.limits.get("pressure" if name == "pressure" else "displacement")
+    if limit is None or limit.command is None:
+        c.fault(("limits", name), f'the output "{name}" has no command limit; add "{name}: {{command: ...}}"')
+    else:
+        highs.append((c.si(limit.command, quantity, ("limits", name, "command")), c.place("limits", name, "command")))
+    if limit is not None and limit.command_low is not None:
+        place = c.place("limits", name, "command_low")
+        lows.append((c.si(limit.command_low, quantity, ("limits", name, "command_low")), place))
+    if name == "pressure":
+        place = c.specimen_place("limits", "pressure", "command")
+        highs.append((c.specimen.limits.pressure.command, place))
+    elif c.length is not None:
+        most = c.specimen.limits.contraction * c.length
+        room = measured.calibration.uncertainty(most) if measured is not None else 0.0
+        highs.append((most - max(room, LEAST_ROOM * most), c.specimen_place("limits", "contraction")))
+    if c.bench.actuator is not None and name == "displacement":
+        stroke = c.bench.actuator.stroke
+        lows.append((stroke[0], c.place("actuator", "stroke", 0)))
+        highs.append((stroke[1], c.place("actuator", "stroke", 1)))
+    return *max(lows), *min(highs)

@@ -8,7 +8,8 @@ from math import isfinite
 from typing import Any
 
 from pmabench.base.errors import InvalidFile, Problem, did_you_mean
-from pmabench.bench.files import BenchFile, SpecimenFile, any_specimen
+from pmabench.bench.files.bench import BenchFile
+from pmabench.bench.files.specimen import SpecimenFile, any_specimen
 from pmabench.files.document import Document, Location, Strict, document_text, validate
 from pmabench.files.quantity import unit_factor
 

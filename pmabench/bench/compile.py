@@ -1,32 +1,66 @@
 """Bench, specimen and calibration files to one compiled bench. Knows no protocol.
 
-Made of `channels` (calibrations), `outputs` (nested command limits, valves), `trips` (limits on what is measured, watch
-list), `safe_state` (with its proof and interlocks) and `lacks`; they share a `Compilation`.
+Made of `channels` (calibrations, command limits, valves), `safety` (limits on what is measured, watch list, safe state
+with its proof and interlocks), `session` and `remarks`; they share a `Compilation`. `??` as a value in a file is a
+question that the lab still has to answer, never a value.
 """
 
 from __future__ import annotations
 
 import datetime
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from pmabench.base.errors import InvalidFile, Problem
-from pmabench.bench.channels import channels
+from pmabench.bench.channels import NAME, channels, outputs, valves
 from pmabench.bench.compilation import Compilation
 from pmabench.bench.driver_options import checked
-from pmabench.bench.files import BenchFile, DeviceFile, SpecimenFile
+from pmabench.bench.files.bench import BenchFile, DeviceFile
+from pmabench.bench.files.specimen import SpecimenFile
 from pmabench.bench.interface import ChannelRecord, CompiledBench, DeviceRecord, OutputRecord, SafeAction, ValveRecord
-from pmabench.bench.lacks import lacks
-from pmabench.bench.mistaken import mistaken
-from pmabench.bench.outputs import outputs, valves
 from pmabench.bench.registry import HARDWARE, driver_class
-from pmabench.bench.safe_state import interlocks, proof, safe_state, setup_pressure, stop_rate
+from pmabench.bench.remarks import lacks, mistaken
+from pmabench.bench.safety import interlocks, proof, safe_state, setup_pressure, stop_rate, trips
 from pmabench.bench.session import Session, lacks_session, session
-from pmabench.bench.trips import trips
-from pmabench.bench.unfilled import unfilled
-from pmabench.files.document import Document, read_document
+from pmabench.files.document import Document, Location, read_document
+
+OPEN = "??"
+"""As a value: nobody has said it yet. The guesses of `import --guess` have the same mark."""
+
+
+def unfilled(bench: Path, documents: Sequence[Document]) -> list[Problem]:
+    """A problem for each `??` in these files and in the calibrations next to the bench file."""
+    found = [problem for document in documents for problem in _open_places(document)]
+    channels = documents[0].data.get("channels")
+    for channel in channels.values() if isinstance(channels, dict) else ():
+        name = channel.get("calibration") if isinstance(channel, dict) else None
+        if not isinstance(name, str) or not NAME.fullmatch(name):
+            continue  # reported with all that is wrong with the bench
+        path = bench.parent / "calibrations" / f"{name}.yaml"
+        if path.is_file():
+            try:
+                found += _open_places(read_document(path))
+            except InvalidFile:
+                continue  # reported with all that is wrong with the bench
+    return list(dict.fromkeys(found))
+
+
+def _open_places(document: Document) -> Iterator[Problem]:
+    for location in _open(document.data, ()):
+        name = next((str(part) for part in reversed(location) if isinstance(part, str)), "a value")
+        yield document.problem(
+            location, f'"{name}" is not filled in yet ({OPEN}): write here what is true at your bench'
+        )
+
+
+def _open(data: Any, at: Location) -> Iterator[Location]:
+    if data == OPEN:
+        yield at
+    elif isinstance(data, dict | list):
+        for key, value in data.items() if isinstance(data, dict) else enumerate(data):
+            yield from _open(value, (*at, key))
 
 
 @dataclass(frozen=True)

@@ -39,9 +39,8 @@ def checked(c: Compilation, device: DeviceRecord) -> DeviceRecord:
     if any(options[name] is None for name in options if device.options[name] is not None):
         return device
     device = replace(device, options=options)
-    module, _, name = device.driver.partition(":")
     try:
-        driver = getattr(import_module(module), name)
+        driver = loaded(device.driver)
     except (ImportError, AttributeError) as error:
         todo = "; install its package, or name its folder in PYTHONPATH" if isinstance(error, ImportError) else ""
         c.fault((*at, "driver"), f'the driver "{device.driver}" cannot be loaded: {error}{todo}')
@@ -60,6 +59,13 @@ def checked(c: Compilation, device: DeviceRecord) -> DeviceRecord:
         return device
     source = map_document.where(("rate",)) if map_document is not None else c.place(*at, "options", "rate")
     return replace(device, fastest=fastest(device), fastest_from=source)
+
+
+def loaded(target: str) -> type:
+    """The driver class `module:Class`; raises ImportError or AttributeError."""
+    module, _, name = target.partition(":")
+    found: type = getattr(import_module(module), name)
+    return found
 
 
 def _options_with_files(c: Compilation, device: DeviceRecord) -> tuple[dict[str, Any], Document | None]:

@@ -1,4 +1,4 @@
-"""What every driver implements; standard library only. The compiled bench is in `pmabench.bench.records`.
+"""What every driver implements, and the compiled bench as plain records; standard library only.
 
 A driver is a class that is built as `Driver(device, clock)` from a `DeviceRecord` and a clock, imports nothing heavy
 before `open`, and implements `Device` and those of the small capabilities below that its device has.
@@ -8,62 +8,331 @@ next to them in the records and is done above the driver. Raises only `pmabench.
 In real time each device has one thread that calls it. A call returns within 0.2 s (`open` within 2 s) or raises; no
 write is retried; after a time-out the line is drained, so that no answer belongs to an older question. `collect` never
 waits for a sample: a polled device has its own thread that polls. A class method `check(device)` may name what is
-wrong with the options before anything is opened, others, `fastest(device)` and `lacks(device)`,
-how fast it samples at most with them, and what of them may surprise:
-`pmabench.bench.driver_options`.
+wrong with the options before anything is opened, others, `fastest(device)` and `lacks(device)`, how fast it samples at
+most with them, and what of them may surprise: `pmabench.bench.driver_options`.
+
+The records are all that guard, engine and drivers know of a bench file, and go to other processes as JSON. Values are
+SI; a `Scale` has what the device itself gives. `Truth` is what is really wired to the devices of a rig, for emulators.
 """
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from dataclasses import asdict, dataclass, field
+from typing import Any, Protocol, runtime_checkable
 
-from pmabench.bench.records import (
-    CalibrationRecord,
-    ChannelRecord,
-    CompiledBench,
-    DeviceRecord,
-    InterlockRecord,
-    OutputRecord,
-    ProofTest,
-    SafeAction,
-    Scale,
-    TripRecord,
-    ValveRecord,
-)
 
-__all__ = [
-    "COMPUTER",
-    "EMULATED",
-    "UNPROVEN",
-    "Block",
-    "CalibrationRecord",
-    "ChannelRecord",
-    "CompiledBench",
-    "Device",
-    "DeviceRecord",
-    "Follower",
-    "Hands",
-    "Identity",
-    "Inputs",
-    "InterlockRecord",
-    "Load",
-    "Motion",
-    "OutputRecord",
-    "ProofTest",
-    "Rescue",
-    "SafeAction",
-    "Scale",
-    "Segment",
-    "SetPoint",
-    "Stream",
-    "Supervised",
-    "Switch",
-    "TripRecord",
-    "ValveRecord",
-    "Watchdog",
-]
+@dataclass(frozen=True)
+class Scale:
+    """A straight line between device units and SI: `si = slope * raw + offset`."""
+
+    slope: float = 1.0
+    offset: float = 0.0
+
+    def to_si(self, raw: Any) -> Any:
+        """Device units to SI; works on numbers and arrays."""
+        return raw * self.slope + self.offset
+
+    def to_raw(self, si: Any) -> Any:
+        """SI to device units; works on numbers and arrays."""
+        return (si - self.offset) / self.slope
+
+
+@dataclass(frozen=True)
+class CalibrationRecord:
+    """Where a channel's scale comes from, and how well it is known (95 %, k = 2)."""
+
+    id: str = ""
+    reference: str = ""
+    date: str = ""
+    valid_until: str = ""
+    offset_uncertainty: float = 0.0
+    """Expanded uncertainty that is the same at every reading [SI unit of the channel]."""
+    gain_uncertainty: float = 0.0
+    """Expanded uncertainty in proportion to the reading [1]."""
+    sensor_lag: float = 0.0
+    """First-order lag of the sensor [s]."""
+    sha256: str = ""
+
+    def uncertainty(self, value: float) -> float:
+        """Expanded uncertainty of a reading of `value` [SI unit of the channel]."""
+        return self.offset_uncertainty + self.gain_uncertainty * abs(value)
+
+
+@dataclass(frozen=True)
+class ChannelRecord:
+    """One measured quantity."""
+
+    name: str
+    quantity: str
+    """Key of `pmabench.base.quantities.QUANTITIES`."""
+    device: str
+    input: str
+    raw_type: str
+    """`int32` where the device gives counts, else `float64`."""
+    raw_unit: str
+    scale: Scale
+    low: float
+    """Lowest value that the channel can measure [SI]."""
+    high: float
+    """Highest value that the channel can measure [SI]."""
+    reference: str = "gauge"
+    calibration: CalibrationRecord = field(default_factory=CalibrationRecord)
+    zero: float | None = None
+    """What the session's zero took off the calibration's `scale.offset` [SI]; None: no zero was taken."""
+
+    @property
+    def calibrated(self) -> Scale:
+        """The scale of the calibration, without any zero: what the device itself knows."""
+        return Scale(self.scale.slope, self.scale.offset + (self.zero or 0.0))
+
+
+@dataclass(frozen=True)
+class OutputRecord:
+    """One commanded quantity; `low` and `high` are the active command limits [SI].
+
+    `low_from` and `high_from` say who set them, as `file:line:column`.
+    """
+
+    name: str
+    quantity: str
+    device: str
+    output: str
+    scale: Scale
+    resolution: float
+    """Smallest step of the device [device units]; 0 for none."""
+    safe: float
+    """Value in the safe state [SI]."""
+    low: float
+    high: float
+    low_from: str = ""
+    high_from: str = ""
+    rate: float = 0.0
+    """Highest rate of change [SI/s]; 0 for none."""
+
+
+@dataclass(frozen=True)
+class ValveRecord:
+    """A valve that is switched: `energised` says whether it is `closed` or `open` while its output is on."""
+
+    name: str
+    device: str
+    output: str
+    energised: str = "closed"
+    safe: str = "open"
+    """Where the safe state leaves it; while the bench runs it is the other way."""
+
+
+@dataclass(frozen=True)
+class InterlockRecord:
+    """A digital input that must stay at its `safe` level, `high` or `low`; elsewhere the guard vents and latches."""
+
+    name: str
+    device: str
+    input: str
+    safe: str = "high"
+
+
+@dataclass(frozen=True)
+class TripRecord:
+    """A limit on what is measured.
+
+    `kind` says what is looked at: `range` (outside `low` .. `high`), `rate` (changes faster than `high` [SI/s]),
+    `stale` (no sample for `delay`), `frozen` (not one change of the raw value for `delay`), `off-range` (at or
+    beyond the end of the channel's range), `following` (further than `high` from what is commanded), `burst` (falls
+    by more than `high` within `window` while it is commanded to stay or rise), `slack` (under `low`).
+    """
+
+    channel: str
+    low: float | None
+    high: float | None
+    delay: float
+    """How long it must be so before the action [s]."""
+    action: str
+    """What happens then: `warn`, `hold` (nothing new is commanded until it is over), `stop` (controlled), `vent`."""
+    source: str = ""
+    """`file:line:column` of the limit."""
+    kind: str = "range"
+    window: float = 0.0
+    """Over what time a burst falls [s]."""
+
+
+@dataclass(frozen=True)
+class SafeAction:
+    """One action of the safe state, in the declared order.
+
+    `set` an output to `value` [SI] at once; `ramp` an output to `value` at `rate` [SI/s] and wait until it is there;
+    `stop` a motion where it is; `open` or `close` a valve; `hold` for `within`; `confirm` that a channel falls below
+    `value`.
+    """
+
+    do: str
+    target: str
+    value: float
+    within: float
+    """Deadline [s]; the next action follows then at the latest."""
+    rate: float = 0.0
+
+
+@dataclass(frozen=True)
+class ProofTest:
+    """The vent path tried at arming: fill to `pressure` [Pa], vent; it must be below `below` within `within` [s]."""
+
+    pressure: float
+    below: float
+    within: float
+    fill: float = 5.0
+    """Longest time to fill [s]."""
+
+
+@dataclass(frozen=True)
+class DeviceRecord:
+    """One device: its driver as `module:Class`, its address and options as the bench file gives them."""
+
+    name: str
+    driver: str
+    address: str = ""
+    options: Mapping[str, Any] = field(default_factory=dict)
+    channels: tuple[ChannelRecord, ...] = ()
+    outputs: tuple[OutputRecord, ...] = ()
+    valves: tuple[ValveRecord, ...] = ()
+    interlocks: tuple[InterlockRecord, ...] = ()
+    watchdog: float = 0.0
+    """The device vents by itself when it hears nothing for so long [s]; 0: it has no such thing."""
+    verified: str = ""
+    """What its driver was tried on: `hardware (who, date, firmware)`, `emulator only`, or in other words."""
+    verified_firmware: str = ""
+    """The firmware for which the bench file says so; empty: any."""
+    fastest: float = 0.0
+    """Highest rate at which it samples with these options [Hz]; 0: its driver does not say."""
+    fastest_from: str = ""
+    """Where that is written, as `path:line:column`."""
+
+    @property
+    def guarded(self) -> bool:
+        """Whether its link belongs to the guard: it carries something that moves, vents or forbids."""
+        return bool(self.outputs or self.valves or self.interlocks or self.watchdog)
+
+
+@dataclass(frozen=True)
+class CompiledBench:
+    """A bench with a specimen mounted, checked and flattened; all the guard needs to keep it safe."""
+
+    name: str
+    simulated: bool
+    realtime: bool
+    free_end: str
+    """`weights`, `actuator`, `fixed` or `free`."""
+    devices: tuple[DeviceRecord, ...]
+    trips: tuple[TripRecord, ...]
+    safe_state: tuple[SafeAction, ...]
+    hands_below: float
+    """Measured gauge pressure under which hands may go in [Pa]."""
+    hands_at_pressure: float = 0.0
+    """Highest pressure at which a protocol may ask for hands at pressure [Pa]; 0: never."""
+    gravity: float = 9.81
+    carriage: float = 0.0
+    """Mass that moves with every load: table, cable, rod [kg]."""
+    hanging: bool = True
+    """Whether a load in kg moves with the muscle (weights) or acts as a pure force (constant-force device)."""
+    load_tolerance: float = 0.1
+    """How far the force of a load at rest may be from its weight [1]."""
+    load_action: str = "warn"
+    """What follows when it is further: `warn` or `stop`."""
+    slack_below: float = 0.0
+    """Force under which the specimen counts as slack [N]."""
+    length: float = 0.0
+    """Mounted length of the specimen [m]."""
+    setup_pressure: float = 100e3
+    """Highest pressure that may be commanded before the bench is proven [Pa]."""
+    stop_rate: float = 0.0
+    """Rate at which a controlled stop takes the pressure down before the safe state [Pa/s]; 0: at once."""
+    proof: ProofTest | None = None
+    path: str = ""
+    """The bench file."""
+
+    @property
+    def valves(self) -> tuple[ValveRecord, ...]:
+        """Every valve of every device."""
+        return tuple(valve for device in self.devices for valve in device.valves)
+
+    @property
+    def channels(self) -> tuple[ChannelRecord, ...]:
+        """Every channel of every device."""
+        return tuple(channel for device in self.devices for channel in device.channels)
+
+    @property
+    def outputs(self) -> tuple[OutputRecord, ...]:
+        """Every output of every device."""
+        return tuple(output for device in self.devices for output in device.outputs)
+
+    def to_json(self) -> str:
+        """The bench as JSON, for the guard and for the run's snapshot."""
+        return json.dumps(asdict(self), indent=1, sort_keys=True)
+
+    @classmethod
+    def from_json(cls, text: str) -> CompiledBench:
+        """The inverse of `to_json`."""
+        data = json.loads(text)
+        data["devices"] = tuple(device_from(item) for item in data["devices"])
+        data["trips"] = tuple(TripRecord(**item) for item in data["trips"])
+        data["safe_state"] = tuple(SafeAction(**item) for item in data["safe_state"])
+        if data.get("proof") is not None:
+            data["proof"] = ProofTest(**data["proof"])
+        return cls(**data)
+
+
+def device_from(data: Mapping[str, Any]) -> DeviceRecord:
+    """A device from its JSON object, as `dataclasses.asdict` gives it."""
+    channels = tuple(
+        ChannelRecord(
+            **{**item, "scale": Scale(**item["scale"]), "calibration": CalibrationRecord(**item["calibration"])}
+        )
+        for item in data["channels"]
+    )
+    outputs = tuple(OutputRecord(**{**item, "scale": Scale(**item["scale"])}) for item in data["outputs"])
+    valves = tuple(ValveRecord(**item) for item in data.get("valves", ()))
+    interlocks = tuple(InterlockRecord(**item) for item in data.get("interlocks", ()))
+    known = {"channels": channels, "outputs": outputs, "valves": valves, "interlocks": interlocks}
+    return DeviceRecord(**{**data, **known})
+
+
+@dataclass(frozen=True)
+class Plug:
+    """What is plugged into one terminal: a sensor or an actuator with its signal, and how the terminal shows that."""
+
+    sensor: Scale
+    """Signal to SI."""
+    digits: Scale = field(default_factory=Scale)
+    """What the device gives or takes to the signal."""
+    unit: str = ""
+    """Of the signal: only plugs with the same one fit into each other's terminals."""
+    low: float = 0.0
+    """Where the range of the sensor begins [SI]."""
+
+    @property
+    def scale(self) -> Scale:
+        """What the device gives or takes to SI."""
+        return Scale(self.sensor.slope * self.digits.slope, float(self.sensor.to_si(self.digits.offset)))
+
+
+@dataclass(frozen=True)
+class Wired:
+    """One device as it is really wired: a record for its emulator, and the plugs by terminal."""
+
+    record: DeviceRecord
+    """Channels, outputs, valves and interlocks have the names of what they are in the plant, and the plugs' scales."""
+    inputs: Mapping[str, Plug]
+    outputs: Mapping[str, Plug]
+
+
+@dataclass(frozen=True)
+class Truth:
+    """A rig as its truth file says, by the names of its devices; without addresses."""
+
+    path: str
+    devices: Mapping[str, Wired]
 
 
 COMPUTER = "computer"

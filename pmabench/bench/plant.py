@@ -1,6 +1,6 @@
 """Plant files to the plain numbers that a simulated bench is made of; knows no bench.
 
-They are plain so that they can go to another process and into a record; `pmabench.model.plant_file` makes the plant.
+They are plain so that they can go to another process and into a record; `pmabench.model.presets` makes the plant.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ Piece = list[float]
 
 @dataclass(frozen=True)
 class Plant:
-    """A plant file that is right: its numbers (SI, and coefficients as they were printed), and its text."""
+    """A valid plant file: its numbers (SI, and coefficients as they were printed), and its text."""
 
     numbers: dict[str, Any]
     text: str
@@ -59,7 +59,7 @@ def read_plant(path: Path) -> Plant:
 
 
 def plant_numbers(document: Document) -> dict[str, Any]:
-    """What `pmabench.model.plant_file.setup_of` takes; raises `InvalidFile` with every problem."""
+    """What `pmabench.model.presets.setup_of` takes; raises `InvalidFile` with every problem."""
     check_schema(PlantFile, document)
     law = document.data.get("law")
     if law is not None and str(law) not in LAWS:

@@ -3,25 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 from pmabench.base.errors import InvalidFile, Problem
 from pmabench.base.quantities import CHANNEL_QUANTITY
-from pmabench.bench.calibration import fit_line
-from pmabench.bench.driver_options import DBC, LONGEST, MAP
-from pmabench.bench.files.truth import ActuatorFile, DeviceTruth, Line, TruthFile
+from pmabench.bench.channels import fit_line
+from pmabench.bench.driver_options import DBC, LONGEST, MAP, loaded
+from pmabench.bench.files.plant import ActuatorFile, DeviceTruth, Line, TruthFile
 from pmabench.bench.interface import (
     ChannelRecord,
     DeviceRecord,
     InterlockRecord,
     OutputRecord,
+    Plug,
     Scale,
+    Truth,
     ValveRecord,
+    Wired,
 )
 from pmabench.bench.registry import driver_class
-from pmabench.bench.wiring import Plug, Truth, Wired
 from pmabench.files.document import Document, Location, read_document, validate
 from pmabench.files.quantity import unit_factor
 from pmabench.files.shipped import shipped_folder
@@ -162,9 +163,8 @@ def _text(path: Path) -> str:
 
 def _refused_by_driver(device: _Device, record: DeviceRecord) -> Iterator[Problem]:
     """What the driver finds wrong with the options and the names of terminals."""
-    module, _, name = record.driver.partition(":")
     try:
-        check = getattr(getattr(import_module(module), name), "check", None)
+        check = getattr(loaded(record.driver), "check", None)
     except (ImportError, AttributeError) as error:
         yield device.document.problem((*device.at, "driver"), f"the driver cannot be loaded: {error}")
         return

@@ -31,6 +31,7 @@ _LIMIT = re.compile(r"\s*(E_n|difference)\s*(?:<=?|≤|=)\s*(.+?)\s*")
 @click.option(
     "-o", "--output", type=click.Path(path_type=Path, dir_okay=False), help="Write figures and tables (HTML)."
 )
+@click.option("--fresh", is_flag=True, help="Compute anew what `process` stored and nothing has changed.")
 @common
 def command(
     ui: Ui,
@@ -40,10 +41,12 @@ def command(
     places: tuple[str, ...],
     accepted: tuple[str, ...],
     output: Path | None,
+    fresh: bool,
 ) -> int | None:
     """Hold A against B, the reference: differences with their 95 % interval and E_n number.
 
-    A and B are analysis folders, folders of them, or runs (processed now); B may be a CSV of published values, with
+    A and B are analysis folders, folders of them, or runs (processed now, unless `process` did that and nothing
+    has changed since); B may be a CSV of published values, with
     FILE.csv:LABEL. Without B the two methods of A given with --method are compared.
     """
     from pmabench.analysis.verdict.comparison import Comparison, compare, not_accepted
@@ -55,14 +58,14 @@ def command(
         raise UsageError(f"{output} is a pipe; give the name of a file")
     if len(methods) > 2 or (b is None and len(methods) != 2):
         raise UsageError("give B, or --method twice to compare two methods of A")
-    left, runs = _side("A", a)
+    left, runs = _side(ui, "A", a, fresh=fresh)
     curves: list[Published] = []
     if b is None:
         right, left = replace(left, name=methods[1]), replace(left, name=methods[0])
     elif _is_table(b):
         right, curves = _published(b, left.analyses, runs)
     else:
-        right = _side("B", b)[0]
+        right = _side(ui, "B", b, fresh=fresh)[0]
     chosen = None if not methods else (methods[0], None if right.published else methods[-1])
     found = compare(left, right, chosen, pressures) if right.analyses else Comparison((), ())
     if limits and not found.differences and any(measure == "E_n" for measure, _ in limits):
@@ -122,10 +125,10 @@ def _is_table(text: str) -> bool:
     return not Path(text).is_dir() and re.search(r"\.csv(:|$)", text, re.IGNORECASE) is not None
 
 
-def _side(name: str, text: str) -> tuple[Side, list[Path]]:
+def _side(ui: Ui, name: str, text: str, *, fresh: bool) -> tuple[Side, list[Path]]:
     """The analyses in a path, and the folders of their runs as far as they are at hand."""
     from pmabench.analysis.verdict.comparison import Side
-    from pmabench.cli.process import analyse, load_runs
+    from pmabench.cli.process import analyse, load_runs, read_all, stored
     from pmabench.store.analyses.folder import analyses_below, read_analysis, runs_of
 
     path = Path(text)
@@ -134,7 +137,8 @@ def _side(name: str, text: str) -> tuple[Side, list[Path]]:
     if not path.is_dir():
         raise invalid(path, "there is no such folder; give an analysis folder, a folder of them or a run")
     if (path / "manifest.json").exists():
-        analyses, runs = analyse(load_runs([path])), [path]
+        analyses = read_all(ui, [] if fresh else stored(ui, [path])) or analyse(load_runs([path]))
+        runs = [path]
     else:
         folders = analyses_below(path)
         if not folders:

@@ -17,8 +17,9 @@ from pmabench.cli.common import Ui, common, say
 def command(ui: Ui, out: Path, seed: int) -> int | None:
     """Characterise a simulated muscle: run every shipped kind of protocol, fit, and write the report."""
     from pmabench.cli.campaign import run_campaign, severity
-    from pmabench.cli.process import analyse, load_runs, print_analyses, write
+    from pmabench.cli.process import analyse, chains, load_runs, print_analyses, write
     from pmabench.report.document.html import write_report
+    from pmabench.store.analyses.made_from import key_of
 
     started = time.monotonic()
     outcomes = run_campaign(ui, "demo", out / "runs", operator_name="demo", yes=True, seed=seed)
@@ -27,9 +28,11 @@ def command(ui: Ui, out: Path, seed: int) -> int | None:
         say("\n".join(f"{outcome.folder}: {outcome.status}: {outcome.why}" for outcome in outcomes))
         return worst
     recorded = sum(outcome.rows for outcome in outcomes)
-    runs = load_runs([outcome.folder for outcome in outcomes if outcome.folder is not None])
+    recorded_in = [outcome.folder for outcome in outcomes if outcome.folder is not None]
+    key = key_of(chains(recorded_in), {})
+    runs = load_runs(recorded_in)
     analyses = analyse(runs)
-    folders = write(analyses, runs, out / "analyses" / runs[0].id)
+    folders = write(analyses, runs, out / "analyses" / runs[0].id, key)
     report = write_report(analyses, runs, out / "report.html", title="Characterisation of a simulated MAS-20-250")
     elapsed = time.monotonic() - started
     data = {

@@ -77,7 +77,7 @@ class Faults:
 
     def of_file(self, path: Path) -> list[Happening]:
         """Everything in a file; `InvalidFile` with every problem."""
-        from pmabench.bench.files.faults import FaultsFile
+        from pmabench.bench.files.plant import FaultsFile
         from pmabench.files.document import read_document, validate
 
         document = read_document(path)

@@ -20,12 +20,13 @@ SAMPLES = ("csv", "parquet", "mat")
 @click.option(
     "-o", "--output", required=True, type=click.Path(path_type=Path), help="Folder for csv and parquet, else the file."
 )
+@click.option("--fresh", is_flag=True, help="Compute anew what `process` stored and nothing has changed.")
 @common
-def command(ui: Ui, sources: tuple[Path, ...], form: str, output: Path) -> int | None:
+def command(ui: Ui, sources: tuple[Path, ...], form: str, output: Path, fresh: bool) -> int | None:
     """Write samples and trials of one RUN (csv, parquet, mat), or the coefficients of analyses (all formats).
 
-    A folder of analyses means all in it. For latex, json, python-control and mujoco runs are processed first.
-    Units are in the heads of columns.
+    A folder of analyses means all in it. For latex, json, python-control and mujoco runs are processed first,
+    unless `process` did that and nothing has changed since. Units are in the heads of columns.
     """
     from pmabench.cli.process import apart
     from pmabench.notebook import Results, open_analysis, open_run
@@ -44,12 +45,14 @@ def command(ui: Ui, sources: tuple[Path, ...], form: str, output: Path) -> int |
             raise UsageError(f"--format {form} of runs takes one run at a time; of analysis folders any number")
         paths = export_run(open_run(others[0]), form, output)
     else:
-        from pmabench.cli.process import analyse, load_runs, without_analyses
+        from pmabench.cli.process import analyse, load_runs, read_all, stored, without_analyses
 
         found = open_analysis(*folders) if folders else Results((), ())
         if others:
-            runs = load_runs(without_analyses(ui, others))
-            found = Results((*found.analyses, *analyse(runs)), (*found.runs, *runs))
+            given = without_analyses(ui, others)
+            before = read_all(ui, [] if fresh else stored(ui, given))
+            runs = load_runs(given)
+            found = Results((*found.analyses, *(before or analyse(runs))), (*found.runs, *runs))
         paths = export_results(found, form, output)
     written = [str(path) for path in paths]
     data = {"schema": "pmabench.export/1", "format": form, "written": written}

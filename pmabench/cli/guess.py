@@ -13,8 +13,7 @@ from pmabench.base.text import printable
 from pmabench.cli.common import Ui
 
 if TYPE_CHECKING:
-    from pmabench.store.importers.guess.columns import Proposal
-    from pmabench.store.importers.guess.record import Guess
+    from pmabench.store.importers.guess.columns import Guess, Proposal
     from pmabench.store.importers.guess.write import Span
 
 SECONDS = 10.0
@@ -27,7 +26,7 @@ def guess(ui: Ui, files: Sequence[Path], spans: Sequence[str], output: Path | No
     from pmabench.kinds.registry import importable
     from pmabench.store.importers.guess.guess import guess_files
     from pmabench.store.importers.guess.write import map_text, still_open
-    from pmabench.store.importers.questions import questions_of
+    from pmabench.store.importers.map_file import questions_of
 
     time_spans = dict(map(_span, spans))
     if output is not None and output.exists():

@@ -89,7 +89,7 @@ def _of_specimen(text: str, folder: Path) -> tuple[list[Row], list[Finding]]:
 
 def _names(text: str) -> set[str]:
     """What a run may call the specimen: the text itself, or type and serial of the file that it names."""
-    from pmabench.bench.files import SpecimenFile
+    from pmabench.bench.files.specimen import SpecimenFile
     from pmabench.files.document import read_document, validate
     from pmabench.files.shipped import find_file
 

@@ -158,7 +158,7 @@ def _write(folder: Path, files: dict[str, str]) -> None:
 def _refuse_faulty(prepare: Callable[[], object]) -> None:
     """Raise what is wrong with the files, apart from what is to be filled in."""
     from pmabench.base.errors import InvalidFile
-    from pmabench.bench.unfilled import OPEN
+    from pmabench.bench.compile import OPEN
 
     try:
         prepare()

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from pmabench.model.overrides import Overrides
     from pmabench.model.plant import Plant
     from pmabench.model.presets import Setup
-    from pmabench.model.signal import Wave
+    from pmabench.model.regulator import Wave
 
 MOST_ROWS = 20_000
 LONGEST = 1000.0
@@ -143,7 +143,7 @@ def _simulated(
 ) -> Motion:
     import numpy as np
 
-    from pmabench.model import signal
+    from pmabench.model import regulator
     from pmabench.model.driven import Actuator
 
     setup = _setup(plant, kind, changes, waves)
@@ -155,7 +155,7 @@ def _simulated(
         mean, amplitude, frequency = driven
         bench = setup.driven(Actuator(), position=mean)
         _stays_inside(setup, bench.actuator, mean - amplitude, mean + amplitude)
-        bench.move(signal.sine(0.0, mean, amplitude, frequency, math.ceil(seconds * frequency)))
+        bench.move(regulator.sine(0.0, mean, amplitude, frequency, math.ceil(seconds * frequency)))
     bench.command(waves)
     return bench.advance(float(times[-1]), times)
 
@@ -186,7 +186,7 @@ def _setup(plant: str, kind: str, changes: Overrides, waves: tuple[Wave, ...]) -
         from pathlib import Path
 
         from pmabench.bench.plant import read_plant
-        from pmabench.model.plant_file import setup_of
+        from pmabench.model.presets import setup_of
 
         numbers = read_plant(Path(plant)).numbers
         setup, highest = changed(setup_of(numbers), kind, changes), float(numbers["highest_pressure"])
@@ -228,7 +228,7 @@ DRIVE = re.compile(r"(?P<mean>[^,]+?)\s*\+-\s*(?P<amplitude>[^,]+),(?P<frequency
 
 def _course(steps: tuple[str, ...], sine: str | None) -> tuple[Wave, ...]:
     """The commanded pressure from 0 on."""
-    from pmabench.model.signal import Wave, constant, ramp, to_nanosecond
+    from pmabench.model.regulator import Wave, constant, ramp, to_nanosecond
 
     waves: list[Wave] = list(constant(0.0, 0.0))
     for text in steps:

@@ -44,9 +44,8 @@ def command(
 def _trial(run: Path, index: int) -> str:
     """A trial in words, so that a wrong number is seen."""
     from pmabench.display.wording import point_text
-    from pmabench.store.folder import EVENTS, read_file
-    from pmabench.store.journal import decode
+    from pmabench.store.folder import EVENTS, decode_lines, read_file
 
-    lines = decode(read_file(run, EVENTS)).lines
+    lines = decode_lines(read_file(run, EVENTS)).lines
     data = next(line["data"] for line in lines if line["kind"] == "trial-begin" and line["data"].get("trial") == index)
     return f"trial {index + 1} ({point_text(data.get('point') or {})})"

@@ -45,6 +45,7 @@ if TYPE_CHECKING:
     help="Contraction runs: the coefficients by output error, too, which simulates each stroke.",
 )
 @click.option("--regulator", is_flag=True, help="Contraction runs: dead time and lags from command to pressure.")
+@click.option("--fresh", is_flag=True, help="A folder of runs: compute also what has not changed.")
 @common
 def command(
     ui: Ui,
@@ -57,6 +58,7 @@ def command(
     bootstrap: int | None,
     polish: bool,
     regulator: bool,
+    fresh: bool,
 ) -> int | None:
     """Fit the coefficients of RUNS, each with its 95 % interval.
 
@@ -67,7 +69,7 @@ def command(
     changed since the last time are not computed again. A run that cannot be used is named at the end; the others go on.
     """
     from pmabench.kinds import registry
-    from pmabench.store.below import ANALYSES, holds_runs
+    from pmabench.store.catalogue import ANALYSES, holds_runs
 
     asked = registry.options_for(
         {"forms": list(forms), "bootstrap": bootstrap, "regulator": regulator, "polish": polish}
@@ -81,7 +83,7 @@ def command(
         start = runs[0].resolve()
         place = out or campaign_folder(start if runs[0] in below else start.parent) / ANALYSES / "each"
         wanted = [path for path in runs if path in below or not _holds_analyses(path)]
-        return process_folders(ui, wanted, place, jobs or 1, cluster, asked)
+        return process_folders(ui, wanted, place, jobs or 1, cluster, asked, fresh=fresh)
     if jobs is not None or cluster is not None:
         what = "--jobs and --cluster share out runs that are processed each on its own"
         raise UsageError(f"{what}: give their folder, or --each; runs named one by one make one fit together")
@@ -94,8 +96,10 @@ def _process_together(
     """One analysis for each kind of test of each specimen in `runs`; `asked` are options by kind of test."""
     from pmabench.kinds.reduce import verdicts
     from pmabench.plotting.wording import clean
+    from pmabench.store.analyses.made_from import key_of
 
     given = without_analyses(ui, runs)
+    key = key_of(chains(given), asked)  # before the runs are read: what is added meanwhile is a change
     loaded = load_runs(given)
     if asked and not any(run.kind in asked for run in loaded):
         raise UsageError(
@@ -103,14 +107,12 @@ def _process_together(
             f"{', '.join(asked)}; none of these is one"
         )
     analyses = analyse(loaded, asked)
-    first = next(run for run in loaded if Path(run.path).resolve() == given[0].resolve())
-    folder = out or campaign_folder(Path(first.path).resolve().parent) / "analyses" / first.id
-    folders = write(analyses, loaded, folder)
+    folders = write(analyses, loaded, out or place_of(given[0]), key, asked)
     failed = verdicts(loaded, analyses)
     data: dict[str, Any] = {
         "schema": "pmabench.process/1",
         "folders": [str(path) for path in folders],
-        "analyses": [analysis.to_dict() for analysis in analyses],
+        "analyses": [analysis.to_dict() for analysis in analyses] if ui.json else [],
         "verdicts": failed,
         "excluded": [
             {"run": run.id, "trial": note.excluded, "because": note.because, "operator": note.operator}
@@ -151,6 +153,54 @@ def verdict_lines(analyses: Sequence[Analysis], runs: Sequence[RunData], failed:
 def campaign_folder(folder: Path) -> Path:
     """Where analyses go: next to a folder that is called `runs`, so that `runs/*` are runs and nothing else."""
     return folder.parent if folder.name == "runs" else folder
+
+
+def place_of(run: Path) -> Path:
+    """Where the analyses of runs are that are processed together, of which `run` is named first."""
+    from pmabench.store.catalogue import ANALYSES
+    from pmabench.store.folder import read_manifest
+
+    return campaign_folder(run.resolve().parent) / ANALYSES / str(read_manifest(run)["id"])
+
+
+def chains(runs: Sequence[Path]) -> list[Path]:
+    """The runs with those that they continue, each once."""
+    from pmabench.store.catalogue import chain_of
+
+    with suppress(InvalidFile):  # whoever loads them reports what is wrong
+        return list({run.resolve(): run for given in runs for run in chain_of(given)}.values())
+    return []
+
+
+def stored(ui: Ui, runs: Sequence[Path]) -> list[Path]:
+    """Folders of the analyses that `process` made of `runs`; none where runs, notes or program changed since.
+
+    What was made with options, or was changed afterwards, is not used, and the user is informed.
+    """
+    from pmabench.store.analyses.made_from import Kept, kept, key_of
+    from pmabench.store.since import as_sealed
+
+    chain = chains(runs)
+    key = key_of(chain, {}) if chain else ""
+    if not key:
+        return []
+    each = campaign_folder(runs[0].resolve().parent) / "analyses" / "each" / runs[0].resolve().name
+    found = [kept(place, key, {}) for place in (place_of(runs[0]), each)]
+    best = next((one for one in found if one.folders), Kept(why=next((one.why for one in found if one.why), "")))
+    if best.why:
+        ui.note(f"{best.why}: it is not used, and its runs are processed again")
+    return list(best.folders) if all(as_sealed(run) for run in chain) else []
+
+
+def read_all(ui: Ui, folders: Sequence[Path]) -> list[Analysis]:
+    """The analyses in folders that `stored` found; none where one is damaged, and the user is informed."""
+    from pmabench.store.analyses.folder import read_analysis
+
+    try:
+        return [read_analysis(folder) for folder in folders]
+    except InvalidFile as error:
+        ui.note(f"{error}: it is not used, and its runs are processed again")
+        return []
 
 
 GUIDED = ("session", "self-test", "calibration", "setup")
@@ -207,7 +257,7 @@ def _nothing_to_process(path: Path) -> str:
 
 
 def _holds_analyses(path: Path) -> bool:
-    from pmabench.store.below import ANALYSES
+    from pmabench.store.catalogue import ANALYSES
 
     if not path.is_dir() or (path / "manifest.json").exists():
         return False
@@ -218,7 +268,7 @@ def _holds_analyses(path: Path) -> bool:
 
 def load_runs(paths: Sequence[Path]) -> list[RunData]:
     """Every run with those that it continues, or `InvalidFile` with what is wrong with each that is none."""
-    from pmabench.store.below import holds_runs
+    from pmabench.store.catalogue import holds_runs
     from pmabench.store.chain import open_chains
 
     for path in paths:
@@ -237,9 +287,19 @@ def analyse(runs: Sequence[RunData], options: Mapping[str, Mapping[str, Any]] | 
     return reduce_runs(runs, options)
 
 
-def write(analyses: Sequence[Analysis], runs: Sequence[RunData], folder: Path) -> list[Path]:
-    """An analysis folder for each analysis below `folder`; kinds that come twice are numbered."""
+def write(
+    analyses: Sequence[Analysis],
+    runs: Sequence[RunData],
+    folder: Path,
+    key: str = "",
+    options: Mapping[str, Any] | None = None,
+) -> list[Path]:
+    """An analysis folder for each analysis below `folder`; kinds that come twice are numbered.
+
+    With the `key` of runs and `options` they are used again as long as it is the same.
+    """
     from pmabench.report.files.csv_files import write_with_tables
+    from pmabench.store.analyses.made_from import keep
 
     seen: dict[str, int] = {}
     written = []
@@ -248,6 +308,7 @@ def write(analyses: Sequence[Analysis], runs: Sequence[RunData], folder: Path) -
         written.append(
             write_with_tables(analysis, folder / (f"{analysis.kind}-{number}" if number > 1 else analysis.kind))
         )
+    keep(folder, key, [Path(run.path) for run in runs], options or {}, written)
     return written
 
 

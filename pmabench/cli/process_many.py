@@ -24,16 +24,23 @@ MOST_LINES = 20
 
 
 def process_folders(
-    ui: Ui, given: Sequence[Path], out: Path, jobs: int, cluster: str | None, options: Mapping[str, Any]
+    ui: Ui,
+    given: Sequence[Path],
+    out: Path,
+    jobs: int,
+    cluster: str | None,
+    options: Mapping[str, Any],
+    *,
+    fresh: bool,
 ) -> int | None:
     """Process each run below `given` on its own, with options by kind; the exit code."""
     from pmabench.report.many.many import process_many
     from pmabench.report.many.many_table import write_table
-    from pmabench.store.below import tasks_below
+    from pmabench.store.catalogue import tasks_below
 
     tasks = tasks_below(given)
     with _pool(ui, jobs, cluster) as pool, _progress(ui) as progress:
-        many = process_many(tasks, out, pool, progress, options)
+        many = process_many(tasks, out, pool, progress, options, fresh=fresh)
     paths = write_table(many)
     ui.result(_data(many, paths), lambda: _human(many, paths), _failures(many) + [str(path) for path in paths])
     return many.exit_code or None

@@ -15,7 +15,7 @@ from pmabench.cli.common import Ui, common, login_name
 if TYPE_CHECKING:
     from pmabench.analysis.results import Analysis
     from pmabench.analysis.verdict.comparison import Change
-    from pmabench.store.recalibration import NewScale, Recalibration
+    from pmabench.store.reader import NewScale, Recalibration
     from pmabench.store.records import ChannelInfo, RunData
 
 
@@ -57,7 +57,7 @@ def command(
     from pmabench.kinds.registry import loops
     from pmabench.report.pages.change_tables import print_changes, write_changes
     from pmabench.store.chain import open_chains
-    from pmabench.store.recalibration import refuse_loops
+    from pmabench.store.reader import refuse_loops
 
     if not calibrations and not skews:
         raise UsageError("nothing is to be changed: give --calibration FILE or --skew CHANNEL=TIME")
@@ -100,7 +100,7 @@ def command(
 
 
 def _asked(runs: Sequence[RunData], calibrations: Sequence[str], skews: Sequence[str]) -> Recalibration:
-    from pmabench.store.recalibration import LONGEST, Recalibration, channel_for
+    from pmabench.store.reader import LONGEST, Recalibration, channel_for
 
     scales: dict[str, NewScale] = {}
     for text in calibrations:
@@ -136,7 +136,7 @@ def _named(text: str, runs: Sequence[RunData]) -> tuple[str, Path]:
 
 
 def _quantity(file: Path) -> str:
-    from pmabench.bench.files import CalibrationFile
+    from pmabench.bench.files.specimen import CalibrationFile
     from pmabench.files.document import read_document, validate
 
     return validate(CalibrationFile, read_document(file)).quantity
@@ -145,8 +145,8 @@ def _quantity(file: Path) -> str:
 def _scale(file: Path, quantity: str) -> NewScale:
     from dataclasses import asdict
 
-    from pmabench.bench.calibration import read_calibration
-    from pmabench.store.recalibration import NewScale
+    from pmabench.bench.channels import read_calibration
+    from pmabench.store.reader import NewScale
 
     read = read_calibration(file, quantity)
     return NewScale(quantity, read.raw_unit, read.scale.slope, read.scale.offset, asdict(read.record))

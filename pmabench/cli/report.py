@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from pmabench.base.errors import UsageError
 from pmabench.cli.common import Ui, common
+
+if TYPE_CHECKING:
+    from pmabench.analysis.results import Analysis
+    from pmabench.report.document.kept_page import Page
+    from pmabench.report.figures.overlays import Published
+    from pmabench.store.records import RunData
 
 
 @click.command(name="report")
@@ -30,6 +38,7 @@ from pmabench.cli.common import Ui, common
 @click.option(
     "--issued", default="", metavar="DATE", help="Date of issue as it is printed; today's is not put in by itself."
 )
+@click.option("--fresh", is_flag=True, help="Compute anew what `process` or `report` stored.")
 @common
 def command(
     ui: Ui,
@@ -39,34 +48,93 @@ def command(
     xlsx: Path | None,
     overlays: tuple[str, ...],
     title: str | None,
+    fresh: bool,
     **issuer: str,
 ) -> int | None:
-    """Write the characterisation report of runs (processed now), of analysis folders, or of folders of them."""
-    from pmabench.cli.process import analyse, apart, load_runs, since_lines, without_analyses
+    """Write the characterisation report of runs, of analysis folders, or of folders of them.
+
+    Runs are processed now, unless `process` did that and nothing has changed since.
+    """
+    from pmabench.cli.process import apart, chains, stored, without_analyses
     from pmabench.cli.report_overlays import read_overlays
-    from pmabench.report.document.checklist import Issuer
-    from pmabench.report.document.content import content_of
-    from pmabench.report.document.html import write_page
-    from pmabench.store.analyses.folder import read_analysis, runs_of
+    from pmabench.report.document import kept_page
+    from pmabench.store.analyses.folder import runs_of
+    from pmabench.store.since import as_sealed
 
     for path in (path for path in (output, pdf, xlsx) if path is not None and path.is_fifo()):
         raise UsageError(f"{path} is a pipe; give the name of a file")
     published = read_overlays(overlays)
     folders, others = apart(sources)
-    runs = load_runs(without_analyses(ui, others) if others else [])
-    analyses = [read_analysis(folder) for folder in folders]
-    seen: dict[tuple[str, tuple[str, ...]], Path] = {}
-    for folder, analysis in zip(folders, analyses, strict=True):
-        other = seen.setdefault((analysis.kind, analysis.runs), folder)
-        if other != folder:
-            raise UsageError(f"{other} and {folder} are analyses of the same runs: give one of the two")
-    for folder in folders:
-        runs += load_runs(runs_of(folder))
-    analyses += analyse([run for run in runs if not any(run.id in analysis.runs for analysis in analyses)])
-    for line in since_lines(runs):
+    given = without_analyses(ui, others) if others else []
+    used = folders if folders or fresh else stored(ui, given)
+    key = ""
+    if used and not (published or (folders and given)):
+        behind = chains(given or [run for folder in folders for run in runs_of(folder)])
+        about = {"sources": [str(path) for path in sources], "title": title, **issuer}
+        key = kept_page.page_key(used, behind, about) if all(as_sealed(run) for run in behind) else ""
+    page = None if fresh or pdf or xlsx or not key else kept_page.kept(used[0].parent, key)
+    if page is not None:
+        for line in page.remarks:
+            ui.note(line)
+        written = {"path": str(kept_page.write_text(page.text, output))}
+    else:
+        analyses, runs = _analysed(ui, folders, used, given)
+        written, page = _written(ui, analyses, runs, published, title, issuer, output, pdf, xlsx)
+        if key:
+            kept_page.keep(used[0].parent, key, page)
+    data: dict[str, Any] = {"schema": "pmabench.report/1", **written, "since": dict(page.since)}
+    ui.result(data, lambda: click.echo("\n".join(written.values())))
+    return None
+
+
+def _analysed(
+    ui: Ui, folders: Sequence[Path], used: Sequence[Path], given: Sequence[Path]
+) -> tuple[list[Analysis], list[RunData]]:
+    """All analyses, read where they are in `folders` or stored (`used`) and else made now, and the runs behind them."""
+    from pmabench.cli.process import analyse, load_runs, read_all
+    from pmabench.store.analyses.folder import read_analysis, runs_of
+
+    runs = load_runs(given) if given else []
+    if folders:
+        analyses = [read_analysis(folder) for folder in folders]
+        seen: dict[tuple[str, tuple[str, ...]], Path] = {}
+        for folder, analysis in zip(folders, analyses, strict=True):
+            other = seen.setdefault((analysis.kind, analysis.runs), folder)
+            if other != folder:
+                raise UsageError(f"{other} and {folder} are analyses of the same runs: give one of the two")
+        for folder in folders:
+            runs += load_runs(runs_of(folder))
+    else:
+        analyses = read_all(ui, used)
+    return analyses + analyse([run for run in runs if not any(run.id in a.runs for a in analyses)]), runs
+
+
+def _written(
+    ui: Ui,
+    analyses: Sequence[Analysis],
+    runs: Sequence[RunData],
+    published: Sequence[Published],
+    title: str | None,
+    issuer: Mapping[str, str],
+    output: Path,
+    pdf: Path | None,
+    xlsx: Path | None,
+) -> tuple[dict[str, str], Page]:
+    """Write the report in each format that is wanted; what was written, and the page."""
+    from pmabench.cli.process import since_lines
+    from pmabench.plotting.svg import import_without_3d
+    from pmabench.report.document.checklist import Issuer
+    from pmabench.report.document.content import content_of
+    from pmabench.report.document.html import page_of
+    from pmabench.report.document.kept_page import Page, write_text
+
+    import_without_3d()
+    page = Page("", {run.id: run.since.as_data() for run in runs if run.since.sentences}, since_lines(runs))
+    for line in page.remarks:
         ui.note(line)
     content = content_of(analyses, runs, title=title, published=published, issuer=Issuer(**issuer))
-    written = {"path": str(write_page(content, output))}
+    page = replace(page, text=page_of(content))
+    written = {"path": str(write_text(page.text, output))}
     if pdf is not None:
         from pmabench.report.document.pdf import write_pdf
 
@@ -75,7 +143,4 @@ def command(
         from pmabench.report.document.workbook import write_workbook
 
         written["xlsx"] = str(write_workbook(content, analyses, xlsx))
-    data: dict[str, Any] = {"schema": "pmabench.report/1", **written}
-    data["since"] = {run.id: run.since.as_data() for run in runs if run.since.sentences}
-    ui.result(data, lambda: click.echo("\n".join(written.values())))
-    return None
+    return written, page

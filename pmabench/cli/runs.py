@@ -88,7 +88,7 @@ def show_run(ui: Ui, run: Path) -> int | None:
 
 def _summary(data: RunData, going_on: Mapping[str, str]) -> dict[str, Any]:
     """The run as data for programs."""
-    from pmabench.store.sampling import sampling
+    from pmabench.store.timebase import sampling
 
     taken = sampling(data.trials)
     return {
@@ -159,7 +159,7 @@ def _print_run(data: RunData, going_on: Mapping[str, str]) -> None:
 
 
 def _print_sampling(data: RunData) -> None:
-    from pmabench.store.sampling import sampling
+    from pmabench.store.timebase import sampling
 
     taken = sampling(data.trials)
     if taken is not None:

@@ -58,7 +58,7 @@ def command(
     from pmabench.analysis.tuning import facts, rules_named
     from pmabench.base.errors import UsageError
     from pmabench.cli.tune_model import Where, holds_model
-    from pmabench.model.rules.registry import all_rules
+    from pmabench.model.rules.record import all_rules
 
     _check_one_source(runs, [ku is not None, tu is not None], analysis, steps=steps, model=model)
     where = Where.read(setpoints, load, period)

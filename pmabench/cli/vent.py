@@ -144,7 +144,7 @@ def _vent(ui: Ui, station: Station, saved: dict[str, Any], began: float) -> Vent
         by_guard = _by_guard(ui, saved.get("name", station.folder.name), guard, began)
         if by_guard is not None:
             return by_guard
-    from pmabench.bench.records import CompiledBench
+    from pmabench.bench.interface import CompiledBench
     from pmabench.guard.direct import vent_directly
 
     if not saved:

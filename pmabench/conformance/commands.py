@@ -11,10 +11,9 @@ from typing import Any
 from pmabench.base.errors import DeviceError
 from pmabench.base.quantities import show
 from pmabench.bench.interface import OutputRecord, Rescue, ValveRecord
-from pmabench.conformance.rig import CALLS_WITHIN, COLLECTS_WITHIN, Rig
+from pmabench.conformance.rig import CALLS_WITHIN, COLLECTS_WITHIN, Failed, Late, NotApplicable, NotChecked, Rig
 from pmabench.conformance.samples import RATE, Recording, record, tolerance
 from pmabench.conformance.truth import Truth
-from pmabench.conformance.verdict import Failed, Late, NotApplicable, NotChecked
 from pmabench.guard.limits import to_device
 
 ARRIVES = 0.15
@@ -87,7 +86,7 @@ def _soon(rig: Rig, within: float, holds: Callable[[], bool]) -> bool:
     while not holds():
         if rig.bench_clock.now() > until:
             return False
-        rig.bench_clock.wait_until(rig.bench_clock.now() + 0.01)
+        rig.wait(0.01)
     return True
 
 
@@ -117,7 +116,7 @@ def refuse_position(
 
 def _refuse_nowhere(rig: Rig, *names: tuple[str, Callable[[], Any]]) -> None:
     for what, act in names:
-        given = rig.call(what, act).judged(CALLS_WITHIN)
+        given = rig.call(what, act).judged()
         if not isinstance(given, DeviceError):
             raise Failed(f"{what} gave {given!r}; a DeviceError is expected, with the names that there are")
 
@@ -150,7 +149,7 @@ def _one_set_point(rig: Rig, truth: Truth, output: OutputRecord, value: float, *
     others = {o.name: commanded(truth, o) for o in rig.record.outputs if o is not output}
     coils = {valve.name: truth.coil(valve) for valve in rig.record.valves}
     si = show(float(output.scale.to_si(value)), output.quantity)
-    rig.call(f"write({value:g})", device.write, output.output, value).nothing(CALLS_WITHIN)
+    rig.call(f"write({value:g})", device.write, output.output, value).nothing()
     if moves:
         began = truth.now()[f"{output.name}_command"]
         _soon(rig, ARRIVES, lambda: abs(commanded(truth, output) - began) > close_enough(output))
@@ -166,7 +165,7 @@ def _one_set_point(rig: Rig, truth: Truth, output: OutputRecord, value: float, *
             raise Failed(f"writing {output.name} has changed {other.name}; are these outputs swapped?")
     if coils != {valve.name: truth.coil(valve) for valve in rig.record.valves}:
         raise Failed(f"writing {output.name} has switched a valve")
-    held = rig.call("read_back()", device.read_back, output.output).good(CALLS_WITHIN)
+    held = rig.call("read_back()", device.read_back, output.output).good()
     if isinstance(held, bool) or not near(output, held, value):
         raise Failed(f"{output.name}: {value:g} was written and {held!r} is read back; the device holds {si}")
     times = times_sent(rig, output, value, before)
@@ -200,11 +199,11 @@ def valves(rig: Rig) -> str:
         for valve in rig.record.valves:
             for on in (True, False, True, False):
                 others = {v.name: truth.coil(v) for v in rig.record.valves if v is not valve}
-                rig.call(f"switch(on={on})", device.switch, valve.output, on=on).nothing(CALLS_WITHIN)
+                rig.call(f"switch(on={on})", device.switch, valve.output, on=on).nothing()
                 refuse_position(rig, truth, valve, on=on, after=f"switch(on={on})")
                 if others != {v.name: truth.coil(v) for v in rig.record.valves if v is not valve}:
                     raise Failed(f"switching {valve.name} has switched another valve")
-                shown = rig.call("is_on()", device.is_on, valve.output).good(CALLS_WITHIN)
+                shown = rig.call("is_on()", device.is_on, valve.output).good()
                 if shown is not on:
                     raise Failed(f"{valve.name} was switched {'on' if on else 'off'} and is_on() gives {shown!r}")
         _refuse_nowhere(
@@ -227,7 +226,7 @@ def inputs(rig: Rig) -> str:
             truth.e_stop(pressed=pressed)
             rig.pass_time(0.1)
             for lock in rig.record.interlocks:
-                level = rig.call("level()", device.level, lock.input).good(CALLS_WITHIN)
+                level = rig.call("level()", device.level, lock.input).good()
                 if not isinstance(level, bool):
                     raise Failed(f"level() of {lock.name} gave {level!r}; True or False is expected")
                 safe = not pressed or lock.name in fixed
@@ -251,12 +250,12 @@ def from_outside(rig: Rig) -> str:
     for way in ("by hand", "after a restart") if rig.emulator is not None else ("by hand",):
         for output in rig.record.outputs:
             with rig.opened() as device:
-                rig.call("write()", device.write, output.output, at(output, 0.4)).good(CALLS_WITHIN)
+                rig.call("write()", device.write, output.output, at(output, 0.4)).good()
                 reaches(rig, truth, output, at(output, 0.4), MOVES if output.quantity == "length" else ARRIVES)
                 if why or not _changes(rig, truth, way, output.output, at(output, 0.2)):
                     unchecked.append(f"{output.name} {way} ({why or 'the emulator has no such change'})")
                     continue
-                held = rig.call("read_back()", device.read_back, output.output).judged(CALLS_WITHIN)
+                held = rig.call("read_back()", device.read_back, output.output).judged()
                 if not isinstance(held, DeviceError) and not _is_held(truth, output, held):
                     real = show(commanded(truth, output), output.quantity)
                     raise Failed(
@@ -265,11 +264,11 @@ def from_outside(rig: Rig) -> str:
                     )
         for valve in rig.record.valves:
             with rig.opened() as device:
-                rig.call("switch(on=True)", device.switch, valve.output, on=True).good(CALLS_WITHIN)
+                rig.call("switch(on=True)", device.switch, valve.output, on=True).good()
                 if not _changes(rig, truth, way, valve.output, 0.0):
                     unchecked.append(f"{valve.name} {way} (the emulator has no such change)")
                     continue
-                shown = rig.call("is_on()", device.is_on, valve.output).judged(CALLS_WITHIN)
+                shown = rig.call("is_on()", device.is_on, valve.output).judged()
                 if not isinstance(shown, DeviceError) and shown is not bool(truth.coil(valve)):
                     raise Failed(
                         f"{valve.name} was switched off ({way}), and is_on() gives {shown!r}: it answers from memory; "
@@ -282,7 +281,7 @@ def from_outside(rig: Rig) -> str:
 
 def _changes(rig: Rig, truth: Truth, way: str, output: str, value: float) -> bool:
     done = rig.restart() if way == "after a restart" else truth.by_hand(output, value)
-    rig.bench_clock.wait_until(rig.bench_clock.now() + 0.1)
+    rig.wait(0.1)
     return done
 
 
@@ -298,9 +297,9 @@ def _is_held(truth: Truth, output: OutputRecord, held: Any) -> bool:
 def lift(rig: Rig, truth: Truth | None = None) -> None:
     """Leave the safe state: valves on, outputs up."""
     for valve in rig.record.valves:
-        rig.call("switch(on=True)", rig.device.switch, valve.output, on=True).nothing(CALLS_WITHIN)
+        rig.call("switch(on=True)", rig.device.switch, valve.output, on=True).nothing()
     for output in rig.record.outputs:
-        rig.call("write()", rig.device.write, output.output, at(output, 0.3)).nothing(CALLS_WITHIN)
+        rig.call("write()", rig.device.write, output.output, at(output, 0.3)).nothing()
         if truth is not None and output.quantity == "pressure" and not reaches(rig, truth, output, at(output, 0.3)):
             raise Failed(f"{output.name} was written, and did not arrive in the plant: see the check of set-points")
 
@@ -332,11 +331,11 @@ def safe_state(rig: Rig) -> str:
         for _ in range(3):
             for output in rig.record.outputs:
                 done = rig.call("write(safe)", device.write, output.output, raw(output, output.safe))
-                done.nothing(CALLS_WITHIN)
+                done.nothing()
                 slowest = max(slowest, done.seconds)
             for valve in rig.record.valves:
                 done = rig.call("switch(safe)", device.switch, valve.output, on=False)
-                done.nothing(CALLS_WITHIN)
+                done.nothing()
                 slowest = max(slowest, done.seconds)
         refuse_unsafe(rig, truth, "the commands of the safe state, sent three times")
     return f"three times over, safe in the plant; the slowest command took {1e3 * slowest:.0f} ms"

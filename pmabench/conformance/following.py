@@ -1,17 +1,20 @@
-"""Checks of ramps, sines and stops: the plant's set-point along the way, at its time."""
+"""Checks of what a device does by itself: ramps, sines, stops; its watchdog; what it reports to hold (promise S11)."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from math import pi, sin
+from typing import Any
 
 from pmabench.base.clock import VirtualClock
+from pmabench.base.errors import DeviceError
 from pmabench.base.quantities import show
-from pmabench.bench.interface import Follower, Motion, OutputRecord, Segment
-from pmabench.conformance.commands import MOVES, at, close_enough, commanded, near, reaches
-from pmabench.conformance.rig import CALLS_WITHIN, COLLECTS_WITHIN, Rig
+from pmabench.bench.interface import Follower, Motion, OutputRecord, Segment, Supervised, Watchdog
+from pmabench.conformance.commands import MOVES, at, close_enough, commanded, lift, near, reaches, refuse_unsafe
+from pmabench.conformance.relay import silence
+from pmabench.conformance.rig import COLLECTS_WITHIN, Failed, Late, NotApplicable, NotChecked, Rig
 from pmabench.conformance.samples import RATE
 from pmabench.conformance.truth import Truth
-from pmabench.conformance.verdict import Failed, Late, NotApplicable
 
 BEHIND = 0.12
 """How far a ramp may be from its time [s]."""
@@ -34,18 +37,18 @@ def ramps(rig: Rig) -> str:
             sine = Segment("sine", rig.bench_clock.now() + 0.3, target, amplitude=swing, frequency=1.0, cycles=1.0)
             _watch(rig, truth, output, sine, 1.0)
             back = Segment("ramp", rig.bench_clock.now(), target, origin, rate=abs(target - origin) / 2.0)
-            rig.call("follow()", device.follow, output.output, back).nothing(CALLS_WITHIN)
+            rig.call("follow()", device.follow, output.output, back).nothing()
             rig.pass_time(0.4)
-            rig.call("write()", device.write, output.output, target).nothing(CALLS_WITHIN)
+            rig.call("write()", device.write, output.output, target).nothing()
             rig.pass_time(0.6)
-            held = rig.call("read_back()", device.read_back, output.output).good(CALLS_WITHIN)
+            held = rig.call("read_back()", device.read_back, output.output).good()
             if not near(output, held, target) or not reaches(rig, truth, output, target):
                 raise Failed(f"{output.name}: {target:g} was written and the device still follows: it holds {held!r}")
     return "a ramp and a sine of 1 s, in the plant as they were commanded, and a write ends them"
 
 
 def _begin_at(rig: Rig, truth: Truth, output: OutputRecord, value: float) -> None:
-    rig.call("write()", rig.device.write, output.output, value).nothing(CALLS_WITHIN)
+    rig.call("write()", rig.device.write, output.output, value).nothing()
     until = rig.bench_clock.now() + MOVES
     while not reaches(rig, truth, output, value, 0.05):
         rig.feed()
@@ -63,7 +66,7 @@ def _watch(rig: Rig, truth: Truth, output: OutputRecord, segment: Segment, lasts
         return segment.origin + segment.amplitude * sin(2 * pi * segment.frequency * since)
 
     si, clock = output.scale.to_si, rig.bench_clock
-    rig.call(f"follow({segment.kind})", rig.device.follow, output.output, segment).nothing(CALLS_WITHIN)
+    rig.call(f"follow({segment.kind})", rig.device.follow, output.output, segment).nothing()
     seen, reached, fed = [], [], clock.now()
     while clock.now() < segment.start + lasts + 2 * BEHIND:
         before = clock.now()
@@ -93,7 +96,7 @@ def _watch(rig: Rig, truth: Truth, output: OutputRecord, segment: Segment, lasts
     if not reaches(rig, truth, output, end, 0.5):
         left = show(commanded(truth, output), output.quantity)
         raise Failed(f"{output.name}: a {segment.kind} to {show(float(si(end)), output.quantity)} ended at {left}")
-    held = rig.call("read_back()", rig.device.read_back, output.output).good(CALLS_WITHIN)
+    held = rig.call("read_back()", rig.device.read_back, output.output).good()
     if not near(output, held, end):
         raise Failed(f"{output.name}: after a {segment.kind} that ends at {end:g}, {held!r} is read back")
 
@@ -110,9 +113,9 @@ def halts(rig: Rig) -> str:
             origin, target = at(output, 0.1), at(output, 0.4)
             _begin_at(rig, truth, output, origin)
             ramp = Segment("ramp", rig.bench_clock.now(), origin, target, rate=abs(target - origin) / 1.5)
-            rig.call("follow()", device.follow, output.output, ramp).nothing(CALLS_WITHIN)
+            rig.call("follow()", device.follow, output.output, ramp).nothing()
             rig.pass_time(0.7)
-            rig.call("halt()", device.halt, output.output).nothing(CALLS_WITHIN)
+            rig.call("halt()", device.halt, output.output).nothing()
             rig.pass_time(0.2)
             stopped = commanded(truth, output)
             rig.pass_time(0.5)
@@ -124,3 +127,174 @@ def halts(rig: Rig) -> str:
                 where = show(stopped, output.quantity)
                 raise Late(f"{output.name}: halt() in the middle of a ramp left the plant at {where}, not where it was")
     return "a ramp stops where it is"
+
+
+EARLY, LATEST = 0.1, 0.25
+"""How much before and after its time a watchdog may act [s]."""
+NOTICED = 0.5
+"""So soon a difference must be in `held` [s]."""
+
+
+def watchdog(rig: Rig) -> str:
+    """Armed, it says the time that the device holds; fed, it is quiet; without that the device vents at that time."""
+    if not rig.record.watchdog or not issubclass(rig.driver(), Watchdog):
+        raise NotApplicable("the bench file gives it no watchdog")
+    asked = rig.record.watchdog
+    truth = rig.truth()
+    with rig.opened(armed=False) as device:
+        armed = _arm(rig, device)
+        lift(rig, truth)
+        _feed(rig, device, 1.5 * asked)
+        rig.call("disarm_watchdog()", device.disarm_watchdog).nothing()
+        rig.wait(asked + LATEST)
+        noted: list[Any] = rig.logged("watchdog")
+        if rig.emulator is None:  # it writes nothing down: an output that is no longer up says so
+            regulated = [output for output in rig.record.outputs if output.quantity == "pressure"]
+            noted = [output for output in regulated if not reaches(rig, truth, output, at(output, 0.3))]
+        if noted:
+            raise Failed(f"the device vented {asked:g} s after disarm_watchdog()")
+        armed = _arm(rig, device)
+        lift(rig, truth)
+        _feed(rig, device, 0.3)
+        rig.wait(armed + LATEST + 0.25)
+        fired = rig.logged("watchdog")
+        if rig.emulator is not None and not fired:
+            raise Failed(f"the emulated device did nothing {armed + LATEST:g} s after it was fed last")
+        silent = fired[0].get("silent", armed) if fired else armed
+        if not armed - EARLY <= silent <= armed + LATEST:
+            message = f"arm_watchdog({asked:g}) gave {armed:g} s, and the device vented after {silent:.2f} s of silence"
+            raise Late(message) if silent > armed else Failed(f"{message}: it holds another time than that")
+        for valve in rig.record.valves:
+            if rig.call("is_on()", device.is_on, valve.output).judged() is True:
+                raise Failed(f"{valve.name} is on after the device's own vent")
+        refuse_unsafe(rig, truth, "the device's own vent", by_itself=True)
+    return f"holds {armed:g} s; fed it is quiet, disarmed too; after {silent:.2f} s of silence the plant is vented"
+
+
+def _arm(rig: Rig, device: Any) -> float:
+    asked = rig.record.watchdog
+    armed = rig.call("arm_watchdog()", device.arm_watchdog, asked).good()
+    if isinstance(armed, bool) or not isinstance(armed, float | int) or not 0 < armed <= asked * 1.01:
+        raise Failed(f"arm_watchdog({asked:g}) gave {armed!r}; the time that the device holds is expected [s]")
+    return float(armed)
+
+
+def _feed(rig: Rig, device: Any, seconds: float) -> None:
+    for _ in range(round(seconds / 0.1)):
+        rig.wait(0.1)
+        rig.call("feed_watchdog()", device.feed_watchdog).nothing()
+    if rig.logged("watchdog"):
+        raise Failed("the watchdog ran out although it was fed ten times a second")
+
+
+def held(rig: Rig) -> str:
+    """`held` reports a watchdog that is armed, off or fired, and a restart, as the device itself says now."""
+    if not issubclass(rig.driver(), Supervised):
+        raise NotApplicable("it has no held(): that its device restarts is not seen while it is pressurised")
+    with rig.opened(armed=False) as device:
+        before = _held(rig, device)
+        if issubclass(rig.driver(), Watchdog) and rig.record.watchdog:
+            _reports_watchdog(rig, device, before)
+    with rig.opened() as device:
+        before = _held(rig, device)
+        rig.pass_time(0.3)
+        if reason := _difference(before, _held(rig, device)):
+            raise Failed(f"held(): {reason}, and nothing happened")
+        reported = _entries(before)
+        _reports_change(rig, device, before)
+        if not rig.restart():
+            raise NotChecked(f"{reported}; a restart: there is no emulator that could be switched off and on")
+        rig.wait(0.1)
+        after = rig.call("held()", device.held).judged()
+        if not isinstance(after, DeviceError):
+            after = rig.call("held()", device.held).judged()
+        if not isinstance(after, DeviceError) and not _difference(before, after):
+            raise Failed(
+                "held() is as before after the emulated device was switched off and on: it answers from memory"
+            )
+    if rig.relays:
+        _silent(rig)
+    return f"{reported}; a fired or disarmed watchdog, a restart and silence are seen"
+
+
+def _reports_change(rig: Rig, device: Any, before: Mapping[str, Any]) -> None:
+    """What is changed at the emulated device itself is reported, where the emulator can change it."""
+    if not getattr(rig.server, "change_held", bool)():
+        return
+    rig.wait(NOTICED)
+    after = rig.call("held()", device.held).judged()
+    if isinstance(after, DeviceError):  # an answer may be lost; what is refused is refused again
+        after = rig.call("held()", device.held).judged()
+    if not isinstance(after, DeviceError) and not _difference(before, after):
+        raise Failed(f"{_entries(before)}: changed at the device, and held() is as before: it answers from memory")
+
+
+def _reports_watchdog(rig: Rig, device: Any, before: Mapping[str, Any]) -> None:
+    armed = rig.call("arm_watchdog()", device.arm_watchdog, rig.record.watchdog).good()
+    shown = _held(rig, device).get("watchdog")
+    if isinstance(shown, str | bool | None) or abs(shown - armed) > 0.01 * armed:
+        raise Failed(f'arm_watchdog() gave {armed:g} s, and held() says "watchdog" is {shown!r}')
+    if rig.switch_off_watchdog():
+        rig.wait(NOTICED)
+        after = rig.call("held()", device.held).judged()
+        if not isinstance(after, DeviceError) and after.get("watchdog") == shown:
+            raise Failed(f'held() says "watchdog" is {shown!r} after it was switched off at the device: it remembers')
+        rig.call("arm_watchdog()", device.arm_watchdog, rig.record.watchdog).good()
+    lift(rig)
+    counting = _held(rig, device)
+    if getattr(rig.server, "expire_watchdog", bool)():
+        rig.wait(NOTICED)
+        after = rig.call("held()", device.held).judged()
+        if not (isinstance(after, DeviceError) or _difference(counting, after) or _outputs_show_it(rig, device)):
+            raise Failed(
+                f"the watchdog has fired, held() is as before ({_entries(after)}), and outputs and valves are read "
+                "back as they were commanded: nothing shows that the device has vented"
+            )
+        armed = rig.call("arm_watchdog()", device.arm_watchdog, rig.record.watchdog).good()
+    rig.call("disarm_watchdog()", device.disarm_watchdog).nothing()
+    if _held(rig, device).get("watchdog", 0) not in {0, before.get("watchdog", 0)}:
+        raise Failed(
+            'held() says that the "watchdog" is on after disarm_watchdog(); 0 is expected, or what it was before'
+        )
+
+
+def _outputs_show_it(rig: Rig, device: Any) -> bool:
+    """Whether a fired watchdog shows in an output or a valve: some devices go on counting by themselves (LabJack)."""
+    for output in rig.record.outputs:
+        value = rig.call("read_back()", device.read_back, output.output).judged()
+        if isinstance(value, DeviceError) or not near(output, value, at(output, 0.3)):
+            return True
+    return any(rig.call("is_on()", device.is_on, valve.output).judged() is not True for valve in rig.record.valves)
+
+
+def _held(rig: Rig, device: Any) -> Mapping[str, Any]:
+    given = rig.call("held()", device.held).good()
+    if not isinstance(given, Mapping) or not given:
+        raise Failed(f"held() gave {given!r}; a mapping of names to numbers or texts is expected")
+    for name, value in given.items():
+        if not isinstance(name, str) or isinstance(value, bool) or not isinstance(value, float | int | str):
+            raise Failed(f"held() gave {name!r}: {value!r}; numbers or texts by their names are expected")
+    return given
+
+
+def _difference(before: Mapping[str, Any], after: Mapping[str, Any]) -> str:
+    """What a guard would trip on; empty: nothing."""
+    for name in {*before, *after}:
+        was, now = before.get(name), after.get(name)
+        if was is None or now is None or (now < was if name == "uptime" else now != was):
+            return f"{name} was {was!r} and is {now!r}"
+    return ""
+
+
+def _entries(found: Mapping[str, Any]) -> str:
+    return ", ".join(found)
+
+
+def _silent(rig: Rig) -> None:
+    with rig.opened() as device:
+        _held(rig, device)
+        rig.damage(silence)
+        rig.wait(0.1)
+        given = rig.call("held() in silence", device.held).judged()
+        if not isinstance(given, DeviceError):
+            raise Failed(f"held() gave {dict(given)} while the device is silent: it answers from memory")

@@ -1,4 +1,4 @@
-"""A relay between a driver and its emulator, on TCP or on a pseudo-terminal, which damages what the device sends."""
+"""A relay between driver and emulator, on TCP or a pseudo-terminal, and what it does to the bytes of the device."""
 
 from __future__ import annotations
 
@@ -8,10 +8,78 @@ import socket
 import threading
 import time
 from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
+from random import Random
 
-from pmabench.conformance.damage import Damage
+Pieces = Sequence[tuple[float, bytes]]
+"""What arrives instead: after so long [s], these bytes."""
+Damage = Callable[[bytes], Pieces]
+
+
+def silence(_data: bytes) -> Pieces:
+    """Nothing arrives."""
+    return ()
+
+
+def late(seconds: float) -> Damage:
+    """Everything arrives, `seconds` later."""
+    return lambda data: ((seconds, data),)
+
+
+def _flipped(data: bytes, chance: Random, _before: bytes) -> Pieces:
+    changed = bytearray(data)
+    for _ in range(chance.randint(1, 3)):
+        changed[chance.randrange(len(data))] ^= 1 << chance.randrange(8)
+    return ((0.0, bytes(changed)),)
+
+
+def _in_parts(data: bytes, chance: Random, _before: bytes) -> Pieces:
+    middle = chance.randrange(len(data))
+    return ((0.0, data[:middle]), (chance.uniform(0.0, 0.02), data[middle:]))
+
+
+KINDS: dict[str, Callable[[bytes, Random, bytes], Pieces]] = {
+    "cut": lambda data, chance, _before: [(0.0, data[: chance.randrange(len(data))])],
+    "bits flipped": _flipped,
+    "repeated": lambda data, _chance, _before: [(0.0, data + data)],
+    "garbage before": lambda data, chance, _before: [(0.0, chance.randbytes(chance.randint(1, 12)) + data)],
+    "garbage behind": lambda data, chance, _before: [(0.0, data + chance.randbytes(chance.randint(1, 12)))],
+    "other bytes": lambda data, chance, _before: [(0.0, chance.randbytes(len(data)))],
+    "far too long": lambda data, chance, _before: [(0.0, data + chance.randbytes(chance.randint(300, 5000)))],
+    "in parts": _in_parts,
+    "an older answer": lambda data, _chance, before: [(0.0, before or data)],
+    "late": lambda data, chance, _before: [(chance.uniform(0.02, 0.4), data)],
+    "nothing": lambda _data, _chance, _before: [],
+}
+"""Name -> what arrives instead of `data`, where `before` came last."""
+SELDOM = {"late", "nothing"}
+"""They cost a time-out each."""
+
+
+class Hostile:
+    """Damages every piece in the way `kind`; remembers the piece before."""
+
+    def __init__(self, chance: Random) -> None:
+        self._chance = chance
+        self._before = b""
+        self.kind = "cut"
+        self.done = 0
+        """Pieces that were damaged."""
+
+    def another(self) -> str:
+        """Choose a kind for what comes now; its name."""
+        names = [name for name in KINDS if name not in SELDOM or self._chance.random() < 0.3]
+        self.kind = self._chance.choice(names)
+        return self.kind
+
+    def __call__(self, data: bytes) -> Pieces:
+        """As a `Damage`."""
+        before, self._before = self._before, data
+        self.done += 1
+        return KINDS[self.kind](data, self._chance, before) if data else ()
+
 
 PIECE = 4096
 WAIT = 0.05

@@ -1,7 +1,8 @@
-"""One device of a driver for the checks: its emulator, the relays before it, the driver, and how long calls take."""
+"""One device of a driver for the checks: its emulator, the relays before it, the driver; what came of its calls."""
 
 from __future__ import annotations
 
+import os
 import re
 import socket
 import threading
@@ -18,11 +19,39 @@ from typing import Any
 from pmabench.base.clock import Clock, RealClock, VirtualClock
 from pmabench.base.errors import DeviceError, UsageError
 from pmabench.bench.interface import Device, DeviceRecord, Identity, Rescue, Stream, Watchdog
-from pmabench.bench.wiring import Truth as Wiring
+from pmabench.bench.interface import Truth as Wiring
 from pmabench.conformance.relay import Relay, SerialRelay, TcpRelay
 from pmabench.conformance.truth import Behind, Emulated, Inside, Truth
-from pmabench.conformance.verdict import Failed, Late, NotApplicable, NotChecked
 from pmabench.guard.owner import PATIENCE, Call, Owner
+
+PASSED, FAILED, NOT_APPLICABLE, NOT_CHECKED = "pass", "fail", "does not apply", "not checked"
+
+
+@dataclass(frozen=True)
+class Result:
+    """One line of the suite: the check, its verdict, and a sentence that says why."""
+
+    check: str
+    promise: str
+    verdict: str
+    why: str
+
+
+class Failed(Exception):
+    """The driver breaks the promise; the text says how and what to do."""
+
+
+class Late(Failed):
+    """Something came too late, for which a busy computer can be the reason: it must happen again to count."""
+
+
+class NotApplicable(Exception):
+    """The device has nothing of the kind; the text says what is missing."""
+
+
+class NotChecked(Exception):
+    """Something could not be compared with an independent reference; the text says what, why, and what was compared."""
+
 
 OPENS_WITHIN = 2.0
 """Longest time that `open` may take [s]."""
@@ -51,12 +80,12 @@ class Outcome:
     lag: float
     """By how much this computer was late meanwhile [s]: other programs want it too."""
 
-    def nothing(self, within: float) -> None:
+    def nothing(self, within: float = CALLS_WITHIN) -> None:
         """As `good`, for a call that returns nothing."""
         if (value := self.good(within)) is not None:
             raise Failed(f"{self.what} returned {value!r}; by the interface it returns None")
 
-    def judged(self, within: float) -> Any:
+    def judged(self, within: float = CALLS_WITHIN) -> Any:
         """Its value, or the DeviceError; raises Failed where it took too long or raised anything else."""
         if self.seconds > within + SLACK + 3 * self.lag:
             raise Late(f"{self.what} took {self.seconds:.2f} s; at most {within:g} s is allowed")
@@ -65,7 +94,7 @@ class Outcome:
             raise Failed(f"{self.what} raised {kind}: {self.error}; a DeviceError with a sentence is expected")
         return self.value if self.error is None else self.error
 
-    def good(self, within: float) -> Any:
+    def good(self, within: float = CALLS_WITHIN) -> Any:
         """Its value; raises Failed also where it is a DeviceError."""
         value = self.judged(within)
         if isinstance(value, DeviceError):
@@ -246,7 +275,7 @@ class Rig:
                 "driver an emulator (docs/drivers.md)"
             )
         if armed and self.record.watchdog and isinstance(self.device, Watchdog):
-            self.call("arm_watchdog()", self.device.arm_watchdog, self.record.watchdog).good(CALLS_WITHIN)
+            self.call("arm_watchdog()", self.device.arm_watchdog, self.record.watchdog).good()
             self._armed = True
         return identity
 
@@ -257,7 +286,7 @@ class Rig:
         if device is not None:
             if self._armed and isinstance(device, Watchdog):
                 self._armed = False
-                self.call("disarm_watchdog()", device.disarm_watchdog).judged(CALLS_WITHIN)
+                self.call("disarm_watchdog()", device.disarm_watchdog).judged()
             self.call("close()", device.close).judged(COLLECTS_WITHIN)
 
     @contextmanager
@@ -285,12 +314,12 @@ class Rig:
         end = self.bench_clock.now() + seconds
         while (left := end - self.bench_clock.now()) > 1e-9:
             self.feed()
-            self.bench_clock.wait_until(self.bench_clock.now() + min(left, 0.1))
+            self.wait(min(left, 0.1))
 
     def feed(self) -> None:
         """Feed the watchdog where it is armed."""
         if self._armed and self.device is not None:
-            self.call("feed_watchdog()", self.device.feed_watchdog).judged(CALLS_WITHIN)
+            self.call("feed_watchdog()", self.device.feed_watchdog).judged()
 
     # -- the wire -------------------------------------------------------------------------------------------------
 
@@ -302,6 +331,10 @@ class Rig:
     def well(self) -> None:
         """No damage any more."""
         self.damage(None)
+
+    def wait(self, seconds: float) -> None:
+        """Let bench time pass, and the watchdog run."""
+        self.bench_clock.wait_until(self.bench_clock.now() + seconds)
 
     def logged(self, kind: str) -> list[dict[str, Any]]:
         """What the emulator says was commanded."""
@@ -315,6 +348,14 @@ class Rig:
     def streams(self) -> bool:
         """Whether the device has channels that it samples."""
         return bool(self.record.channels) and issubclass(self.driver(), Stream)
+
+
+def open_files() -> int:
+    """How many files and sockets are open; 0 where the system does not say."""
+    try:
+        return len(os.listdir("/proc/self/fd"))  # noqa: PTH208
+    except OSError:
+        return 0
 
 
 def free_port() -> int:

@@ -14,9 +14,8 @@ from typing import Any
 from pmabench.base.clock import RealClock
 from pmabench.base.quantities import show
 from pmabench.bench.interface import COMPUTER, Block, ChannelRecord
-from pmabench.conformance.rig import CALLS_WITHIN, COLLECTS_WITHIN, Rig
+from pmabench.conformance.rig import COLLECTS_WITHIN, Failed, Late, NotApplicable, NotChecked, Rig
 from pmabench.conformance.truth import State, Truth
-from pmabench.conformance.verdict import Failed, Late, NotApplicable, NotChecked
 from pmabench.guard.limits import to_device
 
 RATE = 50.0
@@ -302,7 +301,7 @@ def _bring(rig: Rig, truth: Truth, state: State) -> float:
         if output.quantity == "length":
             way = abs(state.position - truth.now()["displacement"])
             value = to_device(output, min(max(state.position, output.low), output.high))
-            rig.call("write()", rig.device.write, output.output, value).good(CALLS_WITHIN)
+            rig.call("write()", rig.device.write, output.output, value).good()
             seconds += way / SLOWEST
     return seconds
 
@@ -378,7 +377,7 @@ def _moves(rig: Rig, truth: Truth, channels: Sequence[ChannelRecord], rate: floa
             if not due:
                 _bring(rig, truth, replace(_swept(since), position=0.02))
             due += 0.1
-        rig.bench_clock.wait_until(rig.bench_clock.now() + 0.008)
+        rig.wait(0.008)
     if not found.times:
         raise Late("samples no longer come while the pressure changes")
     grid = _grid(rig, truth, found)

@@ -1,27 +1,82 @@
-"""The table of checks, and the runs of them: one line each with its verdict and why."""
+"""The table of checks, and the runs of them on a device of a bench file: one line each with its verdict and why."""
 
 from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable, Collection, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
-from pmabench.base.errors import DeviceError
-from pmabench.conformance import broken_wire, commands, following, life, samples, supervision, unopened
-from pmabench.conformance.hostile import Battle
-from pmabench.conformance.rig import Rig
-from pmabench.conformance.subject import Subject
-from pmabench.conformance.verdict import (
-    FAILED,
-    NOT_APPLICABLE,
-    NOT_CHECKED,
-    PASSED,
-    Failed,
-    Late,
-    NotApplicable,
-    NotChecked,
-    Result,
-)
+from pmabench.base.errors import DeviceError, InvalidFile, UsageError
+from pmabench.bench.compile import mount_alone
+from pmabench.bench.interface import DeviceRecord, Truth
+from pmabench.bench.registry import driver_class, drivers
+from pmabench.bench.truth import read_truth, truth_of
+from pmabench.conformance import broken_wire, commands, following, samples, unopened
+from pmabench.conformance import rig as r
+from pmabench.conformance.broken_wire import Battle
+from pmabench.conformance.rig import Result, Rig
+from pmabench.files.shipped import shipped_folder
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A device as a bench file names it."""
+
+    record: DeviceRecord
+    realtime: bool
+    """Whether its bench runs in real time."""
+    bench: str
+    """The bench file's name."""
+    wiring: Truth | None = None
+    """What its rig's truth file says of wiring and scales; None: the bench file alone says it, and proves nothing."""
+
+
+def subjects(driver: str, bench: Path | None = None) -> list[Subject]:
+    """Every device of a driver (its name, or `module:Class`) in a bench file, or in all shipped ones.
+
+    Raises InvalidFile where no bench file with one can be used, UsageError where the driver is not known.
+    """
+    try:
+        target = driver_class(driver)
+    except ValueError as error:
+        raise UsageError(f"{error}; or give module:Class") from error
+    names = [target, *(name for name, known in drivers().items() if known == target)]
+    shipped = sorted(shipped_folder("bench").glob("*.yaml")) if bench is None else []
+    naming = [path for path in shipped if any(name in path.read_text("utf-8") for name in names)]
+    found: list[Subject] = []
+    unusable: list[InvalidFile] = []
+    for path in naming if bench is None else [bench]:
+        try:
+            compiled = mount_alone(path).bench
+        except InvalidFile as error:
+            unusable.append(error)
+            continue
+        real = truth_of(path)
+        wiring = None if real is None else read_truth(real)
+        found += [Subject(r, compiled.realtime, path.name, wiring) for r in compiled.devices if r.driver == target]
+    if unusable and not found:
+        raise unusable[0]
+    return found
+
+
+def subject(driver: str, bench: Path | None = None, device: str | None = None) -> Subject:
+    """The one of them with most to try, or called `device`; raises UsageError where there is none."""
+    found = [one for one in subjects(driver, bench) if device in {None, one.record.name}]
+    if found:
+        return max(found, key=lambda one: _size(one.record))
+    named = f' called "{device}"' if device else ""
+    raise UsageError(
+        f"no device{named} of the driver {driver} in {bench or 'the shipped benches'}; give a bench file with one, as "
+        "docs/drivers.md says"
+    )
+
+
+def _size(record: DeviceRecord) -> tuple[int, int]:
+    """Kinds of things, and things, that a device has."""
+    groups = (record.channels, record.outputs, record.valves, record.interlocks)
+    return sum(map(bool, groups)) + bool(record.watchdog), sum(map(len, groups))
+
 
 CHECKS: dict[str, Callable[[Rig], str]] = {
     "interface": unopened.interfaces,
@@ -29,7 +84,7 @@ CHECKS: dict[str, Callable[[Rig], str]] = {
     "declares": unopened.declared,
     "options": unopened.options,
     "nobody there": unopened.nobody,
-    "life": life.life,
+    "life": unopened.life,
     "samples": samples.samples,
     "values": samples.values,
     "set-points": commands.set_points,
@@ -38,8 +93,8 @@ CHECKS: dict[str, Callable[[Rig], str]] = {
     "from outside": commands.from_outside,
     "ramps": following.ramps,
     "halt": following.halts,
-    "watchdog": supervision.watchdog,
-    "held": supervision.held,
+    "watchdog": following.watchdog,
+    "held": following.held,
     "safe state": commands.safe_state,
     "second way": commands.second_way,
     "silence": broken_wire.silent,
@@ -76,19 +131,19 @@ def _verdict(subject: Subject, check: Callable[[Rig], str], attempts: int = ATTE
     with tempfile.TemporaryDirectory(prefix="pmabench-conformance-") as folder:
         rig = Rig(subject.record, Path(folder), realtime=subject.realtime, wiring=subject.wiring)
         try:
-            return PASSED, check(rig)
-        except NotApplicable as reason:
-            return NOT_APPLICABLE, str(reason)
-        except NotChecked as reason:
-            return NOT_CHECKED, str(reason)
-        except Late as failure:
+            return r.PASSED, check(rig)
+        except r.NotApplicable as reason:
+            return r.NOT_APPLICABLE, str(reason)
+        except r.NotChecked as reason:
+            return r.NOT_CHECKED, str(reason)
+        except r.Late as failure:
             if attempts == 1:
-                return FAILED, f"{failure}, and so it was {ATTEMPTS} times"
-        except Failed as failure:
-            return FAILED, str(failure)
+                return r.FAILED, f"{failure}, and so it was {ATTEMPTS} times"
+        except r.Failed as failure:
+            return r.FAILED, str(failure)
         except DeviceError as error:
             if attempts == 1:
-                return NOT_CHECKED, f"the simulation that it is compared with does not answer: {error}"
+                return r.NOT_CHECKED, f"the simulation that it is compared with does not answer: {error}"
         finally:
             rig.close()
     return _verdict(subject, check, attempts - 1)

@@ -6,7 +6,6 @@ has `simulation()`, and one whose simulation is another process has `control(do)
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -34,45 +33,11 @@ class State:
     supply: bool = True
 
 
-class Truth(ABC):
-    """Plant and device of one rig; quantities are SI, by the names of a bench's channels."""
-
-    history = False
-    """Whether `at` knows the last second."""
-
-    @abstractmethod
-    def now(self) -> Mapping[str, float]:
-        """What each channel of a bench is exposed to now."""
-
-    def at(self, moment: float) -> Mapping[str, float]:
-        """The same at a moment of the last second [s, monotonic]."""
-        return self.now()
-
-    @abstractmethod
-    def coil(self, valve: ValveRecord) -> bool | None:
-        """Whether the device was commanded to energise a valve, as it arrived there; None: nothing arrived."""
-
-    @abstractmethod
-    def dump_open(self) -> bool:
-        """Whether the dump valve empties the muscle."""
-
-    @abstractmethod
-    def bring(self, state: State) -> None:
-        """Bring the plant to a state."""
-
-    @abstractmethod
-    def e_stop(self, *, pressed: bool) -> None:
-        """Press the emergency stop, or let it go."""
-
-    def by_hand(self, output: str, value: float) -> bool:
-        """Change an output [device units; 0 and 1 for a valve] at the device itself; whether that can be done here."""
-        return False
-
-
-class Emulated(Truth):
-    """The emulator's plant, and what the emulated device wrote down."""
+class Emulated:
+    """The emulator's plant, and what the emulated device wrote down; quantities are SI, by the names of channels."""
 
     history = True
+    """Whether `at` knows the last second."""
 
     def __init__(self, record: DeviceRecord, emulator: Any, rescue: Callable[[], Any]) -> None:
         self._record, self._emulator, self._rescue = record, emulator, rescue
@@ -129,8 +94,10 @@ class Emulated(Truth):
         return True
 
 
-class Inside(Truth):
-    """A driver that is a simulation."""
+class Inside:
+    """A driver that is a simulation, with the same face."""
+
+    history = False
 
     def __init__(self, record: DeviceRecord, device: Callable[[], Any]) -> None:
         self._record, self._device = record, device
@@ -142,6 +109,10 @@ class Inside(Truth):
     def now(self) -> Mapping[str, float]:
         """What each channel is exposed to now [SI]."""
         return _channels(self._simulation.quantities())
+
+    def at(self, _moment: float) -> Mapping[str, float]:
+        """What each channel is exposed to now [SI]: the past is not known."""
+        return self.now()
 
     def coil(self, valve: ValveRecord) -> bool | None:
         """What arrived for a valve."""
@@ -205,6 +176,9 @@ class Behind(Inside):
     def by_hand(self, output: str, value: float) -> bool:
         """Change an output without the driver; whether that can be done."""
         return rescued(self._rescue(), output, value)
+
+
+Truth = Emulated | Inside
 
 
 def rescued(another: Any, output: str, value: float) -> bool:

@@ -1,4 +1,4 @@
-"""Checks of a driver that is not open: what it imports, what it is, what it says about its options."""
+"""Checks of a driver that is not open: what it imports and says about its options; and of opening and closing it."""
 
 from __future__ import annotations
 
@@ -8,13 +8,14 @@ import subprocess
 import sys
 import threading
 from dataclasses import asdict, replace
+from functools import partial
 from typing import Any
 
 from pmabench.base.errors import DeviceError
 from pmabench.bench import interface
-from pmabench.bench.interface import Device, DeviceRecord
-from pmabench.conformance.rig import OPENS_WITHIN, Rig
-from pmabench.conformance.verdict import Failed, NotApplicable
+from pmabench.bench.interface import EMULATED, Block, Device, DeviceRecord, Identity, Supervised
+from pmabench.conformance.relay import Relay
+from pmabench.conformance.rig import COLLECTS_WITHIN, OPENS_WITHIN, Failed, NotApplicable, Rig, open_files
 
 CAPABILITIES = (
     *("Stream", "SetPoint", "Follower", "Hands", "Switch", "Motion", "Inputs"),
@@ -25,7 +26,7 @@ LOADS = """
 import json, sys
 from importlib import import_module
 from pmabench.base.clock import RealClock
-from pmabench.bench.records import device_from
+from pmabench.bench.interface import device_from
 data = json.loads(sys.stdin.read())
 before = set(sys.modules)
 record = device_from(data)
@@ -75,21 +76,13 @@ def interfaces(rig: Rig) -> str:
     for name, wants in wanted.items():
         if wants and not issubclass(driver, getattr(interface, name)):
             raise Failed(f"the bench wants a {name}, and the driver does not implement it")
-    before = threading.active_count(), _descriptors()
+    before = threading.active_count(), open_files()
     rig.build(rig.record)
-    after = threading.active_count(), _descriptors()
+    after = threading.active_count(), open_files()
     if after > before:
         raise Failed("building it starts a thread or opens a file or socket; do that in open()")
     can = [name for name in CAPABILITIES if issubclass(driver, getattr(interface, name))]
     return f"a Device with {', '.join(can) or 'no capability'}; building it opens nothing"
-
-
-def _descriptors() -> int:
-    """How many files are open; 0 where the system does not say."""
-    try:
-        return len(os.listdir("/proc/self/fd"))  # noqa: PTH208
-    except OSError:
-        return 0
 
 
 def options(rig: Rig) -> str:
@@ -103,18 +96,15 @@ def options(rig: Rig) -> str:
     wrong: list[tuple[str, DeviceRecord]] = [
         ("an option that does not exist", replace(rig.record, options={**rig.record.options, NOWHERE: 1}))
     ]
-    if rig.record.channels:
-        channels = (replace(rig.record.channels[0], input=NOWHERE), *rig.record.channels[1:])
-        wrong.append(("a channel at an input that does not exist", replace(rig.record, channels=channels)))
-    if rig.record.outputs:
-        outputs = (replace(rig.record.outputs[0], output=NOWHERE), *rig.record.outputs[1:])
-        wrong.append(("an output that does not exist", replace(rig.record, outputs=outputs)))
-    if rig.record.valves:
-        valves = (replace(rig.record.valves[0], output=NOWHERE), *rig.record.valves[1:])
-        wrong.append(("a valve at an output that does not exist", replace(rig.record, valves=valves)))
-    if rig.record.interlocks:
-        locks = (replace(rig.record.interlocks[0], input=NOWHERE), *rig.record.interlocks[1:])
-        wrong.append(("an interlock at an input that does not exist", replace(rig.record, interlocks=locks)))
+    for what, group, name in (
+        ("a channel at an input", "channels", "input"),
+        ("an output", "outputs", "output"),
+        ("a valve at an output", "valves", "output"),
+        ("an interlock at an input", "interlocks", "input"),
+    ):
+        if items := getattr(rig.record, group):
+            changed: dict[str, Any] = {group: (replace(items[0], **{name: NOWHERE}), *items[1:])}
+            wrong.append((f"{what} that does not exist", replace(rig.record, **changed)))
     for what, record in wrong:
         if not list(check(record)):
             raise Failed(f"check() takes {what} ({NOWHERE}); name it, with what there is")
@@ -146,3 +136,44 @@ def nobody(rig: Rig) -> str:
         raise Failed(f"open() at {rig.record.address}, where nobody is, gave {answer!r}; a DeviceError is expected")
     rig.call("close() after that", device.close).good(OPENS_WITHIN)
     return f"says: {answer}"
+
+
+def life(rig: Rig) -> str:
+    """It opens, says who answers, closes (twice), opens again; closed, its calls say so."""
+    before = len(_commanded(rig))
+    with rig.opened(armed=False) as device:
+        if commanded := _commanded(rig)[before:]:
+            raise Failed(f"open() commands something: {commanded[0]}; it connects and identifies, nothing else")
+        if not rig.identity.simulated and any(_says_emulated(relay) for relay in rig.relays):
+            raise Failed(f'the device says "{EMULATED.strip()}" over its wire, and open() gives simulated=False')
+        rig.call("close()", device.close).good(COLLECTS_WITHIN)
+        rig.call("close() again", device.close).good(COLLECTS_WITHIN)
+        for what, act in _questions(rig, device):
+            answer = rig.call(f"{what} after close()", act).judged(COLLECTS_WITHIN)
+            if not isinstance(answer, DeviceError) and not (isinstance(answer, Block) and not len(answer.time)):
+                raise Failed(f"{what} after close() gave {answer!r}; a DeviceError is expected")
+        again = rig.call("open() again", device.open).good(rig.opens_within)
+        if not isinstance(again, Identity):
+            raise Failed("a driver that was closed cannot be opened again")
+    who = f"{again.maker} {again.model}".strip()
+    return who if again.simulated else f"{who}; its wire does not show that it is emulated"
+
+
+def _says_emulated(relay: Relay) -> bool:
+    return EMULATED.encode() in b"".join(data for sent, data in relay.heard if sent)
+
+
+def _commanded(rig: Rig) -> list[Any]:
+    """What the emulated device was commanded so far."""
+    return [entry for kind in ("set", "switch", "move", "halt") for entry in rig.logged(kind)]
+
+
+def _questions(rig: Rig, device: Any) -> list[tuple[str, Any]]:
+    """What can be asked of the device without changing anything."""
+    asked: list[tuple[str, Any]] = []
+    asked += [("read_back()", partial(device.read_back, output.output)) for output in rig.record.outputs]
+    asked += [("is_on()", partial(device.is_on, valve.output)) for valve in rig.record.valves]
+    asked += [("level()", partial(device.level, lock.input)) for lock in rig.record.interlocks]
+    asked += [("held()", device.held)] if isinstance(device, Supervised) else []
+    asked += [("collect()", device.collect)] if rig.streams() else []
+    return asked

@@ -12,7 +12,7 @@ from pmabench.base.errors import InvalidFile
 
 def read_expected(folder: Path) -> Expected | None:
     """`expected` of the specimen file that a run was made from; None where there is none that can be read."""
-    from pmabench.bench.files import SpecimenFile
+    from pmabench.bench.files.specimen import SpecimenFile
     from pmabench.files.document import read_document, validate
 
     try:

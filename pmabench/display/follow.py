@@ -18,14 +18,12 @@ import numpy as np
 from pmabench.base.errors import InvalidFile
 from pmabench.base.quantities import QUANTITIES
 from pmabench.store import folder as files
-from pmabench.store.archive import read_archive
 from pmabench.store.arrow import pa
-from pmabench.store.clocks import fit_clock
-from pmabench.store.folder import open_json, read_manifest, read_seal, status_of
-from pmabench.store.journal import decode
+from pmabench.store.folder import decode_lines, open_json, open_regular, read_manifest, read_seal, status_of
 from pmabench.store.livestream import FLAGS, TIME, LiveReader
 from pmabench.store.records import Array, ChannelInfo, ClockInfo, Event, Flags
-from pmabench.store.regular import open_regular
+from pmabench.store.seal import read_archive
+from pmabench.store.timebase import fit_clock
 
 MOST_BYTES = 4 << 20
 """Read of one file at one call; so the first pictures of a long run come at once."""
@@ -75,7 +73,7 @@ class JournalTail:
         except OSError:
             return []
         whole = raw[: raw.rfind(b"\n") + 1]
-        journal = decode(whole, self._lines, self._crc)
+        journal = decode_lines(whole, self._lines, self._crc)
         self.fault = journal.fault
         self._offset += len(whole)
         self._lines += len(journal.lines)

@@ -21,8 +21,7 @@ from pmabench.display.kept import Kept
 from pmabench.display.progress import Progress
 from pmabench.display.verdicts import TrialLine, Verdicts
 from pmabench.display.wording import event_text
-from pmabench.store.records import Event, Flag, RunData
-from pmabench.store.trials import cut_trials
+from pmabench.store.records import Event, Flag, RunData, cut_trials
 
 CURVES = 30.0
 """The curves go back so far [s] ..."""

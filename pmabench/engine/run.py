@@ -31,7 +31,7 @@ from pmabench.engine.zero_check import zero_check
 from pmabench.guard.guard import Guard, Vent
 from pmabench.guard.remote import RemoteGuard
 from pmabench.protocol.plan import Plan, Step, TrialRecord
-from pmabench.store.naming import run_name
+from pmabench.store.folder import run_name
 
 if TYPE_CHECKING:
     from pmabench.store.writer import RunWriter

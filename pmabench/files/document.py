@@ -166,16 +166,19 @@ class Document:
         return data
 
 
+_WORDS: dict[str, bool | None] = {
+    **dict.fromkeys(("", "~", "null", "Null", "NULL")),
+    **dict.fromkeys(("true", "True", "TRUE"), True),
+    **dict.fromkeys(("false", "False", "FALSE"), False),
+}
+
+
 def _scalar(node: ScalarNode) -> str | int | float | bool | None:
     text = str(node.value)
     if node.style in {"'", '"', "|", ">"}:
         return text
-    if text in {"", "~", "null", "Null", "NULL"}:
-        return None
-    if text in {"true", "True", "TRUE"}:
-        return True
-    if text in {"false", "False", "FALSE"}:
-        return False
+    if text in _WORDS:
+        return _WORDS[text]
     for kind in (int, float):
         try:
             if text[0] in "+-.0123456789" and "_" not in text:
@@ -236,26 +239,24 @@ def check_schema(model: type[BaseModel], document: Document) -> None:
     if found[1] == wanted[1]:
         message = f"is written in version {found[2]} of the {wanted[1]} file; this pmabench reads version {wanted[2]}"
     else:
-        message = (
-            f"is a {found[1]} file ({written}) where a {wanted[1]} file is expected ({expected}); give another file"
-        )
+        other = f"is a {found[1]} file ({written}) where a {wanted[1]} file is expected"
+        message = f"{other} ({expected}); give another file"
     raise InvalidFile([document.problem(("schema",), message)])
 
 
-def validate(model: type[Model], document: Document, data: Any = None, at: Location = ()) -> Model:
-    """The model of a document (or of its part `data` at `at`), or `InvalidFile` with every problem."""
-    if data is None:
-        check_schema(model, document)
+def validate(model: type[Model], document: Document) -> Model:
+    """The model of a document, or `InvalidFile` with every problem."""
+    check_schema(model, document)
     try:
-        return model.model_validate(document.data if data is None else data)
+        return model.model_validate(document.data)
     except ValidationError as error:
-        raise InvalidFile(_problems(model, document, error, at)) from None
+        raise InvalidFile(_problems(model, document, error)) from None
 
 
-def _problems(model: type[BaseModel], document: Document, error: ValidationError, at: Location) -> Iterator[Problem]:
+def _problems(model: type[BaseModel], document: Document, error: ValidationError) -> Iterator[Problem]:
     seen: set[tuple[Location, str]] = set()
     for item in error.errors(include_url=False):
-        location = (*at, *_in_data(document.data, at, item["loc"]))
+        location = _in_data(document.data, item["loc"])
         message, on_key = _sentence(model, item)
         if (location, message) in seen:
             continue
@@ -263,10 +264,8 @@ def _problems(model: type[BaseModel], document: Document, error: ValidationError
         yield document.problem(location, message, key=on_key)
 
 
-def _in_data(data: Any, at: Location, location: tuple[str | int, ...]) -> Location:
+def _in_data(data: Any, location: Location) -> Location:
     """The location without the tags of unions, which are not in the file."""
-    for part in at:
-        data = data[part]
     found: list[str | int] = []
     for index, part in enumerate(location):
         if isinstance(data, Mapping) and isinstance(part, str):
@@ -336,9 +335,6 @@ def _unwrapped(annotation: Any) -> list[Any]:
     if origin in {Union, types.UnionType}:
         return [part for arg in get_args(annotation) for part in _unwrapped(arg)]
     return [annotation]
-
-
-__all__ = ["Document", "Location", "Strict", "check_schema", "read_document", "validate"]
 
 
 def document_text(document: Document) -> str:

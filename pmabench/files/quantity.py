@@ -7,11 +7,13 @@ reads `1,5 bar` as 15 bar, takes `nan`, and hangs on `9**9**9 mm`.
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass
 from functools import lru_cache
 from math import isfinite, pi
-from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any
 
-from pydantic import BeforeValidator, WithJsonSchema
+from pydantic import BeforeValidator, GetCoreSchemaHandler, GetJsonSchemaHandler, WithJsonSchema
+from pydantic_core.core_schema import CoreSchema, no_info_before_validator_function
 
 if TYPE_CHECKING:
     from pint import UnitRegistry
@@ -21,68 +23,38 @@ UNIT = r"[A-Za-zµΩ°%][A-Za-z0-9µΩ°%·*/^. ]{0,30}"
 _PATTERN = re.compile(rf"({NUMBER})\s*({UNIT})")
 _COUNTED = re.compile(rf"(\d{{1,3}})\s*x\s*({NUMBER}\s*{UNIT})")
 
-EXAMPLES = {
-    "pressure": "300 kPa",
-    "pressure rate": "2 kPa/s",
-    "length": "10 mm",
-    "speed": "5 mm/s",
-    "acceleration": "9.81 m/s2",
-    "force": "58.86 N",
-    "mass": "6 kg",
-    "time": "2 s",
-    "frequency": "500 Hz",
-    "ratio": "25 %",
-    "gain": "20 kPa/mm",
-    "voltage": "10 V",
-    "current": "4 mA",
-    "stiffness": "7 N/mm",
-    "damping": "1.5 N.s/mm",
-    "force rate": "2000 N/s",
-    "force per pressure": "1.08 N/kPa",
-    "angle": "30 deg",
-    "stiffness per pressure": "0.001 N/mm/kPa",
-    "stiffness per pressure squared": "1e-5 N/mm/kPa2",
-    "damping per pressure": "0.0016 N.s/mm/kPa",
-    "damping per pressure squared": "1e-6 N.s/mm/kPa2",
-    "volume": "60 cm3",
-    "impulse": "420 N.s",
-    "volume per pressure": "2 cm3/bar",
-    "rate": "0.5 Hz",
-    "mass flow": "2 g/s",
-    "conductance": "10 g/s/bar",
-    "temperature": "293 K",
+_QUANTITIES = {
+    "pressure": ("Pa", "300 kPa"),
+    "pressure rate": ("Pa/s", "2 kPa/s"),
+    "length": ("m", "10 mm"),
+    "speed": ("m/s", "5 mm/s"),
+    "acceleration": ("m/s**2", "9.81 m/s2"),
+    "force": ("N", "58.86 N"),
+    "mass": ("kg", "6 kg"),
+    "time": ("s", "2 s"),
+    "frequency": ("1/s", "500 Hz"),
+    "ratio": ("dimensionless", "25 %"),
+    "gain": ("Pa/m", "20 kPa/mm"),
+    "voltage": ("V", "10 V"),
+    "current": ("A", "4 mA"),
+    "stiffness": ("N/m", "7 N/mm"),
+    "damping": ("N*s/m", "1.5 N.s/mm"),
+    "force rate": ("N/s", "2000 N/s"),
+    "force per pressure": ("N/Pa", "1.08 N/kPa"),
+    "angle": ("dimensionless", "30 deg"),
+    "stiffness per pressure": ("N/m/Pa", "0.001 N/mm/kPa"),
+    "stiffness per pressure squared": ("N/m/Pa**2", "1e-5 N/mm/kPa2"),
+    "damping per pressure": ("N*s/m/Pa", "0.0016 N.s/mm/kPa"),
+    "damping per pressure squared": ("N*s/m/Pa**2", "1e-6 N.s/mm/kPa2"),
+    "volume": ("m**3", "60 cm3"),
+    "impulse": ("N*s", "420 N.s"),
+    "volume per pressure": ("m**3/Pa", "2 cm3/bar"),
+    "rate": ("1/s", "0.5 Hz"),
+    "mass flow": ("kg/s", "2 g/s"),
+    "conductance": ("kg/s/Pa", "10 g/s/bar"),
+    "temperature": ("K", "293 K"),
 }
-_REFERENCE = {
-    "pressure": "Pa",
-    "pressure rate": "Pa/s",
-    "length": "m",
-    "speed": "m/s",
-    "acceleration": "m/s**2",
-    "force": "N",
-    "mass": "kg",
-    "time": "s",
-    "frequency": "1/s",
-    "ratio": "dimensionless",
-    "gain": "Pa/m",
-    "voltage": "V",
-    "current": "A",
-    "stiffness": "N/m",
-    "damping": "N*s/m",
-    "force rate": "N/s",
-    "force per pressure": "N/Pa",
-    "angle": "dimensionless",
-    "stiffness per pressure": "N/m/Pa",
-    "stiffness per pressure squared": "N/m/Pa**2",
-    "damping per pressure": "N*s/m/Pa",
-    "damping per pressure squared": "N*s/m/Pa**2",
-    "volume": "m**3",
-    "impulse": "N*s",
-    "volume per pressure": "m**3/Pa",
-    "rate": "1/s",
-    "mass flow": "kg/s",
-    "conductance": "kg/s/Pa",
-    "temperature": "K",
-}
+"""Quantity -> SI unit as the units library writes it, example for messages."""
 
 
 @lru_cache(maxsize=1)
@@ -113,7 +85,7 @@ def unit_factor(unit: str, quantity: str) -> float:
     try:
         parsed = registry.parse_units(text)
         one = registry.Quantity(1.0, parsed)
-        factor = one.to(_REFERENCE[quantity]).magnitude
+        factor = one.to(_QUANTITIES[quantity][0]).magnitude
         if quantity == "frequency" and "radian" in str(one.to_base_units().units):
             factor /= 2 * pi  # rpm, rad/s, turn/s
     except Exception as error:
@@ -125,7 +97,11 @@ def unit_factor(unit: str, quantity: str) -> float:
 
 
 def _hint(quantity: str) -> str:
-    return f'for instance "{EXAMPLES.get(quantity, "1 s")}"'
+    return f'for instance "{_example(quantity)}"'
+
+
+def _example(quantity: str) -> str:
+    return _QUANTITIES.get(quantity, ("", "1 s"))[1]
 
 
 def parse_quantity(value: object, quantity: str) -> float:
@@ -136,8 +112,8 @@ def parse_quantity(value: object, quantity: str) -> float:
         value = float(value) if abs(value) < 1e300 else float("inf")
         if value == 0 and quantity == "ratio":
             return 0.0
-        example = EXAMPLES.get(quantity, "1 s").split(" ", 1)[1]
-        shown = f"{value:g} {example}" if isfinite(value) else EXAMPLES.get(quantity, "1 s")
+        example = _example(quantity)
+        shown = f"{value:g} {example.split(' ', 1)[1]}" if isfinite(value) else example
         raise ValueError(f'{value:g} needs a unit, for instance "{shown}"')
     if not isinstance(value, str):
         raise ValueError(f"a {quantity} with its unit is expected, {_hint(quantity)}")
@@ -185,80 +161,66 @@ def parse_plates(value: object) -> tuple[int, float]:
     return int(match[1]), parse_quantity(match[2], "mass")
 
 
-def _type(quantity: str) -> Any:
-    def parse(value: object) -> float:
-        number = parse_quantity(value, quantity)
-        if quantity == "time" and number < 0:
+@dataclass(frozen=True)
+class _Of:
+    """What a quantity is in a model: how its text is read, and how its schema describes it."""
+
+    quantity: str
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        """Read `NUMBER UNIT` before the number is validated."""
+        return no_info_before_validator_function(self._parse, handler(source))
+
+    def __get_pydantic_json_schema__(self, _schema: CoreSchema, _handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        """The text that people write."""
+        return {
+            "type": "string",
+            "description": f"{self.quantity} with its unit",
+            "pattern": rf"^\s*{NUMBER}\s*{UNIT}\s*$",
+            "examples": [_example(self.quantity)],
+        }
+
+    def _parse(self, value: object) -> float:
+        number = parse_quantity(value, self.quantity)
+        if self.quantity == "time" and number < 0:
             raise ValueError(f'"{value}": a time is not below zero')
         return number
 
-    schema = {
-        "type": "string",
-        "description": f"{quantity} with its unit",
-        "pattern": rf"^\s*{NUMBER}\s*{UNIT}\s*$",
-        "examples": [EXAMPLES[quantity]],
-    }
-    return Annotated[float, BeforeValidator(parse), WithJsonSchema(schema)]
 
-
-if TYPE_CHECKING:
-    Pressure: TypeAlias = float
-    PressureRate: TypeAlias = float
-    Length: TypeAlias = float
-    Speed: TypeAlias = float
-    Acceleration: TypeAlias = float
-    Force: TypeAlias = float
-    Mass: TypeAlias = float
-    Time: TypeAlias = float
-    Frequency: TypeAlias = float
-    Ratio: TypeAlias = float
-    Angle: TypeAlias = float
-    Gain: TypeAlias = float
-    Rate: TypeAlias = float
-    Temperature: TypeAlias = float
-    Conductance: TypeAlias = float
-    Stiffness: TypeAlias = float
-    Damping: TypeAlias = float
-    ForcePerPressure: TypeAlias = float
-    Volume: TypeAlias = float
-    Load: TypeAlias = tuple[str, float]
-    ShareOrForce: TypeAlias = tuple[str, float]
-    Plates: TypeAlias = tuple[int, float]
-else:
-    Pressure = _type("pressure")
-    PressureRate = _type("pressure rate")
-    Length = _type("length")
-    Speed = _type("speed")
-    Acceleration = _type("acceleration")
-    Force = _type("force")
-    Mass = _type("mass")
-    Time = _type("time")
-    Frequency = _type("frequency")
-    Ratio = _type("ratio")
-    Angle = _type("angle")
-    Gain = _type("gain")
-    Rate = _type("rate")
-    Temperature = _type("temperature")
-    Conductance = _type("conductance")
-    Stiffness = _type("stiffness")
-    Damping = _type("damping")
-    ForcePerPressure = _type("force per pressure")
-    Volume = _type("volume")
-    Load = Annotated[
-        tuple[str, float],
-        BeforeValidator(parse_mass_or_force),
-        WithJsonSchema({"type": "string", "description": "a mass or a force", "examples": ["6 kg", "58.86 N"]}),
-    ]
-    ShareOrForce = Annotated[
-        tuple[str, float],
-        BeforeValidator(parse_share_or_force),
-        WithJsonSchema({"type": "string", "description": "a share or a force", "examples": ["3 %", "15 N"]}),
-    ]
-    Plates = Annotated[
-        tuple[int, float],
-        BeforeValidator(parse_plates),
-        WithJsonSchema({"type": "string", "description": "COUNT x MASS", "examples": ["5 x 5 kg"]}),
-    ]
+Pressure = Annotated[float, _Of("pressure")]
+PressureRate = Annotated[float, _Of("pressure rate")]
+Length = Annotated[float, _Of("length")]
+Speed = Annotated[float, _Of("speed")]
+Acceleration = Annotated[float, _Of("acceleration")]
+Force = Annotated[float, _Of("force")]
+Mass = Annotated[float, _Of("mass")]
+Time = Annotated[float, _Of("time")]
+Frequency = Annotated[float, _Of("frequency")]
+Ratio = Annotated[float, _Of("ratio")]
+Angle = Annotated[float, _Of("angle")]
+Gain = Annotated[float, _Of("gain")]
+Rate = Annotated[float, _Of("rate")]
+Temperature = Annotated[float, _Of("temperature")]
+Conductance = Annotated[float, _Of("conductance")]
+Stiffness = Annotated[float, _Of("stiffness")]
+Damping = Annotated[float, _Of("damping")]
+ForcePerPressure = Annotated[float, _Of("force per pressure")]
+Volume = Annotated[float, _Of("volume")]
+Load = Annotated[
+    tuple[str, float],
+    BeforeValidator(parse_mass_or_force),
+    WithJsonSchema({"type": "string", "description": "a mass or a force", "examples": ["6 kg", "58.86 N"]}),
+]
+ShareOrForce = Annotated[
+    tuple[str, float],
+    BeforeValidator(parse_share_or_force),
+    WithJsonSchema({"type": "string", "description": "a share or a force", "examples": ["3 %", "15 N"]}),
+]
+Plates = Annotated[
+    tuple[int, float],
+    BeforeValidator(parse_plates),
+    WithJsonSchema({"type": "string", "description": "COUNT x MASS", "examples": ["5 x 5 kg"]}),
+]
 
 
 def raw_quantity(value: object) -> tuple[float, str]:

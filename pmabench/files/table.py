@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pmabench.base.errors import InvalidFile, Problem, invalid
+from pmabench.base.errors import InvalidFile, Problem, did_you_mean, invalid
 from pmabench.files.quantity import NUMBER, unit_factor
 
 Array = NDArray[np.float64]
@@ -63,8 +63,6 @@ class Table:
 
     def only(self, name: str, text: str) -> Table:
         """The rows whose cell in column `name` is `text`; ValueError that says what there is."""
-        from pmabench.base.errors import did_you_mean
-
         found = [column for column in self.columns if name in (column.name, column.head.text)]
         if not found:
             raise ValueError(f'{self.path} has no column "{name}"{did_you_mean(name, [c.name for c in self.columns])}')

@@ -29,6 +29,7 @@ ANSWERS_WITHIN = 1.0
 """A guard that does not answer for so long [s] is lost."""
 OPENS_WITHIN = 10.0
 ENDS_WITHIN = 5.0
+"""Time that a guard has to open the bench, and to end after the run [s]."""
 
 
 def exchange(link: socket.socket, message: Mapping[str, Any], token: str, within: float) -> Message:
@@ -217,7 +218,7 @@ class RemoteGuard:
     def _wait(self) -> None:
         """Wait until the guard's process has ended, or `ENDS_WITHIN`: where it cannot vent it outlives the engine."""
         if self._process is not None:
-            with suppress(subprocess.TimeoutExpired):
+            with suppress(subprocess.TimeoutExpired, KeyboardInterrupt):  # the run is over: nothing to interrupt
                 self._process.wait(ENDS_WITHIN)
             self._process.returncode = self._process.returncode or 0  # no warning of a child that is still there
             self._process = None

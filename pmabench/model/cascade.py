@@ -14,7 +14,6 @@ from typing import Protocol
 
 import numpy as np
 
-from pmabench.model.chain_force import held_force
 from pmabench.model.curve import Array
 from pmabench.model.library.coefficients import (
     DMSP_ANGLE,
@@ -24,8 +23,9 @@ from pmabench.model.library.coefficients import (
     dmsp_40_305,
     dmsp_40_305_contraction,
 )
+from pmabench.model.muscle import held_force
 from pmabench.model.plant import Plant
-from pmabench.model.signal import Wave, constant
+from pmabench.model.regulator import Wave, constant
 
 
 @dataclass(frozen=True)

@@ -26,8 +26,7 @@ from pmabench.model.curve import Array
 from pmabench.model.hysteresis import Branch, Hysteresis
 from pmabench.model.motion import NOTHING, Motion
 from pmabench.model.muscle import Friction
-from pmabench.model.regulator import Regulated, Regulator
-from pmabench.model.signal import Wave, to_nanosecond
+from pmabench.model.regulator import Regulated, Regulator, Wave, to_nanosecond
 
 STILL = 1e-6
 PARTS = ("supply", "wanted", "_drive", "_branch", "_chamber")
@@ -122,7 +121,7 @@ class DrivenPlant:
     --------
     >>> import numpy as np
     >>> from pmabench.model.presets import preset
-    >>> from pmabench.model.signal import constant
+    >>> from pmabench.model.regulator import constant
     >>> setup = preset("paper0", "ideal")
     >>> plant = DrivenPlant(setup.muscle, setup.regulator, Actuator(), pressure=300e3)
     >>> plant.move(constant(0.0, 10e-3))

@@ -26,10 +26,8 @@ from pmabench.model.air import Air
 from pmabench.model.curve import Array
 from pmabench.model.motion import Course, Record
 from pmabench.model.muscle import Muscle
-from pmabench.model.plant import REST, Plant
-from pmabench.model.regulator import Regulator, Trace, answer
-from pmabench.model.signal import to_nanosecond
-from pmabench.model.slip import ABSOLUTE, RELATIVE, SETTLED_PRESSURE, TIME, State
+from pmabench.model.plant import ABSOLUTE, RELATIVE, REST, SETTLED_PRESSURE, TIME, Plant, State
+from pmabench.model.regulator import Regulator, Trace, answer, to_nanosecond
 
 METRE = 1.5e-7
 """Contraction that a pascal is worth, so that LSODA takes pressures as exactly as contractions [m/Pa]."""

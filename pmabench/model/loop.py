@@ -170,15 +170,15 @@ def dead_time_for(period: float, lags: tuple[complex, ...]) -> float:
     return (pi - Loop(1.0, 0.0, lags).phase_lag(omega)) / omega
 
 
-def mode(loop: Loop, gain: float, guess: complex | None = None) -> complex:
+def mode(loop: Loop, gain: float) -> complex:
     """Slowest oscillating root s [1/s] of 1 + K_p G(s) = 0 for the proportional `gain` K_p [Pa/m].
 
     Newton's method on ln(K_p G(s)) + j pi = 0, followed from j omega_u in steps of 5 % of gain.
     """
     found = ultimate(loop)
     steps = max(1, int(np.ceil(abs(np.log(gain / found.gain)) / 0.05)))
-    s = guess if guess is not None else 2j * pi / found.period
-    for K_p in np.geomspace(found.gain, gain, steps + 1)[1:] if guess is None else [gain]:
+    s = 2j * pi / found.period
+    for K_p in np.geomspace(found.gain, gain, steps + 1)[1:]:
         for _ in range(20):
             value = np.log(K_p * loop.gain) + 1j * pi - loop.dead_time * s
             slope = complex(-loop.dead_time)

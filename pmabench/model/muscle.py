@@ -1,4 +1,9 @@
-"""The three-element muscle: force, stiffness, damping over pressure, and friction; knows no load and no time."""
+"""A muscle: three-element force with friction, a chain of several at rest, and the outline of one; no load, no time.
+
+Outline: a cylinder between two curved ends (paper 1 eq. 21). The braid does not stretch, so the body of a muscle that
+is shorter is wider: r(eps) = r0 sqrt(1 - (1 - eps)^2 cos^2 theta0) / sin theta0. The ends stay at r0, where the
+fittings hold them.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +11,7 @@ import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pmabench.model.curve import Array, Curve
 
@@ -91,3 +97,76 @@ class Muscle:
     def damping(self, P: Array, v: Array) -> Array:
         """B_c where v > 0, else B_r [N.s/m]; P [Pa] and v [m/s] of one shape."""
         return np.where(v > 0, self.B_c.values(P), self.B_r.values(P))
+
+
+def held_force(F_ce: Array, K: Array, stops: Array, displacement: Array) -> Array:
+    """The one force F [N] of a chain at rest that is held at a total contraction x [m].
+
+    F solves sum over i of min(max((F_ce_i - F) / K_i, 0), stop_i) = x, F >= 0: every muscle pulls with the same
+    force, none is longer than its length or shorter than its stop. At x = 0 it is the largest F_ce, for equal
+    muscles F_ce - K x / N: always that of one muscle. 0 where the chain is slack. `F_ce`, `K`: shape (muscles,
+    times); `stops`: (muscles,).
+    """
+    low, high = np.zeros(displacement.shape), F_ce.max(axis=0)
+    limits = stops[:, None]
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        reached = np.clip((F_ce - middle) / K, 0, limits).sum(axis=0)
+        low, high = np.where(reached >= displacement, middle, low), np.where(reached >= displacement, high, middle)
+    return np.asarray(np.where(displacement <= 0, F_ce.max(axis=0), 0.5 * (low + high)))
+
+
+Points = NDArray[np.float64]
+"""Of shape (points, 2): along the axis and away from it [m]."""
+ENTRY = math.radians(40)
+"""Angle of the end's tangent at the fitting to the axis [rad]; paper 1 found its own by trial and prints none."""
+REACH = 2.4
+"""The body begins this many times as far from the fitting as the two tangents meet; paper 1 prints none."""
+
+
+def quadratic(P0: Points, P1: Points, P2: Points, t: Points) -> Points:
+    """B(t) = (1 - t)^2 P0 + 2 (1 - t) t P1 + t^2 P2 at t of 0..1 (paper 1 eq. 21, where "t - t0" must be t)."""
+    t = np.asarray(t, dtype=np.float64)[:, None]
+    return np.asarray((1 - t) ** 2 * P0 + 2 * (1 - t) * t * P1 + t**2 * P2)
+
+
+def body_radius(contraction: float, radius: float, braid_angle: float) -> float:
+    """Radius of the body [m] at a contraction eps [1] of a braid with r0 [m] and theta0 [rad] at eps = 0."""
+    stretch = (1 - contraction) * math.cos(braid_angle)
+    return radius * math.sqrt(max(1 - stretch * stretch, 0.0)) / math.sin(braid_angle)
+
+
+@dataclass(frozen=True)
+class Outline:
+    """Upper half of a muscle's outline, from fitting to fitting [m].
+
+    The end is the quadratic Bezier curve through `fitting` (0, r0) and (`body`, `radius`), where the cylinder begins;
+    its middle control point (`meet`, `radius`) is where the tangents at both meet.
+    """
+
+    length: float
+    fitting: float
+    radius: float
+    meet: float
+    body: float
+
+    @property
+    def end(self) -> tuple[Points, Points, Points]:
+        """The three control points of the end at the left."""
+        return (
+            np.array([0.0, self.fitting]),
+            np.array([self.meet, self.radius]),
+            np.array([self.body, self.radius]),
+        )
+
+
+def outline(length: float, contraction: float, radius: float, braid_angle: float) -> Outline:
+    """The outline at a contraction eps [1] of a muscle of nominal `length` [m], r0 [m] and theta0 [rad].
+
+    Ends longer than half the muscle are compressed along the axis: they stay smooth.
+    """
+    now = length * (1 - contraction)
+    wide = body_radius(contraction, radius, braid_angle)
+    meet = abs(wide - radius) / math.tan(ENTRY)
+    shrink = min(1.0, 0.45 * now / (REACH * meet)) if meet else 1.0
+    return Outline(now, radius, wide, meet * shrink, REACH * meet * shrink)

@@ -1,31 +1,103 @@
-"""Ready-made plants with their sources, each `ideal` and `bench`; knows no driver.
+"""Ready-made plants with their sources, and plants as plain numbers as plans and plant files keep them.
 
-`ideal`: no friction, no noise, regulator exact behind 40 ms of dead time. `bench`: lag, dead time, stiction and noise.
-A hysteresis belongs to the muscle: both have it.
+Presets are `ideal` or `bench`. `ideal`: no friction, no noise, regulator exact behind 40 ms of dead time. `bench`: lag,
+dead time, stiction and noise. A hysteresis belongs to the muscle: both have it.
+
+The arm of paper 2 has four contractors, one of which bends it against a load at its end. Its state is the contraction
+of the bending muscle against the arm's middle, x = r alpha: an arc of one curvature whose middle keeps its length. The
+angle is that of `arm-angle` of the library; below 0.45 bar, where the paper says nothing, it goes on a straight line to
+0 without pressure.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, TypeAlias
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, fields, replace
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
 
 from pmabench.model.air import Air
-from pmabench.model.arm import Arm, ArmPlant
 from pmabench.model.curve import Curve
 from pmabench.model.driven import Actuator, DrivenPlant
 from pmabench.model.free_air import AirPlant
 from pmabench.model.hysteresis import Hysteresis
+from pmabench.model.motion import Noise
 from pmabench.model.muscle import Friction, Muscle
 from pmabench.model.overrides import Overrides
 from pmabench.model.plant import Plant
 from pmabench.model.regulator import Regulator
-from pmabench.model.sensors import Noise
+
+ARM_STIFFNESS, ARM_DAMPING = 5e3, 1e3
+"""Assumed, for the way there; paper 2 gives none [N/m, N.s/m]."""
+ARM_STEP = 1e3
+"""Between the points of angle over pressure [Pa]; the lines between are within 0.02 deg."""
+ARM_STOP = 0.20
+"""Contraction of the bending muscle at which it can go no further [1]: 115 deg, beyond all of paper 2."""
+GRAVITY = 9.81
+"""What turns the weight at the arm's end into the mass of the formula [m/s2]."""
+
+
+@dataclass(frozen=True)
+class Arm:
+    """`length` of its muscles, `radius` of the circle of the outer ones [m] (paper 2)."""
+
+    name: str = "arm of four contractors of 30 cm"
+    length: float = 0.30
+    radius: float = 0.03
+    friction: Friction = field(default_factory=Friction)
+
+    def under(self, force: float) -> Muscle:
+        """The arm as a muscle without load that comes to x = r alpha with `force` [N] at its end.
+
+        Raises
+        ------
+        ValueError
+            Beyond the loads of paper 2.
+        """
+        from pmabench.model.library import MODELS  # needs the presets, which need this module
+
+        model = MODELS["arm-angle"]
+        pressure, known = model.parameters
+        load = force / GRAVITY
+        if not known.low <= load <= known.high * (1 + 1e-9):
+            most = f"{known.low:g} to {known.high:g} kg"
+            raise ValueError(f"the arm of paper 2 is known for {most} at its end, not for {load:.4g} kg")
+        P = np.linspace(pressure.low, pressure.high, round((pressure.high - pressure.low) / ARM_STEP) + 1)
+        angle = model.evaluate({"pressure": P, "load": min(load, known.high)})["angle"]
+        pull = ARM_STIFFNESS * self.radius * np.maximum(angle, 0.0)
+        return Muscle(
+            name=self.name,
+            F_ce=Curve.through([0.0, *P.tolist()], [0.0, *pull.tolist()]),
+            K=Curve(((ARM_STIFFNESS,),)),
+            B_c=Curve(((ARM_DAMPING,),)),
+            B_r=Curve(((ARM_DAMPING,),)),
+            friction=self.friction,
+            length=self.length,
+            stop=ARM_STOP * self.length,
+        )
+
+
+class ArmPlant(Plant):
+    """The arm behind the regulator of its bending muscle; a load changes where it comes to, and moves with it."""
+
+    def __init__(
+        self, arm: Arm, regulator: Regulator, *, force: float = 0.0, mass: float = 0.5, start: float = 0.0
+    ) -> None:
+        self.arm = arm
+        super().__init__(arm.under(force), regulator, force=force, mass=mass, start=start)
+
+    def load(self, force: float, mass: float) -> None:
+        """From now on `force` [N] hangs on the arm's end and moves with `mass` [kg > 0]; ValueError as `Arm.under`."""
+        super().load(0.0, mass)
+        self.muscle = self.arm.under(force)
+        self._f_ce, self._stiffness = self.muscle.F_ce.function(), self.muscle.K.function()
+        self._damping = {1: self.muscle.B_c.function(), -1: self.muscle.B_r.function()}
+
 
 if TYPE_CHECKING:
-    from pmabench.model.contractor_muscle import ContractorMuscle
-    from pmabench.model.daerden_muscle import DaerdenMuscle
+    from pmabench.model.published_muscles import ContractorMuscle, DaerdenMuscle
 
     AnyMuscle: TypeAlias = Muscle | DaerdenMuscle | ContractorMuscle | Arm
 
@@ -68,8 +140,8 @@ def paper0_air() -> Muscle:
 
 
 def dmsp_40_305(fce_eval: str = "x0") -> Muscle:
-    """Festo DMSP-40-305 of paper 1: S and D as printed, the rest assumed (`pmabench.model.dmsp_muscle`)."""
-    from pmabench.model.dmsp_muscle import dmsp_40_305  # needs the library of models, which needs this module
+    """Festo DMSP-40-305 of paper 1: S and D as printed, the rest assumed (`pmabench.model.published_muscles`)."""
+    from pmabench.model.published_muscles import dmsp_40_305  # needs the library of models, which needs this module
 
     return dmsp_40_305(fce_eval)
 
@@ -82,11 +154,11 @@ MUSCLES: dict[str, Callable[[], Muscle]] = {
 }
 """Those of the three-element model."""
 CONTRACTORS = {f"contractor-{cm}": cm / 100 for cm in (15, 20, 25, 30, 40)}
-"""Those of paper 2 with their lengths [m] (`pmabench.model.contractor_muscle`)."""
+"""Those of paper 2 with their lengths [m] (`pmabench.model.published_muscles`)."""
 ARM = "arm-30"
-"""That of four contractors of paper 2 (`pmabench.model.arm`)."""
+"""That of four contractors of paper 2 (`pmabench.model.presets`)."""
 PLANTS = (*MUSCLES, "daerden", *CONTRACTORS, ARM)
-"""All of them; `daerden` is the muscle of paper 3, for a driven end only (`pmabench.model.daerden_muscle`)."""
+"""All of them; `daerden` is the muscle of paper 3, for a driven end only (`pmabench.model.published_muscles`)."""
 DAERDEN_HEIGHT, DAERDEN_WIDTH = 30.0, 0.006
 """Its hysteresis: half the gap [N], contraction over which a turn fades to 1/e [1]; paper 3 shows a gap of 60 N."""
 
@@ -174,7 +246,7 @@ def preset(plant: str, kind: str = "bench", overrides: Overrides | None = None) 
             muscle = replace(muscle, F_ce=dmsp_40_305(overrides.fce_eval).F_ce)
         air = None
         if plant == "paper0-air":
-            from pmabench.model.daerden_muscle import assumed_air  # as below
+            from pmabench.model.published_muscles import assumed_air  # as below
 
             natural_frequency, damping_ratio = BENCH_SECOND
             regulator = Regulator(DEAD_TIME, natural_frequency=natural_frequency, damping_ratio=damping_ratio)
@@ -184,11 +256,11 @@ def preset(plant: str, kind: str = "bench", overrides: Overrides | None = None) 
         return changed(Setup(Arm(friction=ARM_FRICTION), regulator, ARM_NOISE, BENCH_FOLLOW_LAG), kind, overrides)
     # these need the library of models, which needs this module
     if plant in CONTRACTORS:
-        from pmabench.model.contractor_muscle import ContractorMuscle
+        from pmabench.model.published_muscles import ContractorMuscle
 
         contractor = ContractorMuscle(name=plant, length=CONTRACTORS[plant])
         return changed(Setup(contractor, regulator, BENCH_NOISE, BENCH_FOLLOW_LAG), kind, overrides)
-    from pmabench.model.daerden_muscle import DaerdenMuscle, assumed_air
+    from pmabench.model.published_muscles import DaerdenMuscle, assumed_air
 
     stretchy = DaerdenMuscle()
     hysteresis = Hysteresis(DAERDEN_HEIGHT, DAERDEN_WIDTH * stretchy.length)
@@ -302,3 +374,142 @@ def _friction(given: Friction, change: Overrides, share: float, *, real: bool) -
         F_c=share * (base.F_c if change.F_c is None else change.F_c),
         speed=given.speed,
     )
+
+
+@dataclass(frozen=True)
+class Described:
+    """A muscle, the regulator before it and the air that it moves, and in words where they come from."""
+
+    muscle: Muscle
+    regulator: Regulator
+    source: str
+    domain: tuple[float, float]
+    """Pressures at which the coefficients are known [Pa]; outside they are continued."""
+    air: Air | None = None
+    """Where the regulator has to move it; None where the pressure does not depend on the motion."""
+
+    def plant(self, force: float, mass: float, pressure: float = 0.0) -> Plant:
+        """The muscle at `pressure` [Pa] with a load F_L = `force` [N] of moving `mass` [kg] on its free end."""
+        if self.air is not None:
+            return AirPlant(self.muscle, self.regulator, self.air, force=force, mass=mass, pressure=pressure)
+        return Plant(self.muscle, self.regulator, force=force, mass=mass, pressure=pressure)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data: coefficients as polynomials of P, highest power first, joined at breaks (SI)."""
+        muscle = {field.name: getattr(self.muscle, field.name) for field in fields(Muscle)}
+        return {
+            "source": self.source,
+            "domain": list(self.domain),
+            "regulator": asdict(self.regulator),
+            **({} if self.air is None else {"air": asdict(self.air)}),
+            **{name: _plain(value) for name, value in muscle.items() if value is not None},
+        }
+
+    @classmethod
+    def of(cls, data: Mapping[str, Any]) -> Described:
+        """The inverse of `to_dict`; what the data lack (plans of earlier versions) is as a muscle has it."""
+        values = {field.name: _value(field.name, data[field.name]) for field in fields(Muscle) if field.name in data}
+        muscle = Muscle(**{"name": str(data["source"]), **values})
+        low, high = data["domain"]
+        air = Air(**data["air"]) if "air" in data else None
+        return cls(muscle, Regulator(**data["regulator"]), str(data["source"]), (float(low), float(high)), air)
+
+
+def _plain(value: Any) -> Any:
+    """A field of a muscle as plain data."""
+    if isinstance(value, Curve):
+        return {"pieces": [list(piece) for piece in value.pieces], "breaks": list(value.breaks)}
+    return asdict(value) if isinstance(value, Friction) else value
+
+
+def _value(name: str, data: Any) -> Any:
+    """The inverse of `_plain`."""
+    if name == "friction":
+        return Friction(**data)
+    if isinstance(data, Mapping):
+        pieces = tuple(tuple(float(c) for c in piece) for piece in data["pieces"])
+        return Curve(pieces, tuple(float(edge) for edge in data["breaks"]))
+    return data if isinstance(data, str) else float(data)
+
+
+def tabulated_force(P: Sequence[float], F_ce: Sequence[float]) -> Curve:
+    """F_ce [N] through points at rising pressures P [Pa], straight lines between them.
+
+    The lines of the ends go on: below to where they reach 0 N, and to 0 N at 0 Pa where they would not by themselves.
+    """
+    lines: list[tuple[float, ...]] = [_line(P[i], F_ce[i], P[i + 1], F_ce[i + 1]) for i in range(len(P) - 1)] or [
+        (F_ce[0] / P[0] if P[0] > 0 else 0.0, 0.0)
+    ]
+    edges = list(P[1:-1])
+    slope, intercept = lines[0]
+    if slope > 0 and intercept < 0:
+        return Curve(((0.0,), *lines), (-intercept / slope, *edges))
+    if P[0] > 0 and len(P) > 1:
+        return Curve(((F_ce[0] / P[0], 0.0), *lines), (P[0], *edges))
+    return Curve(tuple(lines), tuple(edges))
+
+
+def _line(P: float, F: float, P_next: float, F_next: float) -> tuple[float, float]:
+    slope = (F_next - F) / (P_next - P)
+    return slope, F - slope * P
+
+
+def setup_of(numbers: Mapping[str, Any]) -> Setup:
+    """The setup of a simulated bench.
+
+    `numbers` are SI; each coefficient is either `points`, pairs of pressure and value, or the arguments of
+    `Curve.printed`.
+    """
+    regulator, noise, lag = Regulator(**numbers["regulator"]), Noise(**numbers["noise"]), float(numbers["follow_lag"])
+    if numbers["law"] == "daerden":
+        return _daerden(numbers, regulator, noise, lag)
+    if numbers["law"] == "contractor":
+        return _contractor(numbers, regulator, noise, lag)
+    curves = {symbol: _curve(numbers[symbol]) for symbol in ("F_ce", "K", "B_c", "B_r", "tau_r") if symbol in numbers}
+    muscle = Muscle(
+        name=str(numbers["name"]),
+        friction=Friction(**numbers["friction"]),
+        length=float(numbers["length"]),
+        stop=float(numbers["stop"]),
+        diameter=float(numbers.get("diameter", 0.0)),
+        braid_angle=float(numbers.get("braid_angle", 0.0)),
+        **curves,
+    )
+    return Setup(muscle, regulator, noise, lag, air=_air_of(numbers.get("flow"), regulator))
+
+
+def _curve(given: Mapping[str, Any]) -> Curve:
+    if "points" in given:
+        pressures, values = zip(*given["points"], strict=True)
+        return Curve.through(pressures, values)
+    return Curve.printed(*given["pieces"], breaks=given["breaks"], unit=given["unit"], pressure=given["pressure"])
+
+
+def _contractor(numbers: Mapping[str, Any], regulator: Regulator, noise: Noise, lag: float) -> Setup:
+    from pmabench.model.published_muscles import ContractorMuscle  # needs the library of models, as below
+
+    names = ("name", "length", "radius", "braid_angle", "threshold")
+    low, high = numbers["reach"]
+    return Setup(ContractorMuscle(**{name: numbers[name] for name in names}, reach=(low, high)), regulator, noise, lag)
+
+
+def _daerden(numbers: Mapping[str, Any], regulator: Regulator, noise: Noise, lag: float) -> Setup:
+    from pmabench.model.published_muscles import DaerdenMuscle  # needs the library of models, which needs the presets
+
+    names = ("name", "length", "diameter", "braid_angle", "alpha", "A", "B1", "B2")
+    low, high = numbers["reach"]
+    muscle = DaerdenMuscle(**{name: numbers[name] for name in names}, reach=(float(low), float(high)))
+    hysteresis = None
+    if numbers["hysteresis"] is not None:
+        loop = numbers["hysteresis"]
+        hysteresis = Hysteresis(float(loop["height"]), float(loop["width"]) * muscle.length)
+    return Setup(muscle, regulator, noise, lag, hysteresis, _air_of(numbers["flow"], regulator))
+
+
+def _air_of(flow: Mapping[str, Any] | None, regulator: Regulator) -> Air | None:
+    if flow is None:
+        return None
+    from pmabench.model.library.chamber import R  # as above
+
+    kept = {name: float(flow[name]) for name in ("fill", "vent", "polytropic", "atmosphere")}
+    return Air(**kept, rT=R * float(flow["temperature"]), leak=regulator.leak)

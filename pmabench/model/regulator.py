@@ -1,7 +1,7 @@
-"""Commands through a dead time and a lag of first or second order, in closed form piece by piece; knows no muscle.
+"""Commands over time, and what a regulator makes of them: dead time and a lag of first or second order.
 
-Used for the pressure behind a regulator, which a dump valve or a fault may override, and for the position of an
-actuator with a follow error.
+Everything is in closed form, piece by piece: constants, ramps, sines. Knows no muscle. Used for the pressure behind a
+regulator, which a dump valve or a fault may override, and for the position of an actuator with a follow error.
 """
 
 from __future__ import annotations
@@ -16,7 +16,73 @@ import numpy as np
 from scipy.optimize import brentq
 
 from pmabench.model.curve import Array
-from pmabench.model.signal import Wave, to_nanosecond
+
+
+def to_nanosecond(t: float) -> float:
+    """A moment [s] on the grid of whole nanoseconds, so that equal moments compare equal however they were summed."""
+    return round(t * 1e9) / 1e9
+
+
+class Wave(NamedTuple):
+    """u(t) = level + slope s + amplitude sin(omega s + phase), s = t - start [s], until the next wave starts."""
+
+    start: float
+    level: float
+    slope: float = 0.0
+    amplitude: float = 0.0
+    omega: float = 0.0
+    phase: float = 0.0
+
+    def value(self, t: float) -> float:
+        """The commanded value at time t [s]."""
+        since = t - self.start
+        wave = self.amplitude * math.sin(self.omega * since + self.phase) if self.amplitude else 0.0
+        return self.level + self.slope * since + wave
+
+    def values(self, t: Array) -> Array:
+        """The commanded values at times t [s]."""
+        since = t - self.start
+        return np.asarray(self.level + self.slope * since + self.amplitude * np.sin(self.omega * since + self.phase))
+
+    def later(self, t: float) -> Wave:
+        """The same wave counted from t [s] on."""
+        since = t - self.start
+        return self._replace(start=t, level=self.level + self.slope * since, phase=self.phase + self.omega * since)
+
+    @property
+    def steady(self) -> bool:
+        """Whether it is a constant."""
+        return self.slope == 0 and self.amplitude == 0
+
+    @property
+    def steepest(self) -> float:
+        """Highest rate of change [units/s]."""
+        return abs(self.slope) + abs(self.amplitude * self.omega)
+
+
+def constant(start: float, level: float) -> tuple[Wave, ...]:
+    """One value from `start` [s] on."""
+    return (Wave(to_nanosecond(start), level),)
+
+
+def ramp(start: float, origin: float, target: float, rate: float) -> tuple[Wave, ...]:
+    """From `origin` at `start` [s] to `target` with `rate` [units/s, > 0], then constant."""
+    duration = abs(target - origin) / rate
+    if to_nanosecond(duration) == 0:
+        return constant(start, target)
+    return (
+        Wave(to_nanosecond(start), origin, slope=math.copysign(rate, target - origin)),
+        Wave(to_nanosecond(start + duration), target),
+    )
+
+
+def sine(start: float, origin: float, amplitude: float, frequency: float, cycles: float) -> tuple[Wave, ...]:
+    """`origin + amplitude sin(2 pi frequency (t - start))` for `cycles`, then constant at `origin`; [s, units, Hz]."""
+    return (
+        Wave(to_nanosecond(start), origin, amplitude=amplitude, omega=2 * math.pi * frequency),
+        Wave(to_nanosecond(start + cycles / frequency), origin),
+    )
+
 
 FADED = 40.0
 """After so many lags nothing is left of where a piece began [1]."""
@@ -133,16 +199,7 @@ class Trace(NamedTuple):
 
     def rate(self, t: float) -> float:
         """Rate of change at time t [s]."""
-        since, rate = t - self.start, self.slope
-        if self.decay:
-            rate -= self.decay / self.lag * math.exp(-since / self.lag)
-        if self.omega:
-            turn = self.omega * since
-            rate += self.omega * (self.sin_part * math.cos(turn) - self.cos_part * math.sin(turn))
-        for fade, omega, a, b in self.modes:
-            cosine, sine = math.cos(omega * since), math.sin(omega * since)
-            rate += math.exp(fade * since) * ((fade * a + omega * b) * cosine + (fade * b - omega * a) * sine)
-        return rate
+        return float(self.rates(np.array([t]))[0])
 
     def function(self) -> Callable[[float], float]:
         """The value over s = t - start [s], made for being called some thousand times."""

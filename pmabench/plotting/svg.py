@@ -6,10 +6,14 @@ Knows the markup of symbols (`F_ce`), not what a figure shows.
 from __future__ import annotations
 
 import hashlib
+import importlib
 import io
 import re
+import sys
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -49,13 +53,39 @@ def symbol_parts(text: str) -> list[tuple[str, str]]:
     return [(kind, part) for kind, part in pieces if part]
 
 
+_inside: ContextVar[bool] = ContextVar("inside", default=False)
+
+
 @contextmanager
 def drawing() -> Iterator[None]:
-    """The look of figures, whatever matplotlib's settings on this machine are."""
+    """The look of figures, whatever matplotlib's settings on this machine are; set once for many where it is nested."""
+    if _inside.get():
+        yield
+        return
     from matplotlib import style
 
     with style.context(["default", str(STYLE)]):
-        yield
+        before = _inside.set(True)
+        try:
+            yield
+        finally:
+            _inside.reset(before)
+
+
+def import_without_3d() -> None:
+    """Import matplotlib without its 3D axes: no figure of a report has any, and they cost a tenth of its time.
+
+    For commands only: in a notebook somebody else may want them.
+    """
+    name = "mpl_toolkits.mplot3d"
+    if "matplotlib.projections" in sys.modules or name in sys.modules:
+        return
+    sys.modules[name] = None  # type: ignore[assignment]  # an import that fails, and of which matplotlib warns
+    try:
+        with warnings.catch_warnings(action="ignore"):
+            importlib.import_module("matplotlib.projections")
+    finally:
+        del sys.modules[name]
 
 
 def to_svg(figure: Figure, alt: str) -> str:

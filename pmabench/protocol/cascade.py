@@ -19,8 +19,7 @@ from pmabench.model.cascade import Member, PlantMuscle, PrintedMuscle, Step
 from pmabench.model.library.coefficients import DMSP_ANGLE, DMSP_LENGTH, DMSP_PRESSURE, DMSP_RADIUS
 from pmabench.model.muscle import Muscle
 from pmabench.model.overrides import Overrides
-from pmabench.model.plant_file import setup_of
-from pmabench.model.presets import MUSCLES, Setup, changed, preset
+from pmabench.model.presets import MUSCLES, Setup, changed, preset, setup_of
 
 G = 9.81
 CARRIAGE, FORCE_MASS = 2.0, 0.5

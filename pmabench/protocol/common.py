@@ -12,7 +12,7 @@ from pydantic import Field
 from pmabench.base.errors import Problem
 from pmabench.base.quantities import show
 from pmabench.bench.compile import Mounted
-from pmabench.bench.loads import Stack
+from pmabench.bench.session import Stack
 from pmabench.files.document import Document, Location, Strict
 from pmabench.files.quantity import Frequency, Pressure, Time
 from pmabench.protocol import accept

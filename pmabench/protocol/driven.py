@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from math import cos, pi, sin
 
 from pmabench.base.quantities import show
-from pmabench.bench.files import ExpectedFile
+from pmabench.bench.files.specimen import ExpectedFile
 from pmabench.files.document import Location
 from pmabench.protocol.common import Compilation
 from pmabench.protocol.plan import Hold, Ramp, Set, Step

@@ -52,7 +52,7 @@ class ReferenceModel(Strict):
 
 def described(c: Compilation, model: ReferenceModel, at: Location) -> dict[str, Any] | None:
     """The model as plain data for the plan's settings; None with a problem noted where there is none."""
-    from pmabench.model.described import Described, tabulated_force
+    from pmabench.model.presets import Described, tabulated_force
 
     name, place = model.coefficients, (*at, "coefficients")
     try:
@@ -109,10 +109,8 @@ def _presets() -> list[str]:
 def _of_preset(c: Compilation, model: ReferenceModel, at: Location) -> dict[str, Any] | None:
     from dataclasses import replace
 
-    from pmabench.model.described import Described
     from pmabench.model.muscle import Friction, Muscle
-    from pmabench.model.plant_file import setup_of
-    from pmabench.model.presets import changed, preset
+    from pmabench.model.presets import Described, changed, preset, setup_of
     from pmabench.model.regulator import Regulator
 
     name, _, kind = model.coefficients.partition(" ")

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from pmabench.base.quantities import show
 from pmabench.bench.compile import Mounted
 from pmabench.bench.interface import ChannelRecord
-from pmabench.bench.trips import SUPPLY_MARGIN
+from pmabench.bench.safety import SUPPLY_MARGIN
 from pmabench.session.checks import NOT_MEASURED, Check, judged
 from pmabench.session.listening import Series
 

@@ -15,8 +15,8 @@ from pmabench.base.errors import UsageError
 from pmabench.base.quantities import CHANNEL_QUANTITY, QUANTITIES, show
 from pmabench.bench.compile import Mounted
 from pmabench.bench.interface import ChannelRecord, OutputRecord
-from pmabench.bench.loads import Stack
-from pmabench.bench.trips import EXTRAPOLATED
+from pmabench.bench.safety import EXTRAPOLATED
+from pmabench.bench.session import Stack
 from pmabench.engine.executor import Executor, Progress
 from pmabench.engine.operator import Operator
 from pmabench.engine.run import Outcome, run_plan

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from pmabench.base.errors import RecordError
 from pmabench.base.quantities import QUANTITIES, show
-from pmabench.bench.calibration import read_calibration
+from pmabench.bench.channels import read_calibration
 from pmabench.session.fit import Fit
 
 

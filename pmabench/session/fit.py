@@ -10,7 +10,7 @@ from math import sqrt
 import numpy as np
 
 from pmabench.base.errors import VerdictFailed
-from pmabench.bench.calibration import fit_line
+from pmabench.bench.channels import fit_line
 from pmabench.bench.interface import Scale
 
 UP, DOWN = "up", "down"

@@ -12,8 +12,8 @@ import numpy as np
 
 from pmabench.base.quantities import show
 from pmabench.bench.compile import Mounted
+from pmabench.bench.safety import SUPPLY_MARGIN
 from pmabench.bench.session import SelfTest
-from pmabench.bench.trips import SUPPLY_MARGIN
 from pmabench.engine.acquire import Samples
 from pmabench.engine.executor import Executor
 from pmabench.protocol.plan import Ask, Hold, Ramp, Set

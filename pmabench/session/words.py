@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pmabench.bench.compile import Mounted
-from pmabench.bench.loads import Stack
+from pmabench.bench.session import Stack
 from pmabench.protocol.common import FORCE_MASS
 
 

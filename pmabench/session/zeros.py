@@ -9,7 +9,7 @@ from typing import Any
 from pmabench.base.errors import VerdictFailed
 from pmabench.base.quantities import CHANNEL_QUANTITY, show
 from pmabench.bench.compile import Mounted
-from pmabench.bench.files.session import PLACED
+from pmabench.bench.files.bench import PLACED
 from pmabench.bench.interface import CompiledBench, Scale
 from pmabench.bench.session import Zero
 from pmabench.engine.executor import Executor

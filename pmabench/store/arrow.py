@@ -1,4 +1,4 @@
-"""The door to pyarrow, which declares no types: what comes through it is `Any`, and nothing else is in here."""
+"""Imports pyarrow as `Any`, since it declares no types; everything else takes it from here."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""The list of runs in a folder; its SQLite cache may be lost at any time, the run folders are the truth.
+"""The runs in a folder: where they are, which continue which, and a list whose SQLite cache may be lost at any time.
 
-Nothing heavy is imported: a thousand runs are listed in a fraction of a second.
+Standard library only: a folder of thousands of runs is listed in a fraction of a second.
 """
 
 from __future__ import annotations
@@ -8,18 +8,118 @@ from __future__ import annotations
 import json
 import os
 import sqlite3
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from pmabench.base.errors import InvalidFile
+from pmabench.base.errors import InvalidFile, invalid
 from pmabench.store import folder as files
-from pmabench.store.folder import files_of, read_file, read_manifest, read_seal, status_of
-from pmabench.store.journal import decode, summary
-from pmabench.store.regular import is_regular
 from pmabench.store.since import added, late_files
+
+ANALYSES, ANALYSIS = "analyses", "analysis.json"
+"""What lies in folders of the first name was made of runs and is none; the second is in each analysis folder."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """A run on its own, with those that it continues."""
+
+    path: Path
+    """Folder of the last run."""
+    place: str
+    """Where it lies below the folder that was given, `/` between folders; each once among several."""
+    chain: tuple[Path, ...]
+    """All its run folders, the first one first, `path` last."""
+
+
+def runs_below(folder: Path) -> list[Path]:
+    """Every run folder below `folder`, in the order of their paths; the folder itself where it is a run.
+
+    A folder with the name of a run counts as one even where its manifest is gone, so that who opens it reports that.
+    Links and hidden folders are not followed, and nothing inside a run is looked at. Raises InvalidFile for a folder
+    that cannot be read.
+    """
+    return sorted(_found(folder))
+
+
+def holds_runs(folder: Path) -> bool:
+    """Whether runs lie somewhere below a folder that is no run itself."""
+    return folder.is_dir() and next(_found(folder), folder) != folder
+
+
+def _found(folder: Path) -> Iterator[Path]:
+    waiting = [folder]
+    while waiting:
+        place = waiting.pop()
+        try:
+            with os.scandir(place) as entries:
+                inside = list(entries)
+        except OSError as error:
+            raise invalid(place, f"cannot be read: {error.strerror or error}") from error
+        if any(entry.name in (files.MANIFEST, files.SEAL) for entry in inside):
+            yield place
+            continue
+        if files.is_run_name(place.name) and not any(Path(entry, ANALYSIS).exists() for entry in inside):
+            yield place  # an emptied run folder; analyses of a run are in a folder of the same name
+            continue
+        waiting += [
+            place / entry.name
+            for entry in inside
+            if not entry.name.startswith(".") and entry.name != ANALYSES and entry.is_dir(follow_symlinks=False)
+        ]
+
+
+def tasks_below(given: Sequence[Path]) -> list[Task]:
+    """The runs in `given` (runs, or folders of runs) that no other run there continues, each with those before it.
+
+    A path below which there is no run counts as one that cannot be used.
+    """
+    places: dict[Path, str] = {}
+    for folder in given:
+        for run in (folder.is_dir() and runs_below(folder)) or [folder]:
+            places.setdefault(run, run.relative_to(folder).as_posix() if run != folder else folder.resolve().name)
+    chains = {run: chain_of(run) for run in places}
+    continued = {before.resolve() for chain in chains.values() for before in chain[:-1]}
+    taken: set[str] = set()
+    tasks = []
+    for run, chain in chains.items():
+        if len(continued) and run.resolve() in continued:
+            continue
+        place, count = places[run], 1
+        while place.casefold() in taken:
+            count += 1
+            place = f"{places[run]}-{count}"
+        taken.add(place.casefold())
+        tasks.append(Task(run, place, chain))
+    return tasks
+
+
+def chain_of(run: Path) -> tuple[Path, ...]:
+    """The run and those before it as their manifests name them; who opens it reports what is wrong with a link."""
+    chain = [run]
+    with suppress(InvalidFile, KeyError, TypeError):
+        while b'"continues"' in files.read_file(chain[0], files.MANIFEST):
+            link = files.read_manifest(chain[0]).get("continues")
+            if link is None:
+                break
+            before = chain[0].resolve().parent / Path(str(link["run"])).name
+            before = before if (before / files.MANIFEST).is_file() else _renamed(chain[0], str(link["run"]))
+            if before in chain:
+                break
+            chain.insert(0, before)
+    return tuple(chain)
+
+
+def _renamed(run: Path, name: str) -> Path:
+    """The folder next to `run` that holds the run `name` under another name."""
+    for folder in sorted(run.resolve().parent.iterdir()):
+        with suppress(InvalidFile):
+            if (folder / files.MANIFEST).is_file() and files.read_manifest(folder).get("id") == name:
+                return folder
+    raise invalid(run, f"continues {name}, which is not next to it")
+
 
 CACHE = ".catalogue.sqlite"
 _VERSION = 4
@@ -122,21 +222,23 @@ def _stamp(path: Path) -> str:
 
 def _read(folder: Path) -> Row:
     try:
-        manifest = read_manifest(folder)
-        seal = read_seal(folder)
-        status = status_of(manifest, seal)
+        manifest = files.read_manifest(folder)
+        seal = files.read_seal(folder)
+        status = files.status_of(manifest, seal)
     except InvalidFile:
         manifest, seal, status = {}, {}, "damaged"
     if seal is None:
-        found = summary(manifest, decode(_events(folder)), [])
+        found = files.journal_summary(manifest, files.decode_lines(_events(folder)), [])
         size = 0
         with suppress(OSError):
-            size = sum(path.stat().st_size for _name, path in files_of(folder) if is_regular(path))
+            size = sum(path.stat().st_size for _name, path in files.files_of(folder) if files.is_regular(path))
     else:
         found = seal
         size = sum(int(entry["bytes"]) for entry in seal.get("files", {}).values())
         with suppress(OSError):
             size += (folder / files.SEAL).stat().st_size
+    link = manifest.get("continues")
+    done = link.get("trials_done") if isinstance(link, Mapping) else None
     names: list[str] = []
     with suppress(OSError):
         names = [entry.name for entry in added(folder, seal)] if seal else []
@@ -151,11 +253,11 @@ def _read(folder: Path) -> Row:
         why=str(found.get("why") or ""),
         simulated=bool(manifest.get("simulated")),
         trials_finished=int(found.get("trials_finished") or 0),
-        trials_before=_before(manifest.get("continues")),
+        trials_before=len(set(map(str, done))) if isinstance(done, list) else 0,
         trials_planned=int(found.get("trials_planned") or 0),
         duration=found.get("duration"),
         size=size,
-        continues=_continued(manifest.get("continues")),
+        continues=str(link.get("run") or "") if isinstance(link, Mapping) else "",
         added=tuple(names),
         late=tuple(late_files(folder)) if seal else (),
     )
@@ -163,17 +265,8 @@ def _read(folder: Path) -> Row:
 
 def _events(folder: Path) -> bytes:
     with suppress(InvalidFile):
-        return read_file(folder, files.EVENTS) if is_regular(folder / files.EVENTS) else b""
+        return files.read_file(folder, files.EVENTS) if files.is_regular(folder / files.EVENTS) else b""
     return b""
-
-
-def _continued(link: Any) -> str:
-    return str(link.get("run") or "") if isinstance(link, Mapping) else ""
-
-
-def _before(link: Any) -> int:
-    done = link.get("trials_done") if isinstance(link, Mapping) else None
-    return len({str(trial) for trial in done}) if isinstance(done, list) else 0
 
 
 def _label(value: Any) -> str:
@@ -194,7 +287,7 @@ def _load(path: Path) -> dict[str, tuple[str, Row]]:
 
 
 def _row(kept: dict[str, Any]) -> Row:
-    """JSON has lists where a row has tuples."""
+    """A row from the cache, where JSON has lists for tuples."""
     kept |= {name: tuple(value) for name, value in kept.items() if isinstance(value, list)}
     return Row(**kept)
 

@@ -10,13 +10,10 @@ from typing import Any
 
 from pmabench.base.errors import InvalidFile, Problem, RecordError, invalid
 from pmabench.store import folder as files
-from pmabench.store.folder import read_manifest, read_seal, status_of
-from pmabench.store.reader import open_run
-from pmabench.store.recalibration import Recalibration
-from pmabench.store.records import RunData
-from pmabench.store.regular import is_regular, sha256_of
+from pmabench.store.folder import is_regular, read_manifest, read_seal, sha256_of, status_of
+from pmabench.store.reader import Recalibration, open_run
+from pmabench.store.records import RunData, exclude, supersede
 from pmabench.store.seal import close_interrupted
-from pmabench.store.trials import exclude, supersede
 
 
 def continued(folder: Path) -> dict[str, Any]:
@@ -58,7 +55,7 @@ def finished_trials(folder: Path) -> list[int]:
 
 
 def _finished(runs: Sequence[RunData]) -> list[int]:
-    """A reference trial that was done again is none of the plan's."""
+    """Indices of finished trials; a reference trial that was done again is not part of the plan."""
     return [t.index for run in runs for t in run.trials if t.status == "finished" and not t.again]
 
 
@@ -109,7 +106,7 @@ def _place(run: RunData) -> Path:
 
 
 def _load(folder: Path, anew: Recalibration | None = None) -> tuple[RunData, ...]:
-    """The chain with what superseded what, and no exclusions."""
+    """The chain with superseded trials marked; exclusions are not applied."""
     runs = [open_run(folder, honour_notes=False, anew=anew)]
     while (link := runs[0].manifest.get("continues")) is not None:
         path = Path(runs[0].path)
@@ -130,14 +127,14 @@ def _linked(path: Path, link: Any) -> Path:
         raise invalid(
             path / files.MANIFEST, "does not say which run it continues (`continues`: run, sha256)"
         ) from error
-    for folder in _beside(path, name):
+    for folder in _next_to(path, name):
         if not is_regular(folder / files.SEAL) or sha256_of(folder / files.SEAL) != digest:
             raise invalid(folder, f"was not closed as it was when {path.name} continued it: its seal is another one")
         return folder
     raise invalid(path, f"continues {name}, which is not next to it; put that run's folder there")
 
 
-def _beside(path: Path, name: str) -> Iterator[Path]:
+def _next_to(path: Path, name: str) -> Iterator[Path]:
     """Folders next to `path` that hold the run `name`: the one of that name first, then one that was renamed."""
     parent = path.resolve().parent
     named = [parent / name] if Path(name).name == name else []

@@ -1,25 +1,127 @@
-"""The run folder as files: hashes, small files written whole, status; must not know samples or tables.
+"""The run folder as files: names, hashes, small files written whole, lines of events, status; knows no samples.
 
 Standard library only, so that listing runs starts fast.
+
+A run folder may be copied from anywhere. A FIFO in it would hold a reader up for ever, a link to a device would never
+end, and a link out of the folder would show what is no part of the run: only regular files inside it are opened.
+
+A line of events is `{"seq":3,"t":1.5,"kind":"command","data":{...},"crc":"0a1b2c3d"}`. The crc32 covers the bytes
+before `,"crc"` and begins with the value of the line before (0 for the first), so that lines form a chain.
 """
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import math
 import os
 import re
+import secrets
+import stat
 import sys
+import zlib
 from collections.abc import Iterator, Mapping
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from functools import cache
+from io import BufferedReader
 from pathlib import Path
 from typing import Any
 
 from pmabench.base.errors import InvalidFile, RecordError, invalid
-from pmabench.store.regular import open_inside
+
+KINDS = {
+    stat.S_IFREG: "a file",
+    stat.S_IFDIR: "a folder",
+    stat.S_IFLNK: "a link",
+    stat.S_IFIFO: "a FIFO",
+    stat.S_IFSOCK: "a socket",
+    stat.S_IFCHR: "a device",
+    stat.S_IFBLK: "a device",
+}
+_FLAGS = os.O_RDONLY
+for _flag in ("O_BINARY", "O_CLOEXEC", "O_NOFOLLOW", "O_NONBLOCK", "O_NOCTTY"):  # which of them a system has differs
+    _FLAGS |= getattr(os, _flag, 0)
+
+
+def kind_of(mode: int) -> str:
+    """What a mode of `lstat` means, in words."""
+    return KINDS.get(stat.S_IFMT(mode), "something else than a file")
+
+
+def is_regular(path: Path) -> bool:
+    """Whether there is a regular file, not a link to one."""
+    with suppress(OSError):
+        return stat.S_ISREG(path.lstat().st_mode)
+    return False
+
+
+def open_regular(path: Path) -> BufferedReader:
+    """The file, open for reading; raises OSError, at once, for whatever is no regular file."""
+    _refuse(path.lstat().st_mode)  # before it is opened: opening a device may already do something
+    fd = os.open(path, _FLAGS)
+    try:
+        _refuse(os.fstat(fd).st_mode)
+        return os.fdopen(fd, "rb")
+    except OSError:
+        os.close(fd)
+        raise
+
+
+def open_inside(folder: Path, name: str) -> BufferedReader:
+    """The file `name` (`/` between folders) of a run folder; raises OSError as `open_regular`, and for a way out."""
+    place = folder
+    parts = name.split("/")
+    if not {"", ".", ".."}.isdisjoint(parts):
+        raise OSError(errno.EINVAL, "its name leads out of the folder")
+    for part in parts[:-1]:
+        place /= part
+        if place.is_symlink():
+            raise OSError(errno.ELOOP, f"{part}/ is a link, and links are not followed")
+    return open_regular(folder / name)
+
+
+def sha256_of(path: Path) -> str:
+    """Hash of a regular file's bytes; raises OSError as `open_regular`."""
+    with open_regular(path) as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _refuse(mode: int) -> None:
+    if not stat.S_ISREG(mode):
+        raise OSError(errno.EINVAL, f"it is {kind_of(mode)}, and only files are read")
+
+
+_PART = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,120}")
+
+
+def run_name(utc: datetime, specimen: str, kind: str, simulated: bool) -> str:
+    """A folder name that sorts as time does, of `[A-Za-z0-9._-]` only.
+
+    For instance `20261121-1432_MAS20-A017_contraction-relaxation_7f3a`, with `SIMULATED` before the last part where
+    it is so. The last part distinguishes runs of the same minute.
+    """
+    parts = [utc.astimezone(UTC).strftime("%Y%m%d-%H%M"), _word(specimen, "specimen"), _word(kind, "run")]
+    return "_".join([*parts, *(["SIMULATED"] if simulated else []), secrets.token_hex(2)])
+
+
+def is_run_name(name: str) -> bool:
+    """Whether a folder has a name that `run_name` gave, whatever it still holds."""
+    return re.fullmatch(r"\d{8}-\d{4}_[A-Za-z0-9._-]+_[0-9a-f]{4}", name) is not None
+
+
+def _word(text: str, otherwise: str) -> str:
+    return re.sub(r"[^A-Za-z0-9.]+", "-", text)[:40].strip("-.") or otherwise
+
+
+def check_name(name: str) -> str:
+    """`name` itself where it stays inside the run folder and is legal on every file system; else RecordError."""
+    if not all(_PART.fullmatch(part) for part in name.split("/")):
+        raise RecordError(f'"{name}" cannot be a file of a run; use letters, digits, ".", "_" and "-", and no blank')
+    return name
+
 
 RUN_SCHEMA = "pmabench.run/1"
 SEAL_SCHEMA = "pmabench.seal/1"
@@ -133,7 +235,7 @@ def status_of(manifest: Mapping[str, Any], seal: Mapping[str, Any] | None) -> st
 
 
 def this_process() -> dict[str, Any]:
-    """What no other process of this machine has, before and after; empty where Linux does not say."""
+    """What identifies this process among all of this machine, also later ones; empty where Linux does not say."""
     fields = _process(os.getpid())
     return {"pid": os.getpid(), "started": fields[1], "boot": _boot()} if fields else {}
 
@@ -191,20 +293,26 @@ def part_of(path: Path) -> Path:
     return path.with_name(f".{path.name}.part")
 
 
-def write_whole(path: Path, content: bytes) -> None:
-    """Write a small file so that it is there whole or not at all, and synced. Raises OSError."""
+@contextmanager
+def _part(path: Path) -> Iterator[Path]:
+    """The hidden file to write, which then becomes `path`, synced; where writing fails it is removed."""
     part = part_of(path)
     try:
-        with part.open("wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
+        yield part
         part.replace(path)
-    except OSError:
+    except (OSError, InvalidFile):
         with suppress(OSError):
             part.unlink()
         raise
     sync_folder(path.parent)
+
+
+def write_whole(path: Path, content: bytes) -> None:
+    """Write a small file so that it is there whole or not at all, and synced. Raises OSError."""
+    with _part(path) as part, part.open("wb") as file:
+        file.write(content)
+        file.flush()
+        os.fsync(file.fileno())
 
 
 @dataclass(frozen=True)
@@ -216,28 +324,26 @@ class Copy:
     """What its bytes must be; a file that was changed is not copied."""
 
 
+def copy_file(source: Path, target: Path) -> tuple[str, int]:
+    """Copy a file, synced; the sha256 and the size [bytes] of what was copied. Raises OSError."""
+    digest = hashlib.sha256()
+    with source.open("rb") as old, target.open("wb") as new:
+        while piece := old.read(1 << 22):
+            digest.update(piece)
+            new.write(piece)
+        new.flush()
+        os.fsync(new.fileno())
+        return digest.hexdigest(), new.tell()
+
+
 def copy_whole(path: Path, source: Copy) -> None:
     """Copy a file so that it is there whole or not at all, and synced.
 
     Raises OSError, or InvalidFile where it is not what it was.
     """
-    part = part_of(path)
-    digest = hashlib.sha256()
-    try:
-        with source.path.open("rb") as old, part.open("wb") as file:
-            while piece := old.read(1 << 22):
-                digest.update(piece)
-                file.write(piece)
-            if digest.hexdigest() != source.sha256:
-                raise invalid(source.path, "was changed while it was read")
-            file.flush()
-            os.fsync(file.fileno())
-        part.replace(path)
-    except (OSError, InvalidFile):
-        with suppress(OSError):
-            part.unlink()
-        raise
-    sync_folder(path.parent)
+    with _part(path) as part:
+        if copy_file(source.path, part)[0] != source.sha256:
+            raise invalid(source.path, "was changed while it was read")
 
 
 def sync_folder(folder: Path) -> None:
@@ -287,3 +393,60 @@ class AppendFile:
         fd, self._fd = self._fd, -1
         if fd >= 0:
             os.close(fd)
+
+
+def encode_line(seq: int, t: float, kind: str, data: Mapping[str, Any], before: int) -> tuple[bytes, int]:
+    """One line and its crc, which the next line needs as `before`."""
+    entry = {"seq": seq, "t": round(float(t), 9), "kind": kind, "data": plain(data)}
+    body = json.dumps(entry, separators=(",", ":"), ensure_ascii=False, allow_nan=False).encode()[:-1]
+    crc = zlib.crc32(body, before)
+    return body + b',"crc":"%08x"}\n' % crc, crc
+
+
+@dataclass(frozen=True)
+class Journal:
+    """The lines up to the first that is not whole, and what was wrong with that one (empty: nothing)."""
+
+    lines: tuple[dict[str, Any], ...]
+    fault: str = ""
+
+
+def decode_lines(raw: bytes, seq: int = 0, crc: int = 0) -> Journal:
+    """Every whole line from the start on; nothing after a bad line is taken.
+
+    Where `raw` goes on after lines that were read before, `seq` is their number and `crc` that of the last of them.
+    """
+    lines: list[dict[str, Any]] = []
+    for number, line in enumerate(raw.split(b"\n"), start=1):
+        if not line and number > raw.count(b"\n"):
+            break
+        body, mark, tail = line.rpartition(b',"crc":"')
+        crc = zlib.crc32(body, crc)
+        if not mark or tail != b'%08x"}' % crc:
+            torn = number > raw.count(b"\n")
+            return Journal(tuple(lines), f"line {number} is {'torn' if torn else 'altered'}: its crc32 does not fit")
+        try:
+            entry = json.loads(body + b"}")
+        except (ValueError, RecursionError):
+            return Journal(tuple(lines), f"line {number} is not JSON")
+        if entry.get("seq") != seq + len(lines) or not {"t", "kind", "data"} <= entry.keys():
+            return Journal(tuple(lines), f"line {number} should have seq {seq + len(lines)}")
+        lines.append(entry)
+    return Journal(tuple(lines))
+
+
+def journal_summary(manifest: Mapping[str, Any], journal: Journal, spans: list[tuple[float, float]]) -> dict[str, Any]:
+    """Trials planned and finished, and the duration [s] from the first to the last sample or event.
+
+    A reference trial that was done again is none of the plan's.
+    """
+    ends = [line["data"] for line in journal.lines if line["kind"] == "trial-end"]
+    begins = [line["data"] for line in journal.lines if line["kind"] == "trial-begin"]
+    again = {begin.get("trial") for begin in begins if begin.get("again")}
+    begun = {begin.get("trial") for begin in begins} - again
+    times = [line["t"] for line in journal.lines] + [t for span in spans for t in span]
+    return {
+        "trials_planned": max(int(manifest.get("trials_planned") or 0), len(begun)),
+        "trials_finished": len({end.get("trial") for end in ends if end.get("status") == "finished"} - again),
+        "duration": max(times) - min(times) if times else None,
+    }

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any, TypeVar
-
-from pydantic import BaseModel, ValidationError
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from pmabench.base.errors import invalid
 
+if TYPE_CHECKING:
+    from pydantic import BaseModel
+
 DEEPEST = 20
 """Levels of objects and lists; what reads a file goes down by recursion."""
-Model = TypeVar("Model", bound=BaseModel)
+Model = TypeVar("Model", bound="BaseModel")
 
 
 def read_json(path: Path, schema: str, what: str, most: int, missing: str = "there is no such file") -> dict[str, Any]:
@@ -46,6 +47,8 @@ def read_model(
     model: type[Model], path: Path, schema: str, what: str, most: int, missing: str = "there is no such file"
 ) -> Model:
     """A file as `read_json` reads it, checked by a model; raises InvalidFile with the first place that is wrong."""
+    from pydantic import ValidationError
+
     data = read_json(path, schema, what, most, missing)
     try:
         return model.model_validate(data)

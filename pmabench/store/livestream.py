@@ -13,6 +13,7 @@ import time
 import zlib
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -69,32 +70,15 @@ def about_stream(schema: Any) -> dict[str, Any]:
     return about
 
 
-class _Sink:
+class _Sink(BytesIO):
     """Takes what Arrow writes, so that it goes to disk in one piece per batch."""
 
-    closed = False
-
-    def __init__(self) -> None:
-        self._pieces: list[bytes] = []
-        self._size = 0
-
-    def write(self, piece: Any) -> int:
-        self._pieces.append(bytes(piece))
-        self._size += len(self._pieces[-1])
-        return len(self._pieces[-1])
-
-    def tell(self) -> int:
-        return self._size
-
-    def flush(self) -> None:
-        """Nothing waits here."""
-
-    def writable(self) -> bool:
-        return True
-
     def take(self) -> bytes:
-        pieces, self._pieces = self._pieces, []
-        return b"".join(pieces)
+        """What came since the last call."""
+        piece = self.getvalue()
+        self.seek(0)
+        self.truncate()
+        return piece
 
 
 class LiveStream:

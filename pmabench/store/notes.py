@@ -22,8 +22,6 @@ from typing import Any
 
 from pmabench.base.errors import InvalidFile, UsageError, invalid
 from pmabench.store import folder as files
-from pmabench.store.folder import cannot_write, open_json, read_file, read_manifest, sealed_json, sync_folder
-from pmabench.store.regular import is_regular, sha256_of
 
 NOTE_SCHEMA = "pmabench.note/1"
 HEAD_SCHEMA = "pmabench.notes/1"
@@ -81,7 +79,7 @@ def add_note(
         raise UsageError("--exclude TRIAL and --because TEXT go together: the record says why a trial is left out")
     if len(text) + len(because) > _LONGEST:
         raise UsageError(f"the note is longer than {_LONGEST} characters; attach it as a file")
-    manifest = read_manifest(run)
+    manifest = files.read_manifest(run)
     if exclude is not None:
         _check_trial(run, exclude)
     for source in attach:
@@ -91,7 +89,7 @@ def add_note(
         with _alone(run):
             return _append(run, manifest, text.strip(), attach, exclude, because.strip(), operator)
     except OSError as error:
-        raise cannot_write(run / files.NOTES, error) from error
+        raise files.cannot_write(run / files.NOTES, error) from error
 
 
 def _append(
@@ -128,7 +126,7 @@ def _append(
             "because": because,
             "files": copied,
         }
-        raw = sealed_json(content)
+        raw = files.sealed_json(content)
         files.write_whole(part / NOTE, raw)
         for path in part.iterdir():
             path.chmod(0o444)
@@ -136,16 +134,14 @@ def _append(
     except BaseException:
         shutil.rmtree(part, ignore_errors=True)
         raise
-    sync_folder(folder)
-    sync_folder(run)
+    files.sync_folder(folder)
+    files.sync_folder(run)
     _write_head(run, manifest, number, hashlib.sha256(raw).hexdigest())
     return _note(content)
 
 
 def _check_trial(run: Path, trial: int) -> None:
-    from pmabench.store.journal import decode
-
-    lines = decode(read_file(run, files.EVENTS)).lines if is_regular(run / files.EVENTS) else ()
+    lines = files.decode_lines(files.read_file(run, files.EVENTS)).lines if files.is_regular(run / files.EVENTS) else ()
     begun = sorted({line["data"].get("trial") for line in lines if line["kind"] == "trial-begin"} - {None})
     if trial not in begun:
         text = f"trials {begun[0] + 1} to {begun[-1] + 1}" if begun else "no trial yet"
@@ -169,24 +165,18 @@ def _names(attach: Sequence[Path]) -> list[str]:
 
 
 def _copy(source: Path, part: Path, name: str) -> dict[str, Any]:
-    digest, size = hashlib.sha256(), 0
-    with source.open("rb") as given, (part / name).open("xb") as kept:
-        while piece := given.read(1 << 20):
-            digest.update(piece)
-            size += kept.write(piece)
-        kept.flush()
-        os.fsync(kept.fileno())
-    return {"name": name, "given": source.name, "sha256": digest.hexdigest(), "bytes": size}
+    digest, size = files.copy_file(source, part / name)
+    return {"name": name, "given": source.name, "sha256": digest, "bytes": size}
 
 
 def _write_head(run: Path, manifest: Mapping[str, Any], count: int, last: str) -> None:
     head = {"schema": HEAD_SCHEMA, "run": manifest["id"], "notes": count, "last": last}
-    files.write_whole(run / files.NOTES_HEAD, sealed_json(head))
+    files.write_whole(run / files.NOTES_HEAD, files.sealed_json(head))
 
 
 @contextmanager
 def _alone(run: Path) -> Iterator[None]:
-    """One note at a time, where the system has locks on folders."""
+    """Lock the run folder, so that one note is written at a time, where the system has such locks."""
     if sys.platform == "win32":
         yield
         return
@@ -222,7 +212,7 @@ def _look(run: Path) -> tuple[tuple[Note, ...], list[tuple[str, str]], str]:
     notes: list[Note] = []
     faults: list[tuple[str, str]] = []
     try:
-        last = hashlib.sha256(read_file(run, files.MANIFEST, files.LARGEST)).hexdigest()
+        last = hashlib.sha256(files.read_file(run, files.MANIFEST, files.LARGEST)).hexdigest()
     except InvalidFile:
         last = ""
     chain = [last]
@@ -232,8 +222,8 @@ def _look(run: Path) -> tuple[tuple[Note, ...], list[tuple[str, str]], str]:
             faults.append((place, f"comes where note {number:04d} should be: a note was removed or renamed"))
             return tuple(notes), faults, last
         try:
-            raw = read_file(run, f"{place}/{NOTE}", files.LARGEST)
-            content = open_json(raw, run / place / NOTE)
+            raw = files.read_file(run, f"{place}/{NOTE}", files.LARGEST)
+            content = files.open_json(raw, run / place / NOTE)
             note = _note(content)
         except (InvalidFile, KeyError, TypeError, ValueError) as error:
             what = error.problems[0].message if isinstance(error, InvalidFile) else "is no note"
@@ -261,11 +251,11 @@ def _attached(folder: Path, place: str, entries: Sequence[Mapping[str, Any]]) ->
     faults = []
     for entry in entries:
         path = folder / str(entry["name"])
-        if not is_regular(path):
+        if not files.is_regular(path):
             faults.append((f"{place}/{entry['name']}", "is missing"))
             continue
         try:
-            changed = path.stat().st_size != entry.get("bytes") or sha256_of(path) != entry["sha256"]
+            changed = path.stat().st_size != entry.get("bytes") or files.sha256_of(path) != entry["sha256"]
         except OSError as error:
             faults.append((f"{place}/{entry['name']}", f"cannot be read: {error.strerror}"))
             continue
@@ -276,10 +266,10 @@ def _attached(folder: Path, place: str, entries: Sequence[Mapping[str, Any]]) ->
 
 def _head(run: Path, chain: Sequence[str]) -> list[tuple[str, str]]:
     """`chain`: sha256 of the manifest and of each note. A note that was written last may not be in the head yet."""
-    if not is_regular(run / files.NOTES_HEAD):
+    if not files.is_regular(run / files.NOTES_HEAD):
         return [] if len(chain) == 1 else [(files.NOTES_HEAD, f"is missing; there are {len(chain) - 1} notes")]
     try:
-        head = open_json(read_file(run, files.NOTES_HEAD, files.LARGEST), run / files.NOTES_HEAD)
+        head = files.open_json(files.read_file(run, files.NOTES_HEAD, files.LARGEST), run / files.NOTES_HEAD)
         count, last = int(head["notes"]), head["last"]
     except (InvalidFile, KeyError, TypeError, ValueError) as error:
         return [(files.NOTES_HEAD, error.problems[0].message if isinstance(error, InvalidFile) else "is damaged")]

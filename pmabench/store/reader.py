@@ -1,37 +1,45 @@
 """Opens a run folder, closed or not, as plain records in SI; never writes into it.
 
 All streams are on the time of the run, each by its own clock. Samples of a trial come at the times of the stream that
-has `displacement` (else `pressure`, else of the first); `timebase` puts the channels of other streams there.
+has `displacement` (else `pressure`, else of the first); `timebase` puts the channels of other streams there. The same
+raw samples may be read with another calibration, or moved in time (`Recalibration`): the run itself is never touched.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pmabench.base.errors import invalid
+from pmabench.base.errors import InvalidFile, Problem, UsageError, invalid
 from pmabench.base.quantities import QUANTITIES
 from pmabench.store import folder as files
-from pmabench.store.archive import read_archive
 from pmabench.store.arrow import pa
-from pmabench.store.clocks import fit_clock, stamped
-from pmabench.store.folder import read_file, read_manifest, read_seal, status_of
-from pmabench.store.journal import Journal, decode
+from pmabench.store.folder import Journal, decode_lines, is_regular, read_file, read_manifest, read_seal, status_of
 from pmabench.store.livestream import FLAGS, TIME, LiveReader, numbers
 from pmabench.store.notes import read_notes
-from pmabench.store.recalibration import Line, Recalibration, refound
-from pmabench.store.records import Array, ChannelInfo, ClockInfo, Event, Flags, RunData
-from pmabench.store.regular import is_regular
+from pmabench.store.records import (
+    UNUSABLE,
+    Array,
+    ChannelInfo,
+    ClockInfo,
+    Event,
+    Flag,
+    Flags,
+    RunData,
+    TrialData,
+    cut_trials,
+    exclude,
+)
+from pmabench.store.seal import read_archive
 from pmabench.store.since import Since, altered, late_guard, since
-from pmabench.store.timebase import onto
-from pmabench.store.trials import cut_trials, exclude
+from pmabench.store.timebase import fit_clock, onto, stamped
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -105,7 +113,7 @@ def _since(folder: RunFiles) -> Since:
 
 
 def _reaches(stream: Samples) -> float:
-    """Until when a stream is recorded for certain [s]."""
+    """Time up to which a stream is certainly recorded [s]."""
     return float(stream.t[-1]) + 2.0 / stream.rate if len(stream.t) and stream.rate > 0 else -np.inf
 
 
@@ -166,7 +174,7 @@ class Samples:
 
     @classmethod
     def none(cls, name: str) -> Samples:
-        """No sample of no channel."""
+        """A stream without channels and samples."""
         none = np.empty(0, np.int64)
         return cls(name, 0.0, none, np.empty(0), {}, {}, {}, {}, np.empty(0, np.uint16), False, ClockInfo())
 
@@ -203,7 +211,7 @@ class RunFiles:
         """The events; of an unsealed run those before the first that is not whole."""
         if self.seal is None and not self.has(files.EVENTS):
             return Journal(())
-        return decode(self.read(files.EVENTS))
+        return decode_lines(self.read(files.EVENTS))
 
     def plan(self) -> dict[str, Any]:
         """The plan as it was kept; empty where there is none, as in imports."""
@@ -222,7 +230,7 @@ class RunFiles:
         return {**data, **{key: self.seal.get(key) for key in kept}}
 
     def guard(self) -> dict[str, Any]:
-        """How the guard process vented the bench after the program had died; empty where it had not to."""
+        """How the guard process vented the bench after the program had died; empty where it did not."""
         if not self.has(files.GUARD):
             return late_guard(self.path) if self.seal is None else {}
         try:
@@ -282,7 +290,7 @@ def _clock(name: str, events: tuple[Event, ...], arrivals: list[tuple[int, int]]
 
 
 def _in_si(table: Any, about: Mapping[str, Any], clock: ClockInfo, whole: bool) -> Samples:
-    """Device time becomes time of the run, raw values become SI."""
+    """The samples of a table with the time of the run instead of the device's, and in SI."""
     columns = {name: numbers(table.column(name).combine_chunks()) for name in table.column_names}
     time_ns = columns.pop(TIME)
     flags = columns.pop(FLAGS)
@@ -329,3 +337,129 @@ def _info(column: Mapping[str, Any], stream: str, rate: float) -> ChannelInfo:
 
 def _limit(value: Any, otherwise: float) -> float:
     return otherwise if value is None else float(value)
+
+
+LONGEST = 60.0
+"""Most that a channel can be moved in time [s]."""
+Line = tuple[float, float]
+"""What becomes of a value [SI] of the old scale: factor and summand."""
+
+
+@dataclass(frozen=True)
+class NewScale:
+    """A straight line from raw to SI, and what is known of it."""
+
+    quantity: str
+    raw_unit: str
+    slope: float
+    offset: float
+    calibration: Mapping[str, Any]
+    """As a stream's column has it: id, reference, date, uncertainties, sha256."""
+
+
+@dataclass(frozen=True)
+class Recalibration:
+    """Scales and shifts in time that replace those of the record."""
+
+    scales: Mapping[str, NewScale] = field(default_factory=dict)
+    """By channel."""
+    late: Mapping[str, float] = field(default_factory=dict)
+    """Channel -> how much older its values are than their time stamps [s]."""
+
+    def columns(self, about: Mapping[str, Any], path: object) -> tuple[dict[str, Any], dict[str, Line]]:
+        """What a stream says of its columns, with the new scales, and what becomes of old values by channel.
+
+        A zero that the session took stays what it was: the reading that stood for 0 does so on the new scale.
+        Raises InvalidFile for a channel of another quantity, or whose readings have another unit.
+        """
+        columns, lines = [], dict[str, Line]()
+        for column in about["columns"]:
+            new = self.scales.get(column["name"])
+            if new is None:
+                columns.append(column)
+                continue
+            for what, is_, wanted in (
+                ("measures", column.get("quantity"), new.quantity),
+                ("gives readings in", column.get("raw_unit"), new.raw_unit),
+            ):
+                if is_ != wanted:
+                    text = f"{column['name']} {what} {is_ or 'nothing that is known'}, the calibration is of {wanted}"
+                    raise invalid(path, text)
+            old = column.get("scale") or {}
+            slope, offset = float(old.get("slope", 1.0)), float(old.get("offset", 0.0))
+            factor = new.slope / slope
+            after = offset * factor if column.get("zero") is not None else new.offset
+            lines[column["name"]] = (factor, after - offset * factor)
+            scale = {"slope": new.slope, "offset": after}
+            columns.append({**column, "scale": scale, "calibration": dict(new.calibration)})
+        return {**about, "columns": columns}, lines
+
+    def moved(self, samples: Samples) -> Samples:
+        """The samples with each late channel read where its values belong, by straight lines between samples.
+
+        A row whose value lies between two of which one is flagged carries that flag; where there is none, GAP.
+        """
+        late = {name: self.late[name] for name in samples.channels if self.late.get(name)}
+        if not late or len(samples.t) < 2:
+            return samples
+        channels, flags = dict(samples.channels), samples.flags.copy()
+        for name, by in late.items():
+            at = samples.t + by
+            after = np.clip(np.searchsorted(samples.t, at), 1, len(samples.t) - 1)
+            channels[name] = np.interp(at, samples.t, samples.channels[name])
+            flags |= (samples.flags[after - 1] | samples.flags[after]) & np.uint16(UNUSABLE)
+            flags[(at < samples.t[0]) | (at > samples.t[-1])] |= np.uint16(Flag.GAP)
+        return replace(samples, channels=channels, flags=flags)
+
+
+def refound(trials: Sequence[TrialData], lines: Mapping[str, Line]) -> tuple[TrialData, ...]:
+    """The trials with what searches found of a channel (its value where a load lifted off) on the new scale."""
+
+    def one(name: str, value: Any) -> Any:
+        number = isinstance(value, int | float) and not isinstance(value, bool)
+        return lines[name][0] * value + lines[name][1] if name in lines and number else value
+
+    return tuple(
+        replace(
+            trial,
+            found={
+                phase: {name: one(name, value) for name, value in found.items()} for phase, found in trial.found.items()
+            },
+        )
+        for trial in trials
+    )
+
+
+def channel_for(runs: Sequence[RunData], quantity: str, name: str = "") -> str:
+    """The channel that a calibration of `quantity` is for: `name`, or the only measured one of every run.
+
+    Raises UsageError where that is none or several.
+    """
+    names = {
+        channel.name
+        for run in runs
+        for channel in run.channels.values()
+        if channel.quantity == quantity and not channel.name.endswith("_command")
+    }
+    if name and any(name in run.channels for run in runs):
+        return name
+    found = ", ".join(sorted(names)) or "none"
+    if name:
+        raise UsageError(f"no run has a channel {name}; channels that measure {quantity}: {found}")
+    if len(names) != 1:
+        raise UsageError(f"say CHANNEL=FILE: channels that measure {quantity}: {found}")
+    return names.pop()
+
+
+def refuse_loops(runs: Sequence[RunData], loops: Collection[str]) -> None:
+    """Raise InvalidFile for runs whose results depend on what a control loop did with the values that it measured.
+
+    `loops`: the kinds of test whose loop acts on calibrated values.
+    """
+    problems: list[Problem] = []
+    for run in runs:
+        if run.kind in loops:
+            what = f"is of kind {run.kind}: its loop acted on the old values; another calibration needs a new run"
+            problems.extend(invalid(run.path, what).problems)
+    if problems:
+        raise InvalidFile(problems)

@@ -1,10 +1,20 @@
-"""Closes a run folder: streams into Parquet, a summary, the hash of every file; also for a run whose writer died."""
+"""Closes a run folder: streams into Parquet, a summary, the hash of every file; also for a run whose writer died.
+
+A disk that is full when a run ends would leave it without a seal, so without the cause and the result of the vent. Two
+hidden files hold room for them from before the first command on: `.seal.json.part` is overwritten in place and becomes
+the seal, so that nobody can take its room away; `.events.jsonl.part` is deleted when the last events do not fit
+otherwise.
+"""
 
 from __future__ import annotations
 
+import errno
+import hashlib
+import json
+import mmap
 import os
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -13,12 +23,191 @@ from typing import Any
 
 from pmabench.base.errors import InvalidFile, RecordError
 from pmabench.store import folder as files
-from pmabench.store.archive import archive, span_of
-from pmabench.store.folder import cannot_write, plain, read_file, read_manifest, read_seal, reason_of, sealed_json
-from pmabench.store.journal import decode, summary
-from pmabench.store.regular import is_regular, sha256_of
-from pmabench.store.room import free_for_events, write_into_room
+from pmabench.store.arrow import pa, pq
+from pmabench.store.livestream import LiveReader, about_stream, raw_bytes
 from pmabench.store.since import adopt
+
+GROUP = 500_000
+"""Rows of a row group."""
+ARRIVALS = "arrivals"
+"""Metadata of the file: two lists, the clock of the device and of the host [ns], for the last sample of batches."""
+
+
+def archive(live: Path, target: Path) -> tuple[int, str, bool]:
+    """Write the whole batches of `live` to the Parquet file `target`, synced, re-read and compared byte for byte.
+
+    Returns the rows, why reading stopped before the end mark (empty: it did not), and whether bytes were left that
+    belong to no whole batch. Raises OSError where it cannot be written, ValueError where `live` has no whole schema or
+    what was read back differs; `target` then does not exist.
+    """
+    part = target.with_name(f".{target.name}.part")
+    try:
+        with live.open("rb") as file:
+            source = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)  # closed with the last batch that is on it
+        reader = LiveReader(pa.py_buffer(source))
+        digests = _write(part, reader, source)
+        arrivals = reader.arrivals
+        with part.open("r+b") as file:
+            os.fsync(file.fileno())
+        with pq.ParquetFile(part) as written:
+            same = _arrivals_of(written) == arrivals
+        if not same or digests != [_digest(table) for table in _row_groups(part)]:
+            raise ValueError("what was read back is not what was written")
+        part.replace(target)
+        files.sync_folder(target.parent)
+    finally:
+        with suppress(OSError):
+            part.unlink(missing_ok=True)
+    return reader.rows, reader.fault, reader.torn
+
+
+def _write(part: Path, reader: LiveReader, source: mmap.mmap) -> list[bytes]:
+    """The digest of each row group written; what was read of `source` does not stay in memory."""
+    schema = reader.schema
+    integers = [field.name for field in schema if pa.types.is_signed_integer(field.type)]
+    others = [field.name for field in schema if pa.types.is_unsigned_integer(field.type)]  # flags: few different ones
+    digests = []
+    with pq.ParquetWriter(
+        part,
+        schema,
+        compression="zstd",
+        use_dictionary=others,
+        column_encoding=dict.fromkeys(integers, "DELTA_BINARY_PACKED"),
+        write_page_checksum=True,
+    ) as writer:
+        for table in _tables(reader, schema):
+            writer.write_table(table, row_group_size=GROUP)
+            digests.append(_digest(table))
+            if hasattr(source, "madvise"):
+                source.madvise(mmap.MADV_DONTNEED)
+        if reader.arrivals:
+            writer.add_key_value_metadata({ARRIVALS: json.dumps(list(zip(*reader.arrivals, strict=True)))})
+    return digests
+
+
+def _arrivals_of(file: Any) -> list[tuple[int, int]]:
+    device, host = json.loads((file.metadata.metadata or {}).get(ARRIVALS.encode(), b"[[], []]"))
+    return [(int(a), int(b)) for a, b in zip(device, host, strict=True)]
+
+
+def _tables(batches: Iterable[Any], schema: Any) -> Iterator[Any]:
+    """The batches as tables of GROUP rows, the last one shorter."""
+    waiting: list[Any] = []
+    rows = 0
+    for batch in batches:
+        waiting.append(batch)
+        rows += batch.num_rows
+        if rows >= GROUP:
+            table = pa.Table.from_batches(waiting, schema)
+            whole = rows - rows % GROUP
+            yield from (table.slice(start, GROUP) for start in range(0, whole, GROUP))
+            waiting, rows = table.slice(whole).to_batches(), rows - whole
+    if rows:
+        yield pa.Table.from_batches(waiting, schema)
+
+
+def _digest(table: Any) -> bytes:
+    digest = hashlib.sha256()
+    for column in table.columns:
+        for chunk in column.chunks:
+            digest.update(raw_bytes(chunk))
+    return digest.digest()
+
+
+def _row_groups(path: Path) -> Iterator[Any]:
+    with pq.ParquetFile(path, page_checksum_verification=True) as file:
+        for index in range(file.num_row_groups):
+            yield file.read_row_group(index)
+
+
+def read_archive(source: Any) -> tuple[Any, dict[str, Any], list[tuple[int, int]]]:
+    """The table of a Parquet stream (a buffer), what its schema says, and its arrivals; ValueError where it is damaged.
+
+    Arrivals: clock of the device and of the host [ns] for the last sample of each batch that has it.
+    """
+    try:
+        with pq.ParquetFile(source, page_checksum_verification=True) as file:
+            about = about_stream(file.schema_arrow)
+            return file.read(use_threads=False), about, _arrivals_of(file)
+    except (pa.ArrowException, OSError, ValueError, KeyError, TypeError, RecursionError) as error:
+        raise ValueError(f"cannot be read as Parquet ({str(error).splitlines()[0]})") from error
+
+
+def span_of(path: Path) -> tuple[int, int, int]:
+    """Rows, and the lowest and highest time [ns], of a Parquet stream; ValueError where it is damaged."""
+    try:
+        with pq.ParquetFile(path) as file:
+            groups = [file.metadata.row_group(index).column(0).statistics for index in range(file.num_row_groups)]
+            low, high = min((g.min for g in groups), default=0), max((g.max for g in groups), default=0)
+            return file.metadata.num_rows, low, high
+    except (pa.ArrowException, OSError, AttributeError) as error:
+        raise ValueError(f"cannot be read as Parquet ({error})") from error
+
+
+FOR_SEAL = 64 * 1024
+"""Bytes; a seal is one hash a file, the cause, the counts and the result of each action of the vent: a tenth of it."""
+FOR_EVENTS = 64 * 1024
+"""Bytes; some hundred events."""
+
+
+def keep_room(folder: Path) -> None:
+    """Reserve the room for the end of a run in its folder. Raises OSError where there is not so much."""
+    _reserve(files.part_of(folder / files.SEAL), FOR_SEAL)
+    _reserve(files.part_of(folder / files.EVENTS), FOR_EVENTS)
+
+
+def free_for_events(folder: Path) -> None:
+    """Give the room for the last events back to the disk, for them. Harmless when repeated."""
+    with suppress(OSError):
+        files.part_of(folder / files.EVENTS).unlink()
+
+
+def write_into_room(path: Path, content: bytes) -> None:
+    """As `write_whole`, in the room that was kept for `path`, where there is some. Raises OSError."""
+    part = files.part_of(path)
+    if not files.is_regular(part):
+        files.write_whole(path, content)
+        return
+    fd = os.open(part, os.O_WRONLY | getattr(os, "O_BINARY", 0) | getattr(os, "O_NOFOLLOW", 0))
+    try:
+        _write_all(fd, content)
+        os.ftruncate(fd, len(content))
+        os.fsync(fd)
+    finally:
+        os.close(fd)
+    part.replace(path)
+    files.sync_folder(path.parent)
+
+
+def _reserve(path: Path, size: int) -> None:
+    """Make a file for which `size` bytes of the disk are reserved."""
+    fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), 0o644)
+    try:
+        if not _allocated(fd, size):
+            _write_all(fd, os.urandom(size))  # zeros take no room where the file system compresses
+        os.fsync(fd)
+    finally:
+        os.close(fd)
+
+
+def _allocated(fd: int, size: int) -> bool:
+    """Whether the system could reserve the room by itself; raises OSError where there is not so much."""
+    if not hasattr(os, "posix_fallocate"):
+        return False
+    try:
+        os.posix_fallocate(fd, 0, size)
+    except OSError as error:
+        if error.errno in (errno.EOPNOTSUPP, errno.EINVAL, errno.ENOSYS, errno.ENODEV):
+            return False
+        raise
+    return True
+
+
+def _write_all(fd: int, content: bytes) -> None:
+    rest = memoryview(content)
+    while rest:
+        rest = rest[os.write(fd, rest) :]
+
 
 STRAY = re.compile(r"(?:.*/)?(?:\..*|.*~|Thumbs\.db|ehthumbs\.db|desktop\.ini)(?:/.*)?", re.IGNORECASE | re.DOTALL)
 """Names that only file managers and editors make: they may change at any time, and are no part of a run."""
@@ -41,28 +230,30 @@ def seal(folder: Path, status: str, why: str, end: Mapping[str, Any]) -> None:
     """
     streams = _turn(folder / files.STREAMS)
     if streams.failure is not None:
-        text = str(cannot_write(folder, streams.failure))
-        known = status == "error" and reason_of(streams.failure) in why  # a full disk is named once
+        text = str(files.cannot_write(folder, streams.failure))
+        known = status == "error" and files.reason_of(streams.failure) in why  # a full disk is named once
         status, why = "error", why if known else f"{text}; before that: {status} {why}".rstrip()
     _tidy(folder)
-    manifest = read_manifest(folder)
-    journal = decode(read_file(folder, files.EVENTS) if os.path.lexists(folder / files.EVENTS) else b"")
+    manifest = files.read_manifest(folder)
+    events = files.read_file(folder, files.EVENTS) if os.path.lexists(folder / files.EVENTS) else b""
+    journal = files.decode_lines(events)
     content = {
         "schema": files.SEAL_SCHEMA,
         "id": manifest["id"],
         "status": status,
         "why": why,
-        "end": plain(end),
+        "end": files.plain(end),
         "closed_utc": datetime.now(UTC).isoformat(timespec="milliseconds"),
-        **summary(manifest, journal, streams.spans),
+        **files.journal_summary(manifest, journal, streams.spans),
         "events": len(journal.lines),
         "events_fault": journal.fault,
         "streams": streams.described,
         "files": {
-            name: {"sha256": sha256_of(path), "bytes": path.stat().st_size} for name, path in _part_of_the_run(folder)
+            name: {"sha256": files.sha256_of(path), "bytes": path.stat().st_size}
+            for name, path in _part_of_the_run(folder)
         },
     }
-    write_into_room(folder / files.SEAL, sealed_json(content))
+    write_into_room(folder / files.SEAL, files.sealed_json(content))
     for path in (folder / name for name in (files.SEAL, *content["files"])):
         with suppress(OSError):
             path.chmod(0o444)
@@ -74,7 +265,7 @@ def _part_of_the_run(folder: Path) -> Iterator[tuple[str, Path]]:
     """The files that are sealed: not the notes, which may come at any time, and nothing that is no file of a run."""
     for name, path in files.files_of(folder):
         note = name == files.NOTES_HEAD or name.startswith(f"{files.NOTES}/")
-        if not note and is_regular(path) and not STRAY.fullmatch(name):
+        if not note and files.is_regular(path) and not STRAY.fullmatch(name):
             yield name, path
 
 
@@ -84,7 +275,7 @@ def _tidy(folder: Path) -> None:
     room = files.part_of(folder / files.SEAL)
     for place in (folder, folder / files.STREAMS):
         for path in place.glob(".*.part"):
-            if path != room and is_regular(path) and path.name != f".{files.NOTES_HEAD}.part":
+            if path != room and files.is_regular(path) and path.name != f".{files.NOTES_HEAD}.part":
                 path.unlink()
 
 
@@ -92,13 +283,13 @@ def _turn(folder: Path) -> _Streams:
     streams = _Streams()
     for live in _found(folder, "*.arrows"):
         try:
-            kept = archive(live, live.with_suffix(".parquet"))
+            rows, fault, torn = archive(live, live.with_suffix(".parquet"))
         except (OSError, ValueError) as error:
             streams.failure = error if isinstance(error, OSError) else streams.failure
             streams.described[live.stem] = {"rows": None, "fault": str(error), "file": live.name}
             continue
-        streams.described[live.stem] = {"rows": kept.rows, "fault": kept.fault, "file": f"{live.stem}.parquet"}
-        if not kept.torn:
+        streams.described[live.stem] = {"rows": rows, "fault": fault, "file": f"{live.stem}.parquet"}
+        if not torn:
             live.unlink()
     for path in _found(folder, "*.parquet"):
         rows, low, high = span_of(path)
@@ -109,7 +300,7 @@ def _turn(folder: Path) -> _Streams:
 
 
 def _found(folder: Path, pattern: str) -> list[Path]:
-    return [] if folder.is_symlink() else [path for path in sorted(folder.glob(pattern)) if is_regular(path)]
+    return [] if folder.is_symlink() else [path for path in sorted(folder.glob(pattern)) if files.is_regular(path)]
 
 
 def close_interrupted(folder: Path) -> Path:
@@ -117,8 +308,8 @@ def close_interrupted(folder: Path) -> Path:
 
     Raises RecordError where its writer still lives or it cannot be written, InvalidFile where it is no run.
     """
-    manifest = read_manifest(folder)
-    if read_seal(folder) is not None:
+    manifest = files.read_manifest(folder)
+    if files.read_seal(folder) is not None:
         return folder
     if files.status_of(manifest, None) == "running":
         raise RecordError(f"{folder} is still being written by process {manifest['writer']['pid']}")
@@ -126,5 +317,5 @@ def close_interrupted(folder: Path) -> Path:
         adopt(folder)
         seal(folder, "interrupted", "the program that wrote it ended without closing it", {})
     except (OSError, ValueError, InvalidFile) as error:
-        raise cannot_write(folder, error) from error
+        raise files.cannot_write(folder, error) from error
     return folder

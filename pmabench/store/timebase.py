@@ -1,13 +1,18 @@
-"""Puts the channels of one stream on the times of another; fills no hole, and flags where there is none to give."""
+"""Times of samples: a device's clock against the host's, streams put on one time base, how even the sampling was.
+
+Pure functions. Interpolation fills no hole: where another stream has no value near a time, the sample is flagged.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pmabench.store.records import UNUSABLE, Array, Flag, Flags
+from pmabench.store.records import UNUSABLE, Array, ClockInfo, Flag, Flags, TrialData
 
 REACH = 1.5
 """Neighbours farther apart than so many periods of their stream have a hole between them."""
@@ -68,3 +73,116 @@ def _slopes(steps: Array, values: Array, left: NDArray[np.intp], right: NDArray[
     at_left = np.where(np.isnan(before), after, inner)[left]
     at_right = np.where(np.isnan(after), before, inner)[right]
     return np.nan_to_num(at_left), np.nan_to_num(at_right)
+
+
+PRIOR_DRIFT = 100e-6
+"""A quartz clock is not farther off than this [1]: what holds where the arrivals do not show drift better."""
+WINDOWS = 10
+"""Stretches of time whose shortest delays are held against the fit."""
+
+
+def fit_clock(device_ns: Sequence[int], host_ns: Sequence[int]) -> ClockInfo:
+    """The clock of a device from pairs of its own time and the host's time of arrival [ns].
+
+    A delay is never negative, so the line lies below all points and as close to them as it can: that of least mean
+    delay, an edge of the lower convex hull (Moon, Skelly, Towsley: Estimation and removal of clock skew from network
+    delay measurements, INFOCOM 1999; hull: Zhang, Liu, Xia, INFOCOM 2002). The uncertainty comes from the shortest
+    delays in each of `WINDOWS` stretches: how far they lie above the line, and how far apart the shortest two are. A
+    delay that is the same for all samples cannot be seen from here and stays in the offset.
+    """
+    device, host = np.asarray(device_ns, dtype=np.int64), np.asarray(host_ns, dtype=np.int64)
+    middle = int(device[0]) + int(np.int64(device[-1]) - device[0]) // 2
+    x = (device - middle) / 1e9
+    y = host / 1e9
+    span = float(x.max() - x.min())
+    drift, at = _below(x, y - x)
+    low = _shortest(x, y - x - at - drift * x)
+    spread = float(np.max(low[:, 0]) + np.mean(low[:, 1])) if len(low) else 0.0
+    unsure = 4.0 * spread / span if span > 0 and len(low) >= WINDOWS // 2 else np.inf
+    if unsure > PRIOR_DRIFT and abs(drift) <= unsure:
+        drift, at = 0.0, float(np.min(y - x))
+        spread = float(np.ptp(np.sort(y - x)[: max(2, len(x) // 10)])) + PRIOR_DRIFT * span
+    return ClockInfo(middle, at, drift, spread, "host arrivals")
+
+
+def stamped(device_ns: Sequence[int], host_ns: Sequence[int]) -> ClockInfo:
+    """The clock of a stream that the computer itself stamps, halfway between question and answer [ns].
+
+    It is the time of the run. When in a poll the device measured is not known, so the mean time from stamp to arrival,
+    half of a poll, bounds the mean error.
+    """
+    late = np.asarray(host_ns, dtype=np.int64) - np.asarray(device_ns, dtype=np.int64)
+    return ClockInfo(uncertainty=float(np.mean(np.maximum(late, 0))) / 1e9, how="stamped by the computer")
+
+
+def _below(x: Array, delay: Array) -> tuple[float, float]:
+    """Slope and value at 0 of the line below all points whose mean distance to them is least; shapes (n,)."""
+    order = np.lexsort((delay, x))
+    hull: list[tuple[float, float]] = []
+    for point in zip(x[order].tolist(), delay[order].tolist(), strict=True):
+        if hull and hull[-1][0] == point[0]:
+            continue  # a higher point at the same time
+        while len(hull) > 1 and _turn(hull[-2], hull[-1], point) <= 0:
+            hull.pop()
+        hull.append(point)
+    mean = float(np.mean(x))
+    for (x0, d0), (x1, d1) in pairwise(hull):
+        if x0 <= mean <= x1:
+            slope = (d1 - d0) / (x1 - x0)
+            return slope, d0 - slope * x0
+    return 0.0, min(d for _, d in hull)
+
+
+def _turn(a: tuple[float, float], b: tuple[float, float], c: tuple[float, float]) -> float:
+    return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+
+
+def _shortest(x: Array, delay: Array) -> Array:
+    """Of each stretch of time with points: the shortest delay, and how much longer the next is; shape (m, 2)."""
+    edges = np.linspace(float(x.min()), float(x.max()), WINDOWS + 1)[1:-1]
+    which = np.searchsorted(edges, x)
+    found = []
+    for number in range(WINDOWS):
+        inside = np.sort(delay[which == number])
+        if len(inside) > 1:
+            found.append((inside[0], inside[1] - inside[0]))
+    return np.array(found).reshape(-1, 2)
+
+
+@dataclass(frozen=True)
+class Sampling:
+    """How evenly a run was sampled: statistics of the intervals between neighbouring samples of all trials."""
+
+    rows: int
+    rate: float
+    """Samples by time from the first to the last one of each trial [Hz]."""
+    interval: float
+    """Median [s]."""
+    jitter: float
+    """Standard deviation of the intervals before which nothing is missing, about the median [s]."""
+    longest: float
+    """[s]"""
+    late: int
+    """Samples that were taken late."""
+    gaps: int
+    """Samples before which others are missing."""
+
+
+def sampling(trials: Sequence[TrialData]) -> Sampling | None:
+    """Rate, jitter and gaps over all trials; None where no trial has two samples."""
+    trials = [trial for trial in trials if len(trial.t) > 1]
+    if not trials:
+        return None
+    steps = np.concatenate([np.diff(trial.t) for trial in trials])
+    flags = np.concatenate([trial.flags[1:] for trial in trials])
+    whole = steps[(flags & np.uint16(Flag.GAP)) == 0]
+    middle = float(np.median(steps))
+    return Sampling(
+        rows=sum(len(trial.t) for trial in trials),
+        rate=len(steps) / float(steps.sum()),
+        interval=middle,
+        jitter=float(np.sqrt(np.mean((whole - middle) ** 2))) if len(whole) else 0.0,
+        longest=float(steps.max()),
+        late=int(np.count_nonzero(flags & np.uint16(Flag.LATE))),
+        gaps=int(np.count_nonzero(flags & np.uint16(Flag.GAP))),
+    )

@@ -12,19 +12,15 @@ import numpy as np
 
 from pmabench.base.errors import InvalidFile, invalid
 from pmabench.store import folder as files
-from pmabench.store.archive import read_archive
 from pmabench.store.arrow import pa
-from pmabench.store.folder import files_of, read_file, read_manifest, read_seal, status_of
-from pmabench.store.journal import Journal, decode
 from pmabench.store.livestream import LiveReader
 from pmabench.store.notes import check_notes
 from pmabench.store.reader import RunFiles, events_of
-from pmabench.store.records import Flag
-from pmabench.store.regular import is_regular
+from pmabench.store.records import Flag, trial_spans
+from pmabench.store.seal import read_archive
 from pmabench.store.since import added, fault_of, odd
-from pmabench.store.trials import trial_spans
 
-_TOLD = np.uint16(Flag.GAP | Flag.LATE | Flag.TIME_JUMP)
+_FLAGGED = np.uint16(Flag.GAP | Flag.LATE | Flag.TIME_JUMP)
 
 
 @dataclass(frozen=True)
@@ -55,17 +51,17 @@ def verify(path: Path | str) -> list[Finding]:
 
 def _verify(folder: Path) -> list[Finding]:
     if not os.path.lexists(folder / files.SEAL) or not os.path.lexists(folder / files.MANIFEST):
-        read_manifest(folder)
+        files.read_manifest(folder)
     found: list[Finding] = []
-    manifest = _or_finding(found, files.MANIFEST, lambda: read_manifest(folder)) or {}
-    seal = _or_finding(found, files.SEAL, lambda: read_seal(folder))
+    manifest = _or_finding(found, files.MANIFEST, lambda: files.read_manifest(folder)) or {}
+    seal = _or_finding(found, files.SEAL, lambda: files.read_seal(folder))
     if seal is not None:
-        found += _sealed_files(folder, seal)
+        found += _changed(folder, {name: (entry["sha256"], entry["bytes"]) for name, entry in seal["files"].items()})
     else:
         if not os.path.lexists(folder / files.SEAL):
-            found.append(Finding(files.SEAL, f"is missing: the run is {status_of(manifest, None)}"))
-        found += _snapshots(folder, manifest)
-        found += [Finding(name, odd(path)) for name, path in files_of(folder) if not is_regular(path)]
+            found.append(Finding(files.SEAL, f"is missing: the run is {files.status_of(manifest, None)}"))
+        found += _changed(folder, {name: (digest, None) for name, digest in manifest.get("snapshots", {}).items()})
+        found += [Finding(name, odd(path)) for name, path in files.files_of(folder) if not files.is_regular(path)]
     found += _events(folder, seal)
     found += _streams(folder, seal)
     found += [Finding(name, what) for name, what in check_notes(folder)]
@@ -84,32 +80,25 @@ def _or_finding(found: list[Finding], name: str, read: Callable[[], dict[str, An
         return None
 
 
-def _sealed_files(folder: Path, seal: Mapping[str, Any]) -> Iterator[Finding]:
-    for name, entry in sorted(seal["files"].items()):
-        yield from _same_bytes(folder, name, entry["sha256"], entry["bytes"])
-
-
-def _snapshots(folder: Path, manifest: Mapping[str, Any]) -> Iterator[Finding]:
-    for name, digest in sorted(manifest.get("snapshots", {}).items()):
-        yield from _same_bytes(folder, name, digest)
-
-
-def _same_bytes(folder: Path, name: str, digest: str, size: int | None = None) -> Iterator[Finding]:
-    if fault := fault_of(folder, name, digest, size):
-        yield Finding(name, fault)
+def _changed(folder: Path, known: Mapping[str, tuple[str, int | None]]) -> Iterator[Finding]:
+    """Files that are not as they were; `known`: name -> sha256 and bytes, where these are known."""
+    for name, (digest, size) in sorted(known.items()):
+        if fault := fault_of(folder, name, digest, size):
+            yield Finding(name, fault)
 
 
 def _read(folder: Path, seal: Mapping[str, Any] | None, name: str) -> bytes:
     """A file; of a sealed one at most so much that it shows whether it has grown."""
     sealed = seal["files"].get(name) if seal is not None else None
-    return read_file(folder, name, None if sealed is None else sealed["bytes"] + 1)
+    return files.read_file(folder, name, None if sealed is None else sealed["bytes"] + 1)
 
 
 def _events(folder: Path, seal: Mapping[str, Any] | None) -> list[Finding]:
     try:
-        journal = decode(_read(folder, seal, files.EVENTS)) if is_regular(folder / files.EVENTS) else Journal(())
+        raw = _read(folder, seal, files.EVENTS) if files.is_regular(folder / files.EVENTS) else b""
     except InvalidFile as error:
         return [Finding(files.EVENTS, error.problems[0].message)]
+    journal = files.decode_lines(raw)
     if seal is None:
         return [Finding(files.EVENTS, journal.fault)] if journal.fault else []
     found = []
@@ -125,10 +114,10 @@ def _events(folder: Path, seal: Mapping[str, Any] | None) -> list[Finding]:
 def _streams(folder: Path, seal: Mapping[str, Any] | None) -> list[Finding]:
     found = []
     sealed = {} if seal is None else seal.get("streams", {})
-    for name, path in files_of(folder / files.STREAMS) if (folder / files.STREAMS).is_dir() else ():
+    for name, path in files.files_of(folder / files.STREAMS) if (folder / files.STREAMS).is_dir() else ():
         known = next((stream for stream in sealed.values() if stream.get("file") == name), None)
         place = f"{files.STREAMS}/{name}"
-        if not is_regular(path) or (seal is not None and known is None):
+        if not files.is_regular(path) or (seal is not None and known is None):
             continue
         try:
             if path.suffix == ".parquet":
@@ -159,7 +148,7 @@ def _time(folder: Path) -> list[Finding]:
         if samples.rate <= 0 or len(samples.t) < 2:
             continue
         step = np.diff(samples.t)
-        odd = ((step > 1.5 / samples.rate) | (step <= 0)) & ((samples.flags[1:] & _TOLD) == 0)
+        odd = ((step > 1.5 / samples.rate) | (step <= 0)) & ((samples.flags[1:] & _FLAGGED) == 0)
         inside = np.zeros(len(step), dtype=bool)
         for begin, end in trial_spans(events):
             inside |= (samples.t[:-1] >= begin - 1e-6) & (samples.t[1:] <= end + 1e-6)

@@ -2,7 +2,7 @@
 
 Samples wait in memory for at most a twentieth of a second of wall clock; a thread hands them to the operating system,
 and another one syncs them, so that a slow disk holds up nothing. The writer must not know plans, what trials mean, or
-SI values.
+SI values. Its README.txt says how to read a run without pmabench, in lines that the tests execute.
 """
 
 from __future__ import annotations
@@ -26,22 +26,8 @@ from numpy.typing import NDArray
 
 from pmabench.base.errors import InvalidFile, RecordError
 from pmabench.store import folder as files
-from pmabench.store.folder import (
-    AppendFile,
-    Copy,
-    cannot_write,
-    copy_whole,
-    plain,
-    sealed_json,
-    sync_folder,
-    write_whole,
-)
-from pmabench.store.journal import encode
 from pmabench.store.livestream import LiveStream, describe
-from pmabench.store.naming import check_name
-from pmabench.store.readme import README_TEXT
-from pmabench.store.room import free_for_events, keep_room
-from pmabench.store.seal import seal
+from pmabench.store.seal import free_for_events, keep_room, seal
 
 FLUSH_EVERY = 0.05
 """Samples go to the operating system after so long [s of wall clock]."""
@@ -63,7 +49,7 @@ class RunWriter:
     `append` and `event` may be called from several threads, not from a signal handler.
     """
 
-    def __init__(self, folder: Path, manifest: Mapping[str, Any], events: AppendFile) -> None:
+    def __init__(self, folder: Path, manifest: Mapping[str, Any], events: files.AppendFile) -> None:
         """Use `RunWriter.create`."""
         self.folder = folder
         self.waits = False
@@ -91,17 +77,17 @@ class RunWriter:
 
     @classmethod
     def create(
-        cls, parent: Path, name: str, manifest: Mapping[str, Any], snapshots: Mapping[str, bytes | Copy]
+        cls, parent: Path, name: str, manifest: Mapping[str, Any], snapshots: Mapping[str, bytes | files.Copy]
     ) -> RunWriter:
         """Make the folder `parent`/`name` (`name-2` ... where taken) with snapshots and manifest, whole and synced.
 
         `snapshots` maps names inside the folder to the bytes of files that the run was made from. What the manifest
         does not say of id, schema, start, versions and hashes is added. Leaves nothing behind where it fails.
         """
-        contents = {check_name(key): value for key, value in snapshots.items()}
-        contents[files.README] = README_TEXT.encode()
+        contents = {files.check_name(key): value for key, value in snapshots.items()}
+        contents[files.README] = Path(__file__).with_name("readme.txt").read_bytes()
         made_parent = not parent.exists()
-        folder = parent / check_name(name)
+        folder = parent / files.check_name(name)
         made = False
         try:
             parent.mkdir(parents=True, exist_ok=True)
@@ -110,15 +96,15 @@ class RunWriter:
             (folder / files.STREAMS).mkdir()
             for key, content in contents.items():
                 (folder / key).parent.mkdir(parents=True, exist_ok=True)
-                if isinstance(content, Copy):
-                    copy_whole(folder / key, content)
+                if isinstance(content, files.Copy):
+                    files.copy_whole(folder / key, content)
                 else:
-                    write_whole(folder / key, content)
+                    files.write_whole(folder / key, content)
             keep_room(folder)
             full = _full_manifest(folder.name, manifest, contents)
-            events = AppendFile(folder / files.EVENTS).open()
-            write_whole(folder / files.MANIFEST, sealed_json(full))
-            sync_folder(parent)
+            events = files.AppendFile(folder / files.EVENTS).open()
+            files.write_whole(folder / files.MANIFEST, files.sealed_json(full))
+            files.sync_folder(parent)
         except (OSError, InvalidFile) as error:
             if made:
                 shutil.rmtree(folder, ignore_errors=True)
@@ -127,7 +113,7 @@ class RunWriter:
                     parent.rmdir()
             if isinstance(error, InvalidFile):
                 raise
-            raise cannot_write(folder, error) from error
+            raise files.cannot_write(folder, error) from error
         return cls(folder, full, events)
 
     def open_stream(self, name: str, columns: Sequence[Mapping[str, Any]], rate: float) -> None:
@@ -135,13 +121,13 @@ class RunWriter:
         self._check()
         if name in self._streams:
             raise RecordError(f"stream {name} is open already")
-        path = self.folder / files.STREAMS / f"{check_name(name)}.arrows"
+        path = self.folder / files.STREAMS / f"{files.check_name(name)}.arrows"
         about = describe(name, columns, rate)
         try:
             stream = LiveStream(path, about)
-            write_whole(path.with_suffix(".json"), json.dumps(about, indent=1).encode())
+            files.write_whole(path.with_suffix(".json"), json.dumps(about, indent=1).encode())
         except OSError as error:
-            raise cannot_write(path, error) from error
+            raise files.cannot_write(path, error) from error
         with self._lock:
             self._streams = {**self._streams, name: stream}
 
@@ -168,7 +154,7 @@ class RunWriter:
         most = PATIENT if self.waits else STALLED
         hung = live.waiting() > most or (syncing is not None and time.monotonic() - syncing > most)
         if self._failure is None and hung:
-            self._failure = cannot_write(live.file.path, TimeoutError(f"the disk took nothing for {most:g} s"))
+            self._failure = files.cannot_write(live.file.path, TimeoutError(f"the disk took nothing for {most:g} s"))
         self._check()
 
     def append_now(
@@ -194,7 +180,7 @@ class RunWriter:
 
     def _event(self, kind: str, t: float, data: Mapping[str, Any]) -> None:
         with self._lock:
-            line, self._crc = encode(self._seq, t, kind, data, self._crc)
+            line, self._crc = files.encode_line(self._seq, t, kind, data, self._crc)
             self._seq += 1
             self._last_t = max(self._last_t, float(t))
             self._lines.append(line)
@@ -203,12 +189,15 @@ class RunWriter:
             if self._try(self._events.path, lambda: self._events.write(b"".join(self._lines))):
                 self._lines.clear()
 
-    def _try(self, path: Path, act: Callable[[], None]) -> bool:
-        """Whether `act` could write `path`; the first failure of a run is the one that is reported."""
+    def _try(self, path: Path, act: Callable[[], None], failures: type[Exception] = OSError) -> bool:
+        """Whether `act` could write `path`; the first failure of a run is the one that is reported.
+
+        In the threads every failure counts: the run is then not recorded, and its engine must know.
+        """
         try:
             act()
-        except OSError as error:
-            self._failure = self._failure or cannot_write(path, error)
+        except failures as error:
+            self._failure = self._failure or files.cannot_write(path, error)
             return False
         return True
 
@@ -218,29 +207,19 @@ class RunWriter:
             raise self._failure
 
     def _pump(self) -> None:
-        """A thread: hands samples over; never waits for the disk itself."""
+        """A thread: hands samples to the operating system, and does not wait for the disk."""
         while not self._stop.wait(FLUSH_EVERY):
-            if not self._dare([(stream.file.path, stream.drain) for stream in list(self._streams.values())]):
+            if not all(self._try(s.file.path, s.drain, Exception) for s in list(self._streams.values())):
                 return
 
     def _sync(self) -> None:
-        """A thread: lets what was handed over survive a power cut."""
+        """A thread: syncs what was handed over, so that it survives a power cut."""
         while not self._stop.wait(SYNC_EVERY):
             self._syncing = time.monotonic()
             streams = [stream.file for stream in list(self._streams.values())]
-            if not self._dare([(file.path, file.sync) for file in (*streams, self._events)]):
+            if not all(self._try(file.path, file.sync, Exception) for file in (*streams, self._events)):
                 return
             self._syncing = None
-
-    def _dare(self, acts: Sequence[tuple[Path, Callable[[], None]]]) -> bool:
-        """Whether all could be done; whatever fails: the run is not being recorded, and its engine must know."""
-        for path, act in acts:
-            try:
-                act()
-            except Exception as error:
-                self._failure = self._failure or cannot_write(path, error)
-                return False
-        return True
 
     def _halt(self) -> None:
         """End the threads and hand over what still waits; at the interpreter's end at the latest."""
@@ -267,7 +246,7 @@ class RunWriter:
         if failure is not None:
             status, why = "error", _with(failure, status, why)
         last = max([self._last_t, *(s.last_ns / 1e9 for s in self._streams.values() if s.last_ns is not None)])
-        self._event("end", last, {"status": status, "why": why, **plain(end)})
+        self._event("end", last, {"status": status, "why": why, **files.plain(end)})
         self._closed = True
         try:
             try:
@@ -276,12 +255,12 @@ class RunWriter:
                 self._events.write(b"".join(self._lines))
                 self._events.sync()
             except OSError as error:
-                failure = failure or cannot_write(self._events.path, error)
+                failure = failure or files.cannot_write(self._events.path, error)
                 status, why = "error", _with(failure, status, why)
             self._events.close()
             seal(self.folder, status, why, end)
         except (OSError, ValueError, InvalidFile) as error:
-            raise failure or cannot_write(self.folder, error) from error
+            raise failure or files.cannot_write(self.folder, error) from error
         if failure is not None:
             raise failure
         return self.folder
@@ -292,13 +271,13 @@ class RunWriter:
             try:
                 stream.finish()
             except OSError as error:
-                failure = failure or cannot_write(stream.file.path, error)
+                failure = failure or files.cannot_write(stream.file.path, error)
                 stream.file.close()
         return failure
 
 
 def _with(failure: RecordError, status: str, why: str) -> str:
-    """Why a run ends that could not be written, with what it would have ended by; nothing is said twice."""
+    """The failure of the record with the status and cause that the run had before it; nothing is repeated."""
     return why if why.startswith(str(failure)) else f"{failure}; before that: {status} {why}".rstrip()
 
 
@@ -311,7 +290,7 @@ def _make_folder(parent: Path, name: str) -> Path:
     raise FileExistsError(17, "a thousand runs of this name exist")
 
 
-def _full_manifest(name: str, given: Mapping[str, Any], contents: Mapping[str, bytes | Copy]) -> dict[str, Any]:
+def _full_manifest(name: str, given: Mapping[str, Any], contents: Mapping[str, bytes | files.Copy]) -> dict[str, Any]:
     versions = {"python": platform.python_version()}
     for library in ("pmabench", "numpy", "scipy", "pandas", "pyarrow"):
         with suppress(metadata.PackageNotFoundError):
@@ -328,7 +307,7 @@ def _full_manifest(name: str, given: Mapping[str, Any], contents: Mapping[str, b
         "versions": versions,
         "platform": platform.platform(),
         "snapshots": {
-            key: content.sha256 if isinstance(content, Copy) else hashlib.sha256(content).hexdigest()
+            key: content.sha256 if isinstance(content, files.Copy) else hashlib.sha256(content).hexdigest()
             for key, content in contents.items()
         },
         "writer": files.this_process(),

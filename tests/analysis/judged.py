@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 
 from pmabench.files.document import read_document
-from pmabench.store.records import ChannelInfo, Command, RunData, TrialData
+from pmabench.store.records import ChannelInfo, ClockInfo, Command, RunData, TrialData
 from tests.judge.campaign import RATE, Trial
 
 PROTOCOL = Path(__file__).resolve().parents[2] / "protocols" / "contraction-relaxation.yaml"
@@ -38,6 +39,23 @@ def as_run(trials: Sequence[Trial], name: str = "judged") -> RunData:
             for channel, (quantity, unit) in CHANNELS.items()
         }, rate=RATE, trials=tuple(_trial(name, number, trial) for number, trial in enumerate(trials)),
     )  # fmt: skip
+
+
+def polled(run: RunData, scatter: float, seed: int) -> RunData:
+    """The run as a computer polls it, one device a channel: each sample is taken up to `scatter` [s] from its stamp."""
+    random = np.random.default_rng([seed, 1000])
+
+    def taken(trial: TrialData) -> TrialData:
+        late = {name: random.uniform(-scatter, scatter, len(trial.t)) for name in CHANNELS}
+        channels = {name: np.interp(trial.t + late[name], trial.t, trial.channels[name]) for name in CHANNELS}
+        return replace(trial, channels={**trial.channels, **channels})
+
+    return replace(
+        run,
+        trials=tuple(taken(trial) for trial in run.trials),
+        channels={name: replace(channel, stream=name) for name, channel in run.channels.items()},
+        clocks={name: ClockInfo(uncertainty=scatter / 2, how="stamped by the computer") for name in run.channels},
+    )
 
 
 def _trial(run: str, number: int, trial: Trial) -> TrialData:

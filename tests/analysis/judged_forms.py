@@ -2,23 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from pmabench.analysis.results import Analysis
 from pmabench.engine.laws.gain_steps import GainSteps
 from pmabench.engine.laws.relay import Relay
+from pmabench.kinds.arm_angle import reduction as arm_angle
+from pmabench.kinds.closed_volume import reduction as closed_volume
 from pmabench.kinds.free_contraction import reduction as free_contraction
 from pmabench.kinds.isometric_pressurisation import reduction as isometric_pressurisation
+from pmabench.kinds.recorded_sine import reduction as recorded_sine
+from pmabench.kinds.recorded_step import reduction as recorded_step
 from pmabench.kinds.step_displacement import reduction as step_displacement
 from pmabench.kinds.ultimate_gain import reduction as ultimate_gain
 from pmabench.store.records import ChannelInfo, Command, RunData, TrialData
-from tests.judge import displaced, free, held, loop
+from tests.judge import arm, closed, displaced, free, held, loop, rung, sines
 from tests.judge.record import Trial, Truth
 
-CHANNELS = {"pressure": ("pressure", "Pa"), "displacement": ("length", "m"), "force": ("force", "N")}
+CHANNELS = {
+    "pressure": ("pressure", "Pa"),
+    "displacement": ("length", "m"),
+    "force": ("force", "N"),
+    "pressure_command": ("pressure", "Pa"),
+    "angle": ("angle", "rad"),
+}
 SPECIMEN = {"nominal_length": 0.25}
 
 
@@ -32,14 +42,14 @@ def as_run(kind: str, trials: Sequence[TrialData], rate: float, settings: dict[s
     )  # fmt: skip
 
 
-def as_trials(trials: Sequence[Trial]) -> list[TrialData]:
-    """The trials as `store` would load them."""
+def as_trials(trials: Sequence[Trial], found: Mapping[str, Mapping[str, object]] | None = None) -> list[TrialData]:
+    """The trials as `store` would load them; `found` is what a search said."""
     return [
         TrialData(
             "judged", number, trial.point, trial.repeat, False, "finished", trial.t, dict(trial.channels),
             np.zeros(len(trial.t), dtype=np.uint16),
             tuple(Command(c.t, c.output, "ramp", c.value, c.before, c.phase, {"rate": c.rate}) for c in trial.commands),
-            {},
+            dict(found or {}),
         )
         for number, trial in enumerate(trials)
     ]  # fmt: skip
@@ -49,6 +59,29 @@ def free_contraction_of(cause: str, size: float, seed: int) -> Analysis:
     run = as_run("free-contraction", as_trials(free.campaign(cause, size, seed)), free.RATE,
                  {"nominal_length": free.LENGTH, "compare": "nothing"})  # fmt: skip
     return free_contraction.reduce([run])
+
+
+def closed_volume_of(cause: str, size: float, seed: int) -> Analysis:
+    trials, settings = closed.campaign(cause, size, seed)
+    run = as_run("closed-volume", as_trials(trials, {"closed": {"found": True}}), closed.RATE,
+                 {**settings, "by": "volume"})  # fmt: skip
+    return closed_volume.reduce([run])
+
+
+def sines_of(cause: str, size: float, seed: int) -> Analysis:
+    return recorded_sine.reduce([as_run("recorded-sine", as_trials(sines.campaign(cause, size, seed)), sines.RATE, {})])
+
+
+def rung_of(cause: str, size: float, seed: int) -> Analysis:
+    trials = as_trials(rung.campaign(cause, size, seed))
+    steps = [replace(one, commands=tuple(replace(c, kind="set") for c in one.commands)) for one in trials]
+    return recorded_step.reduce([as_run("recorded-step", steps, rung.RATE, {})])
+
+
+def arm_of(cause: str, size: float, seed: int) -> Analysis:
+    run = as_run("arm-angle", as_trials(arm.campaign(cause, size, seed)), arm.RATE,
+                 {"preload": arm.PRELOAD, "angle": "measured", "compare": "nothing"})  # fmt: skip
+    return arm_angle.reduce([run])
 
 
 def isometric_of(cause: str, size: float, seed: int) -> Analysis:
@@ -136,9 +169,13 @@ class Kind:
 
 
 KINDS = {
+    "closed-volume": Kind(closed_volume_of, closed.truth, closed.FULL, "contraction"),
     "free-contraction": Kind(free_contraction_of, free.truth, free.FULL, "pressure"),
     "isometric-pressurisation": Kind(isometric_of, held.truth, held.FULL, ""),
     "step-displacement": Kind(steps_of, displaced.truth, displaced.FULL, "step"),
+    "recorded-sine": Kind(sines_of, sines.truth, sines.FULL, "frequency"),
+    "recorded-step": Kind(rung_of, rung.truth, rung.FULL, "from"),
+    "arm-angle": Kind(arm_of, arm.truth, arm.FULL, "tip_mass"),
     "open-loop": Kind(open_loop_of, _loop_truth, loop.FULL, "none"),
     "relay": Kind(relay_of, _loop_truth, loop.FULL, "none", ("relay-fit",)),
     "gain-steps": Kind(gain_steps_of, _loop_truth, loop.FULL, "none"),

@@ -18,7 +18,7 @@ from pmabench.engine.laws.relay import Relay
 from pmabench.kinds.ultimate_gain.reduction import reduce
 from pmabench.model.plant import Plant
 from pmabench.model.presets import Overrides, preset
-from pmabench.model.signal import constant
+from pmabench.model.regulator import constant
 from pmabench.store.records import Command, TrialData
 from tests.analysis.loop_rig import TS, as_run, as_trial
 from tests.analysis.test_ultimate_gain import theory

@@ -16,7 +16,7 @@ from scipy.optimize import brentq
 from pmabench.model.muscle import Muscle
 from pmabench.model.plant import Plant
 from pmabench.model.presets import Setup, preset
-from pmabench.model.signal import Wave, constant, ramp
+from pmabench.model.regulator import Wave, constant, ramp
 from pmabench.store.records import Array, ChannelInfo, Command, RunData, TrialData
 
 RATE = 500.0

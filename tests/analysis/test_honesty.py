@@ -347,3 +347,24 @@ def test_values_without_an_interval_are_not_called_alike():
     found = compared([one, two])
     assert found.estimates == ()
     assert "not compared" in found.findings[0].text
+
+
+def test_a_stiffness_whose_interval_reaches_to_0_is_withheld_and_a_friction_or_a_time_is_not():
+    declared = (
+        Result("K", "stiffness", "stiffness", positive=True), Result("F_c", "Coulomb friction", "force", positive=True),
+        Result("t_d", "dead time", "time", positive=True), Result("x", "way", "length"),
+    )  # fmt: skip
+    values = (
+        ("K", 2e4, "N/m", "stiffness"),
+        ("F_c", 5.0, "N", "force"),
+        ("t_d", 0.02, "s", "time"),
+        ("x", 0.1, "m", "length"),
+    )
+    wide = [Estimate(*one, "any", parts=Parts(0.3 * one[1], 1.2 * one[1])) for one in values]
+    near = replace(wide[0], parts=Parts(0.3 * 2e4, 0.9 * 2e4))
+    K, *others = Analysis("any", (), simulated=False, estimates=tuple(wide), results=declared).estimates
+    assert K.withheld
+    assert "20 N/mm +- 24.7 N/mm says nothing" in K.note
+    assert "most of it is from method" in K.note
+    assert [e.value for e in others] == [5.0, 0.02, 0.1]
+    assert Analysis("any", (), simulated=False, estimates=(near,), results=declared).estimates[0].value == 2e4

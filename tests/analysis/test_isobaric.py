@@ -224,14 +224,15 @@ def test_on_a_bench_with_noise_the_gap_the_curve_and_its_slope_still_come_out(no
     assert any("the pressure is" in f.text and "higher while expanding" in f.text for f in found.findings)
 
 
-def test_the_interval_of_one_k_for_a_bent_curve_reaches_to_the_slopes_along_it(of_paper3, of_mas):
-    """Plant 5.5: -dF/dx by differences of the printed formula, anywhere within the contractions measured."""
+def test_one_k_for_a_strongly_bent_curve_is_withheld(of_paper3, of_mas):
+    """Plant 5.5: -dF/dx by the printed formula goes from less than half to more than twice its mean over the stroke."""
     K = one(of_paper3, "K", "mean-curve", pressure=5e5)
     curve = next(t for t in of_paper3.traces if t.name == "mean-curve-500000").columns["displacement"]
-    for eps in np.linspace(curve[0], curve[-1], 5) / 0.2:
-        truth = -(force(eps + 1e-6) - force(eps - 1e-6)) / 4e-7
-        assert K.ci95[0] <= truth <= K.ci95[1], eps
-    assert "bent" in K.note
+    eps = np.linspace(curve[0], curve[-1], 5) / 0.2
+    slopes = -(force(eps + 1e-6) - force(eps - 1e-6)) / 4e-7
+    assert slopes.max() > 2 * slopes.mean()
+    assert K.withheld
+    assert "the interval reaches to 0" in K.note
     straight = one(of_mas, "K", "mean-curve", pressure=2e5)
     assert straight.parts.combined < 0.01 * straight.value
 

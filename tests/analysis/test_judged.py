@@ -10,13 +10,14 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from itertools import repeat
 from os import cpu_count
 
 import numpy as np
 import pytest
 
 from pmabench.kinds.reduce import reduce_runs, verdicts
-from tests.analysis.judged import as_run
+from tests.analysis.judged import as_run, polled
 from tests.judge.campaign import CAUSES, SIZES, campaign, truth
 
 METHOD = "measured-pressure"
@@ -80,10 +81,12 @@ class Judged:
         return max((value.score for value in self.values), default=0.0)
 
 
-def judged(asked: tuple[str, float, int]) -> Judged:
-    """The reduction of a campaign (cause, size, seed) against its truth."""
+def judged(asked: tuple[str, float, int], scatter: float = 0.0) -> Judged:
+    """The reduction of a campaign (cause, size, seed) against its truth; polled, with a scatter of times [s]."""
     cause, size, seed = asked
     run = as_run(campaign(cause, size, seed))
+    if scatter:
+        run = polled(run, scatter, seed)
     analyses = reduce_runs([run])
     right = truth(cause, size)
     values, withheld = [], 0
@@ -101,9 +104,9 @@ def judged(asked: tuple[str, float, int]) -> Judged:
     return Judged(cause, size, seed, tuple(verdicts([run], analyses)), tuple(values), withheld)
 
 
-def studied(asked: Sequence[tuple[str, float, int]]) -> list[Judged]:
+def studied(asked: Sequence[tuple[str, float, int]], scatter: float = 0.0) -> list[Judged]:
     with ProcessPoolExecutor(cpu_count()) as executor:
-        return list(executor.map(judged, asked, chunksize=4))
+        return list(executor.map(judged, asked, repeat(scatter), chunksize=4))
 
 
 def accepted(found: Iterable[Judged]) -> list[Value]:
@@ -174,6 +177,31 @@ def test_clean_campaigns_stay_accepted_and_their_intervals_narrow():
     for (symbol, P), before in MEDIAN_HALVES.items():
         halves = [v.half for one in found for v in one.values if (v.symbol, v.pressure) == (symbol, P)]
         assert 100 * float(np.median(halves)) <= WIDER * before, f"{symbol} at {P / 1e3:g} kPa"
+
+
+@pytest.mark.study
+@pytest.mark.timeout(3600)
+@pytest.mark.parametrize("scatter", [1e-3, 2e-3])
+def test_the_same_holds_where_a_computer_polls_the_devices(scatter: float):
+    asked = [(cause, size, seed) for cause in CAUSES for size in SIZES for seed in range(SEEDS // 4)]
+    found = studied(asked, scatter)
+    sound = studied([("clean", 1.0, seed) for seed in range(SEEDS)], scatter)
+    print(f"\nsamples up to {1e3 * scatter:g} ms from their stamps\n{table(found)}\n{table(sound)}")
+    assert [one.seed for one in sound if one.why or one.withheld] == []
+    assert far([*found, *sound]) == []
+    assert share(accepted([*found, *sound])) >= COVERED
+
+
+@pytest.mark.slow
+def test_times_that_scatter_hide_no_drift_and_are_no_fault():
+    """A drift was taken for clocks that are late; polled devices were withheld for their times."""
+    sound, drifted, bent = (
+        judged((*asked, 100), 1e-3) for asked in (("clean", 1.0), ("cell-drift", 0.5), ("bend", 0.5))
+    )
+    assert (sound.why, sound.withheld) == ((), 0)
+    assert sound.worst < FAR
+    assert drifted.why
+    assert bent.why
 
 
 @pytest.mark.slow

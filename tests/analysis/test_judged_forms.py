@@ -19,13 +19,13 @@ FAR = 2.0
 """Half widths from the truth at which a value is a confident wrong number."""
 COVERED = 0.93
 CLEAN_WITHHELD = 0.02
-SEEDS = {"free-contraction": 16, "isometric-pressurisation": 16, "step-displacement": 8, "gain-steps": 4, "relay": 4}
+SEEDS = {
+    "free-contraction": 16, "isometric-pressurisation": 16, "step-displacement": 8, "gain-steps": 4, "relay": 4,
+    "closed-volume": 2, "recorded-sine": 3, "recorded-step": 1, "arm-angle": 2,
+}  # fmt: skip
 """Sound campaigns in CI; open-loop steps take longer and are a study, and `test_open_loop` has some."""
 STUDIED = 34
 """Campaigns of each cause and size."""
-UNSEEN = ("step-displacement", "force-lag")
-"""No channel shows a filter of the cell here: forces at the peak are too small by it (docs/uncertainty.md), and are not
-judged."""
 Found = tuple[list[Value], list[str]]
 
 
@@ -70,6 +70,18 @@ def test_values_of_sound_tests_hold_the_truth_and_nothing_is_withheld(kind: str,
         ("isometric-pressurisation", "slip", 1.0, "a mount that slips"),
         ("isometric-pressurisation", "bend-x", 1.0, "the force over contraction is bent"),
         ("isometric-pressurisation", "force-lag", 1.0, "the force comes"),
+        ("closed-volume", "slow-heat", 1.0, "the air is not at the temperature of the wall"),
+        ("closed-volume", "sensor-lag", 1.0, "on the way there the volume is up to"),
+        ("closed-volume", "other-room", 1.0, "Read a barometer"),
+        ("recorded-sine", "clipped", 1.0, "displacement is cut off"),
+        ("recorded-sine", "start-up", 1.0, "from the first cycle to the last"),
+        ("recorded-sine", "friction", 1.0, "the loop is no ellipse"),
+        ("recorded-step", "creep", 1.0, "the contraction is not at rest"),
+        ("recorded-step", "friction", 0.5, "dry friction holds it"),
+        ("recorded-step", "bend", 1.0, "outside of its range"),
+        ("arm-angle", "creep", 1.0, "the angle is not at rest"),
+        ("arm-angle", "slip", 1.0, "a cable or a mount slips"),
+        ("arm-angle", "other-curve", 1.0, "it is another curve"),
         ("step-displacement", "creep", 1.0, "the force is not at rest"),
         ("step-displacement", "two-times", 1.0, "it is not one exponential"),
         ("step-displacement", "cell-drift", 1.0, "the force is not at rest"),
@@ -81,14 +93,29 @@ def test_a_departure_is_seen_with_its_reason_and_no_other_value_is_wrong(kind: s
     assert far(values) == []
 
 
-@pytest.mark.parametrize(("cause", "size"), [("creep", 1.0), ("zero-drift", 0.5), ("slip", 0.25)])
-def test_lengths_hold_what_still_moves_and_what_was_left(cause: str, size: float):
-    values, _ = judged("free-contraction", cause, size, 100)
+@pytest.mark.parametrize(
+    ("kind", "cause", "size"),
+    [
+        ("free-contraction", "creep", 1.0),
+        ("free-contraction", "zero-drift", 0.5),
+        ("free-contraction", "slip", 0.25),
+        ("closed-volume", "leak-changes", 1.0),
+        ("closed-volume", "cooling", 1.0),
+        ("recorded-sine", "drift", 1.0),
+        ("recorded-sine", "late", 1.0),
+        ("step-displacement", "force-lag", 1.0),
+        ("recorded-sine", "other-frequency", 1.0),
+    ],
+)
+def test_intervals_hold_what_a_small_departure_does(kind: str, cause: str, size: float):
+    values, _ = judged(kind, cause, size, 100)
+    assert len(values) > 0
     assert far(values) == []
     assert covered(values) >= COVERED
 
 
 @pytest.mark.study
+@pytest.mark.timeout(7200)
 @pytest.mark.parametrize("kind", KINDS)
 def test_accepted_values_hold_the_truth_whatever_is_wrong(kind: str):
     everything: list[Value] = []
@@ -97,7 +124,7 @@ def test_accepted_values_hold_the_truth_whatever_is_wrong(kind: str):
         for size in SIZES if cause != "clean" else (1.0,):
             found = studied(kind, cause, size, range(1000, 1000 + (3 if cause == "clean" else 1) * STUDIED))
             clean = found if cause == "clean" else clean
-            values = [v for v in all_of(found) if (kind, cause) != UNSEEN or "peak" not in v.name]
+            values = all_of(found)
             everything += values
             withheld = sum(bool(reasons) for _, reasons in found)
             worst = max((value.score for value in values), default=0.0)

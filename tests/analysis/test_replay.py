@@ -11,8 +11,7 @@ from pmabench.kinds.contraction_relaxation.pooled import Fit
 from pmabench.model.curve import Curve
 from pmabench.model.muscle import Friction, Muscle
 from pmabench.model.plant import Plant
-from pmabench.model.regulator import Regulator
-from pmabench.model.signal import constant
+from pmabench.model.regulator import Regulator, constant
 
 KNOTS = np.array([0.0, 200e3, 400e3, 600e3])
 VALUES = {

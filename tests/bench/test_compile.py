@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from pmabench.base.errors import InvalidFile
-from pmabench.bench.calibration import fit_line
+from pmabench.bench.channels import fit_line
 from pmabench.bench.compile import mount
 from pmabench.bench.interface import CompiledBench
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pmabench.bench.loads import Stack
+from pmabench.bench.session import Stack
 
 PLATES = st.lists(st.tuples(st.integers(1, 3), st.sampled_from([0.25, 0.5, 1.0, 1.25, 2.5, 4.9, 5.0])), max_size=4)
 

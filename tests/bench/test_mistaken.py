@@ -8,7 +8,7 @@ import pytest
 from click.testing import CliRunner
 
 from pmabench.bench.compile import mount
-from pmabench.bench.mistaken import LOOKED_AT, SIMULATED
+from pmabench.bench.remarks import LOOKED_AT, SIMULATED
 from pmabench.cli.main import main
 from pmabench.model.presets import PLANTS, preset
 

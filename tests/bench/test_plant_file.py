@@ -15,11 +15,10 @@ from ruamel.yaml import YAML
 
 from pmabench.base.errors import InvalidFile
 from pmabench.bench.compile import mount
+from pmabench.bench.interface import device_from
 from pmabench.bench.plant import read_plant
-from pmabench.bench.records import device_from
-from pmabench.model.plant_file import setup_of
-from pmabench.model.presets import changed, preset
-from pmabench.model.signal import constant
+from pmabench.model.presets import changed, preset, setup_of
+from pmabench.model.regulator import constant
 from tests.bench.benches import BENCHES, ROOT, SPECIMEN
 
 PLANTS = ROOT / "fixtures" / "plants"

@@ -2,8 +2,8 @@
 
 import pytest
 
+from pmabench.bench.card import failure_story
 from pmabench.bench.compile import mount, mount_alone
-from pmabench.bench.story import failure_story
 from tests.bench.benches import BENCHES, SPECIMEN, rig
 
 NO_DUMP = "outputs: {dump_valve: {energised: open}}\n"

@@ -16,10 +16,9 @@ import can
 import canopen
 import cantools
 from pmabench_drivers.canbus import frames as f
-from pmabench_drivers.canbus.dbc import read_dbc
-from pmabench_drivers.canbus.link import Link, PythonCan, open_adapter
-from pmabench_drivers.canbus.sdo import Objects
-from pmabench_drivers.canbus.slcan import Slcan
+from pmabench_drivers.canbus.link import Link, PythonCan, Slcan, open_adapter
+from pmabench_drivers.canbus.node import Objects
+from pmabench_drivers.canbus.options import read_dbc
 
 from pmabench.base.clock import RealClock
 from tests.drivers.can.rigs import rig

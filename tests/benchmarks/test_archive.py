@@ -19,7 +19,7 @@ from pmabench.analysis.many import Processes
 from pmabench.kinds.recorded_step.reduction import SHIFTS, fit_motion
 from pmabench.report.many.many import process_many
 from pmabench.report.many.many_table import write_table
-from pmabench.store.below import tasks_below
+from pmabench.store.catalogue import tasks_below
 from tests.benchmarks.archive import AT, LATE, SCALES, write_run
 
 RUNS = int(os.environ.get("ARCHIVE_RUNS", "2000"))

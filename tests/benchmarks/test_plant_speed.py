@@ -10,7 +10,7 @@ from pmabench.model.driven import Actuator
 from pmabench.model.overrides import Overrides
 from pmabench.model.plant import Plant
 from pmabench.model.presets import preset
-from pmabench.model.signal import constant, ramp, sine
+from pmabench.model.regulator import constant, ramp, sine
 from tests.benchmarks.least import least
 
 LEVELS = (200e3, 400e3, 300e3, 0.0)

@@ -7,9 +7,9 @@ knows no rest. Work is processor time, so that what else the machine does counts
 import numpy as np
 import pytest
 
-from pmabench.model import slip
+from pmabench.model import plant as module
 from pmabench.model.plant import STEP
-from pmabench.model.signal import constant
+from pmabench.model.regulator import constant
 from tests.benchmarks.least import least
 from tests.benchmarks.test_plant_speed import ALOFT, levels, peer, plant
 
@@ -63,8 +63,8 @@ def test_work_and_precision_beside_solve_ivp(request, monkeypatch):
     reference = peer(8.0, "DOP853", 1e-12, 1e-15)
     rows = []
     for rtol in (1e-5, 1e-6, 1e-7, 1e-9) if timed else (1e-7,):
-        monkeypatch.setattr(slip, "RELATIVE", rtol)
-        monkeypatch.setattr(slip, "ABSOLUTE", rtol * 5e-2)
+        monkeypatch.setattr(module, "RELATIVE", rtol)
+        monkeypatch.setattr(module, "ABSOLUTE", rtol * 5e-2)
         rows.append((f"plant{' (as shipped)' if rtol == 1e-7 else ''}", rtol, *least(lambda: ours(8.0))))
     for method in ("LSODA", "RK45"):
         for rtol in (1e-4, 1e-6, 1e-8) if timed else (1e-6,):

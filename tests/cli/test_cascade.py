@@ -22,7 +22,7 @@ from pmabench.cli.common import Ui
 from pmabench.cli.main import main
 from pmabench.model import cascade
 from pmabench.model.cascade import PrintedMuscle, Step, simulate
-from pmabench.model.outline import quadratic
+from pmabench.model.muscle import quadratic
 from pmabench.protocol.cascade import read_cascade
 from pmabench.report.cascade.cascade_drawing import Scene, moments_of, snapshots
 from pmabench.report.cascade.cascade_page import frame_rows

@@ -7,7 +7,7 @@ import pytest
 from click.testing import CliRunner
 
 from pmabench.cli.main import main
-from pmabench.store.importers import warm
+from pmabench.store.importers import apart
 from tests.store.plausible_files import damaged, isometric
 
 MAP = """\
@@ -30,7 +30,7 @@ analysis: {force_above: 20 N}
 @pytest.fixture(autouse=True, scope="module")
 def no_child_stays():
     yield
-    warm.close_readers()
+    apart.close_readers()
 
 
 def call(*args, code=0):

@@ -14,9 +14,10 @@ from pmabench.report.files.csv_files import csv_text
 from pmabench.report.many.many import process_many
 from pmabench.report.many.many_table import table_rows
 from pmabench.report.many.processed import process_one
+from pmabench.store.analyses import made_from
 from pmabench.store.analyses.folder import runs_of
-from pmabench.store.below import tasks_below
-from pmabench.store.fingerprint import fingerprint
+from pmabench.store.catalogue import tasks_below
+from pmabench.store.since import fingerprint
 from tests.benchmarks.archive import stiffness_and_damping, write_run
 from tests.store.runs import closed
 
@@ -91,7 +92,7 @@ def test_one_run_named_alone_gives_the_same_analysis(archive, tmp_path):
     lab, _ = archive
     run = next((lab / "runs" / "2018").iterdir())
     call("process", run, "--out", tmp_path / "alone")
-    (each,) = (lab / "analyses" / "each" / "2018" / run.name).iterdir()
+    (each,) = (lab / "analyses" / "each" / "2018" / run.name).glob("*/")
     assert runs_of(each) == [run]
     alone = (tmp_path / "alone" / "recorded-step" / "analysis.json").read_bytes()
     assert alone == (lab / "analyses" / "each" / "2018" / run.name / "recorded-step" / "analysis.json").read_bytes()
@@ -146,8 +147,14 @@ def test_only_what_changed_is_computed_again(lab, monkeypatch):
     assert worked == [place]
 
     worked.clear()
-    monkeypatch.setattr(pmabench.report.many.many, "program", lambda: "another version")
+    monkeypatch.setattr(made_from, "program", lambda: "another version")
     call("process", lab / "runs", code=6)
+    assert len(worked) == RUNS
+
+    worked.clear()
+    call("process", lab / "runs", code=6)
+    assert worked == []
+    call("process", lab / "runs", "--fresh", code=6)
     assert len(worked) == RUNS
 
 

@@ -14,8 +14,7 @@ from pmabench.cli.main import main
 from pmabench.report.document.content import content_of
 from pmabench.report.document.html import render
 from pmabench.store.analyses.folder import read_analysis
-from pmabench.store.reader import open_run
-from pmabench.store.recalibration import NewScale, Recalibration, refound
+from pmabench.store.reader import NewScale, Recalibration, open_run, refound
 from tests.benchmarks.archive import write_run
 from tests.store.runs import closed
 

@@ -12,7 +12,7 @@ from click.testing import CliRunner
 
 from pmabench.cli.main import main
 from pmabench.conformance import PASSED, run
-from pmabench.conformance.damage import KINDS, Hostile
+from pmabench.conformance.relay import KINDS, Hostile
 from pmabench.conformance.suite import CHECKS, HOSTILE
 from tests.conformance import EXAMPLE_FOLDER as EXAMPLE
 from tests.conformance.mutants import EXAMPLE_DRIVER as DRIVER

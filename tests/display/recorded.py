@@ -5,7 +5,7 @@ from dataclasses import asdict
 
 import numpy as np
 
-from pmabench.bench.records import ChannelRecord, Scale
+from pmabench.bench.interface import ChannelRecord, Scale
 from pmabench.store.records import Flag
 from pmabench.store.writer import RunWriter
 

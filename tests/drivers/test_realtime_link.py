@@ -14,8 +14,7 @@ from pathlib import Path
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from pmabench_drivers.mock.client import MockClient
-from pmabench_drivers.mock.wire import Inbox, Link, encode, parse_address
+from pmabench_drivers.mock.client import Inbox, Link, MockClient, encode, parse_address
 
 from pmabench.base.clock import RealClock, VirtualClock
 from pmabench.base.errors import DeviceError
@@ -114,7 +113,7 @@ def test_the_plant_outlives_who_started_it_and_ends_when_nobody_comes(tmp_path):
     code = (
         "import json, os, sys, signal\n"
         "from pmabench.base.clock import RealClock\n"
-        "from pmabench.bench.records import device_from\n"
+        "from pmabench.bench.interface import device_from\n"
         "from pmabench_drivers.mock.client import MockClient\n"
         "client = MockClient(device_from(json.load(sys.stdin)), RealClock())\n"
         "client.open()\n"

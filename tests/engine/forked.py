@@ -97,7 +97,7 @@ class _Hands:
 
 def _child(job: Mapping[str, Any], mount: Any) -> int:
     from pmabench.base.errors import PmaError, RecordError
-    from pmabench.bench.records import CompiledBench
+    from pmabench.bench.interface import CompiledBench
     from pmabench.engine.run import run_plan
     from pmabench.store import writer
     from tests.engine.realtime_rig import plan_of

@@ -17,8 +17,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from pmabench.bench.interface import Block, Identity
-from pmabench.bench.records import ChannelRecord, CompiledBench, DeviceRecord, Scale
+from pmabench.bench.interface import Block, ChannelRecord, CompiledBench, DeviceRecord, Identity, Scale
 from pmabench.protocol.plan import Ask, Follow, Hold, Plan, Ramp, Record, Set, WaitUntil
 from tests.engine.benches import STEPS, mounted, plan
 from tests.engine.forked import Forks

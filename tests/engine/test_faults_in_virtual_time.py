@@ -163,7 +163,7 @@ def test_a_controlled_stop_is_no_burst_and_no_following_error(commands):
 
 def test_the_proof_test_is_no_burst():
     made = limited(limit("burst", high=10e3, window=0.2), name="mock")
-    from pmabench.bench.records import ProofTest
+    from pmabench.bench.interface import ProofTest
 
     made = replace(made, bench=replace(made.bench, proof=ProofTest(80e3, 20e3, 3.0)))
     outcome = execute(made, (Set("h", "pressure", 2e5), Hold("h", 1.0)))

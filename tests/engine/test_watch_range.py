@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from pmabench.bench.records import TripRecord
+from pmabench.bench.interface import TripRecord
 from pmabench.engine.watch import Watch
 
 PERIOD = 0.002

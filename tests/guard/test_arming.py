@@ -8,8 +8,7 @@ import pytest
 
 from pmabench.base.clock import VirtualClock
 from pmabench.base.errors import DeviceError, LimitRefused
-from pmabench.bench.interface import CompiledBench, DeviceRecord, SafeAction, Scale, TripRecord
-from pmabench.bench.records import ProofTest
+from pmabench.bench.interface import CompiledBench, DeviceRecord, ProofTest, SafeAction, Scale, TripRecord
 from pmabench.guard.guard import Guard, State
 from tests.guard.rig import BENCH, DEVICE, DRIVE, OUTPUT, SAFE, Plain, Rig, armed, bench, opened
 

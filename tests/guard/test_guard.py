@@ -9,15 +9,7 @@ from hypothesis import strategies as st
 
 from pmabench.base.clock import VirtualClock
 from pmabench.base.errors import DeviceError, LimitRefused
-from pmabench.bench.interface import (
-    CompiledBench,
-    DeviceRecord,
-    Identity,
-    OutputRecord,
-    SafeAction,
-    Scale,
-    TripRecord,
-)
+from pmabench.bench.interface import CompiledBench, DeviceRecord, Identity, OutputRecord, SafeAction, Scale, TripRecord
 from pmabench.guard.guard import Guard, State
 
 

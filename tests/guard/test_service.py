@@ -60,7 +60,7 @@ def test_an_engine_is_served_and_leaves():
 
 
 def test_before_the_proof_is_released_only_low_pressure_passes_here_too():
-    from pmabench.bench.records import ProofTest
+    from pmabench.bench.interface import ProofTest
 
     with Serving(bench(proof=ProofTest(50e3, 20e3, 1.0))) as serving:
         link = serving.link()

@@ -10,7 +10,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 OURS = {
     "pmabench", "pmabench.base", "pmabench.base.clock", "pmabench.base.errors", "pmabench.base.quantities",
-    "pmabench.base.system", "pmabench.bench", "pmabench.bench.interface", "pmabench.bench.records", "pmabench.guard",
+    "pmabench.base.system", "pmabench.bench", "pmabench.bench.interface", "pmabench.guard",
     "pmabench.guard.course", "pmabench.guard.guard", "pmabench.guard.limits", "pmabench.guard.links",
     "pmabench.guard.owner", "pmabench.guard.process", "pmabench.guard.safe", "pmabench.guard.station", "pmabench.guard.supervision",
     "pmabench.guard.wire",

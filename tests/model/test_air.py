@@ -10,7 +10,7 @@ from pmabench.model.driven import Actuator
 from pmabench.model.library import MODELS
 from pmabench.model.overrides import Overrides
 from pmabench.model.presets import preset
-from pmabench.model.signal import Wave, constant, ramp, sine
+from pmabench.model.regulator import Wave, constant, ramp, sine
 
 LOW, MIDDLE, HALF = -6e-3, 17e-3, 23e-3
 

@@ -15,7 +15,7 @@ from pmabench.kinds.compile import make_plan
 from pmabench.model.driven import Actuator
 from pmabench.model.overrides import Overrides
 from pmabench.model.presets import preset
-from pmabench.model.signal import constant
+from pmabench.model.regulator import constant
 from tests.engine.benches import ROOT
 
 M = np.array(

@@ -7,12 +7,11 @@ import pytest
 from scipy.optimize import linprog
 
 from pmabench.model.cascade import PlantMuscle, PrintedMuscle, Step, simulate
-from pmabench.model.chain_force import held_force
 from pmabench.model.library import MODELS
-from pmabench.model.outline import body_radius, outline, quadratic
+from pmabench.model.muscle import body_radius, held_force, outline, quadratic
 from pmabench.model.plant import Plant
 from pmabench.model.presets import preset
-from pmabench.model.signal import constant
+from pmabench.model.regulator import constant
 
 ON_OFF = [Step(0.0, 6e5), Step(10.0, 0.0)]
 

@@ -8,7 +8,7 @@ from pmabench.model.driven import Actuator
 from pmabench.model.library import MODELS
 from pmabench.model.overrides import Overrides
 from pmabench.model.presets import CONTRACTORS, preset
-from pmabench.model.signal import constant, ramp
+from pmabench.model.regulator import constant, ramp
 
 CONTRACTION = {
     "contractor-15": (26.8, 32.2, 34.1, 35.9),

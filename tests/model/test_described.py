@@ -8,11 +8,9 @@ import pytest
 
 from pmabench.bench.plant import read_plant
 from pmabench.model.curve import Curve
-from pmabench.model.described import Described
 from pmabench.model.muscle import Friction, Muscle
-from pmabench.model.plant_file import setup_of
-from pmabench.model.presets import KINDS, MUSCLES, changed, preset
-from pmabench.model.signal import constant
+from pmabench.model.presets import KINDS, MUSCLES, Described, changed, preset, setup_of
+from pmabench.model.regulator import constant
 
 FILES = sorted((Path(__file__).parents[2] / "fixtures" / "plants").glob("*.yaml"))
 

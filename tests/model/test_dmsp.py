@@ -5,7 +5,7 @@ import pytest
 
 from pmabench.model.overrides import Overrides
 from pmabench.model.presets import preset
-from pmabench.model.signal import constant
+from pmabench.model.regulator import constant
 
 BARS = (1, 2, 3, 4, 5, 6)
 X0 = (33.0, 57.0, 65.9, 70.9, 73.9, 76.3)

@@ -8,7 +8,7 @@ import pytest
 from pmabench.model.driven import Actuator, DrivenPlant
 from pmabench.model.overrides import Overrides
 from pmabench.model.presets import preset
-from pmabench.model.signal import constant, ramp, sine
+from pmabench.model.regulator import constant, ramp, sine
 
 
 def driven(kind="ideal", pressure=300e3, actuator=None, **changes):

@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 from pmabench.model.driven import Actuator
 from pmabench.model.overrides import Overrides
 from pmabench.model.presets import preset
-from pmabench.model.signal import constant, ramp, sine
+from pmabench.model.regulator import constant, ramp, sine
 
 MICROMETRE = 1e-6
 DEAD, W, ZETA = 0.04, 2 * math.pi * 2.5, 0.9

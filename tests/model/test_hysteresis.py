@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from pmabench.model.hysteresis import Branch, Hysteresis, turns
-from pmabench.model.library.friction import hysteresis_path
-from pmabench.model.regulator import Regulated, Regulator, Trace, lagged
-from pmabench.model.signal import Wave, constant, ramp, sine
+from pmabench.model.regulator import Regulated, Regulator, Trace, Wave, constant, lagged, ramp, sine
+from tests.model.hysteresis_path import hysteresis_path
 
 LOOP = Hysteresis(30.0, 1.2e-3)
 

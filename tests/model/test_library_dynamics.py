@@ -9,11 +9,10 @@ from scipy.signal import lti, step
 
 from pmabench.model.driven import Actuator, DrivenPlant
 from pmabench.model.library import MODELS, OutsideDomain
-from pmabench.model.library.friction import hysteresis_path
 from pmabench.model.plant import Plant
 from pmabench.model.presets import preset
-from pmabench.model.regulator import Regulated, Regulator
-from pmabench.model.signal import constant, sine
+from pmabench.model.regulator import Regulated, Regulator, constant, sine
+from tests.model.hysteresis_path import hysteresis_path
 
 
 def value(name, output, **given):

@@ -11,7 +11,7 @@ from pmabench.model.muscle import Friction
 from pmabench.model.overrides import Overrides
 from pmabench.model.plant import Plant
 from pmabench.model.presets import preset
-from pmabench.model.signal import constant, ramp, sine
+from pmabench.model.regulator import constant, ramp, sine
 
 LOADS = [58.86 + 49.05 * i for i in range(10)]
 

@@ -11,8 +11,7 @@ from scipy.integrate import solve_ivp
 from pmabench.model.library import MODELS
 from pmabench.model.overrides import Overrides
 from pmabench.model.presets import preset
-from pmabench.model.regulator import Regulated, Regulator, Trace, answer, swung
-from pmabench.model.signal import Wave, constant, ramp, sine
+from pmabench.model.regulator import Regulated, Regulator, Trace, Wave, answer, constant, ramp, sine, swung
 
 
 def test_a_step_arrives_after_the_dead_time_exactly_at_that_sample():

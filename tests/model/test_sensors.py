@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pmabench.model.sensors import Noise, NoiseSource
+from pmabench.model.motion import Noise, NoiseSource
 
 
 def test_noise_is_standard_normal_and_white():

@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from pmabench.model.muscle import Friction
-from pmabench.model.slip import glide
+from pmabench.model.plant import glide
 
 STICTION = Friction(F_s=10.0, F_c=6.0, speed=1e-3)
 STICKY = Friction(F_s=40.0, F_c=8.0, speed=1e-3)

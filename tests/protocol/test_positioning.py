@@ -246,7 +246,7 @@ def test_a_fitted_model_is_carried_as_numbers_with_its_source(tmp_path):
     assert told["domain"] == [2e5, 3e5]
     assert told["friction"] == {"F_s": 6.0, "F_c": 6.0, "speed": 1e-3}
     assert (told["regulator"]["dead_time"], told["regulator"]["lag"]) == (0.04, 0.0955)
-    from pmabench.model.described import Described
+    from pmabench.model.presets import Described
 
     muscle = Described.of(told).muscle
     assert muscle.K(2.5e5) == pytest.approx(6480.5)
@@ -272,7 +272,7 @@ def test_a_plant_file_is_a_model_too_and_is_carried_as_numbers(tmp_path):
         assert told["source"].startswith(f"plant file {path}, {kind.strip() or 'ideal'}: ")
         assert (told["friction"]["F_s"], told["regulator"]["lag"]) == (friction, lag)
         assert told["domain"] == [0.0, 6e5]
-        from pmabench.model.described import Described
+        from pmabench.model.presets import Described
 
         assert Described.of(told).muscle.K(3e5) == pytest.approx(1e3 * (5.6 + 0.3 + 0.873))
     path.write_text(path.read_text().replace("K:", "K: -1 N/mm  #"))

@@ -80,7 +80,7 @@ BUGS = (
     ),
     Bug(
         "the first attempt stands instead of the last",
-        "pmabench/store/trials.py",
+        "pmabench/store/records.py",
         "number != last[trial.index]",
         "number == last[trial.index] and trial.attempt > 1",
         ("tests/store/test_chain.py",),
@@ -101,7 +101,7 @@ BUGS = (
     ),
     Bug(
         "a FIFO in a run folder is opened",
-        "pmabench/store/regular.py",
+        "pmabench/store/folder.py",
         "    _refuse(path.lstat().st_mode)  # before it is opened: opening a device may already do something\n",
         "    return path.open('rb')\n",
         ("tests/store/test_since.py",),

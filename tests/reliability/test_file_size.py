@@ -7,7 +7,7 @@ import pytest
 from pmabench.base.errors import RecordError
 from pmabench.store.folder import MANIFEST, read_seal
 from pmabench.store.reader import open_run
-from pmabench.store.room import FOR_SEAL
+from pmabench.store.seal import FOR_SEAL
 from tests.reliability.cases import cases
 from tests.reliability.test_disk_faults import what_is_wrong
 from tests.store.runs import begin, block

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pmabench.base.errors import RecordError, UsageError, VerdictFailed
-from pmabench.bench.calibration import read_calibration
+from pmabench.bench.channels import read_calibration
 from pmabench.bench.interface import Scale
 from pmabench.engine.operator import ConfirmedBeforehand, Nobody
 from pmabench.session.calibration import Request, calibrate, uncovered

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pmabench.store.importers import warm
+from pmabench.store.importers import apart
 from tests.importing import import_files
 
 NAMES = ("t_s", "pressure_kPa", "force_N", "disp_mm", "set_kPa", "supply_kPa", "temp", "flow", "volt", "aux")
@@ -68,10 +68,10 @@ def main() -> None:
     path, out = Path(sys.argv[1]), Path(sys.argv[2])
     begin, wall = time.process_time(), time.perf_counter()
     (run,) = import_files([path], path.with_suffix(".yaml"), out)
-    child = warm._children["text"].process.pid
+    child = apart._children["text"].process.pid
     memory, of_child = _largest(os.getpid()), _largest(child)
     wall = time.perf_counter() - wall
-    warm.close_readers()
+    apart.close_readers()
     reader = resource.getrusage(resource.RUSAGE_CHILDREN)
     cpu = time.process_time() - begin + reader.ru_utime + reader.ru_stime
     told = {"rows": run.rows, "trials": run.trials, "cpu": cpu, "wall": wall, "memory": memory, "of_child": of_child}

@@ -9,10 +9,9 @@ from pmabench.base.errors import InvalidFile, RecordError
 from pmabench.cli.process import load_runs
 from pmabench.store.catalogue import catalogue
 from pmabench.store.chain import continued, finished_trials, open_chain, open_chains
-from pmabench.store.folder import open_json, sealed_json
+from pmabench.store.folder import open_json, sealed_json, sha256_of
 from pmabench.store.notes import add_note
 from pmabench.store.reader import open_run
-from pmabench.store.regular import sha256_of
 from pmabench.store.verify import verify
 from tests.cli.test_cli import call
 from tests.store.runs import RATE, begin, block, die

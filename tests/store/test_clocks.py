@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from pmabench.store.clocks import PRIOR_DRIFT, fit_clock, stamped
 from pmabench.store.reader import open_run, read_stream
+from pmabench.store.timebase import PRIOR_DRIFT, fit_clock, stamped
 from pmabench.store.verify import verify
 from tests.reliability.cases import cases
 from tests.store.runs import COLUMNS, begin

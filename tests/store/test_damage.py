@@ -7,7 +7,7 @@ import pytest
 
 from pmabench.base.errors import InvalidFile
 from pmabench.store.arrow import pa
-from pmabench.store.journal import decode
+from pmabench.store.folder import decode_lines
 from pmabench.store.livestream import LiveReader
 from pmabench.store.notes import add_note
 from pmabench.store.reader import open_run, read_stream
@@ -74,16 +74,16 @@ def test_a_live_stream_with_zeroed_or_foreign_pages_gives_no_wrong_number(live):
 
 def test_events_cut_or_altered_anywhere_give_whole_lines_only(live):
     _, raw = live
-    truth = decode(raw)
+    truth = decode_lines(raw)
     assert (len(truth.lines), truth.fault) == (11, "")
     for length in range(len(raw)):
-        lines = decode(raw[:length]).lines
+        lines = decode_lines(raw[:length]).lines
         assert lines == truth.lines[: len(lines)]
     rng = random.Random(9)
     for _ in range(1500):
         damaged = bytearray(raw)
         damaged[rng.randrange(len(raw))] ^= 1 << rng.randrange(8)
-        journal = decode(bytes(damaged))
+        journal = decode_lines(bytes(damaged))
         assert journal.lines == truth.lines[: len(journal.lines)]
         assert journal.fault
 
@@ -91,7 +91,7 @@ def test_events_cut_or_altered_anywhere_give_whole_lines_only(live):
 @pytest.mark.parametrize("change", [lambda a, b, c: [a, c], lambda a, b, c: [b, a, c], lambda a, b, c: [a, a, b, c]])
 def test_a_missing_moved_or_doubled_event_is_found(live, change):
     first, second, third, *_ = live[1].splitlines(keepends=True)
-    journal = decode(b"".join(change(first, second, third)))
+    journal = decode_lines(b"".join(change(first, second, third)))
     assert journal.fault
     assert len(journal.lines) <= 1
 

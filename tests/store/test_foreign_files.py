@@ -18,7 +18,7 @@ import pytest
 from click.testing import CliRunner
 
 from pmabench.cli.main import main
-from pmabench.store.importers import warm
+from pmabench.store.importers import apart
 from pmabench.store.reader import open_run
 from pmabench.store.records import TrialData
 from tests.store.foreign.case import CONTRACTION, NAME, RATE, SLOPE, Case, Measured, clean, plain
@@ -39,7 +39,7 @@ THRESHOLD = 'force_above: "??'
 @pytest.fixture(autouse=True, scope="module")
 def no_child_stays():
     yield
-    warm.close_readers()
+    apart.close_readers()
 
 
 @dataclass(frozen=True)

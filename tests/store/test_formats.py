@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from openpyxl import Workbook
 
-from pmabench.store.formats.registry import format_of, formats
+from pmabench.store.formats.record import format_of, formats
 from pmabench.store.reader import open_run
 
 ROOT = Path(__file__).resolve().parents[2]

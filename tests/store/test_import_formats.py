@@ -15,8 +15,8 @@ from click.testing import CliRunner
 from pmabench.base.errors import InvalidFile
 from pmabench.cli.main import main
 from pmabench.store.formats.lvm import read_lvm
-from pmabench.store.importers import warm
-from pmabench.store.importers.warm import ReaderMissing, read_apart
+from pmabench.store.importers import apart
+from pmabench.store.importers.apart import ReaderMissing, read_apart
 from pmabench.store.reader import open_run
 from tests import fixtures_foreign as made
 from tests.importing import import_files, read_map
@@ -46,7 +46,7 @@ COLUMNS = {
 @pytest.fixture(autouse=True, scope="module")
 def no_child_stays():
     yield
-    warm.close_readers()
+    apart.close_readers()
 
 
 def read(kind, content, wanted=None):
@@ -223,18 +223,18 @@ def test_a_link_to_another_file_is_not_followed(tmp_path):
 def test_a_reader_that_crashes_or_is_killed_is_replaced(monkeypatch):
     content = (OLD / "foreign" / "one.lvm").read_bytes()
     read("lvm", content)
-    first = warm._children["lvm"].process.pid
+    first = apart._children["lvm"].process.pid
     os.kill(first, signal.SIGSTOP)
-    monkeypatch.setattr(warm, "START", 0.2)
-    monkeypatch.setattr(warm, "WALL", 0.0)
+    monkeypatch.setattr(apart, "START", 0.2)
+    monkeypatch.setattr(apart, "WALL", 0.0)
     assert "made its reader end (SIGKILL)" in refused("lvm", content)
     monkeypatch.undo()
     assert read("lvm", content).columns
-    second = warm._children["lvm"].process.pid
+    second = apart._children["lvm"].process.pid
     os.kill(second, signal.SIGSEGV)
-    warm._children["lvm"].process.wait(10)
+    apart._children["lvm"].process.wait(10)
     assert read("lvm", content).columns
-    assert len({first, second, warm._children["lvm"].process.pid}) == 3
+    assert len({first, second, apart._children["lvm"].process.pid}) == 3
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGPROF"), reason="not run: no signals")
@@ -242,13 +242,13 @@ def test_what_takes_too_long_ends_by_its_seconds_of_cpu():
     code = "from pmabench.base.system import end_after_cpu\nend_after_cpu(0.05)\nwhile True: pass"
     ended = subprocess.run([sys.executable, "-c", code], timeout=60, check=False)
     assert ended.returncode == -signal.SIGPROF
-    assert "more than 2.0 s of CPU" in warm._why(ended.returncode, 1000)
+    assert "more than 2.0 s of CPU" in apart._why(ended.returncode, 1000)
 
 
 def test_a_package_that_is_not_installed_is_named_with_the_remedy(tmp_path, monkeypatch):
     (tmp_path / "h5py.py").write_text("raise ImportError('no h5py here')\n", encoding="utf-8")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    warm.close_readers()
+    apart.close_readers()
     try:
         with pytest.raises(
             ReaderMissing, match=r'h5py, which is not installed.*pip install "pmabench\[import\]"'
@@ -256,7 +256,7 @@ def test_a_package_that_is_not_installed_is_named_with_the_remedy(tmp_path, monk
             read("mat", (OLD / "foreign" / "log5.mat").read_bytes())
         assert caught.value.exit_code == 3
     finally:
-        warm.close_readers()
+        apart.close_readers()
 
 
 def test_the_maps_name_every_format():

@@ -17,8 +17,8 @@ import pytest
 
 from pmabench.base.errors import InvalidFile
 from pmabench.files.document import read_document
-from pmabench.store.importers import outliers, warm
-from pmabench.store.importers.child import CPU
+from pmabench.store.importers import apart, quality
+from pmabench.store.importers.apart import CPU
 from pmabench.store.importers.guess import guess as guessing
 from pmabench.store.importers.guess.write import map_text
 from pmabench.store.importers.prepare import prepare
@@ -41,7 +41,7 @@ SIGNS = [b",", b"\t", b"\n", b".", b"-", b"e", b"9", b"0", b"1", b"5", b" ", b"n
 @pytest.fixture(autouse=True, scope="module")
 def no_child_stays():
     yield
-    warm.close_readers()
+    apart.close_readers()
 
 
 def mutated(content, rng):
@@ -93,8 +93,8 @@ def silent(found, whole, rules):
         name = channel.rule.role
         if any(each == name for _, each in new):
             continue
-        apart = outliers.beyond_neighbours(before.si, swings=not name.endswith("command"))
-        limit = outliers.spike_limit(before.si, apart)
+        apart = quality.beyond_neighbours(before.si, swings=not name.endswith("command"))
+        limit = quality.spike_limit(before.si, apart)
         windows = np.lib.stride_tricks.sliding_window_view(np.pad(before.si, 30, mode="edge"), 61)
         low, high = windows.min(axis=1)[row], windows.max(axis=1)[row]
         room = limit + (0.0 if name.endswith("command") else high - low)
@@ -156,8 +156,8 @@ def test_the_judge_sees_a_number_that_was_changed_in_silence(tmp_path):
 def test_the_seconds_and_bytes_of_a_reader_are_limited_by_the_system():
     content = (OLD / "foreign" / "one.lvm").read_bytes()
     question = {"layout": {"format": "lvm"}, "wanted": None, "optional": [], "ignored": []}
-    list(warm.read_apart("lvm", "old", [content], question))
-    limits = Path(f"/proc/{warm._children['lvm'].process.pid}/limits")
+    list(apart.read_apart("lvm", "old", [content], question))
+    limits = Path(f"/proc/{apart._children['lvm'].process.pid}/limits")
     if limits.exists():
         line = next(line for line in limits.read_text().splitlines() if line.startswith("Max address space"))
         assert int(line.split()[3]) == 2_000_000_000

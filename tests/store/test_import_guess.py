@@ -11,12 +11,12 @@ from pmabench.base.errors import InvalidFile
 from pmabench.cli.main import main
 from pmabench.display.sparkline import sparkline
 from pmabench.files.document import read_document
-from pmabench.store.importers import warm
+from pmabench.store.importers import apart
 from pmabench.store.importers.guess.columns import lattice, unit_in
 from pmabench.store.importers.guess.layout import guess_layout
 from pmabench.store.importers.guess.signs import sine_of
 from pmabench.store.importers.guess.write import Span, map_text, still_open
-from pmabench.store.importers.questions import dotted, left_open
+from pmabench.store.importers.map_file import dotted, left_open
 from pmabench.store.reader import open_run
 from tests.importing import guess_files, import_files, read_map
 from tests.recorded import recorded_data
@@ -42,7 +42,7 @@ SPANS = {
 @pytest.fixture(autouse=True, scope="module")
 def no_child_stays():
     yield
-    warm.close_readers()
+    apart.close_readers()
 
 
 def roles(guess):

@@ -8,8 +8,8 @@ import pytest
 
 from pmabench.base.errors import InvalidFile
 from pmabench.store.importers.guess.write import map_text
+from pmabench.store.importers.map_file import spelled
 from pmabench.store.importers.prepare import prepare_all
-from pmabench.store.importers.units import spelled
 from tests.importing import guess_files, read_map
 
 ROWS = 500

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from pmabench.base.errors import InvalidFile
-from pmabench.store.importers import long, spool
+from pmabench.store.importers import long, table
 from pmabench.store.importers.prepare import prepare
 from pmabench.store.importers.table import read_table
 from pmabench.store.reader import open_run
@@ -25,7 +25,7 @@ def small_parts(monkeypatch):
     monkeypatch.setattr(long, "PART", 7_000)
     monkeypatch.setattr(long, "BEFORE", 300)
     monkeypatch.setattr(long, "STRETCHES", 3_000)
-    monkeypatch.setattr(spool, "KEPT", 100_000)
+    monkeypatch.setattr(table, "KEPT", 100_000)
     monkeypatch.setattr("pmabench.store.importers.table.PIECE", 50_000)
 
 
@@ -91,8 +91,8 @@ def test_columns_come_back_from_disk_as_they_were_put(monkeypatch):
     rng = np.random.default_rng(3)
     pieces = [{"a": rng.standard_normal(n), "b": rng.standard_normal(n)} for n in (5, 900, 0, 77)]
     for kept in (10**9, 1000):
-        monkeypatch.setattr(spool, "KEPT", kept)
-        columns = spool.Columns()
+        monkeypatch.setattr(table, "KEPT", kept)
+        columns = table.Columns()
         for piece in pieces:
             columns.append(piece)
         assert bool(columns._files) == (kept == 1000)

@@ -182,7 +182,7 @@ def test_the_map_in_the_documentation_is_good(tmp_path):
     rules = rules_of(tmp_path, example)
     assert rules.file.analysis.force_above == 20.0
     fields = [
-        *MapFile.model_fields,
+        *(field.alias or name for name, field in MapFile.model_fields.items()),
         *rules.file.file.model_fields_set,
         "late_by",
         "stale_after",

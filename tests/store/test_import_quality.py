@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from pmabench.store.importers.found import Checked
+from pmabench.store.importers.found import Checked, Summary
+from pmabench.store.importers.importing import compare
 from pmabench.store.importers.map_rules import ColumnRule
 from pmabench.store.importers.quality import against_sign, inspect
-from pmabench.store.importers.siblings import Summary, compare
 from pmabench.store.records import Flag
 
 RATE = (80.0, 180.0)

@@ -10,10 +10,10 @@ from click.testing import CliRunner
 from pmabench.base.errors import InvalidFile
 from pmabench.cli.main import main
 from pmabench.files.document import Document
-from pmabench.store.importers import warm
+from pmabench.store.importers import apart
 from pmabench.store.importers.guess.columns import words
 from pmabench.store.importers.guess.write import map_text
-from pmabench.store.importers.questions import questions_of
+from pmabench.store.importers.map_file import questions_of
 from tests.importing import guess_files, read_map
 
 T = np.arange(0, 20, 0.01)
@@ -28,7 +28,7 @@ F = 1.2 * P + 5.0 + NOISE[1]
 @pytest.fixture(autouse=True, scope="module")
 def no_child_stays():
     yield
-    warm.close_readers()
+    apart.close_readers()
 
 
 def file(path, columns, digits=4):

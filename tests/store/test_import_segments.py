@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from pmabench.kinds.isometric.reduction import reduce as isometric
 from pmabench.kinds.recorded_sine.reduction import reduce as sines
 from pmabench.kinds.recorded_step.reduction import reduce as steps
-from pmabench.store.importers import motion, warm
+from pmabench.store.importers import apart, motion
 from pmabench.store.importers.guess.write import map_text
 from pmabench.store.reader import open_run
 from tests.importing import guess_files, import_files
@@ -33,7 +33,7 @@ DISPLACEMENT = "x: {is: displacement, unit: mm}"
 @pytest.fixture(autouse=True, scope="module")
 def no_child_stays():
     yield
-    warm.close_readers()
+    apart.close_readers()
 
 
 def noise(n, size, seed=1):

@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 
 from pmabench.base.errors import InvalidFile, RecordError, UsageError
+from pmabench.store.folder import sha256_of
 from pmabench.store.notes import add_note, read_notes
 from pmabench.store.reader import open_run
-from pmabench.store.regular import sha256_of
 from pmabench.store.verify import verify
 from tests.store.runs import begin, block, closed, die, record
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pmabench.store.records import Flag, TrialData
-from pmabench.store.sampling import sampling
+from pmabench.store.timebase import sampling
 
 
 def trial(times, flags=None):

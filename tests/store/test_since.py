@@ -11,10 +11,9 @@ import pytest
 from pmabench.base.errors import InvalidFile
 from pmabench.store.catalogue import catalogue
 from pmabench.store.chain import continued
-from pmabench.store.fingerprint import fingerprint
 from pmabench.store.notes import add_note
 from pmabench.store.reader import open_run, read_stream
-from pmabench.store.since import late_files
+from pmabench.store.since import fingerprint, late_files
 from pmabench.store.verify import verify
 from tests.store.runs import begin, closed, record
 from tests.store.test_chain import write

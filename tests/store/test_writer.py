@@ -16,8 +16,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from pmabench.base.errors import RecordError
-from pmabench.store.folder import AppendFile, open_json, status_of
-from pmabench.store.naming import check_name, run_name
+from pmabench.store.folder import AppendFile, check_name, open_json, run_name, status_of
 from pmabench.store.reader import open_run, read_stream
 from pmabench.store.seal import close_interrupted
 from pmabench.store.verify import verify
@@ -394,7 +393,14 @@ class _Died(BaseException):
 
 @pytest.mark.parametrize(
     "place",
-    ["archive._digest", "seal.span_of", "seal.decode", "seal.sha256_of", "seal.write_into_room", "room._write_all"],
+    [
+        "seal._digest",
+        "seal.span_of",
+        "folder.decode_lines",
+        "folder.sha256_of",
+        "seal.write_into_room",
+        "seal._write_all",
+    ],
 )
 def test_a_program_that_dies_while_it_closes_loses_nothing(tmp_path, monkeypatch, place):
     writer = begin(tmp_path)

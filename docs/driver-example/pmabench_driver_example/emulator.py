@@ -12,8 +12,7 @@ import socket
 import threading
 from time import monotonic
 
-from pmabench_drivers.emulator.faults import EXPIRY, IGNORE, LINK, Faults, Outgoing
-from pmabench_drivers.emulator.log import CommandLog
+from pmabench_drivers.emulator.faults import EXPIRY, IGNORE, LINK, CommandLog, Faults, Outgoing
 from pmabench_drivers.emulator.plant import RealPlant
 from pmabench_drivers.emulator.ports import listen
 

@@ -1,5 +1,14 @@
 """An Alicat controller over its ASCII protocol: one question, one answer, and no late answer taken for a new one.
 
+Its data line is read by the list of columns that the device sends. Under the heads of that list the columns are of
+fixed width; `*` marks what is in a line only at times::
+
+    A D00 ID_ NAME______________________ TYPE_______ WIDTH NOTES___________________
+    A D01 700 Unit ID                    string          1
+    A D02 006 Gauge Press                s decimal     7/2 010 02 PSIG
+    A D03 038 Gauge Press Setpt          s decimal     7/2 010 02 PSIG
+    A D04 702 *Status                    string          3 HLD
+
 Answers carry no number. After one that did not come in time the next line may be that one, late: nothing is believed
 until the device was asked for its firmware, whose answer looks like no other. Answers come in the order of the
 questions, so what follows that one is new. Set-points do not wait for this; what the device holds is asked afterwards.
@@ -10,23 +19,145 @@ from __future__ import annotations
 
 import re
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from time import monotonic
 from typing import TYPE_CHECKING, Any
 
 from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import COMPUTER, EMULATED, Identity
-from pmabench_drivers.alicat.layout import Layout, read_layout
-from pmabench_drivers.alicat.options import OUTPUT, UNITS, Options
-from pmabench_drivers.alicat.reading import HELD, Reading
-from pmabench_drivers.shared.lines import LONGEST_LINE, Splitter, Unreadable, Wrong, readable
+from pmabench_drivers.alicat.options import HELD, OUTPUT, UNITS, Options, Reading
+from pmabench_drivers.shared import serial_port as sp
 from pmabench_drivers.shared.link import Still, Unanswered, always, opened, reason, turn
-from pmabench_drivers.shared.serial_port import hand_over, open_port, received
 
 if TYPE_CHECKING:
     from serial import Serial
+
+HEAD = re.compile(r"\S D00 (?P<id>ID_+) (?P<name>NAME_+) (?P<type>TYPE_+) (?P<width>WIDTH_*) (?P<notes>NOTES_*)\s*")
+ROW = re.compile(r"(?P<unit_id>\S) D(?P<number>\d\d) .*")
+NUMBER = re.compile(r"[+-]?\d{1,9}(?:\.\d{1,6})?")
+MOST_ROWS = 60
+UNIT_ID, ERROR, STATUS = 700, 701, 702
+ABSOLUTE_SET_POINT = 34
+MEASURED_BY = {38: 6, 39: 7}
+"""Statistic of the set-point -> that of the pressure that it controls: gauge, and differential to the open air."""
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column of every line."""
+
+    statistic: int
+    name: str
+    decimal: bool
+    width: int
+    decimals: int
+    unit_code: int
+    unit: str
+
+
+@dataclass(frozen=True)
+class Layout:
+    """How a data line is to be read."""
+
+    unit_id: str
+    columns: tuple[Column, ...]
+    codes: frozenset[str]
+    """Status codes that a line may end with."""
+    pressure: int
+    """Which column is the controlled pressure; counts from 0."""
+    set_point: int
+
+    @property
+    def decimals(self) -> int:
+        """Decimals of the set-point."""
+        return self.columns[self.set_point].decimals
+
+    @property
+    def length(self) -> int:
+        """Characters of a line without status."""
+        return sum(column.width + 1 for column in self.columns)
+
+    def read(self, line: bytes) -> tuple[float, float, frozenset[str]]:
+        """Pressure, set-point and status codes; raises `Unreadable`, or `Wrong` for a refusal."""
+        words = _text(line).split()
+        if words in (["?"], [self.unit_id, "?"]):
+            raise sp.Wrong("refuses what it was asked (?)")
+        count = len(self.columns)
+        if len(words) < count or words[0].upper() != self.unit_id or not set(words[count:]) <= self.codes:
+            raise sp.Unreadable(f'"{sp.readable(line)}"')
+        for column, word in zip(self.columns, words, strict=False):
+            if column.decimal and not _fits(column, word):
+                raise sp.Unreadable(f'"{sp.readable(line)}"')
+        return float(words[self.pressure]), float(words[self.set_point]), frozenset(words[count:])
+
+
+def read_layout(lines: Sequence[bytes], unit_id: str) -> Layout:
+    """The layout that a list of columns describes; raises `Wrong` where it is none that can be driven."""
+    texts = [_text(line) for line in lines]
+    head = HEAD.fullmatch(texts[0]) if texts else None
+    if head is None:
+        first = f'; it begins with "{sp.readable(lines[0])}"' if lines else ""
+        raise sp.Wrong(f"its list of columns is not one that is known here (firmware 6v21 or later is needed){first}")
+    columns: list[Column] = []
+    codes: set[str] = set()
+    if len(texts) > MOST_ROWS:
+        raise sp.Wrong(f"its list of columns has more than {MOST_ROWS} rows")
+    for expected, text in enumerate(texts[1:], 1):
+        row = ROW.fullmatch(text)
+        if row is None or row["unit_id"].upper() != unit_id or int(row["number"]) != expected:
+            raise sp.Wrong(f'its list of columns is not whole: row {expected} reads "{text[:60]}"')
+        statistic, name, kind, width = (text[slice(*head.span(key))].strip() for key in ("id", "name", "type", "width"))
+        notes = text[head.start("notes") :].split()
+        if not statistic.isdecimal():
+            raise sp.Wrong(f'its list of columns cannot be read: row {expected} reads "{text[:60]}"')
+        if name.startswith("*"):
+            codes.update(notes[:1] if int(statistic) in {ERROR, STATUS} else ())
+            continue
+        columns.append(_column(int(statistic), name, kind, width, notes, text))
+    return _chosen(columns, frozenset(codes), unit_id)
+
+
+def _column(statistic: int, name: str, kind: str, width: str, notes: Sequence[str], text: str) -> Column:
+    digits, _, decimals = width.partition("/")
+    if not digits.isdecimal() or (decimals and not decimals.isdecimal()):
+        raise sp.Wrong(f'its list of columns cannot be read: "{text[:60]}"')
+    code = int(notes[0]) if len(notes) >= 2 and notes[0].isdecimal() else -1
+    unit = notes[-1] if notes else ""
+    return Column(statistic, name, "decimal" in kind, int(digits), int(decimals or 0), code, unit)
+
+
+def _chosen(columns: Sequence[Column], codes: frozenset[str], unit_id: str) -> Layout:
+    """The columns of set-point and controlled pressure."""
+    statistics = [column.statistic for column in columns]
+    if not statistics or statistics[0] != UNIT_ID:
+        raise sp.Wrong("its data line does not begin with its unit ID")
+    if ABSOLUTE_SET_POINT in statistics:
+        raise sp.Wrong("controls absolute pressure: set its control variable to gauge pressure")
+    for index, statistic in enumerate(statistics):
+        wanted = MEASURED_BY.get(statistic)
+        if wanted is None:
+            continue
+        if wanted not in statistics:
+            raise sp.Wrong(f'its data line does not contain the pressure of "{columns[index].name}"')
+        layout = Layout(unit_id, tuple(columns), codes, statistics.index(wanted), index)
+        if not (columns[index].decimal and columns[layout.pressure].decimal):
+            raise sp.Wrong("its pressures are no decimal numbers")
+        return layout
+    raise sp.Wrong("its data line has no set-point of a pressure: is it a pressure controller?")
+
+
+def _fits(column: Column, word: str) -> bool:
+    """Whether a number has as many characters and decimals as its column says: one that lost a character has not."""
+    point = len(word) - word.find(".") - 1 if "." in word else 0
+    return NUMBER.fullmatch(word) is not None and len(word) == column.width and point == column.decimals
+
+
+def _text(line: bytes) -> str:
+    return sp.text_of(line).rstrip()
+
 
 PUSH = 0.1
 """Longest time to hand a command to the port [s]."""
@@ -55,7 +186,7 @@ class AsciiLink:
         self._lock = threading.Lock()
         self._port: Serial | None = None
         self._layout: Layout | None = None
-        self._splitter = Splitter(b"\r", whole=True)
+        self._splitter = sp.Splitter(b"\r", whole=True)
         self._lines: list[bytes] = []
         self._clean = True
         """Whether no older answer can still come."""
@@ -74,7 +205,7 @@ class AsciiLink:
             about = self._about(deadline)
             try:
                 self._layout = read_layout(self._listed("??D*", deadline), self._options.letter)
-            except (Wrong, Unreadable) as error:
+            except (sp.Wrong, sp.Unreadable) as error:
                 raise DeviceError(self._device, str(error)) from None
             self._refuse_other_unit(self._layout)
             self._refuse_other_source(deadline)
@@ -95,7 +226,7 @@ class AsciiLink:
     def fastest(self) -> float:
         """Polls a second that the line can carry [Hz]."""
         layout = self._layout
-        return 0.8 * self._options.baud / 10 / (10 + (layout.length if layout else LONGEST_LINE))
+        return 0.8 * self._options.baud / 10 / (10 + (layout.length if layout else sp.LONGEST_LINE))
 
     # -- what a controller does -----------------------------------------------------------------------------------
 
@@ -152,7 +283,7 @@ class AsciiLink:
             return self._reading("", deadline).set_point
 
     def reported(self, deadline: float) -> dict[str, float | str]:
-        """Where its set-point comes from, where the firmware tells."""
+        """Where its set-point comes from, where the firmware says it."""
         if not self._reports_source:
             return {}
         with self._turn(deadline):
@@ -186,8 +317,8 @@ class AsciiLink:
     # -- opening --------------------------------------------------------------------------------------------------
 
     def _open_port(self) -> None:
-        self._port = open_port(self._device, self._address, baudrate=self._options.baud, timeout=PIECE)
-        self._splitter, self._lines = Splitter(b"\r", whole=True), []
+        self._port = sp.open_port(self._device, self._address, baudrate=self._options.baud, timeout=PIECE)
+        self._splitter, self._lines = sp.Splitter(b"\r", whole=True), []
         self._clean, self._late_until = True, 0.0
 
     def _about(self, deadline: float) -> dict[int, str]:
@@ -206,7 +337,7 @@ class AsciiLink:
                 number = int(row["number"])
                 found[number] = row["text"].strip().removeprefix(_LABELS.get(number, "")).strip()
         if not found and lines[0].strip()[:1].upper() not in {b"?", self._options.letter.encode()}:
-            raise DeviceError(self._device, f'sends "{readable(lines[0])}": another unit ID, or it sends by itself')
+            raise DeviceError(self._device, f'sends "{sp.readable(lines[0])}": another unit ID, or it sends by itself')
         return found
 
     def _refuse_other_unit(self, layout: Layout) -> None:
@@ -220,7 +351,7 @@ class AsciiLink:
                 raise DeviceError(self._device, message)
 
     def _refuse_other_source(self, deadline: float) -> None:
-        """Firmware before 10v05 does not tell; there each set-point is proven by its answer."""
+        """Firmware before 10v05 does not say it; there each set-point is proven by its answer."""
         words = self._ask("LSS", deadline, FIRST).decode("ascii", "replace").upper().split()
         self._reports_source = len(words) == 2 and words[1] in SOURCES
         if self._reports_source and words[1] != "S":
@@ -249,9 +380,9 @@ class AsciiLink:
         line = self._ask(command, deadline, patience)
         try:
             pressure, set_point, status = self._shape.read(line)
-        except Wrong as error:
+        except sp.Wrong as error:
             raise DeviceError(self._device, str(error)) from None
-        except Unreadable as error:
+        except sp.Unreadable as error:
             raise Unanswered(self._device, f"answers {error}, which is not its data line") from None
         return Reading(pressure, set_point, status, asked, self._clock.now())
 
@@ -270,7 +401,7 @@ class AsciiLink:
         if not lines:
             raise Unanswered(self._device, f"no answer from {self._address} within {patience:g} s")
         if not certain or len(lines) > 1:
-            raise Unanswered(self._device, f'more than one answer at a time, from "{readable(lines[0])}" on')
+            raise Unanswered(self._device, f'more than one answer at a time, from "{sp.readable(lines[0])}" on')
         self._clean = True
         return lines[0]
 
@@ -283,7 +414,7 @@ class AsciiLink:
             raise Unanswered(self._device, message)
         if not pending:
             self._drain()
-            self._splitter = Splitter(b"\r", whole=True)
+            self._splitter = sp.Splitter(b"\r", whole=True)
             self._late_until, self._asked_since = now + self._options.slowest, False
             self._send("VE")
         while monotonic() < limit:
@@ -309,11 +440,11 @@ class AsciiLink:
         return found
 
     def _send(self, command: str) -> None:
-        hand_over(self._opened(), f"{self._options.letter}{command}\r".encode("ascii"), PUSH)
+        sp.hand_over(self._opened(), f"{self._options.letter}{command}\r".encode("ascii"), PUSH)
 
     def _receive(self) -> bool:
         """Take what comes within a short time; whether anything came."""
-        data = received(self._opened())
+        data = sp.received(self._opened())
         self._lines += self._splitter.feed(data.replace(b"\n", b""))
         return bool(data)
 

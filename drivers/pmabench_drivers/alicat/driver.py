@@ -9,23 +9,18 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from time import monotonic
-from typing import TYPE_CHECKING
 
 from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import DeviceRecord, Identity, OutputRecord
-from pmabench_drivers.alicat.options import ASCII, Options, read_options
-from pmabench_drivers.alicat.reading import NO_VALUE, OVER, Reading, trouble
+from pmabench_drivers.alicat.ascii_link import AsciiLink
+from pmabench_drivers.alicat.modbus_link import ModbusLink
+from pmabench_drivers.alicat.options import ASCII, NO_VALUE, OVER, Options, Reading, read_options, trouble
 from pmabench_drivers.shared.device import Controlled
 from pmabench_drivers.shared.link import Still
 from pmabench_drivers.shared.polling import JOIN
 
-if TYPE_CHECKING:
-    from pmabench_drivers.alicat.ascii_link import AsciiLink
-    from pmabench_drivers.alicat.modbus_link import ModbusLink
-
-    Link = AsciiLink | ModbusLink
-
+Link = AsciiLink | ModbusLink
 CALL = 0.18
 """Longest time that a call takes [s]; the guard gives up at 0.2 s."""
 OPEN = 1.9
@@ -51,16 +46,12 @@ class AlicatController(Controlled):
     # -- life -----------------------------------------------------------------------------------------------------
 
     def open(self) -> Identity:
-        """Connect and learn what the device tells of itself; nothing is commanded."""
+        """Connect and learn what the device says of itself; nothing is commanded."""
         self.close()
-        link = self._new_link()
-        try:
-            identity = link.open(monotonic() + OPEN)
-        except DeviceError:
-            link.close()
-            raise
-        self._link = link
-        return identity
+        kind = AsciiLink if self._options.protocol == ASCII else ModbusLink
+        link = self._link = kind(self._device.name, self._device.address, self._options, self._clock)
+        with self._closed_on_error():
+            return link.open(monotonic() + OPEN)
 
     def close(self) -> None:
         """End polling and let go of the port; the device keeps its set-point."""
@@ -70,16 +61,6 @@ class AlicatController(Controlled):
         self._cycle.stop(JOIN)
         if link is not None:
             link.close()
-
-    def _new_link(self) -> Link:
-        given = self._device.name, self._device.address, self._options, self._clock
-        if self._options.protocol == ASCII:
-            from pmabench_drivers.alicat.ascii_link import AsciiLink
-
-            return AsciiLink(*given)
-        from pmabench_drivers.alicat.modbus_link import ModbusLink
-
-        return ModbusLink(*given)
 
     # -- samples --------------------------------------------------------------------------------------------------
 

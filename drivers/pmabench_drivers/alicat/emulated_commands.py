@@ -11,17 +11,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from pmabench_drivers.alicat.emulated_controller import (
-    ABSOLUTE,
-    AIR,
-    FULL_FLOW,
-    FULL_SCALE,
-    GASES,
-    GAUGE,
-    MASS,
-    VOLUME,
-    Controller,
-)
+from pmabench_drivers.alicat import emulated_controller as c
+from pmabench_drivers.alicat.emulated_controller import Controller
 from pmabench_drivers.alicat.options import MCD, UNITS
 
 TEMPERATURE = 23.5
@@ -29,7 +20,7 @@ WIDTH = 8
 DECIMALS = {"Pa": 0, "hPa": 1, "mbar": 1, "kPa": 2, "psi": 3, "bar": 4, "atm": 4, "MPa": 5}
 HEAD = "D00 ID_ NAME______________________ TYPE_______ WIDTH NOTES___________________"
 FIRMWARE = "10v20.0-R24"
-NAMES = {ABSOLUTE: "Abs Press Setpt", GAUGE: "Gauge Press Setpt", VOLUME: "Volu Flow Setpt", MASS: "Mass Flow Setpt"}
+NAMES = {c.ABSOLUTE: "Abs Press", c.GAUGE: "Gauge Press", c.VOLUME: "Volu Flow", c.MASS: "Mass Flow"}
 MIXES = range(236, 256)
 TIMES = {3: "ms", 4: "s", 5: "m", 6: "h", 7: "d"}
 NO_STATISTIC = "1 ---"
@@ -46,7 +37,7 @@ class Commands:
             "VE": lambda _given, _fault: self._said(f"  {FIRMWARE} Jan  9 2025,15:04:07"),
             "??M*": lambda _given, _fault: [f"{letter}  {line}" for line in self._about()],
             "??D*": lambda _given, _fault: [f"{letter} {line}" for line in self._columns()],
-            "??G*": lambda _given, _fault: [f"{letter} G{i:02d} {name:>8}" for i, name in enumerate(GASES)],
+            "??G*": lambda _given, _fault: [f"{letter} G{i:02d} {name:>8}" for i, name in enumerate(c.GASES)],
             "LSS": self._source,
             "LV": self._variable,
             "LS": self._set_point,
@@ -98,44 +89,43 @@ class Commands:
         controller = self._controller
         pressure, status = controller.measured(fault)
         codes = sorted(status | ({"LCK"} if controller.locked else set()))
-        shown = [self._pressure(pressure), self._pressure(controller.set_point)]
+        shown = [self._pressure(pressure), self._target(controller.set_point)]
         if controller.options.emulate == MCD:
-            flows = [f"{TEMPERATURE:+07.2f}", f"{controller.volume_flow():+07.2f}", f"{controller.mass_flow():+07.2f}"]
-            target = shown[1] if controller.variable in {ABSOLUTE, GAUGE} else f"{controller.set_point:+07.2f}"
-            shown = [shown[0], *flows, target, f"{controller.gas:>6}"]
+            flows = [_flow(TEMPERATURE), _flow(controller.volume_flow()), _flow(controller.mass_flow())]
+            shown = [shown[0], *flows, shown[1], f"{controller.gas:>6}"]
         return " ".join([self._letter, *shown, *codes])
 
     def _pressure(self, value: float) -> str:
         return f"{value:+0{WIDTH}.{DECIMALS[self._controller.options.unit]}f}"
 
+    def _target(self, value: float) -> str:
+        """A set-point: of a pressure, or of a flow."""
+        return self._pressure(value) if self._controller.variable in {c.ABSOLUTE, c.GAUGE} else _flow(value)
+
     def _about(self) -> Lines:
-        return [
-            "M00 EMULATOR OF PMABENCH",
-            "M01 -",
-            "M02 -",
-            "M03 -",
-            f"M04 Model Number {self._controller.model}",
-            "M05 Serial Number 1",
-            "M06 Date Manufactured -",
-            "M07 Date Calibrated   -",
-            "M08 Calibrated By     -",
-            f"M09 Software Revision {FIRMWARE}",
-        ]
+        about = ["EMULATOR OF PMABENCH", "-", "-", "-", f"Model Number {self._controller.model}", "Serial Number 1"]
+        about += ["Date Manufactured -", "Date Calibrated   -", "Calibrated By     -", f"Software Revision {FIRMWARE}"]
+        return [f"M{number:02d} {text}" for number, text in enumerate(about)]
 
     def _columns(self) -> Lines:
         controller = self._controller
         unit, variable = controller.options.unit, controller.variable
-        absolute = variable == ABSOLUTE
+        absolute = variable == c.ABSOLUTE
         note, width = f"{UNITS[unit][0]:03d} 02 {self._label(absolute)}", f"{WIDTH}/{DECIMALS[unit]}"
-        of_pressure = variable in {ABSOLUTE, GAUGE}
-        target = (f"{variable:03d}", NAMES[variable], "s decimal", *((width, note) if of_pressure else FLOW[variable]))
+        of_pressure = variable in {c.ABSOLUTE, c.GAUGE}
+        target = (
+            f"{variable:03d}",
+            f"{NAMES[variable]} Setpt",
+            "s decimal",
+            *((width, note) if of_pressure else FLOW[variable]),
+        )
         first = ("002", "Abs Press") if absolute else ("006", "Gauge Press")
         rows = [("700", "Unit ID", "string", "1", ""), (*first, "s decimal", width, note)]
         if controller.options.emulate == MCD:
             rows += [
                 ("003", "Flow Temp", "s decimal", "7/2", "002 02 `C"),
-                ("004", "Volu Flow", "s decimal", *FLOW[VOLUME]),
-                ("005", "Mass Flow", "s decimal", *FLOW[MASS]),
+                ("004", "Volu Flow", "s decimal", *FLOW[c.VOLUME]),
+                ("005", "Mass Flow", "s decimal", *FLOW[c.MASS]),
                 target,
                 ("703", "Gas", "string", "6", ""),
             ]
@@ -176,21 +166,18 @@ class Commands:
                 return ["?"]
             if fault != "ignore":
                 controller.command(value)
-        if controller.variable in {ABSOLUTE, GAUGE}:
-            now, wanted = self._pressure(controller.set_point), self._pressure(controller.requested)
-        else:
-            now, wanted = f"{controller.set_point:+07.2f}", f"{controller.requested:+07.2f}"
+        now, wanted = self._target(controller.set_point), self._target(controller.requested)
         return self._said(f"{now} {wanted} {self._unit_of(controller.variable)}")
 
     def _unit_of(self, statistic: int) -> str:
         """Code and name of the unit of a statistic."""
         code = UNITS[self._controller.options.unit][0]
-        if statistic in {6, GAUGE}:
+        if statistic in {6, c.GAUGE}:
             return f"{code} {self._label(absolute=False)}"
         flow = self._controller.options.emulate == MCD
-        if flow and statistic in {2, ABSOLUTE}:
+        if flow and statistic in {2, c.ABSOLUTE}:
             return f"{code} {self._label(absolute=True)}"
-        known = {3: "2 `C", 4: "7 LPM", VOLUME: "7 LPM", 5: "7 SLPM", MASS: "7 SLPM"}
+        known = {3: "2 `C", 4: "7 LPM", c.VOLUME: "7 LPM", 5: "7 SLPM", c.MASS: "7 SLPM"}
         return known.get(statistic, NO_STATISTIC) if flow else NO_STATISTIC
 
     def _unit(self, given: list[str], _fault: str) -> Lines:
@@ -209,9 +196,9 @@ class Commands:
         unit = self._unit_of(statistic)
         if unit == NO_STATISTIC or statistic == 3:
             return self._said(NO_STATISTIC)
-        over = AIR if statistic in {2, ABSOLUTE} else 0.0
-        of_pressure = statistic in {2, 6, ABSOLUTE, GAUGE}
-        value = self._pressure((FULL_SCALE + over) / pascal) if of_pressure else f"{FULL_FLOW:+07.2f}"
+        over = c.AIR if statistic in {2, c.ABSOLUTE} else 0.0
+        of_pressure = statistic in {2, 6, c.ABSOLUTE, c.GAUGE}
+        value = self._pressure((c.FULL_SCALE + over) / pascal) if of_pressure else _flow(c.FULL_FLOW)
         return self._said(f"{value} {unit}")
 
     def _values(self, given: list[str], fault: str) -> Lines:
@@ -221,12 +208,12 @@ class Commands:
             return ["?"]
         controller = self._controller
         pressure, _status = controller.measured(fault)
-        over = AIR / UNITS[controller.options.unit][1]
-        gauge = pressure - over if controller.variable == ABSOLUTE else pressure
+        over = c.AIR / UNITS[controller.options.unit][1]
+        gauge = pressure - over if controller.variable == c.ABSOLUTE else pressure
         known = {6: self._pressure(gauge), controller.variable: self._set_point([], fault)[0].split()[1]}
         if controller.options.emulate == MCD:
-            known |= {2: self._pressure(gauge + over), 3: f"{TEMPERATURE:+07.2f}"}
-            known |= {4: f"{controller.volume_flow():+07.2f}", 5: f"{controller.mass_flow():+07.2f}"}
+            known |= {2: self._pressure(gauge + over), 3: _flow(TEMPERATURE)}
+            known |= {4: _flow(controller.volume_flow()), 5: _flow(controller.mass_flow())}
         return [" ".join(known.get(number, "--") for number in numbers[1:])]
 
     def _ramp(self, given: list[str], _fault: str) -> Lines:
@@ -284,10 +271,14 @@ class Commands:
             return ["?"]
         place, parts = int(numbers[0] or MIXES[0]), [value or 0.0 for value in numbers[1:]]
         gases = [int(value) for value in parts[1::2]]
-        if place not in MIXES or abs(sum(parts[::2]) - 100.0) > 0.01 or not all(0 <= gas < len(GASES) for gas in gases):
+        if (
+            place not in MIXES
+            or abs(sum(parts[::2]) - 100.0) > 0.01
+            or not all(0 <= gas < len(c.GASES) for gas in gases)
+        ):
             return ["?"]
         controller.mixes[place] = given[0][:6]
-        shares = " ".join(f"{share:.2f}% {GASES[gas]}" for share, gas in zip(parts[::2], gases, strict=True))
+        shares = " ".join(f"{share:.2f}% {c.GASES[gas]}" for share, gas in zip(parts[::2], gases, strict=True))
         return self._said(f"{place} {given[0][:6]} {shares}")
 
     def _forget_mix(self, text: str) -> Lines:
@@ -297,8 +288,13 @@ class Commands:
         return self._said(str(number))
 
 
-FLOW = {VOLUME: ("7/2", "007 02 LPM"), MASS: ("7/2", "007 02 SLPM")}
+FLOW = {c.VOLUME: ("7/2", "007 02 LPM"), c.MASS: ("7/2", "007 02 SLPM")}
 """Width and unit of flows in the list of columns."""
+
+
+def _flow(value: float) -> str:
+    """A flow or a temperature as it is shown."""
+    return f"{value:+07.2f}"
 
 
 def _number(text: str) -> float | None:

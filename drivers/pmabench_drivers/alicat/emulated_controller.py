@@ -8,7 +8,7 @@ from time import monotonic
 
 from pmabench.bench.interface import DeviceRecord
 from pmabench_drivers.alicat.options import MCD, UNITS, Options
-from pmabench_drivers.emulator.log import CommandLog
+from pmabench_drivers.emulator.faults import CommandLog
 from pmabench_drivers.emulator.plant import RealPlant
 
 FULL_SCALE = 1.0e6
@@ -45,7 +45,7 @@ class Controller:
 
     def _power_on(self) -> None:
         self.set_point = self.requested = 0.0
-        """What the loop controls to now, and what it was sent; apart only during a ramp of its own."""
+        """What the loop controls to now, and what it was sent; different only during its own ramp."""
         self.source = "S"
         self.valves = ""
         """`HLD` or `EXH` where the valves are set by a command."""
@@ -88,7 +88,7 @@ class Controller:
                 self._regulate()
 
     def advance(self) -> None:
-        """What goes on by itself: a ramp of its own, and a flow that fills."""
+        """What goes on by itself: its own ramp, and a flow that fills."""
         with self._lock:
             now = monotonic()
             passed, self._at = now - self._at, now

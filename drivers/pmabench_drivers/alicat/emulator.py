@@ -13,12 +13,21 @@ from pmabench.bench.interface import DeviceRecord
 from pmabench_drivers.alicat.emulated_commands import Commands
 from pmabench_drivers.alicat.emulated_controller import Controller
 from pmabench_drivers.alicat.options import ASCII, read_options
-from pmabench_drivers.emulator.faults import IGNORE, LINK, MODBUS, OVER, RESTART, SETPOINT, STATUS, STUCK, Faults
-from pmabench_drivers.emulator.frames import ADDRESS, VALUE, Refused, Request, read_cells
-from pmabench_drivers.emulator.log import CommandLog
-from pmabench_drivers.emulator.modbus_server import RtuDevice
-from pmabench_drivers.emulator.on_terminal import OnTerminal
+from pmabench_drivers.emulator.faults import (
+    IGNORE,
+    LINK,
+    MODBUS,
+    OVER,
+    RESTART,
+    SETPOINT,
+    STATUS,
+    STUCK,
+    CommandLog,
+    Faults,
+)
+from pmabench_drivers.emulator.modbus_server import ADDRESS, VALUE, Refused, Request, RtuDevice, read_cells
 from pmabench_drivers.emulator.plant import RealPlant
+from pmabench_drivers.emulator.ports import OnTerminal
 from pmabench_drivers.shared.options import options_of
 
 BITS = {"POV": 6, "HLD": 8, "ADC": 9, "EXH": 10, "OPL": 11}
@@ -43,15 +52,8 @@ class AsciiDevice(OnTerminal):
     def __init__(self, controller: Controller, letter: str, log: CommandLog) -> None:
         self.controller, self._letter, self._commands = controller, letter, Commands(controller, letter)
         super().__init__(controller.device, log, Faults(LINK, STUCK, IGNORE, OVER, STATUS, RESTART, SETPOINT))
+        self.restart, self.change_set_point = controller.restart, controller.change_set_point
         self._data = b""
-
-    def restart(self) -> None:
-        """As after power-on; the line stays."""
-        self.controller.restart()
-
-    def change_set_point(self, value: float) -> None:
-        """Another set-point, entered at its display."""
-        self.controller.change_set_point(value)
 
     def change_held(self) -> bool:
         """The analogue input gives its set-point from now on, as chosen at its display; always possible."""
@@ -91,7 +93,7 @@ class ModbusCells:
 
     def __init__(self, controller: Controller) -> None:
         self.device, self.controller, self.faults = controller.device, controller, Faults()
-        self._command = (0, 0)
+        self._command, self.change_set_point = (0, 0), controller.change_set_point
 
     def look_at_watchdog(self) -> None:
         """It has none: silence changes nothing."""
@@ -100,11 +102,6 @@ class ModbusCells:
         """As after power-on; the line stays."""
         self._command = (0, 0)
         self.controller.restart()
-
-    def change_set_point(self, value: float) -> bool:
-        """Another set-point, entered at its display."""
-        self.controller.change_set_point(value)
-        return True
 
     def carry_out(self, request: Request, connection: int, *, ignore: bool = False) -> list[int]:
         """What is read, or nothing; `Refused` where the device says no."""

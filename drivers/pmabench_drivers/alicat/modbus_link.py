@@ -15,8 +15,7 @@ from typing import TYPE_CHECKING
 from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import COMPUTER, EMULATED, Identity
-from pmabench_drivers.alicat.options import OUTPUT, Options
-from pmabench_drivers.alicat.reading import Reading, from_bits
+from pmabench_drivers.alicat.options import OUTPUT, Options, Reading, from_bits
 from pmabench_drivers.modbus.registers import Register, decode, decode_text, encode
 from pmabench_drivers.shared.link import Still, Unanswered, always, opened, turn
 
@@ -60,16 +59,11 @@ class ModbusLink:
 
     def open(self, deadline: float) -> Identity:
         """Open the port and read what is read later; who it is cannot be asked over Modbus."""
-        from pmabench_drivers.modbus.adapter import Line, Serial
+        from pmabench_drivers.modbus.adapter import Line
 
         options = self._options
         self._line = Line(
-            self._device,
-            self._address,
-            unit_id=options.number,
-            timeout=options.timeout,
-            slowest=options.slowest,
-            serial=Serial(options.baud, "N", 1),
+            self._device, self._address, options.number, options.timeout, options.slowest, {"baudrate": options.baud}
         )
         self._regulating = self.exhausting = False
         with self._turn(deadline):

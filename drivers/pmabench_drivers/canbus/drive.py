@@ -9,10 +9,8 @@ from __future__ import annotations
 from time import monotonic, sleep
 
 from pmabench.base.errors import DeviceError
-from pmabench_drivers.canbus import cia402 as c
 from pmabench_drivers.canbus import frames as f
-from pmabench_drivers.canbus.node import Node, Send
-from pmabench_drivers.canbus.sdo import Refused
+from pmabench_drivers.canbus.node import Node, Refused, Send
 
 POLL = 0.002
 """Pause between two looks at the statusword [s]."""
@@ -47,32 +45,32 @@ class Drive(Node):
 
     def set_up(self, deadline: float) -> None:
         """PDOs; profile position and cyclic synchronous position are needed."""
-        modes = self.objects.read_if_there(c.SUPPORTED, 0, "I", deadline)
-        for mode, name in c.MODES.items():
-            if modes is not None and not c.supports(modes, mode):
+        modes = self.objects.read_if_there(f.SUPPORTED, 0, "I", deadline)
+        for mode, name in f.MODES.items():
+            if modes is not None and not f.supports(modes, mode):
                 raise self.error(f"has no mode {name} (object 6502h is {modes:08X}h)")
         self._expected = self._cyclic = False
         self._may_reset = True
         self.mapped.clear()
-        status, actual = f.mapping(c.STATUSWORD, 0, 16), f.mapping(c.ACTUAL, 0, 32)
+        status, actual = f.mapping(f.STATUSWORD, 0, 16), f.mapping(f.ACTUAL, 0, 32)
         self.transmit(0, [status, actual], self._take_actual, deadline)
         if self.wants_demand:
-            self.transmit(1, [f.mapping(c.DEMAND, 0, 32)], self._take_demand, deadline)
-        self._target_pdo = self.receive(0, [f.mapping(c.TARGET, 0, 32)], deadline)
+            self.transmit(1, [f.mapping(f.DEMAND, 0, 32)], self._take_demand, deadline)
+        self._target_pdo = self.receive(0, [f.mapping(f.TARGET, 0, 32)], deadline)
         self._set_period(deadline)
 
     def _set_period(self, deadline: float) -> None:
-        """Tell it the time between two SYNCs, over which it interpolates."""
+        """Set the time between two SYNCs, over which it interpolates."""
         units, exponent = round(self.period * 1e3), -3
         if abs(units * 1e-3 - self.period) > 1e-9:
             units, exponent = round(self.period * 1e4), -4
-        self.objects.set(c.PERIOD, 2, "b", exponent, deadline)
-        self.objects.set(c.PERIOD, 1, "B", units, deadline)
+        self.objects.set(f.PERIOD, 2, "b", exponent, deadline)
+        self.objects.set(f.PERIOD, 1, "B", units, deadline)
 
     def limits(self, deadline: float) -> tuple[int, int] | None:
         """Its software position limits [count]; None where it has none."""
-        low = self.objects.read_if_there(c.LIMITS, 1, "i", deadline)
-        high = self.objects.read_if_there(c.LIMITS, 2, "i", deadline)
+        low = self.objects.read_if_there(f.LIMITS, 1, "i", deadline)
+        high = self.objects.read_if_there(f.LIMITS, 2, "i", deadline)
         return None if low is None or high is None or low >= high else (low, high)
 
     def _take_actual(self, data: bytes) -> bool:
@@ -80,8 +78,8 @@ class Drive(Node):
             return False
         self.status = int.from_bytes(data[:2], "little")
         self.position, self._updated = int.from_bytes(data[2:], "little", signed=True), monotonic()
-        state = c.state_of(self.status)
-        if self._expected and state in {c.State.FAULT, c.State.REACTING, c.State.DISABLED, c.State.STOPPED}:
+        state = f.state_of(self.status)
+        if self._expected and state in {f.State.FAULT, f.State.REACTING, f.State.DISABLED, f.State.STOPPED}:
             self._expected = False
             self._trouble = self._trouble or f"{self.name}: has stopped by itself: it is in {state.value}"
         return True
@@ -94,10 +92,10 @@ class Drive(Node):
 
     # -- its state machine --------------------------------------------------------------------------------------------
 
-    def state(self, deadline: float) -> c.State:
+    def state(self, deadline: float) -> f.State:
         """The state that it says it is in."""
-        self.status = self.objects.read(c.STATUSWORD, 0, "H", deadline)
-        state = c.state_of(self.status)
+        self.status = self.objects.read(f.STATUSWORD, 0, "H", deadline)
+        state = f.state_of(self.status)
         if state is None:
             raise self.error(f"says the statusword {self.status:04X}h, which is no state of CiA 402")
         return state
@@ -107,81 +105,81 @@ class Drive(Node):
         if trouble := self.trouble():
             raise DeviceError(self.device, trouble, self.name)
         recent = monotonic() - self._updated < FRESH
-        state = c.state_of(self.status) if recent else self.state(deadline)
-        return state not in {c.State.FAULT, c.State.REACTING, c.State.NOT_READY, None}
+        state = f.state_of(self.status) if recent else self.state(deadline)
+        return state not in {f.State.FAULT, f.State.REACTING, f.State.NOT_READY, None}
 
     def prepare(self, deadline: float) -> None:
         """Bring it as far as switched on, without operation; a fault from before is acknowledged once."""
-        self._advance(c.State.ON, deadline)
+        self._advance(f.State.ON, deadline)
 
     def enable(self, deadline: float) -> None:
         """Bring it to operation where it is; DeviceError says where it stays and why it may."""
-        self._advance(c.State.ENABLED, deadline)
+        self._advance(f.State.ENABLED, deadline)
         self._may_reset = False
 
-    def _advance(self, goal: c.State, deadline: float) -> None:
+    def _advance(self, goal: f.State, deadline: float) -> None:
         state = self.state(deadline)
-        while state is not goal and state is not c.State.ENABLED:
-            if goal is c.State.ON and state is c.State.STOPPED:
+        while state is not goal and state is not f.State.ENABLED:
+            if goal is f.State.ON and state is f.State.STOPPED:
                 return
-            if state in {c.State.FAULT, c.State.REACTING}:
+            if state in {f.State.FAULT, f.State.REACTING}:
                 state = self._reset(deadline)
                 continue
-            if state not in c.NEXT:
+            if state not in f.NEXT:
                 raise self._stuck(state, goal)
-            if state is c.State.STOPPED or c.NEXT[state][1] is c.State.ENABLED:
+            if state is f.State.STOPPED or f.NEXT[state][1] is f.State.ENABLED:
                 self._stay(deadline)
-            word, follows = c.NEXT[state]
+            word, follows = f.NEXT[state]
             self._control(word, deadline)
-            before, state = state, self._reach({follows, c.State.ENABLED}, deadline)
+            before, state = state, self._reach({follows, f.State.ENABLED}, deadline)
             if state is before:
                 raise self._stuck(state, goal)
 
     def _stay(self, deadline: float) -> None:
         """Its target becomes where it is, so that nothing moves when operation is enabled."""
-        actual = self.objects.read(c.ACTUAL, 0, "i", deadline)
-        self.objects.write(c.TARGET, 0, "i", actual, deadline)
+        actual = self.objects.read(f.ACTUAL, 0, "i", deadline)
+        self.objects.write(f.TARGET, 0, "i", actual, deadline)
 
-    def _reach(self, goals: set[c.State], deadline: float) -> c.State:
+    def _reach(self, goals: set[f.State], deadline: float) -> f.State:
         """Wait for one of the states, a fault, or the end of the time; the state it is in then."""
         until = min(deadline, monotonic() + STEP)
         while True:
             state = self.state(deadline)
-            if state in goals or state is c.State.FAULT or monotonic() + POLL >= until:
+            if state in goals or state is f.State.FAULT or monotonic() + POLL >= until:
                 return state
             sleep(POLL)
 
-    def _reset(self, deadline: float) -> c.State:
-        code = self.objects.read(c.ERROR_CODE, 0, "H", deadline)
+    def _reset(self, deadline: float) -> f.State:
+        code = self.objects.read(f.ERROR_CODE, 0, "H", deadline)
         message = f"is in fault, error code {code:04X}h: {f.emergency_text(code)}"
         if not self._may_reset:
             raise self.error(f"{message}; the next run acknowledges it")
         self._may_reset = False
         self._control(0, deadline)
-        self._control(c.FAULT_RESET, deadline)
-        state = self._reach({c.State.DISABLED}, deadline)
+        self._control(f.FAULT_RESET, deadline)
+        state = self._reach({f.State.DISABLED}, deadline)
         self._control(0, deadline)
-        if state is not c.State.DISABLED:
+        if state is not f.State.DISABLED:
             raise self.error(f"{message}; it does not let itself be acknowledged, so its cause is still there")
         return state
 
-    def _stuck(self, state: c.State, goal: c.State) -> DeviceError:
-        why = c.why_not(state, self.status)
+    def _stuck(self, state: f.State, goal: f.State) -> DeviceError:
+        why = f.why_not(state, self.status)
         return self.error(f"stays in {state.value} and does not go on to {goal.value}: {why}")
 
     def _control(self, word: int, deadline: float) -> None:
-        self.objects.write(c.CONTROLWORD, 0, "H", word, deadline)
+        self.objects.write(f.CONTROLWORD, 0, "H", word, deadline)
 
     def _use(self, mode: int, deadline: float) -> None:
         """Change the mode of operation, where it is another one."""
-        shown = self.objects.read(c.MODE_SHOWN, 0, "b", deadline)
+        shown = self.objects.read(f.MODE_SHOWN, 0, "b", deadline)
         if shown == mode:
             return
-        self.objects.write(c.MODE, 0, "b", mode, deadline)
+        self.objects.write(f.MODE, 0, "b", mode, deadline)
         until = min(deadline, monotonic() + STEP)
-        while self.objects.read(c.MODE_SHOWN, 0, "b", deadline) != mode:
+        while self.objects.read(f.MODE_SHOWN, 0, "b", deadline) != mode:
             if monotonic() + POLL >= until:
-                raise self.error(f"does not change to the mode {c.MODES[mode]}")
+                raise self.error(f"does not change to the mode {f.MODES[mode]}")
             sleep(POLL)
 
     # -- motion -------------------------------------------------------------------------------------------------------
@@ -190,19 +188,19 @@ class Drive(Node):
         """Go to `target` at `speed` by itself, in place of where it is going now."""
         self._check(target)
         self._cyclic = False
-        self._use(c.PROFILE, deadline)
+        self._use(f.PROFILE, deadline)
         self.enable(deadline)
-        self.objects.write(c.PROFILE_VELOCITY, 0, "I", max(1, speed), deadline)
-        self.objects.write(c.TARGET, 0, "i", target, deadline)
-        self._control(c.ENABLE, deadline)
-        self._control(c.ENABLE | c.NEW_SET_POINT | c.AT_ONCE, deadline)
+        self.objects.write(f.PROFILE_VELOCITY, 0, "I", max(1, speed), deadline)
+        self.objects.write(f.TARGET, 0, "i", target, deadline)
+        self._control(f.ENABLE, deadline)
+        self._control(f.ENABLE | f.NEW_SET_POINT | f.AT_ONCE, deadline)
         until = min(deadline, monotonic() + STEP)
-        while not self.objects.read(c.STATUSWORD, 0, "H", deadline) & c.ACKNOWLEDGE:
+        while not self.objects.read(f.STATUSWORD, 0, "H", deadline) & f.ACKNOWLEDGE:
             if monotonic() + POLL >= until:
                 raise self.error(f"does not acknowledge the target {target}: it may not have its zero yet (homing)")
             sleep(POLL)
-        self._control(c.ENABLE, deadline)
-        held = self.objects.read(c.TARGET, 0, "i", deadline)
+        self._control(f.ENABLE, deadline)
+        held = self.objects.read(f.TARGET, 0, "i", deadline)
         if held != target:
             raise self.error(f"holds the target {held} after {target} was sent")
         self._expected = True
@@ -210,15 +208,15 @@ class Drive(Node):
     def begin_cyclic(self, origin: int, room: int, deadline: float) -> None:
         """Take targets at each SYNC from now on; refused where it is further than `room` from `origin`."""
         self._check(origin)
-        actual = self.objects.read(c.ACTUAL, 0, "i", deadline)
+        actual = self.objects.read(f.ACTUAL, 0, "i", deadline)
         if abs(actual - origin) > room:
             message = f"is at {actual} counts and cannot jump to {origin}, where the motion begins"
             raise self.error(f"{message} (at most {room})")
-        if self.state(deadline) is c.State.ENABLED and not self.status & c.TARGET_REACHED and not self._cyclic:
+        if self.state(deadline) is f.State.ENABLED and not self.status & f.TARGET_REACHED and not self._cyclic:
             raise self.error("is still on its way to its last target: a cyclic motion begins at rest")
-        self.objects.write(c.TARGET, 0, "i", actual, deadline)
+        self.objects.write(f.TARGET, 0, "i", actual, deadline)
         self.lead = float(actual)
-        self._use(c.CYCLIC, deadline)
+        self._use(f.CYCLIC, deadline)
         self.enable(deadline)
         self._expected = self._cyclic = True
 
@@ -233,14 +231,14 @@ class Drive(Node):
     def halt(self, deadline: float) -> None:
         """Quick stop; it holds where it comes to rest. Without power there is nothing to stop."""
         self._cyclic = self._expected = False
-        self._control(c.QUICK_STOP, deadline)
-        state = self._reach({c.State.STOPPED, c.State.DISABLED}, deadline)
-        if state in {c.State.ENABLED, c.State.ON, c.State.READY}:
+        self._control(f.QUICK_STOP, deadline)
+        state = self._reach({f.State.STOPPED, f.State.DISABLED}, deadline)
+        if state in {f.State.ENABLED, f.State.ON, f.State.READY}:
             raise self.error(f"was commanded to stop and is still in {state.value}")
 
     def target(self, deadline: float) -> int:
         """The target that it holds."""
-        return self.objects.read(c.TARGET, 0, "i", deadline)
+        return self.objects.read(f.TARGET, 0, "i", deadline)
 
     def _check(self, target: int) -> None:
         if not -I32 <= target < I32:
@@ -251,8 +249,8 @@ class Drive(Node):
     def arm(self, producer: int, seconds: float, deadline: float) -> float:
         """Let it stop by itself where the heartbeat of node `producer` is missing; the time that it holds [s]."""
         try:
-            self.objects.set(c.QUICK_STOP_OPTION, 0, "h", c.STAY_STOPPED, deadline)
-            self.objects.set(c.ABORT_OPTION, 0, "h", c.QUICK_STOP_ON_LOSS, deadline)
+            self.objects.set(f.QUICK_STOP_OPTION, 0, "h", f.STAY_STOPPED, deadline)
+            self.objects.set(f.ABORT_OPTION, 0, "h", f.QUICK_STOP_ON_LOSS, deadline)
         except Refused as error:
             message = f"{error.message}; without it the drive would not stop and hold when the program is gone"
             raise DeviceError(self.device, message, self.name) from None

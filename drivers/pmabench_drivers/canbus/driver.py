@@ -12,17 +12,13 @@ from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import COMPUTER, EMULATED, UNPROVEN, Block, DeviceRecord, Identity, OutputRecord, Segment
 from pmabench_drivers.canbus import frames as f
 from pmabench_drivers.canbus.drive import Drive
-from pmabench_drivers.canbus.link import Link, open_adapter
-from pmabench_drivers.canbus.node import Node
+from pmabench_drivers.canbus.link import Link, Rows, Signals, open_adapter
+from pmabench_drivers.canbus.node import Node, Transducer
 from pmabench_drivers.canbus.options import READY, Options, read_options
-from pmabench_drivers.canbus.rows import Rows
-from pmabench_drivers.canbus.signals import Signals
-from pmabench_drivers.canbus.transducer import Transducer
-from pmabench_drivers.shared.device import Driver
+from pmabench_drivers.shared.device import Driver, refuse_nonsense, stepped
 from pmabench_drivers.shared.link import opened
 from pmabench_drivers.shared.options import Reader
 from pmabench_drivers.shared.polling import JOIN, Cycle, Samples
-from pmabench_drivers.shared.segments import refuse_nonsense, stepped
 
 CALL = 0.18
 """Longest time that a call takes [s]."""
@@ -55,7 +51,7 @@ class CanBus(Driver):
         self._cycle = Cycle(f"sync {device.name}", self._tick, clock)
         self._nodes: dict[str, Node] = {}
         self._signals = Signals(self._options, [channel.input for channel in device.channels])
-        self._takers: dict[int, Callable[[bytes, float], None]] = {}
+        self._takers: dict[int, Callable[[bytes], bool | None]] = {}
         self._following: dict[str, Segment] = {}
         self._rows = Rows((), self._row, 0)
         self._every, self._count = 0, 0
@@ -88,21 +84,16 @@ class CanBus(Driver):
         """Open the adapter, find every node, set up its PDOs and let it send; nothing moves, and no power is on."""
         self.close()
         deadline = monotonic() + OPEN
-        self._takers = {}
-        for node in self._nodes.values():
-            self._takers[f.SDO_ANSWER + node.number] = _untimed(node.objects.take)
-            self._takers[f.HEARTBEAT + node.number] = _untimed(node.take_heartbeat)
-            self._takers[f.EMCY + node.number] = _untimed(node.take_emergency)
+        self._takers = {identifier: take for node in self._nodes.values() for identifier, take in node.takers().items()}
         device, bitrate = self._device, self._options.bitrate
-        ask = not self._nodes  # sensors that only send tell nothing of themselves
+        ask = not self._nodes  # sensors that only send say nothing of themselves
         adapter = partial(open_adapter, device.address, bitrate, ask=ask)
         self._link = Link(device.name, device.address, adapter, self._clock, self._take)
         with self._closed_on_error():
             wanted: set[int] = set()
             for node in self._nodes.values():
                 node.open(deadline)
-                for identifier, take in node.mapped.items():
-                    self._takers[identifier] = self._pdo(identifier, take)
+                self._takers |= node.mapped
                 wanted |= set(node.mapped)
             self._rows = Rows(wanted, self._row, round(self._options.sync / 2 * 1e9))
             self._refuse_narrow_limits(deadline)
@@ -157,16 +148,10 @@ class CanBus(Driver):
 
     def _take(self, frame: f.Frame, when: float) -> None:
         """One frame, in the link's thread."""
-        if not frame.extended and (take := self._takers.get(frame.identifier)) is not None:
-            take(frame.data, when)
+        take = None if frame.extended else self._takers.get(frame.identifier)
+        if take is not None and take(frame.data):
+            self._rows.arrived(frame.identifier, round(when * 1e9))
         self._signals.take(frame)
-
-    def _pdo(self, identifier: int, take: Callable[[bytes], bool]) -> Callable[[bytes, float], None]:
-        def taken(data: bytes, when: float) -> None:
-            if take(data):
-                self._rows.arrived(identifier, round(when * 1e9))
-
-        return taken
 
     def _row(self, time: int, host: int) -> None:
         """Everything has answered to a SYNC."""
@@ -366,7 +351,3 @@ class CanBus(Driver):
     def _refuse_trouble_of(self, drive: Drive) -> None:
         if trouble := drive.trouble():
             raise self._error(f"{trouble}; it is not moved", drive.name)
-
-
-def _untimed(take: Callable[[bytes], None]) -> Callable[[bytes, float], None]:
-    return lambda data, _when: take(data)

@@ -1,7 +1,14 @@
-"""An emulated bus in front of the plant: drives, transducers and DBC-described sensors behind one slcan port."""
+"""An emulated CAN bus in front of the plant: drives, transducers and sensors behind any number of slcan adapters.
+
+All adapters are behind one TCP port of this machine, the nodes in this process.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import selectors
+import socket
+import threading
 from collections.abc import Callable
 from queue import SimpleQueue
 from time import monotonic
@@ -9,20 +16,176 @@ from typing import Any
 
 from pmabench.base.errors import UsageError
 from pmabench.bench.interface import ChannelRecord, DeviceRecord, OutputRecord, Scale
-from pmabench_drivers.canbus import cia402 as c
 from pmabench_drivers.canbus import frames as f
-from pmabench_drivers.canbus import transducer as t
-from pmabench_drivers.canbus.dbc import Message
-from pmabench_drivers.canbus.emulated_drive import EmulatedDrive
-from pmabench_drivers.canbus.emulated_encoder import STEP, encoder_objects
+from pmabench_drivers.canbus import node as t
+from pmabench_drivers.canbus.emulated_drive import STEP, EmulatedDrive, encoder_objects
 from pmabench_drivers.canbus.emulated_node import EmulatedNode
 from pmabench_drivers.canbus.frames import Frame
-from pmabench_drivers.canbus.hub import Hub
-from pmabench_drivers.canbus.options import Options, read_options
-from pmabench_drivers.emulator.faults import EXPIRY, LINK, SETPOINT, STUCK, WATCHDOG_OFF, Faults, Kind
-from pmabench_drivers.emulator.log import CommandLog
+from pmabench_drivers.canbus.link import TCP, line_of, read_line
+from pmabench_drivers.canbus.options import Message, Options, read_options
+from pmabench_drivers.emulator.faults import (
+    EXPIRY,
+    LINK,
+    SETPOINT,
+    STUCK,
+    WATCHDOG_OFF,
+    CommandLog,
+    Faults,
+    Kind,
+    Outgoing,
+    Tap,
+)
 from pmabench_drivers.emulator.plant import RealPlant
+from pmabench_drivers.emulator.ports import listen
 from pmabench_drivers.shared.options import options_of
+
+TICK = 0.002
+"""The nodes are given a turn so often [s]."""
+LONGEST = 64
+"""More of an unfinished line is forgotten [bytes]."""
+SERIAL = b"NSIM0\r"
+"""Serial number of the emulated adapters."""
+GARBAGE = b"t1zz8\x00\xff\r\x07T0000\r"
+"""What is no frame, in the form of some."""
+COMMANDS = (b"C", b"L", b"O", b"S", b"s", b"F", b"X", b"Z", b"V", b"N")
+PREFIX = f"slcan:{TCP}"
+
+
+class Hub:
+    """Frames from one adapter reach all others and the nodes in this process, as a kind of hub says."""
+
+    def __init__(self, name: str, address: str, faults: Faults, tap: Tap) -> None:
+        host, _, port = address.removeprefix(PREFIX).rpartition(":")
+        if not address.startswith(PREFIX) or not host or not port.isdecimal():
+            raise UsageError(f'{name} is at {address}; an emulator serves a bus at "{PREFIX}127.0.0.1:PORT" only')
+        self._listener = listen(name, "127.0.0.1" if host == "localhost" else host, int(port))
+        self.address = f"{PREFIX}{host}:{self._listener.getsockname()[1]}"
+        self.faults, self._tap = faults, tap
+        self._outgoing = Outgoing(GARBAGE)
+        self._selector = selectors.DefaultSelector()
+        self._selector.register(self._listener, selectors.EVENT_READ)
+        self._rests: dict[socket.socket, bytes] = {}
+        self._late: list[tuple[float, bytes]] = []
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._serve, name=f"emulated {name}", daemon=True)
+
+    def start(self) -> None:
+        """Begin to serve."""
+        self._thread.start()
+
+    def close(self) -> None:
+        """Hang up."""
+        self._ended.set()
+        if self._thread.is_alive() and self._thread is not threading.current_thread():
+            self._thread.join(1.0)
+        for link in [self._listener, *self._rests]:
+            with contextlib.suppress(OSError):
+                link.close()
+        self._rests.clear()
+
+    def send(self, frame: Frame) -> None:
+        """A frame of a node in this process, as the fault of the moment lets it through."""
+        fault, line = self.faults.next(), line_of(frame)
+        if fault.kind in {"hang-up", "reset"}:
+            self.hang_up()
+        elif fault.kind == "delay":
+            self._late.append((monotonic() + fault.value, line))
+        else:
+            self._out(self._outgoing.of(line, fault))
+
+    def hang_up(self) -> None:
+        """Close every connection."""
+        for link in list(self._rests):
+            self._forget(link)
+
+    def _take(self, frame: Frame) -> None:
+        """A frame has come from an adapter."""
+
+    def _turn(self, now: float) -> None:
+        """Time passes [s, monotonic]."""
+
+    # -- adapters -----------------------------------------------------------------------------------------------------
+
+    def _serve(self) -> None:
+        due = monotonic()
+        while not self._ended.is_set():
+            for key, _ in self._selector.select(max(0.0, due - monotonic())):
+                if key.fileobj is self._listener:
+                    self._accept()
+                elif isinstance(key.fileobj, socket.socket):
+                    self._hear(key.fileobj)
+            now = monotonic()
+            if now >= due:
+                due = max(due + TICK, now)
+                self._turn(now)
+            while self._late and self._late[0][0] <= now:
+                self._out(self._late.pop(0)[1])
+
+    def _accept(self) -> None:
+        with contextlib.suppress(OSError):
+            link, _peer = self._listener.accept()
+            link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            link.settimeout(0.2)
+            self._rests[link] = b""
+            self._selector.register(link, selectors.EVENT_READ)
+
+    def _hear(self, link: socket.socket) -> None:
+        try:
+            piece = link.recv(4096)
+        except OSError:
+            piece = b""
+        if not piece:
+            self._forget(link)
+            return
+        self._tap("received", piece)
+        *lines, rest = (self._rests[link] + piece).split(b"\r")
+        self._rests[link] = rest[-LONGEST:]
+        for line in lines:
+            self._obey(link, line)
+
+    def _obey(self, link: socket.socket, line: bytes) -> None:
+        if line[:1] in COMMANDS:
+            self._write(link, SERIAL if line[:1] == b"N" else b"V1010\r" if line[:1] == b"V" else b"\r")
+            return
+        frame = read_line(line) or _asked(line)
+        if frame is None:
+            if line:
+                self._write(link, b"\x07")
+            return
+        self._write(link, b"Z\r" if frame.extended else b"z\r")
+        for other in [other for other in self._rests if other is not link]:
+            self._write(other, line + b"\r" if frame.remote else line_of(frame))
+        if self.faults.peek().kind != "silence":
+            self._take(frame)
+
+    def _out(self, data: bytes) -> None:
+        if not data:
+            return
+        self._tap("sent", data)
+        for link in list(self._rests):
+            self._write(link, data)
+
+    def _write(self, link: socket.socket, data: bytes) -> None:
+        try:
+            link.sendall(data)
+        except OSError:
+            self._forget(link)
+
+    def _forget(self, link: socket.socket) -> None:
+        if self._rests.pop(link, None) is not None:
+            self._selector.unregister(link)
+            link.close()
+
+
+def _asked(line: bytes) -> Frame | None:
+    """The identifier that a remote frame asks for; None for anything else."""
+    if line[:1] != b"r" or not line[1:5].isalnum():
+        return None
+    try:
+        return Frame(int(line[1:4], 16), remote=True)
+    except ValueError:
+        return None
+
 
 CAN = {
     "emergency": Kind(
@@ -38,20 +201,18 @@ CYCLE = 0.01
 
 def serve(device: DeviceRecord, plant: RealPlant, log: CommandLog) -> EmulatedBus:
     """The bus that the driver of `device` talks to."""
-    options = options_of(device, read_options)
-    return EmulatedBus(device, options, plant, log)
+    return EmulatedBus(device, options_of(device, read_options), plant, log)
 
 
-class EmulatedBus:
+class EmulatedBus(Hub):
     """One bus: its faults are those of the adapter's line, and `CAN`."""
 
     def __init__(self, device: DeviceRecord, options: Options, plant: RealPlant, log: CommandLog) -> None:
         self._device, self._plant, self._log = device, plant, log
         self._events: SimpleQueue[str] = SimpleQueue()
         """What is to happen in the hub's thread."""
-        self.faults = Faults(LINK, STUCK, EXPIRY, WATCHDOG_OFF, SETPOINT, CAN)
-        self._hub = Hub(device.name, device.address, self._take, self._turn, self.faults, log.tap(device.name))
-        self.address = self._hub.address
+        faults = Faults(LINK, STUCK, EXPIRY, WATCHDOG_OFF, SETPOINT, CAN)
+        super().__init__(device.name, device.address, faults, log.tap(device.name))
         self.nodes: dict[str, EmulatedNode] = {}
         for name, node in options.nodes.items():
             self.nodes[name] = self._drive(name, node.number) if node.profile == 402 else self._gauge(name, node.number)
@@ -59,16 +220,8 @@ class EmulatedBus:
         for message in options.messages.values():
             channels = {c.input.partition(".")[2]: c for c in device.channels if c.input.startswith(f"{message.name}.")}
             if channels:
-                self._messages.append(_Sender(message, channels, plant, self._hub.send))
+                self._messages.append(_Sender(message, channels, plant, self.send))
         self._booted = False
-
-    def start(self) -> None:
-        """Begin to serve."""
-        self._hub.start()
-
-    def close(self) -> None:
-        """Hang up."""
-        self._hub.close()
 
     def expire_watchdog(self) -> bool:
         """Let the drives miss the program's heartbeat; whether one waited for it."""
@@ -88,7 +241,7 @@ class EmulatedBus:
     def change_set_point(self, value: float) -> bool:
         """Let the first drive hold another target [count], as by another program; whether there is a drive."""
         for drive in self._drives()[:1]:
-            drive.put(c.TARGET, 0, round(value).to_bytes(4, "little", signed=True))
+            drive.put(f.TARGET, 0, round(value).to_bytes(4, "little", signed=True))
         return bool(self._drives())
 
     def _drives(self) -> list[EmulatedDrive]:
@@ -112,11 +265,11 @@ class EmulatedBus:
             self._log.note(kind, self._device.name, node=name, **shown, **data)
 
         model = self._plant.model("CiA 402 drive")
-        return EmulatedDrive(number, model, self._hub.send, self._plant, scale, stroke, note)
+        return EmulatedDrive(number, model, self.send, self._plant, scale, stroke, note)
 
     def _gauge(self, name: str, number: int) -> EmulatedNode:
         channel = next((c for c in self._device.channels if c.input == f"{name}.position"), None)
-        node = EmulatedNode(number, 406, self._plant.model("CiA 406 transducer"), self._hub.send)
+        node = EmulatedNode(number, 406, self._plant.model("CiA 406 transducer"), self.send)
 
         def position() -> int:
             if channel is None:
@@ -158,7 +311,7 @@ class EmulatedBus:
 
     def _befall(self, kind: str, value: int) -> None:
         if kind == "reset":
-            self._hub.hang_up()
+            self.hang_up()
         for node in self.nodes.values():
             if kind != "emergency":
                 node.reset()

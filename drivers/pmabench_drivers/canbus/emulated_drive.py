@@ -1,4 +1,8 @@
-"""An emulated CiA 402 drive that moves the free end of the plant: states, profile and cyclic position, limits."""
+"""Emulated CANopen devices: a CiA 402 drive that moves the free end of the plant, and a CiA 406 linear encoder.
+
+Objects of the encoder, their types, access and values at power-on: device properties according to CiA DS 406 in the
+operation manual of the Temposonics E-Series CANopen (table 17); position 6004h and preset 6003h: CiA 406, class C2.
+"""
 
 from __future__ import annotations
 
@@ -6,15 +10,67 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from pmabench.bench.interface import Scale
-from pmabench_drivers.canbus import cia402 as c
 from pmabench_drivers.canbus import frames as f
-from pmabench_drivers.canbus.cia402 import State
-from pmabench_drivers.canbus.emulated_node import LOST_HEARTBEAT, EmulatedNode
-from pmabench_drivers.canbus.emulated_objects import STATE, VALUE, Abort, Entry
-from pmabench_drivers.canbus.frames import Frame
+from pmabench_drivers.canbus.emulated_node import LOST_HEARTBEAT, STATE, VALUE, Abort, EmulatedNode, Entry
+from pmabench_drivers.canbus.frames import Frame, State
 from pmabench_drivers.emulator.plant import RealPlant
 
-WORDS = {state: value for _mask, value, state in c.STATES}
+LINEAR_ENCODER = 406 | 8 << 16
+"""Device type: the profile, and an absolute linear encoder."""
+STEP = 1000
+"""Measuring step: 1 um, in units of 0.001 um."""
+SPEED_STEP = 10
+"""Step of the velocity: 0.1 mm/s, in units of 0.01 mm/s."""
+STROKE = 300_000
+"""Range that it can measure [steps]."""
+CYCLE = 1
+"""Time between two positions that it sends by itself [ms]."""
+MISSING_MAGNET = 1
+WARNINGS = 0x7000
+PROFILE_VERSION = 0x0302_0001
+"""Version of the profile, and of the software."""
+UNKNOWN_TIME = 0xFFFF_FFFF
+"""Operating time of a device that does not count it."""
+
+
+def encoder_objects(node: EmulatedNode, position: Callable[[], int]) -> dict[tuple[int, int], Entry]:
+    """The objects of the profile; `position` [steps] is where the magnet is now."""
+    node.preset(f.DEVICE_TYPE, 0, LINEAR_ENCODER)
+    timer = node.objects[f.TPDO_PARAMETER, 5]
+
+    def cycle(period: int) -> None:
+        """Cyclic timer and event timer of the first PDO are one."""
+        timer.value = period
+
+    objects = {
+        (0x6000, 0): Entry("H", 0, writable=True),
+        (0x6002, 0): Entry("I", STROKE, writable=True),
+        (0x6004, 0): Entry("i", read=position),
+        (0x6005, 1): Entry("I", STEP),
+        (0x6005, 2): Entry("I", SPEED_STEP),
+        (0x6020, 1): Entry("i", read=position),
+        (0x6030, 1): Entry("h", 0),
+        (0x6200, 0): Entry("H", CYCLE, writable=True, read=lambda: node.get(f.TPDO_PARAMETER, 5), written=cycle),
+        (0x6400, 1): Entry("B", 0),
+        (0x6500, 0): Entry("H", 0),
+        (0x6501, 0): Entry("I", STEP),
+        (0x6503, 0): Entry("H", 0),
+        (0x6504, 0): Entry("H", MISSING_MAGNET),
+        (0x6505, 0): Entry("H", 0),
+        (0x6506, 0): Entry("H", WARNINGS),
+        (0x6507, 0): Entry("I", PROFILE_VERSION),
+        (0x6508, 0): Entry("I", UNKNOWN_TIME),
+        (0x6509, 0): Entry("i", 0),
+        (0x650A, 1): Entry("i", 0),
+        (0x650A, 2): Entry("i", 0),
+        (0x650A, 3): Entry("i", STROKE),
+        (0x650B, 0): Entry("I", node.get(f.IDENTITY, 4)),
+    }
+    counts = {index: max(sub for at, sub in objects if at == index) for index, _sub in objects}
+    return objects | {(index, 0): Entry("B", count) for index, count in counts.items() if count}
+
+
+WORDS = {state: value for _mask, value, state in f.STATES}
 FOLLOWING_ERROR = 0x8611
 VELOCITY, AVERAGED = 0x606C, 0.02
 """Actual velocity, and over which time it is taken [s]."""
@@ -24,8 +80,8 @@ CONNECTION_LOST = 0x8100
 ON_EVENT = 255
 """Transmission type of a PDO that is sent, or is in force, when its content changes."""
 DEFAULT_PDOS = (
-    (((c.STATUSWORD, 16),), ((c.CONTROLWORD, 16),)),
-    (((c.STATUSWORD, 16), (c.MODE_SHOWN, 8)), ((c.CONTROLWORD, 16), (c.MODE, 8))),
+    (((f.STATUSWORD, 16),), ((f.CONTROLWORD, 16),)),
+    (((f.STATUSWORD, 16), (f.MODE_SHOWN, 8)), ((f.CONTROLWORD, 16), (f.MODE, 8))),
 )
 """What its first PDOs, transmitted and received, hold from power-on (CiA 402-3): objects and bits."""
 ACCELERATIONS = (0x6083, 0x6084, 0x6085)
@@ -61,28 +117,28 @@ class EmulatedDrive(EmulatedNode):
         self._target_at = 0.0
         """When it will have reached its target [s, monotonic]."""
         self.objects |= {
-            (c.CONTROLWORD, 0): Entry("H", 0, writable=True, written=self._control),
-            (c.STATUSWORD, 0): Entry("H", read=self._status),
-            (c.MODE, 0): Entry("b", 0, writable=True, written=self._change_mode),
-            (c.MODE_SHOWN, 0): Entry("b", 0),
-            (c.TARGET, 0): Entry("i", self._actual(), writable=True),
-            (c.ACTUAL, 0): Entry("i", read=self._actual),
+            (f.CONTROLWORD, 0): Entry("H", 0, writable=True, written=self._control),
+            (f.STATUSWORD, 0): Entry("H", read=self._status),
+            (f.MODE, 0): Entry("b", 0, writable=True, written=self._change_mode),
+            (f.MODE_SHOWN, 0): Entry("b", 0),
+            (f.TARGET, 0): Entry("i", self._actual(), writable=True),
+            (f.ACTUAL, 0): Entry("i", read=self._actual),
             (VELOCITY, 0): Entry("i", read=self._velocity),
-            (c.DEMAND, 0): Entry("i", read=self._demand),
-            (c.PROFILE_VELOCITY, 0): Entry("I", 1000, writable=True),
+            (f.DEMAND, 0): Entry("i", read=self._demand),
+            (f.PROFILE_VELOCITY, 0): Entry("I", 1000, writable=True),
             **{(index, 0): Entry("I", 1_000_000, writable=True) for index in ACCELERATIONS},
-            (c.LIMITS, 0): Entry("B", 2),
-            (c.LIMITS, 1): Entry("i", stroke[0], writable=True),
-            (c.LIMITS, 2): Entry("i", stroke[1], writable=True),
-            (c.SUPPORTED, 0): Entry("I", 1 << (c.PROFILE - 1) | 1 << (c.CYCLIC - 1)),
-            (c.ABORT_OPTION, 0): Entry("h", 1, writable=True, written=self._option(0, 3)),
-            (c.QUICK_STOP_OPTION, 0): Entry("h", 2, writable=True, written=self._option(0, 8)),
-            (c.ERROR_CODE, 0): Entry("H", 0),
-            (c.PERIOD, 0): Entry("B", 2),
-            (c.PERIOD, 1): Entry("B", 10, writable=True),
-            (c.PERIOD, 2): Entry("b", -3, writable=True),
-            (c.WINDOW, 0): Entry("I", 0xFFFFFFFF, writable=True),
-            (c.WINDOW_TIME, 0): Entry("H", 100, writable=True),
+            (f.LIMITS, 0): Entry("B", 2),
+            (f.LIMITS, 1): Entry("i", stroke[0], writable=True),
+            (f.LIMITS, 2): Entry("i", stroke[1], writable=True),
+            (f.SUPPORTED, 0): Entry("I", 1 << (f.PROFILE - 1) | 1 << (f.CYCLIC - 1)),
+            (f.ABORT_OPTION, 0): Entry("h", 1, writable=True, written=self._option(0, 3)),
+            (f.QUICK_STOP_OPTION, 0): Entry("h", 2, writable=True, written=self._option(0, 8)),
+            (f.ERROR_CODE, 0): Entry("H", 0),
+            (f.PERIOD, 0): Entry("B", 2),
+            (f.PERIOD, 1): Entry("B", 10, writable=True),
+            (f.PERIOD, 2): Entry("b", -3, writable=True),
+            (f.WINDOW, 0): Entry("I", 0xFFFFFFFF, writable=True),
+            (f.WINDOW_TIME, 0): Entry("H", 100, writable=True),
         }
 
         for place, (shown, commanded) in enumerate(DEFAULT_PDOS):
@@ -111,11 +167,11 @@ class EmulatedDrive(EmulatedNode):
         if self.drive_state in {State.READY, State.ON, State.ENABLED, State.STOPPED}:
             word |= 1 << 4
         if self.now >= self._target_at:
-            word |= c.TARGET_REACHED
+            word |= f.TARGET_REACHED
         if self._limited:
-            word |= c.INTERNAL_LIMIT
+            word |= f.INTERNAL_LIMIT
         if self._acknowledged:
-            word |= c.ACKNOWLEDGE
+            word |= f.ACKNOWLEDGE
         return word
 
     # -- state machine ------------------------------------------------------------------------------------------------
@@ -127,11 +183,11 @@ class EmulatedDrive(EmulatedNode):
             return
         if self.drive_state is State.FAULT:
             return
-        follows = _follows(self.drive_state, word, stays=self.get(c.QUICK_STOP_OPTION) >= OPTION_STAYS)
+        follows = _follows(self.drive_state, word, stays=self.get(f.QUICK_STOP_OPTION) >= OPTION_STAYS)
         going_on = follows in {State.READY, State.ON, State.ENABLED}
         if follows is not self.drive_state and (self.obeys or not going_on):
             self._enter(follows)
-        if self.drive_state is State.ENABLED and self.get(c.MODE_SHOWN) == c.PROFILE:
+        if self.drive_state is State.ENABLED and self.get(f.MODE_SHOWN) == f.PROFILE:
             self._set_point(before, word)
 
     def _enter(self, state: State) -> None:
@@ -147,13 +203,13 @@ class EmulatedDrive(EmulatedNode):
     def _reset_fault(self) -> None:
         if self._late_since:
             return
-        self.objects[c.ERROR_CODE, 0].value = 0
+        self.objects[f.ERROR_CODE, 0].value = 0
         self._enter(State.DISABLED)
         self.emergency(0, f.COMMUNICATION_ERROR | 1 if self._missed else 0)
 
     def fault(self, code: int) -> None:
         """Stop and say why."""
-        self.objects[c.ERROR_CODE, 0].value = code
+        self.objects[f.ERROR_CODE, 0].value = code
         self._enter(State.FAULT)
         self.emergency(code, 0x21)
 
@@ -163,7 +219,7 @@ class EmulatedDrive(EmulatedNode):
 
     def lost_heartbeat(self) -> None:
         """As object 6007h says."""
-        self._note("watchdog", option=self.get(c.ABORT_OPTION))
+        self._note("watchdog", option=self.get(f.ABORT_OPTION))
         self._lost(LOST_HEARTBEAT)
 
     def stopped(self) -> None:
@@ -172,13 +228,13 @@ class EmulatedDrive(EmulatedNode):
 
     def _lost(self, code: int) -> None:
         """Do what object 6007h says; `code` where that is a fault."""
-        option = self.get(c.ABORT_OPTION)
+        option = self.get(f.ABORT_OPTION)
         if option == 1:
             self.fault(code)
         elif option == 2:
             self._enter(State.DISABLED)
-        elif option == c.QUICK_STOP_ON_LOSS and self.drive_state is State.ENABLED:
-            stays = self.get(c.QUICK_STOP_OPTION) >= OPTION_STAYS
+        elif option == f.QUICK_STOP_ON_LOSS and self.drive_state is State.ENABLED:
+            stays = self.get(f.QUICK_STOP_OPTION) >= OPTION_STAYS
             self._enter(State.STOPPED if stays else State.DISABLED)
 
     def _option(self, low: int, high: int) -> Callable[[int], None]:
@@ -191,51 +247,51 @@ class EmulatedDrive(EmulatedNode):
     # -- motion -------------------------------------------------------------------------------------------------------
 
     def _change_mode(self, mode: int) -> None:
-        if mode not in c.MODES:
+        if mode not in f.MODES:
             raise Abort(VALUE)
-        if mode != self.get(c.MODE_SHOWN) and self.drive_state is State.ENABLED and self.now < self._target_at:
+        if mode != self.get(f.MODE_SHOWN) and self.drive_state is State.ENABLED and self.now < self._target_at:
             raise Abort(STATE)
-        self.objects[c.MODE_SHOWN, 0].value = mode
+        self.objects[f.MODE_SHOWN, 0].value = mode
         self._acknowledged = False
 
     def _inside(self, target: int) -> float:
         """The target within its software limits, as a place [m of contraction]."""
-        low, high = self.get(c.LIMITS, 1), self.get(c.LIMITS, 2)
+        low, high = self.get(f.LIMITS, 1), self.get(f.LIMITS, 2)
         held = min(max(target, low), high) if low < high else target
         self._limited = held != target
         return float(self._scale.to_si(held))
 
     def _set_point(self, before: int, word: int) -> None:
         """Profile position: a rising edge of `new set-point` takes the target."""
-        if not word & c.NEW_SET_POINT:
+        if not word & f.NEW_SET_POINT:
             self._acknowledged = False
             return
-        if before & c.NEW_SET_POINT:
+        if before & f.NEW_SET_POINT:
             return
-        place = self._inside(self.get(c.TARGET))
-        speed = self.get(c.PROFILE_VELOCITY) * abs(self._scale.slope)
+        place = self._inside(self.get(f.TARGET))
+        speed = self.get(f.PROFILE_VELOCITY) * abs(self._scale.slope)
         start = self._plant.stop_drive() if self.now < self._target_at else self._last
         self._plant.drive(place, speed)
         self._target_at = self.now + abs(place - start) / speed if speed else float("inf")
         self._acknowledged, self._last = True, place
-        self._note("move", raw=self.get(c.TARGET), si=place, speed=speed)
+        self._note("move", raw=self.get(f.TARGET), si=place, speed=speed)
 
     def synchronised(self) -> None:
         """Cyclic synchronous position: be at the target one period from now."""
-        if self.drive_state is not State.ENABLED or self.get(c.MODE_SHOWN) != c.CYCLIC:
+        if self.drive_state is not State.ENABLED or self.get(f.MODE_SHOWN) != f.CYCLIC:
             return
-        place = self._inside(self.get(c.TARGET))
+        place = self._inside(self.get(f.TARGET))
         if place == self._last:
             return
-        period = self.get(c.PERIOD, 1) * 10.0 ** self.get(c.PERIOD, 2)
+        period = self.get(f.PERIOD, 1) * 10.0 ** self.get(f.PERIOD, 2)
         self._plant.drive(place, abs(place - self._last) / period)
         self._last = place
-        self._note("move", raw=self.get(c.TARGET), si=place)
+        self._note("move", raw=self.get(f.TARGET), si=place)
 
     def turn(self, now: float) -> None:
         """Look at the following error, too."""
         super().turn(now)
-        window = self.get(c.WINDOW)
+        window = self.get(f.WINDOW)
         if window == 0xFFFFFFFF or self.drive_state is not State.ENABLED:
             self._late_since = 0.0
             return
@@ -243,7 +299,7 @@ class EmulatedDrive(EmulatedNode):
             self._late_since = 0.0
         elif not self._late_since:
             self._late_since = now
-        elif now - self._late_since > self.get(c.WINDOW_TIME) * 1e-3:
+        elif now - self._late_since > self.get(f.WINDOW_TIME) * 1e-3:
             self._late_since = 0.0
             self.fault(FOLLOWING_ERROR)
 
@@ -254,7 +310,7 @@ class EmulatedDrive(EmulatedNode):
         self._word, self._limited, self._late_since = 0, False, 0.0
         super().reset(everything=everything)
         if everything:
-            self.objects[c.TARGET, 0].value = self._actual()
+            self.objects[f.TARGET, 0].value = self._actual()
 
 
 def _follows(state: State, word: int, *, stays: bool) -> State:

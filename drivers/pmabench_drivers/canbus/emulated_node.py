@@ -1,4 +1,7 @@
-"""An emulated CANopen node: object dictionary behind SDO, PDOs, NMT, heartbeats, emergencies; knows no profile."""
+"""An emulated CANopen node: object dictionary behind SDO, PDOs, NMT, heartbeats, emergencies; knows no profile.
+
+Codes with which it refuses a transfer: CiA 301.
+"""
 
 from __future__ import annotations
 
@@ -7,20 +10,52 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from time import monotonic
 
-from pmabench_drivers.canbus import emulated_objects as o
 from pmabench_drivers.canbus import frames as f
 from pmabench_drivers.canbus.frames import Frame
 
+TOGGLE, COMMAND = 0x05030000, 0x05040001
+READ_ONLY, NO_OBJECT, NO_SUB = 0x06010002, 0x06020000, 0x06090011
+UNMAPPABLE, TOO_MUCH = 0x06040041, 0x06040042
+LONG, SHORT, VALUE = 0x06070012, 0x06070013, 0x06090030
+STATE, NO_DATA = 0x08000022, 0x08000024
+"""SDO abort codes."""
+
+
+class Abort(Exception):
+    """The node refuses a transfer, with this code."""
+
+    def __init__(self, code: int) -> None:
+        super().__init__(f"{code:08X}")
+        self.code = code
+
+
+@dataclass
+class Entry:
+    """One object: its `kind` is that of `struct`, or `s` for text."""
+
+    kind: str
+    value: int | bytes = 0
+    writable: bool = False
+    read: Callable[[], int] | None = None
+    """Where its value comes from at each look, if it is no stored one."""
+    written: Callable[[int], None] | None = None
+    """Called with a new value before it is stored; raises Abort."""
+
+    def __post_init__(self) -> None:
+        self.power_on = self.value
+        """Its value after a start."""
+
+    def bytes(self) -> bytes:
+        """The value as it goes over the wire."""
+        value = self.read() if self.read is not None else self.value
+        if isinstance(value, bytes):
+            return value
+        return struct.pack(f"<{self.kind}", value)
+
+
 LOST_HEARTBEAT = 0x8130
-ERRORS, SYNC_ID, SYNC_PERIOD, HARDWARE, GUARD_TIME, LIFE_FACTOR, EMCY_ID = (
-    0x1003,
-    0x1005,
-    0x1006,
-    0x1009,
-    0x100C,
-    0x100D,
-    0x1014,
-)
+ERRORS, SYNC_ID, SYNC_PERIOD, HARDWARE = 0x1003, 0x1005, 0x1006, 0x1009
+GUARD_TIME, LIFE_FACTOR, EMCY_ID = 0x100C, 0x100D, 0x1014
 BOOTING = 0.05
 """From a reset until it says that it has started [s]."""
 KEPT = 4
@@ -61,24 +96,24 @@ class EmulatedNode:
         """Those of the past, the newest first."""
         self._guarded, self._guard_toggle = 0.0, 0
         """When it was asked for its state last [s, monotonic]; 0: never, and so nothing is missed."""
-        self.objects: dict[tuple[int, int], o.Entry] = {
-            (f.DEVICE_TYPE, 0): o.Entry("I", profile),
-            (f.ERROR_REGISTER, 0): o.Entry("B", 0),
-            (f.DEVICE_NAME, 0): o.Entry("s", model.encode()),
-            (ERRORS, 0): o.Entry("B", read=lambda: len(self._errors), writable=True, written=self._forget_errors),
-            **{(ERRORS, sub): o.Entry("I", read=self._error(sub)) for sub in range(1, KEPT + 1)},
-            (SYNC_ID, 0): o.Entry("I", f.SYNC, writable=True),
-            (SYNC_PERIOD, 0): o.Entry("I", 0, writable=True),
-            (HARDWARE, 0): o.Entry("s", b"1"),
-            (f.SOFTWARE, 0): o.Entry("s", b"1"),
-            (GUARD_TIME, 0): o.Entry("H", 0, writable=True),
-            (LIFE_FACTOR, 0): o.Entry("B", 0, writable=True),
-            (EMCY_ID, 0): o.Entry("I", f.EMCY + number, writable=True),
-            (f.CONSUMER, 0): o.Entry("B", 1),
-            (f.CONSUMER, 1): o.Entry("I", 0, writable=True, written=self._consume),
-            (f.PRODUCER, 0): o.Entry("H", 0, writable=True, written=self._produce),
-            (f.IDENTITY, 0): o.Entry("B", 4),
-            **{(f.IDENTITY, sub): o.Entry("I", value) for sub, value in enumerate((0, profile, 1, number), 1)},
+        self.objects: dict[tuple[int, int], Entry] = {
+            (f.DEVICE_TYPE, 0): Entry("I", profile),
+            (f.ERROR_REGISTER, 0): Entry("B", 0),
+            (f.DEVICE_NAME, 0): Entry("s", model.encode()),
+            (ERRORS, 0): Entry("B", read=lambda: len(self._errors), writable=True, written=self._forget_errors),
+            **{(ERRORS, sub): Entry("I", read=self._error(sub)) for sub in range(1, KEPT + 1)},
+            (SYNC_ID, 0): Entry("I", f.SYNC, writable=True),
+            (SYNC_PERIOD, 0): Entry("I", 0, writable=True),
+            (HARDWARE, 0): Entry("s", b"1"),
+            (f.SOFTWARE, 0): Entry("s", b"1"),
+            (GUARD_TIME, 0): Entry("H", 0, writable=True),
+            (LIFE_FACTOR, 0): Entry("B", 0, writable=True),
+            (EMCY_ID, 0): Entry("I", f.EMCY + number, writable=True),
+            (f.CONSUMER, 0): Entry("B", 1),
+            (f.CONSUMER, 1): Entry("I", 0, writable=True, written=self._consume),
+            (f.PRODUCER, 0): Entry("H", 0, writable=True, written=self._produce),
+            (f.IDENTITY, 0): Entry("B", 4),
+            **{(f.IDENTITY, sub): Entry("I", value) for sub, value in enumerate((0, profile, 1, number), 1)},
         }
         for index in range(PDOS):
             for parameter, identifier in ((f.TPDO_PARAMETER, f.TPDO), (f.RPDO_PARAMETER, f.RPDO)):
@@ -88,15 +123,15 @@ class EmulatedNode:
         at = parameter + 0x200
         used = f.INVALID | identifier | (f.NO_REMOTE if parameter >= f.TPDO_PARAMETER else 0)
         self.objects |= {
-            (parameter, 0): o.Entry("B", 5),
-            (parameter, 1): o.Entry("I", used, writable=True, written=lambda value: self._identify(at, value)),
-            (parameter, 2): o.Entry("B", 254, writable=True),
-            (parameter, 3): o.Entry("H", 0, writable=True),
-            (parameter, 5): o.Entry("H", 0, writable=True),
-            (at, 0): o.Entry("B", 0, writable=True, written=lambda count: self._map(parameter, count)),
+            (parameter, 0): Entry("B", 5),
+            (parameter, 1): Entry("I", used, writable=True, written=lambda value: self._identify(at, value)),
+            (parameter, 2): Entry("B", 254, writable=True),
+            (parameter, 3): Entry("H", 0, writable=True),
+            (parameter, 5): Entry("H", 0, writable=True),
+            (at, 0): Entry("B", 0, writable=True, written=lambda count: self._map(parameter, count)),
         }
         for sub in range(1, 9):
-            self.objects[at, sub] = o.Entry("I", 0, writable=True, written=lambda _value: self._may_map(parameter))
+            self.objects[at, sub] = Entry("I", 0, writable=True, written=lambda _value: self._may_map(parameter))
 
     def boot(self) -> None:
         """Start: pre-operational, and say so."""
@@ -151,11 +186,11 @@ class EmulatedNode:
         """Write an object as it came over the wire; raises Abort."""
         entry = self.objects.get((index, sub))
         if entry is None:
-            raise o.Abort(o.NO_SUB if any(key[0] == index for key in self.objects) else o.NO_OBJECT)
+            raise Abort(NO_SUB if any(key[0] == index for key in self.objects) else NO_OBJECT)
         if not entry.writable:
-            raise o.Abort(o.READ_ONLY)
+            raise Abort(READ_ONLY)
         if (surplus := len(data) - struct.calcsize(f"<{entry.kind}")) != 0:
-            raise o.Abort(o.LONG if surplus > 0 else o.SHORT)
+            raise Abort(LONG if surplus > 0 else SHORT)
         [value] = struct.unpack(f"<{entry.kind}", data)
         if entry.written is not None:
             entry.written(value)
@@ -174,14 +209,14 @@ class EmulatedNode:
     def _error(self, sub: int) -> Callable[[], int]:
         def read() -> int:
             if sub > len(self._errors):
-                raise o.Abort(o.NO_DATA)
+                raise Abort(NO_DATA)
             return self._errors[sub - 1]
 
         return read
 
     def _forget_errors(self, count: int) -> None:
         if count:
-            raise o.Abort(o.VALUE)
+            raise Abort(VALUE)
         self._errors = []
 
     # -- frames -------------------------------------------------------------------------------------------------------
@@ -268,9 +303,9 @@ class EmulatedNode:
                 return self._upload(index, sub)
             if kind == 3:
                 return self._segment(command >> 4 & 1)
-        except o.Abort as error:
+        except Abort as error:
             return f.abort(index, sub, error.code)
-        return f.abort(index, sub, o.COMMAND)
+        return f.abort(index, sub, COMMAND)
 
     def _size(self, index: int, sub: int) -> int:
         entry = self.objects.get((index, sub))
@@ -279,7 +314,7 @@ class EmulatedNode:
     def _upload(self, index: int, sub: int) -> bytes:
         entry = self.objects.get((index, sub))
         if entry is None:
-            raise o.Abort(o.NO_SUB if any(key[0] == index for key in self.objects) else o.NO_OBJECT)
+            raise Abort(NO_SUB if any(key[0] == index for key in self.objects) else NO_OBJECT)
         data = entry.bytes()
         if entry.kind != "s":
             self._segments = None
@@ -289,9 +324,9 @@ class EmulatedNode:
 
     def _segment(self, toggle: int) -> bytes:
         if self._segments is None:
-            raise o.Abort(o.COMMAND)
+            raise Abort(COMMAND)
         if toggle != self._toggle:
-            raise o.Abort(o.TOGGLE)
+            raise Abort(TOGGLE)
         piece, self._segments = self._segments[:SEGMENT], self._segments[SEGMENT:]
         self._toggle ^= 1
         head = toggle << 4 | (SEGMENT - len(piece)) << 1 | (not self._segments)
@@ -302,23 +337,23 @@ class EmulatedNode:
 
     def _identify(self, mapping: int, value: int) -> None:
         if not value & f.INVALID and not self.get(mapping):
-            raise o.Abort(o.STATE)
+            raise Abort(STATE)
 
     def _may_map(self, parameter: int) -> None:
         if not self.get(parameter, 1) & f.INVALID:
-            raise o.Abort(o.STATE)
+            raise Abort(STATE)
 
     def _map(self, parameter: int, count: int) -> None:
         self._may_map(parameter)
         if count > 8:
-            raise o.Abort(o.VALUE)
+            raise Abort(VALUE)
         entries = [self.get(parameter + 0x200, sub) for sub in range(1, count + 1)]
         for entry in entries:
             target = self.objects.get((entry >> 16, entry >> 8 & 0xFF))
             if target is None or target.kind == "s" or 8 * struct.calcsize(f"<{target.kind}") != entry & 0xFF:
-                raise o.Abort(o.UNMAPPABLE)
+                raise Abort(UNMAPPABLE)
         if sum(entry & 0xFF for entry in entries) > 64:
-            raise o.Abort(o.TOO_MUCH)
+            raise Abort(TOO_MUCH)
 
     def _entries(self, mapping: int) -> list[tuple[int, int]]:
         values = (self.get(mapping, sub) for sub in range(1, self.get(mapping) + 1))
@@ -378,7 +413,7 @@ class EmulatedNode:
                 return
             try:
                 self.put(*key, data[at : at + size])
-            except o.Abort:
+            except Abort:
                 self.emergency(0x8200)
             at += size
 

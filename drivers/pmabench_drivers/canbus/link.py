@@ -1,16 +1,143 @@
-"""One CAN adapter of one program: frames out, a thread that hands out what comes in. Loads python-can when opened."""
+"""CAN adapters: frames out, a thread that hands out what comes in; and what comes in, put together to samples.
+
+Loads python-can or pyserial when an adapter is opened. Adapters of the slcan kind (LAWICEL) send frames as lines of
+text, over a serial port or TCP. python-can has such an adapter too; it reads single bytes, and does not come back from
+a byte that is no ASCII.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import select
+import socket
 import threading
-from collections.abc import Callable
-from typing import Any
+import time
+from collections import deque
+from collections.abc import Callable, Collection, Sequence
+from math import isfinite
+from time import monotonic
+from typing import TYPE_CHECKING, Any
 
 from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError
 from pmabench_drivers.canbus.frames import Frame
-from pmabench_drivers.canbus.slcan import PUSH, Slcan
+from pmabench_drivers.shared.link import Listening, reason
+from pmabench_drivers.shared.serial_port import hand_over
+
+if TYPE_CHECKING:
+    from pmabench_drivers.canbus.options import Message, Options, Signal
+
+BIT_RATES = (10_000, 20_000, 50_000, 100_000, 125_000, 250_000, 500_000, 800_000, 1_000_000)
+RATES = {rate: f"S{number}" for number, rate in enumerate(BIT_RATES)}
+"""Bit rate -> the adapter's command for it."""
+TCP = "socket://"
+CONNECT = 1.0
+"""Longest time to reach an adapter behind TCP [s]."""
+PUSH = 0.1
+"""Longest time to hand bytes over [s]."""
+RESTART = 0.3
+"""A serial adapter is given so long after it was opened [s]."""
+ASKED = 0.2
+"""How long an adapter is given to answer with its serial number [s]."""
+LONGEST = 64
+"""More of an unfinished line is forgotten [bytes]."""
+
+
+def line_of(frame: Frame) -> bytes:
+    """A data frame as a line."""
+    head = f"T{frame.identifier:08X}" if frame.extended else f"t{frame.identifier:03X}"
+    return f"{head}{len(frame.data)}{frame.data.hex().upper()}\r".encode()
+
+
+def read_line(line: bytes) -> Frame | None:
+    """The data frame of a line without its end; None for anything else."""
+    width = {b"t": 3, b"T": 8}.get(line[:1])
+    try:
+        text = line.decode("ascii")
+        if width is None or not text.isalnum():
+            return None
+        identifier, length = int(text[1 : 1 + width], 16), int(text[1 + width : 2 + width])
+        data = bytes.fromhex(text[2 + width : 2 + width + 2 * length])
+    except ValueError:
+        return None
+    if length > 8 or len(data) != length or identifier >= (1 << 29 if width == 8 else 1 << 11):
+        return None
+    if len(text) - 2 - width - 2 * length not in {0, 4}:  # an adapter may add a time of 4 digits
+        return None
+    return Frame(identifier, data, width == 8)
+
+
+class Slcan:
+    """An open adapter. Raises OSError."""
+
+    def __init__(self, channel: str, bitrate: int, *, ask: bool = False) -> None:
+        self._socket: socket.socket | None = None
+        self._port: Any = None
+        if channel.startswith(TCP):
+            host, _, port = channel.removeprefix(TCP).rpartition(":")
+            self._socket = socket.create_connection((host, int(port)), CONNECT)
+            self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            self._socket.settimeout(PUSH)
+        else:
+            import serial
+
+            self._port = serial.Serial(channel, 115200, timeout=0.01, exclusive=True)
+            time.sleep(RESTART)
+        self._rest, self._frames = b"", deque[Frame]()
+        self.serial = ""
+        """Serial number, where it was to `ask` for it and the adapter has one."""
+        self._write(f"\rC\r{RATES[bitrate]}\rO\r".encode())
+        if ask:
+            self._write(b"N\r")
+            until = monotonic() + ASKED
+            while not self.serial and monotonic() < until:
+                self._receive(0.02)
+
+    def send(self, frame: Frame) -> None:
+        """One frame out."""
+        self._write(line_of(frame))
+
+    def receive(self, wait: float) -> Frame | None:
+        """The next frame, waited for at most `wait` [s]."""
+        if not self._frames:
+            self._receive(wait)
+        return self._frames.popleft() if self._frames else None
+
+    def close(self) -> None:
+        """Close the channel and hang up."""
+        with contextlib.suppress(OSError):
+            self._write(b"C\r")
+        for end in (self._socket, self._port):
+            if end is not None:
+                end.close()
+
+    def _write(self, data: bytes) -> None:
+        if self._socket is not None:
+            self._socket.sendall(data)
+        else:
+            hand_over(self._port, data, PUSH)
+
+    def _read(self, wait: float) -> bytes:
+        if self._socket is not None:
+            if not select.select([self._socket], [], [], wait)[0]:
+                return b""
+            data = self._socket.recv(4096)
+            if not data:
+                raise ConnectionResetError("the adapter hung up")
+            return data
+        data = self._port.read(1)
+        return bytes(data + self._port.read(min(self._port.in_waiting, 4096)))
+
+    def _receive(self, wait: float) -> None:
+        *lines, rest = (self._rest + self._read(wait)).replace(b"\x07", b"\r").split(b"\r")
+        self._rest = rest[-LONGEST:]
+        for line in lines:
+            frame = read_line(line)
+            if frame is not None:
+                self._frames.append(frame)
+            elif line[:1] == b"N" and len(line) < 20:
+                self.serial = line[1:].decode("ascii", "replace")
+
 
 NUMBERED = ("kvaser", "ixxat")
 """Interfaces whose channels have numbers."""
@@ -18,8 +145,7 @@ INTERFACES = ("socketcan", "slcan", "pcan", *NUMBERED)
 """`slcan`, and python-can's names of what it is asked for."""
 WAIT = 0.05
 """Longest single wait for a frame [s]."""
-JOIN = 0.15
-"""How long the reading thread is given to end [s]."""
+
 
 Take = Callable[[Frame, float], None]
 """Takes a frame and when it came [s, bench time]."""
@@ -73,29 +199,33 @@ Adapter = Slcan | PythonCan
 
 
 def open_adapter(address: str, bitrate: int, *, ask: bool) -> Adapter:
-    """The adapter at INTERFACE:CHANNEL; `ask`: find out its serial number, where it tells it."""
+    """The adapter at INTERFACE:CHANNEL; `ask`: find out its serial number, where it has one."""
     interface, _, channel = address.partition(":")
     if interface == "slcan":
         return Slcan(channel, bitrate, ask=ask)
     return PythonCan(interface, int(channel) if interface in NUMBERED else channel, bitrate)
 
 
-class Link:
-    """An open adapter; `take` is called in the reading thread. Raises DeviceError."""
+class Link(Listening):
+    """An open adapter; `take` is called in the reading thread, with a frame and when it came. Raises DeviceError."""
 
-    def __init__(self, device: str, address: str, adapter: Callable[[], Adapter], clock: Clock, take: Take) -> None:
-        self._device, self._address, self._clock, self._take = device, address, clock, take
-        self._lock, self._halt = threading.Lock(), threading.Event()
-        self.gone = ""
-        """Why the adapter was lost."""
+    def __init__(
+        self,
+        device: str,
+        address: str,
+        adapter: Callable[[], Adapter],
+        clock: Clock,
+        take: Callable[[Any, float], None],
+    ) -> None:
+        super().__init__(device, address, clock)
+        self._lock = threading.Lock()
         try:
             self._adapter = adapter()
         except OSError as error:
-            raise DeviceError(device, f"cannot open {address}: {error.strerror or error}") from None
+            raise DeviceError(device, f"cannot open {address}: {reason(error)}") from None
         self.serial = self._adapter.serial
         """Serial number of the adapter, where it is known."""
-        self._thread = threading.Thread(target=self._read, name=f"can {device}", daemon=True)
-        self._thread.start()
+        self.listen(take)
 
     def send(self, identifier: int, data: bytes = b"") -> None:
         """Hand a frame to the adapter, once."""
@@ -105,27 +235,120 @@ class Link:
             with self._lock:
                 self._adapter.send(Frame(identifier, data))
         except OSError as error:
-            raise DeviceError(self._device, f"cannot send to {self._address}: {error.strerror or error}") from None
+            raise DeviceError(self._device, f"cannot send to {self._address}: {reason(error)}") from None
 
     def close(self) -> None:
         """Let go of the adapter; harmless when repeated."""
-        self._halt.set()
-        if self._thread is not threading.current_thread():
-            self._thread.join(JOIN)
+        self.hush()
         self._adapter.close()
 
-    def _read(self) -> None:
-        while not self._halt.is_set():
-            try:
-                frame = self._adapter.receive(WAIT)
-            except (OSError, ValueError, TypeError) as error:  # ValueError, TypeError: it was closed meanwhile
-                if not self._halt.is_set():
-                    self.gone = f"lost {self._address}: {getattr(error, 'strerror', None) or error}"
+    def _receive(self) -> Frame | None:
+        return self._adapter.receive(WAIT)
+
+
+PATIENCE = 2
+"""So many periods an answer is waited for; no SYNC is sent in that time, so that it cannot belong to a later one."""
+
+
+class Rows:
+    """Waits for the PDOs `wanted` after each SYNC, and calls `done(time, host)` [ns] when the last one has come.
+
+    All nodes sample at the SYNC: after it was sent and before the first answer (`host`); `time` is the middle.
+    Where the first answer took longer than `slowest` [ns], when they sampled is not known well enough: a gap.
+    """
+
+    def __init__(self, wanted: Collection[int], done: Callable[[int, int], None], slowest: int) -> None:
+        self._wanted, self._done, self._slowest = frozenset(wanted), done, slowest
+        self._lock = threading.Lock()
+        self._open: set[int] = set()
+        self._sent = self._first = self._waited = 0
+        self.lost = 0
+        """SYNCs that were not answered wholly; each is a gap."""
+        self.in_a_row = 0
+        """How many of them follow each other."""
+
+    def may_sync(self) -> bool:
+        """Whether the last SYNC was answered, or has been waited for long enough."""
+        with self._lock:
+            if not self._open:
+                return True
+            self._waited += 1
+            if self._waited <= PATIENCE:
+                return False
+            self.lost += 1
+            self.in_a_row += 1
+            self._open.clear()
+            return True
+
+    def missing(self) -> frozenset[int]:
+        """What has not answered to the last SYNC yet."""
+        with self._lock:
+            return frozenset(self._open)
+
+    def begin(self, time: int) -> None:
+        """A SYNC is about to be sent, at `time` [ns, bench time]."""
+        with self._lock:
+            self._open, self._sent, self._first, self._waited = set(self._wanted), time, 0, 0
+        if not self._wanted:
+            self._done(time, time)
+
+    def arrived(self, identifier: int, host: int) -> None:
+        """A PDO of `wanted` has come at `host` [ns, bench time]; one that answers to no SYNC is passed over."""
+        with self._lock:
+            if identifier not in self._open:
                 return
-            if frame is None or self._halt.is_set():
-                continue
-            try:
-                self._take(frame, self._clock.now())
-            except Exception as error:  # the owner learns it at the next call
-                self.gone = f"reading {self._address} broke off: {error}"
+            self._open.discard(identifier)
+            self._first = self._first or host
+            if self._open:
                 return
+            time, first, self.in_a_row = (self._sent + self._first) // 2, self._first, 0
+            if first - self._sent > self._slowest:
+                self.lost += 1
+                return
+        self._done(time, first)
+
+
+class Signals:
+    """Takes frames and keeps what the channels' `inputs` show, and when it came."""
+
+    def __init__(self, options: Options, inputs: Sequence[str]) -> None:
+        self._slowest = options.slowest
+        self._values: dict[str, float] = {}
+        self._came: dict[str, float] = {}
+        self._by_frame: dict[tuple[int, bool], list[tuple[str, Message, Signal]]] = {}
+        self._names: list[str] = []
+        self._begun = 0.0
+        for name in inputs:
+            found = options.signal(name)
+            if found is not None and name.partition(".")[0] not in options.nodes:
+                message, signal = found
+                self._names.append(name)
+                key = message.identifier, message.extended
+                self._by_frame.setdefault(key, []).append((name, message, signal))
+
+    def begin(self) -> None:
+        """Sampling begins: from now on signals must come."""
+        self._begun = monotonic()
+
+    def take(self, frame: Frame) -> None:
+        """A frame of the bus; one of another length than the DBC file says is passed over."""
+        for name, message, signal in self._by_frame.get((frame.identifier, frame.extended), ()):
+            if len(frame.data) == message.length:
+                value = signal.value(frame.data)
+                if isfinite(value):
+                    self._values[name], self._came[name] = value, monotonic()
+
+    def value(self, name: str) -> float:
+        """The newest value, in the unit of the DBC file."""
+        return self._values[name]
+
+    def fresh(self) -> bool:
+        """Whether no signal is older than it may be."""
+        now = monotonic()
+        return all(now - self._came.get(name, -1e9) <= self._slowest for name in self._names)
+
+    def stale(self) -> str:
+        """A signal that is older than it may be; empty where there is none."""
+        now = monotonic()
+        waited = (name for name in self._names if now - max(self._came.get(name, 0.0), self._begun) > self._slowest)
+        return next(waited, "")

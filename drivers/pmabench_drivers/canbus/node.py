@@ -1,14 +1,162 @@
-"""What all CANopen nodes have in common: who they are, their PDOs, their heartbeat and their emergencies."""
+"""CANopen nodes: questions to their object dictionary, PDOs, heartbeat and emergencies; and one kind, the transducer.
+
+Questions go one at a time, each bounded; no write is repeated. A CiA 406 linear transducer, as the Temposonics E-Series
+has it, sends position, velocity and status in one PDO. Steps come from the device: position in units of 0.001 um,
+velocity in units of 0.01 mm/s (objects 6005h:1 and :2; where there is no 6005h, position by 6501h). Source: E-Series
+CANopen manual; CiA 406.
+"""
 
 from __future__ import annotations
 
+import struct
+import threading
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
+from functools import partial
+from queue import Empty, SimpleQueue
 from time import monotonic, sleep
+from typing import TypeVar
 
 from pmabench.base.errors import DeviceError
 from pmabench_drivers.canbus import frames as f
-from pmabench_drivers.canbus.sdo import Objects, Refused
+from pmabench_drivers.shared.link import Unanswered, turn
+
+ANSWER = 0.15
+"""How long a node is given for an answer [s]."""
+LONGEST = 256
+"""No object that is read here is longer [bytes]."""
+
+T = TypeVar("T")
+
+
+class Refused(DeviceError):
+    """The node ended the transfer with an abort code."""
+
+    def __init__(self, device: str, message: str, channel: str, code: int) -> None:
+        super().__init__(device, message, channel)
+        self.code = code
+
+
+class Objects:
+    """The objects of one node. `kind` is that of `struct`: `B`, `b`, `H`, `h`, `I`, `i`."""
+
+    def __init__(self, device: str, name: str, node: int, send: Callable[[int, bytes], None]) -> None:
+        self._device, self._name, self._node, self._send = device, name, node, send
+        self._answers: SimpleQueue[bytes] = SimpleQueue()
+        self._lock = threading.Lock()
+        self._owed = False
+
+    def take(self, data: bytes) -> None:
+        """An SDO answer of this node has come."""
+        self._answers.put(data)
+
+    def read(self, index: int, sub: int, kind: str, deadline: float) -> int:
+        """A number."""
+        data = self.read_bytes(index, sub, deadline)
+        if len(data) != struct.calcsize(f"<{kind}"):
+            raise self._error(index, sub, f"has {len(data)} bytes where {struct.calcsize(f'<{kind}')} are expected")
+        [value] = struct.unpack(f"<{kind}", data)
+        return int(value)
+
+    def read_if_there(self, index: int, sub: int, kind: str, deadline: float) -> int | None:
+        """A number, or None where the node has no such object."""
+        try:
+            return self.read(index, sub, kind, deadline)
+        except Refused as error:
+            if error.code in f.NO_OBJECT:
+                return None
+            raise
+
+    def write(self, index: int, sub: int, kind: str, value: int, deadline: float) -> None:
+        """Write a number once."""
+        try:
+            data = struct.pack(f"<{kind}", value)
+        except struct.error:
+            raise self._error(index, sub, f"cannot be set to {value}") from None
+        with self._turn(deadline):
+            self._ask(index, sub, f.download(index, sub, data), deadline, written=True)
+
+    def set(self, index: int, sub: int, kind: str, value: int, deadline: float) -> None:
+        """Write a number, unless the node holds it already, and read it back."""
+        if self.read(index, sub, kind, deadline) == value:
+            return
+        self.write(index, sub, kind, value, deadline)
+        held = self.read(index, sub, kind, deadline)
+        if held != value:
+            raise self._error(index, sub, f"holds {held} after {value} was written")
+
+    def read_bytes(self, index: int, sub: int, deadline: float) -> bytes:
+        """All bytes of an object."""
+        with self._turn(deadline):
+            answer = self._ask(index, sub, f.upload(index, sub), deadline, written=False)
+            if not answer.segmented:
+                return answer.data
+            data, toggle, over = b"", 0, False
+            while not over and len(data) <= LONGEST:
+                self._put(f.next_segment(toggle))
+                piece, over, code = self._wait(partial(_segment, toggle), index, sub, deadline)
+                if code:
+                    raise self._refused(index, sub, code)
+                data, toggle = data + piece, toggle ^ 1
+            return data
+
+    # -- one question at a time ---------------------------------------------------------------------------------------
+
+    def _turn(self, deadline: float) -> AbstractContextManager[None]:
+        busy = f"{self._name} is still busy with what was asked before"
+        return turn(self._lock, deadline, self._device, self._name, busy)
+
+    def _ask(self, index: int, sub: int, question: bytes, deadline: float, *, written: bool) -> f.Answer:
+        if self._owed:
+            self._flush(deadline)
+        self._drain()
+        self._put(question)
+        answer = self._wait(lambda raw: f.read_answer(raw, index, sub, written=written), index, sub, deadline)
+        if answer.abort:
+            raise self._refused(index, sub, answer.abort)
+        return answer
+
+    def _flush(self, deadline: float) -> None:
+        """Ask for something else first, so that a late answer cannot belong to the next question."""
+        self._drain()
+        self._put(f.upload(f.DEVICE_TYPE, 0))
+        self._wait(lambda raw: f.read_answer(raw, f.DEVICE_TYPE, 0, written=False), f.DEVICE_TYPE, 0, deadline)
+        self._owed = False
+
+    def _drain(self) -> None:
+        while not self._answers.empty():
+            self._answers.get()
+
+    def _put(self, data: bytes) -> None:
+        self._send(f.SDO_QUESTION + self._node, data)
+
+    def _wait(self, read: Callable[[bytes], T], index: int, sub: int, deadline: float) -> T:
+        until = min(deadline, monotonic() + ANSWER)
+        while (left := until - monotonic()) > 0:
+            try:
+                return read(self._answers.get(timeout=left))
+            except f.NoAnswer:
+                continue
+            except Empty:
+                break
+        self._owed = True
+        asked = f"object {index:04X}h:{sub}; is node {self._node} on, and the bit rate right?"
+        what = f"did not answer within {ANSWER:g} s about {asked}"
+        raise Unanswered(self._device, f"{self._name} {what}", self._name)
+
+    def _refused(self, index: int, sub: int, code: int) -> Refused:
+        reason = f.ABORTS.get(code, "no reason that is known")
+        message = f"{self._name} refuses object {index:04X}h:{sub}: {reason} (abort code {code:08X}h)"
+        return Refused(self._device, message, self._name, code)
+
+    def _error(self, index: int, sub: int, message: str) -> DeviceError:
+        return DeviceError(self._device, f"{self._name}: object {index:04X}h:{sub} {message}", self._name)
+
+
+def _segment(toggle: int, data: bytes) -> tuple[bytes, bool, int]:
+    return f.read_segment(data, toggle)
+
 
 BEAT = 0.1
 """Every node sends its heartbeat so often [s]."""
@@ -26,7 +174,7 @@ class Node(ABC):
     """One node of the bus. `mapped` are its TPDOs in use: identifier -> what takes the data."""
 
     profile = 0
-    """Number of its device profile, as object 1000h tells it."""
+    """Number of its device profile, as object 1000h holds it."""
 
     def __init__(self, device: str, name: str, number: int, send: Send) -> None:
         self.device, self.name, self.number = device, name, number
@@ -58,10 +206,18 @@ class Node(ABC):
         until = min(deadline, monotonic() + STARTS)
         while self._state != f.OPERATIONAL:
             if monotonic() > until:
-                state = f.STATES.get(self._state, "silent")
+                state = f.NODE_STATES.get(self._state, "silent")
                 raise self.error(f"does not become operational: its heartbeat says {state}")
             sleep(0.005)
         self._watched = True
+
+    def takers(self) -> dict[int, Callable[[bytes], bool | None]]:
+        """What takes its answers, heartbeats and emergencies, by their identifiers."""
+        return {
+            f.SDO_ANSWER + self.number: self.objects.take,
+            f.HEARTBEAT + self.number: self.take_heartbeat,
+            f.EMCY + self.number: self.take_emergency,
+        }
 
     @abstractmethod
     def set_up(self, deadline: float) -> None:
@@ -84,7 +240,7 @@ class Node(ABC):
         serial = self.objects.read_if_there(f.IDENTITY, 4, "I", deadline)
         self.errors = self.objects.read(f.ERROR_REGISTER, 0, "B", deadline)
         return {
-            "state": f.STATES.get(self._state, str(self._state)),
+            "state": f.NODE_STATES.get(self._state, str(self._state)),
             "starts": float(self._starts),
             "error register": float(self.errors),
             "serial number": "" if serial is None else str(serial),
@@ -97,7 +253,7 @@ class Node(ABC):
         self._heard, self._state = monotonic(), data[0] & 0x7F
         self._starts += self._state == f.BOOT
         if self._watched and self._state != f.OPERATIONAL and not self._trouble:
-            state = f.STATES.get(self._state, f"in state {self._state}")
+            state = f.NODE_STATES.get(self._state, f"in state {self._state}")
             self._trouble = f"{self.name}: is {state} all of a sudden; it has started again, or was commanded to stop"
 
     def take_emergency(self, data: bytes) -> None:
@@ -152,3 +308,50 @@ class Node(ABC):
             return ""
         text = data.split(b"\0")[0].decode("ascii", "replace")
         return "".join(c if c.isprintable() else "?" for c in text)[:60]
+
+
+POSITIONS = (f.mapping(0x6020, 1, 32), f.mapping(0x6004, 0, 32))
+"""How the position is mapped: of one of several magnets, or of the only one."""
+VELOCITY, STATUS = f.mapping(0x6030, 1, 16), f.mapping(0x6400, 1, 8)
+STEPS, MEASURING_STEP, ALARMS = 0x6005, 0x6501, 0x6503
+NO_MAGNET = 1
+
+
+class Transducer(Node):
+    """A transducer of the bus; `position` [um] and `velocity` [mm/s] are the newest."""
+
+    profile = 406
+
+    def __init__(self, device: str, name: str, number: int, send: Send) -> None:
+        super().__init__(device, name, number, send)
+        self.position = self.velocity = 0.0
+        self.has_velocity = False
+        self._step = self._speed_step = 0.0
+
+    def set_up(self, deadline: float) -> None:
+        """Read its steps, and let it answer to each SYNC."""
+        alarms = self.objects.read_if_there(ALARMS, 0, "H", deadline)
+        if alarms is not None and alarms & NO_MAGNET:
+            raise self.error("says that its magnet is missing")
+        step = self.objects.read_if_there(STEPS, 1, "I", deadline)
+        if step is None:
+            step = self.objects.read_if_there(MEASURING_STEP, 0, "I", deadline)
+        if not step:
+            raise self.error("does not tell its measuring step (objects 6005h:1 and 6501h)")
+        self._step = step * 1e-3
+        self._speed_step = (self.objects.read_if_there(STEPS, 2, "I", deadline) or 0) * 0.01
+        entries = self._mapping(f.TPDO_MAPPING, deadline)
+        if not entries or entries[0] not in POSITIONS:
+            shown = f"{entries[0]:08X}h" if entries else "nothing"
+            raise self.error(f"its first PDO begins with {shown}, and a position (60200120h or 60040020h) is expected")
+        self.has_velocity = self._speed_step > 0 and entries[1:2] == [VELOCITY]
+        self.mapped.clear()
+        self.transmit(0, [], self._take, deadline)
+
+    def _take(self, data: bytes) -> bool:
+        if not 4 <= len(data) <= 8 or (self.has_velocity and len(data) < 6):
+            return False
+        self.position = int.from_bytes(data[:4], "little", signed=True) * self._step
+        if self.has_velocity:
+            self.velocity = int.from_bytes(data[4:6], "little", signed=True) * self._speed_step
+        return True

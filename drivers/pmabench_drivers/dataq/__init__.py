@@ -1,7 +1,7 @@
 """DATAQ DI-2108, DI-4108 and DI-1110: analogue inputs sampled by the device's own clock, over a serial port (USB CDC).
 
-`wire`: models, scan list and scans as bytes; `options`: what the bench file says; `driver`: the device interface;
-`emulator`: a device on a pseudo-terminal.
+`wire`: models, options, scan list and scans as bytes; `driver`: the device interface; `emulator`: a device on a
+pseudo-terminal.
 """
 
 from pmabench_drivers.dataq.driver import Dataq

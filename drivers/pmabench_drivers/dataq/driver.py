@@ -8,10 +8,9 @@ from time import monotonic
 from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import EMULATED, UNPROVEN, DeviceRecord, Identity
-from pmabench_drivers.dataq.options import Options, read_options, scan_inputs
-from pmabench_drivers.dataq.wire import DIGITAL, DIVIDEND, Lost, Scans, divisors, packet, volts
-from pmabench_drivers.shared.pace import Pace
-from pmabench_drivers.shared.serial_stream import PATIENCE, SerialStream
+from pmabench_drivers.dataq import wire as w
+from pmabench_drivers.shared.polling import Pace
+from pmabench_drivers.shared.serial_port import STREAM_PATIENCE, SerialStream
 
 END = b"\r"
 STOP = b"stop\r"
@@ -27,15 +26,15 @@ class Dataq(SerialStream):
     """A DATAQ device: its inputs are `a0` to `a7` [V], all taken at the device's own rate."""
 
     emulator = "pmabench_drivers.dataq.emulator"
-    read_options = staticmethod(read_options)
-    _options: Options
+    read_options = staticmethod(w.read_options)
+    _options: w.Options
 
     def __init__(self, device: DeviceRecord, clock: Clock) -> None:
-        self._inputs = scan_inputs(device)
+        self._inputs = w.scan_inputs(device)
         super().__init__(device, clock)
         self._spans = [self._options.span(source) for source in self._inputs]
         self._columns = [self._inputs.index(channel.input) for channel in device.channels]
-        self._dividend, self._rate = DIVIDEND, 0.0
+        self._dividend, self._rate = w.DIVIDEND, 0.0
 
     def _forget(self) -> None:
         super()._forget()
@@ -46,7 +45,7 @@ class Dataq(SerialStream):
         self._begin_scans()
 
     def _begin_scans(self) -> None:
-        self._scans = Scans(len(self._inputs))
+        self._scans = w.Scans(len(self._inputs))
         self._number = 0
         self._origin = math.nan
         self._echo: bytes | None = None
@@ -62,7 +61,7 @@ class Dataq(SerialStream):
             self._ask(f"slist {position} {self._options.ranges.get(source, 0) << 8 | number}")
             if self._options.model.decimates:
                 self._ask(f"filter {number} {self._options.filter}")
-        self._ask(f"slist {len(self._inputs)} {DIGITAL}")
+        self._ask(f"slist {len(self._inputs)} {w.DIGITAL}")
         if self._options.model.decimates:
             self._ask("deca 1")
         return identity
@@ -70,13 +69,13 @@ class Dataq(SerialStream):
     def start(self, rate: float) -> float:
         """Scan at the rate nearest to `rate` [Hz] that the device can divide; returns it."""
         port = self._ready(rate)
-        srate, dec = divisors(self._options.model, rate, self._dividend)
+        srate, dec = w.divisors(self._options.model, rate, self._dividend)
         self._rate = self._dividend / (srate * dec)
         self._forget()
         self._ask(f"srate {srate}")
         if self._options.model.decimates:
             self._ask(f"dec {dec}")
-        self._ask(f"ps {packet(2 * (len(self._inputs) + 1) * self._rate)}")
+        self._ask(f"ps {w.packet(2 * (len(self._inputs) + 1) * self._rate)}")
         port.send(b"start 0\r")
         self._heard = monotonic()
         port.listen(self._take)
@@ -84,7 +83,7 @@ class Dataq(SerialStream):
 
     @property
     def _patience(self) -> float:
-        return max(PATIENCE, 3 / self._rate)
+        return max(STREAM_PATIENCE, 3 / self._rate)
 
     def _missing(self) -> str:
         return "has sent no scan"
@@ -101,7 +100,7 @@ class Dataq(SerialStream):
         try:
             whole = self._scans.feed(data)
             broken = False
-        except Lost:
+        except w.Lost:
             whole, broken = self._scans.whole, True
         if whole:
             self._keep(whole, now)
@@ -115,7 +114,7 @@ class Dataq(SerialStream):
         self._heard = monotonic()
         model, spans = self._options.model, self._spans
         for words in whole:
-            values = [volts(model, span, raw) for span, raw in zip(spans, words, strict=True)]
+            values = [w.volts(model, span, raw) for span, raw in zip(spans, words, strict=True)]
             self._newest = self._origin + self._number / self._rate
             self._number += 1
             self._samples.append(
@@ -129,7 +128,7 @@ class Dataq(SerialStream):
             self._failure = f"sends more scans than {self._rate:g} a second"
 
     def _begin_again(self) -> None:
-        """Bytes were lost and nothing tells where a scan begins: stop, and start when the echo has come."""
+        """Bytes were lost and nothing shows where a scan begins: stop, and start when the echo has come."""
         now = monotonic()
         self.lost += 1
         self._losses = [moment for moment in self._losses if now - moment < WITHIN] + [now]

@@ -7,12 +7,10 @@ import struct
 from time import monotonic
 
 from pmabench.bench.interface import DeviceRecord
-from pmabench_drivers.dataq.options import Options, read_options
-from pmabench_drivers.dataq.wire import DIGITAL, DIVIDEND, OVERRUN, counts
-from pmabench_drivers.emulator.faults import NOISE, OVER, Fault
-from pmabench_drivers.emulator.log import CommandLog
+from pmabench_drivers.dataq.wire import DIGITAL, DIVIDEND, OVERRUN, Options, counts, read_options
+from pmabench_drivers.emulator.faults import NOISE, OVER, CommandLog, Fault
 from pmabench_drivers.emulator.plant import RealPlant
-from pmabench_drivers.emulator.streaming import Streaming
+from pmabench_drivers.emulator.ports import Streaming
 from pmabench_drivers.shared.options import options_of
 
 GARBAGE = b"\x00\x7f\x15"

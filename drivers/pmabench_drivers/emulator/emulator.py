@@ -1,23 +1,63 @@
-"""Serves the devices of a bench, each on its own wire, from one plant."""
+"""Serves the devices of a bench, each on its own wire, from one plant; and a socket for loads, faults and the log.
+
+The socket on 127.0.0.1 takes one JSON object a line:
+`{"load": {"force": 58.86, "mass": 6}}`, `{"device": "regulator", "fault": "delay", "value": 0.3, "count": 5}`,
+`{"plant": "burst"}` (a fault of the mock; `"over": true` ends it), `{"log": "set"}`. Each is answered by one line,
+`{"ok": true, ...}` or `{"ok": false, "why": "..."}`.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+import contextlib
+import json
+import socket
+import threading
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Protocol, cast
+from typing import Any
 
 from pmabench.base.errors import UsageError, did_you_mean
-from pmabench.bench.interface import DeviceRecord
-from pmabench.bench.wiring import Truth
-from pmabench_drivers.emulator.control import Control
-from pmabench_drivers.emulator.faults import EVENTS, Faults, Kind
-from pmabench_drivers.emulator.log import CommandLog
+from pmabench.bench.interface import DeviceRecord, Truth
+from pmabench_drivers.emulator.faults import EVENTS, CommandLog, Kind
 from pmabench_drivers.emulator.plant import RealPlant
-from pmabench_drivers.emulator.ports import refuse_others
-from pmabench_drivers.emulator.truth import wired
-from pmabench_drivers.emulator.wrong import Errors, apply
+from pmabench_drivers.emulator.ports import accepted, hang_up, refuse_others
+from pmabench_drivers.emulator.truth import Errors, apply, wired
 from pmabench_drivers.mock.options import ARM
+
+LONGEST = 10_000
+
+
+class Control:
+    """Listens, and hands each object to `act`."""
+
+    def __init__(self, act: Callable[[Mapping[str, Any]], dict[str, Any]], port: int = 0) -> None:
+        self._act = act
+        self._listener = socket.create_server(("127.0.0.1", port))
+        self.address = f"127.0.0.1:{self._listener.getsockname()[1]}"
+        threading.Thread(target=self._accept, name="control", daemon=True).start()
+
+    def close(self) -> None:
+        """Listen no more."""
+        hang_up(self._listener)
+
+    def _accept(self) -> None:
+        for connection in accepted(self._listener):
+            threading.Thread(target=self._serve, args=(connection,), daemon=True).start()
+
+    def _serve(self, connection: socket.socket) -> None:
+        with connection, contextlib.suppress(OSError), connection.makefile("rwb") as stream:
+            while line := stream.readline(LONGEST):
+                try:
+                    wanted = json.loads(line)
+                    if not isinstance(wanted, dict):
+                        raise ValueError("an object is expected")
+                    reply = {"ok": True, **self._act(wanted)}
+                except (ValueError, TypeError, KeyError, RecursionError) as error:
+                    reply = {"ok": False, "why": str(error)}
+                stream.write(json.dumps(reply).encode() + b"\n")
+                stream.flush()
+
 
 PLANT = ("burst", "regulator_stuck", "supply_lost", "dump_stuck", "e_stop")
 """What can go wrong with the plant."""
@@ -37,26 +77,13 @@ def server_of(driver: str) -> str:
         return ""
 
 
-class Served(Protocol):
-    """One emulated device at its address."""
-
-    address: str
-    faults: Faults
-
-    def start(self) -> None:
-        """Begin to serve."""
-
-    def close(self) -> None:
-        """Hang up."""
-
-
 class Emulator:
     """The devices whose drivers have an emulator, at the addresses that the bench gives them.
 
     `truth` says what is really wired to them and by which scales, as `pmabench.bench.truth.read_truth` gives it: only
     addresses are then taken from the bench. Without it everything is derived from the bench, and no scale is `proven`.
     `wrong` lists what differs from either, as "scale:force=0.5" or "swap:pressure=force", values in SI
-    (`pmabench_drivers.emulator.wrong`).
+    (`pmabench_drivers.emulator.truth`).
     """
 
     def __init__(
@@ -88,7 +115,8 @@ class Emulator:
         self.plant_faults = PLANT
         self.plant = RealPlant(plant, preset, dump_valve=valve, driven=driven, seed=seed)
         self.log = CommandLog(log)
-        self.devices: dict[str, Served] = {}
+        self.devices: dict[str, Any] = {}
+        """Each emulated device: its `address` and `faults`, `start`, `close`, and what can happen to it."""
         try:
             for device, error in zip(served, errors, strict=True):
                 self.devices[device.name] = self._serve(device, error)
@@ -115,9 +143,9 @@ class Emulator:
         """What is served where, a line each."""
         return [f"{name}: {device.address}" for name, device in self.devices.items()]
 
-    def _serve(self, device: DeviceRecord, errors: Errors) -> Served:
+    def _serve(self, device: DeviceRecord, errors: Errors) -> Any:
         seen = self.plant.seen(errors, proven=self.proven)
-        served = cast(Served, import_module(server_of(device.driver)).serve(device, seen, self.log))
+        served = import_module(server_of(device.driver)).serve(device, seen, self.log)
         seen.faults = served.faults
         return served
 

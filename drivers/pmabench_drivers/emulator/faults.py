@@ -1,17 +1,78 @@
-"""What can go wrong with an emulated device or its link, called up while it runs; knows no protocol.
+"""What can go wrong with an emulated device or its link, called up while it runs; and what happened, written down.
 
-One vocabulary for all: `KINDS`. A device says which of them it has; `Outgoing` makes what a link does to whole answers.
+One vocabulary of faults for all: `KINDS`. A device says which of them it has; `Outgoing` makes what a link does to
+whole answers. The log has JSON lines with monotonic time: every exchange, and what was commanded. Its kinds: `received`
+and `sent` (bytes as hex, seen from the emulated device), `connect`, `disconnect`, `lost`; `set`, `switch`, `watchdog`
+and others that devices name; `load`, `plant`, `fault` for what was done to them. Knows no protocol.
 """
 
 from __future__ import annotations
 
+import json
 import random
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
 from time import monotonic
+from typing import Any
 
 from pmabench.base.errors import did_you_mean
+
+Tap = Callable[[str, bytes], None]
+"""Takes what one device `received` and `sent`."""
+
+
+class CommandLog:
+    """Keeps every entry but exchanges in memory, and everything in a file where one is named.
+
+    `problem` says why the file ends early, where it does.
+    """
+
+    def __init__(self, path: Path | None = None) -> None:
+        self._path, self._file = path, None if path is None else path.open("a", encoding="utf-8", buffering=1)
+        self._lock = threading.Lock()
+        self.entries: list[dict[str, Any]] = []
+        self.problem = ""
+
+    def note(self, kind: str, device: str, **data: Any) -> None:
+        """One entry: monotonic time `t` [s], kind, device, and whatever else."""
+        entry = {"t": monotonic(), "kind": kind, "device": device, **data}
+        with self._lock:
+            self.entries.append(entry)
+            self._write(entry)
+
+    def tap(self, device: str, **more: Any) -> Tap:
+        """What writes down the exchanges of a device."""
+
+        def note(kind: str, data: bytes) -> None:
+            if self._file is not None and data:
+                with self._lock:
+                    self._write({"t": monotonic(), "kind": kind, "device": device, "data": data.hex(), **more})
+
+        return note
+
+    def _write(self, entry: dict[str, Any]) -> None:
+        if self._file is None:
+            return
+        try:
+            self._file.write(json.dumps(entry) + "\n")
+        except OSError as error:
+            self.problem = f"{self._path}: the log ends early: {error.strerror or error}"
+            self._file = None
+
+    def of(self, kind: str, device: str = "") -> list[dict[str, Any]]:
+        """The entries of a kind (and of a device) so far, exchanges left out."""
+        with self._lock:
+            return [e for e in self.entries if e["kind"] == kind and device in {"", e["device"]}]
+
+    def close(self) -> None:
+        """Close the file."""
+        with self._lock:
+            if self._file is not None:
+                self._file.close()
+                self._file = None
 
 
 @dataclass(frozen=True)
@@ -31,7 +92,7 @@ LINK = {
     "stale": Kind("the answer before comes once more, in place of the new one"),
     "truncated": Kind("so many bytes at the end of an answer are missing", "number", 1.0),
     "corrupted": Kind("the bits of this byte of an answer, counted from 0, are inverted", "number"),
-    "garbage": Kind("bytes of no meaning stand before an answer"),
+    "garbage": Kind("bytes of no meaning come before an answer"),
     "double": Kind("an answer comes twice"),
     "hang-up": Kind("the connection is closed at the next request"),
     "reset": Kind("the connection is reset at the next request; a board starts again"),
@@ -45,7 +106,7 @@ RESTART = {"restart": Kind("the device restarts, once: outputs as after power-on
 SETPOINT = {"setpoint": Kind("the set-point is changed from outside, once, to this in the device's unit", "level")}
 EXCEPTION = {"exception": Kind("the answer is this exception, or error, code", "number", 4.0)}
 IGNORE = {"ignore": Kind("what is written is acknowledged and not carried out")}
-MODBUS = {**EXCEPTION, **IGNORE, "wrong": Kind("registers that are read are so much too high", "number", 1.0)}
+MODBUS = EXCEPTION | IGNORE | {"wrong": Kind("registers that are read are so much too high", "number", 1.0)}
 NOISE = {"noise": Kind("the number is off by up to so much in the device's unit, another way each time", "level", 1.0)}
 OVER = {"over": Kind("the range is said to be exceeded")}
 UNIT = {"unit": Kind("the line is in another unit (N as kg, mm as in)")}
@@ -54,20 +115,7 @@ STATUS = {
     "sensor": Kind("the status says that the pressure sensor has failed"),
     "limit": Kind("the status says that it is over its pressure limit"),
 }
-KINDS = {
-    **LINK,
-    **STUCK,
-    **SKEW,
-    **EXPIRY,
-    **WATCHDOG_OFF,
-    **RESTART,
-    **SETPOINT,
-    **MODBUS,
-    **NOISE,
-    **OVER,
-    **UNIT,
-    **STATUS,
-}
+KINDS = LINK | STUCK | SKEW | EXPIRY | WATCHDOG_OFF | RESTART | SETPOINT | MODBUS | NOISE | OVER | UNIT | STATUS
 EVENTS = {
     "watchdog": "expire_watchdog",
     "watchdog-off": "switch_off_watchdog",

@@ -1,59 +1,177 @@
-"""An emulated Modbus device on TCP, or on a pseudo-terminal: connections, frames and faults of the link."""
+"""Emulated Modbus devices: requests and answers as bytes, and the connections, or the pseudo-terminal, that carry them.
+
+Written apart from the driver's library, so that each is a check of the other; knows no registers. Layouts: Modbus
+Application Protocol 1.1b3, section 6; MBAP header: Modbus Messaging on TCP/IP 1.0b, section 3.1.3; CRC-16: Modbus over
+Serial Line 1.02, section 6.2.2.
+"""
 
 from __future__ import annotations
 
-import contextlib
 import socket
 import struct
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import count
-from typing import Protocol
+from typing import Any, Protocol
 
 from pmabench.bench.interface import DeviceRecord
-from pmabench_drivers.emulator import frames
-from pmabench_drivers.emulator.faults import (
-    EVENTS,
-    EXPIRY,
-    LINK,
-    MODBUS,
-    RESTART,
-    SETPOINT,
-    STUCK,
-    WATCHDOG_OFF,
-    Fault,
-    Faults,
-    Kind,
-    Outgoing,
-)
-from pmabench_drivers.emulator.log import CommandLog
-from pmabench_drivers.emulator.plant import RealPlant
-from pmabench_drivers.emulator.ports import Terminal, bracketed, host_of, listen
-from pmabench_drivers.emulator.registers import Registers
-from pmabench_drivers.modbus.map_file import read_options
-from pmabench_drivers.shared.options import options_of
+from pmabench_drivers.emulator import faults as f
+from pmabench_drivers.emulator.faults import CommandLog, Fault, Kind, Outgoing
+from pmabench_drivers.emulator.ports import Terminal, accepted, bracketed, hang_up, host_of, listen
+
+READS = {1: "coil", 2: "discrete", 3: "holding", 4: "input"}
+WRITES = {5: "coil", 6: "holding", 15: "coil", 16: "holding"}
+FUNCTION, ADDRESS, VALUE = 1, 2, 3
+"""Exception codes: no such function, no such address, a value or count that cannot be."""
+
+
+@dataclass(frozen=True)
+class Request:
+    """A question: `values` is empty where it reads. `count` is the number of registers or bits."""
+
+    function: int
+    address: int
+    count: int
+    values: tuple[int, ...] = ()
+
+    @property
+    def table(self) -> str:
+        """The table that it is about."""
+        return READS.get(self.function) or WRITES[self.function]
+
+
+class Refused(Exception):
+    """The answer is an exception with this code."""
+
+    def __init__(self, code: int) -> None:
+        self.code = code
+        super().__init__(f"exception {code}")
+
+
+def parse(pdu: bytes) -> Request:
+    """A request without its header; `Refused` where the specification says so."""
+    function = pdu[0]
+    try:
+        if function in READS:
+            address, count = struct.unpack(">HH", pdu[1:])
+            if not 1 <= count <= (2000 if function < 3 else 125):
+                raise Refused(VALUE)
+            return Request(function, address, count)
+        if function == 5:
+            address, value = struct.unpack(">HH", pdu[1:])
+            if value not in {0, 0xFF00}:
+                raise Refused(VALUE)
+            return Request(function, address, 1, (int(value == 0xFF00),))
+        if function == 6:
+            address, value = struct.unpack(">HH", pdu[1:])
+            return Request(function, address, 1, (value,))
+        if function in {15, 16}:
+            address, count, size = struct.unpack(">HHB", pdu[1:6])
+            data = pdu[6:]
+            needed = (count + 7) // 8 if function == 15 else 2 * count
+            if not 1 <= count <= (1968 if function == 15 else 123) or size != needed or len(data) != size:
+                raise Refused(VALUE)
+            if function == 16:
+                return Request(function, address, count, struct.unpack(f">{count}H", data))
+            bits = tuple(data[i // 8] >> i % 8 & 1 for i in range(count))
+            return Request(function, address, count, bits)
+    except struct.error:
+        raise Refused(VALUE) from None
+    raise Refused(FUNCTION)
+
+
+def answer(request: Request, values: Sequence[int]) -> bytes:
+    """The answer to a request: what was read, or the echo of what was written."""
+    head = bytes([request.function])
+    if request.function in {3, 4}:
+        return head + bytes([2 * len(values)]) + struct.pack(f">{len(values)}H", *values)
+    if request.function in {1, 2}:
+        data = bytearray((len(values) + 7) // 8)
+        for i, value in enumerate(values):
+            data[i // 8] |= (value & 1) << i % 8
+        return head + bytes([len(data)]) + bytes(data)
+    if request.function == 5:
+        return head + struct.pack(">HH", request.address, 0xFF00 if request.values[0] else 0)
+    if request.function == 6:
+        return head + struct.pack(">HH", request.address, request.values[0])
+    return head + struct.pack(">HH", request.address, request.count)
+
+
+def read_cells(cells: Mapping[int, int], request: Request) -> list[int]:
+    """The registers that are asked for; `Refused` where one is not there."""
+    wanted = range(request.address, request.address + request.count)
+    if any(address not in cells for address in wanted):
+        raise Refused(ADDRESS)
+    return [cells[address] & 0xFFFF for address in wanted]
+
+
+def refusal(function: int, code: int) -> bytes:
+    """An exception answer."""
+    return bytes([function | 0x80, code])
+
+
+# -- frames around them ---------------------------------------------------------------------------------------------
+
+
+def mbap(transaction: int, unit: int, pdu: bytes) -> bytes:
+    """A frame of Modbus TCP."""
+    return struct.pack(">HHHB", transaction, 0, len(pdu) + 1, unit) + pdu
+
+
+def split_mbap(data: bytes) -> tuple[int, int, bytes, bytes] | None:
+    """Transaction, unit and PDU of the first whole frame in `data`, and the rest; None while it is not whole.
+
+    ValueError where this is no Modbus TCP.
+    """
+    if len(data) < 8:
+        return None
+    transaction, protocol, length, unit = struct.unpack(">HHHB", data[:7])
+    if protocol != 0 or not 2 <= length <= 254:
+        raise ValueError(f"no Modbus TCP: protocol {protocol}, length {length}")
+    if len(data) < 6 + length:
+        return None
+    return transaction, unit, data[7 : 6 + length], data[6 + length :]
+
+
+def crc16(data: bytes) -> bytes:
+    """The check of a serial frame, low byte first."""
+    crc = 0xFFFF
+    for byte in data:
+        crc ^= byte
+        for _ in range(8):
+            crc = crc >> 1 ^ (0xA001 if crc & 1 else 0)
+    return struct.pack("<H", crc)
+
+
+def rtu(unit: int, pdu: bytes) -> bytes:
+    """A frame of Modbus RTU."""
+    body = bytes([unit]) + pdu
+    return body + crc16(body)
+
+
+def split_rtu(data: bytes) -> tuple[int, bytes, bytes] | None:
+    """Unit and PDU of the first whole request in `data`, and the rest; None while it is not whole.
+
+    Bytes in front that begin no request with a right check are dropped.
+    """
+    for start in range(max(0, len(data) - 7)):
+        part = data[start:]
+        length = 9 + part[6] if part[1] in {15, 16} and len(part) > 6 else 8
+        if len(part) >= length and crc16(part[: length - 2]) == part[length - 2 : length]:
+            return part[0], part[1 : length - 2], part[length:]
+    return None
+
 
 WATCH = 0.005
 """How often the watchdog is looked at [s]."""
-KINDS = (LINK, STUCK, MODBUS)
-
-Send = Callable[[bytes, Fault], None]
-"""Sends an answer without its frame as a fault lets it."""
-
-
-def serve(device: DeviceRecord, plant: RealPlant, log: CommandLog) -> TcpDevice | RtuDevice:
-    """What a device of the driver `modbus` talks to: TCP, or RTU on a pseudo-terminal."""
-    options = options_of(device, read_options)
-    registers = Registers(device, options, plant, log)
-    if device.address.startswith("/"):
-        return RtuDevice(registers, options.map.unit_id, log, device.address)
-    return TcpDevice(registers, options.map.unit_id, log, int(device.address.rpartition(":")[2]))
+KINDS = (f.LINK, f.STUCK, f.MODBUS)
 
 
 def events(registers: object) -> Iterator[dict[str, Kind]]:
     """The events that can happen to what is behind a wire."""
-    for kinds in (EXPIRY, WATCHDOG_OFF, RESTART, SETPOINT):
-        if all(hasattr(registers, EVENTS[name]) for name in kinds):
+    for kinds in (f.EXPIRY, f.WATCHDOG_OFF, f.RESTART, f.SETPOINT):
+        if all(hasattr(registers, f.EVENTS[name]) for name in kinds):
             yield kinds
 
 
@@ -62,7 +180,7 @@ class Answering(Protocol):
 
     device: DeviceRecord
 
-    def carry_out(self, request: frames.Request, connection: int, *, ignore: bool = False) -> list[int]:
+    def carry_out(self, request: Request, connection: int, *, ignore: bool = False) -> list[int]:
         """What is read, or nothing; `Refused` where the device says no."""
 
     def look_at_watchdog(self) -> None:
@@ -74,7 +192,7 @@ class _Device:
 
     def __init__(self, registers: Answering, unit_id: int, log: CommandLog) -> None:
         self.registers, self.log, self.unit_id = registers, log, unit_id
-        self.faults = Faults(*KINDS, *events(registers))
+        self.faults = f.Faults(*KINDS, *events(registers))
         self._connections = count(1)
         self._ended = threading.Event()
         self._threads = [threading.Thread(target=self._watch, name="emulated watchdog", daemon=True)]
@@ -88,47 +206,33 @@ class _Device:
         """End."""
         self._ended.set()
 
-    def expire_watchdog(self) -> bool:
-        """Let the watchdog expire; whether it was armed."""
-        return bool(self._of_registers("expire_watchdog"))
+    def __getattr__(self, event: str) -> Any:
+        """What happens to it from outside (`faults.EVENTS`) happens to its registers."""
+        if event not in f.EVENTS.values():
+            raise AttributeError(event)
+        return getattr(self.registers, event)
 
-    def switch_off_watchdog(self) -> bool:
-        """Switch the watchdog off from outside; whether it was armed."""
-        return bool(self._of_registers("switch_off_watchdog"))
-
-    def restart(self) -> None:
-        """Begin as after power-on; connections stay."""
-        self._of_registers("restart")
-
-    def change_set_point(self, value: float) -> bool:
-        """Command a set-point from outside [register]; whether there is one."""
-        return bool(self._of_registers("change_set_point", value))
-
-    def _of_registers(self, event: str, *values: float) -> object:
-        return getattr(self.registers, event)(*values)
-
-    def answer(self, pdu: bytes, connection: int, send: Send) -> None:
-        """Carry out a request and send its answer as the fault of the moment lets it."""
+    def answer(self, pdu: bytes, connection: int) -> tuple[bytes, Fault] | None:
+        """Carry out a request: its answer without a frame, and the fault that meets it; None for no answer."""
         fault = self.faults.next()
         if fault.kind in {"hang-up", "reset"}:
             raise ConnectionAbortedError(fault.kind)
         if fault.kind == "silence":
-            return
+            return None
         try:
-            reply = self.reply(pdu, connection, fault)
-        except frames.Refused as refused:
-            reply = frames.refusal(pdu[0], refused.code)
-        send(reply, fault)
+            return self.reply(pdu, connection, fault), fault
+        except Refused as refused:
+            return refusal(pdu[0], refused.code), fault
 
     def reply(self, pdu: bytes, connection: int, fault: Fault) -> bytes:
         """Carry out a request and give its answer without a frame; `Refused` where the device says no."""
-        request = frames.parse(pdu)
-        return frames.answer(request, self.values(request, connection, fault))
+        request = parse(pdu)
+        return answer(request, self.values(request, connection, fault))
 
-    def values(self, request: frames.Request, connection: int, fault: Fault) -> list[int]:
+    def values(self, request: Request, connection: int, fault: Fault) -> list[int]:
         """What is read, with the fault of the moment."""
         if fault.kind == "exception":
-            raise frames.Refused(int(fault.value))
+            raise Refused(int(fault.value))
         values = self.registers.carry_out(request, connection, ignore=fault.kind == "ignore")
         if fault.kind == "wrong":
             return [(value + int(fault.value)) & 0xFFFF for value in values]
@@ -153,19 +257,11 @@ class TcpDevice(_Device):
     def close(self) -> None:
         """Close every connection."""
         super().close()
-        for end in (self._listener, *self._open):
-            with contextlib.suppress(OSError):
-                end.shutdown(socket.SHUT_RDWR)
-            end.close()
+        hang_up(self._listener, *self._open)
 
     def _accept(self) -> None:
-        while not self._ended.is_set():
-            try:
-                connection, _peer = self._listener.accept()
-            except OSError:
-                return
+        for connection in accepted(self._listener):
             number = next(self._connections)
-            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             self._open.add(connection)
             self.log.note("connect", self.registers.device.name, connection=number)
             threading.Thread(target=self._serve, args=(connection, number), daemon=True).start()
@@ -176,17 +272,14 @@ class TcpDevice(_Device):
             while received := connection.recv(4096):
                 tap("received", received)
                 data += received
-                while (parts := frames.split_mbap(data)) is not None:
+                while (parts := split_mbap(data)) is not None:
                     transaction, unit, pdu, data = parts
                     if unit not in {self.unit_id, 0, 255}:
                         continue
-
-                    def send(reply: bytes, fault: Fault, transaction: int = transaction, unit: int = unit) -> None:
-                        leaving = outgoing.of(frames.mbap(transaction, unit, reply), fault)
+                    if (answered := self.answer(pdu, number)) is not None:
+                        leaving = outgoing.of(mbap(transaction, unit, answered[0]), answered[1])
                         connection.sendall(leaving)
                         tap("sent", leaving)
-
-                    self.answer(pdu, number, send)
         except ConnectionAbortedError as error:
             if str(error) == "reset":
                 connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
@@ -219,18 +312,39 @@ class RtuDevice(_Device):
             if received is None:
                 return
             data = (data + received)[-600:]
-            while (parts := frames.split_rtu(data)) is not None:
+            while (parts := split_rtu(data)) is not None:
                 unit, pdu, data = parts
                 if unit != self.unit_id:
                     continue
-
-                def send(reply: bytes, fault: Fault, unit: int = unit) -> None:
-                    self._terminal.write(outgoing.of(frames.rtu(unit, reply), fault))
-
                 try:
-                    self.answer(pdu, 1, send)
+                    if (answered := self.answer(pdu, 1)) is not None:
+                        self._terminal.write(outgoing.of(rtu(unit, answered[0]), answered[1]))
                 except ConnectionAbortedError:
                     self._terminal.close()
                     return
                 except OSError:
                     return
+
+
+IDENTIFY = b"\x2b\x0e"
+
+
+class NamedDevice(TcpDevice):
+    """Also gives its names, objects 0 to 5; `hear` is called for that question, as for any communication."""
+
+    def __init__(
+        self, registers: Answering, names: Sequence[str], hear: Callable[[], None], log: CommandLog, port: int
+    ) -> None:
+        super().__init__(registers, 1, log, port)
+        self._names, self._hear = names, hear
+
+    def reply(self, pdu: bytes, connection: int, fault: Fault) -> bytes:
+        """Also the answer to function 43/14."""
+        if pdu[:2] != IDENTIFY:
+            return super().reply(pdu, connection, fault)
+        self._hear()
+        if len(pdu) != 4 or pdu[2] not in {1, 2}:
+            raise Refused(VALUE)
+        objects = self._names[:3] if pdu[2] == 1 else self._names
+        body = b"".join(bytes([i, len(text)]) + text.encode("ascii") for i, text in enumerate(objects))
+        return bytes([0x2B, 0x0E, pdu[2], 0x82, 0, 0, len(objects)]) + body

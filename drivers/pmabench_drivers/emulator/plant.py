@@ -1,4 +1,7 @@
-"""The plant of the mock in real time, for several wires at once; knows registers no more than texts."""
+"""The plant of the mock in real time, for several wires at once, and what is wired to the terminals of one device.
+
+Knows registers no more than texts.
+"""
 
 from __future__ import annotations
 
@@ -21,8 +24,8 @@ from pmabench.bench.interface import (
     Segment,
     ValveRecord,
 )
-from pmabench_drivers.emulator.faults import Faults
-from pmabench_drivers.emulator.wrong import Errors
+from pmabench_drivers.emulator.faults import CommandLog, Faults
+from pmabench_drivers.emulator.truth import Errors
 from pmabench_drivers.mock.driver import MockBench
 from pmabench_drivers.mock.options import ANGLE, ARM, DUMP_VALVE, E_STOP
 from pmabench_drivers.mock.simulation import Simulation
@@ -30,7 +33,7 @@ from pmabench_drivers.mock.simulation import Simulation
 RATE = 1000.0
 """The plant is sampled so often; whoever looks gets the latest sample, or that of a moment [Hz]."""
 KEPT = 2.0
-"""How long samples are kept for devices that sample at moments of their own [s]."""
+"""How long samples are kept for devices that choose the moments of their samples [s]."""
 TURN = 0.5
 """How often it is brought to the present while nobody looks [s]."""
 CHANNELS = {
@@ -141,7 +144,7 @@ class RealPlant:
     def at(self, moment: float) -> dict[str, float]:
         """What each channel measured at a moment of the last `KEPT` seconds [s, monotonic]: the sample before it.
 
-        For devices that a clock of their own times: they lose nothing when this machine looks late.
+        For devices with their own clock: they lose nothing when this machine looks late.
         """
         with self._lock:
             time_ns = round((moment - self._clock.start) * 1e9)
@@ -252,3 +255,59 @@ class _Seen(RealPlant):
             return found
         self._stuck = self._stuck or found
         return dict(self._stuck)
+
+
+class Wiring:
+    """Channels, outputs, valves and contacts by the names of their terminals."""
+
+    def __init__(self, device: DeviceRecord, plant: RealPlant, log: CommandLog) -> None:
+        self._name, self._plant, self._log = device.name, plant, log
+        self.channels = {channel.input: channel for channel in device.channels}
+        self.outputs = {output.output: output for output in device.outputs}
+        self.valves = {valve.output: valve for valve in device.valves}
+        self.locks = {lock.input: lock for lock in device.interlocks}
+
+    def raw(self, terminal: str, quantities: Mapping[str, float], *, calibrated: bool = False) -> float:
+        """What a terminal gives at the quantities of the plant [raw]; 0 where nothing is wired."""
+        channel = self.channels.get(terminal)
+        if channel is None:
+            return 0.0
+        scale = channel.calibrated if calibrated else channel.scale
+        return float(scale.to_raw(quantities.get(channel.name, 0.0)))
+
+    def level(self, terminal: str) -> bool:
+        """Whether the contact at a terminal holds it high; low where nothing is wired."""
+        lock = self.locks.get(terminal)
+        if lock is None:
+            return False
+        closed = self._plant.e_stop_high() if "stop" in lock.name else True
+        return closed == (lock.safe == "high")
+
+    def set(self, terminal: str, raw: float, *, reached: float | None = None, **more: Any) -> None:
+        """A command came: it is noted, and done, to what the terminal has `reached` where that is not `raw`."""
+        output = self.outputs.get(terminal)
+        if output is not None:
+            si = float(output.scale.to_si(raw))
+            self._log.note("set", self._name, output=output.name, raw=raw, si=si, **more)
+            if not more.get("held"):
+                self.give(terminal, raw if reached is None else reached)
+
+    def give(self, terminal: str, raw: float) -> None:
+        """A terminal gives this from now on [raw], whoever wants it."""
+        output = self.outputs.get(terminal)
+        if output is not None and output.quantity == "pressure":
+            self._plant.command(float(output.scale.to_si(raw)))
+
+    def switch(self, terminal: str, *, on: bool, **more: Any) -> None:
+        """A command for a valve came: it is noted, and done."""
+        valve = self.valves.get(terminal)
+        if valve is not None:
+            self._log.note("switch", self._name, valve=valve.name, on=on, **more)
+            if not more.get("held"):
+                self.drive(terminal, on=on)
+
+    def drive(self, terminal: str, *, on: bool) -> None:
+        """A terminal energises its valve or not, whoever wants it."""
+        valve = self.valves.get(terminal)
+        if valve is not None:
+            self._plant.switch(on=on == (valve.energised == "closed"))

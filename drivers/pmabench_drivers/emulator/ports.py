@@ -1,4 +1,4 @@
-"""Pseudo-terminals under a path of one's own, POSIX only; addresses that emulators may listen at."""
+"""Where emulated devices listen: TCP ports of this machine, and pseudo-terminals, each served by a thread (POSIX)."""
 
 from __future__ import annotations
 
@@ -6,12 +6,17 @@ import contextlib
 import os
 import select
 import socket
+import threading
 import tty
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
 from ipaddress import ip_address
 from pathlib import Path
+from time import monotonic
 
 from pmabench.base.errors import UsageError
-from pmabench_drivers.emulator.log import Tap
+from pmabench.bench.interface import DeviceRecord
+from pmabench_drivers.emulator.faults import GARBAGE, LINK, SKEW, STUCK, CommandLog, Fault, Faults, Kind, Outgoing, Tap
 
 
 def host_of(address: str) -> str:
@@ -35,6 +40,23 @@ def listen(device: str, host: str, port: int) -> socket.socket:
         return socket.create_server((host, port), family=family)
     except OSError as error:
         raise UsageError(f"cannot serve {device} at {bracketed(host)}:{port}: {error.strerror}") from None
+
+
+def accepted(listener: socket.socket) -> Iterator[socket.socket]:
+    """Each connection that is made, until nobody listens any more."""
+    with contextlib.suppress(OSError):
+        while True:
+            connection, _peer = listener.accept()
+            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            yield connection
+
+
+def hang_up(*ends: socket.socket | None) -> None:
+    """Close sockets under whoever waits for them; harmless when repeated."""
+    for end in filter(None, ends):
+        with contextlib.suppress(OSError):
+            end.shutdown(socket.SHUT_RDWR)
+        end.close()
 
 
 def refuse_others(device: str, address: str) -> None:
@@ -97,3 +119,102 @@ class Terminal:
             if end >= 0:
                 with contextlib.suppress(OSError):
                     os.close(end)
+
+
+IDLE = 0.05
+"""Longest wait for bytes [s]."""
+
+
+class OnTerminal(ABC):
+    """One device at the end of a pseudo-terminal. A kind of device says what bytes do."""
+
+    def __init__(self, device: DeviceRecord, log: CommandLog, faults: Faults, garbage: bytes = GARBAGE) -> None:
+        self.address, self.faults = device.address, faults
+        self.terminal, self._outgoing = Terminal(device.address, log.tap(device.name)), Outgoing(garbage)
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._serve, name=f"emulated {device.name}", daemon=True)
+
+    def start(self) -> None:
+        """Begin to serve."""
+        self._thread.start()
+
+    def close(self) -> None:
+        """Hang up."""
+        self._ended.set()
+        self.terminal.close()
+
+    @abstractmethod
+    def take(self, data: bytes) -> None:
+        """Bytes that came, or none within `wait`; raises ConnectionAbortedError to hang up."""
+
+    def wait(self) -> float:
+        """How long bytes are waited for [s]."""
+        return IDLE
+
+    def next_fault(self) -> Fault:
+        """The fault of the moment; one that drops the line hangs up."""
+        fault = self.faults.next()
+        if fault.kind in {"hang-up", "reset"}:
+            raise ConnectionAbortedError
+        return fault
+
+    def outgoing(self, data: bytes, fault: Fault) -> bytes:
+        """One answer or measurement as the line delivers it."""
+        return self._outgoing.of(data, fault)
+
+    def _serve(self) -> None:
+        while not self._ended.is_set():
+            data = self.terminal.read(self.wait())
+            if data is None:
+                return
+            try:
+                self.take(data)
+            except ConnectionAbortedError:
+                self.terminal.close()
+                return
+            except OSError:
+                return
+
+
+TICK = 0.004
+"""What falls due within this is sent together [s]."""
+LONGEST_COMMAND = 200
+"""More of an unfinished line is forgotten [bytes]."""
+
+
+class Streaming(OnTerminal):
+    """One device on a pseudo-terminal. A kind of device says what a `command` does and what is `due`."""
+
+    def __init__(self, device: DeviceRecord, log: CommandLog, *kinds: dict[str, Kind], garbage: bytes) -> None:
+        super().__init__(device, log, Faults(LINK, STUCK, SKEW, *kinds), garbage)
+        self.streaming = False
+        self.due = 0.0
+        """When the next measurement is due [s, monotonic]."""
+        self._asked = b""
+
+    @abstractmethod
+    def command(self, line: str) -> None:
+        """A line that came; raises ConnectionAbortedError to hang up."""
+
+    @abstractmethod
+    def send_what_is_due(self) -> None:
+        """While `streaming`: every measurement that is due; raises ConnectionAbortedError to hang up."""
+
+    def seconds(self, shown: float) -> float:
+        """How long this machine's clock says that so much time of the device's own clock lasts [s]."""
+        fault = self.faults.peek()
+        return shown / (1.0 + fault.value) if fault.kind == "skew" else shown
+
+    def wait(self) -> float:
+        """Until a measurement falls due."""
+        return min(max(TICK, self.due - monotonic()), IDLE) if self.streaming else IDLE
+
+    def take(self, data: bytes) -> None:
+        """Obey each whole line, and send what is due."""
+        *lines, rest = (self._asked + data).replace(b"\r", b"\n").split(b"\n")
+        self._asked = rest[-LONGEST_COMMAND:]
+        for line in lines:
+            if line.strip():
+                self.command(line.decode("ascii", "replace").strip())
+        if self.streaming:
+            self.send_what_is_due()

@@ -2,16 +2,21 @@
 
 A truth file (`pmabench.bench.truth`) says it from data sheets, so that a wrong slope, sign or calibration in the bench
 file shows. Without one it is derived from the bench's own records: then no scale is proven.
+
+For a self-test the rig may differ in one thing from what is said of it: a slope, a sign, swapped plugs. Written
+`KIND:NAME=VALUE`, for instance `scale:force=0.5`, `sign:displacement`, `swap:pressure=force`. A name is a measured
+quantity, `output.pressure` for what is commanded, a valve, an emergency stop, or `DEVICE.TERMINAL`. Values are SI.
+Without a name or value the usual one is taken.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import combinations
 
 from pmabench.base.errors import UsageError, did_you_mean
-from pmabench.bench.interface import DeviceRecord
-from pmabench.bench.wiring import Plug, Truth, Wired
+from pmabench.bench.interface import DeviceRecord, Plug, Scale, Truth, Wired
 
 PLACES = ("server", "stream_port")
 """Options that say where to listen; they come from the bench file, as the address does."""
@@ -73,3 +78,190 @@ def moved(item: Wired, *, inputs: Mapping[str, str] | None = None, outputs: Mapp
 def _in(plugs: Mapping[str, Plug], was: str, now: str) -> Plug:
     """A plug in another terminal: its sensor, and the digits of that terminal."""
     return replace(plugs[was], digits=plugs.get(now, plugs[was]).digits)
+
+
+KINDS = {
+    "scale": "the reading (or what is done) is so many times the right one; 2",
+    "range": "the sensor has so many times its range, which begins where it did; 2",
+    "sign": "the sign is the other one; a valve or contact works the other way round",
+    "offset": "the reading (or what is done) is so much too high; 12 mm, 60 kPa, 120 N, 0.2 rad",
+    "swap": "two plugs are exchanged, or one is in another terminal",
+}
+OFFSETS = {"length": 0.012, "pressure": 60e3, "force": 120.0, "angle": 0.2}
+"""Usual offset [SI]: a little more than 10 mm, or 5 % of a usual range."""
+COMMANDS = ("pressure_command", "displacement_command")
+
+
+@dataclass(frozen=True)
+class Errors:
+    """What one device shows and does wrongly: from what is right to what is shown or done [SI]."""
+
+    shown: Mapping[str, Scale] = field(default_factory=dict)
+    done: Mapping[str, Scale] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class _End:
+    """One end of a wire: which device, `input`, `output`, `valve`, `contact` or nothing, and its terminal."""
+
+    device: int
+    kind: str
+    terminal: str
+    what: str = ""
+    quantity: str = ""
+
+
+def apply(rig: Sequence[Wired], wanted: Iterable[str]) -> tuple[list[Wired], list[Errors], list[str]]:
+    """The rig with everything in it that is wanted wrong, the errors of each device, and a sentence for each."""
+    found, errors, said = list(rig), [Errors() for _ in rig], []
+    for text in wanted:
+        kind, _, rest = text.partition(":")
+        name, _, value = rest.partition("=")
+        if kind not in KINDS:
+            raise UsageError(f'nothing can be wrong in the way "{kind}"{did_you_mean(kind, KINDS)}: {", ".join(KINDS)}')
+        if kind == "swap":
+            said.append(_swap(found, name, value))
+            continue
+        end = _end(found, name or _usual(found))
+        if kind == "sign" and end.kind in {"valve", "contact"}:
+            said.append(_inverted(found, end))
+        elif end.kind not in {"input", "output"}:
+            raise UsageError(f'"{text}": {kind} is for what is measured or commanded in numbers')
+        else:
+            said.append(_bend(found, errors, end, kind, value))
+    return found, errors, said
+
+
+def _end(rig: Sequence[Wired], name: str) -> _End:
+    ends = list(_ends(rig))
+    for end in ends:
+        output = end.kind in {"output", "valve"}
+        named = {f"output.{end.what}"} if output else {end.what}
+        if end.kind == "valve":
+            named.add(end.what)
+        if name in named or name == f"{rig[end.device].record.name}.{end.terminal}":
+            return end
+    known = [f"output.{end.what}" if end.kind == "output" else end.what for end in ends]
+    raise UsageError(f'nothing is called "{name}" on this rig{did_you_mean(name, known)}; known: {", ".join(known)}')
+
+
+def _ends(rig: Sequence[Wired]) -> Iterable[_End]:
+    for number, item in enumerate(rig):
+        record = item.record
+        for channel in record.channels:
+            yield _End(number, "input", channel.input, channel.name, channel.quantity)
+        for output in record.outputs:
+            yield _End(number, "output", output.output, output.name, output.quantity)
+        for valve in record.valves:
+            yield _End(number, "valve", valve.output, valve.name)
+        for lock in record.interlocks:
+            yield _End(number, "contact", lock.input, lock.name)
+
+
+def _usual(rig: Sequence[Wired]) -> str:
+    measured = [channel.name for item in rig for channel in item.record.channels]
+    if not measured:
+        raise UsageError("this rig measures nothing; say what is wrong, as scale:output.pressure=0.5")
+    return "force" if "force" in measured else measured[0]
+
+
+# -- numbers ------------------------------------------------------------------------------------------------------
+
+
+def _bend(rig: Sequence[Wired], errors: list[Errors], end: _End, kind: str, value: str) -> str:
+    error, said = _error(rig, end, kind, value)
+    if end.kind == "input":
+        _shows(errors, end.device, end.what, error)
+        return f"{end.what}: {said}"
+    held = errors[end.device]
+    errors[end.device] = replace(held, done={**held.done, end.what: _after(held.done.get(end.what), error)})
+    back = Scale(1.0 / error.slope, -error.offset / error.slope)
+    for number in range(len(errors)):  # what is commanded is looped back in front of the error
+        _shows(errors, number, f"{end.what}_command", back)
+    if end.what == "displacement":  # a drive measures itself by the same scale that moves it
+        _shows(errors, end.device, "displacement", back)
+    return f"output.{end.what}: {said}"
+
+
+def _shows(errors: list[Errors], number: int, what: str, error: Scale) -> None:
+    held = errors[number]
+    errors[number] = replace(held, shown={**held.shown, what: _after(held.shown.get(what), error)})
+
+
+def _after(first: Scale | None, then: Scale) -> Scale:
+    """Both errors, one after the other."""
+    return then if first is None else Scale(first.slope * then.slope, first.offset * then.slope + then.offset)
+
+
+def _error(rig: Sequence[Wired], end: _End, kind: str, value: str) -> tuple[Scale, str]:
+    if kind == "sign":
+        return Scale(-1.0), "has the other sign"
+    try:
+        number = float(value) if value else OFFSETS.get(end.quantity, 1.0) if kind == "offset" else 2.0
+    except ValueError:
+        raise UsageError(f'{kind}: a number is expected, not "{value}"') from None
+    if not abs(number) < 1e9 or (kind != "offset" and not 1e-3 <= abs(number)):
+        raise UsageError(f"{kind}: {number:g} is out of all range")
+    if kind == "offset":
+        return Scale(1.0, number), f"is {number:g} too high [SI]"
+    if kind == "scale":
+        return Scale(number), f"is {number:g} times the right one"
+    item = rig[end.device]
+    low = (item.inputs if end.kind == "input" else item.outputs)[end.terminal].low
+    slope = 1.0 / number if end.kind == "input" else number
+    return Scale(slope, low * (1.0 - slope)), f"has {number:g} times its range"
+
+
+# -- plugs --------------------------------------------------------------------------------------------------------
+
+
+def _inverted(rig: list[Wired], end: _End) -> str:
+    item, other = rig[end.device], {"open": "closed", "closed": "open", "high": "low", "low": "high"}
+    record = item.record
+    valves = tuple(
+        replace(v, energised=other[v.energised], safe=other[v.safe]) if v.name == end.what else v for v in record.valves
+    )
+    locks = tuple(replace(lock, safe=other[lock.safe]) if lock.name == end.what else lock for lock in record.interlocks)
+    rig[end.device] = replace(item, record=replace(record, valves=valves, interlocks=locks))
+    return f"{end.what}: works the other way round"
+
+
+def _swap(rig: list[Wired], first: str, second: str) -> str:
+    if not first:
+        first, second = _usual_swap(rig)
+    if not second:
+        raise UsageError(f"swap:{first}: say with what, as swap:{first}=force, or into which terminal")
+    one = _end(rig, first)
+    try:
+        other = _end(rig, second)
+    except UsageError:
+        device, _, terminal = second.partition(".")
+        if device != rig[one.device].record.name or not terminal:
+            raise
+        other = _End(one.device, one.kind, terminal)
+    if one.device != other.device or one.kind != other.kind or one.kind == "contact" or one.terminal == other.terminal:
+        raise UsageError(f"swap:{first}={second}: only plugs of one device that fit into each other's terminals")
+    item = rig[one.device]
+    plugs = item.inputs if one.kind == "input" else item.outputs
+    units = {plugs[end.terminal].unit for end in (one, other) if end.terminal in plugs}
+    if len(units) > 1:
+        raise UsageError(
+            f"swap:{first}={second}: signals in {' and '.join(sorted(units))} do not fit into one terminal"
+        )
+    ways = {one.terminal: other.terminal, other.terminal: one.terminal}
+    rig[one.device] = moved(item, inputs=ways) if one.kind == "input" else moved(item, outputs=ways)
+    if other.what:
+        return f"{first} and {second}: each is in the other's terminal"
+    return f"{first}: is in {other.terminal}, not in {one.terminal}"
+
+
+def _usual_swap(rig: Sequence[Wired]) -> tuple[str, str]:
+    for item in rig:
+        measured = [c for c in item.record.channels if c.name not in COMMANDS]
+        for one, other in combinations(measured, 2):
+            if item.inputs[one.input].unit == item.inputs[other.input].unit:
+                return one.name, other.name
+    raise UsageError(
+        "no two sensors of this rig fit into each other's terminals; say what is swapped, as "
+        "swap:output.pressure=DEVICE.TERMINAL"
+    )

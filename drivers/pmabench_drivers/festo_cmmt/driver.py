@@ -1,4 +1,4 @@
-"""The device interface in front of a CMMT: telegram 111 in a cycle of its own, ramps by the drive, sines streamed.
+"""The device interface in front of a CMMT: telegram 111 in a cycle, ramps by the drive, sines streamed.
 
 One thread exchanges process data from `open` to `close`, as the drive expects it; nothing is written before the first
 command, so that `open` takes control from nobody. The newest command is all that is ever sent: a command of the caller
@@ -19,20 +19,16 @@ from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import DeviceRecord, Identity, Segment
 from pmabench_drivers.festo_cmmt import telegram as t
-from pmabench_drivers.festo_cmmt.options import POSITION, SET_POINT, CmmtOptions, read_options
-from pmabench_drivers.festo_cmmt.path import Path
-from pmabench_drivers.modbus.registers import Register, RegisterMap, WatchdogRegisters
-from pmabench_drivers.modbus.watchdog import DeviceWatchdog
-from pmabench_drivers.shared.device import Polled
+from pmabench_drivers.festo_cmmt.telegram import POSITION, SET_POINT, CmmtOptions, Path, read_options
+from pmabench_drivers.modbus.driver import CALL, Watched
+from pmabench_drivers.modbus.registers import Register, WatchdogRegisters
+from pmabench_drivers.shared.device import refuse_nonsense
 from pmabench_drivers.shared.link import Unanswered, opened
 from pmabench_drivers.shared.polling import JOIN
-from pmabench_drivers.shared.segments import refuse_nonsense
 
 if TYPE_CHECKING:
     from pmabench_drivers.festo_cmmt.link import DriveLink
 
-CALL = 0.19
-"""Longest time that a call takes [s]; the guard gives up at 0.2 s."""
 OPEN = 1.9
 ANSWER = 0.1
 """Longest wait for one answer [s]."""
@@ -40,7 +36,7 @@ LOOK = 0.003
 """Pause between two looks whether the drive has done what was commanded [s]."""
 
 
-class FestoCmmt(Polled):
+class FestoCmmt(Watched):
     """A CMMT that holds the free end: output and channel `position`, channel `set_point`, both in user units.
 
     A ramp is one positioning task with its velocity; a sine is streamed, a target and a velocity in each cycle.
@@ -54,9 +50,7 @@ class FestoCmmt(Polled):
     def __init__(self, device: DeviceRecord, clock: Clock) -> None:
         super().__init__(device, clock)
         self._inputs = [channel.input for channel in device.channels]
-        self._watchdog = DeviceWatchdog(
-            device.name, RegisterMap(watchdog=WatchdogRegisters(t.TIMEOUT, 1e-3)), self._get, self._put
-        )
+        self._watchdog = WatchdogRegisters(t.TIMEOUT, 1e-3)
         self._line: DriveLink | None = None
         self._turn = threading.Lock()
         """Held for a moment while what is commanded is replaced; never while the drive is waited for."""
@@ -102,7 +96,7 @@ class FestoCmmt(Polled):
             with suppress(DeviceError):
                 line.send(t.NOTHING, monotonic() + ANSWER / 2)
         self._line = None
-        self._watchdog.forget()
+        self._armed = 0.0
         self._forget()
         if line is not None:
             line.close()
@@ -137,8 +131,8 @@ class FestoCmmt(Polled):
         self._every = 0
 
     def _tick(self) -> None:
-        """One cycle: what is commanded now, then what the drive tells."""
-        if self._watchdog.hungry() or self._line is None:
+        """One cycle: what is commanded now, then what the drive reports."""
+        if self._hungry() or self._line is None:
             return  # whoever feeds it is gone: the cycle must not keep the drive's time-out quiet
         try:
             self._send_due()
@@ -312,23 +306,19 @@ class FestoCmmt(Polled):
     def arm_watchdog(self, seconds: float) -> float:
         """Set the drive's time-out and read it back, then begin to switch it on; returns what it holds [s]."""
         until = monotonic() + CALL
-        held_time = self._watchdog.arm(seconds)
+        held_time = super().arm_watchdog(seconds)
         self._release = False
         self._switch_on(until, wait=False)
         return held_time
 
-    def feed_watchdog(self) -> None:
-        """Read the time-out: any communication is a sign of life."""
-        self._watchdog.feed()
-
     def disarm_watchdog(self) -> None:
         """Give the drive back the time-out that it had when it was opened; `close` switches it off then."""
-        self._watchdog.forget()
+        self._armed = 0.0
         self._release = True
         self._opened().put(t.TIMEOUT, self._found, monotonic() + CALL)
 
     def held(self) -> dict[str, float | str]:
-        """Its time-out [s], its telegram, its serial number where it tells one, and what forbids a motion."""
+        """Its time-out [s], its telegram, its serial number where it has one, and what forbids a motion."""
         until, line = monotonic() + CALL, self._opened()
         status = line.look(until)
         return {

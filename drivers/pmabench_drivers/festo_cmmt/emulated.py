@@ -14,13 +14,13 @@ from math import log10
 from time import monotonic
 
 from pmabench.bench.interface import DeviceRecord, Scale
-from pmabench_drivers.emulator import frames
-from pmabench_drivers.emulator.log import CommandLog
+from pmabench_drivers.emulator import modbus_server as frames
+from pmabench_drivers.emulator.faults import CommandLog
+from pmabench_drivers.emulator.modbus_server import NamedDevice
 from pmabench_drivers.emulator.plant import RealPlant
-from pmabench_drivers.festo_cmmt import emulated_telegrams as p
+from pmabench_drivers.festo_cmmt import emulated_motion as p
 from pmabench_drivers.festo_cmmt.emulated_motion import RECORDS, STROKE, Motion
-from pmabench_drivers.festo_cmmt.options import read_options
-from pmabench_drivers.festo_cpx_e.named import NamedDevice
+from pmabench_drivers.festo_cmmt.telegram import read_options
 from pmabench_drivers.shared.options import options_of
 
 NAMES = ("emulator of pmabench", "CMMT-AS", "1", "", "{}", "")

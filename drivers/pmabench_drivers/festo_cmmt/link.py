@@ -9,7 +9,7 @@ from time import monotonic, sleep
 
 from pmabench.base.errors import DeviceError
 from pmabench_drivers.festo_cmmt import telegram as t
-from pmabench_drivers.festo_cpx_e.line import NamedLine
+from pmabench_drivers.modbus.adapter import NamedLine
 from pmabench_drivers.modbus.registers import Register, decode, encode
 from pmabench_drivers.shared.link import Still, Unanswered, always
 
@@ -27,7 +27,7 @@ class DriveLink(NamedLine):
         self._mailbox = threading.Lock()
 
     def look(self, until: float) -> t.Status:
-        """What the drive tells now."""
+        """What the drive reports now."""
         return t.Status.of(self._again(t.PROCESS_IN, t.SIZE, until, "process data"))
 
     def look_once(self, until: float) -> t.Status:

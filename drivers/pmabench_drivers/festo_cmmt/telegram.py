@@ -1,20 +1,28 @@
-"""PROFIdrive telegram 111 as a CMMT takes and gives it over Modbus TCP: registers, words, bits, reasons.
+"""PROFIdrive telegram 111 as a CMMT takes and gives it, where the drive is wanted at a time, and its options.
 
 Knows no connection; standard library only. Registers, bits and parameter numbers: Festo's own client library
-festo-edcon 1.0, read as a description of the wire. Words stand in registers as they are, those of 32 bits low word
-first.
+festo-edcon 1.0, read as a description of the wire. Words are in registers as they are, those of 32 bits low word first.
+
+A sine is streamed. In each cycle the drive gets the velocity that brings it to the sine's value at the end of the
+cycle, and a target beyond that in the same direction: so it never brakes for a target on the way, and goes on smoothly
+where a cycle comes late. The target is never outside the sine's own crests. What the drive loses by its acceleration is
+seen in where it is, and made up slowly.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import ceil
 
+from pmabench.bench.interface import DeviceRecord, Segment
 from pmabench_drivers.modbus.registers import Register, decode, encode
+from pmabench_drivers.shared.device import stepped
+from pmabench_drivers.shared.options import Reader
 
 PROCESS_OUT, PROCESS_IN = 0, 100
-"""First register of what is sent to the drive, and of what it tells."""
+"""First register of what is sent to the drive, and of what it reports."""
 SIZE, SENT = 28, 11
 """Registers of each of them, and those that telegram 111 takes of what is sent."""
 TIMEOUT = Register("watchdog time", "holding", 400, "uint32", low_word_first=True)
@@ -83,7 +91,7 @@ NOTHING = [0] * SENT
 
 @dataclass(frozen=True)
 class Status:
-    """What the drive tells in each cycle."""
+    """What the drive reports in each cycle."""
 
     word: int
     """ZSW1."""
@@ -119,3 +127,130 @@ def speed(wanted: float) -> tuple[int, int]:
     """MDI_VELOCITY and OVERRIDE that together make the `wanted` velocity [velocity units, above 0] to 0.01 %."""
     velocity = max(1, ceil(wanted - 1e-9))
     return velocity, min(FULL, max(1, round(FULL * wanted / velocity)))
+
+
+CATCH_UP = 0.02
+"""Share of what the drive is off its profile by that is made up in one cycle: slow against delays of the link."""
+
+
+class Path:
+    """Positions in user units of the drive; `clock` gives bench time [s]."""
+
+    def __init__(self, clock: Callable[[], float]) -> None:
+        self._clock = clock
+        self._segment: Segment | None = None
+        self._since, self._from, self._to, self._velocity = 0.0, 0.0, 0.0, 0.0
+        self._off = 0.0
+
+    def rest_at(self, position: float) -> None:
+        """It is at rest there."""
+        self.end()
+        self._from = self._to = position
+
+    def go(self, target: float, velocity: float) -> None:
+        """It was sent to `target` at `velocity` [1/s] from where it was wanted."""
+        self.end()
+        self._leave(target, velocity)
+
+    def follow(self, segment: Segment) -> None:
+        """It is to follow the segment."""
+        self._segment, self._off = segment, 0.0
+
+    def end(self) -> None:
+        """No more of a segment."""
+        self._segment = None
+
+    def now(self) -> float:
+        """Where it is wanted at this moment."""
+        now = self._clock()
+        if self._segment is not None:
+            value, _ = stepped(self._segment, now)
+            if value is not None:
+                return value
+        return self._profile(now)
+
+    def seen(self, position: float, at: float) -> None:
+        """Where it was at a bench time `at` [s], since the last target was sent."""
+        if self._segment is not None and at >= self._since:
+            self._off += CATCH_UP * (position - self._profile(at) - self._off)
+
+    def next(self, cycle: float) -> tuple[float, float] | None:
+        """Target and velocity [1/s] for the next `cycle` [s]; None where nothing new is to be sent."""
+        segment, now = self._segment, self._clock()
+        if segment is None or now < segment.start:
+            return None
+        if segment.kind == "ramp":
+            self.end()
+            self._leave(segment.target, segment.rate)
+            return segment.target, segment.rate
+        value, over = stepped(segment, now + cycle)
+        if value is None:
+            return None
+        reach = value - self._profile(now) - self._off
+        velocity = abs(reach) / cycle
+        target = value
+        swing = abs(segment.amplitude)
+        if over:
+            self.end()
+            velocity = max(velocity, 2 * math.pi * segment.frequency * swing)  # whatever it lags by, it arrives
+        else:
+            target = min(max(value + math.copysign(abs(reach), reach), segment.origin - swing), segment.origin + swing)
+        self._leave(target, velocity)
+        return target, velocity
+
+    def _leave(self, target: float, velocity: float) -> None:
+        now = self._clock()
+        self._since, self._from, self._to, self._velocity = now, self._profile(now), target, velocity
+
+    def _profile(self, now: float) -> float:
+        """The drive's own way, without its acceleration."""
+        way = self._velocity * max(now - self._since, 0.0)
+        left = self._to - self._from
+        return self._to if way >= abs(left) else self._from + math.copysign(way, left)
+
+
+HERE = ("options",)
+POSITION, SET_POINT = "position", "set_point"
+"""What can be recorded: where the drive is, and where it is wanted at that moment. `POSITION` is also the output."""
+WHOLE = 2**31
+
+
+@dataclass(frozen=True)
+class CmmtOptions:
+    """Options of the driver `festo-cmmt` for a drive."""
+
+    rate: float
+    """Cycles of process data [Hz]."""
+    speed: float
+    """Of motions to a set-point that are no ramps [m/s]."""
+    acknowledge_faults: bool
+
+
+def read_options(device: DeviceRecord, reader: Reader) -> CmmtOptions:
+    """The options of a device, and the names that its channels and outputs use."""
+    given = reader.keys(device.options, HERE, ("rate", "speed", "acknowledge_faults"))
+    reader.host(device, "192.168.1.2:502")
+    for channel in device.channels:
+        place = ("channels", channel.name, "input")
+        has = f"; it has {POSITION} and {SET_POINT}"
+        if (
+            reader.known(place, "a CMMT has no", channel.input, [POSITION, SET_POINT], has)
+            and channel.raw_type != "int32"
+        ):
+            reader.fault(place, "gives counts: its calibration goes from count to the quantity")
+    for output in device.outputs:
+        at = ("outputs", output.name, "output")
+        if output.output != POSITION:
+            reader.fault(at, f'a CMMT has no output "{output.output}"; it has {POSITION}')
+        if output.quantity != "length":
+            reader.fault(at, f"a CMMT moves, and {output.quantity} is no length")
+        elif any(abs(float(output.scale.to_raw(value))) >= WHOLE for value in (output.low, output.high)):
+            reader.fault(at, "cannot be commanded over its whole range: positions have 32 bits")
+    if device.outputs and not device.watchdog:
+        reader.fault((), f'a drive that moves needs "watchdog", {SHORTEST:g} s to {LONGEST:g} s')
+    reader.watchdog(device, "a CMMT", SHORTEST, LONGEST)
+    return CmmtOptions(
+        reader.quantity(given, "rate", HERE, "frequency", 100.0, 1.0, 200.0),
+        reader.quantity(given, "speed", HERE, "speed", 0.02, 1e-4, 1.0),
+        reader.flag(given, "acknowledge_faults", HERE, default=False),
+    )

@@ -22,8 +22,7 @@ from pmabench_drivers.shared.link import Unanswered
 from pmabench_drivers.shared.polling import Cycle
 
 if TYPE_CHECKING:
-    from pmabench_drivers.festo_cpx_e.line import NamedLine
-    from pmabench_drivers.modbus.adapter import Line
+    from pmabench_drivers.modbus.adapter import Line, NamedLine
 
 KEEP_ALIVE = 40.0
 """How often it is asked while no watchdog of ours is armed [Hz]: its own time-out is 100 ms from the factory on."""
@@ -56,7 +55,6 @@ class FestoCpxE(ModbusDevice):
         positions = {self._terminal.module_of(name).position for name in names}
         self._used = [module for module in self._terminal.modules if module.position in positions]
         self._alive = Cycle(f"keep alive {device.name}", self._keep_alive, clock)
-        self._armed = False
         self._found = 0.0
 
     # -- life -----------------------------------------------------------------------------------------------------
@@ -75,12 +73,11 @@ class FestoCpxE(ModbusDevice):
 
     def close(self) -> None:
         """End polling and let go of the connection; the terminal's own time-out runs from then on."""
-        self._armed = False
         self._alive.stop()
         super().close()
 
     def _new_line(self) -> NamedLine:
-        from pmabench_drivers.festo_cpx_e.line import NamedLine
+        from pmabench_drivers.modbus.adapter import NamedLine
 
         return NamedLine(self._device.name, self._device.address, self._map.timeout)
 
@@ -95,7 +92,7 @@ class FestoCpxE(ModbusDevice):
         try:
             line.read("holding", STATUS, 1, monotonic() + self._map.timeout, "status")
         except DeviceError:
-            return  # the next call that somebody makes tells it
+            return  # the next call that somebody makes reports it
 
     # -- what is there, and how it is set -------------------------------------------------------------------------
 
@@ -142,7 +139,7 @@ class FestoCpxE(ModbusDevice):
     def held(self) -> dict[str, float | str]:
         """Its time-out [s], how many modules it has and which report faults, whether it is forced, and who it is.
 
-        It tells no serial number in less than half a second.
+        It gives no serial number in less than half a second.
         """
         until = monotonic() + CALL
         watchdog, line = self._get(TIMEOUT, until) * 1e-3, self._opened()
@@ -282,14 +279,11 @@ class FestoCpxE(ModbusDevice):
         if seconds < t.SHORTEST:
             raise self._error(f"waits {t.SHORTEST:g} s at least, not {seconds:g} s", "watchdog")
         self._get(TIMEOUT)
-        held = super().arm_watchdog(seconds)
-        self._armed = True
-        return held
+        return super().arm_watchdog(seconds)
 
     def disarm_watchdog(self) -> None:
         """Give the terminal the time-out back that it had when it was opened."""
-        self._watchdog.forget()
-        self._armed = False
+        self._armed = 0.0
         self._put(TIMEOUT, self._found)
 
 

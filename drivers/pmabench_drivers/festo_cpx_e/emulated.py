@@ -12,13 +12,11 @@ import threading
 from time import monotonic
 
 from pmabench.bench.interface import DeviceRecord
-from pmabench_drivers.emulator import frames
-from pmabench_drivers.emulator.log import CommandLog
-from pmabench_drivers.emulator.modbus_server import WATCH
-from pmabench_drivers.emulator.plant import RealPlant
-from pmabench_drivers.emulator.wiring import Wiring
+from pmabench_drivers.emulator import modbus_server as frames
+from pmabench_drivers.emulator.faults import CommandLog
+from pmabench_drivers.emulator.modbus_server import WATCH, NamedDevice
+from pmabench_drivers.emulator.plant import RealPlant, Wiring
 from pmabench_drivers.festo_cpx_e import terminal as t
-from pmabench_drivers.festo_cpx_e.named import NamedDevice
 from pmabench_drivers.shared.options import options_of
 
 CYCLE = 0.003
@@ -164,7 +162,7 @@ class EmulatedTerminal:
     # -- the time-out ---------------------------------------------------------------------------------------------
 
     def look_at_watchdog(self) -> None:
-        """Nothing: `bite` is asked by the connection, which ends with it."""
+        """Nothing: the connection looks at the time-out by `fire`, and ends with it."""
 
     def expire_watchdog(self) -> bool:
         """Let the time-out end at the next look; whether there is one."""

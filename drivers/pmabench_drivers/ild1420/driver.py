@@ -7,12 +7,10 @@ from time import monotonic
 
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import EMULATED, UNPROVEN, DeviceRecord, Identity
-from pmabench_drivers.ild1420.numbering import CounterBroken, Numbering
-from pmabench_drivers.ild1420.options import Options, read_options
-from pmabench_drivers.ild1420.wire import Decoder, distance, misset
+from pmabench_drivers.ild1420.wire import CounterBroken, Decoder, Numbering, Options, distance, misset, read_options
 from pmabench_drivers.shared.options import Reader
-from pmabench_drivers.shared.pace import Pace
-from pmabench_drivers.shared.serial_stream import SerialStream
+from pmabench_drivers.shared.polling import Pace
+from pmabench_drivers.shared.serial_port import SerialStream
 
 PROMPT = b"->"
 """Ends each answer; inside a stream of values the two bytes cannot follow each other."""

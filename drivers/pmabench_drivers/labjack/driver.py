@@ -19,10 +19,8 @@ from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import EMULATED, UNPROVEN, Block, DeviceRecord, Identity
 from pmabench_drivers.labjack import registers as r
-from pmabench_drivers.labjack.calibration import COUNT, FLASH, Gain, gains
-from pmabench_drivers.labjack.options import Options, read_options
-from pmabench_drivers.labjack.stream import Plan, StreamLink
-from pmabench_drivers.labjack.watchdog import Watchdog
+from pmabench_drivers.labjack.registers import Options, read_options
+from pmabench_drivers.labjack.stream import COUNT, FLASH, Gain, StreamLink, gains
 from pmabench_drivers.modbus import ModbusDevice
 from pmabench_drivers.modbus.driver import CALL, OPEN
 from pmabench_drivers.shared.link import Unanswered
@@ -34,6 +32,8 @@ BLOCK = 13
 """Constants that are read from the flash at once."""
 FIRMWARE_STEP = 5e-5
 """Half a step between two versions of the firmware."""
+KEY = 0x504D4142
+"""Feeds the watchdog."""
 TIMEOUT = 0.15
 """Longest wait for an answer [s]."""
 
@@ -51,7 +51,7 @@ class LabJack(ModbusDevice):
         super().__init__(_as_modbus(device, self._t7), clock)
         self._names = [channel.name for channel in device.channels]
         self._lines = {valve.output: r.line_of(valve.output) or 0 for valve in device.valves}
-        self._own_watchdog = Watchdog(device, self)
+        self._bench = device
         self._tables: dict[int, array[float]] = {}
         self._stream: StreamLink | None = None
         self._firmware = 0.0
@@ -144,7 +144,7 @@ class LabJack(ModbusDevice):
         link = StreamLink(name, self._names, (self._t7.host, self._t7.stream_port), deadline - monotonic(), self._clock)
         try:
             used = self._configure(rate, scans, deadline)
-            link.begin(Plan(used, scans, [self._tables[item.gain] for item in inputs]))
+            link.begin(used, scans, [self._tables[item.gain] for item in inputs])
             self.put(r.STREAM_ENABLE, r.u32(1), deadline, "stream")
         except DeviceError:
             link.close()
@@ -198,7 +198,7 @@ class LabJack(ModbusDevice):
         super().stop()
 
     def _end_stream(self) -> None:
-        """Tell the device and let go; one that does not hear it is stopped at the next start."""
+        """Stop the device and let go; one that does not answer is stopped at the next start."""
         link, self._stream = self._stream, None
         if link is None:
             return
@@ -219,7 +219,7 @@ class LabJack(ModbusDevice):
     # -- digital lines --------------------------------------------------------------------------------------------
 
     def switch(self, output: str, *, on: bool) -> None:
-        """Set a line high or low once, which makes it an output; the terminal tells whether it was done."""
+        """Set a line high or low once, which makes it an output; its terminal shows whether it was done."""
         line, deadline, lost = self._line_of(output), monotonic() + CALL, ""
         try:
             self._put(self._switched(output), float(on), deadline)
@@ -251,18 +251,49 @@ class LabJack(ModbusDevice):
         return bool(state >> line & direction >> line & 1)
 
     # -- the device's watchdog ------------------------------------------------------------------------------------
+    #
+    # Strict: only its key feeds it, so that neither a stream nor another program keeps it quiet. On time-out it sets
+    # the DACs and the valve lines to their safe values. It counts whole seconds. Its settings are kept in flash.
 
     def arm_watchdog(self, seconds: float) -> float:
         """Set it to whole seconds and to safe values of DACs and valves, and start it; returns what it holds [s]."""
-        return self._own_watchdog.arm(seconds)
+        if not 1.0 <= seconds < math.inf:
+            raise self._error(f"counts whole seconds: a watchdog of {seconds:g} s cannot be set", "watchdog")
+        deadline = monotonic() + CALL
+        self.put(r.WATCHDOG_ENABLE, r.u32(0), deadline, "watchdog")
+        for address, words in watchdog_settings(self._bench, math.floor(seconds + 1e-6)):
+            if self.get(address, len(words), deadline, "watchdog") == words:
+                continue  # flash wears out, and is slow
+            self.put(address, words, deadline, "watchdog")
+            held = self.get(address, len(words), deadline, "watchdog")
+            if held != words:
+                raise self._error(f"register {address} holds {held} after {words} was written", "watchdog")
+        self.put(r.WATCHDOG_CLEAR, r.u32(KEY), deadline, "watchdog")
+        self.put(r.WATCHDOG_ENABLE, r.u32(1), deadline, "watchdog")
+        enabled, _advanced, held_time = r.from_u32(self.get(r.WATCHDOG_ENABLE, 6, deadline, "watchdog"))
+        if enabled != 1:
+            raise self._error("does not say that it is on", "watchdog")
+        return float(held_time)
 
     def feed_watchdog(self) -> None:
         """Write its key."""
-        self._own_watchdog.feed()
+        self.put(r.WATCHDOG_CLEAR, r.u32(KEY), monotonic() + CALL, "watchdog")
 
     def disarm_watchdog(self) -> None:
-        """Stop it."""
-        self._own_watchdog.disarm()
+        """Off; outputs stay, and the settings in flash do nothing any more."""
+        deadline = monotonic() + CALL
+        self.put(r.WATCHDOG_ENABLE, r.u32(0), deadline, "watchdog")
+        if r.from_u32(self.get(r.WATCHDOG_ENABLE, 2, deadline, "watchdog")) != [0]:
+            raise self._error("is still on", "watchdog")
+
+    def _watchdog_held(self, deadline: float) -> dict[str, float | str]:
+        """What the device reports now: its time [s], 0 where it is off; and what it would do, as one text."""
+        enabled, advanced, seconds = r.from_u32(self.get(r.WATCHDOG_ENABLE, 6, deadline, "watchdog"))
+        does = [f"61602={advanced:08x}"]
+        for address, words in watchdog_settings(self._bench, int(seconds))[1:]:
+            held = self.get(address, len(words), deadline, "watchdog")
+            does.append(f"{address}={''.join(f'{word:04x}' for word in held)}")
+        return {"watchdog": float(seconds) if enabled == 1 else 0.0, "registers of the watchdog": " ".join(does)}
 
     def held(self) -> Mapping[str, float | str]:
         """Watchdog with all that it would do, and serial number; newer firmware: cause of the last restart, uptime.
@@ -271,7 +302,7 @@ class LabJack(ModbusDevice):
         the network, shows the time of day there: then it is left out.
         """
         deadline = monotonic() + CALL
-        found: dict[str, float | str] = {**self._own_watchdog.held(deadline)}
+        found = self._watchdog_held(deadline)
         [serial] = r.from_u32(self.get(r.SERIAL_NUMBER, 2, deadline, "serial number"))
         found["serial"] = str(serial)
         if self._firmware >= self._t7.model.restart_cause_from - FIRMWARE_STEP:
@@ -341,3 +372,20 @@ def _as_modbus(device: DeviceRecord, options: Options) -> DeviceRecord:
     channels = () if model.streams else device.channels
     address = f"{options.host}:{options.port}"
     return replace(device, address=address, options={"map": map_}, channels=channels, watchdog=0.0)
+
+
+def watchdog_settings(device: DeviceRecord, seconds: int) -> list[tuple[int, list[int]]]:
+    """First address and words of each group of registers, enable left out: all that makes the device safe by itself."""
+    dacs = {output.output: float(output.scale.to_raw(output.safe)) for output in device.outputs}
+    lines = {r.line_of(valve.output) or 0: valve.safe == valve.energised for valve in device.valves}
+    mask = sum(1 << line for line in lines)
+    state = sum(1 << line for line, high in lines.items() if high)
+    groups = [
+        (r.WATCHDOG_ADVANCED, r.u32(0, seconds, 0)),
+        (r.WATCHDOG_STRICT, r.u32(1, KEY)),
+        (r.WATCHDOG_RESET, r.u32(0)),
+        (r.WATCHDOG_DIO_ENABLE, r.u32(int(bool(lines)), state, mask, r.ALL_LINES & ~mask)),
+    ]
+    for name, enable in zip(r.DACS, r.WATCHDOG_DAC_ENABLE, strict=True):
+        groups.append((enable, [*r.u32(int(name in dacs)), *r.f32(dacs.get(name, 0.0))]))
+    return groups

@@ -11,22 +11,19 @@ from time import monotonic
 
 from pmabench.base.errors import UsageError
 from pmabench.bench.interface import DeviceRecord
-from pmabench_drivers.emulator.faults import EXPIRY, RESTART, SETPOINT, SKEW, WATCHDOG_OFF, Fault, Faults
-from pmabench_drivers.emulator.frames import ADDRESS, FUNCTION, VALUE, Refused, Request
-from pmabench_drivers.emulator.log import CommandLog
-from pmabench_drivers.emulator.modbus_server import KINDS, TcpDevice
-from pmabench_drivers.emulator.plant import RealPlant
+from pmabench_drivers.emulator.faults import EXPIRY, RESTART, SETPOINT, SKEW, WATCHDOG_OFF, CommandLog, Fault, Faults
+from pmabench_drivers.emulator.modbus_server import ADDRESS, FUNCTION, KINDS, VALUE, Refused, Request, TcpDevice
+from pmabench_drivers.emulator.plant import RealPlant, Wiring
 from pmabench_drivers.emulator.ports import host_of
-from pmabench_drivers.emulator.wiring import Wiring
 from pmabench_drivers.labjack import registers as r
-from pmabench_drivers.labjack.calibration import COUNT, FLASH
 from pmabench_drivers.labjack.emulated_map import F32, FEEDBACK, WORDS, Cut, Unknown, Value, feedback, values_of, whole
 from pmabench_drivers.labjack.emulated_stream import FAULTS, Streamer
-from pmabench_drivers.labjack.options import Options, read_options
+from pmabench_drivers.labjack.registers import Options, read_options
+from pmabench_drivers.labjack.stream import COUNT, FLASH
 from pmabench_drivers.shared.options import options_of
 
 FAILED = 4
-"""Exception code of whatever LabJack has a code of its own for."""
+"""Exception code of all errors that have a code of LabJack's."""
 SLOPES = ((3.1592e-4, -3.1571e-4, 33511.0), (3.1590e-5, -3.1575e-5, 33498.5))
 """Constants of this device, unlike those of any other: slopes and centre for 10 V and 1 V."""
 DAC_END = 0.993
@@ -52,15 +49,14 @@ class Lines:
     directions: bool = False
 
 
+GROUPS = ((0, 8), (8, 8), (16, 4), (20, 3))
+"""First line and number of lines of FIO, EIO, CIO and MIO."""
 BITS = {
-    **{r.STATES + i: Lines(first, count) for i, (first, count) in enumerate(((0, 8), (8, 8), (16, 4), (20, 3)))},
-    **{
-        r.DIRECTIONS + i: Lines(first, count, True)
-        for i, (first, count) in enumerate(((0, 8), (8, 8), (16, 4), (20, 3)))
-    },
+    **{r.STATES + i: Lines(*group) for i, group in enumerate(GROUPS)},
+    **{r.DIRECTIONS + i: Lines(*group, directions=True) for i, group in enumerate(GROUPS)},
     **{r.STATES_OF_TWO + i: Lines(first, count) for i, (first, count) in enumerate(((0, 16), (8, 12), (16, 7)))},
     r.DIO_STATE: Lines(0, 23),
-    r.DIO_DIRECTION: Lines(0, 23, True),
+    r.DIO_DIRECTION: Lines(0, 23, directions=True),
 }
 """Registers of several lines."""
 

@@ -11,7 +11,7 @@ import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from pmabench_drivers.emulator.frames import VALUE, Refused, Request
+from pmabench_drivers.emulator.modbus_server import VALUE, Refused, Request
 from pmabench_drivers.labjack import registers as r
 
 U16, U32, I32, F32 = "H", "I", "i", "f"

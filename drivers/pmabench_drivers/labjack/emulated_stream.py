@@ -1,4 +1,4 @@
-"""The stream of an emulated T7: scans at absolute times, a buffer of limited size, packets on a connection of its own.
+"""The stream of an emulated T7: scans at absolute times, a buffer of limited size, packets on a separate connection.
 
 Written from the packet's description and apart from the driver's reading of it, so that each is a check of the other.
 """
@@ -14,9 +14,8 @@ from collections import deque
 from collections.abc import Callable
 from time import monotonic, sleep
 
-from pmabench_drivers.emulator.faults import DeviceClock, Faults, Kind
-from pmabench_drivers.emulator.log import CommandLog
-from pmabench_drivers.emulator.ports import listen
+from pmabench_drivers.emulator.faults import CommandLog, DeviceClock, Faults, Kind
+from pmabench_drivers.emulator.ports import accepted, hang_up, listen
 
 SHORTEST, LONGEST = 0.001, 0.01
 """Sleep between two looks at what is due [s]."""
@@ -43,7 +42,6 @@ class Streamer:
         self._running = threading.Event()
         self.moment = 0.0
         """When the scan was due that is being made [s, monotonic]."""
-        self._ended = False
         self._faults: deque[tuple[str, float]] = deque()
         self._thread: threading.Thread | None = None
 
@@ -53,13 +51,8 @@ class Streamer:
 
     def close(self) -> None:
         """End."""
-        self._ended = True
         self.end()
-        for end in (self._listener, self._client):
-            if end is not None:
-                with contextlib.suppress(OSError):
-                    end.shutdown(socket.SHUT_RDWR)
-                end.close()
+        hang_up(self._listener, self._client)
 
     @property
     def running(self) -> bool:
@@ -87,12 +80,7 @@ class Streamer:
             thread.join(1.0)
 
     def _accept(self) -> None:
-        while not self._ended:
-            try:
-                client, _peer = self._listener.accept()
-            except OSError:
-                return
-            client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        for client in accepted(self._listener):
             before, self._client = self._client, client
             if before is not None:
                 before.close()

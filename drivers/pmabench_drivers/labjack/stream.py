@@ -1,40 +1,190 @@
-"""The connection that a T7 streams over, in a thread of its own: bytes to samples in volts, on the stream's own clock.
+"""The stream of a T7: its packets, the volts of their counts, and the thread that receives them on its own clock.
 
-The device's clock is the number of the scan over the rate; it begins at the bench time of the start, so that a stream
-that is started again goes on.
+A packet (all numbers with the high byte first; LabJack, T-series datasheet, low-level streaming): transaction number
+(0 at the start, one more with each packet), protocol 0, length of what follows, unit 1, function 76, type 16, a byte
+without meaning, bytes that wait in the device, status, additional information, then two bytes a sample in the order of
+the scan list. When the device's buffer was full it skips scans, then puts a whole scan of 0xFFFF in their place, with
+the status 2941 and the number of skipped scans.
+
+Every scan keeps its number, counted from 1 at the start: what is missing is left out, and never closed up. Where the
+number of what is missing cannot be known, that is an error. The device's clock is the number of the scan over the rate;
+it begins at the bench time of the start, so that a stream that is started again goes on.
+
+Counts become volts by the constants in the device's flash, 41 single-precision numbers: for the high-speed converter
+(which streams) four gains of positive slope, negative slope, centre and offset; the same for the high-resolution
+converter; then DACs, temperature, current sources and bias, which are not used here.
 """
 
 from __future__ import annotations
 
 import contextlib
+import math
 import socket
+import struct
+import sys
 import threading
 from array import array
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import Block
-from pmabench_drivers.labjack.packets import Packets, Scans, StreamBroken
+
+FLASH = 0x3C4000
+"""Where the constants begin in the device's flash."""
+COUNT = 41
+"""How many there are."""
+NOMINAL_SLOPE, NOMINAL_CENTER = 3.158058e-4, 33523.0
+"""Of the range of 10 V [V], [1]; each next gain has a tenth of the slope."""
+CODES = 65536
+
+
+@dataclass(frozen=True)
+class Gain:
+    """Constants of one range: volts a count above and below the centre, and the count at 0 V."""
+
+    positive: float
+    negative: float
+    center: float
+
+    def volts(self, raw: int) -> float:
+        """The voltage of a count [V]."""
+        if raw < self.center:
+            return (self.center - raw) * self.negative
+        return (raw - self.center) * self.positive
+
+    def table(self) -> array[float]:
+        """The voltage of every count [V], shape (65536,)."""
+        return array("d", [self.volts(raw) for raw in range(CODES)])
+
+
+def gains(constants: Sequence[float]) -> tuple[Gain, ...]:
+    """The high-speed converter's gains for 10, 1, 0.1 and 0.01 V; ValueError where one cannot be that of a T7."""
+    if len(constants) != COUNT:
+        raise ValueError(f"{len(constants)} calibration constants instead of {COUNT}")
+    found = []
+    for index in range(4):
+        positive, negative, center, _offset = constants[4 * index : 4 * index + 4]
+        slope = NOMINAL_SLOPE / 10**index
+        near = all(math.isfinite(value) for value in (positive, negative, center)) and (
+            abs(positive / slope - 1) < 0.1 and abs(negative / slope + 1) < 0.1 and abs(center - NOMINAL_CENTER) < 3000
+        )
+        if not near:
+            raise ValueError(
+                f"calibration constants of gain {index} that no T7 has: slopes {positive:g} and {negative:g} V, "
+                f"centre {center:g}"
+            )
+        found.append(Gain(positive, negative, center))
+    return tuple(found)
+
+
+HEADER = struct.Struct(">HHHBBBBHHH")
+PROTOCOL, UNIT, FUNCTION, TYPE = 0, 1, 76, 16
+AFTER_LENGTH = 10
+"""Bytes of the header behind its length."""
+RECOVERING, RECOVERED, OVERLAP, UNCOUNTED, COMPLETE, FULL = 2940, 2941, 2942, 2943, 2944, 2945
+MARKER = 0xFFFF
+ENDS = {
+    OVERLAP: "scans overlap: the rate is too high for this number of channels, resolution index or settling time",
+    UNCOUNTED: "its buffer was full for so long that it did not count what it left out",
+    COMPLETE: "the stream ended by itself, as if a number of scans had been asked for",
+    FULL: "its buffer was full and the stream ended",
+}
+"""Status that ends a stream -> why."""
+
+
+class StreamBroken(Exception):
+    """What came is no stream, or one whose samples cannot be numbered any more."""
+
+
+@dataclass(frozen=True)
+class Scans:
+    """Consecutive scans: `raw` counts, channel by channel in the order of the scan list, from number `first` on."""
+
+    first: int
+    raw: array[int]
+
+
+class Packets:
+    """Takes the bytes of a stream, and gives the scans in them with their numbers."""
+
+    def __init__(self, channels: int, scans: int) -> None:
+        self._channels, self._scans = channels, scans
+        self._size = 2 * channels * scans
+        self._data = bytearray()
+        self._expected = 0
+        self._recovering = False
+        self._marker = array("H", [MARKER] * channels)
+        self.next = 1
+        """Number of the scan that comes next."""
+        self.lost = 0
+        """Scans in packets that never came."""
+        self.skipped = 0
+        """Scans that the device left out because its buffer was full."""
+        self.backlog = 0
+        """Bytes that waited in the device when it sent the last packet."""
+
+    def feed(self, data: bytes) -> Iterator[Scans]:
+        """The scans that are whole with `data`; `StreamBroken` after them where the rest cannot be the stream."""
+        self._data += data
+        while len(self._data) >= HEADER.size:
+            transaction, protocol, length, unit, function, kind, _, backlog, status, info = HEADER.unpack_from(
+                self._data
+            )
+            if (protocol, unit, function, kind) != (PROTOCOL, UNIT, FUNCTION, TYPE):
+                raise StreamBroken(f"bytes that are no stream packet: {bytes(self._data[: HEADER.size]).hex(' ')}")
+            if length != AFTER_LENGTH + self._size and status not in ENDS:
+                raise StreamBroken(f"a packet of {length} bytes instead of {AFTER_LENGTH + self._size}")
+            if status in ENDS:
+                raise StreamBroken(f"status {status}: {ENDS[status]}")
+            whole = HEADER.size + self._size
+            if len(self._data) < whole:
+                break
+            raw = array("H", bytes(self._data[HEADER.size : whole]))
+            del self._data[:whole]
+            if sys.byteorder == "little":
+                raw.byteswap()
+            self._number(transaction)
+            self.backlog = backlog
+            yield from self._placed(raw, status, info)
+
+    def _number(self, transaction: int) -> None:
+        """Leave room for packets that never came."""
+        missing = (transaction - self._expected) % 65536
+        self._expected = (transaction + 1) % 65536
+        if missing and self._recovering:
+            raise StreamBroken(f"{missing} packets are lost while the device was leaving out scans")
+        self.next += missing * self._scans
+        self.lost += missing * self._scans
+
+    def _placed(self, raw: array[int], status: int, info: int) -> list[Scans]:
+        """The scans of a packet with their numbers."""
+        if status not in {0, RECOVERING, RECOVERED}:
+            raise StreamBroken(f"status {status}, which is not known")
+        self._recovering = status == RECOVERING
+        if status != RECOVERED:
+            return [self._run(raw)]
+        at = next((i for i in range(0, len(raw), self._channels) if raw[i : i + self._channels] == self._marker), -1)
+        if at < 0:
+            raise StreamBroken(f"{info} scans were left out, and nothing tells where")
+        runs = [self._run(raw[:at])]
+        self.next += info
+        self.skipped += info
+        runs.append(self._run(raw[at + self._channels :]))
+        return [run for run in runs if run.raw]
+
+    def _run(self, raw: array[int]) -> Scans:
+        first = self.next
+        self.next += len(raw) // self._channels
+        return Scans(first, raw)
+
 
 PATIENCE = 0.25
 """So long [s] after a packet is due `collect` says that none comes."""
 AHEAD, DRIFT = 0.5, 1e-3
 """So far [s], and in proportion to time [1], a scan's time may be ahead of the moment when it arrived."""
 PIECE = 65536
-
-
-@dataclass(frozen=True)
-class Plan:
-    """How the stream runs."""
-
-    rate: float
-    """Scans a second, as the device says [Hz]."""
-    scans: int
-    """Scans in a packet."""
-    tables: Sequence[array[float]]
-    """Volts of every count, for each channel of the scan list, shape (65536,)."""
 
 
 class StreamLink:
@@ -55,10 +205,13 @@ class StreamLink:
             why = (error.strerror or str(error)).lower()
             raise DeviceError(device, f"no connection to {where}, where the stream comes from: {why}") from None
 
-    def begin(self, plan: Plan) -> None:
-        """Receive from now on; the device is started after this."""
-        self._plan = plan
-        self._packets = Packets(len(self._names), plan.scans)
+    def begin(self, rate: float, scans: int, tables: Sequence[array[float]]) -> None:
+        """Receive from now on; the device is started after this.
+
+        `rate` as the device says [Hz]; `scans` in a packet; volts of every count for each channel, shape (65536,).
+        """
+        self._rate, self._scans, self._tables = rate, scans, tables
+        self._packets = Packets(len(self._names), scans)
         self._start = self._last = self._clock.now()
         self._socket.settimeout(None)
         self._thread = threading.Thread(target=self._receive, name=f"labjack {self._device}", daemon=True)
@@ -90,7 +243,7 @@ class StreamLink:
         if not time:
             if failure:
                 raise DeviceError(self._device, f"the stream broke off: {failure}")
-            if silent > PATIENCE + 2 * self._plan.scans / self._plan.rate:
+            if silent > PATIENCE + 2 * self._scans / self._rate:
                 raise DeviceError(self._device, f"its stream has been silent for {silent:.2f} s")
         return Block(time, dict(zip(self._names, columns, strict=True)), host)
 
@@ -111,7 +264,7 @@ class StreamLink:
                 self._failure = failure
 
     def _keep(self, scans: Scans, arrived: float) -> None:
-        width, rate = len(self._names), self._plan.rate
+        width, rate = len(self._names), self._rate
         end = scans.first + len(scans.raw) // width
         elapsed = arrived - self._start
         if (end - 1) / rate > elapsed * (1 + DRIFT) + AHEAD:
@@ -119,7 +272,7 @@ class StreamLink:
         origin = round(self._start * 1e9)
         times = array("q", [origin + round(number * 1e9 / rate) for number in range(scans.first, end)])
         columns = [
-            array("d", map(table.__getitem__, scans.raw[index::width])) for index, table in enumerate(self._plan.tables)
+            array("d", map(table.__getitem__, scans.raw[index::width])) for index, table in enumerate(self._tables)
         ]
         with self._lock:
             self._time += times

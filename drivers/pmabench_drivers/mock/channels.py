@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.bench.interface import Block, ChannelRecord
-from pmabench.model.sensors import NoiseSource
+from pmabench.model.motion import NoiseSource
 from pmabench_drivers.mock.options import INPUTS, SENSORS, Faults, SensorError
 
 GAP = 0.02

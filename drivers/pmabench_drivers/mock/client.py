@@ -1,23 +1,131 @@
-"""The driver `mock-realtime`: the device interface in front of the plant's own process; standard library only."""
+"""The driver `mock-realtime`: the device interface in front of the plant's own process, and how the two speak.
+
+A message is one line of JSON, ended by a line feed, and after it as many raw bytes as its key `bytes` says (none
+without it). The client asks `{"n": 7, "by": 1234.5, "do": "write", "output": "pressure", "value": 3276.0}`: `n`
+counts its questions, `by` is the moment on CLOCK_MONOTONIC [s] after which it no longer waits, so that the server must
+not carry it out any more. The server answers `{"n": 7, ...}`, or `{"n": 7, "error": "sentence", "channel": ""}`.
+Answers to older questions are passed over. What can be asked is in `pmabench_drivers.mock.server`. Standard library
+only.
+"""
 
 from __future__ import annotations
 
 import json
-import math
 import os
+import socket
 import sys
 import time
 from array import array
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
 from pmabench.base.clock import Clock, RealClock
-from pmabench.base.errors import DeviceError, did_you_mean
-from pmabench.bench.interface import Block, DeviceRecord, Identity, Load, OutputRecord, Segment
-from pmabench_drivers.mock.options import problems, read_options, split_service
-from pmabench_drivers.mock.wire import Link, Message, parse_address
+from pmabench.base.errors import DeviceError
+from pmabench.bench.interface import Block, DeviceRecord, Identity, Load, Segment
+from pmabench_drivers.mock.options import output_of, problems, read_options, split_service
+
+LONGEST_LINE = 1 << 20
+LONGEST_BYTES = 1 << 26
+Message = tuple[dict[str, Any], bytes]
+
+
+def encode(message: Mapping[str, Any], payload: bytes = b"") -> bytes:
+    """One message as bytes."""
+    head = {**message, "bytes": len(payload)} if payload else message
+    return json.dumps(head, separators=(",", ":")).encode() + b"\n" + payload
+
+
+class Inbox:
+    """Whole messages out of a stream of bytes."""
+
+    def __init__(self) -> None:
+        self._bytes = bytearray()
+        self._head: dict[str, Any] | None = None
+
+    def feed(self, piece: bytes) -> Iterator[Message]:
+        """Every message that is complete with `piece`; ValueError for what is none."""
+        self._bytes += piece
+        while True:
+            if self._head is None:
+                end = self._bytes.find(b"\n")
+                if end < 0:
+                    if len(self._bytes) > LONGEST_LINE:
+                        raise ValueError("a line is longer than any that is sent")
+                    return
+                self._head = self._read(bytes(self._bytes[:end]))
+                del self._bytes[: end + 1]
+            size = self._head.get("bytes", 0)
+            if not isinstance(size, int) or not 0 <= size <= LONGEST_BYTES:
+                raise ValueError(f"a message of {size} bytes")
+            if len(self._bytes) < size:
+                return
+            head, payload = self._head, bytes(self._bytes[:size])
+            del self._bytes[:size]
+            self._head = None
+            yield head, payload
+
+    @staticmethod
+    def _read(line: bytes) -> dict[str, Any]:
+        message = json.loads(line)
+        if not isinstance(message, dict):
+            raise ValueError("a message is no JSON object")
+        return message
+
+
+def parse_address(device: str, address: str) -> tuple[str, int]:
+    """`127.0.0.1:PORT` as host and port; only this machine is served."""
+    host, _, port = address.rpartition(":")
+    if host not in {"127.0.0.1", "localhost"} or not port.isdigit() or not 0 < int(port) < 65536:
+        raise DeviceError(device, f'address "{address}": 127.0.0.1:PORT is expected, with a port from 1 to 65535')
+    return "127.0.0.1", int(port)
+
+
+class Link:
+    """One connection to the server at `address`; OSError where nobody listens within `timeout` [s]."""
+
+    def __init__(self, device: str, address: tuple[str, int], timeout: float) -> None:
+        self._device = device
+        self._socket = socket.create_connection(address, timeout)
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._inbox = Inbox()
+        self._number = 0
+
+    def ask(self, do: str, by: float, **fields: Any) -> Message:
+        """The answer to one question, until the moment `by` [s, CLOCK_MONOTONIC].
+
+        Raises
+        ------
+        DeviceError
+            For a question that was refused; the connection can be used on.
+        OSError, ValueError
+            Where no answer came in time (TimeoutError) or the other side has gone; the connection must be closed.
+        """
+        self._number += 1
+        self._socket.settimeout(max(by - time.monotonic(), 1e-3))
+        self._socket.sendall(encode({"n": self._number, "by": by, "do": do, **fields}))
+        while True:
+            piece = self._socket.recv(1 << 18)
+            if not piece:
+                raise ConnectionResetError("the other side has closed the connection")
+            for answer, payload in self._inbox.feed(piece):
+                if answer.get("n") == self._number:
+                    if "error" in answer:
+                        raise DeviceError(self._device, str(answer["error"]), str(answer.get("channel", "")))
+                    return answer, payload
+            left = by - time.monotonic()
+            if left <= 0:
+                raise TimeoutError
+            self._socket.settimeout(left)
+
+    def close(self) -> None:
+        """Hang up; harmless when repeated, also from another thread."""
+        with suppress(OSError):
+            self._socket.shutdown(socket.SHUT_RDWR)
+        self._socket.close()
+
 
 Answer = TypeVar("Answer")
 PATIENCE = 0.18
@@ -29,7 +137,7 @@ START_WITHIN = 5.0
 
 
 class MockClient:
-    """A bench whose simulated plant lives in real time in a process of its own (`pmabench_drivers.mock.server`).
+    """A bench whose simulated plant lives in real time in a separate process (`pmabench_drivers.mock.server`).
 
     Channels, outputs, dump valve, digital input and options are those of the driver `mock`
     (`pmabench_drivers.mock.driver.MockBench`), with `pmabench_drivers.mock.options.Service`. The address is
@@ -59,7 +167,6 @@ class MockClient:
             device = replace(device, options={**device.options, "log": log})
         self._device, self._clock = device, clock
         self._address = parse_address(device.name, device.address)
-        self._outputs = {output.output: output for output in device.outputs}
         self._valves = {valve.output for valve in device.valves}
         self._link: Link | None = None
         self._is_open = False
@@ -103,18 +210,11 @@ class MockClient:
         return link, Identity(**answer["identity"])
 
     def _start_process(self) -> None:
-        """Start the server in a session of its own; it returns when the plant is there or says why it is not."""
+        """Start the server in a new session; it returns when the plant is there or says why it is not."""
         import subprocess
 
-        command = [
-            sys.executable,
-            "-P",
-            "-m",
-            "pmabench_drivers.mock.server",
-            "--address",
-            self._device.address,
-            "--detach",
-        ]
+        server = "pmabench_drivers.mock.server"
+        command = [sys.executable, "-P", "-m", server, "--address", self._device.address, "--detach"]
         with subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, start_new_session=True
         ) as process:
@@ -205,22 +305,22 @@ class MockClient:
 
     def write(self, output: str, value: float) -> None:
         """Command a value [device units] at once; never retried."""
-        self._check(output, value)
+        output_of(self._device, output, value)
         self._ask("write", output=output, value=value)
 
     def read_back(self, output: str) -> float:
         """The set-point held now [device units]."""
-        self._check(output)
+        output_of(self._device, output)
         return float(self._value("read_back", output=output))
 
     def follow(self, output: str, segment: Segment) -> None:
         """Follow a ramp or a sine from its start on, or from now on if that has passed."""
-        self._check(output, *(value for value in asdict(segment).values() if not isinstance(value, str)))
+        output_of(self._device, output, *(value for value in asdict(segment).values() if not isinstance(value, str)))
         self._ask("follow", output=output, segment=asdict(segment))
 
     def halt(self, output: str) -> None:
         """Stop where it is and hold: the actuator at its place, the regulator at its set-point."""
-        self._check(output)
+        output_of(self._device, output)
         self._ask("halt", output=output)
 
     def place(self, load: Load) -> None:
@@ -238,15 +338,6 @@ class MockClient:
     def level(self, name: str) -> bool:
         """Whether the digital input is high."""
         return bool(self._value("level", name=name))
-
-    def _check(self, output: str, *values: float) -> OutputRecord:
-        record = self._outputs.get(output)
-        if record is None:
-            raise DeviceError(self._device.name, f'no output "{output}"{did_you_mean(output, self._outputs)}')
-        for value in values:
-            if not math.isfinite(value):
-                raise DeviceError(self._device.name, f"cannot be commanded to {value}", output)
-        return record
 
     # -- watchdog and second way ----------------------------------------------------------------------------------
 
@@ -267,9 +358,9 @@ class MockClient:
         return {str(name): value for name, value in self._value("held").items()}
 
     def rescue(self, output: str, value: float) -> None:
-        """Command `value` [device units; 0 and 1 for the valve] over a connection of its own; no retry."""
+        """Command `value` [device units; 0 and 1 for the valve] over a separate connection; no retry."""
         if output not in self._valves:
-            self._check(output, value)
+            output_of(self._device, output, value)
         by = time.monotonic() + PATIENCE
 
         def act() -> None:

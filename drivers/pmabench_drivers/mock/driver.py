@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from pmabench.base.clock import Clock, RealClock
 from pmabench.base.errors import DeviceError, did_you_mean
 from pmabench.bench.interface import Block, DeviceRecord, Identity, Load, OutputRecord, Segment
-from pmabench_drivers.mock.options import E_STOP, VALVES, Options, problems, read_options
+from pmabench_drivers.mock.options import E_STOP, VALVES, Options, output_of, problems, read_options
 
 if TYPE_CHECKING:
     from pmabench_drivers.mock.simulation import Simulation
@@ -35,7 +35,6 @@ class MockBench:
     def __init__(self, device: DeviceRecord, clock: Clock) -> None:
         self._device, self._clock = device, clock
         self._options = self._read_options()
-        self._outputs = {output.output: output for output in device.outputs}
         self._opened: Simulation | None = None
         self._closed = threading.Event()
 
@@ -86,17 +85,17 @@ class MockBench:
 
     def write(self, output: str, value: float) -> None:
         """Command a value [device units] at once."""
-        record = self._output(output, value)
+        record = output_of(self._device, output, value)
         self._command(output, Segment("constant", self._now(), value), record)
 
     def read_back(self, output: str) -> float:
         """The set-point held now [device units]."""
-        record = self._output(output)
+        record = output_of(self._device, output)
         return float(record.scale.to_raw(self.simulation().setpoint(output)))
 
     def follow(self, output: str, segment: Segment) -> None:
         """Follow a ramp or a sine from its start on, or from now on if that has passed."""
-        record = self._output(output, segment.origin, segment.target, segment.amplitude)
+        record = output_of(self._device, output, segment.origin, segment.target, segment.amplitude)
         if segment.kind not in {"ramp", "sine"}:
             raise DeviceError(self._device.name, f'cannot follow a "{segment.kind}"', output)
         speed = segment.rate if segment.kind == "ramp" else segment.frequency
@@ -106,7 +105,7 @@ class MockBench:
 
     def halt(self, output: str) -> None:
         """Stop where it is and hold: the actuator at its place, the regulator at its set-point."""
-        self._output(output)
+        output_of(self._device, output)
         self.simulation().halt(output)
 
     def switch(self, output: str, *, on: bool) -> None:
@@ -134,15 +133,6 @@ class MockBench:
             self.simulation().command(output, segment, record.scale)
         except ValueError as error:
             raise DeviceError(self._device.name, str(error), output) from error
-
-    def _output(self, output: str, *values: float) -> OutputRecord:
-        record = self._outputs.get(output)
-        if record is None:
-            raise DeviceError(self._device.name, f'no output "{output}"{did_you_mean(output, self._outputs)}')
-        for value in values:
-            if not math.isfinite(value):
-                raise DeviceError(self._device.name, f"cannot be commanded to {value}", output)
-        return record
 
     def _valve(self, output: str) -> None:
         known = [valve.output for valve in self._device.valves]

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any
 
 from pmabench.base.errors import DeviceError, did_you_mean
-from pmabench.bench.interface import DeviceRecord
+from pmabench.bench.interface import DeviceRecord, OutputRecord
 from pmabench.model.overrides import Overrides
 
 ANGLE = "angle"
@@ -15,11 +16,11 @@ ANGLE = "angle"
 SENSORS = ("pressure", "displacement", "force", ANGLE)
 """Channel inputs that are measured."""
 INPUTS = ("pressure", "displacement", "force", "supply", "pressure_set", "displacement_set", ANGLE)
-"""All channel inputs; each has a noise of its own by its place here."""
+"""All channel inputs; the noise of each is by its place here."""
 ARM = "arm-30"
 """The plant that is an arm."""
 FREE_LENGTHS = (0.15, 0.40)
-"""Of contractors whose length without load paper 2 tells [m]."""
+"""Of contractors whose length without load is in paper 2 [m]."""
 DUMP_VALVE = "dump_valve"
 """The output that switches the valve."""
 ISOLATION_VALVE = "isolation_valve"
@@ -73,9 +74,9 @@ class SensorError:
     offset: float = 0.0
     """What is added to it then [SI unit of the channel]."""
     reads: str = ""
-    """The input whose raw values it gives instead of its own: swapped plugs. It needs a channel of its own."""
+    """The input whose raw values it gives instead of its own: swapped plugs. That input needs a channel, too."""
     end: str = ""
-    """`low` or `high`: the channel stands at that end of its range: a broken wire, a short."""
+    """`low` or `high`: the channel stays at that end of its range: a broken wire, a short."""
     at: float = 0.0
     """From when on [s], as in `Faults`."""
 
@@ -162,7 +163,7 @@ def read_options(device: str, given: Mapping[str, Any]) -> Options:
     overrides: dict[str, Any] = {}
     for name, value in given.items():
         if name == "faults":
-            values[name] = _faults(device, value)
+            values[name] = Faults(**_values(device, value, Faults, "fault", "faults are given as {name: time in s}"))
         elif name == "errors":
             values[name] = _errors(device, value)
         elif name == "plant" and isinstance(value, Mapping):
@@ -223,22 +224,27 @@ def problems(device: DeviceRecord, own: Mapping[str, Any]) -> Iterator[tuple[tup
     except DeviceError as error:
         yield ("options",), error.message
     known = inputs_of(str(own.get("free_end", "weights")), str(own.get("plant", "")))
-    for channel in device.channels:
-        if channel.input not in known:
-            yield ("channels", channel.name, "input"), f'no input "{channel.input}"{did_you_mean(channel.input, known)}'
     places = ("pressure", "displacement") if driven else ("pressure",)
-    for output in device.outputs:
-        if output.output not in places:
-            yield (
-                ("outputs", output.name, "output"),
-                f'no output "{output.output}"{did_you_mean(output.output, places)}',
-            )
-    for valve in device.valves:
-        if valve.output not in VALVES:
-            yield ("outputs", valve.name, "output"), f'no valve "{valve.output}"{did_you_mean(valve.output, VALVES)}'
-    for lock in device.interlocks:
-        if lock.input != E_STOP:
-            yield ("interlocks", lock.name, "input"), f'no digital input "{lock.input}"; there is "{E_STOP}"'
+    named: list[tuple[str, str, str, str, Sequence[str]]] = []
+    named += [("channels", channel.name, "input", channel.input, known) for channel in device.channels]
+    named += [("outputs", output.name, "output", output.output, places) for output in device.outputs]
+    named += [("outputs", valve.name, "valve", valve.output, VALVES) for valve in device.valves]
+    named += [("interlocks", lock.name, "digital input", lock.input, (E_STOP,)) for lock in device.interlocks]
+    for kind, of, what, name, there in named:
+        if name not in there:
+            hint = did_you_mean(name, there) or f"; there is {', '.join(there)}"
+            yield (kind, of, "output" if kind == "outputs" else "input"), f'no {what} "{name}"{hint}'
+
+
+def output_of(device: DeviceRecord, name: str, *values: float) -> OutputRecord:
+    """The output of this name; DeviceError where there is none, or one of the `values` [device units] is no number."""
+    outputs = {output.output: output for output in device.outputs}
+    if name not in outputs:
+        raise DeviceError(device.name, f'no output "{name}"{did_you_mean(name, outputs)}')
+    for value in values:
+        if not math.isfinite(value):
+            raise DeviceError(device.name, f"cannot be commanded to {value}", name)
+    return outputs[name]
 
 
 def split_service(device: str, given: Mapping[str, Any]) -> tuple[Service, dict[str, Any]]:
@@ -270,31 +276,29 @@ def fault_name(device: str, name: str) -> str:
 
 def sensor_error(device: str, channel: str, given: Any) -> SensorError:
     """The error of one channel input, checked."""
-    if not isinstance(given, Mapping):
-        raise DeviceError(device, f"errors of {channel} are given as {{factor: ..., offset: ...}}, not {given!r}")
     if channel not in INPUTS:
         raise DeviceError(device, f'errors: no input "{channel}"{did_you_mean(channel, INPUTS)}')
-    return SensorError(**_values(device, given, SensorError, "error"))
-
-
-def _faults(device: str, given: Any) -> Faults:
-    if not isinstance(given, Mapping):
-        raise DeviceError(device, f"faults are given as {{name: time in s}}, not {given!r}")
-    return Faults(**_values(device, given, Faults, "fault"))
+    shape = f"errors of {channel} are given as {{factor: ..., offset: ...}}"
+    return SensorError(**_values(device, given, SensorError, "error", shape))
 
 
 def _errors(device: str, given: Any) -> dict[str, SensorError]:
-    if not isinstance(given, Mapping):
-        raise DeviceError(device, f"errors are given as {{input: {{factor: ..., offset: ...}}}}, not {given!r}")
-    return {str(name): sensor_error(device, str(name), value) for name, value in given.items()}
+    items = _mapping(device, given, "errors are given as {input: {factor: ..., offset: ...}}")
+    return {str(name): sensor_error(device, str(name), value) for name, value in items.items()}
 
 
-def _values(device: str, given: Mapping[str, Any], kind: Callable[..., Any], word: str) -> dict[str, Any]:
+def _values(device: str, given: Any, kind: Callable[..., Any], word: str, shape: str) -> dict[str, Any]:
     known = [item.name for item in fields(kind)]  # type: ignore[arg-type]
-    for name in given:
+    for name in _mapping(device, given, shape):
         if name not in known:
             raise DeviceError(device, f'no {word} "{name}"{did_you_mean(str(name), known)}')
     return {name: _value(device, name, value) for name, value in given.items()}
+
+
+def _mapping(device: str, given: Any, shape: str) -> Mapping[str, Any]:
+    if not isinstance(given, Mapping):
+        raise DeviceError(device, f"{shape}, not {given!r}")
+    return given
 
 
 def _value(device: str, name: str, value: Any) -> Any:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
@@ -14,9 +13,17 @@ import numpy as np
 
 from pmabench.base.clock import RealClock
 from pmabench.base.errors import DeviceError, did_you_mean
-from pmabench.bench.interface import DeviceRecord, Identity, Load, OutputRecord, Segment
+from pmabench.bench.interface import DeviceRecord, Identity, Load, Segment
 from pmabench_drivers.mock.driver import MockBench
-from pmabench_drivers.mock.options import Faults, Options, fault_name, read_options, sensor_error, split_service
+from pmabench_drivers.mock.options import (
+    Faults,
+    Options,
+    fault_name,
+    output_of,
+    read_options,
+    sensor_error,
+    split_service,
+)
 
 EMPTY = 1e3
 """Gauge pressure under which the muscle counts as empty [Pa]."""
@@ -38,23 +45,20 @@ class Log:
     """The record of what was commanded: one JSON object per line, on its way to the disk when the call returns."""
 
     def __init__(self, path: str) -> None:
-        self._file = -1
-        if path:
-            try:
-                self._file = os.open(Path(path), os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
-            except OSError as error:
-                raise DeviceError("mock", f"cannot write its log {path}: {error.strerror}") from error
+        try:
+            self._file = Path(path).open("ab", buffering=0) if path else None  # noqa: SIM115  (closed by `close`)
+        except OSError as error:
+            raise DeviceError("mock", f"cannot write its log {path}: {error.strerror}") from error
 
     def write(self, do: str, **data: Any) -> None:
         """A line with the moment `t` [s, CLOCK_MONOTONIC]."""
-        if self._file >= 0:
-            os.write(self._file, json.dumps({"t": time.monotonic(), "do": do, **data}).encode() + b"\n")
+        if self._file is not None and not self._file.closed:
+            self._file.write(json.dumps({"t": time.monotonic(), "do": do, **data}).encode() + b"\n")
 
     def close(self) -> None:
         """No more lines; harmless when repeated."""
-        if self._file >= 0:
-            os.close(self._file)
-            self._file = -1
+        if self._file is not None:
+            self._file.close()
 
 
 class _Bench(MockBench):
@@ -184,7 +188,7 @@ class Served:
         return head, b"".join([moment.astype("<i8").tobytes(), *columns])
 
     def _write(self, asker: Asker, question: Mapping[str, Any]) -> None:
-        output, value = self._output(question), float(question["value"])
+        output, value = output_of(self.device, str(question["output"])), float(question["value"])
         safe = float(output.scale.to_raw(output.safe))
         if abs(value - safe) > max(output.resolution, 1e-9 * abs(safe)):
             self._refuse_fired()
@@ -194,7 +198,7 @@ class Served:
 
     def _follow(self, asker: Asker, question: Mapping[str, Any]) -> None:
         self._refuse_fired()
-        output = self._output(question)
+        output = output_of(self.device, str(question["output"]))
         given = {**question["segment"]}
         given["start"] = float(given["start"]) + asker.zero - self.clock.start
         segment = Segment(**given)
@@ -215,7 +219,7 @@ class Served:
         )
 
     def _halt(self, asker: Asker, question: Mapping[str, Any]) -> None:
-        output = self._output(question)
+        output = output_of(self.device, str(question["output"]))
         self._bench.halt(output.output)
         held = float(output.scale.to_si(self._bench.read_back(output.output)))
         self._note(asker, "halt", output=output.output, held=held)
@@ -237,12 +241,6 @@ class Served:
         load = Load(float(question["force"]), float(question["mass"]))
         self._bench.place(load)
         self._note(asker, "place", force=load.force, mass=load.mass)
-
-    def _output(self, question: Mapping[str, Any]) -> OutputRecord:
-        name = str(question["output"])
-        if name not in self._outputs:
-            raise DeviceError(self.device.name, f'no output "{name}"{did_you_mean(name, self._outputs)}')
-        return self._outputs[name]
 
     def _note(self, asker: Asker, do: str, **data: Any) -> None:
         who = {"from": asker.number, "role": asker.role, "pid": asker.pid}
@@ -309,7 +307,7 @@ class Served:
         self._bench.write(next(iter(self._outputs)), float(value))
 
     def state(self) -> dict[str, Any]:
-        """How the plant stands, in SI, whatever is wrong with its link and sensors."""
+        """The state of the plant, in SI, whatever is wrong with its link and sensors."""
         simulation = self._bench.simulation()
         faults = {item.name: getattr(simulation.faults, item.name) for item in fields(Faults)}
         return {

@@ -1,11 +1,11 @@
-"""The simulated plant as a process of its own, in real time, behind a loopback socket: `mock-realtime`'s other end.
+"""The simulated plant as a separate process, in real time, behind a loopback socket: `mock-realtime`'s other end.
 
     python -m pmabench_drivers.mock.server --address 127.0.0.1:47807 < device.json
 
 serves one device (the JSON of a `DeviceRecord` on standard input) to any number of connections on this machine.
 The plant outlives its clients as compressed air does: after `idle` seconds without one the server vents and ends.
 
-Framing: `pmabench_drivers.mock.wire`. First question of each connection:
+Framing: `pmabench_drivers.mock.client`. First question of each connection:
 `{"do": "hello", "role": "client", "pid": 12, "zero": 99.5, "device": {...}}` with the client's bench time 0 on
 CLOCK_MONOTONIC [s] and the device as it knows it; answered by the identity, or refused where another device is served.
 Role `rescue` is a client's second way to the outputs. Then, as the driver interface has them, in device units:
@@ -43,8 +43,8 @@ from typing import TYPE_CHECKING, Any
 from pmabench.base.clock import RealClock
 from pmabench.base.errors import DeviceError, PmaError, invalid
 from pmabench.base.system import ENGINE, real_time
-from pmabench.bench.records import DeviceRecord, device_from
-from pmabench_drivers.mock.wire import Inbox, encode, parse_address
+from pmabench.bench.interface import DeviceRecord, device_from
+from pmabench_drivers.mock.client import Inbox, encode, parse_address
 
 if TYPE_CHECKING:
     from pmabench_drivers.mock.served import Asker

@@ -12,23 +12,13 @@ from numpy.typing import NDArray
 
 from pmabench.base.errors import DeviceError, did_you_mean
 from pmabench.bench.interface import Block, ChannelRecord, DeviceRecord, Load, Scale, Segment
-from pmabench.model.arm import Arm
 from pmabench.model.driven import Actuator, DrivenPlant
 from pmabench.model.plant import Plant
-from pmabench.model.plant_file import setup_of
-from pmabench.model.presets import changed, preset
-from pmabench.model.signal import Wave, constant, ramp, sine
+from pmabench.model.presets import Arm, changed, preset, setup_of
+from pmabench.model.regulator import Wave, constant, ramp, sine
+from pmabench_drivers.mock import options as o
 from pmabench_drivers.mock.channels import Channel, Column, Damage, as_block
-from pmabench_drivers.mock.options import (
-    ANGLE,
-    DUMP_VALVE,
-    E_STOP,
-    ISOLATION_VALVE,
-    VALVES,
-    Options,
-    SensorError,
-    inputs_of,
-)
+from pmabench_drivers.mock.options import Options, SensorError
 
 MEMORY = 2.5
 """How far the plant can be taken back [s]; a block of virtual time is at most 1 s."""
@@ -92,10 +82,7 @@ class Simulation:
         self._plant: Plant | DrivenPlant
         if options.free_end == "actuator":
             actuator = Actuator(
-                low=options.actuator_low,
-                high=options.actuator_high,
-                speed=options.actuator_speed,
-                force=options.actuator_force,
+                options.actuator_low, options.actuator_high, options.actuator_speed, options.actuator_force
             )
             self._plant = setup.driven(actuator, start=start)
         else:
@@ -103,7 +90,7 @@ class Simulation:
         noise = setup.noise
         sigma = {"pressure": noise.pressure, "displacement": noise.displacement, "force": noise.force}
         self._radius = setup.muscle.radius if isinstance(setup.muscle, Arm) else math.inf
-        sigma[ANGLE] = noise.displacement / self._radius
+        sigma[o.ANGLE] = noise.displacement / self._radius
         self._channels = [
             Channel(record, sigma.get(self._input(record), 0.0), options.seed) for record in device.channels
         ]
@@ -111,18 +98,18 @@ class Simulation:
         self._memory: deque[_Moment] = deque()
         self._rate, self._start_ns, self._due = 0.0, 0, 0
         self._pending: deque[Block] = deque(maxlen=BUFFER)
-        _known(device.name, "output", [valve.output for valve in device.valves], VALVES)
-        _known(device.name, "digital input", [item.input for item in device.interlocks], (E_STOP,))
+        _known(device.name, "output", [valve.output for valve in device.valves], o.VALVES)
+        _known(device.name, "digital input", [item.input for item in device.interlocks], (o.E_STOP,))
         for error in self.errors.values():
             self._check_error(error)
         self._regulator = setup.regulator
-        self._has_valve = any(valve.output == DUMP_VALVE for valve in device.valves)
-        self._isolated = any(valve.output == ISOLATION_VALVE for valve in device.valves)
+        self._has_valve = any(valve.output == o.DUMP_VALVE for valve in device.valves)
+        self._isolated = any(valve.output == o.ISOLATION_VALVE for valve in device.valves)
         self._valve = _Valve(open=self._has_valve)
         self._settle()
 
     def _input(self, record: ChannelRecord) -> str:
-        known = inputs_of(self._options.free_end, self._options.plant)
+        known = o.inputs_of(self._options.free_end, self._options.plant)
         if record.input not in known:
             raise DeviceError(self._name, f'no input "{record.input}"{did_you_mean(record.input, known)}', record.name)
         return record.input
@@ -172,12 +159,12 @@ class Simulation:
 
     def switch(self, output: str, *, on: bool) -> None:
         """Energise the dump valve, which closes it, or the isolation valve, which opens it; or not."""
-        self._valve = replace(self._valve, energised=on) if output == DUMP_VALVE else replace(self._valve, through=on)
+        self._valve = replace(self._valve, energised=on) if output == o.DUMP_VALVE else replace(self._valve, through=on)
         self._settle()
 
     def is_on(self, output: str) -> bool:
         """Whether a valve is energised."""
-        return self._valve.energised if output == DUMP_VALVE else self._valve.through
+        return self._valve.energised if output == o.DUMP_VALVE else self._valve.through
 
     @property
     def energised(self) -> bool:
@@ -352,7 +339,7 @@ class Simulation:
             "supply": np.full(len(time_ns), supply),
             "pressure_set": motion.P_set,
             "displacement_set": motion.x_set,
-            ANGLE: motion.x / self._radius,
+            o.ANGLE: motion.x / self._radius,
         }
         number = self._number(int(time_ns[0]))
         columns = {c.record.name: c.raw(values[c.record.input], number) for c in self._channels}
@@ -382,7 +369,7 @@ class Simulation:
             "supply": self._supply(),
             "pressure_set": plant.supply.setpoint(plant.time),
             "displacement_set": self.setpoint("displacement") if isinstance(plant, DrivenPlant) else 0.0,
-            ANGLE: x / self._radius,
+            o.ANGLE: x / self._radius,
         }
 
     def _number(self, time_ns: int) -> int:

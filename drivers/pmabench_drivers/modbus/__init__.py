@@ -1,7 +1,7 @@
 """Modbus devices of any maker: a register map in YAML says what is where (TCP, and RTU on a serial port).
 
-`registers`: records and their words; `map_file`: the map as people write it; `adapter`: the connection, the only module
-that imports pymodbus; `driver`: the device interface; `watchdog`: the device's own watchdog.
+`registers`: records, their words, and the device's own watchdog; `map_file`: the map as people write it; `adapter`: the
+connection, the only module that imports pymodbus; `driver`: the device interface; `emulated`: a device with any map.
 """
 
 from pmabench_drivers.modbus.driver import ModbusDevice

@@ -4,7 +4,8 @@ What the library leaves open is closed here: no time-out longer than the caller'
 retry, every library error as a `DeviceError`, and no answer taken for another question's. Over TCP a lost answer ends
 the connection, and the next call opens a new one. A serial line has neither connections nor numbers in its frames:
 there a lost answer is remembered, and until the device's slowest time has passed nothing is asked whose answer would
-look the same. Exception codes: Modbus Application Protocol 1.1b3, section 7.
+look the same. Exception codes: Modbus Application Protocol 1.1b3, section 7. `NamedLine` also asks who answers
+(function 43/14).
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import socket
 import struct
 import threading
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from functools import partial
 from time import monotonic
 from typing import Any
 
@@ -24,6 +25,7 @@ from pymodbus.client import ModbusSerialClient, ModbusTcpClient  # noqa: TID253 
 from pymodbus.exceptions import ConnectionException, ModbusException  # noqa: TID253
 
 from pmabench.base.errors import DeviceError
+from pmabench.bench.interface import COMPUTER, EMULATED, Identity
 from pmabench_drivers.modbus.registers import BIT_TABLES, READ
 from pmabench_drivers.shared.link import Still, Unanswered, always, turn
 
@@ -60,23 +62,14 @@ SIGNATURES: dict[int, Callable[[Any], tuple[int, ...]]] = {
     6: lambda answer: (answer.address, answer.registers[0]),
     **dict.fromkeys((15, 16), lambda answer: (answer.address, answer.count)),
 }
-"""Function code -> what of an answer tells it from others."""
+"""Function code -> what distinguishes its answer from others."""
 FAILED = 0x80
 """Added to the function code of a refusal."""
 LAST_READ = 4
 """Function codes up to this one read."""
 
 Signature = tuple[int, ...]
-"""What tells an answer from others: function code, and number of bytes or address."""
-
-
-@dataclass(frozen=True)
-class Serial:
-    """How a serial line is set."""
-
-    baud: int = 19200
-    parity: str = "N"
-    stop_bits: int = 1
+"""What distinguishes an answer from others: function code, and number of bytes or address."""
 
 
 class _Tcp(ModbusTcpClient):
@@ -146,10 +139,13 @@ class _Rtu(ModbusSerialClient):
 
 
 class Line:
-    """The connection of one device at `address` (HOST:PORT, or the path of a serial port), used by any thread."""
+    """The connection of one device at `address` (HOST:PORT, or the path of a serial port), used by any thread.
+
+    `serial`: settings of a serial line, by the names of `serial.Serial`.
+    """
 
     def __init__(
-        self, device: str, address: str, *, unit_id: int, timeout: float, slowest: float, serial: Serial
+        self, device: str, address: str, unit_id: int, timeout: float, slowest: float = 0.0, serial: Any = None
     ) -> None:
         self._device, self._address = device, address
         self._unit_id, self._timeout, self._slowest = unit_id, timeout, slowest
@@ -160,14 +156,7 @@ class Line:
         self.is_serial = not port.isdecimal()
         self._client: _Tcp | _Rtu
         if self.is_serial:
-            self._client = _Rtu(
-                address,
-                baudrate=serial.baud,
-                parity=serial.parity,
-                stopbits=serial.stop_bits,
-                timeout=timeout,
-                retries=0,
-            )
+            self._client = _Rtu(address, timeout=timeout, retries=0, **(serial or {}))
         else:
             self._client = _Tcp(host, port=int(port), timeout=timeout, retries=0)
 
@@ -311,3 +300,39 @@ class Line:
         if monotonic() >= limit - 1e-3:
             return f"no answer from {self._address} within {self._timeout:g} s"
         return f"an answer that makes no sense from {self._address}"
+
+
+IDENTIFY = 43
+BASIC, REGULAR = 1, 2
+
+
+class NamedLine(Line):
+    """A Modbus TCP connection whose other end also gives its names."""
+
+    def __init__(self, device: str, address: str, timeout: float) -> None:
+        super().__init__(device, address, 1, timeout)
+
+    def identification(self, deadline: float) -> dict[int, str]:
+        """Objects 0 to 5 before `deadline` [s, monotonic]: maker, code, revision, address, product, model."""
+        found: dict[int, str] = {}
+        for code in (BASIC, REGULAR):
+            answer = self._ask(partial(self._query, code), (IDENTIFY, code), deadline, "identification")
+            for number, item in answer.information.items():
+                data = item[0] if isinstance(item, list) else item
+                found[number] = "".join(chr(byte) for byte in data if 32 <= byte < 127).strip()
+        return found
+
+    def identity(self, deadline: float) -> Identity:
+        """Who answers, before `deadline` [s, monotonic]."""
+        names = self.identification(deadline)
+        model = names.get(4) or names.get(1, "")
+        simulated = model.startswith(EMULATED)
+        return Identity(names.get(0, ""), model, "", names.get(2, ""), simulated=simulated, clock=COMPUTER)
+
+    def _query(self, code: int) -> Any:
+        return self._client.read_device_information(read_code=code, object_id=0, device_id=self._unit_id)
+
+    def _belongs(self, answer: Any, wanted: Signature) -> bool:
+        if wanted[0] != IDENTIFY or answer.isError():
+            return super()._belongs(answer, wanted)
+        return (answer.function_code, getattr(answer, "read_code", 0)) == wanted

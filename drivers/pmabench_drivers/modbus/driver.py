@@ -1,10 +1,12 @@
 """The device interface in front of a Modbus device; knows registers by their names in the map, and no frames.
 
-One thread of its own polls the inputs and steps ramps and sines; calls and polls take turns on the one connection.
+One thread polls the inputs and steps ramps and sines; calls and polls take turns on the one connection.
 """
 
 from __future__ import annotations
 
+import math
+from abc import abstractmethod
 from collections.abc import Iterator, Mapping
 from time import monotonic
 from typing import TYPE_CHECKING, Any
@@ -13,9 +15,8 @@ from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import COMPUTER, EMULATED, DeviceRecord, Identity
 from pmabench_drivers.modbus.map_file import Options, read_options, write_function
-from pmabench_drivers.modbus.registers import Register, decode, decode_text, encode, spans
-from pmabench_drivers.modbus.watchdog import DeviceWatchdog
-from pmabench_drivers.shared.device import Controlled
+from pmabench_drivers.modbus.registers import Register, WatchdogRegisters, decode, decode_text, encode, spans
+from pmabench_drivers.shared.device import Controlled, Polled
 from pmabench_drivers.shared.link import Still, Unanswered, always, opened
 from pmabench_drivers.shared.options import Reader
 from pmabench_drivers.shared.polling import JOIN, PATIENCE
@@ -28,13 +29,82 @@ CALL = 0.19
 OPEN = 1.9
 
 
-class ModbusDevice(Controlled):
+SHARE, LEAST = 0.25, 0.1
+"""The polling thread waits for a sign of life of the program for this share of the watchdog's time, at least 0.1 s."""
+
+
+class Watched(Polled):
+    """A polled device whose own watchdog is made of registers."""
+
+    _watchdog: WatchdogRegisters | None
+
+    def __init__(self, device: DeviceRecord, clock: Clock) -> None:
+        super().__init__(device, clock)
+        self._armed = self._fed = 0.0
+        self._beat = 0
+
+    @abstractmethod
+    def _get(self, register: Register, deadline: float) -> float:
+        """Read a register before a deadline [s, monotonic]."""
+
+    @abstractmethod
+    def _put(self, register: Register, value: float, deadline: float, *, checked: bool = True) -> None:
+        """Write a register before a deadline [s, monotonic]; then read it back, where it is `checked`."""
+
+    def _hungry(self) -> bool:
+        """Whether it is armed and nobody has fed it for a quarter of its time.
+
+        Most devices count any communication as a sign of life, so the thread that polls must fall silent then: the
+        device vents a quarter of its time (or 0.1 s) late at most, whatever hangs in the program.
+        """
+        return self._armed > 0 and monotonic() - self._fed > max(SHARE * self._armed, LEAST)
+
+    def arm_watchdog(self, seconds: float) -> float:
+        """Set it to `seconds` and start it; returns the time that the device holds [s]."""
+        registers = self._own_watchdog()
+        if not 0 < seconds < math.inf:
+            raise self._error(f"a watchdog of {seconds} s cannot be set", "watchdog")
+        counts, deadline = max(1, math.floor(seconds / registers.resolution + 1e-6)), monotonic() + CALL
+        if registers.trigger is not None:
+            self._put(registers.trigger, registers.off, deadline, checked=False)
+        self._put(registers.timeout, counts, deadline, checked=False)
+        held = self._get(registers.timeout, deadline) if registers.timeout.read_back else counts
+        if registers.trigger is not None:
+            self._put(registers.trigger, registers.on, deadline)
+        if held <= 0:
+            raise self._error("holds a watchdog time of 0, which is none", "watchdog")
+        self._armed, self._fed = held * registers.resolution, monotonic()
+        return self._armed
+
+    def feed_watchdog(self) -> None:
+        """Write the heartbeat, or read the watchdog's time where any communication feeds it."""
+        registers, deadline = self._own_watchdog(), monotonic() + CALL
+        if registers.heartbeat is not None:
+            self._beat = self._beat % 1000 + 1
+            self._put(registers.heartbeat, self._beat, deadline)
+        else:
+            self._get(registers.timeout, deadline)
+        self._fed = monotonic()
+
+    def disarm_watchdog(self) -> None:
+        """Stop it; outputs stay."""
+        registers, self._armed = self._own_watchdog(), 0.0
+        off = (registers.timeout, 0.0) if registers.trigger is None else (registers.trigger, registers.off)
+        self._put(*off, monotonic() + CALL)
+
+    def _own_watchdog(self) -> WatchdogRegisters:
+        if self._watchdog is None:
+            raise self._error('has no watchdog: the map has no "watchdog"', "watchdog")
+        return self._watchdog
+
+
+class ModbusDevice(Watched, Controlled):
     """A device behind Modbus: `options: {map: ...}`; inputs, outputs and watchdog as its register map names them.
 
     Raw values are those of the registers; the scaling is the bench's. Ramps and sines are stepped at the poll rate.
     """
 
-    emulator = "pmabench_drivers.emulator.modbus_server"
+    emulator = "pmabench_drivers.modbus.emulated"
     read_options = staticmethod(read_options)
     _options: Options
 
@@ -46,14 +116,14 @@ class ModbusDevice(Controlled):
         polled = [register for span in self._spans for register in span.registers]
         self._places = [polled.index(register) for register in self._inputs]
         self._line: Line | None = None
-        self._watchdog = DeviceWatchdog(device.name, self._map, self._get, self._put)
+        self._watchdog = self._map.watchdog
         self._written: dict[str, float] = {}
         """What was written last to registers that cannot be read."""
 
     @classmethod
     def map_schema(cls) -> dict[str, Any]:
         """The JSON Schema of the file that the option `map` names."""
-        from pmabench_drivers.modbus.map_schema import map_schema
+        from pmabench_drivers.modbus.map_file import map_schema
 
         return map_schema()
 
@@ -88,7 +158,7 @@ class ModbusDevice(Controlled):
         self._following.clear()
         self._streaming = False
         self._written.clear()
-        self._watchdog.forget()
+        self._armed = 0.0
         line, self._line = self._line, None
         if line is not None:
             line.cut()
@@ -97,17 +167,11 @@ class ModbusDevice(Controlled):
             line.close()
 
     def _new_line(self) -> Line:
-        from pmabench_drivers.modbus.adapter import Line, Serial
+        from pmabench_drivers.modbus.adapter import Line
 
-        options = self._options
-        return Line(
-            self._device.name,
-            self._device.address,
-            unit_id=self._map.unit_id,
-            timeout=self._map.timeout,
-            slowest=self._map.slowest,
-            serial=Serial(options.baud, options.parity, options.stop_bits),
-        )
+        options, map_ = self._options, self._map
+        serial = {"baudrate": options.baud, "parity": options.parity, "stopbits": options.stop_bits}
+        return Line(self._device.name, self._device.address, map_.unit_id, map_.timeout, map_.slowest, serial)
 
     def _identify(self, item: Register | str, deadline: float) -> str:
         if isinstance(item, str):
@@ -131,7 +195,7 @@ class ModbusDevice(Controlled):
 
     def _tick(self) -> None:
         """One turn of the thread: the next step of each segment, then the inputs."""
-        if self._watchdog.hungry():
+        if self._hungry():
             return  # whoever feeds it is gone: polling must not keep the device's watchdog quiet
         failure = self._step()
         try:
@@ -154,7 +218,7 @@ class ModbusDevice(Controlled):
     # -- commands -------------------------------------------------------------------------------------------------
 
     def write(self, output: str, value: float) -> None:
-        """Command a value once; where no answer comes, what the device holds tells whether it was executed."""
+        """Command a value once; where no answer comes, what the device holds shows whether it was executed."""
         record = self._output(output)
         self._following.pop(output, None)
         self._put(self._map.outputs[output], value, resolution=record.resolution)
@@ -204,25 +268,18 @@ class ModbusDevice(Controlled):
     def _send_step(self, output: str, value: float, still: Still, *, last: bool) -> None:
         self._put(self._map.outputs[output], value, checked=False, still=still)
 
-    # -- the device's watchdog ------------------------------------------------------------------------------------
-
-    def arm_watchdog(self, seconds: float) -> float:
-        """Set it to `seconds` and start it; returns the time that the device holds [s]."""
-        return self._watchdog.arm(seconds)
-
-    def feed_watchdog(self) -> None:
-        """Write the heartbeat, or read the watchdog's time where any communication feeds it."""
-        self._watchdog.feed()
-
-    def disarm_watchdog(self) -> None:
-        """Stop it."""
-        self._watchdog.disarm()
+    # -- what the device reports ----------------------------------------------------------------------------------
 
     def held(self) -> Mapping[str, float | str]:
         """Its watchdog, the register `uptime` and the serial number, as far as the map has them."""
         deadline, found = monotonic() + CALL, dict[str, float | str]()
-        if self._map.watchdog is not None:
-            found |= self._watchdog.held(deadline)
+        if (registers := self._watchdog) is not None:
+            on = registers.on
+            if registers.trigger is not None and registers.trigger.read_back:
+                on = found["watchdog trigger"] = self._get(registers.trigger, deadline)
+            if registers.timeout.read_back:  # off: 0; a time that cannot be read is left out
+                seconds = self._get(registers.timeout, deadline) * registers.resolution
+                found["watchdog"] = seconds if on == registers.on else 0.0
         if self._map.uptime is not None:
             found["uptime"] = self._get(self._map.uptime, deadline)
         if isinstance(serial := self._map.identity.get("serial"), Register):

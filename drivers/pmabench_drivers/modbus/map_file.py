@@ -1,4 +1,7 @@
-"""Register maps as people write them, read strictly into records; knows no connection. Standard library only."""
+"""Register maps as people write them, read strictly into records, and their JSON Schema for editors.
+
+Knows no connection. Standard library only.
+"""
 
 from __future__ import annotations
 
@@ -8,37 +11,15 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from pmabench.bench.interface import DeviceRecord, OutputRecord
-from pmabench_drivers.modbus.registers import (
-    BIT_TABLES,
-    FUNCTIONS,
-    READ,
-    TABLES,
-    TYPES,
-    Register,
-    RegisterMap,
-    WatchdogRegisters,
-    encode,
-)
+from pmabench_drivers.modbus import registers as r
+from pmabench_drivers.modbus.registers import Register, RegisterMap, WatchdogRegisters, encode
 from pmabench_drivers.shared.options import BAUDS, PARITIES, Place, Reader
 
 IDENTITY = ("maker", "model", "serial", "firmware", "constant")
 REGISTER_KEYS = ("table", "address", "type", "words", "bytes", "bit", "length", "expect", "read_back")
 MAP_KEYS = (
-    "schema",
-    "name",
-    "source",
-    "unit_id",
-    "words",
-    "bytes",
-    "timeout",
-    "slowest",
-    "rate",
-    "functions",
-    "identity",
-    "inputs",
-    "outputs",
-    "watchdog",
-    "uptime",
+    *("schema", "name", "source", "unit_id", "words", "bytes", "timeout", "slowest", "rate", "functions"),
+    *("identity", "inputs", "outputs", "watchdog", "uptime"),
 )
 UPTIMES = ("uint32", "int32")
 """Types of a number that only grows until a restart."""
@@ -84,10 +65,10 @@ def _read_map(data: Any, place: Place, reader: Reader) -> RegisterMap:
         "words": reader.choice(given, "words", place, (HIGH, LOW), HIGH),
         "bytes": reader.choice(given, "bytes", place, (HIGH, LOW), HIGH),
     }
-    functions = given.get("functions", list(FUNCTIONS))
-    if not isinstance(functions, list | tuple) or not functions or any(f not in FUNCTIONS for f in functions):
-        reader.fault((*place, "functions"), f"a list of function codes is expected, out of {list(FUNCTIONS)}")
-        functions = FUNCTIONS
+    functions = given.get("functions", list(r.FUNCTIONS))
+    if not isinstance(functions, list | tuple) or not functions or any(f not in r.FUNCTIONS for f in functions):
+        reader.fault((*place, "functions"), f"a list of function codes is expected, out of {list(r.FUNCTIONS)}")
+        functions = r.FUNCTIONS
     readers = {key: (*place, key) for key in ("identity", "inputs", "outputs")}
     allowed = tuple(functions)
 
@@ -128,15 +109,15 @@ def _register(
     """One register; `use` is `inputs`, `outputs`, `identity` or `uptime`."""
     given = reader.keys(data, place, REGISTER_KEYS, ("address",))
     writes = use == "outputs"
-    tables = ("holding", "coil") if writes else TABLES
+    tables = ("holding", "coil") if writes else r.TABLES
     table = reader.choice(given, "table", place, tables, "holding")
-    single = table in BIT_TABLES
-    types = ("bit",) if single else (*TYPES, "text") if use == "identity" else tuple(TYPES)
+    single = table in r.BIT_TABLES
+    types = ("bit",) if single else (*r.TYPES, "text") if use == "identity" else tuple(r.TYPES)
     kind = reader.choice(given, "type", place, types, "bit" if single else "uint16")
     words = reader.choice(given, "words", place, (HIGH, LOW), usual["words"]) == LOW
     low_bytes = reader.choice(given, "bytes", place, (HIGH, LOW), usual["bytes"]) == LOW
     bit = reader.whole(given, "bit", place, 0, 31, 0) if "bit" in given else -1
-    if bit >= 0 and (single or writes or kind not in {"uint16", "uint32"} or bit >= 16 * TYPES[kind][1]):
+    if bit >= 0 and (single or writes or kind not in {"uint16", "uint32"} or bit >= 16 * r.TYPES[kind][1]):
         reader.fault((*place, "bit"), "only an input register of type uint16 or uint32 has bits that are read")
         bit = -1
     length = reader.whole(given, "length", place, 1, 60, 1) if kind == "text" else 0
@@ -166,8 +147,8 @@ def _register(
         reader.fault((*place, "expect"), 'belongs to a register of "identity"')
     if register.address + register.count > 65536:
         reader.fault((*place, "address"), "the value would reach beyond address 65535")
-    if (not writes or register.read_back) and READ[table] not in functions:
-        reader.fault((*place, "table"), f"function {READ[table]}, which reads it, is not among the allowed ones")
+    if (not writes or register.read_back) and r.READ[table] not in functions:
+        reader.fault((*place, "table"), f"function {r.READ[table]}, which reads it, is not among the allowed ones")
     if writes and write_function(register, functions) == 0:
         reader.fault((*place, "table"), "none of the allowed functions can write it")
     return register
@@ -250,3 +231,113 @@ def _fits(output: OutputRecord, register: Register, place: Place, reader: Reader
 def _ends(scale: Any, channel: Any) -> tuple[float, float]:
     ends = float(scale.to_raw(channel.low)), float(scale.to_raw(channel.high))
     return ends if all(map(math.isfinite, ends)) else (0.0, 0.0)
+
+
+Schema = dict[str, Any]
+NUMBER = r"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d{1,3})?"
+WRITTEN = ("holding", "coil")
+
+
+def _whole(low: int, high: int) -> Schema:
+    numbers: Schema = {"type": "integer", "minimum": low, "maximum": high}
+    return {"anyOf": [numbers, {"type": "string", "pattern": "^0[xX][0-9A-Fa-f]{1,16}$"}]}
+
+
+def _number() -> Schema:
+    return {"anyOf": [{"type": "number"}, {"type": "string", "pattern": "^0[xX][0-9A-Fa-f]{1,16}$"}]}
+
+
+def _quantity(kind: str, example: str) -> Schema:
+    return {
+        "type": "string",
+        "description": f"{kind} with its unit",
+        "pattern": rf"^\s*{NUMBER}\s*[A-Za-zµ]+\s*$",
+        "examples": [example],
+    }
+
+
+def _text() -> Schema:
+    return {"type": "string", "maxLength": 400}
+
+
+def _order(what: str) -> Schema:
+    return {"enum": [HIGH, LOW], "description": what}
+
+
+def _object(properties: Schema, required: tuple[str, ...] = ()) -> Schema:
+    return {"type": "object", "additionalProperties": False, "properties": properties, "required": list(required)}
+
+
+def _register_schema(use: str) -> Schema:
+    """A register among the `inputs`, the `outputs` or in the `identity`."""
+    properties: Schema = {
+        "table": {"enum": list(WRITTEN if use == "outputs" else r.TABLES), "default": "holding"},
+        "address": {**_whole(0, 65535), "description": "from 0, as on the wire: 40001 in a manual is holding 0"},
+        "type": {"enum": ["bit", *r.TYPES, *(["text"] if use == "identity" else [])], "default": "uint16"},
+        "words": _order("order of the two registers of a 32-bit value"),
+        "bytes": _order("order of the bytes in a register"),
+    }
+    if use != "outputs":
+        properties["bit"] = {**_whole(0, 31), "description": "the bit that is meant; 0 is the lowest"}
+    if use == "outputs":
+        properties["read_back"] = {"type": "boolean", "default": True}
+    if use == "identity":
+        properties["length"] = {**_whole(1, 60), "description": "registers of a text"}
+        properties["expect"] = {**_number(), "description": "what it must hold"}
+    bits: Schema = {"properties": {"table": {"enum": list(r.BIT_TABLES)}}, "required": ["table"]}
+    return {
+        **_object(properties, ("address",)),
+        "if": bits,
+        "then": {"properties": {"type": {"const": "bit"}}},
+        "else": {"properties": {"type": {"not": {"const": "bit"}}}},
+    }
+
+
+def map_schema() -> Schema:
+    """The schema of a register map."""
+    written, polled = {"$ref": "#/$defs/output"}, {"$ref": "#/$defs/input"}
+    identity = {"anyOf": [_text(), {"$ref": "#/$defs/identity"}]}
+    watchdog = _object(
+        {
+            "timeout": written,
+            "resolution": _quantity("time of one count", "10 ms"),
+            "trigger": written,
+            "on": _number(),
+            "off": _number(),
+            "heartbeat": written,
+        },
+        ("timeout",),
+    )
+    properties: Schema = {
+        "schema": {"const": "pmabench.registers/1"},
+        "name": _text(),
+        "source": _text(),
+        "unit_id": {**_whole(0, 255), "default": 1},
+        "words": _order("order of the two registers of 32-bit values"),
+        "bytes": _order("order of the bytes in registers"),
+        "timeout": _quantity("longest wait for an answer", "100 ms"),
+        "slowest": _quantity("how long after a question the device may still answer; serial lines", "1 s"),
+        "rate": _quantity("highest poll rate", "100 Hz"),
+        "functions": {"type": "array", "minItems": 1, "items": {"enum": list(r.FUNCTIONS)}},
+        "identity": _object(dict.fromkeys(("maker", "model", "serial", "firmware", "constant"), identity)),
+        "inputs": {"type": "object", "additionalProperties": polled},
+        "outputs": {"type": "object", "additionalProperties": written},
+        "watchdog": watchdog,
+        "uptime": {
+            **polled,
+            "description": "a number of 32 bits that only grows until the device restarts",
+            "properties": {"type": {"enum": list(UPTIMES)}},
+            "required": ["type"],
+        },
+    }
+    return {
+        "$defs": {
+            "input": _register_schema("inputs"),
+            "output": _register_schema("outputs"),
+            "identity": _register_schema("identity"),
+        },
+        "title": "Register map",
+        "description": "The registers of one kind of Modbus device.",
+        **_object(properties),
+        "anyOf": [{"required": ["inputs"]}, {"required": ["outputs"]}],
+    }

@@ -19,9 +19,38 @@ from typing import Any
 
 from pmabench.base.errors import DeviceError, did_you_mean
 from pmabench.bench.interface import EMULATED, Identity
-from pmabench_drivers.ni_daq.bounded import Bounded
 from pmabench_drivers.ni_daq.options import Input, Options, Output
 from pmabench_drivers.shared.link import Unanswered
+
+
+class Bounded:
+    """A separate gRPC connection whose calls end in time; nothing is sent twice."""
+
+    def __init__(self, server: str, left: Callable[[], float]) -> None:
+        import grpc
+
+        options = {
+            "grpc.enable_http_proxy": 0,
+            "grpc.enable_retries": 0,
+            "grpc.use_local_subchannel_pool": 1,
+            "grpc.initial_reconnect_backoff_ms": 100,
+            "grpc.min_reconnect_backoff_ms": 500,
+            "grpc.max_reconnect_backoff_ms": 500,
+        }
+        self._channel, self._left = grpc.insecure_channel(server, list(options.items())), left
+
+    def unary_unary(self, *names: Any, **how: Any) -> Callable[..., Any]:
+        """One question and one answer."""
+        call = self._channel.unary_unary(*names, **how)
+
+        def bounded(request: Any, metadata: Any = None) -> Any:
+            return call(request, timeout=self._left(), metadata=metadata)
+
+        return bounded
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._channel, name)
+
 
 SHORTEST = 0.001
 """Time for a call for which none is left [s]."""
@@ -46,7 +75,7 @@ REASONS = {
 
 
 class Connection:
-    """One way to a device: NI-DAQmx here, or a connection of its own to a server."""
+    """One way to a device: NI-DAQmx here, or a separate connection to a server."""
 
     def __init__(self, name: str, options: Options) -> None:
         self._name, self._options = name, options

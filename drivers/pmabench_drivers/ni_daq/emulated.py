@@ -10,8 +10,18 @@ from typing import Any
 
 from pmabench.base.errors import UsageError
 from pmabench.bench.interface import DeviceRecord
-from pmabench_drivers.emulator.faults import EXCEPTION, IGNORE, LINK, RESTART, SETPOINT, STUCK, Fault, Faults, damaged
-from pmabench_drivers.emulator.log import CommandLog
+from pmabench_drivers.emulator.faults import (
+    EXCEPTION,
+    IGNORE,
+    LINK,
+    RESTART,
+    SETPOINT,
+    STUCK,
+    CommandLog,
+    Fault,
+    Faults,
+    damaged,
+)
 from pmabench_drivers.emulator.plant import RealPlant
 from pmabench_drivers.emulator.ports import refuse_others
 from pmabench_drivers.ni_daq.emulated_tasks import AI, AO, BITS, DI, DO, FASTEST, SPANS, Board, Refused, Task
@@ -167,25 +177,6 @@ class EmulatedServer:
             self.board.tasks[name] = Task()
         return {"task": {"name": name}, "new_session_initialized": not there}
 
-    def text(self, request: Any) -> Answer:
-        """An attribute of the device that is a text."""
-        self._refuse_other(request.device_name)
-        known = {0x0631: self.board.model}
-        known |= {key: self._list(names) for key, names in {0x231E: AI, 0x231F: AO, 0x2320: DI, 0x2322: DO}.items()}
-        return _found(known, request)
-
-    def numbers(self, request: Any) -> Answer:
-        """An attribute of the device that is a list: ranges, low and high in turn."""
-        self._refuse_other(request.device_name)
-        return _found({0x2990: [end for span in SPANS for end in (-span, span)], 0x299B: [-10.0, 10.0]}, request)
-
-    def _list(self, names: tuple[str, ...]) -> str:
-        return ", ".join(f"{self.board.device.address}/{name}" for name in names)
-
-    def _refuse_other(self, name: str) -> None:
-        if name != self.board.device.address:
-            raise Refused(-200220, "Device identifier is invalid.")
-
     def write(self, request: Any, context: Any, fault: Fault) -> Answer:
         """Set the one output of a task."""
         task = self.board.task(request.task.name)
@@ -263,14 +254,23 @@ class EmulatedServer:
             time.sleep(0.002)
 
 
-def _found(known: dict[int, Any], request: Any) -> Answer:
-    if request.attribute_raw not in known:
-        raise Refused(-200452, "Specified property is not supported by the device or is not applicable to the task.")
-    return {"value": known[request.attribute_raw]}
+def _attribute(name: str) -> Callable[..., Answer]:
+    """The call that asks for an attribute."""
+
+    def call(server: EmulatedServer, request: Any, _context: Any, _fault: Fault) -> Answer:
+        if name.startswith("GetDevice") and request.device_name != server.board.device.address:
+            raise Refused(-200220, "Device identifier is invalid.")
+        get = ATTRIBUTES.get((name.removeprefix("Get").replace("Attribute", " "), request.attribute_raw))
+        if get is None:
+            message = "Specified property is not supported by the device or is not applicable to the task."
+            raise Refused(-200452, message)
+        return {"value_raw" if name.endswith("AttributeInt32") else "value": get(server.board, request)}
+
+    return call
 
 
 def _refuse(grpc: Any, context: Any, refused: Refused) -> None:
-    """An error of NI-DAQmx as the server tells it: its code is next to the answer."""
+    """An error of NI-DAQmx as the server reports it: its code is next to the answer."""
     context.set_trailing_metadata((("ni-error", str(refused.code)),))
     context.abort(grpc.StatusCode.UNKNOWN, str(refused))
 
@@ -291,10 +291,6 @@ def _of_task(act: Callable[[Board, Task, Any], object]) -> Callable[..., Answer]
         return {}
 
     return call
-
-
-def _value(get: Callable[[EmulatedServer, Any], Answer]) -> Callable[..., Answer]:
-    return lambda server, request, _context, _fault: get(server, request)
 
 
 def _add(kind: str, known: tuple[str, ...]) -> Callable[..., Answer]:
@@ -327,63 +323,70 @@ def _set_state(state: str) -> Callable[[Board, Task, Any], None]:
     return act
 
 
-def _of_samples(
-    server: EmulatedServer, request: Any, known: dict[int, Callable[[Board, Task], Any]], word: str = "value"
-) -> Answer:
-    """An attribute of a task or of its channels; `word`: the field of the answer."""
-    task = server.board.task(request.task.name)
-    if request.attribute_raw not in known:
-        return _found({}, request)
-    return {word: known[request.attribute_raw](server.board, task)}
+def _task(act: Callable[[Task], Any]) -> Callable[[Board, Any], Any]:
+    """An attribute of the task that a request names."""
+    return lambda board, request: act(board.task(request.task.name))
 
 
-def _names(_board: Board, task: Task) -> str:
-    return ", ".join(channel.name for channel in task.channels)
+def _always(value: Any) -> Callable[[Board, Any], Any]:
+    """An attribute that never changes."""
+    return lambda _board, _request: value
 
 
-def _lines(_board: Board, task: Task) -> int:
+def _list(names: tuple[str, ...]) -> Callable[[Board, Any], str]:
+    return lambda board, _request: ", ".join(f"{board.device.address}/{name}" for name in names)
+
+
+def _lines(task: Task) -> int:
     return max((len(channel.terminals) for channel in task.channels), default=0)
 
 
-def _terminals(request: Any) -> Answer:
+def _names(task: Task) -> str:
+    return ", ".join(channel.name for channel in task.channels)
+
+
+def _terminals(_board: Board, request: Any) -> int:
     """How an input can be measured, as bits: against ground, against AI SENSE, against the one eight higher."""
     name = request.physical_channel.partition("/")[2]
     if name not in AI:
         raise Refused(-200170, "Physical channel specified does not exist on this device.")
-    return {"value_raw": _found({0x2342: 7 if name in AI[:8] else 3}, request)["value"]}
+    return 7 if name in AI[:8] else 3
 
 
-CHANNELS: dict[int, Callable[[Board, Task], Any]] = {
-    0x187F: lambda _board, task: {"ai": 10100, "ao": 10102, "di": 10151, "do": 10153}[task.kind],
-    0x0695: lambda _board, _task: 10322,
+KINDS = {"ai": 10100, "ao": 10102, "di": 10151, "do": 10153}
+VOLTAGE = 10322
+ATTRIBUTES: dict[tuple[str, int], Callable[[Board, Any], Any]] = {
+    **{("SystemInfo UInt32", key): _always(part) for key, part in VERSION.items()},
+    ("SystemInfo String", 0x193B): lambda board, _r: board.device.address,
+    ("Device String", 0x0631): lambda board, _r: board.model,
+    **{("Device String", key): _list(names) for key, names in {0x231E: AI, 0x231F: AO, 0x2320: DI, 0x2322: DO}.items()},
+    ("Device UInt32", 0x0632): _always(0),
+    ("Device Bool", 0x22CA): _always(False),
+    ("Device Double", 0x298D): _always(FASTEST),
+    ("Device DoubleArray", 0x2990): _always([end for span in SPANS for end in (-span, span)]),
+    ("Device DoubleArray", 0x299B): _always([-10.0, 10.0]),
+    ("Task String", 0x1276): lambda _b, request: request.task.name,
+    ("Task String", 0x1273): _task(_names),
+    ("Task UInt32", 0x2181): _task(lambda task: len(task.channels)),
+    ("Chan Double", 0x182C): _always(float(BITS)),
+    ("Chan Int32", 0x187F): _task(lambda task: KINDS[task.kind]),
+    ("Chan Int32", 0x0695): _always(VOLTAGE),
+    ("Timing Double", 0x1344): _task(lambda task: task.rate),
+    ("Timing Int32", 0x1300): _task(lambda task: FINITE if task.finite else CONTINUOUS),
+    ("Timing UInt64", 0x1310): _task(lambda task: task.finite or task.buffer),
+    ("Read UInt32", 0x1223): lambda board, request: board.waiting(board.task(request.task.name)),
+    ("Read UInt32", 0x31E8): lambda board, request: board.default(board.task(request.task.name)),
+    ("Read UInt32", 0x217C): _task(_lines),
+    ("Read UInt64", 0x1221): _task(lambda task: task.read),
+    ("Read String", 0x1823): _task(_names),
+    ("Read Bool", 0x1215): _always(False),
+    ("Write UInt32", 0x217F): _task(_lines),
+    ("PhysicalChan Int32", 0x2342): _terminals,
 }
-"""Attributes of channels: their type, and what an analogue input measures (a voltage)."""
-READS: dict[int, Callable[[Board, Task], Any]] = {
-    0x1223: lambda board, task: board.waiting(task),
-    0x31E8: lambda board, task: board.default(task),
-    0x217C: _lines,
-}
-"""Attributes of reading: samples that wait, samples that are read where all are asked for, lines of a channel."""
-
-
-def _mode(_board: Board, task: Task) -> int:
-    return FINITE if task.finite else CONTINUOUS
-
-
+"""Attributes: what they are of and their type, as in the name of the call, and their number."""
 CALLS: dict[str, Callable[..., Answer]] = {
-    "GetSystemInfoAttributeUInt32": _value(lambda _server, request: _found(dict(VERSION), request)),
-    "GetSystemInfoAttributeString": _value(lambda s, request: _found({0x193B: s.board.device.address}, request)),
-    "GetDeviceAttributeString": _value(EmulatedServer.text),
-    "GetDeviceAttributeUInt32": _value(lambda _server, request: _found({0x0632: 0}, request)),
-    "GetDeviceAttributeBool": _value(lambda _server, request: _found({0x22CA: False}, request)),
-    "GetDeviceAttributeDouble": _value(lambda _server, request: _found({0x298D: FASTEST}, request)),
-    "GetDeviceAttributeDoubleArray": _value(EmulatedServer.numbers),
+    **{name: _attribute(name) for name in {"Get" + of.replace(" ", "Attribute") for of, _ in ATTRIBUTES}},
     "CreateTask": lambda server, request, context, _fault: server.create_task(request, context),
-    "GetTaskAttributeString": _value(
-        lambda s, r: _of_samples(s, r, {0x1276: lambda _b, _t: r.task.name, 0x1273: _names})
-    ),
-    "GetTaskAttributeUInt32": _value(lambda s, r: _of_samples(s, r, {0x2181: lambda _b, task: len(task.channels)})),
-    "GetChanAttributeDouble": _value(lambda s, r: _of_samples(s, r, {0x182C: lambda _b, _t: float(BITS)})),
     "ClearTask": _of_task(_clear),
     "StartTask": _of_task(lambda board, task, _request: board.start(task)),
     "StopTask": _of_task(_set_state("committed")),
@@ -399,24 +402,14 @@ CALLS: dict[str, Callable[..., Answer]] = {
     "CfgSampClkTiming": _of_task(
         lambda board, task, r: board.configure(task, r.rate, r.samps_per_chan, finite=r.sample_mode_raw == FINITE)
     ),
-    "GetTimingAttributeDouble": _value(lambda s, r: _of_samples(s, r, {0x1344: lambda _b, task: task.rate})),
-    "GetReadAttributeUInt32": _value(lambda s, r: _of_samples(s, r, READS)),
-    "GetReadAttributeUInt64": _value(lambda s, r: _of_samples(s, r, {0x1221: lambda _b, task: task.read})),
-    "ReadAnalogF64": _value(EmulatedServer.read),
-    "ReadDigitalLines": _value(EmulatedServer.read_lines),
-    "ReadDigitalU32": _value(EmulatedServer.read_ports),
-    "GetChanAttributeInt32": _value(lambda s, r: _of_samples(s, r, CHANNELS, "value_raw")),
-    "GetReadAttributeString": _value(lambda s, r: _of_samples(s, r, {0x1823: _names})),
-    "GetReadAttributeBool": _value(lambda s, r: _of_samples(s, r, {0x1215: lambda _b, _t: False})),
-    "GetWriteAttributeUInt32": _value(lambda s, r: _of_samples(s, r, {0x217F: _lines})),
-    "GetTimingAttributeInt32": _value(lambda s, r: _of_samples(s, r, {0x1300: _mode}, "value_raw")),
-    "GetTimingAttributeUInt64": _value(lambda s, r: _of_samples(s, r, {0x1310: lambda _b, t: t.finite or t.buffer})),
-    "GetPhysicalChanAttributeInt32": _value(lambda _server, request: _terminals(request)),
-    "IsTaskDone": _value(lambda s, r: {"is_task_done": s.board.task(r.task.name).done}),
+    "ReadAnalogF64": lambda server, request, _context, _fault: server.read(request),
+    "ReadDigitalLines": lambda server, request, _context, _fault: server.read_lines(request),
+    "ReadDigitalU32": lambda server, request, _context, _fault: server.read_ports(request),
+    "IsTaskDone": lambda server, request, _c, _f: {"is_task_done": server.board.task(request.task.name).done},
     "WaitUntilTaskDone": _of_task(_not_done),
-    "WriteAnalogF64": lambda server, request, context, fault: server.write_many(request, context, fault),
-    "WriteDigitalU32": lambda server, request, context, fault: server.write_ports(request, context, fault),
-    "WriteAnalogScalarF64": lambda server, request, context, fault: server.write(request, context, fault),
-    "WriteDigitalLines": lambda server, request, context, fault: server.write_lines(request, context, fault),
+    "WriteAnalogF64": EmulatedServer.write_many,
+    "WriteDigitalU32": EmulatedServer.write_ports,
+    "WriteAnalogScalarF64": EmulatedServer.write,
+    "WriteDigitalLines": EmulatedServer.write_lines,
 }
 """The calls that there are; any other is refused as unknown."""

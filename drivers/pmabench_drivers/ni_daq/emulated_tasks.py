@@ -15,9 +15,8 @@ from math import floor
 from time import monotonic
 
 from pmabench.bench.interface import DeviceRecord
-from pmabench_drivers.emulator.log import CommandLog
-from pmabench_drivers.emulator.plant import RealPlant
-from pmabench_drivers.emulator.wiring import Wiring
+from pmabench_drivers.emulator.faults import CommandLog
+from pmabench_drivers.emulator.plant import RealPlant, Wiring
 
 AI = tuple(f"ai{number}" for number in range(16))
 AO = ("ao0", "ao1")

@@ -1,6 +1,7 @@
 """Indicators that send text lines over a serial port: load cells, gauges, displays.
 
-`options`: what the bench file says; `pattern`: how a line is read, in bounded work; `driver`: the device interface.
+`lines`: what the bench file says, and how a line is read, in bounded work; `driver`: the device interface; `emulator`:
+an indicator on a pseudo-terminal.
 """
 
 from pmabench_drivers.serial_ascii.driver import SerialIndicator

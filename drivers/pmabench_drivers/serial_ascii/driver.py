@@ -7,13 +7,11 @@ from time import monotonic
 from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import COMPUTER, EMULATED, Block, DeviceRecord, Identity
-from pmabench_drivers.serial_ascii.lines import LineReader
-from pmabench_drivers.serial_ascii.options import Options, read_options
+from pmabench_drivers.serial_ascii.lines import LineReader, Options, read_options
 from pmabench_drivers.shared.device import Polled
-from pmabench_drivers.shared.lines import LONGEST_LINE, Splitter, Unreadable, Wrong, readable
 from pmabench_drivers.shared.link import opened
 from pmabench_drivers.shared.polling import JOIN
-from pmabench_drivers.shared.serial_port import PIECE, SerialPort
+from pmabench_drivers.shared.serial_port import LONGEST_LINE, PIECE, SerialPort, Splitter, Unreadable, Wrong, readable
 
 OPEN = 1.5
 """How long `open` waits for a first line that can be read [s]."""
@@ -27,7 +25,7 @@ class SerialIndicator(Polled):
     Each named group of the pattern is an input; `unit` and `status` are checked in every line.
     """
 
-    emulator = "pmabench_drivers.emulator.indicator"
+    emulator = "pmabench_drivers.serial_ascii.emulator"
     read_options = staticmethod(read_options)
     _options: Options
 

@@ -1,21 +1,92 @@
-"""The device interface in front of a board: sampling by its clock, commands that are read back, its watchdog."""
+"""The device interface in front of a board: sampling by its clock, commands that are read back, its watchdog.
+
+One thread reads every line and gives answers to whoever asked by their number. A question is sent once. It has a number
+that no other has for a long time, so a late answer never belongs to another.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import math
-from collections.abc import Mapping
+import random
+import threading
+from collections.abc import Callable, Mapping
 from time import monotonic
 
 from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import EMULATED, Block, DeviceRecord, Identity
-from pmabench_drivers.serial_line_daq.link import Link
-from pmabench_drivers.serial_line_daq.options import read_options
-from pmabench_drivers.serial_line_daq.samples import Timeline
-from pmabench_drivers.serial_line_daq.wire import ARMED, LEVELS, NAMES, PROTOCOL, VENTED, VERSION, index_of, read_sample
+from pmabench_drivers.serial_line_daq import wire as w
 from pmabench_drivers.shared.device import Led
-from pmabench_drivers.shared.link import Still, Unanswered, always, opened
+from pmabench_drivers.shared.link import Still, Unanswered, always, opened, turn
 from pmabench_drivers.shared.polling import JOIN, Samples
+from pmabench_drivers.shared.serial_port import SerialPort, Splitter, readable
+
+
+class Link(SerialPort):
+    """An open port; `on_sample` gets the fields of each `S` line and when it came [s, bench time], on its thread."""
+
+    def __init__(
+        self, device: str, address: str, baud: int, clock: Clock, on_sample: Callable[[list[str], float], None]
+    ) -> None:
+        super().__init__(device, address, baud, clock)
+        self._on_sample = on_sample
+        self._turn, self._sending = threading.Lock(), threading.Lock()
+        self._waiting: dict[int, tuple[threading.Event, list[list[str]]]] = {}
+        self._number = random.randrange(1 << 20)
+        self._splitter = Splitter(w.END, whole=True)  # what is not whole has a wrong checksum
+        self.invalid = 0
+        """Lines that could not be read."""
+        self.last = ""
+        """The last one of them."""
+        self.listen(self._read)
+
+    def ask(self, deadline: float, letter: str, *values: int, still: Still = always, aside: bool = False) -> list[str]:
+        """What the board answers before `deadline` [s, monotonic]; nothing is sent if `still()` is false by then.
+
+        One question is under way at a time: a board has little room for what comes in. One that goes `aside` does not
+        wait for its turn. Raises DeviceError where the board refuses, Unanswered where nothing comes.
+        """
+        busy = f"has not answered yet what was asked before; the question {letter} was not sent"
+        with contextlib.nullcontext() if aside else turn(self._turn, deadline, self._device, busy=busy):
+            event, answer = threading.Event(), list[list[str]]()
+            with self._sending:
+                if not still():
+                    return []
+                if self.gone:
+                    raise DeviceError(self._device, self.gone)
+                self._number = number = self._number % 999_999_999 + 1
+                self._waiting[number] = event, answer
+                self.send(w.encode(letter, number, *values))
+            event.wait(max(0.0, deadline - monotonic()))
+            self._waiting.pop(number, None)
+        if not answer:
+            raise Unanswered(self._device, self.gone or "did not answer")
+        kind, *fields = answer[0]
+        if kind == "E":
+            word = fields[0] if fields else ""
+            raise DeviceError(self._device, w.REASONS.get(word, f'refuses with "{word}"'))
+        return fields
+
+    def _read(self, data: bytes, now: float) -> None:
+        for line in self._splitter.feed(data):
+            try:
+                self._take(w.decode(line.rstrip(b"\r")), now)
+            except w.NoLine as error:
+                self.invalid += 1
+                self.last = f'{error}: "{readable(line)}"'
+
+    def _take(self, fields: list[str], now: float) -> None:
+        if fields[0] == "S":
+            self._on_sample(fields, now)
+            return
+        if fields[0] not in {"A", "E"} or len(fields) < 2 or not fields[1].isdecimal():
+            raise w.NoLine("a line of no known kind")
+        waiting = self._waiting.get(int(fields[1]))
+        if waiting is not None and not waiting[0].is_set():
+            waiting[1].append([fields[0], *fields[2:]])
+            waiting[0].set()
+
 
 CALL = 0.17
 """Longest time that a call takes [s]."""
@@ -39,19 +110,19 @@ class SerialLineDaq(Led):
 
     verified = "emulator and compiled sketch, no board"
     emulator = "pmabench_drivers.serial_line_daq.emulator"
-    read_options = staticmethod(read_options)
+    read_options = staticmethod(w.read_options)
     _options: int
     """Its baud rate."""
 
     def __init__(self, device: DeviceRecord, clock: Clock) -> None:
         super().__init__(device, clock)
-        self._columns = [index_of(channel.input, "a") or 0 for channel in device.channels]
+        self._columns = [w.index_of(channel.input, "a") or 0 for channel in device.channels]
         self._samples = Samples([channel.name for channel in device.channels])
         self._link: Link | None = None
-        self._has = dict.fromkeys(NAMES, 0)
+        self._has = dict.fromkeys(w.NAMES, 0)
         self._full_scale, self._shortest = 0, 1
-        self._timeline: Timeline | None = None
-        self._before: Timeline | None = None
+        self._timeline: w.Timeline | None = None
+        self._before: w.Timeline | None = None
         self._period = self._armed = 0.0
         self._heard = 0.0
         self._reported_vent = False
@@ -89,11 +160,11 @@ class SerialLineDaq(Led):
                     heard = f"; the last thing heard was {link.last}" if link.last else ""
                     message = f"did not say who it is within {OPEN:g} s at {self._options} baud{heard}"
                     raise self._error(message) from None
-        if answer[:2] != [PROTOCOL, VERSION] or len(answer) != 10 or not all(map(str.isdecimal, answer[4:])):
-            raise self._error(f'is no "{PROTOCOL}" of version {VERSION}: "{",".join(answer)[:60]}"')
+        if answer[:2] != [w.PROTOCOL, w.VERSION] or len(answer) != 10 or not all(map(str.isdecimal, answer[4:])):
+            raise self._error(f'is no "{w.PROTOCOL}" of version {w.VERSION}: "{",".join(answer)[:60]}"')
         _protocol, version, model, serial, *numbers = answer
         *counts, self._full_scale, self._shortest = map(int, numbers)
-        self._has = dict(zip(NAMES, counts, strict=True))
+        self._has = dict(zip(w.NAMES, counts, strict=True))
         record = self._device
         wanted = [("a", channel.input) for channel in record.channels]
         wanted += [("d", lock.input) for lock in record.interlocks] + [("v", valve.output) for valve in record.valves]
@@ -101,7 +172,7 @@ class SerialLineDaq(Led):
             self._index(name, letter)
         if not 0 < self._shortest <= 10_000_000:
             raise DeviceError(record.name, f"says that its shortest period is {self._shortest} us")
-        return Identity("", model, serial, f"{PROTOCOL} {version}", simulated=model.startswith(EMULATED))
+        return Identity("", model, serial, f"{w.PROTOCOL} {version}", simulated=model.startswith(EMULATED))
 
     # -- samples --------------------------------------------------------------------------------------------------
 
@@ -116,7 +187,7 @@ class SerialLineDaq(Led):
         if used != period:
             raise self._error(f"samples each {used} us where {period} us were asked for")
         self._period, self._heard = period * 1e-6, monotonic()
-        self._before = self._timeline = Timeline(period, self._before)
+        self._before = self._timeline = w.Timeline(period, self._before)
         return 1e6 / period
 
     def collect(self) -> Block:
@@ -150,7 +221,7 @@ class SerialLineDaq(Led):
     def _take(self, fields: list[str], now: float) -> None:
         """One `S` line that came at `now` [s, bench time], in the reading thread."""
         timeline = self._timeline
-        sample = read_sample(fields, self._has["a"])
+        sample = w.read_sample(fields, self._has["a"])
         if timeline is None:
             return  # sampling has not begun here: another program left it on
         micros = timeline.place(sample, now)
@@ -163,7 +234,7 @@ class SerialLineDaq(Led):
             return
         self._heard = monotonic()
         self._samples.append(micros * 1000, [float(sample.counts[i]) for i in self._columns], round(now * 1e9))
-        if sample.state & VENTED and self._armed and not self._reported_vent:
+        if sample.state & w.VENTED and self._armed and not self._reported_vent:
             self._reported_vent = True
             message = f"has vented by itself: its watchdog heard nothing for {self._armed:g} s"
             self._failure = self._error(message)
@@ -192,7 +263,7 @@ class SerialLineDaq(Led):
     def level(self, name: str) -> bool:
         """Whether a digital input is high."""
         index = self._index(name, "d")
-        return bool(self._ask("D") >> LEVELS + index & 1)
+        return bool(self._ask("D") >> w.LEVELS + index & 1)
 
     def rescue(self, output: str, value: float) -> None:
         """Send on the same wire without waiting for a turn; the answer is known by its number."""
@@ -226,7 +297,7 @@ class SerialLineDaq(Led):
 
     def feed_watchdog(self) -> None:
         """A sign of life; an error where the board is not armed any more."""
-        if not self._ask("F") & ARMED:
+        if not self._ask("F") & w.ARMED:
             raise self._error("took a sign of life and is not armed", "watchdog")
 
     def disarm_watchdog(self) -> None:
@@ -273,9 +344,9 @@ class SerialLineDaq(Led):
             raise self._error(f"{lost or 'was commanded'} {value} and holds {held}", name)
 
     def _index(self, name: str, letter: str) -> int:
-        index, count = index_of(name, letter), self._has[letter]
+        index, count = w.index_of(name, letter), self._has[letter]
         if index is None or (self._link is not None and index >= count):
-            raise self._error(f'the board has {count} {NAMES[letter]}(s), and "{name}" is none', name)
+            raise self._error(f'the board has {count} {w.NAMES[letter]}(s), and "{name}" is none', name)
         return index
 
     def _whole(self, output: str, value: float) -> int:

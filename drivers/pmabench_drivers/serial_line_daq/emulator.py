@@ -12,12 +12,10 @@ from time import monotonic
 from pmabench.base.errors import UsageError
 from pmabench.bench.interface import DeviceRecord
 from pmabench_drivers.emulator import faults as f
-from pmabench_drivers.emulator.log import CommandLog
-from pmabench_drivers.emulator.on_terminal import OnTerminal
-from pmabench_drivers.emulator.plant import RealPlant
-from pmabench_drivers.emulator.wiring import Wiring
-from pmabench_drivers.serial_line_daq.options import WATCHDOG, read_options
-from pmabench_drivers.serial_line_daq.wire import ARMED, LEVELS, PROTOCOL, VENTED, VERSION, NoLine, decode, encode
+from pmabench_drivers.emulator.faults import CommandLog
+from pmabench_drivers.emulator.plant import RealPlant, Wiring
+from pmabench_drivers.emulator.ports import OnTerminal
+from pmabench_drivers.serial_line_daq import wire as w
 from pmabench_drivers.shared.options import options_of
 
 INPUTS, DIGITAL, OUTPUTS, VALVES = 6, 2, 1, 1
@@ -30,7 +28,7 @@ GARBAGE = b"\x00\xff*FFFF\n@#\n"
 
 def serve(device: DeviceRecord, plant: RealPlant, log: CommandLog) -> EmulatedBoard:
     """The board that the driver of `device` talks to."""
-    options_of(device, read_options)
+    options_of(device, w.read_options)
     if not device.address.startswith("/"):
         raise UsageError(f"{device.name} is at {device.address}; an emulator serves only a path of a serial port")
     return EmulatedBoard(device, plant, log)
@@ -126,8 +124,8 @@ class EmulatedBoard(OnTerminal):
         return [min(max(round(value), 0), FULL_COUNT) for value in raw]
 
     def _state(self) -> int:
-        bits = (ARMED if self._armed else 0) | (VENTED if self._vented else 0)
-        return bits | sum(self._wiring.level(f"d{i}") << LEVELS + i for i in range(DIGITAL))
+        bits = (w.ARMED if self._armed else 0) | (w.VENTED if self._vented else 0)
+        return bits | sum(self._wiring.level(f"d{i}") << w.LEVELS + i for i in range(DIGITAL))
 
     # -- commands -------------------------------------------------------------------------------------------------
 
@@ -136,8 +134,8 @@ class EmulatedBoard(OnTerminal):
         if fault.kind == "silence":
             return
         try:
-            letter, *numbers = decode(line)
-        except NoLine:
+            letter, *numbers = w.decode(line)
+        except w.NoLine:
             return
         if not 0 < len(numbers) <= 3 or not all(text.isdecimal() and len(text) <= 9 for text in numbers):
             return
@@ -150,7 +148,7 @@ class EmulatedBoard(OnTerminal):
         match letter, values:
             case "I", []:
                 model = self._plant.model(self._device.name)
-                return (PROTOCOL, VERSION, model, "1", INPUTS, DIGITAL, OUTPUTS, VALVES, FULL_SCALE, SHORTEST)
+                return (w.PROTOCOL, w.VERSION, model, "1", INPUTS, DIGITAL, OUTPUTS, VALVES, FULL_SCALE, SHORTEST)
             case "D", []:
                 return self._state()
             case "G", [period]:
@@ -173,7 +171,7 @@ class EmulatedBoard(OnTerminal):
         return "unknown"
 
     def _arm(self, time_ms: int) -> int | str:
-        if time_ms and not WATCHDOG[0] <= time_ms * 1e-3 <= WATCHDOG[1]:
+        if time_ms and not w.WATCHDOG[0] <= time_ms * 1e-3 <= w.WATCHDOG[1]:
             return "range"
         if not time_ms:
             self._vent()
@@ -203,7 +201,7 @@ class EmulatedBoard(OnTerminal):
     # -- lines ----------------------------------------------------------------------------------------------------
 
     def _send(self, fault: f.Fault, *fields: object) -> None:
-        line = encode(*fields)
+        line = w.encode(*fields)
         if fault.kind == "hang-up":
             raise ConnectionAbortedError
         if fault.kind == "reset":

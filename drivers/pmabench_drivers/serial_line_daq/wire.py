@@ -1,10 +1,16 @@
-"""Lines of the serial-line DAQ as bytes: fields, checksum, bounds; knows no port. Standard library only."""
+"""Lines of the serial-line DAQ as bytes, times of its numbered samples, and its options; knows no port.
+
+Standard library only.
+"""
 
 from __future__ import annotations
 
 import re
 from binascii import crc_hqx
 from dataclasses import dataclass
+
+from pmabench.bench.interface import DeviceRecord
+from pmabench_drivers.shared.options import BAUDS, Reader
 
 END = b"\n"
 PROTOCOL = "line-daq"
@@ -73,3 +79,89 @@ def index_of(name: str, letter: str) -> int | None:
     """The number in a name like `a0`; None where it is no such name."""
     found = re.fullmatch(rf"{letter}(\d)", name)
     return int(found[1]) if found and int(found[1]) < MOST[letter] else None
+
+
+WRAP = 1 << 32
+LONGEST = 10_000_000
+"""A jump over more than this is no loss but nonsense [us]."""
+DRIFT = 2e-3
+"""How far number and clock may drift apart over a gap [1]."""
+
+
+class Timeline:
+    """Gives the time of each sample; counts what was lost by the numbers.
+
+    Number and clock say the same twice: a sample whose two do not fit is not believed.
+    """
+
+    def __init__(self, period: int, before: Timeline | None = None) -> None:
+        self._period = period
+        self._last: Sample | None = None
+        self._time = 0
+        self.ahead: float | None = before.ahead if before is not None else None
+        """What the board's clock is ahead of bench time by, wraps counted [us]; times go on where `before` ended."""
+        self.lost = 0
+        """Samples whose numbers never came."""
+        self.misfits = 0
+        """Samples in a row that were not believed."""
+
+    def place(self, sample: Sample, host: float) -> int | None:
+        """Time of a sample that came at `host` [s, bench time] by the board's clock [us]; None: it is not believed."""
+        last = self._last
+        if last is None:
+            if self.ahead is None:
+                self.ahead = sample.micros - host * 1e6
+            self._time = sample.micros + WRAP * round((host * 1e6 + self.ahead - sample.micros) / WRAP)
+        else:
+            ahead, passed = (sample.number - last.number) % WRAP, (sample.micros - last.micros) % WRAP
+            expected = ahead * self._period
+            if not 0 < expected <= LONGEST or abs(passed - expected) >= self._period + DRIFT * expected:
+                self.misfits += 1
+                return None
+            self.lost += ahead - 1
+            self._time += passed
+        self._last, self.misfits = sample, 0
+        return self._time
+
+
+KNOWN_BAUDS = tuple(sorted({*BAUDS, 250_000, 500_000, 1_000_000, 2_000_000}))
+BAUD = 500_000
+WATCHDOG = (0.05, 1.0)
+"""Shortest and longest time of the board's watchdog [s]."""
+
+
+def read_options(device: DeviceRecord, reader: Reader) -> int:
+    """The baud rate; everything that the board could not do with this device is noted in `reader`."""
+    given = reader.keys(device.options, ("options",), ("baud",))
+    reader.port(device, "/dev/ttyACM0")
+    baud = reader.one_of(given, "baud", ("options",), KNOWN_BAUDS, BAUD)
+    for channel in device.channels:
+        _named(reader, ("channels", channel.name, "input"), channel.input, "a")
+    for interlock in device.interlocks:
+        _named(reader, ("interlocks", interlock.name, "input"), interlock.input, "d")
+    for output in device.outputs:
+        place = "outputs", output.name
+        _named(reader, (*place, "output"), output.output, "o")
+        if output.resolution < 1 or output.resolution != round(output.resolution):
+            reader.fault(place, 'the board takes whole counts: "resolution: 1 count" is expected')
+        if abs(float(output.scale.to_raw(output.safe))) > 1e-6:
+            reader.fault(place, "the board vents to 0 counts: the scale must have the safe value there")
+    for valve in device.valves:
+        _named(reader, ("outputs", valve.name, "output"), valve.output, "v")
+        if valve.energised == valve.safe:
+            message = f'the board vents with its valves off: "{valve.name}" must be {valve.safe} without power'
+            reader.fault(("outputs", valve.name, "energised"), message)
+    shortest, longest = WATCHDOG
+    if (device.outputs or device.valves) and not device.watchdog:
+        reader.fault(
+            (), f'outputs work only under the watchdog of the board: add "watchdog: 500 ms" (at most {longest:g} s)'
+        )
+    elif device.watchdog and not shortest <= device.watchdog <= longest:
+        reader.fault(("watchdog",), f"the board's watchdog takes {shortest * 1e3:g} ms to {longest:g} s")
+    return baud
+
+
+def _named(reader: Reader, place: tuple[str, ...], name: str, letter: str) -> None:
+    if index_of(name, letter) is None:
+        last = MOST[letter] - 1
+        reader.fault(place, f'a {NAMES[letter]} of the board is expected, {letter}0 to {letter}{last}, not "{name}"')

@@ -2,7 +2,7 @@
 
 A driver derives from `Driver`; from `Polled` where a thread of the driver asks the device for samples; from `Stepped`
 where the device takes single set-points only; from `Controlled` where one thread does both. Devices that send by
-themselves: `serial_stream`. Knows no wire. Standard library only.
+themselves: `serial_port`. Knows no wire. Standard library only.
 """
 
 from __future__ import annotations
@@ -20,7 +20,48 @@ from pmabench.bench.interface import Block, DeviceRecord, OutputRecord, Segment
 from pmabench_drivers.shared.link import Still
 from pmabench_drivers.shared.options import Place, Reader, options_of
 from pmabench_drivers.shared.polling import Cycle, Samples
-from pmabench_drivers.shared.segments import refuse_nonsense, stepped
+
+
+def refuse_nonsense(device: str, output: str, segment: Segment) -> None:
+    """DeviceError where a segment is neither a ramp nor a sine, or has a number that is none, or no rate."""
+    ends = (segment.start, segment.origin, segment.target, segment.amplitude)
+    paces = (segment.rate, segment.frequency, segment.cycles)
+    if segment.kind not in {"ramp", "sine"} or not all(map(math.isfinite, (*ends, *paces))):
+        raise DeviceError(device, f"cannot follow {segment}", output)
+    if not (segment.rate if segment.kind == "ramp" else segment.frequency) > 0:
+        raise DeviceError(device, f"a {segment.kind} needs a rate above zero", output)
+
+
+def stepped(segment: Segment, now: float, resolution: float = 0.0) -> tuple[float | None, bool]:
+    """Set-point [device units] at bench time `now` [s], and whether it is the last one; None before the start.
+
+    On the device's steps where it has any, and never outside the segment: between origin and target of a ramp, between
+    the crests of a sine.
+    """
+    since = now - segment.start
+    if since < 0:
+        return None, False
+    if segment.kind == "ramp":
+        low, high = sorted((segment.origin, segment.target))
+        way = abs(segment.rate) * since
+        if way >= high - low:
+            return segment.target, True
+        return _on_step(
+            segment.origin + math.copysign(way, segment.target - segment.origin), resolution, low, high
+        ), False
+    if since >= segment.cycles / segment.frequency:
+        return segment.origin, True
+    swing = abs(segment.amplitude)
+    value = segment.origin + segment.amplitude * math.sin(2 * math.pi * segment.frequency * since)
+    return _on_step(value, resolution, segment.origin - swing, segment.origin + swing), False
+
+
+def _on_step(value: float, resolution: float, low: float, high: float) -> float:
+    """The nearest whole step, inside `low` to `high`."""
+    if resolution > 0:
+        value = round(value / resolution) * resolution
+    return min(max(value, low), high)
+
 
 STEPS = 100.0
 """Ramps and sines are stepped so often where no polling sets the pace [Hz]."""

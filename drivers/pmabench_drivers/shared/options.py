@@ -105,7 +105,7 @@ class Reader:
         return value
 
     def one_of(self, given: Mapping[str, Any], key: str, place: Place, known: Sequence[int], default: int) -> int:
-        """One of the known whole numbers, which stand in rising order."""
+        """One of the known whole numbers, which are in rising order."""
         value = self.whole(given, key, place, known[0], known[-1], default)
         if value not in known:
             self.fault((*place, key), f"{value} is not possible here; known: {', '.join(map(str, known))}")

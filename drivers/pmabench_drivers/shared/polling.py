@@ -1,10 +1,11 @@
-"""What drivers that poll have in common: samples waiting to be collected, and a thread at absolute deadlines.
+"""What drivers that sample have in common: samples waiting to be collected, a thread at absolute deadlines, their pace.
 
-Knows no wire.
+Knows no wire. Standard library only.
 """
 
 from __future__ import annotations
 
+import math
 import threading
 from array import array
 from collections.abc import Callable, Sequence
@@ -55,7 +56,7 @@ BEHIND = 0.02
 
 
 class Cycle:
-    """Calls `tick` in a thread of its own at start + k / rate.
+    """Calls `tick` in a thread at start + k / rate.
 
     Deadlines that passed while the computer did something else are made up as far as `BEHIND`; those that passed
     in a `tick` that took longer than a period are not: a slow device rests, so that others get their turn at it.
@@ -127,3 +128,41 @@ class Cycle:
             self.missed += lost
             due += lost
             halt.wait(max(0.0, start + due / rate - self._clock.now()))
+
+
+DRIFT = 2e-4
+"""How far the clocks of device and computer may run apart [1]."""
+AHEAD = 0.3
+"""More than this no sample may be here before its time [s]."""
+WINDOW = 1.0
+"""So long everything must be late, before it is believed [s]: a computer that is busy is late now and then."""
+ENOUGH = 20
+"""And so many pieces."""
+
+
+class Pace:
+    """Looks at how late pieces arrive; `slip` is how much later than at best they all may be for a while [s]."""
+
+    def __init__(self, slip: float) -> None:
+        self._slip = slip
+        self._least, self._seen, self._begun = math.inf, -math.inf, -math.inf
+        self._window: list[float] = []
+
+    def behind(self, taken: float, now: float) -> float:
+        """For a newest sample `taken` by its own clock that came `now` [s, bench time]: 0, or how much is wrong [s].
+
+        Negative where samples come before their time.
+        """
+        late = now - taken
+        self._least = min(self._least + DRIFT * max(0.0, min(now - self._seen, WINDOW)), late)
+        self._seen = now
+        if late < -AHEAD:
+            return late
+        if not self._window:
+            self._begun = now
+        self._window.append(late)
+        if now - self._begun < WINDOW or len(self._window) < ENOUGH:
+            return 0.0
+        behind = min(self._window) - self._least
+        self._window = []
+        return behind if behind > self._slip else 0.0

@@ -1,6 +1,7 @@
-"""A serial port that sends bytes by itself: questions while it is quiet, a reading thread while it streams.
+"""Serial ports: questions while a port is quiet, a reading thread while it streams, lines of text in its bytes.
 
-Knows no protocol. pyserial is loaded when a port is opened.
+`SerialStream` is the driver of a device that sends by itself. Knows no protocol. pyserial is loaded when a port is
+opened.
 """
 
 from __future__ import annotations
@@ -8,21 +9,68 @@ from __future__ import annotations
 import contextlib
 import os
 import select
-import threading
+from abc import abstractmethod
 from collections.abc import Callable, Iterator
 from time import monotonic
 from typing import Any
 
 from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError
-from pmabench_drivers.shared.link import reason
+from pmabench.bench.interface import Block, DeviceRecord, Identity
+from pmabench_drivers.shared.device import Driver
+from pmabench_drivers.shared.link import Listening, opened, reason
+from pmabench_drivers.shared.polling import Samples
+
+LONGEST_LINE = 120
+
+
+class Wrong(Exception):
+    """A line that must never be taken for a measurement: another unit, a fault that the device reports."""
+
+
+class Unreadable(Exception):
+    """A line that is not what is expected: cut off, disturbed, something else."""
+
+
+class Splitter:
+    """Cuts a stream of bytes into lines; what comes before the first terminator is not a whole line and is dropped."""
+
+    def __init__(self, terminator: bytes, *, whole: bool = False) -> None:
+        self._terminator, self._whole = terminator, whole
+        self._rest = b""
+
+    def feed(self, data: bytes) -> list[bytes]:
+        """The whole lines that end in `data`; one that is too long is dropped up to its end."""
+        *lines, self._rest = (self._rest + data).split(self._terminator)
+        found = []
+        for line in lines:
+            if self._whole and len(line) <= LONGEST_LINE:
+                found.append(line)
+            self._whole = True
+        if len(self._rest) > LONGEST_LINE + len(self._terminator):
+            self._rest, self._whole = self._rest[-len(self._terminator) :], False
+        return found
+
+
+def readable(line: bytes) -> str:
+    """The start of a line with only what can be printed, for messages."""
+    return "".join(chr(byte) if 32 <= byte < 127 else "." for byte in line[:40])
+
+
+def text_of(line: bytes) -> str:
+    """A line as text; raises `Unreadable` where it is too long, or no ASCII."""
+    if len(line) > LONGEST_LINE:
+        raise Unreadable("a line longer than any that is expected")
+    try:
+        return line.decode("ascii")
+    except UnicodeDecodeError:
+        raise Unreadable(f'"{readable(line)}"') from None
+
 
 PIECE = 0.02
 """Longest single wait for bytes [s]."""
 PUSH = 0.1
 """Longest time to hand bytes to the port [s]."""
-JOIN = 0.15
-"""How long the reading thread is given to end [s]."""
 MOST = 20_000
 """More than this is never kept while an answer is waited for [bytes]."""
 
@@ -58,16 +106,12 @@ def received(port: Any) -> bytes:
     return data + bytes(port.read(min(port.in_waiting, MOST)))
 
 
-class SerialPort:
+class SerialPort(Listening):
     """An open port of one program alone; every call is bounded. Raises DeviceError."""
 
     def __init__(self, device: str, address: str, baud: int, clock: Clock, **settings: Any) -> None:
-        self._device, self._address, self._clock = device, address, clock
+        super().__init__(device, address, clock)
         self._port = open_port(device, address, baudrate=baud, timeout=PIECE, **settings)
-        self._halt = threading.Event()
-        self._thread: threading.Thread | None = None
-        self.gone = ""
-        """Why the port was lost while it was listened to."""
 
     def send(self, data: bytes) -> None:
         """Hand bytes to the port, once."""
@@ -94,26 +138,8 @@ class SerialPort:
         except (OSError, TypeError) as error:  # TypeError: it was closed meanwhile
             raise DeviceError(self._device, f"{what} {self._address}: {reason(error)}") from None
 
-    def listen(self, take: Callable[[bytes, float], None]) -> None:
-        """From now on a thread hands each piece to `take`, with the time it came [s, bench time]."""
-        self.hush()
-        self.gone, self._halt = "", threading.Event()
-        self._thread = threading.Thread(
-            target=self._read, args=(take, self._halt), name=f"serial {self._device}", daemon=True
-        )
-        self._thread.start()
-
-    @property
-    def listening(self) -> bool:
-        """Whether somebody listens."""
-        return self._thread is not None
-
-    def hush(self) -> None:
-        """Listen no more; harmless when repeated."""
-        self._halt.set()
-        thread, self._thread = self._thread, None
-        if thread is not None and thread is not threading.current_thread():
-            thread.join(JOIN)
+    def _receive(self) -> bytes:
+        return received(self._port)
 
     def close(self) -> None:
         """Let go of the port; harmless when repeated."""
@@ -121,18 +147,84 @@ class SerialPort:
         with contextlib.suppress(OSError):
             self._port.close()
 
-    def _read(self, take: Callable[[bytes, float], None], halt: threading.Event) -> None:
-        while not halt.is_set():
-            try:
-                data = received(self._port)
-            except (OSError, TypeError) as error:
-                if not halt.is_set():
-                    self.gone = f"lost {self._address}: {reason(error)}"
-                return
-            if not data or halt.is_set():
-                continue
-            try:
-                take(data, self._clock.now())
-            except Exception as error:  # the owner learns it at the next collect
-                self.gone = f"reading {self._address} broke off: {error}"
-                return
+
+STREAM_PATIENCE = 0.5
+"""So long nothing usable may come before `collect` says so [s]."""
+
+
+class SerialStream(Driver):
+    """One device that has a port to itself; a kind of device says how it is greeted, quieted and read."""
+
+    def __init__(self, device: DeviceRecord, clock: Clock) -> None:
+        super().__init__(device, clock)
+        self._port: SerialPort | None = None
+        self._forget()
+
+    @abstractmethod
+    def _greet(self) -> Identity:
+        """Quiet it, see that it is the right device, and set it."""
+
+    @abstractmethod
+    def _quiet(self) -> None:
+        """End a stream that may be under way."""
+
+    @abstractmethod
+    def _take(self, data: bytes, now: float) -> None:
+        """Bytes that came at `now` [s, bench time], on the port's thread; what ends the stream goes to `_failure`."""
+
+    @abstractmethod
+    def _missing(self) -> str:
+        """What is said where nothing usable has come for too long."""
+
+    def _forget(self) -> None:
+        """Nothing has come yet."""
+        self._samples = Samples([channel.name for channel in self._device.channels])
+        self._failure = ""
+        self._heard = monotonic()
+
+    def open(self) -> Identity:
+        """Quiet it, see that it is the right device, and set what a true record needs; nothing is saved in it."""
+        self.close()
+        self._port = SerialPort(self._device.name, self._device.address, self._options.baud, self._clock)
+        with self._closed_on_error():
+            return self._greet()
+
+    def close(self) -> None:
+        """Quiet it and let go of the port."""
+        port = self._port
+        if port is not None:
+            self.stop()
+            self._port = None
+            port.close()
+
+    def collect(self) -> Block:
+        """What came since the last call; an error where it is silent, or the stream has failed."""
+        port = self._opened()
+        why = port.gone or self._failure
+        if not why and port.listening and monotonic() - self._heard > self._patience:
+            why = f"{self._missing()} for {STREAM_PATIENCE:g} s"
+        if why:
+            raise self._error(why)
+        return self._samples.take()
+
+    def stop(self) -> None:
+        """End the stream; harmless when repeated."""
+        port = self._port
+        if port is not None and port.listening:
+            port.hush()
+            with contextlib.suppress(DeviceError):  # a port that is lost sends nothing either
+                self._quiet()
+
+    @property
+    def _patience(self) -> float:
+        return STREAM_PATIENCE
+
+    def _ready(self, rate: float) -> SerialPort:
+        """The port, quiet, for a stream that begins."""
+        self._refuse_rate(rate)
+        port = self._opened()
+        self.stop()
+        return port
+
+    def _opened(self) -> SerialPort:
+        return opened(self._port, self._device.name)

@@ -6,16 +6,22 @@ hide adds as a square. Decision 0019 says why; knows no test kind.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from math import hypot, sqrt
 
+import numpy as np
+
 from pmabench.analysis.results import Estimate, Parts, Source, withhold
+from pmabench.analysis.shared import student
+from pmabench.store.records import Array
 
 MOST_HIDDEN = 0.02
 """A departure that is seen, and could change a value by more than this share, is not left to its interval."""
 NEGLIGIBLE = 0.05
 """Share of a half width below which an effect needs no line."""
+SURE = 0.9995
+"""Probability of Student's t beyond which a change from cycle to cycle is seen."""
 NAMES = {
     "repeats": "scatter of repeats",
     "method": "method",
@@ -69,3 +75,29 @@ def weighed(e: Estimate, doubts: Iterable[Doubt], scale: float | None = None) ->
     base = e.budget or [Source(NAMES[part], part, "A" if part == "repeats" else "B", half) for part, half in named]
     budget = sorted((*base, *lines), key=lambda line: line.half or 0.0, reverse=True)
     return replace(e, parts=Parts(**halves), budget=tuple(budget))
+
+
+@dataclass(frozen=True)
+class Change:
+    """What a value changes by from the first cycle to the last [as the value], without a sign."""
+
+    size: float
+    """The likeliest."""
+    most: float
+    """The largest that the cycles allow (95 %)."""
+    seen: bool
+
+
+def change_over(cycles: Sequence[Array]) -> Change | None:
+    """Of values cycle by cycle, one array for each trial, by one line through all; None without three in a trial."""
+    rows = [(np.arange(len(one)) - 0.5 * (len(one) - 1), one - one.mean()) for one in cycles if len(one) > 2]
+    if not rows:
+        return None
+    place, off = (np.concatenate(column) for column in zip(*rows, strict=True))
+    freedom = len(off) - len(rows) - 1
+    power = float(place @ place)
+    slope = float(place @ off) / power
+    error = float(np.sqrt(np.sum((off - slope * place) ** 2) / freedom / power))
+    count, size = max(len(one) for one in cycles), abs(slope)
+    most = (size + float(student.ppf(0.975, freedom)) * error) * count
+    return Change(size * count, most, size > float(student.ppf(SURE, freedom)) * error)

@@ -13,9 +13,9 @@ from typing import Any, Protocol
 import numpy as np
 
 from pmabench.analysis.shared.samples import Noise, Samples
-from pmabench.model.described import Described
 from pmabench.model.pid import PID
-from pmabench.model.signal import constant
+from pmabench.model.presets import Described
+from pmabench.model.regulator import constant
 from pmabench.store.records import Array, RunData, TrialData
 
 SUBSTEPS = 2
@@ -67,18 +67,22 @@ def run(
     h = dt / substeps
     v = np.zeros(P.shape[1])
     all_x, all_v = np.empty(P.shape), np.empty(P.shape)
+    middles = [
+        [values[:-1] + (part + 0.5) / substeps * np.diff(values, axis=0) for values in (F_ce, K, B_c, B_r)]
+        for part in range(substeps)
+    ]
+    for F, k, B_1, B_2 in middles:
+        F -= load
+        B_1 += 0.5 * h * k
+        B_2 += 0.5 * h * k
     for i in range(len(P)):
         all_x[i], all_v[i] = x, v
         if i + 1 == len(P):
             break
-        for part in range(substeps):
-            share = (part + 0.5) / substeps
-            drive = F_ce[i] + share * (F_ce[i + 1] - F_ce[i]) - load
-            stiffness = K[i] + share * (K[i + 1] - K[i])
-            drive -= stiffness * x
+        for F, k, B_1, B_2 in middles:
+            drive = F[i] - k[i] * x
             way = np.where(v != 0, np.sign(v), np.sign(drive))
-            damping = np.where(way > 0, B_c[i] + share * (B_c[i + 1] - B_c[i]), B_r[i] + share * (B_r[i + 1] - B_r[i]))
-            damping = damping + 0.5 * h * stiffness
+            damping = np.where(way > 0, B_1[i], B_2[i])
             final = (way * drive - F_c) / damping
             rate = damping / mass
             fade = np.expm1(-rate * h)

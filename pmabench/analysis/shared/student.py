@@ -1,14 +1,19 @@
-"""Student's t, without `scipy.stats`, whose import takes longer than most reductions; means with half widths."""
+"""Student's t, as a rule without scipy, whose import takes longer than most reductions; means with half widths."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import sqrt
+from functools import lru_cache
+from math import cos, exp, lgamma, pi, sqrt, tan
 
 import numpy as np
-from scipy.special import stdtrit
 
 from pmabench.store.records import Array
+
+SHARES, FREEDOMS = (0.5, 0.99), (1.0, 300.0)
+"""Where the quadrature is as exact as scipy, to 1e-12; elsewhere scipy is used."""
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(60)
+STEPS = 100
 
 
 def ppf(share: float, freedom: float | Array) -> Array:
@@ -19,7 +24,29 @@ def ppf(share: float, freedom: float | Array) -> Array:
     >>> round(float(ppf(0.975, 4)), 3)
     2.776
     """
-    return np.asarray(stdtrit(freedom, share), dtype=np.float64)
+    values = np.asarray(freedom, dtype=np.float64)
+    return np.array([_quantile(share, one) for one in values.ravel().tolist()], dtype=np.float64).reshape(values.shape)
+
+
+@lru_cache(maxsize=4096)
+def _quantile(share: float, freedom: float) -> float:
+    """With t = sqrt(freedom) tan(a), the probability between 0 and t is the integral of c cos(a)^(freedom - 1).
+
+    The integral is concave in a: Newton's method from a = 0 comes to the value from below, until only rounding is left.
+    """
+    if not (SHARES[0] <= share <= SHARES[1] and FREEDOMS[0] <= freedom <= FREEDOMS[1]):
+        from scipy.special import stdtrit
+
+        return float(stdtrit(freedom, share))
+    c = exp(lgamma((freedom + 1) / 2) - lgamma(freedom / 2)) / sqrt(pi)
+    angle = 0.0
+    for _ in range(STEPS):
+        inside = angle / 2 * float(WEIGHTS @ np.cos(angle / 2 * (1 + NODES)) ** (freedom - 1))
+        step = ((share - 0.5) / c - inside) / cos(angle) ** (freedom - 1)
+        angle += step
+        if step <= 1e-16 * angle:
+            break
+    return sqrt(freedom) * tan(angle)
 
 
 def half_width(se: float | None, freedom: int) -> float | None:

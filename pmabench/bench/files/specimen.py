@@ -1,15 +1,83 @@
-"""The specimen file: the muscle under test, what it bears, and what is already believed of it."""
+"""The specimen file, the calibration file, and kinds of values that all files of a bench share.
+
+A specimen is the muscle under test, what it bears, and what is already believed of it. A calibration has reference
+points, and how well they are known.
+"""
 
 from __future__ import annotations
 
+import datetime
 from math import inf
 from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, WithJsonSchema, model_validator
 
-from pmabench.bench.files.parts import AngleAbove0, LengthAbove0, MassAbove0, PressureAbove0, RatioAbove0, Text
 from pmabench.files.document import Strict
-from pmabench.files.quantity import Damping, Force, Pressure, Stiffness
+from pmabench.files.quantity import (
+    Angle,
+    Conductance,
+    Damping,
+    Force,
+    Length,
+    Mass,
+    Pressure,
+    PressureRate,
+    Ratio,
+    Stiffness,
+    Time,
+    raw_quantity,
+)
+
+Reading = Annotated[
+    tuple[float, str],
+    BeforeValidator(raw_quantity),
+    WithJsonSchema({"type": "string", "description": "a number with its unit", "examples": ["5.003 V", "600 kPa"]}),
+]
+"""A number with the device's or the quantity's unit, kept apart."""
+
+Text = Annotated[str, Field(max_length=400)]
+Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]{0,39}$")]
+
+
+def above_zero(value: float) -> float:
+    """`value` if it is above zero, else ValueError."""
+    if not value > 0:
+        raise ValueError("a value above zero is expected")
+    return value
+
+
+def not_below_zero(value: float) -> float:
+    """`value` if it is not below zero, else ValueError."""
+    if value < 0:
+        raise ValueError("a value that is not below zero is expected")
+    return value
+
+
+PressureAbove0 = Annotated[Pressure, AfterValidator(above_zero)]
+PressureNotBelow0 = Annotated[Pressure, AfterValidator(not_below_zero)]
+RateAbove0 = Annotated[PressureRate, AfterValidator(above_zero)]
+LengthAbove0 = Annotated[Length, AfterValidator(above_zero)]
+TimeAbove0 = Annotated[Time, AfterValidator(above_zero)]
+RatioAbove0 = Annotated[Ratio, AfterValidator(above_zero)]
+AngleAbove0 = Annotated[Angle, AfterValidator(above_zero)]
+MassAbove0 = Annotated[Mass, AfterValidator(above_zero)]
+ConductanceAbove0 = Annotated[Conductance, AfterValidator(above_zero)]
+RatioNotBelow0 = Annotated[Ratio, AfterValidator(not_below_zero)]
+
+
+class CalibrationFile(Strict):
+    """A calibration: reference points, and how well they are known (95 %, k = 2)."""
+
+    schema_: Annotated[Literal["pmabench.calibration/1"], Field(alias="schema")]
+    id: Text
+    quantity: Literal["pressure", "force", "length", "angle"]
+    reference: Text
+    date: datetime.date
+    valid_until: datetime.date | None = None
+    points: Annotated[list[tuple[Reading, Reading]], Field(min_length=2, max_length=200)]
+    expanded_uncertainty: Reading
+    gain_uncertainty: RatioNotBelow0 = 0.0
+    sensor_lag: Time = 0.0
 
 
 class MountedFile(Strict):

@@ -1,6 +1,6 @@
 """The bending angle of an arm of muscles over pressure and load.
 
-- `reduction`, on `stairs`; words and figures: `view`
+- `reduction`, on `stairs`; what departures do: `form`; words and figures: `view`
 - protocol files: `protocol`; one trial on the display: `live`; figures: `figures`
 """
 

@@ -13,11 +13,12 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 from pmabench.analysis.model_fit import ModelFit, fit_model
-from pmabench.analysis.results import Analysis, Estimate, Finding, Parts
+from pmabench.analysis.results import Analysis, Estimate, Finding, Parts, withhold
 from pmabench.analysis.shared.calibration import Scales, sentences
+from pmabench.analysis.shared.form import weighed
 from pmabench.analysis.shared.isometric_lines import spread
 from pmabench.base.quantities import show
-from pmabench.kinds.arm_angle import RESULTS, view
+from pmabench.kinds.arm_angle import RESULTS, form, view
 from pmabench.kinds.arm_angle.stairs import Loaded, loads_of
 from pmabench.model.library import MODELS
 from pmabench.store.records import Array, RunData
@@ -33,9 +34,10 @@ LOADS = 5
 """Loads that the powers of the load in paper 2 need."""
 NEAR = np.radians(1.0)
 """How near to the largest angle the curve counts as flat [rad]."""
+ONCE = "no repeats part: one repeat only"
 RESIDUALS = (
-    "repeats part: residuals of the fit; no calibration part, no method part: those of the angle are not carried into "
-    "the coefficients"
+    "repeats part: residuals of the fit, or the scatter of the trials where that is larger; no calibration part: that "
+    "of the angle is not carried into the coefficients"
 )
 
 
@@ -63,7 +65,9 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     fits = [_fitted(one) for one in loads]
     matrix, why = _matrix(fits)
     estimates = [estimate for one in fits for estimate in _of_load(one, scales, channel, settings)]
-    estimates += _coefficients(matrix, why, MATRIX, {}, loads)
+    powers = _coefficients(matrix, why, MATRIX, {}, loads)
+    other = next((e.note for e in estimates if e.withheld and e.method == UP), "")
+    estimates += [withhold(e, other) if other and e.value is not None else e for e in powers]
     findings = [
         *view.of_rests(loads, settings),
         *view.of_fits(fits),
@@ -97,31 +101,31 @@ def _of_load(fitted: Fitted, scales: Scales, channel: str, settings: Mapping[str
     radius = settings.get("radius")
     per = 1.0 / float(radius) if channel == "displacement" and radius else 1.0
 
-    def angle(symbol: str, values: Array, place: int, method: float) -> Estimate:
+    largest = float(np.abs(one.mean).max())
+
+    def angle(symbol: str, place: int, method: float) -> Estimate:
+        values = one.up[:, place]
         value, half = float(values.mean()), spread(values)
         gains = {channel: value, "pressure": float(slope[place] * one.pressure[place])}
         offsets = {channel: per, "pressure": float(slope[place])}
         note = sentences(
-            "" if half is not None else "no repeats part: one repeat only",
-            "the radius is taken as exact" if channel == "displacement" else "",
+            "" if half is not None else ONCE, "the radius is taken as exact" if channel == "displacement" else ""
         )
         parts = Parts(half, method, scales.part(gains, offsets))
-        return Estimate(symbol, value, "rad", "angle", REST, at, parts, len(values), note=note, trials=names)
+        e = Estimate(symbol, value, "rad", "angle", REST, at, parts, len(values), note=note, trials=names)
+        return weighed(e, form.at_rest(one, place), largest)
 
     top = int(np.argmax(one.up.mean(axis=0)))
     widest = one.widest
     side = 0.0 if widest is None else 0.5 * float(np.abs(one.gaps[:, widest].mean()))
-    found = [
-        angle("alpha_0", one.up[:, 0], 0, one.drift(0)),
-        angle("alpha_max", one.up[:, top], top, float(np.hypot(one.drift(top), side))),
-        _flat(one, top, scales, names),
-    ]
+    found = [angle("alpha_0", 0, 0.0), angle("alpha_max", top, side), _flat(one, top, scales, names)]
     if widest is not None:
         gaps = one.gaps[:, widest]
         half, value = spread(gaps), float(gaps.mean())
-        note = "" if half is not None else "no repeats part: one repeat only"
-        parts = Parts(half, 2 * one.drift(widest), scales.part({channel: value}))
-        found.append(Estimate("alpha_H", value, "rad", "angle", REST, at, parts, len(gaps), note=note, trials=names))
+        parts = Parts(half, 0.0, scales.part({channel: value}))
+        note = "" if half is not None else ONCE
+        e = Estimate("alpha_H", value, "rad", "angle", REST, at, parts, len(gaps), note=note, trials=names)
+        found.append(weighed(e, form.of_gap(one, widest, value)))
     found += _coefficients(fitted.up, fitted.why, UP, at, [one])
     if one.both:
         found += _coefficients(fitted.mean, fitted.why, MEAN, at, [one])
@@ -145,10 +149,11 @@ def _flat(one: Loaded, top: int, scales: Scales, names: tuple[str, ...]) -> Esti
         note = "the angle at the preload is within 1 deg of the largest"
         return Estimate("P_flat", None, "Pa", "pressure", REST, at, n=len(one.up), note=note, trials=names)
     value, half = float(np.mean(each)), spread(each)
-    note = "" if half is not None else "no repeats part: one repeat only"
+    note = "" if half is not None else ONCE
     coarse = 0.1 * float(np.diff(one.pressure[: top + 1]).max()) / 2
     parts = Parts(half, coarse, scales.part({"pressure": value}, {"pressure": 1.0}))
-    return Estimate("P_flat", value, "Pa", "pressure", REST, at, parts, len(each), note=note, trials=names)
+    e = Estimate("P_flat", value, "Pa", "pressure", REST, at, parts, len(each), note=note, trials=names)
+    return weighed(e, form.of_flat(one, top, value, flat_from))
 
 
 def flat_from(P: Array, angle: Array) -> float | None:
@@ -229,11 +234,13 @@ def _coefficients(
         per = f"per kg{power if power != '1' else ''}" if power not in {"", "0"} else ""
         value, half, note = (None, None, why) if fit is None else fit.identified(name, UNITS[quantity])
         if half is not None:
-            note = sentences(per, note, RESIDUALS)
-        found.append(
-            Estimate(
-                "alpha_b", value, UNITS[quantity], quantity, method, at, Parts(repeats=half), len(names), note=note,
-                trials=names, coordinate=name,
-            )
+            note = sentences(per, note, RESIDUALS, "no method part" if method == MATRIX else "")
+        e = Estimate(
+            "alpha_b", value, UNITS[quantity], quantity, method, at, Parts(repeats=half), len(names), note=note,
+            trials=names, coordinate=name,
         )  # fmt: skip
-    return found
+        found.append(e)
+    if fit is None or method == MATRIX:
+        return found
+    (one,) = loads
+    return form.of_fit(found, one, [u.value for u in fit.unknowns], both=method == MEAN)

@@ -10,17 +10,23 @@ from typing import Any
 import numpy as np
 
 from pmabench.analysis.results import Dropped
-from pmabench.analysis.shared.samples import NotUsable, noise_of
+from pmabench.analysis.shared.samples import Held, Left, NotUsable, left, noise_of
 from pmabench.base.quantities import show
 from pmabench.store.records import Array, RunData, TrialData
 
 LAST = 0.2
 """Share of each rest at its end whose mean counts."""
+LATER = 0.6
+"""Share of it that shows whether it is a rest."""
 FEWEST = 5
 """Samples that it needs."""
 UNUSABLE_SHARE = 0.5
 FOLLOWS = 0.5
 """Share of the commanded change that the measured pressure must show between the rests [1]."""
+MANY = 3
+"""Trials of which one can be told from the others."""
+SURE = 8.0
+"""Standard deviations of the noise of a rest from which on a trial that does not come back is seen."""
 PHASES = {"preload": -1, "up": -1, "down": 1}
 """Phase of a ramp -> the side from which its pressure is reached: -1 from below."""
 
@@ -40,6 +46,8 @@ class Rest:
     """What the angle still changes by over the last fifth of the hold [rad]."""
     noise: float
     """Of the mean [rad]."""
+    held: Held
+    """The angle over the later part of the hold."""
     arc: float
     """Contraction of the bending muscle by the radius [rad]; nan where one of them is not known."""
 
@@ -107,10 +115,21 @@ class Loaded:
             return None
         return int(np.argmax(np.abs(self.gaps[:, :-1].mean(axis=0))))
 
-    def drift(self, place: int) -> float:
-        """Largest drift at one pressure [rad]."""
-        wanted = round(self.sets[place])
-        return max(abs(rest.drift) for stair in self.stairs for rest in stair.rests if round(rest.set) == wanted)
+    def motion(self, place: int, side: int) -> Left:
+        """What the angle would still change by at one pressure, reached from one side [rad]."""
+        wanted = round(self.sets[place]), side
+        return left(
+            [rest.held for stair in self.stairs for rest in stair.rests if (round(rest.set), rest.side) == wanted]
+        )
+
+    @cached_property
+    def slip(self) -> tuple[float, bool]:
+        """By how much more than the others a trial does not come back to the preload [rad], and whether it is seen."""
+        if not self.both or len(self.stairs) < MANY:
+            return 0.0, False
+        off = np.abs(self.gaps[:, 0] - np.median(self.gaps[:, 0]))
+        noise = max(rest.noise for stair in self.stairs for rest in stair.rests)
+        return float(off.max()), float(off.max()) > SURE * noise
 
 
 def loads_of(runs: Sequence[RunData], settings: Mapping[str, Any]) -> tuple[list[Loaded], list[Dropped]]:
@@ -168,6 +187,7 @@ def measure(run: RunData, trial: TrialData, settings: Mapping[str, Any]) -> Stai
         if len(last) < FEWEST:
             continue
         middle = len(last) // 2
+        later = np.flatnonzero(good & (trial.t >= end - LATER * (end - begin)) & (trial.t < end - 1e-9))
         rests.append(
             Rest(
                 set=float(ramp.value),
@@ -176,6 +196,7 @@ def measure(run: RunData, trial: TrialData, settings: Mapping[str, Any]) -> Stai
                 angle=float(angle[last].mean()),
                 drift=2 * float(angle[last[middle:]].mean() - angle[last[:middle]].mean()),
                 noise=noise_of(angle[last]) / np.sqrt(max(1, middle)),
+                held=Held.of(trial.t[later], angle[later], end - LAST * (end - begin) - float(trial.t[later[0]])),
                 arc=float(arc[last].mean()),
             )
         )

@@ -1,6 +1,6 @@
 """A filled muscle, shut off and contracted slowly: its volume over contraction.
 
-- `reduction`, made of `stroke` and `fit`
+- `reduction`, made of `stroke`, `fit` and `form`
 - protocol files: `protocol`; one trial on the display: `live`; figures: `figures`
 """
 

@@ -1,6 +1,6 @@
 """Reduction of closed volumes: V over contraction at each start pressure, whether they agree, and V(eps) through all.
 
-Knows the samples. One trial is measured in `closed_stroke`, the curve is in `volume_fit`.
+Knows the samples. One trial is measured in `stroke`, the curve is in `fit`, what departures do to it in `form`.
 """
 
 from __future__ import annotations
@@ -12,13 +12,15 @@ from typing import Any
 
 import numpy as np
 
-from pmabench.analysis.results import Analysis, Dropped, Estimate, Finding, Parts, Trace
+from pmabench.analysis.results import Analysis, Dropped, Estimate, Finding, Parts, Trace, withhold
 from pmabench.analysis.shared.calibration import Scales, sentences
+from pmabench.analysis.shared.form import weighed
 from pmabench.analysis.shared.lines import mean_half
 from pmabench.analysis.shared.samples import NotUsable
 from pmabench.base.quantities import show
 from pmabench.kinds.closed_volume import RESULTS
 from pmabench.kinds.closed_volume.fit import fit_volume, volume_at
+from pmabench.kinds.closed_volume.form import form_of
 from pmabench.kinds.closed_volume.stroke import Gas, Stroke, measure
 from pmabench.store.records import Array, RunData, TrialData
 
@@ -77,12 +79,16 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     for member in members:
         cells.setdefault(round(member.trial.point["pressure"], 6), []).append(member)
     estimates: list[Estimate] = []
+    form = form_of({P: [m.stroke for m in group] for P, group in cells.items()}, given.gas)
     for pressure, group in sorted(cells.items()):
         for leak, method in ((True, TIGHT), (False, PRINTED)):
             estimates += _volumes(pressure, group, given, scales, method, leak=leak)
         findings += _findings(pressure, group, given)
-    curve = _curve(members, given, scales)
     findings += _agree(estimates)
+    estimates = [weighed(e, form.of_volume(e, leak=e.method == TIGHT)) for e in estimates]
+    curve = [weighed(e, form.of_curve(index, given.length)) for index, e in enumerate(_curve(members, given, scales))]
+    if lacking := next((e.note for e in estimates if e.withheld and e.method == TIGHT), ""):
+        curve = [withhold(e, f"a volume that it goes through is withheld: {lacking}") for e in curve]
     if lack := scales.lack(("pressure",), ("pressure",)):
         findings.append(Finding("note", lack))
     findings.append(_made_of(members, given))

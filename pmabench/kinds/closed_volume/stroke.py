@@ -12,8 +12,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from pmabench.analysis.shared.samples import UNUSABLE_SHARE, NotUsable, noise_of, on_time
+from pmabench.analysis.shared.samples import UNUSABLE_SHARE, Held, NotUsable, noise_of, on_time
 from pmabench.store.records import Array, RunData, TrialData
 
 FOLLOWS = 0.01
@@ -44,17 +45,24 @@ class Stroke:
     before: float
     after: float
     """Gauge pressure at the start, before the first stroke and after the last [Pa]."""
+    returns: Array
+    """Gauge pressure and `paid` at the start between two cycles, shape (cycles - 1, 2)."""
+    far: tuple[Held, ...]
+    """The pressure in the rests at the far end."""
     noise: float
+    resting: int
+    """Samples of a rest whose mean counts."""
 
-    def kept(self, gas: Gas) -> Array:
-        """Mass by mass at the start at each pressure, as a leak by the pressure difference makes it [1]."""
-        end = ((self.after + gas.atmosphere) / (self.before + gas.atmosphere)) ** (1 / gas.exponent)
-        return np.asarray(1 - (1 - end) * self.paid / self.paid_at_end)
+    def by(self, P: Array, paid: Array, gas: Gas, *, leak: bool = True) -> Array:
+        """V [m3] at gauge pressures P [Pa] and what was `paid` till then, with what leaked taken out or not."""
+        begin, power = self.before + gas.atmosphere, 1 / gas.exponent
+        lost = 1 - ((self.after + gas.atmosphere) / begin) ** power if leak else 0.0
+        kept = 1 - lost * paid / self.paid_at_end
+        return np.asarray((gas.reference + gas.dead) * kept * (begin / (P + gas.atmosphere)) ** power - gas.dead)
 
     def volumes(self, gas: Gas, *, leak: bool) -> Array:
         """V [m3], shape (cycles, n), the mean of both directions; with what leaked taken out or not."""
-        ratio = ((self.before + gas.atmosphere) / (self.P + gas.atmosphere)) ** (1 / gas.exponent)
-        V = (gas.reference + gas.dead) * ratio * (self.kept(gas) if leak else 1.0) - gas.dead
+        V = self.by(self.P, self.paid, gas, leak=leak)
         return np.asarray(0.5 * (V[0::2] + V[1::2]))
 
     @property
@@ -80,10 +88,17 @@ def measure(run: RunData, trial: TrialData, settings: Mapping[str, Any]) -> Stro
     rest, t, good = float(settings["rest"]), trial.t, trial.usable
     x, P = (on_time(run, trial, name) for name in ("displacement", "pressure"))
     arrived = [c.t + abs(c.value - c.before) / c.data["rate"] for c in ramps]
-    first = good & (t >= ramps[0].t - 0.5 * rest) & (t < ramps[0].t - 1e-9)
-    last = good & (t >= arrived[-1] + 0.5 * rest) & (t < arrived[-1] + 0.95 * rest)
-    if min(first.sum(), last.sum()) < FEWEST:
-        raise NotUsable(f"fewer than {FEWEST} samples in a rest with the valve shut")
+
+    def resting(begin: float, end: float) -> NDArray[np.intp]:
+        rows = np.flatnonzero(good & (t >= begin) & (t < end - 1e-9))
+        if len(rows) < FEWEST:
+            raise NotUsable(f"fewer than {FEWEST} samples in a rest with the valve shut")
+        return rows
+
+    first = resting(ramps[0].t - 0.5 * rest, ramps[0].t)
+    last = resting(arrived[-1] + 0.5 * rest, arrived[-1] + 0.95 * rest)
+    between = [resting(ramp.t - 0.5 * rest, ramp.t) for ramp in ramps[2::2]]
+    at_far = [resting(end, ramp.t) for end, ramp in zip(arrived[::2], ramps[1::2], strict=True)]
     before, after = float(P[first].mean()), float(P[last].mean())
     room, k = float(settings["atmosphere"]), float(settings["exponent"])
     if min(before, after, float(np.nanmin(P[good]))) + room <= 0:
@@ -100,8 +115,10 @@ def measure(run: RunData, trial: TrialData, settings: Mapping[str, Any]) -> Stro
         pressures.append(values[0])
         integrals.append(values[1])
     stroke = Stroke(
-        grid, np.array(pressures), np.array(integrals), float(paid[last].mean()), before, after, noise_of(P[first])
-    )
+        grid, np.array(pressures), np.array(integrals), float(paid[last].mean()), before, after,
+        np.array([[P[rows].mean(), paid[rows].mean()] for rows in between]).reshape(-1, 2),
+        tuple(Held.of(t[rows], P[rows], float(t[rows[0]])) for rows in at_far), noise_of(P[first]), len(first),
+    )  # fmt: skip
     fall = float(np.mean(before - stroke.P[:, -1]))
     if fall < max(FOLLOWS * (before + room), 6 * stroke.noise):
         raise NotUsable(

@@ -282,33 +282,46 @@ def _inverse(normal: Array) -> Array:
 def _sizes(
     segments: Segments, fit: Fit, known: Sequence[Cause], own: Array, after: Array, scatter: float, may: Array
 ) -> list[Size]:
-    """Least squares of each column together with the coefficients, one at a time.
+    """Size of each column, fitted together with the coefficients and with what departures of known size may do.
 
-    `may` (n, m) is as `allowed` gives it.
+    One at a time, by generalised least squares. `may` (n, m) is as `allowed` gives it: columns of size 0 +- 1.
     """
     members = [(cause, way) for cause in known for way in cause.ways]
     if not members:
         return []
     columns = np.column_stack([way.column for _, way in members])
     power = np.sum(columns**2, axis=0)
-    change = fit.change(columns)
-    left = power - np.sum((fit.design.T @ columns) * change, axis=0)
+    left = power - np.sum((fit.design.T @ columns) * fit.change(columns), axis=0)
     seen = left > ALONE * np.maximum(power, 1e-300)
-    columns, change, left = columns[:, seen], change[:, seen], left[seen]
-    size = fit.residual @ columns / left
-    alone = columns - fit.design @ change
-    variance = own @ alone**2 + 2 * (after @ (alone[1:] * alone[:-1]))
+    columns, left = columns[:, seen], left[seen]
+    weights = _weights(columns, fit.design, may, float(own.mean()) + scatter)
+    size = fit.residual @ weights
+    variance = own @ weights**2 + 2 * (after @ (weights[1:] * weights[:-1]))
     _, trial = np.unique(segments.trial, return_inverse=True)
-    whole = np.zeros((trial.max() + 1, alone.shape[1]))
-    np.add.at(whole, trial, alone)
+    whole = np.zeros((trial.max() + 1, weights.shape[1]))
+    np.add.at(whole, trial, weights)
     variance += scatter * np.sum(whole**2, axis=0)
     # noise that is larger than rest shows widens all; what the departure itself explains does not count
     more = (fit.residual @ fit.residual - size**2 * left) / (own.sum() + scatter * len(own) + np.sum(may**2))
-    error = np.sqrt(np.maximum(variance, 1e-300) * np.maximum(1.0, more)) / left
-    other = np.sqrt(np.sum((may.T @ alone) ** 2, axis=0)) / left
+    error = np.sqrt(np.maximum(variance, 1e-300) * np.maximum(1.0, more))
+    other = np.sqrt(np.sum((may.T @ weights) ** 2, axis=0))
     kept = [member for member, one in zip(members, seen, strict=True) if one]
     share = left / power[seen]
     return [Size(*member, *map(float, found)) for member, *found in zip(kept, size, error, other, share, strict=True)]
+
+
+def _weights(columns: Array, design: Array, may: Array, noise: float) -> Array:
+    """Weight of each row in the size of each column, shape (n, k): best where rows have the variance `noise` [N^2] and
+    `may` (n, m) adds columns of size 0 +- 1; no change of the coefficients of `design` has an effect.
+    """
+
+    def weigh(rows: Array) -> Array:
+        return rows - may @ np.linalg.solve(noise * np.eye(may.shape[1]) + may.T @ may, may.T @ rows)
+
+    scaled = design / np.maximum(np.sqrt(np.sum(design**2, axis=0)), 1e-300)
+    weighed, alone = weigh(scaled), weigh(columns)
+    alone = alone - weighed @ np.linalg.lstsq(scaled.T @ weighed, scaled.T @ alone)[0]
+    return np.asarray(alone / np.sum(columns * alone, axis=0))
 
 
 def _with_weights(size: Size, weights: Weighed) -> Size:
@@ -316,8 +329,13 @@ def _with_weights(size: Size, weights: Weighed) -> Size:
     if weights.drift is None or size.way.quantity != "force" or size.cause.part != "drift":
         return size
     drift, error = weights.drift
-    one, other = 1 / size.error**2, 1 / error**2
-    return replace(size, size=(one * size.size + other * drift) / (one + other), error=1 / sqrt(one + other))
+    fit = error**2 / (error**2 + size.error**2 + size.other**2)
+    return replace(
+        size,
+        size=fit * size.size + (1 - fit) * drift,
+        error=sqrt((fit * size.error) ** 2 + ((1 - fit) * error) ** 2),
+        other=fit * size.other,
+    )
 
 
 def _ratio(segments: Segments, fit: Fit, whole: Array, own: Array, expected: float) -> tuple[float, float, bool]:

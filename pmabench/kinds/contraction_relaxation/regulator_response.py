@@ -7,12 +7,11 @@ with s the time since command and dead time. The pressure fit does not need it: 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import log, sqrt
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from pmabench.analysis.results import Estimate, Finding, Parts
 from pmabench.analysis.shared import skew
@@ -27,6 +26,8 @@ FALL = 6.0
 """A second lag is reported where the corrected Akaike criterion falls by more than this."""
 NAMES = ("dead time", "lag", "second lag")
 FEWEST = 20
+STEPS, NUDGE, GAIN = 100, 1.5e-8, 1e-10
+"""A fit takes so many steps at most, with slopes over so small a change, until the sum of squares falls by less."""
 
 
 @dataclass(frozen=True)
@@ -74,19 +75,47 @@ def _fitted(t: Array, y: Array, lags: int) -> tuple[Response, float] | None:
     def missed(z: Array) -> Array:
         return np.asarray(z[0] * step(t, times(z)) - y)
 
-    found = least_squares(missed, start, x_scale=[1, 0.01, 0.1, 1][: lags + 2])
+    with np.errstate(all="ignore"):  # far from the values a step may overflow; it is not taken
+        found, slope = _least(missed, np.array(start))
     n, p = len(t), lags + 3
-    power = max(float(2 * found.cost), 1e-18 * n)
-    values = times(found.x)
-    if not found.success or values[0] < -BEFORE or values[1] > AFTER:
+    power = max(float(np.sum(missed(found) ** 2)), 1e-18 * n)
+    values = times(found)
+    if not np.all(np.isfinite(slope)) or values[0] < -BEFORE or values[1] > AFTER:
         return None
     nudges = 1e-5 * np.eye(lags + 2)
-    slopes = np.array([np.subtract(times(found.x + by), times(found.x - by)) / 2e-5 for by in nudges])
-    slope = np.asarray(found.jac)
+    slopes = np.array([np.subtract(times(found + by), times(found - by)) / 2e-5 for by in nudges])
     covariance = np.linalg.pinv(slope.T @ slope) * power / (n - p)
     errors = np.sqrt(np.maximum(0.0, np.diag(slopes.T @ covariance @ slopes)))
     aicc = n * log(power / n) + 2 * p + 2 * p * (p + 1) / (n - p - 1)
     return Response(values, tuple(float(e) for e in errors), sqrt(power / n)), aicc
+
+
+def _least(missed: Callable[[Array], Array], z: Array) -> tuple[Array, Array]:
+    """Unknowns with the least sum of squares of `missed` near z, and its slopes there, by damped Gauss-Newton.
+
+    Of its own, for `scipy.optimize` takes longer to import than all of a reduction.
+    """
+    left, damping = missed(z), 1e-3
+    slope = np.empty((len(left), len(z)))
+    for _ in range(STEPS):
+        for place in range(len(z)):
+            ahead = z.copy()
+            ahead[place] += NUDGE * max(1.0, abs(z[place]))
+            slope[:, place] = (missed(ahead) - left) / (ahead[place] - z[place])
+        normal, pull = slope.T @ slope, slope.T @ left
+        moved = False
+        while damping < 1e9 and not moved:
+            move = np.linalg.lstsq(normal + damping * np.diag(np.diag(normal)), -pull, rcond=None)[0]
+            new = missed(z + move)
+            moved = bool(new @ new < left @ left)
+            damping *= 0.1 if moved else 10.0
+        if not moved:
+            break
+        gain = 1 - (new @ new) / (left @ left)
+        z, left = z + move, new
+        if gain < GAIN:
+            break
+    return z, slope
 
 
 def regulator(campaign: Campaign) -> tuple[list[Estimate], list[Finding]]:

@@ -211,25 +211,32 @@ def _cut_one(samples: Samples, n: int, m: int, gate: Gate, weights: Array) -> tu
     return number, samples.t[start], way_of, P, x, samples.P[middle], v[middle], F_mid, force, mass
 
 
-def noise_seen(stretches: Sequence[Samples], still: Sequence[slice], every: Mapping[str, int] | None = None) -> Noise:
-    """Noise of each channel: median over the stretches, each looked at in its rows `still`, where nothing moves.
+def noise_seen(
+    stretches: Sequence[Samples], still: Sequence[slice], every: Mapping[str, int] | None = None
+) -> tuple[Noise, Noise]:
+    """Noise of each channel, and what the steps of its values alone make of that (their width over the root of 12).
 
-    Of these rows the longest run of usable samples counts.
-    Never less than that of its steps (their width over the root of 12), which is not seen in a channel at rest.
+    The noise is the median over the stretches, each looked at in its rows `still`, where nothing moves; of these the
+    longest run of usable samples counts. It is never less than that of the steps, which is not seen at rest.
     `every` tells of channels whose own samples come at every k-th row only and are interpolated between: a mean of n
     rows is then one of n / k samples, so their noise counts as white noise of root k times the size.
     """
 
-    def typical(name: str) -> float:
-        values, k = [], (every or {}).get(name, 1)
+    def typical(name: str) -> tuple[float, float]:
+        values, widths, k = [], [], (every or {}).get(name, 1)
         for samples, rows in zip(stretches, still, strict=True):
             column, rows = getattr(samples, name), _unbroken(samples.ok, rows)
-            if column is not None and rows.stop - rows.start >= FEWEST_STILL * k:
+            if column is None or not samples.ok.any():
+                continue
+            widths.append(np.sqrt(k / 12.0) * _step(column[samples.ok]))
+            if rows.stop - rows.start >= FEWEST_STILL * k:
                 seen = max(noise_of(column[rows][first::k]) for first in range(k))
-                values.append(np.sqrt(k) * max(seen, _step(column[samples.ok]) / np.sqrt(12.0)))
-        return float(np.median(values)) if values else 0.0
+                values.append(max(np.sqrt(k) * seen, widths[-1]))
+        noise, steps = (float(np.median(found)) if found else 0.0 for found in (values, widths))
+        return noise, steps
 
-    return Noise(typical("P"), typical("x"), typical("force"))
+    found = [typical(name) for name in ("P", "x", "force")]
+    return Noise(*(noise for noise, _ in found)), Noise(*(steps for _, steps in found))
 
 
 def noise_of_means(stretches: Sequence[Samples], still: Sequence[slice], over: int, least: Noise) -> Noise:
@@ -264,24 +271,13 @@ def _unbroken(ok: NDArray[np.bool_], rows: slice) -> slice:
     return slice(first + int(edges[2 * longest]), first + int(edges[2 * longest + 1]))
 
 
-def steps_seen(stretches: Sequence[Samples], every: Mapping[str, int] | None = None) -> Noise:
-    """The part of `noise_seen` that the steps of each channel's values alone make: width over the root of 12."""
-
-    def typical(name: str) -> float:
-        columns = [(getattr(samples, name), samples.ok) for samples in stretches]
-        widths = [_step(column[ok]) for column, ok in columns if column is not None and ok.any()]
-        return float(np.sqrt((every or {}).get(name, 1)) * np.median(widths) / np.sqrt(12.0)) if widths else 0.0
-
-    return Noise(typical("P"), typical("x"), typical("force"))
-
-
 def _step(column: Array) -> float:
     """Smallest step between values: that of a coarse converter, next to nothing where noise fills it.
 
     0 for fewer than `LEVELS` values: a quantity that jumps says nothing of its converter.
     """
-    levels = np.unique(column)
-    if len(levels) < LEVELS:
+    values = np.sort(column)
+    steps = np.diff(values)
+    if np.count_nonzero(steps) + 1 < LEVELS:
         return 0.0
-    steps = np.diff(levels)
-    return float(steps[steps > 1e-9 * (levels[-1] - levels[0])].min())
+    return float(steps[steps > 1e-9 * (values[-1] - values[0])].min())

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pmabench.analysis.results import Dropped
 from pmabench.analysis.shared.samples import Noise, Samples
 from pmabench.analysis.shared.skew import STAMPED, apart
-from pmabench.kinds.contraction_relaxation.segments import Gate, noise_of_means, noise_seen, samples_of, steps_seen
+from pmabench.kinds.contraction_relaxation.segments import Gate, noise_of_means, noise_seen, samples_of
 from pmabench.store.records import RunData, TrialData
 
 
@@ -80,7 +80,7 @@ def gather(runs: Sequence[RunData]) -> tuple[Campaign | None, list[Dropped]]:
         return None, dropped
     samples = tuple(samples_of(run, trial, number) for number, (run, trial) in enumerate(members))
     still = [settled(trial) for _, trial in members]
-    noise = noise_seen(samples, still, _every(runs))
+    noise, steps = noise_seen(samples, still, _every(runs))
     keys = [(round(trial.point.get("load", 0.0), 3), round(trial.point["pressure"])) for _, trial in members]
     numbers = {key: number for number, key in enumerate(sorted(set(keys)))}
     return (
@@ -92,7 +92,7 @@ def gather(runs: Sequence[RunData]) -> tuple[Campaign | None, list[Dropped]]:
             rate=runs[0].rate,
             cell=all(s.force is not None for s in samples),
             noise=noise,
-            steps=steps_seen(samples, _every(runs)),
+            steps=steps,
             noise_of_means=noise_of_means(samples, still, Gate().samples(runs[0].rate)[0], noise),
         ),
         dropped,

@@ -13,13 +13,13 @@ from pmabench.base.errors import did_you_mean
 from pmabench.base.quantities import show
 from pmabench.files.document import Location, Strict
 from pmabench.files.quantity import Gain, Length, Pressure, Time
-from pmabench.model.rules import registry as rules
+from pmabench.model.rules import record as rules
 from pmabench.protocol.common import Compilation
 from pmabench.protocol.reference_model import read_folder
 
 if TYPE_CHECKING:
-    from pmabench.model.described import Described
     from pmabench.model.loop import Loop
+    from pmabench.model.presets import Described
 
 Text = Annotated[str, Field(min_length=1, max_length=400)]
 Settings = dict[str, float]
@@ -153,7 +153,7 @@ def _checked(c: Compilation, form: str, gains: Gains, place: Location) -> Settin
 
 def model_for_gains(c: Compilation, model: Mapping[str, Any] | None, place: Location) -> Described | None:
     """The plan's model, where it tells what makes a loop; None with a problem noted."""
-    from pmabench.model.described import Described
+    from pmabench.model.presets import Described
 
     if model is None:
         if not c.problems:

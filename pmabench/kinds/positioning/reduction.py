@@ -19,7 +19,7 @@ from pmabench.analysis.shared.simulated import closed_loop, model_of
 from pmabench.base.quantities import show
 from pmabench.kinds.positioning import RESULTS
 from pmabench.kinds.positioning.response import Response, respond
-from pmabench.model.described import Described
+from pmabench.model.presets import Described
 from pmabench.store.records import Array, RunData, TrialData
 
 KIND = "positioning"

@@ -14,6 +14,7 @@ import numpy as np
 
 from pmabench.analysis.results import Estimate, Parts
 from pmabench.analysis.shared.calibration import sentences
+from pmabench.analysis.shared.form import change_over
 from pmabench.analysis.shared.lines import mean_half
 from pmabench.store.records import Array
 
@@ -52,7 +53,9 @@ def bandwidth(groups: Mapping[float, Sequence[Sine]]) -> list[Estimate]:
     for f in frequencies:
         values = np.array([abs(s.amplitudes["displacement"] / s.amplitudes[driven]) for s in groups[f]])
         gains.append(float(values.mean()))
-        halves.append(mean_half(values, [np.abs(s.cycles["displacement"] / s.cycles[driven]) for s in groups[f]]))
+        by_cycle = [np.abs(s.cycles["displacement"] / s.cycles[driven]) for s in groups[f]]
+        half, change = mean_half(values, by_cycle), change_over(by_cycle)
+        halves.append(half if half is None or change is None or not change.seen else half + change.most)
     at, gain = np.array(frequencies), np.array(gains)
     names = tuple(sine.name for sine in sines)
     method = COMMAND if driven == "pressure_command" else PRESSURE

@@ -6,7 +6,7 @@ Knows trials of a known frequency with measured pressure and displacement; not w
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import floor, pi
 from typing import Any
 
@@ -16,11 +16,13 @@ from numpy.typing import NDArray
 from pmabench.analysis.imported import flagged_counts, import_findings, measured, unusable_because
 from pmabench.analysis.results import Analysis, Estimate, Finding, Parts, Trace
 from pmabench.analysis.shared.calibration import Scales, sentences
+from pmabench.analysis.shared.form import Doubt, weighed
 from pmabench.analysis.shared.lines import mean_half
 from pmabench.analysis.shared.samples import three_parameter
 from pmabench.base.quantities import show
 from pmabench.kinds.recorded_sine import RESULTS
 from pmabench.kinds.recorded_sine.bandwidth import bandwidth
+from pmabench.kinds.recorded_sine.form import changing, cut_off, other_shape
 from pmabench.store.records import Array, Flag, RunData, TrialData
 
 KIND = "recorded-sine"
@@ -30,11 +32,16 @@ SETTLE = 1.0
 LEAST = 12
 """Samples a cycle that are needed."""
 UNUSABLE_SHARE = 0.1
+UNTOLD = 0.005
+"""What pressure and position may be apart [s] where the map gives no `late_by`."""
+UNTOLD_TIME = "nothing is known of the time between the channels"
 OFF = 0.005
 """Relative difference between the named and the commanded frequency that is doubted."""
 CYCLES = "one trial: the repeats part is the scatter of its cycles, and repeated tests may scatter more"
 ANOTHER = 1.05
 """Sines whose drive is larger by this factor are not repeats."""
+SURE = 5.0
+"""Standard deviations from which on a frequency counts as another one than the named."""
 NO_SINE = 0.1
 """Share of the signal that its first harmonic leaves, above which that is told."""
 Complex = NDArray[np.complex128]
@@ -50,6 +57,8 @@ class Sine:
     t: Array
     P: Array
     x: Array
+    raw: Mapping[str, Array]
+    """All channels as recorded; in `P` and `x` no drift is left."""
     amplitudes: Mapping[str, complex]
     """Of `pressure` [Pa], `displacement` [m] and, where recorded, `pressure_command` [Pa]."""
     cycles: Mapping[str, Complex]
@@ -58,7 +67,7 @@ class Sine:
     late: tuple[float, float]
     """How much older the pressure is than its stamps [s]; (0, 0) where that is not told."""
     off: float
-    """Commanded over named frequency, less one [1]; 0 where no command is recorded."""
+    """Frequency of the command, else of the pressure, over the named one, less one [1]; 0 where chance explains it."""
 
     @property
     def name(self) -> str:
@@ -68,7 +77,7 @@ class Sine:
     @property
     def omega(self) -> float:
         """[rad/s]."""
-        return 2 * pi * self.frequency
+        return 2 * pi * self.frequency * (1 + self.off)
 
     @property
     def drive(self) -> float:
@@ -99,13 +108,16 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         if not alike or sine.drive > ANOTHER * alike[-1][0][1].drive:
             alike.append([])
         alike[-1].append((run, sine))
-    estimates = [e for _, alike in sorted(groups.items()) for group in alike for e in _at(group, alone=len(alike) == 1)]
+    estimates = [
+        e for _, alike in sorted(groups.items()) for group in alike
+        for e in _at(group, alone=len(alike) == 1, read_off=read_off)
+    ]  # fmt: skip
     usual = float(np.median([sine.drive for _, sine in sines])) if sines else 0.0
     swept = {f: min(alike, key=lambda group: abs(group[0][1].drive - usual)) for f, alike in groups.items()}
     estimates += bandwidth({f: [sine for _, sine in group] for f, group in swept.items()})
     findings = [finding for _, sine in sines for finding in _sentences(sine)]
     if sines and not read_off:
-        findings.append(Finding("doubt", "nothing is known of the time between the channels: phases assume none"))
+        findings.append(Finding("doubt", f"{UNTOLD_TIME}: phases assume at most {show(UNTOLD, 'time')}"))
     first = [group[0][1] for _, group in sorted(swept.items())]
     if any(len(alike) > 1 for alike in groups.values()):
         text = "sines of one frequency whose amplitudes differ by more than a twentieth are reported apart"
@@ -155,14 +167,21 @@ def measure(trial: TrialData, late: tuple[float, float]) -> Sine | str:
         return f"fewer than {LEAST} usable samples a cycle"
     names = [n for n in ("pressure", "displacement", "pressure_command") if n in trial.channels]
     t = trial.t[good]
-    signals = np.column_stack([trial.channels[name][good] for name in names])
-    means, amplitudes = three_parameter(t, signals, frequency)
-    model = means + np.real(np.exp(2j * pi * frequency * t)[:, None] * amplitudes[None, :])
-    left = np.std(signals - model, axis=0) / np.maximum(np.std(signals, axis=0), 1e-30)
     number = np.floor((t - begin) * frequency + 1e-9)
-    each = np.array([three_parameter(t[number == k], signals[number == k], frequency)[1] for k in range(whole)])
-    cycles = {name: each[:, column] for column, name in enumerate(names)}
-    off = _frequency_off(cycles.get("pressure_command"), whole)
+    rows = [number == k for k in range(whole)]
+    signals = _without_drift(t, np.column_stack([trial.channels[name][good] for name in names]), rows)
+
+    def by_cycle(at: float) -> dict[str, Complex]:
+        each = np.array([three_parameter(t[row], signals[row], at)[1] for row in rows])
+        return {name: each[:, column] for column, name in enumerate(names)}
+
+    cycles = by_cycle(frequency)
+    off = _frequency_off(cycles.get("pressure_command", cycles["pressure"]), whole)
+    real = frequency * (1 + off)
+    cycles = by_cycle(real) if off else cycles
+    means, amplitudes = three_parameter(t, signals, real)
+    model = means + np.real(np.exp(2j * pi * real * t)[:, None] * amplitudes[None, :])
+    left = np.std(signals - model, axis=0) / np.maximum(np.std(signals, axis=0), 1e-30)
     if abs(amplitudes[0]) == 0 or abs(amplitudes[1]) == 0:
         return "pressure or displacement does not move"
     return Sine(
@@ -171,6 +190,7 @@ def measure(trial: TrialData, late: tuple[float, float]) -> Sine | str:
         t=t,
         P=signals[:, 0],
         x=signals[:, 1],
+        raw={name: trial.channels[name][good] for name in names},
         amplitudes={name: complex(amplitudes[column]) for column, name in enumerate(names)},
         cycles=cycles,
         left={name: float(left[column]) for column, name in enumerate(names)},
@@ -179,16 +199,31 @@ def measure(trial: TrialData, late: tuple[float, float]) -> Sine | str:
     )
 
 
-def _frequency_off(command: Complex | None, whole: int) -> float:
-    """How far the command's frequency lies from the named one, from the drift of its phase over the cycles."""
-    if command is None or whole < 3 or np.any(np.abs(command) == 0):
+def _without_drift(t: Array, signals: Array, rows: Sequence[NDArray[np.bool_]]) -> Array:
+    """Signals, shape (n, m), without the line through the means of their cycles: a sine fit would take it for a part.
+
+    The mean of each signal stays.
+    """
+    at = np.array([t[row].mean() for row in rows])
+    slopes = np.polyfit(at, np.array([signals[row].mean(axis=0) for row in rows]), 1)[0]
+    return np.asarray(signals - (t - t.mean())[:, None] * slopes)
+
+
+def _frequency_off(driven: Complex, whole: int) -> float:
+    """How far the frequency lies from the named one [1], from the drift of a phase over the cycles; 0 for chance."""
+    if whole < 3 or np.any(np.abs(driven) == 0):
         return 0.0
-    phase = np.unwrap(np.angle(command))
-    return float(np.polyfit(np.arange(whole), phase, 1)[0]) / (2 * pi)
+    phase, place = np.unwrap(np.angle(driven)), np.arange(whole) - 0.5 * (whole - 1)
+    slope = float(place @ phase / (place @ place))
+    error = float(np.sqrt(np.sum((phase - phase.mean() - slope * place) ** 2) / (whole - 2) / (place @ place)))
+    return slope / (2 * pi) if abs(slope) > SURE * error else 0.0
 
 
-def _at(group: Sequence[tuple[RunData, Sine]], *, alone: bool) -> list[Estimate]:
-    """All estimates at one frequency, and at one amplitude where there are others: `alone` is False then."""
+def _at(group: Sequence[tuple[RunData, Sine]], *, alone: bool, read_off: bool) -> list[Estimate]:
+    """All estimates at one frequency, and at one amplitude where there are others: `alone` is False then.
+
+    `read_off` says whether the time between the channels is known.
+    """
     sines = [sine for _, sine in group]
     first = sines[0]
     at = {"frequency": first.frequency}
@@ -196,64 +231,67 @@ def _at(group: Sequence[tuple[RunData, Sine]], *, alone: bool) -> list[Estimate]
         at["amplitude"] = float(f"{np.mean([abs(sine.amplitudes['displacement']) for sine in sines]):.3g}")
     parents = tuple(sine.name for sine in sines)
     scales = Scales.of([run for run, _ in group])
-    doubt = max(first.omega * (sine.late[1] - sine.late[0]) / 2 for sine in sines)
+    apart = max((sine.late[1] - sine.late[0]) / 2 for sine in sines) if read_off else UNTOLD
+    doubt = first.omega * apart
 
     def estimate(
         symbol: str, kind: tuple[str, str], whole: Sequence[float], by_cycle: Sequence[Array],
-        scaled: tuple[str, ...] = (), method: float | None = None, note: str = "",
+        scaled: tuple[str, ...] = (), method: float | None = None, note: str = "", of: tuple[str, ...] = (),
+        doubts: Sequence[Doubt] = (),
     ) -> Estimate:  # fmt: skip
         values = np.array(whole)
         value = float(values.mean())
         parts = Parts(mean_half(values, by_cycle), method, scales.part(dict.fromkeys(scaled, value)))
         few = CYCLES if len(values) == 1 else ""
         note_text = sentences(note, few, scales.lack(scaled))
-        return Estimate(symbol, value, *kind, METHOD, at, parts, len(values), note=note_text, trials=parents)
+        e = Estimate(symbol, value, *kind, METHOD, at, parts, len(values), note=note_text, trials=parents)
+        cuts = [replace(doubt, half=doubt.half * abs(value)) for doubt in cut_off(sines, of)]
+        return weighed(e, [*doubts, *cuts, *changing(by_cycle, symbol)], 1.0 if symbol.startswith("phi") else None)
 
     def size(name: str) -> tuple[list[float], list[Array]]:
         return [abs(s.amplitudes[name]) for s in sines], [np.abs(s.cycles[name]) for s in sines]
 
-    stiff = [abs(s.amplitudes["pressure"] / s.amplitudes["displacement"]) for s in sines]
-    stiff_by = [np.abs(s.cycles["pressure"] / s.cycles["displacement"]) for s in sines]
-    phase, phase_by = _phases(sines, "displacement", "pressure", turned=True)
+    def ratio(upper: str, lower: str) -> tuple[list[float], list[Array]]:
+        return ([abs(s.amplitudes[upper] / s.amplitudes[lower]) for s in sines],
+                [np.abs(s.cycles[upper] / s.cycles[lower]) for s in sines])  # fmt: skip
+
+    phase, phase_by = _phases(sines, "displacement", "pressure")
     width = [2 * abs(s.amplitudes["displacement"]) * abs(np.sin(p)) for s, p in zip(sines, phase, strict=True)]
     width_by = [2 * np.abs(s.cycles["displacement"]) * np.abs(np.sin(p)) for s, p in zip(sines, phase_by, strict=True)]
     both = ("pressure", "displacement")
-    late = "the pressure's lateness taken as the middle of its range" if doubt else ""
+    late = "the pressure's lateness taken as the middle of its range" if read_off else UNTOLD_TIME
     spread = 2 * abs(first.amplitudes["displacement"]) * abs(float(np.cos(phase[0]))) * doubt
     found = [
-        estimate("P", ("Pa", "pressure"), *size("pressure"), ("pressure",)),
-        estimate("x", ("m", "length"), *size("displacement"), ("displacement",)),
-        estimate("P/x", ("Pa/m", "gain"), stiff, stiff_by, both),
+        estimate("P", ("Pa", "pressure"), *size("pressure"), ("pressure",), of=("pressure",)),
+        estimate("x", ("m", "length"), *size("displacement"), ("displacement",), of=("displacement",)),
+        estimate("P/x", ("Pa/m", "gain"), *ratio("pressure", "displacement"), both, of=both),
         estimate("phi_x", ("rad", "angle"), phase, phase_by, method=doubt or None, note=late),
-        estimate("H", ("m", "length"), width, width_by, ("displacement",), spread or None, late),
-    ]
+        estimate("H", ("m", "length"), width, width_by, ("displacement",), spread or None, late, ("displacement",),
+                 other_shape(sines)),
+    ]  # fmt: skip
     if all("pressure_command" in s.amplitudes for s in sines):
-        ratio = [abs(s.amplitudes["pressure"] / s.amplitudes["pressure_command"]) for s in sines]
-        ratio_by = [np.abs(s.cycles["pressure"] / s.cycles["pressure_command"]) for s in sines]
-        back = [
-            (-p, [-q for q in b])
-            for p, b in zip(*_phases(sines, "pressure_command", "pressure", turned=True), strict=True)
-        ]
+        back = _phases(sines, "pressure", "pressure_command", against=-1.0)
         found += [
-            estimate("P/P_set", ("1", "ratio"), ratio, ratio_by, ("pressure",)),
             estimate(
-                "phi_P", ("rad", "angle"), [p for p, _ in back], [np.array(b) for _, b in back],
-                method=doubt or None, note=late,
+                "P/P_set", ("1", "ratio"), *ratio("pressure", "pressure_command"), ("pressure",), of=("pressure",)
             ),
-        ]  # fmt: skip
+            estimate("phi_P", ("rad", "angle"), *back, method=doubt or None, note=late),
+        ]
     return found
 
 
-def _phases(sines: Sequence[Sine], upper: str, lower: str, *, turned: bool) -> tuple[list[float], list[Array]]:
-    """Phase [rad] of `upper` over `lower`, the lateness of the pressure taken off, as a whole and by cycle."""
+def _phases(sines: Sequence[Sine], upper: str, lower: str, against: float = 1.0) -> tuple[list[float], list[Array]]:
+    """Phase [rad] of `upper` over `lower`, as a whole and by cycle, without the lateness of the pressure.
+
+    `against` is -1 where the pressure is the upper one.
+    """
     whole, by_cycle = [], []
     for sine in sines:
-        turn = np.exp(1j * sine.turn) if turned else 1.0
+        turn = np.exp(1j * against * sine.turn)
         ratio = sine.amplitudes[upper] / sine.amplitudes[lower] * turn
         middle = float(np.angle(ratio))
-        each = sine.cycles[upper] / sine.cycles[lower] * turn
         whole.append(middle)
-        by_cycle.append(middle + np.angle(each / ratio))
+        by_cycle.append(middle + np.angle(sine.cycles[upper] / sine.cycles[lower] * turn / ratio))
     return whole, by_cycle
 
 
@@ -261,7 +299,7 @@ def _sentences(sine: Sine) -> list[Finding]:
     where = f"{show(sine.frequency, 'frequency', 3)} ({sine.name})"
     lines = []
     if abs(sine.off) > OFF:
-        text = f"{where}: the command runs {sine.off:+.1%} off the frequency that the name tells"
+        text = f"{where}: it runs {sine.off:+.1%} off the frequency that the name tells; the real one is fitted"
         lines.append(Finding("doubt", text))
     return lines
 

@@ -24,10 +24,18 @@ EQUAL = 1e-6
 FREQUENCY = (3.0, 400.0)
 DAMPING = (0.01, 3.0)
 """Bounds of natural frequency [rad/s] and damping ratio [1] of the motion; a fit at a bound found nothing."""
+FEWEST = 12
+"""Samples of a stretch of free swinging."""
 LAGS = (0.005, 0.01, 0.02, 0.04)
 """Lags [s] between the pressure that was measured and the one that drives."""
 AS_GOOD = 1.02
 """Motions whose misfit is within this factor of the least are not told apart."""
+PERIODS = 1.5
+"""Of a stretch of free swinging."""
+CLEAR = 20.0
+"""A swing of more than so many standard deviations of the noise is clear."""
+REACHED, SETTLED = 0.02, 1.8
+"""Free swinging begins at so many times the time [s from the step] at which the pressure comes within that share."""
 SHOWN = 5.0
 """An extreme is one beyond so many standard deviations of the noise."""
 
@@ -102,6 +110,50 @@ def extremes(x: Array, end: float, noise: float) -> int:
         if side * value > SHOWN * noise:
             count, side = count + 1, -side
     return count
+
+
+@dataclass(frozen=True)
+class Swing:
+    """A stretch of free swinging about the end: natural frequency, damping ratio, swing in its middle [m]."""
+
+    w: float
+    D: float
+    size: float
+    at: float
+    """Its middle [s from the step]."""
+
+
+def free_swings(t: Array, P: Array, x: Array, known: Motion, noise: float) -> list[Swing]:
+    """Stretches after the pressure has come to its end, one after another: the time of the pressure is not in them."""
+    off = np.abs(P - np.median(P[t > t[-1] - 1.0])) > REACHED * np.ptp(P)
+    begin = SETTLED * float(t[np.flatnonzero(off)[-1]]) if off.any() else 0.0
+    length = PERIODS * 2 * np.pi / known.w
+    found = []
+    while begin + length < t[-1]:
+        rows = (t > begin) & (t <= begin + length)
+        if np.count_nonzero(rows) < FEWEST or (found and found[-1].size < CLEAR * noise):
+            break
+        found.append(_free(t[rows], x[rows], known))
+        begin += length
+    return found
+
+
+def _free(t: Array, x: Array, known: Motion) -> Swing:
+    """Of one stretch: least squares of end + (A cos + B sin) of a decaying swing; end, A and B follow linearly."""
+    since = t - t[0]
+
+    def shapes(p: Array) -> Array:
+        decay, turn = np.exp(-np.exp(p[0]) * since), np.exp(p[1]) * since
+        return np.column_stack([np.ones(len(since)), decay * np.cos(turn), decay * np.sin(turn)])
+
+    def misfit(p: Array) -> Array:
+        return np.asarray(shapes(p) @ np.linalg.lstsq(shapes(p), x, rcond=None)[0] - x) / max(float(np.ptp(x)), 1e-9)
+
+    solved = least_squares(misfit, np.log([known.D * known.w, known.w * sqrt(1 - min(known.D, 0.9) ** 2)]), max_nfev=60)
+    terms = np.linalg.lstsq(shapes(solved.x), x, rcond=None)[0]
+    rate, turn = (float(value) for value in np.exp(solved.x))
+    w = float(np.hypot(rate, turn))
+    return Swing(w, rate / w, float(np.hypot(*terms[1:]) * np.exp(-rate * since[-1] / 2)), float(t.mean()))
 
 
 def respond(t: Array, at: Array, jumps: Array, w: float, D: float) -> Array:

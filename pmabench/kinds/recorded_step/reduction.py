@@ -15,12 +15,24 @@ from numpy.typing import NDArray
 from pmabench.analysis.imported import flagged_counts, import_findings, measured, unusable_because
 from pmabench.analysis.results import Analysis, Estimate, Finding, Parts, Trace, withhold
 from pmabench.analysis.shared.calibration import Scales, sentences
-from pmabench.analysis.shared.samples import LEAST, noise_of, nothing_moved, onset
+from pmabench.analysis.shared.form import Doubt, weighed
+from pmabench.analysis.shared.samples import LEAST, Held, left, noise_of, nothing_moved, onset
 from pmabench.analysis.shared.student import mean_over, mean_with_half
 from pmabench.analysis.verdict.agreement import Offer, everywhere, values_of
 from pmabench.base.quantities import show
 from pmabench.kinds.recorded_step import RESULTS
-from pmabench.kinds.recorded_step.motion import DAMPING, FREQUENCY, SHOWN, Motion, extremes, fit_motion, lagged_motions
+from pmabench.kinds.recorded_step.motion import (
+    CLEAR,
+    DAMPING,
+    FREQUENCY,
+    SHOWN,
+    Motion,
+    Swing,
+    extremes,
+    fit_motion,
+    free_swings,
+    lagged_motions,
+)
 from pmabench.store.records import Array, Flag, RunData, TrialData
 
 KIND = "recorded-step"
@@ -44,7 +56,10 @@ ILL_FITTED = 0.1
 """Rms of the misfit as a share of the stroke, above which K and B are not told."""
 INSTEAD = "with a column of force or the load, a map of `kind: contraction-relaxation` gives K from such steps"
 ONCE = "no repeats part: one step only"
-UNASSESSED = "no method part: how far it has settled is not assessed"
+STOPPED = 0.3
+"""Share of the swing that the motion should have, below which friction has stopped it."""
+SWUNG = 7.0
+"""After so many times its time of decay a swing is over: a thousandth is left."""
 SHIFTS = 4
 OVERSHOOT = 0.05
 
@@ -68,7 +83,7 @@ class Step:
     rise: float
     """From onset to 63 % of the change of pressure [s]."""
     rise_half: float
-    """Half the time between the samples that the onset lies between [s]."""
+    """Half the times between the samples that the onset, and the 63 %, lie between [s]."""
     motions: tuple[Motion, ...]
 
     @property
@@ -119,7 +134,8 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         key: tuple[float, ...] = (round(point["from"], -2), round(point["pressure"], -2))
         groups.setdefault((*key, *_load(step)) if loads else key, []).append((run, step))
     commanded = [step for _, step in steps if not step.found]
-    estimates: list[Estimate] = [_dead_time(commanded)] if commanded else []
+    late = 0.0 if read_off else UNTOLD
+    estimates: list[Estimate] = [_dead_time(commanded, late)] if commanded else []
     findings: list[Finding] = []
     for key, group in sorted(groups.items()):
         at = dict(zip(("from", "pressure", "load", "mass"), key, strict=False))
@@ -189,7 +205,9 @@ def measure(trial: TrialData, late: tuple[float, float]) -> Step | str:
     motions = tuple(fit_motion(t[near], P[near], x[near], float(shift)) for shift in shifts)
     dead = begins + within / 2 - (late[0] + late[1]) / 2
     dead_half = doubt + within / 2 + (late[1] - late[0]) / 2
-    return Step(trial, t, P, x, size, stroke, dead, dead_half, float(t[most[0]]) - begins, doubt, motions)
+    crossed = t[max(0, most[0] - 1) : most[0] + 1]
+    rise_half = doubt + float(np.ptp(crossed)) / 2
+    return Step(trial, t, P, x, size, stroke, dead, dead_half, float(crossed.mean()) - begins, rise_half, motions)
 
 
 def _onset(t: Array, rise: Array, first: int, within: float) -> tuple[float, float]:
@@ -214,11 +232,14 @@ def _load(step: Step) -> tuple[float, float]:
     return round(step.trial.point.get("load", 0.0), 2), round(step.trial.point.get("mass", 0.0), 3)
 
 
-def _dead_time(steps: Sequence[Step]) -> Estimate:
-    """Of the regulator and its line: one value over all steps, of which those between other pressures are unlike."""
+def _dead_time(steps: Sequence[Step], late: float) -> Estimate:
+    """Of the regulator and its line: one value over all steps, of which those between other pressures are unlike.
+
+    `late` [s] is what the pressure may be late where nothing says it.
+    """
     pairs = [(round(step.trial.point["from"], -2), round(step.trial.point["pressure"], -2)) for step in steps]
     mean, half, _ = mean_over([step.dead for step in steps], [sorted(set(pairs)).index(pair) for pair in pairs])
-    parts = Parts(repeats=half, method=max(step.dead_half for step in steps), calibration=0.0)
+    parts = Parts(repeats=half, method=late + max(step.dead_half for step in steps), calibration=0.0)
     parents = tuple(step.name for step in steps)
     resolved = "command to pressure, all steps; the log resolves no less than the method part"
     note = sentences(resolved, "no repeats part: no step was repeated" if half is None else "")
@@ -235,14 +256,13 @@ def _at(
 
     def estimate(
         symbol: str, kind: tuple[str, str], values: Sequence[float], method: float | None, scaled: tuple[str, ...] = (),
-        note: str = "",
+        note: str = "", doubts: Sequence[Doubt] = (),
     ) -> Estimate:  # fmt: skip
         mean, half = mean_with_half(values)
         parts = Parts(half, method, scales.part(dict.fromkeys(scaled, mean)))
-        note = sentences(
-            note, ONCE if half is None else "", "" if method is not None else UNASSESSED, scales.lack(scaled)
-        )
-        return Estimate(symbol, mean, *kind, STEP, at, parts, len(values), note=note, trials=parents)
+        note = sentences(note, ONCE if half is None else "", scales.lack(scaled))
+        e = Estimate(symbol, mean, *kind, STEP, at, parts, len(values), note=note, trials=parents)
+        return weighed(e, [replace(one, half=one.half * abs(mean)) for one in doubts])
 
     seconds = ("s", "time")
     moved = [step for step in steps if abs(step.stroke) > 2 * SEEN * step.noise]
@@ -254,20 +274,29 @@ def _at(
             []
             if any(s.found for s in steps)
             else [
-                estimate("t_d", seconds, [s.dead for s in steps], max(s.dead_half for s in steps), note="to pressure")
+                estimate(
+                    "t_d",
+                    seconds,
+                    [s.dead for s in steps],
+                    max(apart, default=0.0) + max(s.dead_half for s in steps),
+                    note="to pressure",
+                )
             ]
         ),
         estimate("tau_P", seconds, [s.rise for s in steps], max(s.rise_half for s in steps), note="63 %"),
-        estimate("X", ("m", "length"), [step.stroke for step in steps], None, ("displacement",)),
+        estimate(
+            "X", ("m", "length"), [step.stroke for step in steps], 0.0, ("displacement",), doubts=_unsettled(steps)
+        ),
         *(
             [
                 estimate(
                     "dP/dx",
                     ("Pa/m", "gain"),
                     [step.size / step.stroke for step in moved],
-                    None,
+                    0.0,
                     ("pressure", "displacement"),
                     "at rest, includes friction",
+                    _unsettled(moved),
                 ),
                 *_muscle(at, moved, options, apart),
             ]
@@ -275,6 +304,25 @@ def _at(
             else unmoved
         ),
     ]
+
+
+def _unsettled(steps: Sequence[Step]) -> list[Doubt]:
+    """What the contraction still moves before the step and after it, as a share of the stroke."""
+    stroke = abs(float(np.mean([step.stroke for step in steps])))
+    found = []
+    for name, side in (("before the step", -1), ("after the step", 1)):
+        holds = []
+        for step in steps:
+            swung = SWUNG / (step.best.D * step.best.w)
+            rows = step.t < 0 if side < 0 else step.t > min(max(AFTER, swung), step.t[-1] - 1.0)
+            t, x = step.t[rows], step.x[rows] * np.sign(step.stroke)
+            holds.append(Held.of(t, x, max(float(t[0]), float(t[-1]) - 1.0)))
+        further = left(holds)
+        text = f"{name} the contraction is not at rest, it may change by {show(further.most, 'length', 2)} more"
+        reason = f"{text}: creep, or a drift. Record longer before and after the step"
+        share = further.most / stroke if stroke else 0.0
+        found.append(Doubt(f"motion {name}", "method", share, further.seen, reason))
+    return found
 
 
 def _muscle(
@@ -316,8 +364,41 @@ def _muscle(
             continue
         parts = Parts(repeats=half, method=wide, calibration=0.0)
         once = ONCE if half is None else ""
-        found.append(replace(empty, value=value, parts=parts, note=once))
+        given = replace(empty, value=value, parts=parts, note=once)
+        found.append(weighed(given, _free_doubts(symbol, value, wide, steps, masses)))
     return found
+
+
+def _free_doubts(symbol: str, value: float, wide: float, steps: Sequence[Step], masses: Sequence[float]) -> list[Doubt]:
+    """What the free swinging after the step says against K or B, beyond the range `wide`: it knows no times."""
+    others, stopped = [], False
+    for step, mass in zip(steps, masses, strict=True):
+        after, best = step.t > 0, step.best
+        swings = free_swings(step.t[after], step.P[after], step.x[after], best, step.noise)[:2]
+        expected = [abs(step.stroke) * np.exp(-best.D * best.w * one.at) for one in swings]
+        sizes = [(one.size, size) for one, size in zip(swings, expected, strict=True) if size > CLEAR * step.noise]
+        stopped = stopped or any(size < STOPPED * more for size, more in sizes)
+        if symbol == "K":
+            others += [mass * one.w**2 for one in swings[:1] if one.size > CLEAR * step.noise]
+        elif len(sizes) > 1:
+            others.append(_without_friction(swings[0], swings[1], mass))
+    unit = "stiffness" if symbol == "K" else "damping"
+    apart = abs(float(np.mean(others)) - value) - wide if others else 0.0
+    text = f"the free swinging after the step gives a {symbol} that is {show(apart, unit, 2)} outside of its range"
+    why = "the curve is bent, or the pressure is later than was said"
+    if symbol == "B":
+        why = "friction does not grow with the speed, for small swings die faster"
+    if stopped:
+        apart, text = abs(value), "the swinging after the step ends early"
+        why = "dry friction holds it, and this form has none"
+    return [Doubt("free swinging", "method", apart, seen=True, reason=f"{text}: {why}; {INSTEAD}")] if apart > 0 else []
+
+
+def _without_friction(first: Swing, second: Swing, mass: float) -> float:
+    """B [N s/m] of two stretches of free swinging: dry friction adds c/size, so a line over 1/size is B without it."""
+    big, small = first.size, second.size
+    one, other = (2 * mass * swing.D * swing.w for swing in (first, second))
+    return (one * big - other * small) / (big - small) if big > small else one
 
 
 def _ill_fitted(step: Step) -> str:

@@ -15,15 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.analysis.results import Analysis, Dropped, Estimate, Finding, Parts, Trace, withhold
-from pmabench.analysis.shared import student
 from pmabench.analysis.shared.calibration import Scales, sentences
-from pmabench.analysis.shared.form import MOST_HIDDEN, Doubt, weighed
+from pmabench.analysis.shared.form import MOST_HIDDEN, Doubt, change_over, weighed
 from pmabench.analysis.shared.lines import mean_half
 from pmabench.analysis.shared.samples import Held, NotUsable, left
 from pmabench.analysis.verdict.agreement import Offer, exactly, values_of, weighted
 from pmabench.base.quantities import show
 from pmabench.kinds.step_displacement import RESULTS
-from pmabench.kinds.step_displacement.relaxation import Relaxation, Steps, measure
+from pmabench.kinds.step_displacement.relaxation import Relaxation, Steps, filter_of, measure
 from pmabench.store.records import RunData, TrialData
 
 KIND = "step-displacement"
@@ -37,10 +36,10 @@ STEPS_OF_ONE = "one trial: the repeats part is the scatter of its steps, and rep
 ONE_STEP = "no repeats part: one step"
 DRIFTS = 0.02
 """What the force would still change by after a rest, as a share of its step, that is doubted."""
+BLUNT = 0.25
+"""Share of the peak above which what a filter may have taken off it is not left to its interval."""
 SEVERAL = 0.4
 """Share of a time constant by which that of the later part may differ where there is one exponential."""
-SURE = 0.9995
-"""Probability of Student's t beyond which a change from cycle to cycle is seen."""
 LONGEST_TRACE = 1500
 UNTURNED = 0.05
 """Share of the friction between two rests that a small step may not have turned round yet."""
@@ -49,6 +48,7 @@ RUBS = "friction between the two rests is in it"
 
 @dataclass(frozen=True, eq=False)
 class _Member:
+    run: RunData
     trial: TrialData
     steps: Steps
 
@@ -67,7 +67,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     for run in runs:
         for trial in run.trials:
             try:
-                members.append(_Member(trial, measure(run, trial, options or {})))
+                members.append(_Member(run, trial, measure(run, trial, options or {})))
             except NotUsable as reason:
                 dropped.append(Dropped(trial.name, trial.point, str(reason)))
     scales = Scales.of(runs)
@@ -115,6 +115,7 @@ def _estimates(
     extreme = hypot(EXTREME * noise, max(one.sampled for one in every))
     before, after = (_still_moving([getattr(one, name) for one in every]) for name in ("earlier", "later"))
     both = tuple(replace(one, half=one.half / moved) for one in (before, after))
+    blunt = _blunt(group, every)
     found: list[Estimate] = []
 
     def estimate(
@@ -135,9 +136,17 @@ def _estimates(
     stiffness, newton, second = ("N/m", "stiffness"), ("N", "force"), ("s", "time")
     slope = {"force": 1, "displacement": -1}
     estimate("K", stiffness, RELAXED, lambda one: one.static, slope, 0.0, doubts=both)
-    estimate("K", stiffness, PEAK, lambda one: one.instant, slope, extreme / moved, doubts=both[:1])
+    estimate(
+        "K",
+        stiffness,
+        PEAK,
+        lambda one: one.instant,
+        slope,
+        extreme / moved,
+        doubts=(both[0], replace(blunt, half=blunt.half / moved)),
+    )
     estimate("F", newton, RELAXED, lambda one: one.before, {"force": 1}, 0.0, "before", (before,))
-    estimate("F", newton, PEAK, lambda one: one.peak, {"force": 1}, extreme, "peak")
+    estimate("F", newton, PEAK, lambda one: one.peak, {"force": 1}, extreme, "peak", (blunt,))
     estimate("F", newton, RELAXED, lambda one: one.relaxed, {"force": 1}, 0.0, "relaxed", (after,))
     if all(np.isfinite(one.pressure_peak) for one in every):
         estimate("P_err", ("Pa", "pressure"), PEAK, lambda one: one.pressure_peak, {"pressure": 1}, 0.0)
@@ -165,6 +174,16 @@ def _one_time(tau: Estimate, apart: float) -> Estimate:
     return replace(tau, parts=Parts(tau.parts.repeats, hypot(TAIL * value, apart)), note=note)
 
 
+def _blunt(group: Sequence[_Member], every: Sequence[Relaxation]) -> Doubt:
+    """What a filter of the force cell may have taken off the peaks [N]: no channel shows it."""
+    constant = max(filter_of(member.run) for member in group)
+    half = max(one.blunted for one in every)
+    text = f"a filter of the force cell of {show(constant, 'time', 2)} would take {show(half, 'force', 2)} off the peak"
+    reason = f"{text}: declare the `sensor_lag` of the channel, use a faster cell, or step more slowly"
+    rise = abs(float(np.mean([one.peak - one.before for one in every])))
+    return Doubt("filter of the force cell", "method", half, seen=True, reason=reason if half > BLUNT * rise else "")
+
+
 def _still_moving(rests: Sequence[Held]) -> Doubt:
     """What motion of the force at the end of the rests is worth [N]."""
     further = left(rests)
@@ -173,21 +192,13 @@ def _still_moving(rests: Sequence[Held]) -> Doubt:
 
 
 def _trend(values: Sequence[NDArray[np.float64]]) -> list[Doubt]:
-    """What a force changes by from the first cycle to the last [N], by one line for each trial; none without three."""
-    rows = [(np.arange(len(one)) - 0.5 * (len(one) - 1), one - one.mean()) for one in values if len(one) > 2]
-    if not rows:
+    """What a force changes by from the first cycle to the last [N], where that is seen."""
+    change = change_over(values)
+    if change is None or not change.seen:
         return []
-    place, off = (np.concatenate(column) for column in zip(*rows, strict=True))
-    freedom = len(off) - len(rows) - 1
-    power = float(place @ place)
-    slope = float(place @ off) / power
-    error = float(np.sqrt(np.sum((off - slope * place) ** 2) / freedom / power))
-    cycles = max(len(one) for one in values)
-    size, most = abs(slope) * cycles, (abs(slope) + float(student.ppf(0.975, freedom)) * error) * cycles
-    seen = abs(slope) > float(student.ppf(SURE, freedom)) * error
-    text = f"from cycle to cycle the force changes, by {show(size, 'force', 2)} in all: the cell drifts, or the muscle"
-    reason = f"{text} is not at rest yet. Do more cycles before those that count, and check the zero of the cell"
-    return [Doubt("change from cycle to cycle", "drift", most, seen, reason)] if seen else []
+    text = f"from cycle to cycle the force changes, by {show(change.size, 'force', 2)} in all: the cell drifts, or the"
+    reason = f"{text} muscle is not at rest yet. Do more cycles before those that count, and check the zero of the cell"
+    return [Doubt("change from cycle to cycle", "drift", change.most, seen=True, reason=reason)]
 
 
 def _findings(at: Mapping[str, float], group: Sequence[_Member]) -> list[Finding]:

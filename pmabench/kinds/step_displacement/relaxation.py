@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize_scalar
+from scipy.signal import lfilter
 
 from pmabench.analysis.shared.samples import UNUSABLE_SHARE, Held, NotUsable, noise_of, on_time
 from pmabench.store.records import Array, Command, RunData, TrialData
@@ -18,6 +19,8 @@ SEEN = 6.0
 """A recovery counts where it is larger than so many standard deviations of the noise."""
 THERE = 0.01
 """Share of the step by which the displacement may still be off when its motion counts as over."""
+UNDECLARED = 5e-3
+"""Time constant [s] that the filter of a force cell may have where its channel declares no `sensor_lag`."""
 FEWEST = 8
 """Samples that a recovery needs within three time constants."""
 
@@ -46,6 +49,8 @@ class Relaxation:
     """The force along the second half of the rest before [N]."""
     later: Held
     """The same of the rest after [N]."""
+    blunted: float
+    """What a filter of the force cell of `filter_of` would change the peak by [N]."""
     sampled: float
     """Change of the force over the sample before its peak [N]: so far the peak may lie beyond it."""
     pressure_peak: float
@@ -96,7 +101,7 @@ def measure(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> Steps
     values = {name: on_time(run, trial, name) for name in ("displacement", "force", "pressure")}
     found: dict[str, list[Relaxation]] = {"step": [], "back": []}
     for ramp, begin, end in zip(ramps, begins, ends, strict=True):
-        found[ramp.phase].append(_one(trial, values, ramp, begin, end))
+        found[ramp.phase].append(_one(run, trial, values, ramp, begin, end))
     discard = int({**(run.plan.get("settings") or {}), **options}.get("discard", 1))
     found = {phase: steps[discard:] for phase, steps in found.items()}
     if not found["step"] or not found["back"]:
@@ -110,7 +115,9 @@ def measure(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> Steps
 _PHASES = ("step", "back")
 
 
-def _one(trial: TrialData, values: dict[str, Array], ramp: Command, begin: float, end: float) -> Relaxation:
+def _one(
+    run: RunData, trial: TrialData, values: dict[str, Array], ramp: Command, begin: float, end: float
+) -> Relaxation:
     """The step of one command; `begin` and `end` [s] are those of the rests before and after it."""
     rate = ramp.data.get("rate", 0.0)
     arrived = ramp.t + (abs(ramp.value - ramp.before) / rate if rate > 0 else 0.0)
@@ -152,12 +159,27 @@ def _one(trial: TrialData, values: dict[str, Array], ramp: Command, begin: float
         relaxed=relaxed,
         earlier=earlier,
         later=later,
+        blunted=_blunted(t[moving], away, moved, filter_of(run)),
         sampled=abs(float(away[place] - away[max(0, place - 1)])),
         pressure_peak=pressure_peak,
         force_back=recovery(since, F[still]),
         pressure_back=recovery(since, P[still]) if known else None,
         noise=noise,
     )
+
+
+def filter_of(run: RunData) -> float:
+    """Time constant of the force cell's filter [s], as declared, or what one may have where none is."""
+    info = run.channels.get("force")
+    return info.sensor_lag if info is not None and info.sensor_lag > 0 else UNDECLARED
+
+
+def _blunted(t: Array, away: Array, moved: float, constant: float) -> float:
+    """How much lower the peak is once more behind a filter of first order, shape (n,) both."""
+    keep = float(np.exp(-np.median(np.diff(t)) / constant))
+    slower = np.asarray(lfilter([1 - keep], [1, -keep], away - away[0]) + away[0])
+    way = -np.sign(moved)
+    return abs(float(np.max(way * away) - np.max(way * slower)))
 
 
 def _arrival(t: Array, x: Array, end: float, size: float, arrived: float) -> float:

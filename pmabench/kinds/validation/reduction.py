@@ -16,7 +16,7 @@ from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.simulated import from_commanded_pressure, from_measured_pressure, model_of
 from pmabench.base.quantities import show
 from pmabench.kinds.validation import RESULTS
-from pmabench.model.described import Described
+from pmabench.model.presets import Described
 from pmabench.store.records import Array, RunData, TrialData
 
 KIND = "validation"

@@ -3,17 +3,14 @@
 | module | models |
 | --- | --- |
 | `braid` | Chou-Hannaford, Tondu-Lopez with k or k(P), strand stretch |
-| `contractor` | sigmoid length, corrected force with dead band, arm angle |
+| `contractor` | sigmoid length, corrected force with dead band, arm angle; also with their coefficients as inputs |
 | `daerden` | force with rubber term, its inverse, volume, volume from measurements |
 | `three_element` | balance, step, release; conventions of papers 0, 1 and 4 |
 | `coefficients` | published coefficients over pressure |
-| `fitted` | parabolas and joined lines with coefficients of one's own |
-| `polynomials` | polynomials of any order up to six with centre and scale |
-| `open_coefficients` | length and arm angle of paper 2 with their coefficients as inputs, for fits |
+| `fitted` | parabolas, joined lines, polynomials up to the sixth order, with your own coefficients |
 | `chamber` | rate of pressure, closed chamber, a driven muscle behind a regulator |
 | `regulators` | first and second order, limits of rate and flow, filling against venting, amplitude of a sine |
-| `friction` | Coulomb with stiction, a rate-independent hysteresis |
-| `loads` | end stops, force, hanging mass, spring, imposed displacement |
+| `loads` | end stops, force, hanging mass, spring, imposed displacement; Coulomb friction, hysteresis |
 | `compositions` | parallel, series, cascade; the loop that a controller sees |
 
 `description` says what a model is. A new model is a function decorated with `described`, in one of these modules or in
@@ -30,10 +27,7 @@ from pmabench.model.library import (  # noqa: F401  each enters its models
     contractor,
     daerden,
     fitted,
-    friction,
     loads,
-    open_coefficients,
-    polynomials,
     regulators,
     three_element,
 )

@@ -7,7 +7,6 @@ import math
 import numpy as np
 from scipy.optimize import brentq
 
-from pmabench.model.chain_force import held_force
 from pmabench.model.curve import Array
 from pmabench.model.library.braid import BAR, BRAID_ANGLE, CONTRACTION, DEG, MM, PRESSURE, RADIUS, braid_factors
 from pmabench.model.library.braid import braid_force as force_of
@@ -21,6 +20,7 @@ from pmabench.model.library.coefficients import (
 )
 from pmabench.model.library.description import INF, Output, Parameter, Reference, Values, described, refuse
 from pmabench.model.loop import Loop, ultimate
+from pmabench.model.muscle import held_force
 
 FAMILY = "composition"
 COUNT = Parameter("count", "N", "count", 3.0, "number of muscles", 1.0, 1000.0, "a whole number of at least 1")

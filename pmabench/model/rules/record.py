@@ -1,11 +1,19 @@
-"""What a tuning rule is: its name, the form of controller that it is for, its source, and its formula."""
+"""What a tuning rule is (its name, form of controller, source and formula), and which there are.
+
+`all_rules` finds those of this package and of entry points of the group `pmabench.rules`.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
+from importlib import import_module
+from importlib.metadata import entry_points
 from math import inf, nan
+from pkgutil import iter_modules
 
+from pmabench.model import rules
 from pmabench.model.loop import Controller, Loop
 
 
@@ -40,3 +48,24 @@ class Rule:
         if loop is None:
             raise ValueError(f"{self.name} needs the dead time and the lags of the loop")
         return self.from_loop(loop)
+
+
+GROUP = "pmabench.rules"
+
+
+@lru_cache(maxsize=1)
+def all_rules() -> tuple[Rule, ...]:
+    """Every rule; those that need the loop itself come last."""
+    names = [module.name for module in iter_modules(rules.__path__) if module.name != "record"]
+    found: list[Rule] = []
+    for name in sorted(names):
+        found += import_module(f"{rules.__name__}.{name}").RULES
+    for point in entry_points(group=GROUP):
+        brought = point.load()
+        found += [brought] if isinstance(brought, Rule) else brought
+    return tuple(sorted(found, key=lambda rule: rule.from_loop is not None))
+
+
+def find(name: str, form: str) -> Rule | None:
+    """The rule of a name for a form of controller (`P`, `PI`, `PID`); None where it has none for that."""
+    return next((rule for rule in all_rules() if (rule.name, rule.form) == (name, form)), None)

@@ -13,7 +13,7 @@ from html import escape
 
 import numpy as np
 
-from pmabench.model.outline import Outline, outline
+from pmabench.model.muscle import Outline, outline
 from pmabench.plotting.plots import FAINT, INK, QUIET, RED, WARN
 from pmabench.report.cascade.cascade_record import Link, Result
 

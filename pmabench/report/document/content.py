@@ -20,6 +20,7 @@ from pmabench.kinds.reduce import verdicts
 from pmabench.plotting import wording
 from pmabench.plotting.pictures import Picture
 from pmabench.plotting.rounding import printed
+from pmabench.plotting.svg import drawing
 from pmabench.report.document import provenance, tables
 from pmabench.report.document.budget_tables import budget_table
 from pmabench.report.document.check_tables import check_tables
@@ -117,6 +118,7 @@ class Content:
     """A line, and a BibTeX entry."""
 
 
+@drawing()
 def content_of(
     analyses: Sequence[Analysis],
     runs: Sequence[RunData],

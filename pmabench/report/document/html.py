@@ -11,11 +11,11 @@ from pathlib import Path
 from typing import Any
 
 from pmabench.analysis.results import Analysis
-from pmabench.base.errors import RecordError
 from pmabench.plotting import wording
 from pmabench.plotting.svg import symbol_parts
 from pmabench.report.document.checklist import Issuer
 from pmabench.report.document.content import LEVELS, Content, content_of
+from pmabench.report.document.kept_page import write_text
 from pmabench.report.figures import overlays
 from pmabench.store.records import RunData
 
@@ -39,13 +39,7 @@ def write_report(
 
 def write_page(content: Content, path: Path) -> Path:
     """Write a report's content as a page; raises RecordError where it cannot be written."""
-    text = page_of(content)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text, encoding="utf-8", newline="")
-    except OSError as error:
-        raise RecordError(f"{path}: the report cannot be written: {error.strerror or error}") from error
-    return path
+    return write_text(page_of(content), path)
 
 
 def render(

@@ -13,8 +13,8 @@ import pandas as pd
 
 from pmabench.plotting.wording import POINTS, clean, in_order, number, point_shown, shown
 from pmabench.report.words.names import kind_title
+from pmabench.store.folder import is_regular, sha256_of
 from pmabench.store.records import RunData
-from pmabench.store.regular import is_regular, sha256_of
 
 LISTED = 8
 """Values of a swept coordinate that are listed; of more, the ends and the count are."""

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pmabench.plotting.wording import clean
+from pmabench.store.folder import open_regular
 from pmabench.store.records import RunData
-from pmabench.store.regular import open_regular
 
 KINDS = {b"\x89PNG\r\n\x1a\n": "image/png", b"\xff\xd8\xff": "image/jpeg"}
 """Pictures are known by how their bytes begin, not by their names."""

@@ -1,1 +1,1 @@
-"""Many runs: `many`, which works out only what has changed (`many_cache`), one by one (`processed`); `many_table`."""
+"""Many runs: `many`, which works out only what has changed, one by one (`processed`); `many_table`."""

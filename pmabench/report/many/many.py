@@ -14,10 +14,10 @@ from typing import Any
 
 from pmabench.analysis.many import Pool, share
 from pmabench.base.errors import RecordError
-from pmabench.report.many import many_cache
-from pmabench.report.many.processed import lost, process_batch
-from pmabench.store.below import Task
-from pmabench.store.fingerprint import fingerprint, program
+from pmabench.report.many.processed import lost, process_batch, without_trials
+from pmabench.store.analyses import made_from
+from pmabench.store.catalogue import Task
+from pmabench.store.since import program
 
 Progress = Callable[[int, int, int], None]
 """Called with the number of runs that are done, of all, and of those that had not changed."""
@@ -25,8 +25,6 @@ RESULTS = ("computed", "unchanged")
 """States of entries with coefficients."""
 WORST = (7, 3, 1, 6)
 """Exit codes, the worst first."""
-KEPT_EVERY = 200
-"""So many results at most are lost where the program is ended."""
 
 
 @dataclass(frozen=True)
@@ -69,54 +67,49 @@ def process_many(
     pool: Pool | None = None,
     progress: Progress | None = None,
     options: Mapping[str, Any] | None = None,
+    *,
+    fresh: bool = False,
 ) -> Many:
     """Write the analysis of each task below `out`, where it was not done before, and remember what came out.
 
-    `options`: kind -> those of its reduction, plain data. What is wrong with a run is in its entry. Raises
-    RecordError where `out` cannot be made.
+    `options`: kind -> those of its reduction, plain data. `fresh`: compute every run. What is wrong with a
+    run is in its entry. Raises RecordError where `out` cannot be made.
     """
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise RecordError(f"{out}: cannot be made: {error.strerror or error}") from error
     options = dict(options or {})
-    about = f"{program()} {json.dumps(options, sort_keys=True)}"
-    kept = many_cache.load(out)
-    keys = [fingerprint(task.chain, about) for task in tasks]
+    keys = [made_from.key_of(task.chain, options) for task in tasks]
     found: dict[int, tuple[str, str]] = {}
     codes: set[int] = set()
     for number, task in enumerate(tasks):
-        before = many_cache.entry(kept.get(task.place), keys[number], out)
-        if before is not None:
-            found[number] = ("skipped" if "skipped" in before else "unchanged", kept[task.place][1])
+        before = {} if fresh else made_from.kept(out / task.place, keys[number], options).entry
+        before = before or without_trials(task.path)
+        if before:
+            found[number] = ("skipped" if "skipped" in before else "unchanged", json.dumps(before, allow_nan=False))
             codes |= _code(before)
     unchanged = len(found)
     left = [number for number in range(len(tasks)) if number not in found]
     here = str(out.absolute())
     things = [
-        {"path": str(tasks[number].path.absolute()), "out": here, "folder": tasks[number].place, "options": options}
+        {
+            "path": str(tasks[number].path.absolute()),
+            "out": here,
+            "folder": tasks[number].place,
+            "options": options,
+            "key": keys[number],
+        }
         for number in left
     ]
-    fresh: dict[str, tuple[str, str]] = {}
     if progress is not None:
         progress(unchanged, len(tasks), unchanged)
-    try:
-        for index, entry in share(things, process_batch, lost, pool):
-            number = left[index]
-            text = json.dumps(entry, allow_nan=False)
-            state = "failed" if "error" in entry else "skipped" if "skipped" in entry else "computed"
-            found[number] = (state, text)
-            codes |= _code(entry)
-            if state != "failed" and keys[number]:
-                fresh[tasks[number].place] = (keys[number], text)
-            if len(fresh) >= KEPT_EVERY:
-                many_cache.store(out, fresh)
-                fresh.clear()
-            if progress is not None:
-                progress(len(found), len(tasks), unchanged)
-    finally:
-        if fresh:
-            many_cache.store(out, fresh)
+    for index, entry in share(things, process_batch, lost, pool):
+        number = left[index]
+        found[number] = ("failed" if "error" in entry else "computed", json.dumps(entry, allow_nan=False))
+        codes |= _code(entry)
+        if progress is not None:
+            progress(len(found), len(tasks), unchanged)
     entries = tuple((str(task.path), *found[number]) for number, task in enumerate(tasks))
     return Many(out, entries, next((code for code in WORST if code in codes), max(codes, default=0)))
 

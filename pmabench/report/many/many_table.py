@@ -7,18 +7,20 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from pmabench.base.errors import RecordError
 from pmabench.plotting.wording import POINTS, in_order, plain_unit, point_shown, shown, symbol_text
 from pmabench.report.files.csv_files import csv_text
-from pmabench.report.many import many_cache
 from pmabench.report.many.many import Many
 from pmabench.report.words.names import in_common
 
 NAME = "all-runs"
 SCHEMA = "pmabench.process-many/1"
+KEPT_TABLE = f".{NAME}.made-from.json"
+"""Says of which results the table is, so that it is not written again."""
 FIRST = {"run": "", "started": "", "specimen": "", "kind": "", "simulated": False, "method": ""}
 LAST = {"trials": 0, "not accepted": "", "analysis": ""}
 """Columns before and after the numbers."""
@@ -33,8 +35,10 @@ def write_table(many: Many) -> list[Path]:
     """
     paths = [many.out / f"{NAME}.{suffix}" for suffix in ("csv", "parquet", "json")]
     key = many.key
-    if many_cache.table_written(many.out, key, paths):
-        return paths
+    kept = many.out / KEPT_TABLE
+    with suppress(OSError, ValueError):
+        if json.loads(kept.read_bytes()) == [key, _stamps(paths)]:
+            return paths
     rows, numbers = table_rows(many.results())
     columns = [*FIRST, *numbers, *LAST]
     ordered = [{name: row.get(name) for name in columns} for row in rows]
@@ -45,8 +49,14 @@ def write_table(many: Many) -> list[Path]:
             file.writelines(_json_lines(many))
     except OSError as error:
         raise RecordError(f"{many.out}: the table cannot be written: {error.strerror or error}") from error
-    many_cache.keep_table(many.out, key, paths)
+    with suppress(OSError):
+        kept.write_text(json.dumps([key, _stamps(paths)]), encoding="utf-8")
     return paths
+
+
+def _stamps(paths: Iterable[Path]) -> list[list[int]]:
+    """Size and time of each file."""
+    return [[info.st_size, info.st_mtime_ns] for info in (path.stat() for path in paths)]
 
 
 def plain_entry(entry: Mapping[str, Any]) -> dict[str, Any]:

@@ -6,11 +6,13 @@ Knows loading, reducing and writing of one run with those that it continues; not
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from pmabench.analysis.many import stopped
 from pmabench.base.errors import InvalidFile, PmaError
+from pmabench.store.folder import plain, read_manifest
 
 WITHOUT_TRIALS = ("session", "self-test", "calibration", "setup")
 """Kinds of runs that have no trials: what they found is in their events."""
@@ -30,13 +32,9 @@ def lost(thing: Mapping[str, Any], why: str) -> dict[str, Any]:
 
 
 def process_one(thing: Mapping[str, Any]) -> dict[str, Any]:
-    """The entry of a run in the table of many.
-
-    `error` and `exit_code` where it cannot be processed, `skipped` for a run that has no trials, else what `_entry`
-    gives.
-    """
+    """The entry of a run in the table of many: `error` and `exit_code` where it cannot be processed."""
     try:
-        return _entry(Path(thing["path"]), Path(thing["out"]), thing["folder"], thing.get("options") or {})
+        return _entry(thing)
     except InvalidFile as error:
         return {"error": str(error), "exit_code": error.exit_code}
     except PmaError as error:
@@ -47,20 +45,27 @@ def process_one(thing: Mapping[str, Any]) -> dict[str, Any]:
         return {"error": f"{thing['path']}  {what}", "exit_code": 1}
 
 
-def _entry(path: Path, out: Path, folder: str, options: Mapping[str, Any]) -> dict[str, Any]:
+def without_trials(path: Path) -> dict[str, Any]:
+    """The entry of a run that has no trials; empty for any other, and where its manifest cannot be read."""
+    with suppress(InvalidFile):
+        kind = read_manifest(path).get("kind")
+        if kind in WITHOUT_TRIALS:
+            return {"skipped": f"is a run of kind {kind}"}
+    return {}
+
+
+def _entry(thing: Mapping[str, Any]) -> dict[str, Any]:
     from pmabench.kinds.reduce import reduce_runs, specimen_of, verdicts
     from pmabench.report.files.csv_files import write_with_tables
     from pmabench.report.words.names import declared
+    from pmabench.store.analyses.made_from import keep
     from pmabench.store.chain import open_chains
-    from pmabench.store.fingerprint import stamp
-    from pmabench.store.folder import plain, read_manifest
 
-    kind = read_manifest(path).get("kind")
-    if kind in WITHOUT_TRIALS:
-        return {"skipped": f"is a run of kind {kind}"}
-    runs = open_chains([path])
+    folder, options = thing["folder"], thing.get("options") or {}
+    place = Path(thing["out"], folder)
+    runs = open_chains([Path(thing["path"])])
     (analysis,) = reduce_runs(runs, options)
-    written = write_with_tables(analysis, out / folder / analysis.kind)
+    written = write_with_tables(analysis, place / analysis.kind)
     entry: dict[str, Any] = plain(
         {
             "run": runs[-1].id,
@@ -70,7 +75,6 @@ def _entry(path: Path, out: Path, folder: str, options: Mapping[str, Any]) -> di
             "specimen": specimen_of(runs[-1]),
             "simulated": analysis.simulated,
             "folder": f"{folder}/{analysis.kind}",
-            "stamp": stamp(written),
             "symbols": list(declared([analysis])),
             "estimates": [
                 {
@@ -101,4 +105,5 @@ def _entry(path: Path, out: Path, folder: str, options: Mapping[str, Any]) -> di
             "since": {run.id: run.since.as_data() for run in runs if run.since.sentences},
         }
     )
+    keep(place, thing.get("key", ""), [Path(run.path) for run in runs], options, [written], entry)
     return entry

@@ -6,7 +6,7 @@ Everything is SI and plain data; `to_dict` is the documented JSON. Nothing here 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence, Set
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from math import isfinite, nan, sqrt
 from typing import Any
 
@@ -41,6 +41,9 @@ POINT_QUANTITIES = {
     "side": "count",
 }
 """Name of a coordinate of an operating point -> its quantity; the order is that of columns."""
+
+NEVER_0 = ("stiffness", "gain", "frequency")
+"""Quantities of which a result that is declared positive is never 0; friction, damping and times may be."""
 
 
 @dataclass(frozen=True)
@@ -158,14 +161,14 @@ class Estimate:
             "unit": self.unit,
             "quantity": self.quantity,
             "ci95": None if ci is None else list(ci),
-            "parts": asdict(self.parts),
+            "parts": dict(vars(self.parts)),
             "bias": self.bias,
             "corrected": self.corrected,
             "n": self.n,
             "method": self.method,
             "note": self.note,
             "trials": list(self.trials),
-            "budget": [{**asdict(s), "share": share} for s, share in zip(self.budget, self.shares, strict=True)],
+            "budget": [{**vars(s), "share": share} for s, share in zip(self.budget, self.shares, strict=True)],
             "withheld": self.withheld,
         }
 
@@ -175,6 +178,17 @@ def withhold(estimate: Estimate, reason: str) -> Estimate:
     return replace(
         estimate, value=None, parts=Parts(), bias=None, corrected=False, budget=(), note=reason, withheld=True
     )
+
+
+def _known(e: Estimate) -> Estimate:
+    """The estimate, or withheld where its interval reaches to 0 and it cannot be 0: only its order is known then."""
+    found = e.parts.combined
+    if e.quantity not in NEVER_0 or e.value is None or not found or found < abs(e.value):
+        return e
+    value, half = (show(number, e.quantity, 3) for number in (e.value, found))
+    widest = max((name for name, part in vars(e.parts).items() if part), key=lambda name: getattr(e.parts, name))
+    why = f"{value} +- {half} says nothing: the interval reaches to 0, and most of it is from {widest}"
+    return withhold(e, f"{why}. Look at what this part is made of, and repeat the test with that mended")
 
 
 def _ends_at_0(e: Estimate, positive: Set[str]) -> bool:
@@ -293,7 +307,8 @@ class Analysis:
             check_declared(self.kind, self.results, self.estimates, self.curves)
             positive = {result.symbol for result in self.results if result.positive}
             estimates = tuple(replace(e, positive=True) if _ends_at_0(e, positive) else e for e in self.estimates)
-            object.__setattr__(self, "estimates", estimates)
+            sure = tuple(_known(e) if e.symbol in positive and not e.coordinate else e for e in estimates)
+            object.__setattr__(self, "estimates", sure)
 
     @classmethod
     def of(
@@ -333,9 +348,9 @@ class Analysis:
             "runs": list(self.runs),
             "simulated": self.simulated,
             "estimates": [e.to_dict() for e in self.estimates],
-            "curves": [{**asdict(c), "terms": [term.to_dict() for term in c.terms]} for c in self.curves],
-            "dropped": [asdict(d) for d in self.dropped],
-            "findings": [asdict(f) for f in self.findings],
+            "curves": [{**vars(c), "terms": [term.to_dict() for term in c.terms]} for c in self.curves],
+            "dropped": [dict(vars(d)) for d in self.dropped],
+            "findings": [dict(vars(f)) for f in self.findings],
             "traces": [
                 {
                     "name": t.name,
@@ -348,7 +363,7 @@ class Analysis:
             ],
             "facts": dict(self.facts),
             "refusals": list(self.refusals),
-            "results": [asdict(result) for result in self.results],
+            "results": [dict(vars(result)) for result in self.results],
         }
 
 

@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 
 from pmabench.base.errors import InvalidFile, Problem, invalid
-from pmabench.store.formats.record import Column, Format, Layout, Recorded, begins
+from pmabench.store.formats.record import Column, Format, Layout, Recorded, begins, distinct
 from pmabench.store.records import Array
 
 MAGIC = (b"LabVIEW Measurement", b"\xef\xbb\xbfLabVIEW Measurement")
@@ -49,7 +49,7 @@ class _Segment:
 
 
 class _File:
-    """The keys of the file's header, and what the rows look like by them."""
+    """The keys of the file's header, and the layout of its rows that follows from them."""
 
     def __init__(self, path: str, content: bytes) -> None:
         self.path = path
@@ -184,12 +184,7 @@ def _names(file: _File, fields: list[str], keys: dict[str, list[str]], line: int
     names = [text.strip() for text in fields[1 : 1 + count * step : step]]
     if len(names) < count or fields[0].strip() != "X_Value":
         raise invalid(file.path, f'"X_Value" and the names of {count} channels are expected', line, 1)
-    seen: dict[str, int] = {}
-    for index, name in enumerate(names):
-        text = name or "channel"
-        seen[text] = seen.get(text, 0) + 1
-        names[index] = text if seen[text] == 1 else f"{text} ({seen[text]})"
-    return names
+    return distinct([name or "channel" for name in names])
 
 
 def _numbers(file: _File, segment: _Segment) -> Array:
@@ -204,11 +199,9 @@ def _numbers(file: _File, segment: _Segment) -> Array:
     for index, (number, fields) in enumerate(segment.rows):
         if not width <= len(fields) <= width + 1:
             last = number == len(file.lines)
-            text = (
-                f"the last row is cut off: {len(fields)} of {width} columns"
-                if last and len(fields) < width
-                else f"has {len(fields)} columns, {width} are expected"
-            )
+            text = f"has {len(fields)} columns, {width} are expected"
+            if last and len(fields) < width:
+                text = f"the last row is cut off: {len(fields)} of {width} columns"
             problems.append(Problem(file.path, number, 1, text))
         else:
             for place, text in enumerate(fields[:width]):

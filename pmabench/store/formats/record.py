@@ -1,11 +1,19 @@
-"""What a module of a format needs: the record `Format`, the layout that a map gives, columns to hand over."""
+"""What a module of a format needs: the record `Format`, the layout that a map gives, columns to hand over.
+
+`formats` finds every format: those of this folder and those of other packages.
+"""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from datetime import datetime
+from functools import lru_cache
+from importlib import import_module
+from importlib.metadata import entry_points
+from pkgutil import iter_modules
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
@@ -14,6 +22,7 @@ from pydantic import Field
 from pmabench.base.errors import InvalidFile, invalid
 from pmabench.files.document import Strict
 from pmabench.files.quantity import Time
+from pmabench.store import formats as folder
 from pmabench.store.records import Array
 
 TIME = "@time"
@@ -97,7 +106,7 @@ class Format:
     Raises InvalidFile with what is wrong, at its line where there is one.
     """
     reader: Callable[..., Any] | None = None
-    """Makes a reader that takes a file in pieces, for a format whose files may not fit into memory; see `child`."""
+    """Makes a reader that takes a file in pieces, for a format whose files may not fit into memory; see `apart`."""
     modules: Sequence[str] = ()
     """Modules that `read` imports: imported before the time that a file may take is counted."""
     package: str = ""
@@ -124,3 +133,42 @@ def numbers(values: object) -> Array | None:
     if array.ndim != 1 or array.dtype.kind not in "biuf":
         return None
     return np.ascontiguousarray(array, dtype=np.float64)
+
+
+def distinct(names: Sequence[str]) -> list[str]:
+    """The names in order; one that was there before with its number: `name (2)`."""
+    seen: Counter[str] = Counter()
+    found = []
+    for name in names:
+        seen[name] += 1
+        found.append(name if seen[name] == 1 else f"{name} ({seen[name]})")
+    return found
+
+
+GROUP = "pmabench.formats"
+"""Group of entry points; each is called as its format and names a `Format`."""
+
+
+@lru_cache(maxsize=1)
+def formats() -> dict[str, Format]:
+    """Every format by its name; a package cannot replace one that is here already.
+
+    Raises InvalidFile where an entry point names no `Format`, or one with another name.
+    """
+    modules = [each.name for each in iter_modules(folder.__path__, f"{folder.__name__}.") if not each.ispkg]
+    records = [getattr(import_module(name), "FORMAT", None) for name in modules]
+    known = {record.name: record for record in records if record is not None}
+    for point in entry_points(group=GROUP):
+        try:
+            found = point.load()
+        except Exception as error:  # a package of somebody else may raise anything
+            raise invalid(point.value, f'the format "{point.name}" cannot be loaded: {error}') from error
+        if not isinstance(found, Format) or found.name != point.name:
+            raise invalid(point.value, f'is not the record of the format "{point.name}" that its package announces')
+        known.setdefault(point.name, found)
+    return known
+
+
+def format_of(content: bytes) -> Format:
+    """The format of a file by its first bytes; text where no format recognises them."""
+    return next((each for each in formats().values() if each.recognise(content)), formats()["text"])

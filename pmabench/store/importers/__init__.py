@@ -1,10 +1,10 @@
 """Other programs' files to runs: a map says what a file means, nothing is guessed, nothing is mended.
 
-- `map_file`: a map as people write it; `map_rules`: the same in SI; `questions`: what it leaves open
-- `table`: the columns of one file, read in another process (`warm`, `child`), on disk where they are many (`spool`)
-- `prepare`: one file scaled, checked and cut into trials, in parts where it has many rows (`long`)
-- checks: `quality` and `outliers` of one channel; `plausible` runs those of several, `frozen`, `lag`, `magnitude`,
-  `midfile`; `order`, `units`; `siblings` compares files; `effect`: what samples change, `found`: a finding
-- cuts: `segments`, by what `motion` finds in a signal; `commanded` reads commands off columns
-- `importing` writes the runs; `guess` proposes a map
+- `map_file`: a map as people write it, its units and open questions; `map_rules`: the same in SI
+- `table`: the columns of one file, read in processes of their own (`apart`)
+- `prepare`: one file read, scaled and checked, in parts where it is long (`long`); `importing`: the runs
+- checks: `quality` of one channel; `plausible` of several against each other, with `magnitude` and `midfile`;
+  `importing` compares files; `found`: a finding, and what its samples change
+- `segments` cuts into trials, by the steps, ramps and sines that `motion` finds and names as commands
+- `guess`: a proposed map for files that were never seen
 """

@@ -1,15 +1,19 @@
-"""What is found wrong in a file: one record for each finding, and the report that gathers them with their flags."""
+"""What is found wrong in a file: one record for each finding, the report that gathers them, and what they change.
+
+A finding that flags samples is completed by the slope over pressure with and without these samples.
+"""
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field, replace
-from typing import Any
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pmabench.base.quantities import show
 from pmabench.store.importers.map_rules import ColumnRule
-from pmabench.store.records import Array, Flag, Flags
+from pmabench.store.records import UNUSABLE, Array, Flag, Flags
 
 Bools = NDArray[np.bool_]
 
@@ -32,6 +36,20 @@ class Found:
     """Change of the slope over pressure by these samples [1]; None where it was not measured."""
     withholds: bool = False
     """No rule can set it right: what rests on the file is withheld until the map answers it."""
+
+
+@dataclass(frozen=True)
+class Summary:
+    """What is compared between files at the same point: the peak of each channel [SI]."""
+
+    point: tuple[tuple[str, float], ...]
+    peaks: Mapping[str, float]
+    numbers: Mapping[str, float]
+    """The same peaks as the numbers in the file."""
+    trusted: bool
+    """False where the file was found wrong already."""
+    slope: float | None = None
+    """Force over pressure where there is force [N/Pa], of a muscle that is held."""
 
 
 @dataclass(frozen=True)
@@ -85,6 +103,65 @@ class Report:
         self.found[place] = replace(self.found[place], effect=effect, text=f"{self.found[place].text}; {text}")
 
 
-def plain(found: Found) -> dict[str, Any]:
-    """A finding as the manifest keeps it."""
-    return asdict(found)
+FEWEST = 20
+"""Samples that a slope needs."""
+SMALL = 0.001
+"""Smaller changes [1] are not spelled out."""
+BAR = 1e5
+
+
+def slope(pressure: Array, other: Array) -> float | None:
+    """Least-squares slope of `other` over `pressure`, both of shape (n,) [SI]; None where pressure does not move."""
+    if len(pressure) < FEWEST:
+        return None
+    apart = pressure - pressure.mean()
+    square = float(apart @ apart)
+    return float(apart @ (other - other.mean())) / square if square > 0 and np.isfinite(square) else None
+
+
+def correlation(a: Array, b: Array) -> float:
+    """Correlation of two channels, shape (n,) each, where both have a value; 0 where one does not move."""
+    good = np.isfinite(a) & np.isfinite(b)
+    if good.sum() < 3 or np.ptp(a[good]) == 0 or np.ptp(b[good]) == 0:
+        return 0.0
+    return float(np.corrcoef(a[good], b[good])[0, 1])
+
+
+def in_words(value: float, follower: str) -> str:
+    """A slope in units that people read."""
+    if follower == "force":
+        return show(value, "force per pressure", 4)
+    return f"{show(value * BAR, 'length', 4)}/bar"
+
+
+def add_effects(report: Report, channels: Sequence[Checked]) -> None:
+    """Complete each finding that flags samples by the slope over pressure with and without these samples."""
+    values = {channel.rule.role: channel.si for channel in channels}
+    usable = (report.flags & np.uint16(UNUSABLE)) == 0
+    names = [name for name in ("force", "displacement") if name in values and "pressure" in values]
+    together = {name: abs(correlation(values["pressure"][usable], values[name][usable])) for name in names}
+    follower = max(names, key=together.__getitem__, default="")
+    if not follower or not report.rows:
+        return
+    pressure, other = values["pressure"], values[follower]
+    finite = np.isfinite(pressure) & np.isfinite(other)
+    kept = finite & usable
+    without = slope(pressure[kept], other[kept])
+    for place, rows in report.rows.items():
+        found = report.found[place]
+        if found.level == "note" or found.channel not in {"pressure", follower} or without is None:
+            continue
+        here: Bools = kept.copy()
+        here[rows] = finite[rows]
+        all_of_it = slope(pressure[here], other[here])
+        if all_of_it is None or not np.isfinite(all_of_it) or without == 0:
+            continue
+        change = all_of_it / without - 1.0
+        if abs(change) < SMALL:
+            report.with_effect(place, change, f"they are left out, which changes slopes by less than {SMALL:.1%}")
+            continue
+        text = (
+            f"slope of {follower} over pressure {in_words(all_of_it, follower)} with them, "
+            f"{in_words(without, follower)} without: they are left out"
+        )
+        report.with_effect(place, change, text)

@@ -66,21 +66,7 @@ class Inspected:
         if rows is None:
             return found
         last = len(rows) - 1
-
-        def at(row: str) -> int:
-            return int(rows[min(int(row) - 1, last)]) + 1
-
-        def named(match: re.Match[str]) -> str:
-            return f"{match[1]} {at(match[2])}" + (f" to {at(match[3])}" if match[3] else "")
-
-        return [
-            replace(
-                each,
-                text=_ROW.sub(named, each.text),
-                index=None if each.index is None else int(rows[min(each.index, last)]),
-            )
-            for each in found
-        ]
+        return [_moved(each, lambda row: int(rows[min(row, last)])) for each in found]
 
 
 def parts(rows: int) -> Iterator[tuple[int, int]]:
@@ -205,7 +191,7 @@ class _Findings:
             left = each.count - counted.get(key, 0)
             if (each.count and left <= 0) or (each.kind in OF_WHOLE and key in self._all):
                 continue
-            self._all.setdefault(key, []).append(replace(_moved(each, begin), count=left))
+            self._all.setdefault(key, []).append(replace(_moved(each, lambda row: row + begin), count=left))
 
     def all(self) -> list[Found]:
         """One finding of each kind and channel, the first, and how often it was found."""
@@ -222,9 +208,11 @@ class _Findings:
         return merged
 
 
-def _moved(found: Found, begin: int) -> Found:
-    """A finding with rows of the file in place of those of its part."""
-    if not begin:
-        return found
-    text = _ROW.sub(lambda m: f"{m[1]} {int(m[2]) + begin}" + (f" to {int(m[3]) + begin}" if m[3] else ""), found.text)
-    return replace(found, text=text, index=None if found.index is None else found.index + begin)
+def _moved(found: Found, row_of: Callable[[int], int]) -> Found:
+    """A finding with rows of the file, from 0, in place of those that were looked at; its text counts them from 1."""
+
+    def named(match: re.Match[str]) -> str:
+        first, *last = (str(row_of(int(row) - 1) + 1) for row in match.group(2, 3) if row)
+        return " to ".join([f"{match[1]} {first}", *last])
+
+    return replace(found, text=_ROW.sub(named, found.text), index=None if found.index is None else row_of(found.index))

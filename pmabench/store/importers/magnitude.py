@@ -16,10 +16,8 @@ import numpy as np
 
 from pmabench.base.quantities import show
 from pmabench.store.importers import motion
-from pmabench.store.importers.effect import in_words, slope
-from pmabench.store.importers.found import Bools, Checked, Report
-from pmabench.store.importers.questions import Question
-from pmabench.store.importers.units import spelled
+from pmabench.store.importers.found import Bools, Checked, Report, in_words, slope
+from pmabench.store.importers.map_file import Question, spelled
 from pmabench.store.records import UNUSABLE, Array, Flags
 
 STEEPEST = 17.0
@@ -147,7 +145,7 @@ def _steepest(P: Array, F: Array) -> float | None:
 
 
 def _steep(report: Report, m: float, peak: float, muscle: Muscle, pressure: Checked) -> list[Question]:
-    """Hold the force per pressure [N/Pa] against what diameters give."""
+    """Compare the force per pressure [N/Pa] with the range that the inner diameter allows."""
     most = area_factor(STEEPEST)
     word = "slope of force over pressure" if muscle.held else "force over pressure"
     if muscle.held and m < 0:
@@ -261,7 +259,7 @@ def _pace(seconds: float) -> Question:
 
 
 def _absolute(report: Report, P: Array, F: Array) -> None:
-    """A pressure that rests at that of the air where the muscle does not pull."""
+    """Report a pressure that rests at that of the air where the muscle does not pull: it may be absolute."""
     low = float(np.quantile(P, 0.02))
     rest = float(np.quantile(F, 0.02)) + 0.05 * float(np.quantile(F, 0.998) - np.quantile(F, 0.02)) >= F
     near = P < low + 0.03 * float(np.ptp(P))

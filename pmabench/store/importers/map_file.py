@@ -1,17 +1,180 @@
-"""Import maps as strict models: what people write about an old file, checked by itself; reads no data."""
+"""Import maps as strict models: what people write about an old file, with its units and its open questions.
+
+A value that begins with `??` is a question; what follows the marks is what may be taken until somebody answers. The
+comment above it that begins with `??` is the question in words.
+"""
 
 from __future__ import annotations
 
 import datetime
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, Union
 
 from pydantic import BeforeValidator, Discriminator, Field, Tag, WithJsonSchema, model_validator
 
-from pmabench.files.document import Strict
+from pmabench.base.errors import InvalidFile, Problem, did_you_mean, invalid
+from pmabench.files.document import Document, Location, Strict
 from pmabench.files.quantity import Force, Frequency, Length, Pressure, Ratio, Time, raw_quantity
-from pmabench.store.formats.record import Layout
-from pmabench.store.formats.registry import formats
+from pmabench.store.formats.record import Layout, formats
 from pmabench.store.formats.text import Name as Short
+
+_SPELLINGS = {
+    "s": "sec secs second seconds sekunden",
+    "ms": "msec msecs millisecond milliseconds",
+    "us": "usec microsecond microseconds µs μs",
+    "ns": "nsec nanosecond nanoseconds",
+    "min": "minute minutes minuten",
+    "h": "hr hrs hour hours stunde stunden std",
+    "d": "day days tage",
+    "Pa": "pascal pascals",
+    "kPa": "kilopascal kilopascals kpa",
+    "MPa": "megapascal mpa",
+    "hPa": "hectopascal",
+    "mbar": "millibar",
+    "bar": "bars barg bar(g) bar_g",
+    "psi": "psig psi(g) lbf/in2 lb/in2 lbf/in^2 lb/in^2 lbf/in² lb/in²",
+    "kgf/cm2": "kgf/cm^2 kgf/cm² kg/cm2 kg/cm^2 kg/cm² kp/cm2 kp/cm^2 kp/cm² ksc",
+    "N/mm2": "n/mm^2 n/mm²",
+    "atm": "atmosphere atmospheres",
+    "mmHg": "torr mm_hg",
+    "inHg": "in_hg",
+    "N": "newton newtons",
+    "kN": "kilonewton kilonewtons kn",
+    "mN": "millinewton millinewtons",
+    "daN": "decanewton",
+    "lbf": "lb lbs pound pounds",
+    "g": "gram grams gramm",
+    "kg": "kilogram kilograms kgs",
+    "kgf": "kp kilopond kg-f kg_f",
+    "gf": "pond g-f",
+    "ozf": "oz",
+    "mm": "millimeter millimeters millimetre millimetres",
+    "cm": "centimeter centimeters centimetre centimetres",
+    "m": "meter meters metre metres",
+    "um": "micrometer micron microns µm μm",
+    "in": "inch inches",
+    "ft": "foot feet",
+    "V": "volt volts",
+    "mV": "millivolt millivolts mvolt mvolts",
+    "A": "amp amps ampere amperes",
+    "mA": "milliamp milliamps milliampere milliamperes ma",
+    "count": "counts digit digits raw adc lsb",
+    "degC": "°c degc celsius",
+    "Hz": "hertz hz",
+    "%": "percent",
+}
+_KNOWN = {name: name for name in _SPELLINGS} | {
+    spelling: name for name, spellings in _SPELLINGS.items() for spelling in spellings.split()
+}
+QUANTITY = {
+    **dict.fromkeys(("s", "ms", "us", "ns", "min", "h", "d"), "time"),
+    **dict.fromkeys(("Pa", "kPa", "MPa", "hPa", "mbar", "bar", "psi", "kgf/cm2", "N/mm2", "atm"), "pressure"),
+    **dict.fromkeys(("mmHg", "inHg"), "pressure"),
+    **dict.fromkeys(("N", "kN", "mN", "daN", "lbf", "kgf", "gf", "ozf"), "force"),
+    **dict.fromkeys(("mm", "cm", "m", "um", "in", "ft"), "length"),
+    **dict.fromkeys(("g", "kg"), "mass"),
+    **dict.fromkeys(("V", "mV", "A", "mA", "count"), "reading"),
+}
+"""What a unit measures; `reading`: a sensor's own output, which needs a calibration."""
+
+
+def spelled(text: str) -> str:
+    """The unit that a text means, as pmabench spells it, or an empty text; case counts first, then not."""
+    text = text.strip().strip("[](){}").strip()
+    return _KNOWN.get(text) or _KNOWN.get(text.lower(), "")
+
+
+OPEN = "??"
+"""What a proposed map begins a value with that no file gives."""
+
+
+@dataclass(frozen=True)
+class Question:
+    """One question that an import left open."""
+
+    what: str
+    """The key in the map: `columns.F.unit`."""
+    where: str
+    """`path:line:column`."""
+    question: str
+    used: str
+    """What may be taken until it is answered; empty where nothing may."""
+
+
+def settle(
+    document: Document, answers: Sequence[tuple[str, str]] = (), *, unresolved: bool = False
+) -> tuple[Question, ...]:
+    """Put the answers (key, value) into a map's data, and say which questions are left with what is taken for them.
+
+    Raises InvalidFile with every question that is not answered; with `unresolved` only with those for which the map
+    proposes nothing.
+    """
+    asked = {question.what: (location, question) for location, question in _asked(document)}
+    for key, text in answers:
+        if key not in asked:
+            known = f"; open are {', '.join(asked)}" if asked else "; nothing is open in it"
+            raise invalid(f"--set {key}", f"{document.path} does not ask that{did_you_mean(key, asked) or known}")
+        document.put(asked.pop(key)[0], text, f"--set {key}")
+    left, problems = list[Question](), list[Problem]()
+    for key, (location, question) in asked.items():
+        if unresolved and question.used:
+            left.append(question)
+            document.put(location, _quoted(question.used), document.path)
+            continue
+        more = f"; --unresolved takes {question.used} until then" if question.used and not unresolved else ""
+        sentence = f"not answered: {question.question}; write the answer here, or give --set '{key}=...'{more}"
+        problems.append(document.problem(location, sentence))
+    if problems:
+        raise InvalidFile(problems)
+    return tuple(left)
+
+
+def questions_of(document: Document) -> list[Question]:
+    """Every question of a map, in the order of its lines."""
+    return [question for _, question in _asked(document)]
+
+
+def _asked(document: Document) -> Iterator[tuple[Location, Question]]:
+    for location in left_open(document.data, ()):
+        used = str(_at(document.data, location))[len(OPEN) :].strip()
+        yield location, Question(dotted(location), document.where(location), _question(document, location), used)
+
+
+def left_open(value: Any, location: Location) -> Iterator[Location]:
+    """Places of texts that begin with `??`."""
+    if isinstance(value, str) and value.startswith(OPEN):
+        yield location
+    elif isinstance(value, Mapping | list):
+        for key, inside in value.items() if isinstance(value, Mapping) else enumerate(value):
+            yield from left_open(inside, (*location, key))
+
+
+def dotted(location: Location) -> str:
+    """A place as people type it: `columns.F.unit`."""
+    return ".".join(str(part) for part in location)
+
+
+def _question(document: Document, location: Location) -> str:
+    """The comments with `??` right above a place."""
+    path, line, _ = document.place(location)
+    lines = document.texts.get(path, "").split("\n")[: line - 1]
+    found: list[str] = []
+    while lines and (text := lines.pop().strip()).startswith("#"):
+        if text.removeprefix("#").strip().startswith(OPEN):
+            found.insert(0, text.removeprefix("#").strip()[len(OPEN) :].strip())
+    return " ".join(found) or "no file gives it"
+
+
+def _at(data: Any, location: Location) -> Any:
+    for part in location:
+        data = data[part]
+    return data
+
+
+def _quoted(text: str) -> str:
+    return "'" + text.replace("'", "''") + "'"
+
 
 Reading = Annotated[
     tuple[float, str],
@@ -253,7 +416,7 @@ class MapFile(Strict):
     """Several tests in each file: names of columns that hold {test} are those of each test in turn; else in the order
     in which the header is repeated.
     """
-    name_tells: NameFile | None = None
+    from_name: Annotated[NameFile | None, Field(alias="name_tells")] = None
     notes: Annotated[str, Field(pattern=r"^[^/\\]{1,80}$")] | None = None
     """File next to it that holds notes, `*` is any text."""
     sampling: Sampling

@@ -21,8 +21,7 @@ from pmabench.files.document import Document, Location, read_document, validate
 from pmabench.files.quantity import unit_factor
 from pmabench.store.formats.record import TIME
 from pmabench.store.formats.shared.times import Stamps
-from pmabench.store.importers.map_file import NUMBERS, PLACE, ColumnFile, Line, MapFile, Trials
-from pmabench.store.importers.questions import Question, settle
+from pmabench.store.importers.map_file import NUMBERS, PLACE, ColumnFile, Line, MapFile, Question, Trials, settle
 
 _OF_POINT = {
     "length": "contraction lower upper start step mean amplitude setpoint",
@@ -221,7 +220,7 @@ class _Rules:
         return built
 
     def check_names(self) -> None:
-        """Names that the layout gives and names of columns are the same."""
+        """Report names that only the layout or only the columns have."""
         layout, columns = self.file.file, self.file.columns
         for name in columns if layout.given else ():
             if not (layout.period and name == TIME) and name not in layout.given:
@@ -231,7 +230,7 @@ class _Rules:
                 self.fault(("file", "names", index), f'"columns" does not say what "{name}" is; it may be "ignore"')
 
     def check_columns(self, columns: Sequence[ColumnRule]) -> None:
-        """What other parts of the map name is there."""
+        """Report phases and channels that another part of the map names and no column has."""
         file = self.file
         phases = {*file.trials.phases, *(mark for c in columns for mark in c.marks.values())}
         phases |= {"fill", "exhaust"} if file.trials.by == "ramp" else set()
@@ -377,7 +376,7 @@ class _Rules:
         return slope * reading[0] + offset if reading[1] == unit else self.si(reading, quantity, at)
 
     def name_rule(self) -> NameRule | None:
-        file = self.file.name_tells
+        file = self.file.from_name
         if file is None:
             return None
         used: set[str] = set()

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from pmabench.base.quantities import show
 from pmabench.store.importers import motion
-from pmabench.store.importers.effect import in_words, slope
-from pmabench.store.importers.found import Bools, Checked, Report
+from pmabench.store.importers.found import Bools, Checked, Report, in_words, slope
 from pmabench.store.records import Array
 
 

@@ -1,18 +1,312 @@
-"""Whether a file can be what its map says, by itself: runs the checks of several channels against each other."""
+"""Whether the channels of a file agree with each other, so that it can be what its map says; functions of arrays.
+
+A channel that always scatters and then repeats one value exactly is frozen. One that rests on whole counts is frozen
+only where it should have moved, by what it does elsewhere at the same pressures.
+
+The force of a muscle that is held follows its pressure within some hundredths of a second. Friction looks like a lag
+on ramps, but not where the pressure stops or turns: there a late force goes on for as long as it is late. A muscle that
+moves before its pressure does shows that the stamps of the pressure are late.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 
-from pmabench.store.importers import frozen, lag, magnitude, midfile
-from pmabench.store.importers.effect import add_effects
-from pmabench.store.importers.found import Bools, Checked, Found, Report
+from pmabench.base.quantities import show
+from pmabench.store.importers import magnitude, midfile, motion
+from pmabench.store.importers.found import Bools, Checked, Found, Report, add_effects, in_words, slope
 from pmabench.store.importers.magnitude import Muscle
-from pmabench.store.importers.questions import Question
-from pmabench.store.records import UNUSABLE, Array, Flags
+from pmabench.store.importers.map_file import Question
+from pmabench.store.records import UNUSABLE, Array, Flag, Flags
+
+SCATTERS = 0.3
+"""A channel of which less than this share of samples repeats the one before scatters always."""
+SAMPLES, LONGER = 25, 10.0
+"""It is frozen where it repeats one value for so many samples, and so many times longer than it does otherwise."""
+SECONDS = 0.1
+"""Shorter than this [s] nothing is called frozen."""
+SLOW = 0.5
+"""The same [s] for a channel that rests on counts: friction holds what follows slowly."""
+SHOULD = 0.25
+"""Share of its span by which a channel that rests on counts should have moved meanwhile."""
+LEAP = 0.05
+"""The same where it then leaps to where it should be."""
+BINS = 40
+"""Classes of pressure by which the usual reading is known."""
+LOOKED_AT = 200
+"""Longest stretches that are looked at."""
+CLIPPED = 10
+"""Samples at the very end of what a channel reads, from which on it may be clipped."""
+PILED = 0.04
+"""Share of its span by which a channel should have gone on beyond the end."""
+
+
+def usual(pressure: Array, other: Array) -> tuple[Array, Array]:
+    """What a channel usually reads at a pressure: middles of classes and medians, both shape (k,), k <= 40."""
+    low, high = float(pressure.min()), float(pressure.max())
+    place = np.minimum((BINS * (pressure - low) / ((high - low) or 1.0)).astype(np.intp), BINS - 1)
+    order = np.argsort(place, kind="stable")
+    cuts = np.searchsorted(place[order], np.arange(BINS + 1))
+    at, reads = [], []
+    for begin, end in pairwise(cuts.tolist()):
+        if end > begin:
+            rows = order[begin:end]
+            at.append(float(np.median(pressure[rows])))
+            reads.append(float(np.median(other[rows])))
+    return np.array(at), np.array(reads)
+
+
+def frozen(report: Report, channel: Checked, other: Checked, good: Bools, follows: bool) -> None:
+    """Flag the samples, of those that are `good`, shape (n,), in which a channel repeats itself while `other` moves.
+
+    `follows`: one of the two follows the other at once, so that it is known what a channel should read.
+    """
+    rows = np.flatnonzero(good)
+    role = channel.rule.role
+    if len(rows) < 4 * SAMPLES:
+        return
+    t, raw, si, ref = report.t[rows], channel.raw[rows], channel.si[rows], other.si[rows]
+    changes = np.flatnonzero(np.diff(raw) != 0) + 1
+    begins, ends = np.concatenate([[0], changes]), np.concatenate([changes, [len(raw)]])
+    lengths = ends - begins
+    if len(changes) < 10:
+        return
+    seconds = t[ends - 1] - t[begins]
+    scatters = 1.0 - len(changes) / len(raw) < SCATTERS
+    longest = max(SAMPLES, LONGER * float(np.quantile(lengths, 0.99)))
+    pause = 5.0 * float(np.median(np.diff(t[changes])))
+    likely = np.flatnonzero((seconds > max(SECONDS, pause)) & (lengths >= CLIPPED))
+    likely = likely[np.argsort(-lengths[likely], kind="stable")][:LOOKED_AT]
+    low, high = float(si.min()), float(si.max())
+    where = np.zeros(len(good), dtype=bool)
+    moved = 0.0
+    for run in likely.tolist():
+        begin, end = int(begins[run]), int(ends[run])
+        sure = scatters and lengths[run] >= longest and si[begin] not in (low, high, 0.0)
+        if sure or (follows and seconds[run] > SLOW and _should_move(si, ref, begin, end)):
+            where[rows[begin:end]] = True
+            moved = max(moved, float(np.ptp(ref[begin:end])))
+    if where.any():
+        longest_time = float(seconds[likely].max())
+        by = show(moved, other.rule.quantity, 3)
+        text = f"repeats one reading exactly for up to {longest_time:.3g} s while {other.rule.role} moves by {by}"
+        report.mark(where, Flag.STALE, "doubt", "frozen", f"{text}: it was frozen", role)
+
+
+def _should_move(si: Array, ref: Array, begin: int, end: int) -> bool:
+    """Whether a channel moves elsewhere at the values that `ref` goes through from `begin` to `end`."""
+    rest = np.ones(len(si), dtype=bool)
+    rest[begin:end] = False
+    if rest.sum() < 2 * BINS or np.ptp(ref[begin:end]) <= 0.02 * np.ptp(ref):
+        return False
+    at, reads = usual(ref[rest], si[rest])
+    expected = np.interp(ref[begin:end], at, reads)
+    span = float(np.ptp(np.quantile(si, [0.002, 0.998])))
+    should = float(np.ptp(np.quantile(expected, [0.025, 0.975])))
+    if should > SHOULD * span:
+        return True
+    after, before = si[end : end + 3], si[max(0, begin - 3) : begin]
+    if len(after) == 0 or should <= LEAP * span:
+        return False
+    leap = float(abs(np.median(after) - si[begin]))
+    steps = np.abs(np.diff(si[rest]))
+    nearby = max(float(np.quantile(steps, 0.995)), float(abs(si[begin] - before[-1])) if len(before) else 0.0)
+    return leap > max(0.5 * should, LEAP * span, 3.0 * nearby)
+
+
+def clipped(report: Report, channel: Checked, other: Checked, good: Bools) -> None:
+    """Flag samples that stay at the very top of what a channel reads while `other` goes on."""
+    rows = np.flatnonzero(good)
+    if len(rows) < 4 * SAMPLES:
+        return
+    raw, si, ref = channel.raw[rows], channel.si[rows], other.si[rows]
+    top = float(si.max())
+    at_top = si == top
+    below = ~at_top
+    if at_top.sum() < CLIPPED or below.sum() < 4 * SAMPLES or len(np.unique(raw[:10_000])) < 5:
+        return
+    run = np.diff(np.flatnonzero(np.diff(np.concatenate([[False], at_top, [False]]).astype(np.int8))))[::2].max()
+    span, moves = float(top - np.quantile(si, 0.002)), float(np.ptp(np.quantile(ref[at_top], [0.02, 0.98])))
+    if run < CLIPPED or span <= 0 or moves <= 0.05 * float(np.ptp(ref)):
+        return
+    near = below & (si > top - 0.15 * span)
+    if near.sum() < SAMPLES:
+        near = below & (si > top - 0.4 * span)
+    if near.sum() < SAMPLES or np.ptp(ref[near]) == 0:
+        return
+    onward = (slope(ref[near], si[near]) or 0.0) * moves
+    marks = np.unique(si)
+    if onward <= max(PILED * span, 3.0 * float(np.diff(marks[-3:]).max())):
+        return
+    where = np.zeros(len(good), dtype=bool)
+    where[rows[at_top]] = True
+    end, by = show(top, channel.rule.quantity, 4), show(moves, other.rule.quantity, 3)
+    text = f"stays at its highest reading, {end}, while {other.rule.role} moves by {by}: it is clipped, or at a stop"
+    report.mark(where, Flag.OVERRANGE, "doubt", "clipped", text, channel.rule.role)
+
+
+LEAST = 0.15
+"""Less than this [s] is no doubt: tubes, filters and slow cells make it."""
+MOST = 5.0
+"""More is not looked for [s], nor more than an eighth of the file."""
+PERIOD = 0.02
+"""Samples nearer to each other are averaged [s] ..."""
+POINTS = 20_000
+"""... and so many at most are compared."""
+SMOOTH = (5, 15, 50)
+"""Points over which the rates of change are taken: the least for which force and pressure are alike."""
+BETTER = 0.02
+"""The correlation at the lag exceeds that at none by this."""
+ALIKE = 0.5
+"""Least correlation of the rates at the lag."""
+GOES_ON = 0.4
+"""Share of what force changed in one lag before a stop of the pressure that it changes in one lag after it."""
+STOPS = 0.3
+"""A stop or turn: the rate of the pressure falls below this share of what it was one lag before."""
+MATTERS = 0.01
+"""Change of the slope [1] from which on the values are withheld."""
+
+
+def late(report: Report, force: Checked, pressure: Checked, good: Bools) -> bool:
+    """Report where force lies later or earlier than pressure by more than 0.15 s, of what is `good`, shape (n,)."""
+    rows = np.flatnonzero(good & motion.later(report.t))
+    if len(rows) < 200:
+        return False
+    t = report.t[rows]
+    usual = float(np.median(np.diff(t)))
+    period = max(usual, PERIOD, float(t[-1] - t[0]) / POINTS)
+    grid = np.arange(t[0], t[-1], period)
+    F, P = (np.interp(grid, t, _averaged(channel.si[rows], period / usual)) for channel in (force, pressure))
+    most = int(min(MOST / period, len(grid) / 8))
+    if most < 3 or np.ptp(F) == 0 or np.ptp(P) == 0:
+        return False
+    seconds = _lag(F, P, most) * period
+    if abs(seconds) < max(LEAST, 3.0 * period):
+        return False
+    shift = max(2, round(0.5 * abs(seconds) / period))  # half of it: another turn may follow
+    first, second = (P, F) if seconds > 0 else (F, P)
+    share = _goes_on(first, second, shift)
+    if share is None or share < GOES_ON:
+        return False
+    moved = np.interp(report.t + seconds, t, force.si[rows])[rows]
+    as_is, shifted = slope(pressure.si[rows], force.si[rows]), slope(pressure.si[rows], moved)
+    change = as_is / shifted - 1.0 if as_is is not None and shifted else 0.0
+    way = "later" if seconds > 0 else "earlier"
+    text = f"follows {show(abs(seconds), 'time', 3)} {way} than the pressure that makes it"
+    if as_is is not None and shifted is not None:
+        text += f"; slope over pressure {in_words(as_is, 'force')} so, {in_words(shifted, 'force')} without the lag"
+    if abs(change) > MATTERS:
+        text += "; which stamps are right no rule can say: mend the times of one column, and import it again"
+        report.withhold("lag", text, "force")
+    else:
+        report.add("doubt", "lag", text, "force")
+    return True
+
+
+def _averaged(values: Array, over: float) -> Array:
+    """Mean of so many neighbours, shape (n,)."""
+    width = max(1, round(over))
+    padded = np.pad(values, (width // 2, width - 1 - width // 2), mode="edge")
+    return np.asarray(np.convolve(padded, np.ones(width) / width, mode="valid"))
+
+
+def _lag(F: Array, P: Array, most: int) -> float:
+    """By how many points `F` lies after `P`, both of shape (n,); 0 where that explains it no better."""
+    shifts = np.arange(-most, most + 1)
+    for smooth in SMOOTH:
+        a, b = F[smooth:] - F[:-smooth], P[smooth:] - P[:-smooth]
+        a, b = a - a.mean(), b - b.mean()
+        size = 1 << (2 * len(a)).bit_length()
+        together = np.fft.irfft(np.fft.rfft(a, size) * np.conj(np.fft.rfft(b, size)), size)
+        alike = together[shifts] / (float(np.sqrt((a @ a) * (b @ b))) or 1.0)
+        best = int(np.argmax(alike))
+        if alike[best] >= ALIKE:
+            return float(shifts[best]) if alike[best] >= alike[most] + BETTER else 0.0
+    return 0.0
+
+
+def _goes_on(first: Array, second: Array, shift: int) -> float | None:
+    """How much `second` changes in `shift` points after a stop or turn of `first`, by its change in those before."""
+    before = np.concatenate([np.zeros(shift), first[shift:] - first[:-shift]])
+    after = np.concatenate([first[shift:] - first[:-shift], np.zeros(shift)])
+    large = np.abs(before) > 0.3 * float(np.max(np.abs(before)))
+    stops = large & (np.sign(before) * after < STOPS * np.abs(before))
+    stops[-shift:] = False
+    shares = []
+    for begin, end in motion.runs(stops):
+        full = np.abs(before[begin:end])
+        at = begin + int(np.flatnonzero(full >= 0.95 * full.max())[-1])  # the stop: the full rate ends here
+        if at < shift or at + shift >= len(second):
+            continue
+        past = second[at] - second[at - shift]
+        if past * before[at] <= 0 or abs(past) < 0.02 * np.ptp(second):
+            continue
+        shares.append(float((second[at + shift] - second[at]) / past))
+    return float(np.median(shares)) if shares else None
+
+
+SHARE = 0.1
+"""A step is at least so large a share of the pressure's span."""
+FAST = 0.5
+"""A step is over in this time [s]; at the turns of a slow wave nothing is reported."""
+BEFORE, AFTER = 0.5, 0.5
+"""Looked at around a step [s]."""
+REST = 0.15
+"""The last so many seconds before the step are no rest: the motion may have begun."""
+GONE, NOISE = 0.05, 5.0
+"""A channel moves once it has left its rest by this share of its way and so many standard deviations."""
+FEWEST = 5
+
+
+def pressure_late(t: Array, values: Mapping[str, Array], flags: Flags) -> Found | None:
+    """A doubt where displacement moves at least a sample before the measured pressure, at any step.
+
+    `t` [s], `values` [SI] by channel and `flags` have shape (n,). Polled channels are older than their stamps by
+    different times; then a delay comes out too short, or negative.
+    """
+    good = (flags & np.uint16(Flag.DROPOUT | Flag.TIME_JUMP | Flag.SUSPECT | Flag.OVERRANGE)) == 0
+    good &= motion.later(t)
+    pressure = values["pressure"][good]
+    if good.sum() < 50 or "displacement" not in values:
+        return None
+    low, high = (float(end) for end in np.quantile(pressure, [0.005, 0.995]))
+    rows, times = np.flatnonzero(good), t[good]
+    worst: tuple[float, int] | None = None
+    for step in motion.levels(times, pressure, SHARE * (high - low)) if high > low else []:
+        if step.settled - step.t > FAST:
+            continue
+        first = _moves(times, values["displacement"][good], step.t)
+        lead = 0.0 if first is None else step.t - float(times[first])
+        if first is not None and lead >= step.within and (worst is None or lead > worst[0]):
+            worst = (lead, int(rows[first]))
+    if worst is None:
+        return None
+    lead, row = worst
+    text = (
+        f"pressure: displacement moves {lead * 1e3:.3g} ms before it at {float(t[row]):.3f} s: pressure is late, as "
+        'where channels are polled one after the other; say "late_by"'
+    )
+    return Found("doubt", "late", text, "pressure", 1, row, float(t[row]))
+
+
+def _moves(t: Array, values: Array, step: float) -> int | None:
+    """The first sample at which a channel has left its rest before a step; None where it does not."""
+    rest = (t > step - BEFORE) & (t < step - REST)
+    then = (t > step + AFTER) & (t < step + 2 * AFTER)
+    if rest.sum() < FEWEST or then.sum() < FEWEST:
+        return None
+    level, scatter = float(np.median(values[rest])), float(np.std(values[rest]))
+    way = float(np.median(values[then])) - level
+    if abs(way) < 2 * NOISE * scatter or way == 0:
+        return None
+    gone = (values - level) * np.sign(way) > max(GONE * abs(way), NOISE * scatter)
+    near = np.flatnonzero(gone & (t >= step - REST) & (t < step + AFTER))
+    return int(near[0]) if len(near) else None
+
 
 CONDEMNED = 0.5
 """Share of flagged samples above which a file is not looked at any further: its faults are known."""
@@ -29,9 +323,9 @@ def stopped(t: Array, channels: Sequence[Checked], flags: Flags, held: bool) -> 
     if pair is not None and good.mean() > 1.0 - CONDEMNED:
         with np.errstate(all="ignore"):  # damaged files hold numbers of any size
             for one, other in (pair, pair[::-1]):
-                frozen.frozen(report, one, other, good, follows=held)
+                frozen(report, one, other, good, follows=held)
                 if held:
-                    frozen.clipped(report, one, other, good)
+                    clipped(report, one, other, good)
             add_effects(report, channels)
     return report.flags, report.found
 
@@ -57,7 +351,7 @@ def _judged(report: Report, channels: Sequence[Checked], muscle: Muscle) -> tupl
     if not midfile.swapped(report, channels, good) and pair is not None:
         changed = midfile.jumped(report, *pair, good, follows=muscle.held)
         if muscle.held and not changed and not midfile.regained(report, *pair, good):
-            lag.late(report, *pair, good)
+            late(report, *pair, good)
     questions = magnitude.judge(report, roles, good, muscle)
     return report.found, questions
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, time
 from fnmatch import fnmatchcase
@@ -10,21 +10,19 @@ from pathlib import Path
 
 import numpy as np
 
-from pmabench.base.errors import invalid
+from pmabench.base.errors import InvalidFile, Problem, invalid
 from pmabench.store.exported import NAME as RECORD
 from pmabench.store.exported import Exported, read_record
-from pmabench.store.importers import long, plausible, quality, units
-from pmabench.store.importers.found import Checked, Found
+from pmabench.store.importers import long, plausible, quality
+from pmabench.store.importers.found import Checked, Found, Summary
 from pmabench.store.importers.long import Seen
 from pmabench.store.importers.magnitude import muscle_of, slope_of_held
-from pmabench.store.importers.map_rules import ColumnRule, ImportMap, NameRule
-from pmabench.store.importers.order import pressure_late
-from pmabench.store.importers.questions import Question
+from pmabench.store.importers.map_file import Question, spelled
+from pmabench.store.importers.map_rules import ColumnRule, ImportMap
+from pmabench.store.importers.plausible import pressure_late
 from pmabench.store.importers.segments import Segment, segments
-from pmabench.store.importers.siblings import Summary
 from pmabench.store.importers.table import Table, read_table
-from pmabench.store.records import Array, Flag, Flags
-from pmabench.store.trials import trial_spans
+from pmabench.store.records import Array, Flag, Flags, trial_spans
 
 NOTES_BYTES = 100_000
 PAUSED = ("record", "column")
@@ -107,7 +105,7 @@ def _read(path: Path, rules: ImportMap) -> Table:
 
 
 def _prepared(path: Path, rules: ImportMap, table: Table, name: str, number: int) -> Prepared:
-    units.agree(path, rules.columns, table.units)
+    _units_agree(path, rules.columns, table.units)
     named = _named(path, rules, table.started)
     if name:
         named = replace(named, test=named.test or number + 1)
@@ -156,6 +154,18 @@ def _prepared(path: Path, rules: ImportMap, table: Table, name: str, number: int
     )
 
 
+def _units_agree(path: Path, columns: Sequence[ColumnRule], units: Mapping[str, str]) -> None:
+    """Raises InvalidFile where the file gives a column another unit than the map does."""
+    problems = []
+    for column in columns:
+        said, mapped = spelled(units.get(column.column, "")), spelled(column.raw_unit)
+        if said and mapped and said != mapped and column.back == (1.0, 0.0):
+            text = f'says that the unit of "{column.column}" is {said}, the map says {mapped}'
+            problems.append(Problem(str(path), 0, 0, text))
+    if problems:
+        raise InvalidFile(problems)
+
+
 def _held(rules: ImportMap) -> bool:
     """Whether the muscle is held at one length throughout a file, so that its force follows pressure."""
     return rules.test.held and rules.trials.by in ("file", "ramp")
@@ -183,7 +193,7 @@ def _own_flags(path: Path, values: Array) -> Flags:
 
 
 def _gaps_within(t: Array, flags: Flags, values: Mapping[str, Array], record: Exported | None, gap: float) -> None:
-    """Flag gaps within trials; between them nothing was recorded, and that is none."""
+    """Flag gaps within trials; a pause between trials is no gap."""
     if record is not None:
         begins = np.array(sorted(begin for begin, _ in trial_spans(record.events)))
         trial = np.searchsorted(begins, t - 1e-6).astype(np.float64)
@@ -219,7 +229,9 @@ def _coarse(table: Table, t: Array) -> None:
 
 def channels_of(table: Table, rules: ImportMap) -> tuple[Checked, ...]:
     """The channels of a table in memory, raw and in SI."""
-    return tuple(_checked(table, column) for column in rules.columns if _is_channel(column, table))
+    return tuple(
+        _checked(table, column) for column in rules.columns if column.is_channel and column.column in table.columns
+    )
 
 
 def _inspected(path: Path, rules: ImportMap, table: Table, record: Exported | None) -> Seen:
@@ -232,14 +244,11 @@ def _inspected(path: Path, rules: ImportMap, table: Table, record: Exported | No
         if not c.is_channel and c.role not in ("time", "date") and c.column in table.columns
     }
     paused = rules.trials.by in PAUSED
-    flags, found = quality.inspect(
-        t,
-        checked,
-        rules.file.sampling.rate,
-        *((np.inf, np.inf) if paused else (rules.file.sampling.gap, rules.file.sampling.leap)),
-    )
+    sampling = rules.file.sampling
+    gap, leap = (np.inf, np.inf) if paused else (sampling.gap, sampling.leap)
+    flags, found = quality.inspect(t, checked, sampling.rate, gap, leap)
     if paused:
-        _gaps_within(t, flags, others, record, rules.file.sampling.gap)
+        _gaps_within(t, flags, others, record, sampling.gap)
     if "flags" in others:
         flags |= _own_flags(path, others["flags"])
     if not paused:
@@ -277,20 +286,14 @@ def _summed(seen: Seen, table: Table) -> tuple[frozenset[str], Mapping[str, tupl
 
 
 def placed(found: Found, t: Array, rows: int) -> Found:
-    """What is about the whole file begins with its first row."""
+    """The finding with its row: one about the whole file gets the first."""
     return found if found.index is not None else replace(found, index=0, t=float(t[0]), count=rows)
 
 
-def _is_channel(column: ColumnRule, table: Table) -> bool:
-    return column.is_channel and column.column in table.columns
-
-
 def _checked(table: Table, rule: ColumnRule) -> Checked:
-    raw = (
-        (table.columns[rule.column] - rule.back[1]) / rule.back[0]
-        if rule.back != (1.0, 0.0)
-        else table.columns[rule.column]
-    )
+    raw = table.columns[rule.column]
+    if rule.back != (1.0, 0.0):
+        raw = (raw - rule.back[1]) / rule.back[0]
     if rule.whole and bool(np.all(quality.whole_counts(raw))) and float(np.abs(raw).max()) < 2**31 - 1:
         raw = np.round(raw)
     with np.errstate(over="ignore", invalid="ignore"):
@@ -312,21 +315,14 @@ def _named(path: Path, rules: ImportMap, started: datetime | None) -> Named:
         raise invalid(path, f'the name of its {rule.of}, "{name[:80]}", fits none of the forms in the map')
     data = {key: text for key, text in match.groupdict().items() if text is not None}
     point |= rule.otherwise
-    point |= _numbers_in(data, rule)
+    point |= {key: float(data[key].replace(",", ".")) * factor for key, factor in rule.factors.items() if key in data}
     if "date" in data:
         try:
-            started = datetime.strptime(data["date"] + data.get("clock", "000000"), "%Y-%m-%d%H%M%S").replace(
-                tzinfo=UTC
-            )
+            at = datetime.strptime(data["date"] + data.get("clock", "000000"), "%Y-%m-%d%H%M%S")
+            started = at.replace(tzinfo=UTC)
         except ValueError as error:
             raise invalid(path, f'the name of its {rule.of} is no date: "{data["date"]}"') from error
     return Named(point, int(data.get("test", "0")), started)
-
-
-def _numbers_in(texts: Mapping[str, str], rule: NameRule) -> dict[str, float]:
-    return {
-        key: float(text.replace(",", ".")) * rule.factors[key] for key, text in texts.items() if key in rule.factors
-    }
 
 
 def _notes(path: Path, pattern: str | None) -> tuple[str, bytes] | None:
@@ -343,6 +339,6 @@ def _notes(path: Path, pattern: str | None) -> tuple[str, bytes] | None:
 
 
 def _is_int(channel: Checked) -> bool:
-    """Stored as int32: whole counts throughout."""
+    """Whether a channel can be stored as int32: whole counts throughout."""
     raw = channel.raw
     return channel.rule.whole and bool(np.array_equal(raw, np.round(raw))) and float(np.abs(raw).max()) < 2**31 - 1

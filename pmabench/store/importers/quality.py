@@ -1,19 +1,305 @@
-"""What is wrong with samples: dropouts, gaps, time jumps, stale and impossible values; flags and reports it.
+"""What is wrong with the samples of one channel or of the clock: flags and reports it; functions of arrays.
 
-Pure functions of arrays; must not know files or runs.
+Dropouts, gaps, time jumps, stale and impossible values, codes for "no value", bursts, values held for a moment, spikes.
+Every rule uses numbers alone and says which samples it takes.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from math import sqrt
 
 import numpy as np
 
 from pmabench.base.quantities import show
-from pmabench.store.importers import outliers
-from pmabench.store.importers.effect import add_effects
-from pmabench.store.importers.found import Bools, Checked, Found, Report
+from pmabench.store.importers.found import Bools, Checked, Found, Report, add_effects, correlation
+from pmabench.store.importers.motion import runs
 from pmabench.store.records import Array, Flag, Flags
+
+CODES = (
+    *(0.0, -1.0, 99.99, 999.0, 999.9, 999.99, 999.25, 9999.0, 9999.9, 9999.99, 99999.0, 999999.0, 9999999.0),
+    *(32767.0, 32768.0, 65535.0, 8388607.0, 8388608.0, 16777215.0, 2147483647.0, 2147483648.0, 4294967295.0),
+    *(1e9, 1e10, 1e20, 9.9e37, 9.91e37, 6999.0, 7999.0, 8888.0, 88888.0),
+)
+"""What loggers, meters and converters write for "no value" or "beyond the range", with either sign."""
+BEYOND = 0.05
+"""A code lies outside of what else the channel reads by this share of its span, or is entered and left by a leap."""
+LEAP = 4.0
+"""A leap is so many times larger than other changes nearby ..."""
+NEARBY = 30
+"""... within so many samples on either side."""
+MANY = 0.1
+"""Share of the samples that may be spikes or bursts; what is more frequent is the signal."""
+BURST = 5
+"""Samples in a row that may be a burst where they differ from each other ..."""
+HELD = 50
+"""... and where they are equal."""
+BRIEF = 1.0
+"""Seconds; what is held for longer may be a level of the test."""
+MOVES = 20.0
+"""A channel moves where it spans so many times the change from sample to sample."""
+AS_LARGE = 0.25
+"""Beyond the largest burst the signal comes back to within this share of the leap."""
+AROUND = 12
+"""Neighbours on either side that a spike is held against ..."""
+ALONE = 3
+"""... without those nearer than this, since a spike may be three samples long."""
+SPIKE = 4.0
+"""A spike lies so many times further out than all but the most scattered samples."""
+SMALLEST = 0.02
+"""Share of the span of a channel below which nothing is a spike."""
+SCATTERED = 0.005
+"""Share of the samples that are the most scattered; at least six."""
+ENDS = (SCATTERED, 1.0 - SCATTERED)
+RARE = 6.5
+"""Standard deviations of the noise from sample to sample within which nothing is a spike."""
+ENOUGH = 100_000
+"""Samples that show in which steps a channel reads."""
+FEW = 50
+"""With fewer samples scatter cannot be distinguished from spikes."""
+
+
+def codes(report: Report, channel: Checked, looked_at: Bools) -> Bools:
+    """Flag codes for "no value"; returns the samples of `looked_at`, shape (n,), that remain."""
+    left = looked_at.copy()
+    for code, where in _codes(channel, left, channel.rule.role.endswith("command")):
+        text = f"reads exactly {code:.10g}, far from its other readings: a code for no value, or for beyond the range"
+        report.mark(where, Flag.DROPOUT, "doubt", "sentinel", text, channel.rule.role)
+        left &= ~where
+    return left
+
+
+def bursts(report: Report, channel: Checked, looked_at: Bools) -> Bools:
+    """Flag short stretches far from the signal, which only a command may have; returns what remains of `looked_at`."""
+    role, quantity = channel.rule.role, channel.rule.quantity
+    if role.endswith("command"):
+        return looked_at
+    far = _far(channel.si, looked_at)
+    left = looked_at & ~far
+    if far.any():
+        low, high = (show(float(end), quantity, 4) for end in (channel.si[left].min(), channel.si[left].max()))
+        text = f"leaps out of all that it reads else, {low} to {high}, for at most {HELD} samples at a time"
+        report.mark(far, Flag.SUSPECT, "doubt", "burst", text, role)
+    held = _held(report.t, channel.si, left)
+    text = "leaps to one value, stays exactly there for some samples and leaps back: no reading, but a value held"
+    report.mark(held, Flag.SUSPECT, "doubt", "held", text, role)
+    return left & ~held
+
+
+def _codes(channel: Checked, looked_at: Bools, command: bool) -> Iterator[tuple[float, Bools]]:
+    """Each code that the file holds, and where it lies apart from what else the channel reads."""
+    back = channel.rule.back
+    numbers = channel.raw if back == (1.0, 0.0) else channel.raw * back[0] + back[1]
+    hits = _hits(numbers, looked_at)
+    if not hits:
+        return
+    others = looked_at & ~np.logical_or.reduce(list(hits.values()))
+    if others.sum() < 2:
+        return
+    low, high = float(numbers[others].min()), float(numbers[others].max())
+    span = max(high - low, 1e-9 * max(abs(low), abs(high)))
+    outside = (3.0 if command else BEYOND) * span
+    for value, here in hits.items():
+        if value == 0.0:
+            brief = here & ~_longer(here, BURST)
+            where = brief & _leaps(numbers, brief, looked_at, BEYOND * span)
+        elif abs(value) > 100 and (value < low - outside or value > high + outside):
+            where = here
+        else:
+            where = here & _leaps(numbers, here, looked_at, BEYOND * span)
+        if where is here or not command:
+            yield value, where
+
+
+def _hits(numbers: Array, looked_at: Bools) -> dict[float, Bools]:
+    """Code -> samples that read it, to seven digits, since other programs may have rounded it."""
+    every = np.array(sorted({sign * code for code in CODES for sign in (1.0, -1.0)} - {1.0}))
+    place = np.minimum(np.searchsorted(every, numbers - 1e-7 * np.abs(numbers)), len(every) - 1)
+    rows = np.flatnonzero(looked_at & (np.abs(numbers - every[place]) <= 1e-7 * np.abs(every[place])))
+    found: dict[float, Bools] = {}
+    for code in np.unique(every[place[rows]]).tolist():
+        found[code] = np.zeros(len(numbers), dtype=bool)
+        found[code][rows[every[place[rows]] == code]] = True
+    return found
+
+
+def _longer(where: Bools, most: int) -> Bools:
+    """The runs of True that are longer than so many samples."""
+    begins, ends = np.array(runs(where), dtype=int).reshape(-1, 2).T
+    longer = ends - begins > most
+    steps = np.zeros(len(where) + 1, dtype=np.int8)
+    steps[begins[longer]], steps[ends[longer]] = 1, -1
+    return np.asarray(np.cumsum(steps[:-1]) > 0)
+
+
+def _leaps(numbers: Array, here: Bools, looked_at: Bools, least: float) -> Bools:
+    """Those runs of `here` that are entered and left by a leap of at least `least`, and from the same level."""
+    out = np.zeros(len(here), dtype=bool)
+    rows = np.flatnonzero(looked_at & ~here)
+    for begin, end in runs(here):
+        if begin and abs(numbers[begin] - numbers[begin - 1]) <= least:
+            continue
+        at = int(np.searchsorted(rows, begin))
+        before, after = rows[max(0, at - NEARBY) : at], rows[at : at + NEARBY]
+        if len(before) < 3 or len(after) < 3:
+            continue
+        steps = max(float(np.abs(np.diff(numbers[side])).max()) for side in (before, after))
+        entry, leave = abs(numbers[begin] - numbers[before[-1]]), abs(numbers[end - 1] - numbers[after[0]])
+        returns = abs(numbers[after[0]] - numbers[before[-1]]) <= AS_LARGE * min(entry, leave) + steps
+        out[begin:end] = min(entry, leave) > max(LEAP * steps, least) and returns
+    return out
+
+
+def _far(si: Array, looked_at: Bools) -> Bools:
+    """Short runs of readings whose distance from all others is larger than the span of these, where the others move."""
+    out = np.zeros(len(si), dtype=bool)
+    rows = np.flatnonzero(looked_at)
+    if len(rows) < FEW:
+        return out
+    values = si[rows]
+    most = max(1, int(MANY * len(rows)))
+    low, high = (float(end) for end in np.quantile(_some(values), [MANY, 1.0 - MANY]))
+    for sign, beyond in ((1.0, low - values.min()), (-1.0, values.max() - high)):
+        if beyond <= high - low:
+            continue  # what is not far beyond the inner readings is not far beyond all others
+        tail = np.sort(np.partition(sign * values, most)[: most + 1])
+        gaps = np.diff(tail)
+        widest = int(np.argmax(gaps))
+        rest = sign * values >= tail[widest + 1]
+        kept = values[rest & ~out[rows]]
+        span = float(np.ptp(kept)) if len(kept) else 0.0
+        ordinary = float(np.quantile(np.abs(np.diff(kept)), 0.9)) if len(kept) > 2 else 0.0
+        if span <= 0 or span < MOVES * ordinary or gaps[widest] <= span:
+            continue
+        far = ~rest
+        for begin, end in runs(far):
+            equal = bool(np.all(values[begin:end] == values[begin]))
+            if end - begin > (HELD if equal else BURST):
+                far[begin:end] = False
+        out[rows[far]] = True
+    return out
+
+
+def _held(t: Array, si: Array, looked_at: Bools) -> Bools:
+    """Two or more equal readings in a row that the channel leaps to and from, from about the same level."""
+    out = np.zeros(len(si), dtype=bool)
+    rows = np.flatnonzero(looked_at)
+    if len(rows) < FEW:
+        return out
+    values = si[rows]
+    least = max(BEYOND * float(np.ptp(np.quantile(_some(values), ENDS))), SPIKE * _resolution(values))
+    steps = np.abs(np.diff(values))
+    if np.count_nonzero(steps > least) < 2:
+        return out
+    changes = np.flatnonzero(steps > 0) + 1
+    begins, ends = changes[:-1], changes[1:]
+    leap = np.minimum(steps[begins - 1], steps[np.minimum(ends, len(values) - 1) - 1])
+    lengths = ends - begins
+    brief = t[rows[np.minimum(ends, len(rows) - 1)]] - t[rows[begins]] <= BRIEF
+    likely = brief & (lengths >= 2) & (lengths <= HELD) & (leap > least)
+    for begin, end in list(zip(begins[likely].tolist(), ends[likely].tolist(), strict=True)):
+        before, after = values[max(0, begin - NEARBY) : begin], values[end : end + NEARBY]
+        if len(before) < BURST or len(after) < BURST:
+            continue
+        usual = max(float(np.abs(np.diff(side)).max()) for side in (before, after))
+        size = min(abs(values[begin] - before[-1]), abs(values[begin] - after[0]))
+        if size > LEAP * usual and abs(after[0] - before[-1]) <= AS_LARGE * size:
+            out[rows[begin:end]] = True
+    return out
+
+
+def spikes(report: Report, channel: Checked, looked_at: Bools) -> None:
+    """Flag up to three samples in a row that stand out from their neighbours as nothing else in the channel does."""
+    rule = channel.rule
+    si = channel.si[looked_at]
+    if len(si) < FEW:
+        return
+    apart = beyond_neighbours(si, swings=not rule.role.endswith("command"))
+    limit = rule.spike if rule.spike is not None else spike_limit(si, apart)
+    where = np.zeros(len(channel.si), dtype=bool)
+    where[looked_at] = apart > limit
+    text = f"lies beyond all its neighbours by more than {show(limit, rule.quantity, 3)}, alone"
+    report.mark(where, Flag.SUSPECT, "doubt", "spike", text, rule.role)
+
+
+def beyond_neighbours(values: Array, swings: bool = True) -> Array:
+    """How far each value stands out alone, shape (n,): the lesser of two distances, none below 0.
+
+    Beyond all of its neighbours, the 3rd to the 12th on either side; from the running median of seven, which three in
+    a row do not move. Of what `swings`, as no command does, the difference of the levels before and after is taken off,
+    since what swings over after a step is no spike. Steps, ramps and waves stay near 0. At the ends, where neighbours
+    are on one side only, so much is taken off as these move.
+    """
+    low, high = _extremes(values)
+    beyond = np.fmax(values - high, low - values)
+    out = np.zeros(len(values))
+    padded = np.pad(values, AROUND, constant_values=np.nan)
+    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * AROUND + 1)
+    outside = np.flatnonzero(beyond > 0)  # all others lie among their neighbours: 0
+    for begin in range(0, len(outside), 100_000):
+        rows = outside[begin : begin + 100_000]
+        around = windows[rows]
+        near = around[:, AROUND - ALONE : AROUND + ALONE + 1]
+        median = np.partition(near, ALONE, axis=1)[:, ALONE]
+        cut = np.isnan(near).any(axis=1)
+        median[cut] = np.nanmedian(near[cut], axis=1)
+        before = np.median(around[:, AROUND - ALONE - 2 : AROUND - ALONE + 1], axis=1)
+        after = np.median(around[:, AROUND + ALONE : AROUND + ALONE + 3], axis=1)
+        end = np.isnan(before - after)
+        step = np.where(end, high[rows] - low[rows], np.abs(before - after))
+        off = step if swings else np.where(end, step, 0.0)
+        out[rows] = np.minimum(beyond[rows], np.abs(values[rows] - median)) - off
+    return np.maximum(out, 0.0)
+
+
+def _extremes(values: Array) -> tuple[Array, Array]:
+    """The lowest and the highest of the neighbours of each value, the 3rd to the 12th on either side."""
+    wide, ends = AROUND - ALONE + 1, []
+    for least, nothing in ((np.fmin, np.inf), (np.fmax, -np.inf)):
+        run = np.pad(values, AROUND, constant_values=nothing)
+        done = 1
+        while done < wide:  # the extreme of so many values in a row, from that of fewer
+            more = min(done, wide - done)
+            run, done = least(run[:-more], run[more:]), done + more
+        ends.append(least(run[: len(values)], run[AROUND + ALONE :][: len(values)]))
+    return ends[0], ends[1]
+
+
+def spike_limit(values: Array, apart: Array) -> float:
+    """From which distance on a sample is a spike: far beyond scatter, resolution and 2 % of the channel's span.
+
+    Spikes that come again and again would pass for scatter. They are known by the gap below them: the largest lie
+    `SPIKE` times further out than all that follow.
+    """
+    most = max(6, int(MANY * len(apart)))
+    above = apart[apart > 0]
+    top = np.sort(np.partition(above, -most - 1)[-most - 1 :] if len(above) > most else above)[::-1]
+    largest = np.zeros(most + 1)
+    largest[: len(top)] = top
+    count = max(6, int(SCATTERED * len(apart)))
+    some = _some(values)
+    resolution, few = _resolution(values), len(np.unique(some)) <= 20
+    low, high = (float(end) for end in np.quantile(some[_some(apart) <= largest[-1]], ENDS))
+    noise = float(np.median(np.abs(np.diff(values[:ENOUGH], n=3)))) / (0.6745 * sqrt(20.0))
+    least = max(0.0 if few else SPIKE * resolution, SMALLEST * (high - low), RARE * noise)
+    least += 1e-9 * float(np.abs(values).max())
+    usual = 2.0 * SPIKE * max(resolution, float(np.quantile(np.abs(np.diff(values[:ENOUGH])), 0.75)))
+    apart_from = np.maximum(largest[count + 1 :], max(least, usual) / SPIKE)
+    gaps = count + np.flatnonzero(largest[count:-1] > SPIKE * apart_from)
+    last = int(gaps[-1]) + 1 if len(gaps) else count - 1
+    return max(SPIKE * float(largest[last]), least)
+
+
+def _some(values: Array) -> Array:
+    """Some of many values, evenly spread, so that their quantiles cost little."""
+    return values[:: 1 + len(values) // ENOUGH]
+
+
+def _resolution(values: Array) -> float:
+    """The smallest distance of two readings of different size, of the first that there are."""
+    marks = np.unique(values[:ENOUGH])
+    return float(np.diff(marks).min()) if len(marks) > 1 else 0.0
+
 
 NOT_WHOLE = 0.05
 """Counts further than this from a whole number were never counts."""
@@ -91,8 +377,7 @@ def _channel(report: Report, channel: Checked) -> None:
     rule, raw, name = channel.rule, channel.raw, channel.rule.role
     nothing = ~np.isfinite(raw) | ~np.isfinite(channel.si)
     report.mark(nothing, Flag.DROPOUT, "note", "missing", "no value in the file", name)
-    with np.errstate(invalid="ignore"):
-        absurd = ((np.abs(raw) > LARGEST) | ((np.abs(raw) < 1.0 / LARGEST) & (raw != 0))) & ~nothing
+    absurd = ((np.abs(raw) > LARGEST) | ((np.abs(raw) < 1.0 / LARGEST) & (raw != 0))) & ~nothing
     text = f"reads below {1 / LARGEST:.0e} or above {LARGEST:.0e}, as no device does: the file is damaged here"
     report.mark(absurd, Flag.SUSPECT, "fault", "absurd", text, name)
     out = nothing | absurd
@@ -108,21 +393,19 @@ def _channel(report: Report, channel: Checked) -> None:
         text = f"reads {rule.blip:g} {rule.raw_unit} in a single sample between others"
         report.mark(alone, Flag.DROPOUT, "note", "blip", text, name)
         out = out | alone
-    looked_at = outliers.codes(report, channel, ~out)
+    looked_at = codes(report, channel, ~out)
     if rule.whole:
         _whole(report, channel, looked_at)
     low, high = rule.low, rule.high
-    with np.errstate(invalid="ignore"):
-        if rule.whole:
-            beyond = ((channel.si <= low) | (channel.si >= high)) & looked_at
-        else:
-            beyond = ((channel.si < low) | (channel.si > high)) & looked_at
+    beyond = ((channel.si < low) | (channel.si > high)) & looked_at
+    if rule.whole:
+        beyond |= ((channel.si == low) | (channel.si == high)) & looked_at
     bounds = f"{show(low, rule.quantity, 4)} to {show(high, rule.quantity, 4)}"
     level = "doubt" if float(np.mean(beyond)) > OFTEN else "note"
     report.mark(beyond, Flag.OVERRANGE, level, "out-of-range", f"is at or beyond its range, {bounds}", name)
     if rule.stale_after is not None:
         _stale(report, channel, rule.stale_after)
-    outliers.spikes(report, channel, outliers.bursts(report, channel, looked_at & ~beyond))
+    spikes(report, channel, bursts(report, channel, looked_at & ~beyond))
 
 
 def _equals(raw: Array, value: float) -> Bools:
@@ -167,11 +450,8 @@ def _stale(report: Report, channel: Checked, longest: float) -> None:
 def against_sign(flags: Flags, values: Mapping[str, Array], channel: str) -> Found | None:
     """A doubt where `channel` falls while pressure rises; both of shape (n,), SI."""
     good = (flags & np.uint16(Flag.DROPOUT | Flag.OVERRANGE | Flag.TIME_JUMP | Flag.SUSPECT)) == 0
-    pressure, other = values["pressure"][good], values[channel][good]
-    if len(pressure) < 10 or np.ptp(pressure) == 0 or np.ptp(other) == 0:
-        return None
-    together = float(np.corrcoef(pressure, other)[0, 1])
-    if together > OPPOSITE:
+    together = correlation(values["pressure"][good], values[channel][good])
+    if good.sum() < 10 or together > OPPOSITE:
         return None
     text = f"{channel}: falls while pressure rises (correlation {together:.2f}): its sign, or the column, may be wrong"
     return Found("doubt", "sign", text, channel)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.base.quantities import CHANNEL_QUANTITY
-from pmabench.store.importers import commanded, motion
+from pmabench.store.importers import motion
 from pmabench.store.importers.found import Bools
 from pmabench.store.importers.map_rules import G, ImportMap
 from pmabench.store.importers.motion import later
@@ -127,7 +127,7 @@ class _Rows:
         t, command = self.t[self.good], self.values[self.driven][self.good]
         low, high = float(command.min()), float(command.max())
         wave = motion.Wave(float(t[0]), float(t[-1]), frequency, (low + high) / 2, (high - low) / 2)
-        return [{**commanded.sine_command(wave, "pressure"), "before": float(command[0])}]
+        return [{**motion.sine_command(wave, "pressure"), "before": float(command[0])}]
 
 
 def segments(
@@ -148,7 +148,7 @@ def segments(
 
 
 def _as_own(found: Sequence[Segment], all_rows: _Rows) -> tuple[list[Segment], list[str]]:
-    """The trials with commands and operating points as a test of the program's own has them.
+    """The trials with commands and operating points in the form that runs of this program have.
 
     The operating point is what the map says, else what its columns say, else what the commands say.
     """
@@ -162,7 +162,7 @@ def _as_own(found: Sequence[Segment], all_rows: _Rows) -> tuple[list[Segment], l
         rows = all_rows.rising & (t >= part.begin - 1e-9) & (t <= part.end + 1e-9)
         mine = {name: column[rows] for name, column in channels.items()}
         how = rules.test.commanded
-        commands, known = commanded.read(how, t[rows], mine, rules.trials.smallest) if how else ([], {})
+        commands, known = motion.commands_of(how, t[rows], mine, rules.trials.smallest) if how else ([], {})
         columns: dict[str, float] = {}
         for name, column in values.items():
             if not name.startswith(POINT):
@@ -181,17 +181,17 @@ def _as_own(found: Sequence[Segment], all_rows: _Rows) -> tuple[list[Segment], l
             point["mass"] = point["load"] / G
             hanging += "force" not in mine
         if rules.test.loaded and "load" not in point and "force" in mine:
-            load = commanded.cell_load(t[rows], mine["force"], commands)
+            load = motion.cell_load(t[rows], mine["force"], commands)
             if load is not None:
                 loads[number] = load
-        searched = commanded.lift_and_set_down(t[rows], mine) if rules.test.lifted else []
+        searched = motion.lift_and_set_down(t[rows], mine) if rules.test.lifted else []
         parts.append(replace(part, point=point, commands=tuple(commands) or part.commands, found=tuple(searched)))
     if hanging:
         doubts.append(
             f"the moving mass of {hanging} trials is not given, so that of the load is taken; what moves with it "
             "(hanger, carriage) belongs to it: a column or `point: {mass: ...}` gives it"
         )
-    for number, load in zip(loads, commanded.alike(list(loads.values())), strict=True):
+    for number, load in zip(loads, motion.alike(list(loads.values())), strict=True):
         parts[number] = replace(parts[number], point={"mass": load / G, **parts[number].point, "load": load})
     return parts, doubts
 
@@ -221,7 +221,7 @@ def _by_sine(rows: _Rows) -> list[_Span]:
     spans: list[_Span] = []
     for wave in motion.waves(rows.t[rows.rising], rows.values[rows.driven][rows.rising], rows.smallest):
         point = {**rows.point, "frequency": float(f"{wave.frequency:.4g}")}
-        spans.append((wave.begin, wave.end, point, [commanded.sine_command(wave, "pressure")], []))
+        spans.append((wave.begin, wave.end, point, [motion.sine_command(wave, "pressure")], []))
     return spans
 
 

@@ -1,10 +1,15 @@
-"""The columns that a map wants of one file, whatever its format: numbers, lines, what the file says of itself."""
+"""The columns that a map wants of one file, whatever its format: numbers, lines, what the file says of itself.
+
+Columns stay in memory while they are small, and are kept in temporary files above that.
+"""
 
 from __future__ import annotations
 
 import hashlib
+import tempfile
+import weakref
 from bisect import bisect_right
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from itertools import pairwise
@@ -15,12 +20,73 @@ import numpy as np
 
 from pmabench.base.errors import invalid
 from pmabench.base.text import printable
-from pmabench.store.formats.record import TIME, Layout
-from pmabench.store.formats.registry import formats
+from pmabench.store.formats.record import TIME, Layout, formats
 from pmabench.store.formats.shared.times import Clock, Stamps, step_in
-from pmabench.store.importers.spool import Columns
-from pmabench.store.importers.warm import Answer, read_apart
+from pmabench.store.importers.apart import Answer, read_apart
 from pmabench.store.records import Array
+
+KEPT = 16_000_000
+"""Bytes of all columns up to which nothing is written to disk."""
+
+
+def _close(files: dict[str, IO[bytes]]) -> None:
+    for file in files.values():
+        file.close()
+
+
+class Columns(Mapping[str, Array]):
+    """Equally long columns by name; `columns[name]` is a whole one, `part` some rows of all."""
+
+    def __init__(self) -> None:
+        """Without columns; the first piece gives their names."""
+        self.rows = 0
+        self._pieces: dict[str, list[Array]] = {}
+        self._files: dict[str, IO[bytes]] = {}
+        weakref.finalize(self, _close, self._files)
+
+    def append(self, piece: Mapping[str, Array]) -> None:
+        """Add rows at the end. Raises OSError where the folder for temporary files is full."""
+        if not self._pieces:
+            self._pieces = {name: [] for name in piece}
+        for name, values in piece.items():
+            if self._files:
+                self._files[name].write(np.ascontiguousarray(values, dtype=np.float64).data)
+            else:
+                self._pieces[name].append(values)
+        self.rows += len(next(iter(piece.values()), ()))
+        if not self._files and 8 * self.rows * len(self._pieces) > KEPT:
+            self._to_disk()
+
+    def _to_disk(self) -> None:
+        for name, pieces in self._pieces.items():
+            file = self._files[name] = tempfile.TemporaryFile()  # noqa: SIM115  # lives as long as the columns
+            while pieces:
+                file.write(np.ascontiguousarray(pieces.pop(0), dtype=np.float64).data)
+
+    def part(self, begin: int, end: int, names: Iterable[str] | None = None) -> dict[str, Array]:
+        """Rows `begin` to `end` (without it) of all columns, or of some."""
+        return {name: self._read(name, begin, end) for name in (names or self)}
+
+    def _read(self, name: str, begin: int, end: int) -> Array:
+        if not self._files:
+            pieces = self._pieces[name]
+            if len(pieces) > 1:
+                pieces[:] = [np.concatenate(pieces)]
+            return pieces[0][begin:end] if pieces else np.empty(0)
+        file = self._files[name]
+        file.flush()
+        file.seek(8 * begin)
+        return np.fromfile(file, dtype=np.float64, count=end - begin)
+
+    def __getitem__(self, name: str) -> Array:
+        return self._read(name, 0, self.rows)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._pieces)
+
+    def __len__(self) -> int:
+        return len(self._pieces)
+
 
 MAX_BYTES = 2_000_000_000
 """Of a file that is read in pieces."""
@@ -39,7 +105,7 @@ class Lines:
     _lines: list[int] = field(default_factory=list)
 
     def append(self, lines: Array) -> None:
-        """The lines of further rows, from 1."""
+        """Add the lines of further rows, counted from 1."""
         if not len(lines):
             return
         jumps = [0, *(np.flatnonzero(np.diff(lines) != 1) + 1).tolist()]
@@ -73,12 +139,12 @@ class Table:
     """Line in the file of each row, from 1; number of the row where the file has no lines."""
     cut_end: bool
     """The last row may be cut."""
-    units: Mapping[str, str]
-    """Name -> unit, as the file says."""
     started: datetime | None
     """When the recording began, as the file says, in the time zone of who recorded it."""
-    doubts: tuple[str, ...]
-    left_out: tuple[str, ...]
+    units: Mapping[str, str] = field(default_factory=dict)
+    """Name -> unit, as the file says."""
+    doubts: tuple[str, ...] = ()
+    left_out: tuple[str, ...] = ()
     """Columns of the file that were not asked for."""
     cut_row: str = ""
     """What was left out at the end of the file, since it is no whole row."""
@@ -194,7 +260,7 @@ def _read_whole(path: Path, kind: str, question: Mapping[str, Any], stamps: Stam
 
 
 def _other_matrices(columns: Mapping[str, Array], time: str) -> list[str]:
-    """A doubt where channels are of another matrix than the clock."""
+    """A doubt where channels belong to another matrix than the clock."""
     of = {name: name.partition("(:,")[0] for name in columns if "(:," in name}
     others = [name for name, matrix in of.items() if time in of and matrix != of[time]]
     if not others:
@@ -223,10 +289,7 @@ def _read_pieces(path: Path, kind: str, question: Mapping[str, Any], stamps: Sta
         columns=rows.columns,
         lines=rows.lines,
         cut_end=rows.cut_end,
-        units={},
         started=rows.started,
-        doubts=(),
-        left_out=(),
         cut_row=printable(rows.cut_row),
         starts=tuple(rows.starts),
     )
@@ -255,7 +318,7 @@ class _Rows:
         self._clock: Clock | None = None
 
     def take(self, answer: Answer) -> None:
-        """The rows of the next piece."""
+        """Add the rows of the next piece."""
         columns, count = dict(answer.columns), len(answer.lines)
         starts = [int(start) for start in answer.head.get("starts", ())]
         if self.stamps is not None and self.stamps.column in columns:

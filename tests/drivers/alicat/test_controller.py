@@ -520,12 +520,12 @@ def test_modbus_registers_are_those_of_the_manual_less_one(tmp_path):
     """Numbers 1000, 1010 and 1201 of the manual: 999, 1009 and 1200 on the wire; set-point and exhaust by function 16."""
     from pmabench_drivers.alicat.modbus_link import ModbusLink
     from pmabench_drivers.alicat.options import Options
-    from pmabench_drivers.modbus.adapter import Line, Serial
+    from pmabench_drivers.modbus.adapter import Line
 
     terminal = RawTerminal(tmp_path / "c")
     try:
         link = ModbusLink("c", str(tmp_path / "c"), Options(protocol="modbus", baud=115200, timeout=0.02), RealClock())
-        link._line = Line("c", str(tmp_path / "c"), unit_id=1, timeout=0.02, slowest=0.0, serial=Serial(115200, "N", 1))
+        link._line = Line("c", str(tmp_path / "c"), 1, 0.02, serial={"baudrate": 115200})
         link._regulating = True
         for call in (
             lambda: link.command(300.0, time.monotonic() + 0.05, 0.0),

@@ -3,9 +3,9 @@
 import random
 
 import pytest
-from pmabench_drivers.alicat.layout import read_layout
-from pmabench_drivers.alicat.reading import from_bits, trouble
-from pmabench_drivers.shared.lines import Unreadable, Wrong
+from pmabench_drivers.alicat.ascii_link import read_layout
+from pmabench_drivers.alicat.options import from_bits, trouble
+from pmabench_drivers.shared.serial_port import Unreadable, Wrong
 
 from tests.drivers.alicat.rigs import listing
 from tests.reliability.cases import cases

@@ -6,8 +6,7 @@ import tty
 
 import pytest
 from pmabench_drivers.canbus.frames import Frame
-from pmabench_drivers.canbus.link import PythonCan
-from pmabench_drivers.canbus.slcan import Slcan
+from pmabench_drivers.canbus.link import PythonCan, Slcan
 
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import Scale

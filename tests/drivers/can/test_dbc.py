@@ -4,7 +4,7 @@ import cantools
 import hypothesis.strategies as st
 import pytest
 from hypothesis import given, settings
-from pmabench_drivers.canbus.dbc import NoDatabase, read_dbc
+from pmabench_drivers.canbus.options import NoDatabase, read_dbc
 
 LOAD_CELL = """\
 VERSION "1"

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from pmabench_drivers.canbus import CanBus
-from pmabench_drivers.canbus.cia402 import State
+from pmabench_drivers.canbus.frames import State
 
 from pmabench.base.clock import RealClock
 from pmabench.base.errors import DeviceError

@@ -7,7 +7,7 @@ import hypothesis.strategies as st
 import pytest
 from hypothesis import given, settings
 from pmabench_drivers.canbus.frames import Frame
-from pmabench_drivers.canbus.sdo import Objects
+from pmabench_drivers.canbus.node import Objects
 
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import Segment
@@ -54,7 +54,7 @@ def test_frames_of_any_kind(record_property):
         @given(st.lists(frames, max_size=8))
         def feed(given_frames):
             for frame in given_frames:
-                driver._link._take(frame, driver._clock.now())
+                driver._take(frame, driver._clock.now())
             began = time.monotonic()
             try:
                 block = driver.collect()

@@ -6,8 +6,7 @@ import time
 import pytest
 from pmabench_drivers.canbus import frames as f
 from pmabench_drivers.canbus.drive import Drive
-from pmabench_drivers.canbus.sdo import Objects, Unanswered
-from pmabench_drivers.canbus.transducer import Transducer
+from pmabench_drivers.canbus.node import Objects, Transducer, Unanswered
 
 
 def answer(index, sub, value):

@@ -12,7 +12,7 @@ from canopen.objectdictionary import ODArray, ODRecord, ODVariable
 from canopen.objectdictionary import datatypes as dt
 from canopen.profiles.p402 import BaseNode402
 from pmabench_drivers.canbus import CanBus
-from pmabench_drivers.canbus.hub import Hub
+from pmabench_drivers.canbus.emulated import Hub
 from pmabench_drivers.emulator.faults import LINK, Faults
 
 from pmabench.base.clock import RealClock
@@ -123,7 +123,7 @@ class PeerDrive:
 
 
 def test_the_driver_drives_a_drive_of_the_canopen_library():
-    hub = Hub("bus", "slcan:socket://127.0.0.1:0", lambda _f: None, lambda _t: None, Faults(LINK), lambda _k, _d: None)
+    hub = Hub("bus", "slcan:socket://127.0.0.1:0", Faults(LINK), lambda _k, _d: None)
     hub.start()
     peer = driver = None
     try:

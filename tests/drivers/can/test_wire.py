@@ -4,10 +4,8 @@ import hypothesis.strategies as st
 import pytest
 from hypothesis import given, settings
 from pmabench_drivers.canbus import frames as f
-from pmabench_drivers.canbus.cia402 import State, state_of
-from pmabench_drivers.canbus.frames import Answer, Frame, NoAnswer
-from pmabench_drivers.canbus.rows import Rows
-from pmabench_drivers.canbus.slcan import line_of, read_line
+from pmabench_drivers.canbus.frames import Answer, Frame, NoAnswer, State, state_of
+from pmabench_drivers.canbus.link import Rows, line_of, read_line
 
 
 def test_questions_byte_by_byte():

@@ -8,9 +8,7 @@ from itertools import pairwise
 import pytest
 
 from pmabench.base.errors import DeviceError
-from pmabench.bench.interface import (
-    Segment,
-)
+from pmabench.bench.interface import Segment
 from tests.drivers.festo.rigs import served
 from tests.drivers.wires.rigs import timed
 

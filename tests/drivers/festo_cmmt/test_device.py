@@ -6,9 +6,7 @@ from itertools import pairwise
 import pytest
 
 from pmabench.base.errors import DeviceError
-from pmabench.bench.interface import (
-    Segment,
-)
+from pmabench.bench.interface import Segment
 from tests.drivers.festo_cmmt.rigs import drive, served
 from tests.drivers.whole_run import until
 from tests.drivers.wires.rigs import timed

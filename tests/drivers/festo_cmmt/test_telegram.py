@@ -4,7 +4,7 @@ import math
 
 import pytest
 from pmabench_drivers.festo_cmmt import telegram as t
-from pmabench_drivers.festo_cmmt.path import Path
+from pmabench_drivers.festo_cmmt.telegram import Path
 
 from pmabench.bench.interface import Segment
 

@@ -5,8 +5,17 @@ import random
 
 import pytest
 from pmabench_drivers.ild1420 import Ild1420
-from pmabench_drivers.ild1420.numbering import CounterBroken, Numbering
-from pmabench_drivers.ild1420.wire import SPANS, WRAP, Decoder, code_of, distance, encode, misset
+from pmabench_drivers.ild1420.wire import (
+    SPANS,
+    WRAP,
+    CounterBroken,
+    Decoder,
+    Numbering,
+    code_of,
+    distance,
+    encode,
+    misset,
+)
 
 from pmabench.base.clock import RealClock
 from pmabench.base.errors import DeviceError

@@ -3,8 +3,8 @@
 import struct
 
 import pytest
-from pmabench_drivers.labjack.calibration import COUNT, Gain, gains
 from pmabench_drivers.labjack.registers import f32, from_f32, from_u32, line_of, u32
+from pmabench_drivers.labjack.stream import COUNT, Gain, gains
 
 NOMINAL = [
     value for k in range(8) for value in (3.1580578e-4 / 10 ** (k % 4), -3.1580580e-4 / 10 ** (k % 4), 33523.0, 0.0)

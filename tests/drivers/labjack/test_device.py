@@ -12,10 +12,7 @@ from pymodbus.client import ModbusTcpClient
 
 from pmabench.base.clock import RealClock
 from pmabench.base.errors import DeviceError, UsageError
-from pmabench.bench.interface import (
-    EMULATED,
-    ValveRecord,
-)
+from pmabench.bench.interface import EMULATED, ValveRecord
 from tests.drivers.labjack.rigs import free_port, rig, t7
 from tests.drivers.wires.rigs import Peer, timed
 from tests.reliability.cases import cases

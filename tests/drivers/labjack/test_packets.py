@@ -3,7 +3,7 @@
 import random
 
 import pytest
-from pmabench_drivers.labjack.packets import Packets, StreamBroken
+from pmabench_drivers.labjack.stream import Packets, StreamBroken
 
 from tests.drivers.labjack.rigs import packet
 from tests.reliability.cases import cases

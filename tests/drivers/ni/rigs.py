@@ -63,7 +63,7 @@ def rig(record=None, *, opened=True, slack=True):
     with contextlib.ExitStack() as stack:
         if slack:
             stack.enter_context(patch.multiple("pmabench_drivers.ni_daq.driver", **SLACK))
-            stack.enter_context(patch("pmabench_drivers.ni_daq.sampling.CALL", 0.6))
+            stack.enter_context(patch("pmabench_drivers.ni_daq.driver.FETCH", 0.6))
         yield stack.enter_context(_rig(record, opened))
 
 

@@ -15,12 +15,7 @@ from pmabench_drivers.ni_daq import NiDaq
 
 from pmabench.base.clock import RealClock
 from pmabench.base.errors import DeviceError, UsageError
-from pmabench.bench.interface import (
-    EMULATED,
-    UNPROVEN,
-    Segment,
-    ValveRecord,
-)
+from pmabench.bench.interface import EMULATED, UNPROVEN, Segment, ValveRecord
 from tests.drivers.ni.rigs import STEP, at, daq, patiently, rig, start, task
 from tests.drivers.wires.rigs import timed
 

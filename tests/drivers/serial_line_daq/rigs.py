@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pmabench_drivers.serial_line_daq as package
 import pytest
-from pmabench_drivers.emulator.log import CommandLog
+from pmabench_drivers.emulator.faults import CommandLog
 from pmabench_drivers.emulator.plant import RealPlant
 from pmabench_drivers.serial_line_daq import SerialLineDaq
 from pmabench_drivers.serial_line_daq.emulator import EmulatedBoard

@@ -5,8 +5,7 @@ from dataclasses import replace
 
 import pytest
 from pmabench_drivers.emulator.plant import RealPlant
-from pmabench_drivers.emulator.truth import wired
-from pmabench_drivers.emulator.wrong import apply
+from pmabench_drivers.emulator.truth import apply, wired
 
 from pmabench.base.errors import UsageError
 from pmabench.bench.interface import Scale

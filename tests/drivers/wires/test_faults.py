@@ -5,7 +5,7 @@ import struct
 import pytest
 from pmabench_drivers.emulator import faults as faults_of
 from pmabench_drivers.emulator.faults import LINK, STUCK, DeviceClock, Fault, Faults, Outgoing
-from pmabench_drivers.emulator.frames import Request
+from pmabench_drivers.emulator.modbus_server import Request
 
 from pmabench.base.errors import UsageError
 from tests.drivers.wires.rigs import cell, emulated, gauge, regulator

@@ -9,9 +9,9 @@ from time import monotonic
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from pmabench_drivers.emulator import frames
+from pmabench_drivers.emulator import modbus_server as frames
 from pmabench_drivers.modbus import ModbusDevice
-from pmabench_drivers.modbus.adapter import Line, Serial, Unanswered
+from pmabench_drivers.modbus.adapter import Line, Unanswered
 
 from pmabench.base.clock import RealClock
 from pmabench.base.errors import DeviceError
@@ -24,7 +24,7 @@ BOUND = 0.3
 
 
 def line_to(peer, unit_id=7, timeout=0.1):
-    return Line("regulator", peer.address, unit_id=unit_id, timeout=timeout, slowest=1.0, serial=Serial())
+    return Line("regulator", peer.address, unit_id, timeout, slowest=1.0)
 
 
 def soon():

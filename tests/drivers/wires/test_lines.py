@@ -8,11 +8,9 @@ import time
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from pmabench_drivers.serial_ascii.lines import LineReader
-from pmabench_drivers.serial_ascii.options import read_options
-from pmabench_drivers.serial_ascii.pattern import number, pattern_problem
-from pmabench_drivers.shared.lines import Splitter, Unreadable, Wrong
+from pmabench_drivers.serial_ascii.lines import LineReader, number, pattern_problem, read_options
 from pmabench_drivers.shared.options import Reader
+from pmabench_drivers.shared.serial_port import Splitter, Unreadable, Wrong
 
 from tests.drivers.wires.rigs import cell
 

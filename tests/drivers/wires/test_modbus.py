@@ -9,14 +9,12 @@ from itertools import pairwise
 
 import pytest
 from pmabench_drivers.modbus import ModbusDevice
-from pmabench_drivers.shared.segments import stepped
+from pmabench_drivers.shared.device import stepped
 from pymodbus.client import ModbusTcpClient
 
 from pmabench.base.clock import RealClock
 from pmabench.base.errors import DeviceError
-from pmabench.bench.interface import (
-    Segment,
-)
+from pmabench.bench.interface import Segment
 from tests.drivers.wires.rigs import MAP, Peer, emulated, opened, regulator, timed
 
 pytestmark = pytest.mark.realtime

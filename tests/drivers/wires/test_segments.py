@@ -4,7 +4,7 @@ import math
 from dataclasses import replace
 
 import pytest
-from pmabench_drivers.shared.segments import refuse_nonsense
+from pmabench_drivers.shared.device import refuse_nonsense
 
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import Segment

@@ -1,1 +1,1 @@
-"""What formats share: `text_reader` with `fields`, `times` of other programs, `matrices` that have a clock each."""
+"""What formats share: `text_reader` reads rows of text, `times` reads their fields: numbers, and times of all kinds."""

@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 from pmabench.base.errors import InvalidFile, Problem, did_you_mean, invalid
 from pmabench.store.arrow import arrow_csv, pa
-from pmabench.store.formats.shared.fields import MINUS, NUMBER, Fields
-from pmabench.store.formats.shared.times import seconds_of
+from pmabench.store.formats.shared.times import MINUS, NUMBER, Fields, seconds_of
 from pmabench.store.formats.text import MARKS, TextLayout
 from pmabench.store.records import Array
 

@@ -14,11 +14,9 @@ import numpy as np
 
 from pmabench.base.quantities import show
 from pmabench.files.quantity import unit_factor
-from pmabench.store.importers.effect import slope
-from pmabench.store.importers.guess.columns import OF_ROLE, Proposal, is_whole, lattice, lone, words
-from pmabench.store.importers.guess.record import Guess
-from pmabench.store.importers.questions import OPEN
-from pmabench.store.importers.units import QUANTITY
+from pmabench.store.importers.found import slope
+from pmabench.store.importers.guess.columns import OF_ROLE, Guess, Proposal, is_whole, lattice, lone, words
+from pmabench.store.importers.map_file import OPEN, QUANTITY
 from pmabench.store.records import Array
 
 HIGHEST = {"pressure": (2e4, 1.6e6), "force": (1.0, 3e4), "length": (3e-4, 3.0)}
@@ -81,7 +79,7 @@ def unit_of(column: Proposal, guess: Guess) -> Asked | None:
     if said and not column.bare:
         if column.role == "supply":
             return None
-        if _possible(_typical(column.good), column.unit, quantity):
+        if _possible(_top(column.good, 0.95), column.unit, quantity):
             return _steep(column, guess) if column.role == "pressure" else _counted(column, guess)
         head = (
             f'"{column.name}" is in {column.unit} by its name, {_reach(top, column.unit, quantity)}, which no test has'
@@ -266,13 +264,9 @@ def _in_seconds(column: Proposal) -> Array:
     return column.good * unit_factor(column.unit or "s", "time")
 
 
-def _top(values: Array) -> float:
-    return float(np.quantile(np.abs(values), 0.995)) if len(values) else 0.0
-
-
-def _typical(values: Array) -> float:
-    """A value that some wrong samples do not move, near the highest one."""
-    return float(np.quantile(np.abs(values), 0.95)) if len(values) else 0.0
+def _top(values: Array, share: float = 0.995) -> float:
+    """The highest value, but for a share of samples that may be wrong."""
+    return float(np.quantile(np.abs(values), share)) if len(values) else 0.0
 
 
 def _possible(top: float, unit: str, quantity: str) -> bool:

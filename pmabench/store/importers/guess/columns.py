@@ -1,22 +1,24 @@
 """Which column is time, pressure, force, displacement, command: by its name, its unit and the shape of its numbers.
 
 Pure functions of names and arrays; must not know files. Every choice carries its reasons, and doubts where it is weak.
+`Guess` is what was found out about the files so far.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pmabench.store.importers.effect import correlation
-from pmabench.store.importers.guess.clock import counted
-from pmabench.store.importers.map_file import PointName
-from pmabench.store.importers.units import QUANTITY, spelled
+from pmabench.base.imported import Imported
+from pmabench.store.formats.record import Layout
+from pmabench.store.importers.found import correlation
+from pmabench.store.importers.map_file import QUANTITY, PointName, spelled
 from pmabench.store.records import Array
 
 WORDS = {
@@ -48,6 +50,18 @@ OF_ROLE = {
     "supply": "pressure",
     "displacement": "length",
 }
+COUNTS = (
+    ("serial days", "d", 36_526.0, 54_789.0),
+    ("matlab days", "d", 730_486.0, 748_749.0),
+    ("epoch", "s", 0.94e9, 2.53e9),
+    ("labview", "s", 3.03e9, 4.61e9),
+    ("epoch", "ms", 0.94e12, 2.53e12),
+    ("epoch", "us", 0.94e15, 2.53e15),
+    ("epoch", "ns", 0.94e18, 2.53e18),
+)
+"""How written, unit, and the numbers of the years 2000 to 2050."""
+LONGEST_STEP = {"d": 5e-5, "s": 10.0, "ms": 1e4, "us": 1e7, "ns": 1e10}
+"""Median step of a recording that counts so, in that unit; days in longer steps may be seconds."""
 
 
 @dataclass
@@ -183,6 +197,29 @@ def _by_name(proposal: Proposal) -> None:
         proposal.reasons.append(text)
 
 
+def usual_step(values: Array) -> float:
+    """Median of the steps upward; 0 where there is none."""
+    steps = np.diff(values)
+    return float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
+
+
+def counted(values: Array) -> tuple[str, str] | None:
+    """How a column of numbers counts from a day, and in which unit; None where it is a plain number.
+
+    An empty first text: it may be days or a plain number.
+    """
+    if len(values) < 2 or not np.isfinite(values).all():
+        return None
+    step = usual_step(values)
+    for kind, unit, low, high in COUNTS:
+        if low <= float(values.min()) and float(values.max()) <= high and 0 < step:
+            if step <= LONGEST_STEP[unit]:
+                return kind, unit
+            if unit == "d" and step <= 1e-2:
+                return "", unit
+    return None
+
+
 UNLIKE_TIME = "is named or measured like a time"
 
 
@@ -234,8 +271,7 @@ BRIEF, RARE = 0.5, 0.5
 
 
 def _time_unit(time: Proposal) -> None:
-    steps = np.diff(time.values)
-    step = float(np.median(steps[steps > 0]))
+    step = usual_step(time.values)
     for unit, factor in TIMES.items():
         if FASTEST >= 1.0 / (step * factor) >= SLOWEST:
             time.unit = unit
@@ -251,8 +287,7 @@ def _time_unit(time: Proposal) -> None:
 
 def _said_time(time: Proposal) -> None:
     """A time whose unit makes of the file what no test is, while another unit makes a usual one of it."""
-    steps = np.diff(time.values)
-    step, many = float(np.median(steps[steps > 0])), len(time.values)
+    step, many = usual_step(time.values), len(time.values)
     rate, lasts = 1.0 / (step * TIMES[time.unit]), step * many * TIMES[time.unit]
     usual = [
         unit for unit, s in TIMES.items() if FASTEST >= 1.0 / (step * s) >= 10 * SLOWEST and step * many * s >= SHORTEST
@@ -405,9 +440,7 @@ def held(column: Proposal, pressure: Proposal | None) -> bool:
     low, high = (float(value) for value in np.quantile(x, [0.01, 0.99]))
     if high - low == 0:
         return True
-    together = 0.0
-    if pressure is not None:
-        together = correlation(column.values, pressure.values)
+    together = 0.0 if pressure is None else correlation(column.values, pressure.values)
     still = STILL / METRES[column.unit] if column.unit in METRES else 0.0
     return high - low < max(still, HELD * max(abs(low), abs(high))) and abs(together) < 0.5
 
@@ -452,3 +485,65 @@ def lattice(values: Array) -> float:
 def is_whole(values: Array) -> bool:
     """Whole numbers throughout, and more than a few of them."""
     return len(values) > 0 and bool(np.all(values == np.round(values))) and len(np.unique(values)) > 12
+
+
+@dataclass
+class Guess:
+    """What was found; `columns` in the order of the file."""
+
+    files: list[Path]
+    layout: Layout
+    columns: list[Proposal]
+    optional: list[str]
+    """Names of columns that some of the files lack."""
+    left_out: list[str]
+    kinds: Mapping[str, Imported]
+    """What each kind of test needs of a file, by its name."""
+    kind: str = ""
+    trials: dict[str, str] = field(default_factory=dict)
+    """Lines of `trials`, as text."""
+    smallest_of: str = "pressure_command"
+    """Role whose unit `smallest` of `trials` has."""
+    forms: list[str] = field(default_factory=list)
+    form_of: str = "file"
+    form_units: dict[str, str] = field(default_factory=dict)
+    form_comma: bool = False
+    rate: tuple[float, float] = (1.0, 1000.0)
+    gap: float = 1.0
+    reasons: dict[str, list[str]] = field(default_factory=dict)
+    """`file`, `sampling`, `trials`, `name_tells` -> why."""
+    doubts: list[str] = field(default_factory=list)
+    known: str = ""
+    """Name of a shipped map that takes these files as they are."""
+    frequency: float = 0.0
+    """Of a command that is one sine [Hz], to the resolution of its spectrum."""
+    either: str = ""
+    """A number whose comma may be the decimal sign or group digits."""
+    lacks: str = ""
+    """A channel without which nothing can be fitted, and that was not found."""
+    tests: list[str] = field(default_factory=list)
+    """Names of several tests in each file, in their order."""
+    slower: tuple[float, float] = (1.0, 1.0)
+    """Least and largest step of the clocks of the tests, against that of the test that is shown."""
+    period: float = 0.0
+    """Distance of the samples that a header gives [s]; 0 where none does."""
+    seconds: Array | None = None
+    """Time of each row [s], where a time was found."""
+    exported: bool = False
+    """The record of an exported run answers what else would be asked."""
+    simulated: bool = False
+    specimen: dict[str, str] = field(default_factory=dict)
+    """Where a file gives it."""
+
+    @property
+    def test(self) -> Imported:
+        """What the kind that is proposed needs of a file."""
+        return self.kinds.get(self.kind, Imported())
+
+    def open_point(self, name: str) -> bool:
+        """Whether a coordinate is needed of each file, and no name of a file or folder gives it."""
+        return name in self.test.point and not any(f"{{{name}}}" in form for form in self.forms)
+
+    def role(self, role: str) -> Proposal | None:
+        """The column with a role, where there is one."""
+        return next((column for column in self.columns if column.role == role), None)

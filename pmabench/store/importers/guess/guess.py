@@ -1,8 +1,14 @@
-"""Looks at files that were never seen: their format, their columns, their sampling, and how they part into trials."""
+"""Looks at files that were never seen: their format, their columns, their sampling, and how they part into trials.
+
+Names of files and folders may contain dates, numbers of tests and operating points. The record next to a file that
+`pmabench export` wrote answers all that a guess would ask.
+"""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
+from math import pi
 from pathlib import Path
 
 import numpy as np
@@ -10,14 +16,259 @@ import numpy as np
 from pmabench.base.errors import InvalidFile, PmaError, invalid
 from pmabench.base.imported import Imported
 from pmabench.files.shipped import shipped_folder
+from pmabench.store.exported import NAME as RECORD
+from pmabench.store.exported import Known, read_record
+from pmabench.store.formats import text
+from pmabench.store.formats.mat import alike, is_clock, matrix_of
+from pmabench.store.formats.record import format_of
 from pmabench.store.formats.text import TextLayout
-from pmabench.store.importers.guess.columns import is_whole
-from pmabench.store.importers.guess.exported import as_exported
-from pmabench.store.importers.guess.look import LOOKED_AT, SECONDS, look
-from pmabench.store.importers.guess.names import found_in, frequency_of
-from pmabench.store.importers.guess.record import Guess
+from pmabench.store.importers.guess.columns import Guess, Proposal, choose, is_whole, unit_in, usual_step
+from pmabench.store.importers.guess.layout import TextGuess, guess_layout
 from pmabench.store.importers.guess.signs import choose_kind, count, share
+from pmabench.store.importers.map_file import PLACE, spelled
 from pmabench.store.importers.map_rules import read_map
+from pmabench.store.importers.table import Table, content_of, read_table
+from pmabench.store.records import Array
+
+LOOKED_AT = 20_000_000
+"""Bytes of a text file that are looked at."""
+SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "d": 86_400.0}
+"""In one unit of a time."""
+
+
+def look(path: Path, kinds: Mapping[str, Imported]) -> Guess:
+    """One file by itself: its format, and what each of its columns seems to be."""
+    content = content_of(path, LOOKED_AT)
+    form = format_of(content)
+    if form is text.FORMAT:
+        if len(content) == LOOKED_AT:
+            content = content[: content.rfind(b"\n") + 1] or content
+        return _look_at_text(path, guess_layout(str(path), content), kinds)
+    layout = form.layout.model_validate({"format": form.name})
+    table = read_table(path, layout, None)
+    owner = form.together(table.columns)
+    tests, zeros = alike(table.columns, owner)
+    groups: dict[tuple[str, int], list[str]] = {}
+    for name, values in table.columns.items():
+        groups.setdefault((owner[name], len(values)), []).append(name)
+    if not groups:
+        raise invalid(path, "holds no columns of numbers")
+    good = [key for key in groups if key[0] not in zeros and (len(tests) < 2 or key[0] in tests)]
+    group = max(good or groups, key=lambda key: (len(groups[key]) * key[1], key))
+    others = [name for key, names in groups.items() if key != group for name in names]
+    reasons = [f"{form.title}, by its first bytes; {len(groups[group])} columns of {group[1]} samples each"]
+    if zeros:
+        reasons.append(f"nothing moves in {', '.join(zeros)[:200]}: records of the zeros, left out")
+    if len(tests) > 1:
+        reasons.append(f"{len(tests)} matrices with a clock each: each is a test; {group[0]} is shown")
+        others = [name for name in others if matrix_of(name) not in tests]
+    if others:
+        reasons.append(f"columns of other lengths, groups or clocks are left out: {', '.join(others)[:200]}")
+    columns = [_proposal(name, table, groups[group]) for name in groups[group]]
+    if any(column.bare for column in columns):
+        reasons.append("columns of a matrix have no names: they are distinguished by what they hold")
+    choose(columns)
+    guess = Guess([path], layout, columns, [], [*others, *table.left_out], kinds, reasons={"file": reasons})
+    if len(tests) > 1:
+        _several(guess, tests, group[0], table.columns)
+    if guess.role("time") is None:
+        guess.doubts.append('nothing in the file gives the time: say "period" if the samples are evenly apart')
+    return guess
+
+
+def _proposal(name: str, table: Table, names: Sequence[str]) -> Proposal:
+    """A column of a file with units; those of a matrix of several columns have no names of their own."""
+    matrix, said = matrix_of(name), spelled(table.units.get(name, ""))
+    column = Proposal(name, table.columns[name], unit=said or unit_in(name))
+    column.bare = bool(matrix) and sum(other.startswith(f"{matrix}(:,") for other in names) > 1
+    column.reasons += [f"the file says its unit, {column.unit}"] if said else []
+    return column
+
+
+def _several(guess: Guess, tests: list[str], shown: str, columns: Mapping[str, Array]) -> None:
+    """Matrices that are a test each, of which one is shown."""
+    guess.tests = tests
+    for column in guess.columns:
+        column.name = column.name.replace(shown, PLACE, 1)
+    own = _usual_step(columns, shown)
+    steps = [_usual_step(columns, test) / own for test in tests] if own else []
+    guess.slower = (min(steps, default=1.0), max(steps, default=1.0))
+
+
+def _usual_step(columns: Mapping[str, Array], matrix: str) -> float:
+    """The median step of the clock of a matrix."""
+    clock = (v for name, v in columns.items() if matrix_of(name) == matrix and is_clock(v))
+    return usual_step(next(clock, np.empty(0)))
+
+
+def _look_at_text(path: Path, guessed: TextGuess, kinds: Mapping[str, Imported]) -> Guess:
+    numbers = [name for name in guessed.names if name not in guessed.texts]
+    stamps = guessed.stamps
+    if guessed.tests and _goes_on(path, guessed, numbers):
+        guessed.tests, guessed.layout = 0, guessed.layout.model_copy(update={"repeated_header": "page"})
+        guessed.reasons.append("the line of names is repeated, and the time goes on below it: pages of one test")
+    elif guessed.tests:
+        guessed.reasons.append("the line of names is repeated: another test begins there, which makes a run too")
+    asked = [name for name in guessed.names if name in numbers]
+    table = read_table(path, guessed.layout, asked, (), guessed.texts, stamps, LOOKED_AT)
+    if table.starts:
+        table = table.tests()[0]
+    columns = [
+        Proposal(name, table.columns[name], unit=guessed.units.get(name) or unit_in(name), bare=not guessed.named)
+        for name in numbers
+        if stamps is None or name != stamps.date
+    ]
+    order = ""
+    if stamps is not None:
+        order = "??" if guessed.open_order else stamps.order if stamps.order != "year first" else ""
+    for column in columns:
+        if stamps is not None and column.name == stamps.column:
+            column.unit, column.written, column.bare, column.order = "s", stamps.written, False, order
+    choose(columns)
+    words = [Proposal(name, np.empty(0), reasons=["holds words, not numbers"]) for name in guessed.texts]
+    if stamps is not None and stamps.date:
+        words.append(Proposal(stamps.date, np.empty(0), role="date", order=order, reasons=["the day of the clock"]))
+    falls = next((c.name for c in columns if c.unit in SECONDS and is_clock(-c.values) and c.written == "number"), "")
+    if falls and all(column.role != "time" for column in columns):
+        backward = f'"{falls}" falls from row to row: the newest row comes first; reverse the order of the rows'
+        raise invalid(path, backward)
+    every = {column.name: column for column in [*columns, *words]}
+    reasons = {"file": guessed.reasons}
+    guess = Guess([path], guessed.layout, [every[name] for name in guessed.names], [], [], kinds, reasons=reasons)
+    time = guess.role("time")
+    if time is not None and time.written == "index":
+        time.period = guessed.interval
+    guess.period, guess.either = guessed.interval, guessed.either
+    guess.tests = [str(number) for number in range(1, guessed.tests + 1)]
+    if not guessed.named:
+        _call_by_role(guess)
+    return guess
+
+
+def _goes_on(path: Path, guessed: TextGuess, numbers: Sequence[str]) -> bool:
+    """Whether a column that rises throughout rises over each repeated line of names by a usual step, too."""
+    layout = guessed.layout.model_copy(update={"repeated_header": "page"})
+    starts = read_table(path, guessed.layout, numbers, (), guessed.texts, guessed.stamps, LOOKED_AT).starts
+    table = read_table(path, layout, numbers, (), guessed.texts, guessed.stamps, LOOKED_AT)
+    over = np.array(starts, dtype=int) - 1
+    return len(over) > 0 and any(
+        is_clock(values) and float(np.diff(values)[over].max()) < 2.0 * float(np.median(np.diff(values)))
+        for values in table.columns.values()
+    )
+
+
+def _call_by_role(guess: Guess) -> None:
+    """Columns without names are called by what they are."""
+    for column in guess.columns:
+        if column.role != "ignore":
+            column.name = column.role
+    if isinstance(guess.layout, TextLayout):
+        guess.layout = guess.layout.model_copy(update={"names": [column.name for column in guess.columns]})
+
+
+def as_exported(guess: Guess, files: Sequence[Path]) -> bool:
+    """Whether the files are samples that `pmabench export` wrote with their record, which then leaves no question."""
+    place = files[0].resolve().parent / RECORD
+    if not place.is_file():
+        return False
+    record = read_record(place)
+    if record.file not in {path.name for path in files}:
+        return False
+    if len(files) > 1:
+        raise invalid(place, f"goes with {record.file} alone: import that file, the others hold no samples of trials")
+    if record.kind not in guess.kinds:
+        raise invalid(place, f'is of a run of kind "{record.kind}", which cannot be imported here')
+    guess.kind, guess.trials = record.kind, {"by": "record"}
+    guess.exported, guess.simulated = True, record.simulated
+    text = f"{RECORD} next to it says what {record.run} commanded and found, trial by trial"
+    guess.reasons["trials"] = [text]
+    for column in guess.columns:
+        known = record.columns.get(column.name)
+        column.role, column.doubts, column.question, column.reasons = "ignore", [], "", ["the record has it"]
+        if column.name == "t [s]":
+            column.role, column.reasons = "time", []
+        elif column.name in ("flags", "simulated"):
+            column.role, column.reasons = column.name, []
+        elif known is not None:
+            column.role, column.reasons = known.channel, []
+            column.extra = _as_known(known, column.unit)
+    specimen = record.about.get("specimen")
+    if isinstance(specimen, dict):
+        guess.specimen = {key: str(specimen[key]) for key in ("make", "type", "serial") if specimen.get(key)}
+    return True
+
+
+def _as_known(known: Known, unit: str) -> list[str]:
+    """Lines of a map for what a record knows of the calibration of a channel."""
+    lines = {
+        f"expanded_uncertainty: {known.offset_uncertainty:.9g} {unit}": known.offset_uncertainty,
+        f"gain_uncertainty: {100 * known.gain_uncertainty:.9g} %": known.gain_uncertainty,
+        f"sensor_lag: {known.sensor_lag:.9g} s": known.sensor_lag,
+    }
+    return [line for line, value in lines.items() if value]
+
+
+_PARTS = (
+    (re.compile(r"\d{4}-\d{2}-\d{2}"), "date", ""),
+    (re.compile(r"(?<=\{date\}[_T -])\d{6}(?!\d)"), "clock", ""),
+    (re.compile(r"(?<=rads[-_])\d+(?:[.,]\d+)?|(?<=rad-s[-_])\d+(?:[.,]\d+)?"), "frequency", "rad/s"),
+    (re.compile(r"\d+(?:[.,]\d+)?(?=[_-]?Hz)"), "frequency", "Hz"),
+    (re.compile(r"(?<=[A-Za-z_-])\d+(?:[.,]\d+)?(?=kPa)"), "pressure", "kPa"),
+    (re.compile(r"(?<=[A-Za-z_-])\d+(?:[.,]\d+)?(?=bar)"), "pressure", "bar"),
+    (re.compile(r"(?<=[A-Za-z_-])\d+(?:[.,]\d+)?(?=kg)"), "mass", "kg"),
+    (re.compile(r"(?<=[A-Za-z_-])\d+(?:[.,]\d+)?(?=mm)"), "contraction", "mm"),
+    (re.compile(r"(?<=[Tt]est)\d{1,6}|(?<=[Rr]un)\d{1,6}|(?<=[Tt]rial)\d{1,6}"), "test", ""),
+)
+CONTRACTED = re.compile(
+    r"(kink(ed)?|contract(ion|ed)?|contr|held|hold|at|shortened|short|x|dx|eps)[-_ ]?$", re.IGNORECASE
+)
+"""What comes before a length that is a contraction, and no diameter."""
+
+
+def found_in(
+    files: Sequence[Path], of: str, *, lengths: bool = True
+) -> tuple[set[str], str, list[str], dict[str, str], bool]:
+    """Keys in the names, from files or folders, their forms, units, and whether they have a decimal comma.
+
+    A length that nothing calls a contraction, and that is the same in all names, may as well be a diameter: none then.
+    """
+    sizes: set[str] = set()
+    units: dict[str, str] = {}
+    comma = False
+    forms: dict[str, None] = {}
+    for path in files:
+        form = re.sub(r"[{}*]", "?", path.stem if of == "file" else path.resolve().parent.name)
+        for pattern, key, unit in _PARTS:
+            found = [match for match in pattern.finditer(form) if key != "contraction" or lengths]
+            called = [match for match in found if CONTRACTED.search(form[: match.start()])]
+            match = next(iter(called or found), None)
+            if match is None or "{" + key + "}" in form or (unit and units.get(key, unit) != unit):
+                continue
+            if form[: match.start()].endswith("}") or form[match.end() :].startswith("{"):
+                continue
+            sizes |= {match[0]} if key == "contraction" and not called else set()
+            comma |= "," in match[0]
+            form = f"{form[: match.start()]}{{{key}}}{form[match.end() :]}"
+            if unit:
+                units[key] = unit
+        forms[form] = None
+    if len(sizes) == 1:
+        return found_in(files, of, lengths=False)
+    keys = {key for form in forms for key in re.findall(r"\{(\w+)\}", form)}
+    if "?" in "".join(forms) or (of == "folder" and keys <= {"test"}):
+        keys = set()
+    return keys, of, list(forms), units, comma
+
+
+def frequency_of(path: Path, of: str, units: Mapping[str, str]) -> float | None:
+    """The frequency in the name of a file or of its folder [Hz]; `units`: those of the forms."""
+    name = path.resolve().parent.name if of == "folder" else path.stem
+    for pattern, key, unit in _PARTS:
+        match = pattern.search(name) if key == "frequency" and units.get(key) == unit else None
+        if match is not None:
+            return float(match[0].replace(",", ".")) / (2 * pi if unit == "rad/s" else 1.0)
+    return None
+
 
 FILES = 20
 """Files of one guess that are looked at; the columns are those of the first."""

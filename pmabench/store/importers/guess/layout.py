@@ -1,20 +1,99 @@
-"""How a text file seems to be laid out: encoding, delimiter, decimal sign, header; looks at its first lines."""
+"""How a text file seems to be laid out: encoding, delimiter, decimal sign, header, how its time is written.
+
+Looks at its first lines; times are known by their texts, or by what the header says of the sampling.
+"""
 
 from __future__ import annotations
 
 import csv
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 
 from pmabench.base.errors import invalid
-from pmabench.store.formats.shared.fields import MINUS
-from pmabench.store.formats.shared.times import Stamps, step_in
+from pmabench.store.formats.record import distinct
+from pmabench.store.formats.shared.times import MINUS, Stamps, seconds_of, step_in
 from pmabench.store.formats.text import MARKS, TextLayout
-from pmabench.store.importers.guess.clock import clock_and_date, interval_in, looks_like_time, written
-from pmabench.store.importers.units import spelled
+from pmabench.store.importers.map_file import spelled
+
+ENOUGH = 0.99
+"""Share of the texts of a column that must be times."""
+_SLASHED = re.compile(r"\s*(\d{1,2})[-/.](\d{1,2})[-/.](?:\d{4}|\d{2})\b")
+_LOOKS = re.compile(
+    r"\d{1,3}:\d{2}|\d{4}[-/.]\d{1,2}[-/.]\d|\d{1,2}[-/. ](?:\d{1,2}|[A-Za-z]{3,9})[-/. ]\d{2,4}|\d{8}[T_ ]\d{4}"
+)
+_NUMBER = r"[:=,;\s\[(]*([0-9]+(?:[.,][0-9]+)?(?:[eE][+-]?[0-9]+)?)"
+_RATE = re.compile(
+    r"(?:sampl\w*|scan|acquisition|logging|abtast\w*)[ _]?(?:rate|frequency|freq|ing)?\b[^0-9\n]{0,24}?" + _NUMBER
+    + r"\s*(k?)(?:hz|s/s|sps|/s|samples?/s)", re.IGNORECASE)  # fmt: skip
+_INTERVAL = re.compile(
+    r"(?:(?:sampl\w*|scan|time)[ _]?(?:interval|period|step|time)|delta[ _]?t|\bdt)\b[^0-9\n]{0,24}?" + _NUMBER
+    + r"\s*(ms|us|µs|s)\b", re.IGNORECASE)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Written:
+    """How one column of texts writes its time."""
+
+    kind: str
+    """`clock`, `date` or `date and time`."""
+    order: str
+    """Order of a date whose year comes last; empty where the file leaves it open."""
+
+
+def looks_like_time(text: str) -> bool:
+    """Whether a text may be a date or a clock."""
+    return _LOOKS.search(text) is not None
+
+
+def written(texts: Sequence[str]) -> Written | None:
+    """How a column of texts writes its time; None where its texts are no times."""
+    some = [text.strip() for text in texts if text.strip()]
+    if not some or sum(map(looks_like_time, some)) < ENOUGH * len(some):
+        return None
+    order = _order(some)
+    for kind in ("clock", "date", "date and time"):
+        try:
+            seconds_of(some, kind, order or "day first")
+        except ValueError:
+            continue
+        return Written(kind, order)
+    return None
+
+
+def _order(texts: Sequence[str]) -> str:
+    """The order of day and month, where a number above 12 or a point shows it; empty where it is open."""
+    pairs = [(int(m[1]), int(m[2])) for text in texts if (m := _SLASHED.match(text))]
+    if not pairs:
+        return "year first"
+    if any("." in text.split()[0] for text in texts[:1]) or any(one > 12 for one, _ in pairs):
+        return "day first"
+    return "month first" if any(other > 12 for _, other in pairs) else ""
+
+
+def interval_in(lines: Sequence[str]) -> float:
+    """Distance of the samples [s] that a header gives as a rate or an interval; 0 where it gives none, or several."""
+    found: set[float] = set()
+    for line in lines:
+        if match := _RATE.search(line):
+            rate = float(match[1].replace(",", ".")) * (1e3 if match[2] else 1.0)
+            found |= {1.0 / rate} if rate > 0 else set()
+        elif match := _INTERVAL.search(line):
+            found.add(float(match[1].replace(",", ".")) * {"s": 1.0, "ms": 1e-3}.get(match[2].lower(), 1e-6))
+    return found.pop() if len(found) == 1 else 0.0
+
+
+def clock_and_date(kinds: Mapping[str, Written]) -> tuple[str, str]:
+    """Of the columns of times by name the one that holds the time, and the one with its date; empty where none."""
+    whole = next((name for name, each in kinds.items() if each.kind == "date and time"), "")
+    if whole:
+        return whole, ""
+    clock = next((name for name, each in kinds.items() if each.kind == "clock"), "")
+    date = next((name for name, each in kinds.items() if each.kind == "date"), "")
+    return clock, date if clock else ""
+
 
 TABLE = 0.5
 """Least share of the lines below the first row of numbers that are such rows, too."""
@@ -437,10 +516,4 @@ def _twice(names: Sequence[str]) -> bool:
 
 def _apart(names: Sequence[str]) -> list[str]:
     """Names that differ, none of them empty."""
-    seen: Counter[str] = Counter()
-    found = []
-    for k, name in enumerate(names):
-        text = name[:100] or f"column {k + 1}"
-        seen[text] += 1
-        found.append(text if seen[text] == 1 else f"{text} ({seen[text]})")
-    return found
+    return distinct([name[:100] or f"column {k + 1}" for k, name in enumerate(names)])

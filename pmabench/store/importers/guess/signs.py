@@ -11,8 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pmabench.store.importers import motion
-from pmabench.store.importers.guess.columns import held, lone
-from pmabench.store.importers.guess.record import Guess
+from pmabench.store.importers.guess.columns import Guess, held, lone
 from pmabench.store.records import Array
 
 LONG_PAUSE = 2.0

@@ -9,16 +9,101 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pmabench.base.text import printable
 from pmabench.store.formats.text import TextLayout
 from pmabench.store.importers.guess import asked
 from pmabench.store.importers.guess.asked import Asked, quantity_of
-from pmabench.store.importers.guess.columns import Proposal
-from pmabench.store.importers.guess.record import Guess
-from pmabench.store.importers.guess.spell import comment, question, scalar
-from pmabench.store.importers.guess.written_time import date_lines, period_lines, test_lines, time_lines
-from pmabench.store.importers.map_file import NUMBERS
-from pmabench.store.importers.questions import OPEN
-from pmabench.store.importers.units import QUANTITY
+from pmabench.store.importers.guess.columns import UNLIKE_TIME, Guess, Proposal
+from pmabench.store.importers.map_file import NUMBERS, OPEN, QUANTITY
+
+TRUTH = {"y", "n", "yes", "no", "on", "off", "true", "false", "null"}
+"""Texts that YAML may take for something else."""
+
+
+def comment(text: str) -> str:
+    """A comment line."""
+    return f"# {printable(text, 400)}"
+
+
+def question(asked: Asked) -> str:
+    """The comment above a value that is asked for."""
+    return comment(f"{OPEN} {asked.text}")
+
+
+def scalar(text: str) -> str:
+    """A YAML scalar that is that text and nothing else."""
+    if re.fullmatch(r"[A-Za-z@][A-Za-z0-9@ _./()-]*", text) and text.lower() not in TRUTH:
+        return text.strip() if text == text.strip() else json.dumps(text)
+    return json.dumps(text, ensure_ascii=not text.isprintable())
+
+
+def time_lines(column: Proposal, guess: Guess) -> list[str]:
+    """A column of time with how it is written, and what is asked about it."""
+    keys: dict[str, str] = {"is": "time"}
+    asking = list(asked.two_clocks(guess.columns))
+    for clock in asking:
+        keys["is"] = clock.scalar
+    unit = column.unit or "s"
+    if column.written != "number":
+        keys["written"] = column.written
+    if not column.written:
+        text = f'are the numbers of "{column.name}" serial days of a spreadsheet, or a time in {unit}?'
+        asking.append(Asked("", f"{text} Write serial days, or number"))
+        keys["written"] = asking[-1].scalar
+    if column.written in {"number", "epoch", ""}:
+        keys["unit"] = Asked(unit, "").scalar if column.question else unit
+    if column.written == "index":
+        keys["period"] = f"{column.period:.9g} s"
+        if not column.period:
+            text = f'"{column.name}" counts the samples: how far apart are they? For instance 2 ms'
+            asking.append(Asked("", text))
+            keys["period"] = asking[-1].scalar
+    if column.order and column.written == "date and time":
+        keys["order"], more = _order(column)
+        asking += more
+    sentence = ", ".join(f"{key}: {value}" for key, value in keys.items())
+    return [*(f"  {question(each)}" for each in asking), f"  {scalar(column.name)}: {{{sentence}}}"]
+
+
+def date_lines(column: Proposal) -> list[str]:
+    """A column of dates next to one of clock times."""
+    order, asking = _order(column) if column.order else ("", [])
+    text = f", order: {order}" if order else ""
+    return [*(f"  {question(each)}" for each in asking), f"  {scalar(column.name)}: {{is: date{text}}}"]
+
+
+def _order(column: Proposal) -> tuple[str, list[Asked]]:
+    if column.order != OPEN:
+        return column.order, []
+    text = f'does day or month come first in "{column.name}"? No date in it shows that: day first, or month first'
+    return Asked("", text).scalar, [Asked("", text)]
+
+
+def period_lines(guess: Guess) -> list[str]:
+    """The distance of the samples where no column is a time, or what is asked about it."""
+    if guess.role("time") is not None:
+        return []
+    if guess.period:
+        return [f"  period: {guess.period:.9g} s"]
+    doubts = [(each.name, doubt) for each in guess.columns for doubt in each.doubts if doubt.startswith(UNLIKE_TIME)]
+    sentence = "".join(f' ("{name}" {doubt})' for name, doubt in doubts)
+    text = f"no column is a time{sentence}: were the samples taken at even distances, and at which? For instance 2 ms."
+    which = Asked("", f"{text} A table of points is no recording: report --overlay draws it")
+    return [f"  {question(which)}", f"  period: {which.scalar}"]
+
+
+def test_lines(guess: Guess) -> list[str]:
+    """Several tests in each file, and at which contraction each was held."""
+    lines = ["tests:"] if guess.tests else []
+    for test in guess.tests:
+        point = ""
+        if guess.open_point("contraction"):
+            which = Asked("", f'at which contraction was "{test}" held? For instance 8 mm')
+            lines.append(question(which))
+            point = f", point: {{contraction: {which.scalar}}}"
+        lines.append(f"- {{name: {scalar(test)}{point}}}")
+    return lines
+
 
 EDGE = {"pressure": ("bar", "10 bar"), "length": ("mm", "100 mm"), "force": ("N", "1000 N")}
 """Quantity -> unit of its scale, and what a sensor may span."""
@@ -62,7 +147,7 @@ def map_text(guess: Guess, spans: Mapping[str, Span]) -> str:
     if guess.role("time") is None:
         lines.append('  "@time": {is: time, unit: s}  # made from the period, for no column is a time')
     lines += test_lines(guess)
-    lines += ["", *_name_tells(guess)]
+    lines += ["", *_name_lines(guess)]
     gap = f"{guess.gap * 1e3:.3g} ms" if guess.gap < 1 else f"{guess.gap:.3g} s"
     low, high = (f"{rate:.4g}" for rate in guess.rate)
     lines.append(f"sampling: {{rate: [{low} Hz, {high} Hz], gap: {gap}}}{_why(guess, 'sampling')}")
@@ -254,7 +339,7 @@ def _blip(values: np.ndarray) -> float | None:
     return low if far and len(near) and here[1:-1].sum() == alone.sum() and here.sum() <= 0.01 * len(values) else None
 
 
-def _name_tells(guess: Guess) -> list[str]:
+def _name_lines(guess: Guess) -> list[str]:
     if not guess.forms:
         return []
     lines = [f"name_tells:{_why(guess, 'name_tells')}", f"  of: {guess.form_of}"]

@@ -1,0 +1,223 @@
+"""What a bench lacks, and what its files say that is likely a mistake; each a line with its remedy or place."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from math import isfinite
+from typing import Any, NamedTuple
+
+from pmabench.base.quantities import show
+from pmabench.bench.compilation import Compilation
+from pmabench.bench.interface import ChannelRecord, DeviceRecord, OutputRecord
+from pmabench.bench.safety import SUPPLY_MARGIN
+
+
+def lacks(c: Compilation, channels: Mapping[str, ChannelRecord], outputs: Mapping[str, OutputRecord]) -> Iterator[str]:
+    """Each line goes on after "this bench has"; a relief valve that protects nothing is a problem, not a lack."""
+    yield from _air(c, outputs)
+    yield from c.driver_lacks
+    yield from _calibrations(c, channels)
+    if c.bench.weights is not None and c.bench.weights.catch_height is None:
+        yield (
+            "no catch height: venting drops a raised stack; remedy: a catch under the stack and "
+            '"catch_height", or "ramp_down: pressure" before the dump valve opens'
+        )
+    if c.bench.time == "real":
+        yield from _of_a_real_bench(c, channels)
+
+
+def _air(c: Compilation, outputs: Mapping[str, OutputRecord]) -> Iterator[str]:
+    air, never = c.bench.air, c.specimen.limits.pressure.never_above
+    if air.relief_valve == "none":
+        most = show(never, "pressure") if isfinite(never) else "what the muscle bears"
+        yield (
+            f"no relief valve: software is the only thing between the supply of {show(air.supply, 'pressure')} and the "
+            f"muscle; remedy: one that opens below {most}"
+        )
+    elif air.relief_valve >= never:
+        place = c.specimen_place("limits", "pressure", "never_above")
+        opens = show(air.relief_valve, "pressure")
+        c.fault(("air", "relief_valve"), f"opens at {opens}, not below the specimen's never_above ({place})")
+    elif "pressure" in outputs and air.relief_valve <= outputs["pressure"].high:
+        most = f"{show(outputs['pressure'].high, 'pressure')} ({outputs['pressure'].high_from})"
+        c.fault(("air", "relief_valve"), f"opens below what may be commanded, {most}")
+    if "pressure" in c.bench.set_points and not c.bench.normally_open_dump:
+        yield (
+            "no normally-open dump valve: pressure stays on when the power or the computer fails; "
+            'remedy: "dump_valve" among the outputs with "energised: closed"'
+        )
+    if "pressure" in outputs and air.supply < outputs["pressure"].high + SUPPLY_MARGIN:
+        yield (
+            f"a supply of {show(air.supply, 'pressure')}, less than {show(SUPPLY_MARGIN, 'pressure')} above the "
+            f"highest set-point {show(outputs['pressure'].high, 'pressure')}: high set-points are not reached; "
+            'remedy: more supply, or a lower "command"'
+        )
+
+
+def _calibrations(c: Compilation, channels: Mapping[str, ChannelRecord]) -> Iterator[str]:
+    for name, channel in channels.items():
+        record = channel.calibration
+        if record.valid_until and record.valid_until < c.today.isoformat():
+            yield f"an expired calibration of {name}, {record.id}, valid until {record.valid_until}; remedy: a new one"
+        if c.bench.time == "real" and not record.id and name in {"pressure", "displacement", "force"}:
+            yield (
+                f"no calibration of {name}: its uncertainty counts as zero in limits and results; "
+                'remedy: a file in calibrations/ and "calibration"'
+            )
+
+
+def _pressure_elsewhere(c: Compilation, channels: Mapping[str, ChannelRecord]) -> Iterator[str]:
+    """A line where the guard, which outlives the program, cannot read the pressure by itself."""
+    guarded = {file.device for file in c.bench.outputs.values()} | {lock.input.device for lock in c.bench.interlocks}
+    guarded |= {name for name, file in c.bench.devices.items() if file.watchdog}
+    channel = channels.get("pressure")
+    if channel is not None and channel.device not in guarded:
+        yield (
+            f"its pressure on {channel.device}, which only measures ({c.place('channels', 'pressure', 'device')}): the "
+            "guard holds no link to it, so that after the program died no vent is confirmed; remedy: the pressure on a "
+            "device that carries an output, valve, interlock or watchdog, too"
+        )
+
+    if c.extrapolated:
+        yield (
+            f"trips beyond the points of a calibration: {'; '.join(c.extrapolated)}; the margin above the command "
+            "limit counts it; remedy: points up to the trip, where the reference and the muscle allow it"
+        )
+
+
+def _of_a_real_bench(c: Compilation, channels: Mapping[str, ChannelRecord]) -> Iterator[str]:
+    pressurising = {file.device for name, file in c.bench.outputs.items() if name in {"pressure", "dump_valve"}}
+    accepted = c.bench.no_watchdog
+    for device in sorted(pressurising):
+        if c.bench.devices.get(device) is None or c.bench.devices[device].watchdog:
+            continue
+        if accepted is not None:
+            yield f"no watchdog of {device}, accepted by {accepted.accepted_by} on {accepted.date}: {accepted.reason}"
+        else:
+            yield (
+                f"no watchdog of {device}: a computer that dies leaves the pressure at its last value; remedy: "
+                '"watchdog" where the device has one, else a normally-open dump valve on one that has; '
+                'or "no_watchdog" with who accepts it'
+            )
+    if "pressure" not in c.bench.set_points:
+        return
+    yield from _pressure_elsewhere(c, channels)
+    if not c.bench.interlocks:
+        yield 'no interlock: the program does not see the emergency stop; remedy: "interlocks" with a contact of it'
+    watched = {(entry.kind, entry.channel) for entry in c.bench.watch if entry.action in {"stop", "vent"}}
+    if "pressure" in channels and not {("stale", "pressure"), ("frozen", "pressure")} & watched:
+        yield (
+            "nothing that sees a dead pressure sensor; remedy: "
+            '"watch: [{stale: pressure, for: 100 ms, action: vent}, {off_range: pressure, action: vent}]"'
+        )
+    if c.bench.proof is None:
+        yield (
+            'no proof of the vent path before each use; remedy: "proof: {pressure: 50 kPa, below: 20 kPa, within: 2 s}"'
+        )
+
+
+LENGTH_OFF = 0.05
+"""Relative difference of mounted and simulated length that makes another muscle of it."""
+DIAMETER_OFF = 0.2
+"""The same for the inner diameter, which files often give as the nominal one."""
+FORCE_OFF = 0.3
+"""The same for the force at the mounted length."""
+LOOKED_AT = 300e3
+"""Pressure at which forces are compared [Pa]."""
+
+
+class Simulated(NamedTuple):
+    """What distinguishes a simulated muscle from others."""
+
+    length: float
+    """Mounted length [m]."""
+    diameter: float
+    """Inner diameter [m]; of muscles whose model has none, that of the type."""
+    serial: str
+    """Of the specimen file that is shipped for it."""
+    pull: float | None = None
+    """F_ce at 300 kPa [N] where muscles of one size differ in it."""
+
+
+SIMULATED: dict[str, Simulated] = {
+    "paper0": Simulated(0.25, 0.02, "MOCK-P0", 275.0),
+    "paper0-air": Simulated(0.25, 0.02, "MOCK-P0", 275.0),
+    "serres2009": Simulated(0.25, 0.02, "MOCK-SERRES", 917.6),
+    "dmsp-40-305": Simulated(0.305, 0.04, "MOCK-DMSP"),
+    "daerden": Simulated(0.2, 0.02, "MOCK-DAERDEN"),
+    "contractor-15": Simulated(0.15, 0.02, "MOCK-CONTRACTOR-15"),
+    "contractor-20": Simulated(0.2, 0.02, "MOCK-CONTRACTOR-20"),
+    "contractor-25": Simulated(0.25, 0.02, "MOCK-CONTRACTOR-25"),
+    "contractor-30": Simulated(0.3, 0.02, "MOCK-CONTRACTOR"),
+    "contractor-40": Simulated(0.4, 0.02, "MOCK-CONTRACTOR-40"),
+    "arm-30": Simulated(0.3, 0.02, "MOCK-ARM"),
+}
+"""The muscles that a bench file can name.
+
+As data: who checks a driver compiles a bench, and must not know the models.
+"""
+UNCOVERED = 0.1
+"""Share of a channel's range that its calibration may leave out at an end."""
+TOO_WIDE = 2.0
+"""A calibration over so many times the range of its channel is likely another sensor's."""
+
+
+def mistaken(c: Compilation, channels: Mapping[str, ChannelRecord], devices: Sequence[DeviceRecord]) -> Iterator[str]:
+    """A simulated muscle that is not the specimen, and calibrations that do not fit the range of their channel."""
+    for device in devices:
+        if "plant" in device.options and c.length:
+            yield from _other_muscle(c, device.name, device.options["plant"])
+    for name, (low, high) in c.calibrated.items():
+        if name in channels and not name.endswith("_command"):
+            yield from _of_another_range(c, channels[name], low, high)
+
+
+def _other_muscle(c: Compilation, device: str, plant: Any) -> Iterator[str]:
+    """The first thing in which the simulated muscle is not the specimen."""
+    name = str(plant.get("name") if isinstance(plant, dict) else plant)
+    known = SIMULATED.get(name) if isinstance(plant, str) else None
+    muscle = plant if isinstance(plant, dict) else known._asdict() if known is not None else {}
+    place = f"{c.place('devices', device, 'options', 'plant')}  the simulated muscle {name}"
+    then = "results are those of the simulated one; take the bench and the specimen that belong together"
+    for differs in (*_by_size(c, muscle), *(_by_name(c, known) if known is not None else ())):
+        yield f"{place} {differs}: {then}"
+        return
+
+
+def _by_size(c: Compilation, muscle: Mapping[str, Any]) -> Iterator[str]:
+    length, there = muscle.get("length"), c.specimen.mounted.length
+    if length and abs(there - length) > LENGTH_OFF * length:
+        place = c.specimen_place("mounted", "length")
+        yield f"is {show(length, 'length')} long, the specimen {show(there, 'length')} ({place})"
+    wide, theirs = muscle.get("diameter"), c.specimen.inner_diameter
+    if wide and abs(theirs - wide) > DIAMETER_OFF * wide:
+        place = c.specimen_place("inner_diameter")
+        yield f"is {show(wide, 'length')} wide inside, the specimen {show(theirs, 'length')} ({place})"
+
+
+def _by_name(c: Compilation, known: Simulated) -> Iterator[str]:
+    """By the force that the specimen file expects, else by the serial number of another simulated muscle."""
+    points = c.specimen.expected.points if c.specimen.expected is not None and known.pull is not None else ()
+    for index, point in enumerate(points):
+        if point.pressure == LOOKED_AT and known.pull and abs(known.pull - point.F_ce) > FORCE_OFF * known.pull:
+            force, there = show(known.pull, "force"), show(point.F_ce, "force")
+            place = c.specimen_place("expected", "points", index)
+            yield f"has F_ce {force} at {show(LOOKED_AT, 'pressure')}, the specimen {there} ({place})"
+    serial = c.specimen.serial
+    if serial != known.serial and serial in {each.serial for each in SIMULATED.values()}:
+        yield f"is {known.serial}, the specimen {serial} ({c.specimen_place('serial')})"
+
+
+def _of_another_range(c: Compilation, channel: ChannelRecord, low: float, high: float) -> Iterator[str]:
+    """Points far outside the range are another sensor's; a range far outside the points is not covered."""
+    allowed = UNCOVERED * (channel.high - channel.low)
+    points = f"{show(low, channel.quantity)} to {show(high, channel.quantity)}"
+    reads = f"{show(channel.low, channel.quantity)} to {show(channel.high, channel.quantity)}"
+    place = f"{c.place('channels', channel.name, 'range')}  {channel.name} reads {reads}, and its calibration"
+    if high - low > TOO_WIDE * (channel.high - channel.low):
+        yield f"{place} {channel.calibration.id} has points from {points}: is it the calibration of this sensor?"
+    elif channel.low < low - allowed or channel.high > high + allowed:
+        yield (
+            f"{place} {channel.calibration.id} covers {points} only: what lies beyond is not calibrated; "
+            "give points up to there, or a smaller range"
+        )

@@ -1,0 +1,428 @@
+"""Limits, watch list, safe state, proof and interlocks of a bench file as records.
+
+A trip that protects nothing is refused, and so is a safe state that does not vent.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+from pmabench.base.quantities import CHANNEL_QUANTITY, show
+from pmabench.bench.compilation import Compilation
+from pmabench.bench.files.bench import LimitFile, SafeActionFile, WatchFile
+from pmabench.bench.files.specimen import Reading
+from pmabench.bench.interface import (
+    ChannelRecord,
+    InterlockRecord,
+    OutputRecord,
+    ProofTest,
+    SafeAction,
+    TripRecord,
+    ValveRecord,
+)
+from pmabench.files.document import Location
+
+LONGEST_DELAY = 1.0
+"""Longest delay of a limit that stops or vents [s]."""
+LONGEST_WATCH = 60.0
+"""Longest time of an entry of the watch list [s]."""
+EXTRAPOLATED = 0.25
+"""How far beyond its ends a straight line through a calibration's points is believed, as a share of what they cover."""
+SUPPLY_MARGIN = 50e3
+"""Least by which the supply lies above the highest set-point [Pa]."""
+SUPPLY_DELAY = 1.0
+"""How long the supply may be lower before the bench holds [s]."""
+
+LIMIT_CHANNEL = {
+    "pressure": "pressure",
+    "force": "force",
+    "contraction": "displacement",
+    "displacement": "displacement",
+    "angle": "angle",
+    "supply": "supply",
+}
+"""Key of `limits` -> the channel that is watched."""
+RATE_OF = {"pressure": "pressure rate", "length": "speed", "force": "force rate", "angle": "angular speed"}
+"""Quantity -> its rate of change."""
+ENDS = ("stop", "vent")
+"""Actions that take the pressure off."""
+
+
+def trips(
+    c: Compilation, channels: Mapping[str, ChannelRecord], outputs: Mapping[str, OutputRecord]
+) -> Iterator[TripRecord]:
+    """Every limit of bench and specimen on a channel, and every entry of the watch list."""
+    ends_contraction = False
+    for name, limit in c.bench.limits.items():
+        for key in ("command", "command_low"):
+            if getattr(limit, key) is not None and name not in c.bench.set_points:
+                c.fault(("limits", name, key), f'nothing commands "{name}" on this bench')
+        channel = channels.get(LIMIT_CHANNEL[name])
+        if channel is None:
+            if (limit.trip or limit.trip_low) and LIMIT_CHANNEL[name] not in c.bench.channels:
+                c.fault(("limits", name), f'there is no channel "{LIMIT_CHANNEL[name]}" to watch')
+            continue
+        found = _range(c, name, limit, channel, outputs)
+        if found is not None:
+            ends_contraction = ends_contraction or (name == "contraction" and found.action in ENDS)
+            yield found
+    yield from _of_the_specimen(c, channels, watched=ends_contraction)
+    yield from _supply(c, channels, outputs)
+    pressure = c.bench.limits.get("pressure")
+    if "pressure" in c.bench.set_points and (pressure is None or pressure.trip is None):
+        c.fault(("limits", "pressure"), 'the output "pressure" has no trip limit; add "pressure: {trip: ...}"')
+    for index, entry in enumerate(c.bench.watch):
+        watch = _watch(c, index, entry, channels, outputs)
+        if watch is not None:
+            yield watch
+
+
+def _range(
+    c: Compilation, name: str, limit: LimitFile, channel: ChannelRecord, outputs: Mapping[str, OutputRecord]
+) -> TripRecord | None:
+    at: Location = ("limits", name)
+    before = len(c.problems)
+    high, low = _bound(c, name, limit.trip, "trip"), _bound(c, name, limit.trip_low, "trip_low")
+    source = c.place(*at, "trip" if limit.trip is not None else "trip_low")
+    if name == "contraction" and limit.action in ENDS and c.length is not None:
+        most = c.specimen.limits.contraction * c.length
+        if high is None or most < high:
+            high, source = most, c.specimen_place("limits", "contraction")
+    if len(c.problems) > before or (high is None and low is None):
+        return None
+    if low is not None:
+        _inside(c, (*at, "trip_low"), low, channel)
+    if limit.delay > LONGEST_DELAY and limit.action in ENDS:
+        c.fault((*at, "delay"), f"is longer than {LONGEST_DELAY:g} s: that is no protection")
+    if high is not None and low is not None and low >= high:
+        c.fault((*at, "trip_low"), "lies at or above the upper trip limit")
+    if high is not None:
+        if high <= 0:
+            c.fault((*at, "trip"), "a value above zero is expected: the bench would trip where it rests")
+            return None
+        _inside(c, (*at, "trip"), high, channel)
+        _above_commands(c, name, high, channel, outputs)
+        if name == "pressure":
+            _protects_the_muscle(c, limit, high)
+    return TripRecord(channel.name, low, high, limit.delay, limit.action, source)
+
+
+def _bound(c: Compilation, name: str, reading: Reading | None, key: str) -> float | None:
+    if reading is None:
+        return None
+    at: Location = ("limits", name, key)
+    if name == "contraction":
+        ratio = c.si(reading, "ratio", at)
+        return ratio * c.length if c.length is not None else None
+    return c.si(reading, CHANNEL_QUANTITY[LIMIT_CHANNEL[name]], at)
+
+
+def _inside(c: Compilation, at: Location, value: float, channel: ChannelRecord) -> None:
+    """A trip must be measurable by the channel: inside its range, and not far beyond what its calibration covers."""
+    quantity = channel.quantity
+    if not channel.low < value < channel.high:
+        span = f"{show(channel.low, quantity)} to {show(channel.high, quantity)}"
+        c.fault(
+            at, f"the trip {show(value, quantity)} is not inside the channel's range, {span}: it would never be seen"
+        )
+    elif (beyond := _beyond(c, channel, value)) > EXTRAPOLATED:
+        low, high = c.calibrated[channel.name]
+        most = show(EXTRAPOLATED * (high - low), quantity)
+        c.fault(
+            at,
+            f"the trip {show(value, quantity)} is not inside the calibration {channel.calibration.id}, "
+            f"{show(low, quantity)} to {show(high, quantity)}, nor within {most} of it: calibrate with points nearer "
+            "to the trip, or move the trip nearer to them",
+        )
+    elif beyond > 0:
+        known = show(channel.calibration.uncertainty(value) + _extrapolation(c, channel, value), quantity)
+        c.extrapolated.append(f"{show(value, quantity)} of {channel.name} ({channel.calibration.id}; +-{known} there)")
+
+
+def _beyond(c: Compilation, channel: ChannelRecord, value: float) -> float:
+    """How far a value lies outside of what the calibration covers, as a share of that; 0 inside and without one."""
+    low, high = c.calibrated.get(channel.name, (value, value))
+    return max(low - value, value - high, 0.0) / (high - low) if high > low else 0.0
+
+
+def _extrapolation(c: Compilation, channel: ChannelRecord, value: float) -> float:
+    """What a value beyond the points is known less well than one between them [SI].
+
+    A line that is off by no more than U at both ends of its points is off by U (1 + 2 d) at a share d beyond them.
+    """
+    return 2.0 * _beyond(c, channel, value) * channel.calibration.offset_uncertainty
+
+
+def _above_commands(
+    c: Compilation, name: str, high: float, channel: ChannelRecord, outputs: Mapping[str, OutputRecord]
+) -> None:
+    """A trip lies above what may be commanded, by the channel's uncertainty and the regulator's overshoot."""
+    output = outputs.get(LIMIT_CHANNEL[name])
+    if output is None:
+        return
+    margin = channel.calibration.uncertainty(high) + _extrapolation(c, channel, high)
+    margin += c.bench.air.overshoot if name == "pressure" else 0.0
+    if high <= output.high or high < output.high + margin * (1 - 1e-9):
+        shown, least = show(high, channel.quantity), show(margin, channel.quantity)
+        c.fault(
+            ("limits", name, "trip"),
+            f"the trip {shown} must lie at least {least} (uncertainty and overshoot) above the command limit "
+            f"{show(output.high, channel.quantity)} ({output.high_from})",
+        )
+
+
+def _protects_the_muscle(c: Compilation, limit: LimitFile, high: float) -> None:
+    never = c.specimen.limits.pressure.never_above
+    if high >= never:
+        place = c.specimen_place("limits", "pressure", "never_above")
+        shown = f"the trip {show(high, 'pressure')} does not lie below the specimen's never_above"
+        c.fault(("limits", "pressure", "trip"), f"{shown} {show(never, 'pressure')} ({place})")
+    if limit.action != "vent":
+        c.fault(("limits", "pressure", "action"), 'the trip limit of the pressure must "vent"')
+
+
+def _of_the_specimen(c: Compilation, channels: Mapping[str, ChannelRecord], *, watched: bool) -> Iterator[TripRecord]:
+    """The specimen's contraction limit, where no limit of the bench that stops or vents is as strict."""
+    if "displacement" in channels and not watched and c.length is not None:
+        most = c.specimen.limits.contraction * c.length
+        yield TripRecord("displacement", None, most, 0.0, "vent", c.specimen_place("limits", "contraction"))
+    if "displacement" not in c.bench.channels and c.bench.free_end in {"weights", "actuator"}:
+        c.fault(("channels",), "nothing measures the displacement, which the specimen's contraction limit needs")
+    if "pressure" in c.bench.set_points and "pressure" not in c.bench.channels:
+        c.fault(("channels",), 'nothing measures the pressure that is commanded; add a channel "pressure"')
+
+
+def _supply(
+    c: Compilation, channels: Mapping[str, ChannelRecord], outputs: Mapping[str, OutputRecord]
+) -> Iterator[TripRecord]:
+    """A measured supply stays above what may be commanded; the bench holds while it does not."""
+    supply, output = channels.get("supply"), outputs.get("pressure")
+    if supply is None or output is None:
+        return
+    least = output.high + SUPPLY_MARGIN
+    limit = c.bench.limits.get("supply")
+    if limit is not None and limit.trip_low is not None:
+        given = _bound(c, "supply", limit.trip_low, "trip_low") or 0.0
+        if given < least:
+            c.fault(
+                ("limits", "supply", "trip_low"),
+                f"must lie at least {show(SUPPLY_MARGIN, 'pressure')} above the highest set-point, "
+                f"{show(output.high, 'pressure')} ({output.high_from})",
+            )
+        return
+    place: Location = ("channels", "supply")
+    _inside(c, (*place, "range"), least, supply)
+    yield TripRecord("supply", least, None, SUPPLY_DELAY, "hold", c.place(*place))
+
+
+def _watch(
+    c: Compilation,
+    index: int,
+    entry: WatchFile,
+    channels: Mapping[str, ChannelRecord],
+    outputs: Mapping[str, OutputRecord],
+) -> TripRecord | None:
+    at: Location = ("watch", index)
+    kind, name = entry.kind, entry.channel
+    if c.unknown((*at, kind), "channel", name, c.bench.channels) or name not in channels:
+        return None
+    channel = channels[name]
+    quantity = channel.quantity
+    delay, window = entry.for_ or 0.0, entry.within or 0.0
+    low: float | None = None
+    high: float | None = None
+    if kind == "rate":
+        high = _above_zero(c, entry.faster_than, RATE_OF[quantity], (*at, "faster_than"))
+    elif kind == "following":
+        high = _above_zero(c, entry.more_than, quantity, (*at, "more_than"))
+        if name not in c.bench.set_points:
+            c.fault(
+                (*at, kind), f'nothing commands "{name}"; what is commanded here: {", ".join(outputs) or "nothing"}'
+            )
+    elif kind == "burst":
+        high = _above_zero(c, entry.falls, quantity, (*at, "falls"))
+        if high is not None and high >= channel.high - channel.low:
+            c.fault((*at, "falls"), "is more than the channel can measure: it would never be seen")
+    elif kind == "slack":
+        low = c.si(entry.below, quantity, (*at, "below")) if entry.below else None
+        if low is not None:
+            _inside(c, (*at, "below"), low, channel)
+    if kind in {"stale", "frozen"} and delay <= 0:
+        c.fault((*at, "for"), "a time above zero is expected: every channel is silent between two samples")
+    if max(delay, window) > LONGEST_WATCH:
+        c.fault((*at, "within" if window > delay else "for"), f"is longer than {LONGEST_WATCH:g} s")
+    return TripRecord(name, low, high, delay, entry.action, c.place(*at), kind.replace("_", "-"), window)
+
+
+def _above_zero(c: Compilation, reading: Reading | None, quantity: str, at: Location) -> float | None:
+    before = len(c.problems)
+    value = c.si(reading, quantity, at) if reading is not None else 0.0
+    if value <= 0 and len(c.problems) == before:
+        c.fault(at, "a value above zero is expected")
+    return value
+
+
+LATEST_VENT = 10.0
+"""Longest time before the safe state begins to take the pressure off [s]."""
+SETUP_PRESSURE = 100e3
+"""Highest pressure before the bench is proven, where the file does not say [Pa]."""
+
+
+def safe_state(
+    c: Compilation,
+    channels: Mapping[str, ChannelRecord],
+    outputs: Mapping[str, OutputRecord],
+    valves: Mapping[str, ValveRecord],
+) -> tuple[SafeAction, ...]:
+    """The declared actions in order; each output must end where it is safe, and the vent must be confirmed."""
+    actions: list[SafeAction | None] = []
+    for index, file in enumerate(c.bench.safe_state):
+        verb = file.verb
+        at: Location = ("safe_state", index)
+        if verb in {"set", "ramp_down", "drive_quick_stop"}:
+            actions.append(_output(c, file, at, outputs))
+        elif verb in {"open", "close"}:
+            target = str(getattr(file, verb))
+            known = not c.unknown((*at, verb), "valve", target, c.bench.valves)
+            actions.append(SafeAction(verb, target, 0.0, file.within or 0.0) if known else None)
+        elif verb == "hold":
+            actions.append(SafeAction("hold", "", 0.0, file.hold or 0.0))
+        else:
+            actions.append(_confirm(c, file, at, channels))
+    if None not in actions:
+        found = tuple(action for action in actions if action is not None)
+        _vents(c, found, outputs)
+        _ends_safe(c, found, outputs, valves)
+        return found
+    return ()
+
+
+def _output(
+    c: Compilation, file: SafeActionFile, at: Location, outputs: Mapping[str, OutputRecord]
+) -> SafeAction | None:
+    verb, within = file.verb, file.within or 0.0
+    target = str(getattr(file, verb))
+    if c.unknown((*at, verb), "output that takes values", target, c.bench.set_points) or target not in outputs:
+        return None
+    output = outputs[target]
+    if verb == "drive_quick_stop":
+        if target == "pressure":
+            c.fault((*at, verb), 'the pressure is not a drive; use "set", "ramp_down" or "open"')
+        return SafeAction("stop", target, 0.0, within)
+    value = output.safe if file.to is None else c.si(file.to, output.quantity, (*at, "to"))
+    if not output.low <= value <= output.high:
+        c.fault((*at, "to"), f"{show(value, output.quantity)} is outside the limits of the output")
+    if verb == "set" or file.at is None:
+        return SafeAction("set", target, value, within)
+    quantity = RATE_OF[output.quantity]
+    rate = c.si(file.at, quantity, (*at, "at"))
+    if rate <= 0:
+        c.fault((*at, "at"), "a rate above zero is expected")
+        return None
+    if output.rate and rate > output.rate:
+        c.fault((*at, "at"), f"is faster than the drive, {show(output.rate, quantity)}")
+    longest = max(output.high - value, value - output.low) / rate
+    if longest > within * (1 + 1e-9):
+        c.fault((*at, "within"), f"the ramp takes up to {longest:.3g} s, longer than its deadline")
+    return SafeAction("ramp", target, value, within, rate)
+
+
+def _confirm(
+    c: Compilation, file: SafeActionFile, at: Location, channels: Mapping[str, ChannelRecord]
+) -> SafeAction | None:
+    target = str(file.confirm)
+    if c.unknown((*at, "confirm"), "channel", target, c.bench.channels) or target not in channels or not file.below:
+        return None
+    channel = channels[target]
+    below = c.si(file.below, channel.quantity, (*at, "below"))
+    if target == "pressure" and below <= 0:
+        c.fault((*at, "below"), "a pressure above zero is expected: a vent ends at that of the room")
+    elif not channel.low < below < channel.high:
+        c.fault((*at, "below"), f"{show(below, channel.quantity)} is not inside the channel's range")
+    elif target == "pressure" and below > c.bench.hands.below:
+        hands = f"{show(c.bench.hands.below, 'pressure')} ({c.place('hands', 'below')})"
+        c.fault((*at, "below"), f"is above the pressure at which hands may go in, {hands}: it would confirm no vent")
+    return SafeAction("confirm", target, below, file.within or 0.0)
+
+
+def _vents(c: Compilation, actions: tuple[SafeAction, ...], outputs: Mapping[str, OutputRecord]) -> None:
+    """Pressure begins to fall soon, ends at its safe value, and is looked at after that."""
+    if "pressure" not in c.bench.set_points:
+        return
+    to_pressure = [n for n, a in enumerate(actions) if a.do in {"set", "ramp"} and a.target == "pressure"]
+    first = [n for n, a in enumerate(actions) if n in to_pressure or (a.do == "open" and a.target == "dump_valve")]
+    output = outputs.get("pressure")
+    if not to_pressure or (output is not None and actions[to_pressure[-1]].value > output.safe):
+        safe = show(output.safe, "pressure") if output else "its safe value"
+        c.fault(("safe_state",), f'does not vent: its last "set: pressure" or "ramp_down: pressure" must go to {safe}')
+        return
+    waits = sum(a.within for a in actions[: first[0]] if a.do in {"hold", "stop"})
+    if waits > LATEST_VENT:
+        c.fault(("safe_state",), f"waits {waits:g} s before it vents; at most {LATEST_VENT:g} s")
+    looks = [n for n, a in enumerate(actions) if a.do == "confirm" and a.target == "pressure"]
+    if not looks:
+        c.fault(("safe_state",), 'does not look: "- {confirm: pressure, below: ..., within: ...}" is missing')
+    elif looks[-1] < to_pressure[-1]:
+        c.fault(("safe_state", looks[-1]), "looks before the vent; the confirmation comes last")
+
+
+def _ends_safe(
+    c: Compilation,
+    actions: tuple[SafeAction, ...],
+    outputs: Mapping[str, OutputRecord],
+    valves: Mapping[str, ValveRecord],
+) -> None:
+    """Every drive is stopped or brought to a place, every valve gets a position, and the dump valve ends open."""
+    moved = {action.target for action in actions if action.do in {"set", "ramp", "stop"}}
+    for name in outputs:
+        if name != "pressure" and name not in moved:
+            c.fault(("safe_state",), f'leaves "{name}" moving: add "drive_quick_stop: {name}" or "set: {name}"')
+    for name in valves:
+        ends = [action.do for action in actions if action.target == name and action.do in {"open", "close"}]
+        if name == "dump_valve" and (not ends or ends[-1] != "open"):
+            c.fault(("safe_state",), 'does not open the dump valve: "- {open: dump_valve, within: ...}" is missing')
+        elif not ends:
+            c.fault(("safe_state",), f'says nothing of the valve "{name}": add "open: {name}" or "close: {name}"')
+
+
+def interlocks(c: Compilation) -> dict[str, list[InterlockRecord]]:
+    """The interlocks of each device."""
+    found: dict[str, list[InterlockRecord]] = {name: [] for name in c.bench.devices}
+    names: set[str] = set()
+    for index, file in enumerate(c.bench.interlocks):
+        at: Location = ("interlocks", index)
+        if file.name in names:
+            c.fault((*at, "name"), f'there are two interlocks "{file.name}"')
+        names.add(file.name)
+        if not c.unknown((*at, "input", "device"), "device", file.input.device, c.bench.devices):
+            record = InterlockRecord(file.name, file.input.device, file.input.input, file.safe)
+            found[file.input.device].append(record)
+    return found
+
+
+def setup_pressure(c: Compilation, outputs: Mapping[str, OutputRecord]) -> float:
+    """Highest pressure before the bench is proven [Pa], never above the command limit."""
+    output = outputs.get("pressure")
+    most = output.high if output is not None else SETUP_PRESSURE
+    if c.bench.setup_pressure is None:
+        return min(SETUP_PRESSURE, most)
+    if c.bench.setup_pressure > most:
+        c.fault(("setup_pressure",), f"is above the command limit, {show(most, 'pressure')}")
+    return c.bench.setup_pressure
+
+
+def proof(c: Compilation, most: float) -> ProofTest | None:
+    """The proof of the vent path, within the set-up pressure `most` [Pa]."""
+    file = c.bench.proof
+    if file is None:
+        return None
+    if "pressure" not in c.bench.set_points:
+        c.fault(("proof",), "nothing commands the pressure on this bench: there is nothing to prove")
+    if file.pressure > most:
+        c.fault(("proof", "pressure"), f"is above the set-up pressure, {show(most, 'pressure')}")
+    return ProofTest(file.pressure, file.below, file.within, file.fill)
+
+
+def stop_rate(c: Compilation) -> float:
+    """Rate of a controlled stop [Pa/s]; 0: the safe state at once."""
+    return c.bench.stop.ramp if c.bench.stop is not None else 0.0

@@ -1,0 +1,93 @@
+"""What a recorded sine lacks of a steady one, and what that does to its numbers; knows sines, no campaign."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pmabench.analysis.shared.form import Doubt, change_over
+from pmabench.analysis.shared.samples import noise_of
+from pmabench.base.quantities import show
+from pmabench.store.records import Array
+
+if TYPE_CHECKING:
+    from pmabench.kinds.recorded_sine.reduction import Sine
+
+FLAT = 0.02
+"""Share of the samples that must read one extreme value before it counts as cut off."""
+RARER = 5.0
+"""So much rarer is the next value to an extreme that is cut off; in a sine in few counts it is half as rare."""
+BEYOND = 2.0
+"""A cut that is found counts by so much more, for the samples near it are cut by noise, too."""
+HARMONICS = 7
+
+
+def changing(by_cycle: Sequence[Array], what: str) -> list[Doubt]:
+    """Whether a value changes from cycle to cycle: a mean over all is no steady state."""
+    change = change_over(by_cycle)
+    if change is None or not change.seen:
+        return []
+    share = change.size / max(abs(float(np.mean([one.mean() for one in by_cycle]))), 1e-30)
+    reason = f"{what} changes by {share:.1%} from the first cycle to the last: it is not steady yet. Record more cycles"
+    return [Doubt("change from cycle to cycle", "drift", change.most, seen=True, reason=f"{reason}, later")]
+
+
+def cut_off(sines: Sequence[Sine], names: Sequence[str]) -> list[Doubt]:
+    """Channels whose extremes are cut off; the effect is the share of the amplitude that this takes."""
+    found = []
+    for name in names:
+        each = [_missing(sine, name) for sine in sines if name in sine.amplitudes]
+        share, flat = max(each, default=(0.0, 0.0))
+        if flat:
+            reason = (
+                f"{name} is cut off: {flat:.0%} of its samples read one extreme value, which takes about {share:.1%} "
+                "of its amplitude. Swing less, or use a sensor or converter with more range"
+            )
+            found.append(Doubt(f"cut off {name}", "method", BEYOND * share, seen=True, reason=reason))
+    return found
+
+
+def _missing(sine: Sine, name: str) -> tuple[float, float]:
+    """Share of the amplitude that a cut takes, and of the samples that are cut; 0 without one."""
+    values, whole = sine.raw[name], abs(sine.amplitudes[name])
+    kept, flat = np.ones(len(values), dtype=bool), 0.0
+    for turned in (values, -values):
+        levels, counts = np.unique(turned, return_counts=True)
+        if len(levels) > 1 and counts[-1] > max(FLAT * len(values), RARER * counts[-2]):
+            kept &= turned < levels[-1]
+            flat += float(counts[-1]) / len(values)
+    if not flat:
+        return 0.0, 0.0
+    angle = sine.omega * sine.t[kept]
+    design = np.column_stack([np.ones(len(angle)), np.cos(angle), np.sin(angle)])
+    fitted = np.linalg.lstsq(design, values[kept], rcond=None)[0]
+    return abs(float(np.hypot(fitted[1], fitted[2])) / whole - 1), flat
+
+
+def other_shape(sines: Sequence[Sine]) -> list[Doubt]:
+    """How far the width of the loop at mean pressure differs from that of the ellipse of the first harmonics."""
+    apart, errors = [], []
+    for sine in sines:
+        angle = sine.omega * sine.t[:, None] * np.arange(1, HARMONICS + 1)
+        design = np.column_stack([np.ones(len(angle)), np.cos(angle), np.sin(angle)])
+        fitted = np.linalg.lstsq(design, np.column_stack([sine.P, sine.x]), rcond=None)[0]
+        fine = 2 * np.pi * np.arange(2001)[:, None] / 2000 * np.arange(1, HARMONICS + 1)
+        P, x = (np.column_stack([np.ones(len(fine)), np.cos(fine), np.sin(fine)]) @ fitted).T
+        off = P - fitted[0, 0]
+        rows = np.flatnonzero(off[:-1] * off[1:] < 0)
+        if len(rows) != 2:
+            continue
+        one, other = x[rows] + off[rows] / (off[rows] - off[rows + 1]) * (x[rows + 1] - x[rows])
+        X, ratio = sine.amplitudes["displacement"], sine.amplitudes["displacement"] / sine.amplitudes["pressure"]
+        apart.append(abs(float(one - other)) - 2 * abs(X) * abs(np.sin(np.angle(ratio))))
+        slope = abs(X) / abs(sine.amplitudes["pressure"])
+        noise = np.hypot(noise_of(sine.x), slope * noise_of(sine.P))
+        errors.append(noise * np.sqrt(4 * HARMONICS / len(sine.t)))
+    if not apart:
+        return []
+    half, error = abs(float(np.mean(apart))), float(np.mean(errors)) / np.sqrt(len(errors))
+    text = f"the loop is no ellipse: at mean pressure its width differs by {show(half, 'length', 2)} from that of one"
+    reason = f"{text}: friction, or a bent curve. Read it off the figure of the loop"
+    return [Doubt("shape of the loop", "method", half + 2 * error, half > 5 * error, reason)]

@@ -1,0 +1,180 @@
+"""The muscles of papers 1 to 3 for simulated plants: contractors, modified Daerden, DMSP-40-305.
+
+Their formulas are those of `pmabench.model.library`, the numbers its defaults where a paper prints none.
+
+Contractors of paper 2: force at a driven end and length at a free one are two independent fits that do not agree on
+where a contractor without load ends: none is derived from the other.
+
+DMSP-40-305 of paper 1, as a three-element muscle: S and D as printed, F_ce from the braid. S and D were fitted on 1 to
+6 bar; outside they keep the value of the nearer end, so that the damping is never negative.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.polynomial import Polynomial
+
+from pmabench.model.air import Air
+from pmabench.model.curve import Array, Curve
+from pmabench.model.library import MODELS, daerden
+from pmabench.model.library.braid import BRAID_ANGLE
+from pmabench.model.library.chamber import R
+from pmabench.model.library.coefficients import CENTRE, DMSP_PRESSURE, POLYNOMIALS, SCALE
+from pmabench.model.library.contractor import contractor_force
+from pmabench.model.muscle import Friction, Muscle
+
+DEFAULT = {p.name: p.value for p in MODELS["corrected-force"].parameters}
+HIGHEST = next(p.high for p in MODELS["sigmoid-length"].parameters if p.name == "pressure")
+STIFFNESS, DAMPING, DAMPING_RELAX = 5e3, 1e3, 1.5e3
+"""Assumed, for the way there and for loads; paper 2 gives none [N/m, N.s/m]."""
+POINTS = 201
+"""Points of length over pressure, close together where its slope is infinite; the lines between are within 10 um."""
+CONTRACTOR_STOP = 0.40
+"""Contraction at which a free one can go no further [1]: beyond all of paper 2."""
+
+
+@dataclass(frozen=True)
+class ContractorMuscle:
+    """F = pi r0^2 (P - P_0) [a (1 - q eps)^2 - b], 0 below P_0 and below 0, eps = x / l0 (paper 2 eqs. 8-9).
+
+    `length` l0 and `radius` r0 [m], `braid_angle` theta0 [rad], `threshold` P_0 [Pa]. `reach` is from where to where
+    eps may go [1].
+    """
+
+    name: str = "contractor of 30 cm"
+    length: float = 0.30
+    radius: float = float(DEFAULT["radius"])
+    braid_angle: float = float(DEFAULT["braid_angle"])
+    threshold: float = float(DEFAULT["threshold"])
+    reach: tuple[float, float] = (0.0, 0.36)
+    friction: Friction = field(default_factory=Friction)
+
+    def pull(self, P: Array, x: Array) -> Array:
+        """Force at rest [N]; P [Pa] and x [m] of one shape."""
+        size: Any = (self.radius, self.braid_angle, self.threshold)
+        return contractor_force(P, x / self.length, *size)[0]
+
+    def damping(self, P: Array, v: Array) -> Array:
+        """None is known [N.s/m]; P [Pa]."""
+        return np.zeros(P.shape)
+
+    def free(self) -> Muscle:
+        """The same with a free end: without load it comes to the length of eqs. 1-2, by F_ce = K x."""
+        P = HIGHEST * np.linspace(0.0, 1.0, POINTS) ** 2
+        eps = MODELS["sigmoid-length"].evaluate({"pressure": P, "nominal_length": self.length})["contraction"]
+        return Muscle(
+            name=self.name,
+            F_ce=Curve.through(P.tolist(), (STIFFNESS * self.length * eps).tolist()),
+            K=Curve(((STIFFNESS,),)),
+            B_c=Curve(((DAMPING,),)),
+            B_r=Curve(((DAMPING_RELAX,),)),
+            length=self.length,
+            stop=CONTRACTOR_STOP * self.length,
+        )
+
+
+def assumed_air() -> Air:
+    """Air behind the regulator that the library's `driven-chamber` assumes."""
+    value = {p.name: p.value for p in MODELS["driven-chamber"].parameters}
+    return Air(
+        fill=float(value["conductance_fill"]),
+        vent=float(value["conductance_vent"]),
+        polytropic=float(value["polytropic"]),
+        rT=R * float(value["temperature"]),
+        atmosphere=float(value["atmosphere"]),
+    )
+
+
+@dataclass(frozen=True)
+class DaerdenMuscle:
+    """F = S(eps) P + F_e(eps), eps = x / l0, below 0 stretched: the mean of the two branches (paper 3 eq. 10).
+
+    `length` l0 and `diameter` D0 [m], `braid_angle` theta0 [rad], `alpha` [1], `A` [N], `B1` and `B2` [1]. `reach` is
+    from where to where eps may go [1]: a little beyond what paper 3 measured, and short of the pole at -B2.
+    """
+
+    name: str = "modified Daerden"
+    length: float = float(daerden.LENGTH.value)
+    diameter: float = float(daerden.DIAMETER.value)
+    braid_angle: float = float(BRAID_ANGLE.value)
+    alpha: float = float(daerden.ALPHA.value)
+    A: float = float(daerden.A.value)
+    B1: float = float(daerden.B1.value)
+    B2: float = float(daerden.B2.value)
+    reach: tuple[float, float] = (-0.035, 0.22)
+    friction: Friction = field(default_factory=Friction)
+
+    def pull(self, P: Array, x: Array) -> Array:
+        """S(eps) P + F_e(eps) [N]; P [Pa] and x [m] of one shape."""
+        eps: Any = x / self.length
+        size: Any = (self.diameter, self.braid_angle, self.alpha)
+        rubber: Any = (self.A, self.B1, self.B2)
+        return np.asarray(daerden.section_factor(eps, *size) * P + daerden.rubber_force(eps, *rubber))
+
+    def damping(self, P: Array, v: Array) -> Array:
+        """None: the loop's width comes from the way gone, not from the speed [N.s/m]; P [Pa]."""
+        return np.zeros(P.shape)
+
+    def free(self) -> Muscle:
+        """It has none: a ValueError that says so."""
+        raise ValueError(f"the muscle {self.name} is for a driven free end")
+
+    def volume(self, x: Array) -> Array:
+        """Volume inside [m3] at contractions x [m]."""
+        eps: Any = x / self.length
+        size: Any = (self.diameter, self.length, self.braid_angle, self.alpha)
+        return daerden.muscle_volume(eps, *size)
+
+
+LOW, HIGH = DMSP_PRESSURE.low, DMSP_PRESSURE.high
+DMSP_STOP = 0.30
+"""Contraction at which it can go no further [1]: beyond the 25 % of 6 bar."""
+GRID = np.linspace(LOW, HIGH, 501)
+ORDER = 10
+"""Order of the polynomial that replaces F_ce at x_max over pressure: within 0.02 N, worth 0.3 um."""
+FCE_EVAL = ("x0", "xmax")
+
+
+def dmsp_40_305(fce_eval: str = "x0") -> Muscle:
+    """The muscle with F_ce at x = 0, or with `xmax` at the contraction that it comes to under 5 N, as in paper 1.
+
+    It relaxes with the time constant D_r / S of the pressure before the release, as paper 1 prints it.
+    """
+    length = next(p.value for p in MODELS["dmsp-40-305-contraction"].parameters if p.name == "nominal_length")
+    tau_r = _printed("D_r").values(GRID) / _printed("S").values(GRID)
+    return Muscle(
+        name="DMSP-40-305",
+        F_ce=_contractile_force(fce_eval),
+        K=_printed("S"),
+        B_c=_printed("D_c"),
+        B_r=_printed("D_r"),
+        tau_r=Curve.through(GRID.tolist(), tau_r.tolist()),
+        length=float(length),
+        stop=DMSP_STOP * float(length),
+    )
+
+
+def _contractile_force(fce_eval: str) -> Curve:
+    """F_ce(P) [N]; below 1 bar a straight line to no force without pressure."""
+    if fce_eval not in FCE_EVAL:
+        raise ValueError(f'fce_eval can only be {" or ".join(FCE_EVAL)}, not "{fce_eval}"')
+    F = MODELS["dmsp-40-305-contraction"].evaluate({"pressure": GRID, "fce_at": fce_eval})["force_ce"]
+    line = (float(F[0]) / LOW, 0.0)
+    if fce_eval == "x0":
+        return Curve((line,))
+    return _held(Polynomial.fit(GRID, F, ORDER).convert(), below=line)
+
+
+def _printed(symbol: str) -> Curve:
+    """One of paper 1's polynomials of z = (P - CENTRE) / SCALE, as one of P [Pa]."""
+    z = Polynomial([-CENTRE / SCALE, 1 / SCALE])
+    return _held(Polynomial(POLYNOMIALS[symbol][::-1])(z))
+
+
+def _held(polynomial: Polynomial, below: tuple[float, ...] = ()) -> Curve:
+    """A polynomial of P on 1 to 6 bar, `below` under it, and constant where nothing else is said."""
+    inside = tuple(float(c) for c in polynomial.coef[::-1])
+    return Curve((below or (float(polynomial(LOW)),), inside, (float(polynomial(HIGH)),)), (LOW, HIGH))
