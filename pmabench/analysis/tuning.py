@@ -17,7 +17,7 @@ from pmabench.model.loop import Answer, Controller, Loop, Margins, dead_time_for
 from pmabench.model.rules.record import Rule, all_rules
 
 FOLLOWING: dict[str, tuple[tuple[str, str], tuple[str, str]]] = {
-    "Pa/m": (("Pa/(m.s)", "integral gain"), ("Pa.s/m", "derivative gain")),
+    "Pa/m": (("Pa/(m.s)", "integral gain"), ("Pa.s/m", "derivative gain"))
 }
 """Unit of K_p: units and quantities of K_i and K_d."""
 

@@ -109,9 +109,7 @@ PAPER_1 = Kind(
     compares="displacement",
     word="contraction",
     offers="pmabench.kinds.contraction_relaxation.values:by_paper_1",
-    figures={
-        "step-overlay": "pmabench.kinds.contraction_relaxation.paper1_view:step_overlays",
-    },
+    figures={"step-overlay": "pmabench.kinds.contraction_relaxation.paper1_view:step_overlays"},
 )
 KIND = Kind(
     name="contraction-relaxation",
@@ -119,10 +117,7 @@ KIND = Kind(
     order=20,
     results=RESULTS,
     reduction="pmabench.kinds.contraction_relaxation.reduction:reduce",
-    papers=(
-        "paper 0, section 4",
-        "paper 1, section 3",
-    ),
+    papers=("paper 0, section 4", "paper 1, section 3"),
     protocol="pmabench.kinds.contraction_relaxation.protocol:ContractionRelaxation",
     live="pmabench.kinds.contraction_relaxation.live:measure",
     moves="displacement",
@@ -135,12 +130,8 @@ KIND = Kind(
     options=("forms", "bootstrap", "regulator", "polish"),
     parts={"check options": "pmabench.kinds.contraction_relaxation.joint:check"},
     also=(PAPER_1,),
-    figures={
-        "overlay": "pmabench.plotting.motion:motions",
-    },
-    front={
-        "overlay": "pmabench.plotting.motion:overlays",
-    },
+    figures={"overlay": "pmabench.plotting.motion:motions"},
+    front={"overlay": "pmabench.plotting.motion:overlays"},
     imported=Imported(
         Commanded(
             "pressure",

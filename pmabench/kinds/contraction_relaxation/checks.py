@@ -216,11 +216,7 @@ def checks(campaign: Campaign, pooled: Pooled) -> list[dict[str, Any]]:
     """Held-out loads, the other direction, friction by sign of the velocity; as `Analysis.facts` holds checks."""
     segments = pooled.segments
     size = float(np.max(np.abs(segments.force)))
-    found = [
-        _held_out(campaign, pooled, size),
-        _other_direction(pooled, size),
-        _friction(pooled, size),
-    ]
+    found = [_held_out(campaign, pooled, size), _other_direction(pooled, size), _friction(pooled, size)]
     return [asdict(check) for check in found if check is not None]
 
 

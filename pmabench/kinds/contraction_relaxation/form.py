@@ -246,10 +246,7 @@ def hiding(form: Form, scales: Scales, segments: Segments, fit: Solved, trust: T
 def _cell(weights: Weighed, scales: Scales, segments: Segments, fit: Solved) -> list[Hiding]:
     """The cell against the weights, as far as its calibration does not hold the difference: either may be right."""
     cell = np.where(segments.mass > 0, 0.0, 1.0)
-    kinds = (
-        (GAIN, weights.gain, scales.gains, segments.force * cell),
-        (ZERO, weights.offset, scales.offsets, cell),
-    )
+    kinds = ((GAIN, weights.gain, scales.gains, segments.force * cell), (ZERO, weights.offset, scales.offsets, cell))
     lines = []
     for name, found, known, column in kinds:
         if found is not None:

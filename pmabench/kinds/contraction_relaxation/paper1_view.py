@@ -43,12 +43,7 @@ def at_rest(braid: Braid, P: float, S: float, load: float, at: str) -> float:
 
 
 def compare(
-    campaign: Campaign,
-    steps: Sequence[Step],
-    curves: Sequence[Curve],
-    stiff: Sequence[Estimate],
-    braid: Braid,
-    at: str,
+    campaign: Campaign, steps: Sequence[Step], curves: Sequence[Curve], stiff: Sequence[Estimate], braid: Braid, at: str
 ) -> Compared:
     """Model x_max (1 - e^(-t/tau)) and x_max e^(-t/tau_r) with the polynomials of one method, beside each step.
 

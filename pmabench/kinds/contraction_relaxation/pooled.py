@@ -227,16 +227,7 @@ def solve(segments: Segments, knots: Array, noise: float, halves: Array = NONE, 
     scale = np.sqrt(np.diag(normal))
     inverse = np.linalg.inv(normal / np.outer(scale, scale)) / np.outer(scale, scale)
     theta = inverse @ (design.T @ segments.force)
-    return Fit(
-        theta,
-        inverse,
-        design,
-        segments.force - design @ theta,
-        friction,
-        knots,
-        halves,
-        added,
-    )
+    return Fit(theta, inverse, design, segments.force - design @ theta, friction, knots, halves, added)
 
 
 def prior_of(segments: Segments, design: Array, knots: Array, noise: float) -> Array:

@@ -40,9 +40,7 @@ KIND = Kind(
     word="free contraction",
     offers="pmabench.kinds.free_contraction.reduction:offers",
     methods=METHODS,
-    figures={
-        "free-contraction": "pmabench.kinds.free_contraction.figures:lengths",
-    },
+    figures={"free-contraction": "pmabench.kinds.free_contraction.figures:lengths"},
     imported=Imported(
         Commanded(
             "pressure",

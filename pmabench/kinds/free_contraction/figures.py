@@ -199,11 +199,7 @@ def trace(curve: Curves, length: float) -> Trace:
 
 
 NAMES = {"pressure": "pressure", "length": "length", "below": "below", "above": "above", "fit": "fit", "model": "model"}
-STYLES = {
-    "below": ("^", "reached from below"),
-    "above": ("v", "reached from above"),
-    "length": ("o", "measured"),
-}
+STYLES = {"below": ("^", "reached from below"), "above": ("v", "reached from above"), "length": ("o", "measured")}
 LINES = {"fit": (RED, "-", "sigmoid, a to e fitted"), "model": (BLUE, (0, (4, 2)), "paper 2's formula")}
 
 

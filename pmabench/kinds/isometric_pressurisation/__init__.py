@@ -57,11 +57,7 @@ KIND = Kind(
     order=100,
     results=RESULTS,
     reduction="pmabench.kinds.isometric_pressurisation.reduction:reduce",
-    papers=(
-        "paper 2",
-        "paper 3",
-        "paper 4",
-    ),
+    papers=("paper 2", "paper 3", "paper 4"),
     protocol="pmabench.kinds.isometric_pressurisation.protocol:IsometricPressurisation",
     live="pmabench.kinds.isometric_pressurisation.live:measure",
     moves="force",
@@ -75,12 +71,8 @@ KIND = Kind(
         "isometric": "pmabench.plotting.isometric:lines",
         "section": "pmabench.kinds.isometric_pressurisation.figures:sections",
     },
-    front={
-        "isometric": "pmabench.plotting.isometric:lines",
-    },
-    published={
-        "isometric": ("pressure", "force", "displacement"),
-    },
+    front={"isometric": "pmabench.plotting.isometric:lines"},
+    published={"isometric": ("pressure", "force", "displacement")},
     imported=Imported(
         Commanded(
             "pressure",

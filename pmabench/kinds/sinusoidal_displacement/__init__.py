@@ -70,9 +70,7 @@ KIND = Kind(
         "bode": "pmabench.plotting.loops:bode",
         "sine-pressure": "pmabench.kinds.sinusoidal_displacement.figures:sine_pressure",
     },
-    published={
-        "loop": ("displacement", "force", "pressure"),
-    },
+    published={"loop": ("displacement", "force", "pressure")},
     imported=Imported(
         Commanded(
             "displacement",

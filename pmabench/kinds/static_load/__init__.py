@@ -39,10 +39,7 @@ KIND = Kind(
     after="pmabench.kinds.static_load.points:option_of",
     at_rest=True,
     methods=METHODS,
-    figures={
-        "static": "pmabench.kinds.static_load.figures:points",
-        "lift": "pmabench.kinds.static_load.figures:lifts",
-    },
+    figures={"static": "pmabench.kinds.static_load.figures:points", "lift": "pmabench.kinds.static_load.figures:lifts"},
     imported=Imported(
         Commanded("pressure", phases=(("rises", "lift"), ("any", "set-down"))),
         follows="displacement",

@@ -144,11 +144,7 @@ def _carried(runs: Sequence[RunData], points: Points, slope: float, stiffness: S
     lift, down, half, place = np.array([(one.lift, one.set_down, one.half, one.place) for one in moved]).T
     known = place[np.isfinite(place)]
     return replace(
-        points,
-        lift=lift,
-        set_down=down,
-        uncertain=float(half.mean()),
-        place=float(known.mean()) if len(known) else 0.0,
+        points, lift=lift, set_down=down, uncertain=float(half.mean()), place=float(known.mean()) if len(known) else 0.0
     )
 
 

@@ -8,18 +8,7 @@ import numpy as np
 
 from pmabench.analysis.results import Analysis, Trace
 from pmabench.plotting import ramp_plots
-from pmabench.plotting.pictures import (
-    Picture,
-    bound,
-    column,
-    has,
-    head,
-    how_many,
-    label,
-    numbers,
-    picture,
-    spread,
-)
+from pmabench.plotting.pictures import Picture, bound, column, has, head, how_many, label, numbers, picture, spread
 from pmabench.plotting.plots import Array, Panel
 from pmabench.plotting.wording import shown
 

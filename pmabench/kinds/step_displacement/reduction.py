@@ -101,10 +101,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
 
 
 def _estimates(
-    at: Mapping[str, float],
-    group: Sequence[_Member],
-    of: Callable[[Steps], tuple[Relaxation, ...]],
-    scales: Scales,
+    at: Mapping[str, float], group: Sequence[_Member], of: Callable[[Steps], tuple[Relaxation, ...]], scales: Scales
 ) -> list[Estimate]:
     """All of one direction of one cell."""
     each = [of(member.steps) for member in group]

@@ -52,13 +52,8 @@ KIND = Kind(
         "tune by steps": "pmabench.kinds.ultimate_gain.reduction:of_open_loops",
         "tune by model": "pmabench.kinds.ultimate_gain.model_gain:by_model",
     },
-    figures={
-        "oscillation": "pmabench.plotting.loops:oscillations",
-        "growth": "pmabench.plotting.loops:oscillations",
-    },
-    front={
-        "growth": "pmabench.plotting.loops:growth_alone",
-    },
+    figures={"oscillation": "pmabench.plotting.loops:oscillations", "growth": "pmabench.plotting.loops:oscillations"},
+    front={"growth": "pmabench.plotting.loops:growth_alone"},
     imported=Imported(),
     loop=True,
 )
