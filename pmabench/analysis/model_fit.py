@@ -130,7 +130,6 @@ def fit_model(
     unknown: Sequence[str],
     *,
     start: Mapping[str, float] | None = None,
-    seed: int = 0,
 ) -> ModelFit:
     """Fit the inputs `unknown` of `model` so that `output` follows `measured` (n,) at `columns` (n,) and `fixed`, SI.
 
@@ -143,7 +142,7 @@ def fit_model(
         raise ValueError(f"{rows} cannot give {len(unknown)} values; give some of them with --set")
     begin = {p.name: p.value for p in model.parameters} | dict(start or {})
     first = np.clip([float(begin[name]) for name in unknown], problem.low, problem.high)
-    ends = _ends(problem, first, seed)
+    ends = _ends(problem, first)
     best = min(ends, key=lambda end: end[0])
     tried = len(ends)
     freedom = len(measured) - len(unknown)
@@ -181,9 +180,9 @@ def fit_model(
     )
 
 
-def _ends(problem: Problem, first: Array, seed: int) -> list[End]:
+def _ends(problem: Problem, first: Array) -> list[End]:
     """Where the fit ends from each start, until enough of them end as low; ValueError where none can begin."""
-    begun = [at for at in starts_of(problem, first, seed) if np.isfinite(problem.residuals(at)).all()]
+    begun = [at for at in starts_of(problem, first) if np.isfinite(problem.residuals(at)).all()]
     if not begun:
         raise ValueError("the model holds at none of the start values; give better ones with --start")
     ends: list[End] = []

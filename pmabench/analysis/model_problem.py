@@ -216,11 +216,11 @@ def acting(
     return [name for name, does in zip(names, moves, strict=True) if does]
 
 
-def starts_of(problem: Problem, start: Array, seed: int = 0) -> list[Array]:
+def starts_of(problem: Problem, start: Array) -> list[Array]:
     """`start` and the best of a scrambled net of the domain, best first after it."""
     ranges = [_range(s, low, high, size) for s, low, high, size in zip(
         start, problem.low, problem.high, problem.size, strict=True)]  # fmt: skip
-    net = qmc.Halton(len(start), seed=seed).random(TRIED)
+    net = qmc.Halton(len(start), seed=0).random(TRIED)
     points = [np.array([low * (high / low) ** u if raised else low + (high - low) * u
                         for u, (low, high, raised) in zip(row, ranges, strict=True)]) for row in net]  # fmt: skip
     costs = [float(np.sum(problem.residuals(point) ** 2)) for point in points]

@@ -402,18 +402,14 @@ def _half(one: Estimate, other: Estimate, shared: bool, alike: bool) -> float | 
     ours, theirs = _systematic(one), _systematic(other)
     if alike and ours and ours.keys() == theirs.keys():
         common += [ours[name] - theirs[name] for name in ours]
-        alone = [replace(p, method=_random(e)) for p, e in zip(alone, (one, other), strict=True)]
+        chance = [[s.half or 0.0 for s in e.budget if s.part == "method" and s.kind == "A"] for e in (one, other)]
+        alone = [replace(parts, method=hypot(*halves)) for parts, halves in zip(alone, chance, strict=True)]
     return hypot(*(parts.combined or 0.0 for parts in alone), *common)
 
 
 def _systematic(e: Estimate) -> dict[str, float]:
     """Half widths that a method adds by its nature, by name; empty without a budget."""
     return {s.name: s.half for s in e.budget if s.part == "method" and s.kind == "B" and s.half is not None}
-
-
-def _random(e: Estimate) -> float:
-    """Half width of what a method adds by chance."""
-    return hypot(*(s.half for s in e.budget if s.part == "method" and s.kind == "A" and s.half is not None))
 
 
 def _findings(a: Side, b: Side, differences: Sequence[Difference], missing: Sequence[str]) -> Iterator[Finding]:

@@ -1,11 +1,10 @@
 """Contraction and relaxation under load: K(P), B_c(P), B_r(P), F_ce(P), dead times.
 
-- `reduction`, made of `trials`, `segments`, `segment_noise`, `pooled`, `intervals`, `drift`, `values`, `curves`
+- `reduction`, made of `trials`, `segments`, `pooled`, `intervals`, `drift`, `values`, `curves`
   (regressions on pressure)
 - whether the data have the form of the fit, and what could hide in it: `form`, with `departures`; other `checks`
-- the way of the papers, dead times: `exponentials`, `bandwidth`; words and overlays: `view`
-- where asked for: chosen forms over pressure in `joint`; output error in `output_error`, `stretch`; the regulator in
-  `regulator_response`
+- the way of the papers, dead times: `exponentials`; the regulator: `bandwidth`; words and overlays: `view`
+- where asked for: chosen forms over pressure in `joint`; output error in `output_error`, `stretch`
 - by paper 1: `paper1`, made of `paper1_steps`; model against test in `paper1_view`
 - protocol files: `protocol`; one trial on the display: `live`
 """
@@ -26,14 +25,7 @@ RESULTS = (
     Result("tau_P", "rise time of the pressure", "time", positive=True),
 )
 PAPER_1_RESULTS = (
-    Result("F_ce", "contractile force", "force", headline=True),
-    Result("K", "stiffness", "stiffness", headline=True, positive=True),
-    Result("B_c", "damping, contracting", "damping", headline=True, plot="Damping", positive=True),
-    Result("B_r", "damping, relaxing", "damping", headline=True, plot="Damping", positive=True),
-    Result("F_c", "Coulomb friction", "force", headline=True, positive=True),
-    Result("tau_c", "time constant, contracting", "time", plot="Time constants", positive=True),
-    Result("tau_r", "time constant, relaxing", "time", plot="Time constants", positive=True),
-    Result("t_d", "dead time", "time", plot="Dead times t_d", positive=True),
+    *RESULTS[:8],
     Result("accuracy", "agreement of model and test at rest", "ratio", plot="Accuracy of the closed form at rest"),
     Result("misfit", "residual of the model over time", "length", plot="Residual of the closed form, rms over time"),
 )

@@ -76,7 +76,8 @@ def _specimen(runs: Sequence[RunData], trials: Sequence[TrialData]) -> Array | N
     known = compared(runs)
     if not known:
         return None
-    order = {run.id: place for place, run in enumerate(_by_time(runs))}
+    in_time = sorted(runs, key=lambda run: str(run.manifest.get("started_utc", "")))
+    order = {run.id: place for place, run in enumerate(in_time)}
     begun = {(order.get(t.run, 0), float(t.t[0])) for t in trials} | {
         (order.get(one.trial.run, 0), float(one.trial.t[0])) for one in known
     }
@@ -87,10 +88,6 @@ def _specimen(runs: Sequence[RunData], trials: Sequence[TrialData]) -> Array | N
     places = sorted(at)
     values = [float(np.mean(at[p])) for p in places]
     return np.interp([place[order.get(t.run, 0), float(t.t[0])] for t in trials], places, values)
-
-
-def _by_time(runs: Sequence[RunData]) -> list[RunData]:
-    return sorted(runs, key=lambda run: str(run.manifest.get("started_utc", "")))
 
 
 def _zero_ends(runs: Sequence[RunData], trials: Sequence[TrialData], channel: str) -> tuple[Array, Array] | None:

@@ -15,18 +15,19 @@ from typing import Any
 
 import numpy as np
 
-from pmabench.analysis.results import Curve, Estimate, Finding, Parts
+from pmabench.analysis.results import Estimate, Finding, Parts
 from pmabench.analysis.shared import skew
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.samples import KINDS, Samples, dead_times
 from pmabench.analysis.shared.student import half_width, mean_over
 from pmabench.base.quantities import show
 from pmabench.kinds.contraction_relaxation import bandwidth
+from pmabench.kinds.contraction_relaxation.bandwidth import responses
 from pmabench.kinds.contraction_relaxation.curves import curve
 from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, Fit
-from pmabench.kinds.contraction_relaxation.regulator_response import responses
 from pmabench.kinds.contraction_relaxation.segments import Gate
 from pmabench.kinds.contraction_relaxation.trials import Campaign
+from pmabench.kinds.contraction_relaxation.values import Further
 from pmabench.store.records import Array, TrialData
 
 LEAST_STEP = 0.2e-3
@@ -183,20 +184,9 @@ class _Raw:
     offsets: Mapping[str, float]
 
 
-@dataclass(frozen=True)
-class Beside:
-    """What stands beside the primary method."""
-
-    estimates: tuple[Estimate, ...]
-    curves: tuple[Curve, ...]
-    findings: tuple[Finding, ...]
-    table: list[dict[str, Any]]
-    """Each step of each trial."""
-
-
 def compare(
     campaign: Campaign, primary: Fit, found: Sequence[Estimate], options: Mapping[str, Any], moved: set[int]
-) -> Beside:
+) -> Further:
     """The papers' estimates and the dead times; `found` are the primary method's, `moved` the trials in its fit."""
     scales = Scales.of(campaign.runs)
     steps = [
@@ -240,11 +230,11 @@ def compare(
     ordered = sorted(estimates, key=lambda e: (e.method, ("F_ce", "K", "B_c", "B_r", "tau_c", "tau_r").index(e.symbol)))
     regulator = {P: fitted for P, (fitted, _) in responses(campaign).items()}
     widths = bandwidth.estimates(campaign, found, regulator)
-    return Beside(
+    return Further(
         (*ordered, *_dead_times(campaign, moved), *widths),
         tuple(curves),
         (*_findings(estimates), *bandwidth.findings(widths)),
-        table,
+        {"steps": table},
     )
 
 

@@ -332,22 +332,20 @@ class Draws:
         return float(high - low) / 2
 
 
-def bootstrap(
-    segments: Segments, fit: Solved, cells: NDArray[np.intp], count: int, within: bool, seed: int = 0
-) -> Draws:
+def bootstrap(segments: Segments, fit: Solved, cells: NDArray[np.intp], count: int, within: bool) -> Draws:
     """`count` fits to trials drawn with replacement: within their cells, or among all.
 
     `cells` holds the cell of each trial number in `segments.trial`. The prior of the fit stays in every draw; the same
-    `seed` gives the same draws.
+    The draws are the same each time.
     """
     trials, rows = np.unique(segments.trial, return_inverse=True)
-    normal = np.array([_square(fit.design[rows == i]) for i in range(len(trials))])
+    normal = np.array([design.T @ design for design in (fit.design[rows == i] for i in range(len(trials)))])
     right = np.zeros((len(trials), fit.design.shape[1]))
     np.add.at(right, rows, fit.design * segments.force[:, None])
     prior = np.linalg.inv(fit.inverse) - normal.sum(axis=0)
     groups = [np.flatnonzero(cells[trials] == cell) for cell in np.unique(cells[trials])]
     groups = groups if within else [np.arange(len(trials))]
-    chance = np.random.default_rng(seed)
+    chance = np.random.default_rng(0)
     drawn = np.empty((count, len(fit.theta)))
     for draw in range(count):
         weight = np.zeros(len(trials))
@@ -361,7 +359,3 @@ def bootstrap(
         scale = np.sqrt(np.diag(total))
         drawn[draw] = np.linalg.solve(total / np.outer(scale, scale), (weight @ right) / scale) / scale
     return Draws(drawn, within)
-
-
-def _square(design: Array) -> Array:
-    return np.asarray(design.T @ design)

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from math import log, sqrt
 from typing import Any
 
@@ -40,7 +40,7 @@ from pmabench.kinds.contraction_relaxation.pooled import (
 )
 from pmabench.kinds.contraction_relaxation.segments import Segments
 from pmabench.kinds.contraction_relaxation.trials import Campaign
-from pmabench.kinds.contraction_relaxation.values import QUANTITY, Solution, values
+from pmabench.kinds.contraction_relaxation.values import QUANTITY, Further, Solution, values
 from pmabench.store.records import Array
 
 POLYGON = "polygon"
@@ -312,24 +312,14 @@ TOGETHER = 0.95
 """Correlation from which on it is said that two coefficients hang together."""
 
 
-@dataclass(frozen=True)
-class Beside:
-    """What stands beside the primary method."""
-
-    estimates: tuple[Estimate, ...] = ()
-    curves: tuple[Curve, ...] = ()
-    findings: tuple[Finding, ...] = ()
-    facts: Mapping[str, Any] = field(default_factory=dict)
-
-
-def compare(campaign: Campaign, pooled: Pooled, options: Mapping[str, Any]) -> Beside:
+def compare(campaign: Campaign, pooled: Pooled, options: Mapping[str, Any]) -> Further:
     """The joint fit where `options` ask for forms, {"forms": ["K=line", ...]}; else nothing.
 
     Raises UsageError for a form that is none.
     """
     wanted = {symbol: order_of(form) for symbol, form in asked(options.get("forms") or ()).items()}
     if not wanted:
-        return Beside()
+        return Further()
     least = (1 - BELOW) * campaign.tested[0]
     rows = above(pooled.segments, least)
     segments, noise = pooled.segments.where(rows), rms_of(pooled.noise[rows])
@@ -340,9 +330,10 @@ def compare(campaign: Campaign, pooled: Pooled, options: Mapping[str, Any]) -> B
     note = sentences(_forms(solved.forms), "" if _enough(solved, pooled) else SIMPLE)
     estimates = values(Solution(campaign, segments, solved, pooled.fit.knots, trust, METHOD, note))
     known = [e for e in estimates if e.value is not None]
-    return Beside(
+    curved = [s for s in SYMBOLS if solved.forms[s].knots is None and sum(e.symbol == s for e in known) > 1]
+    return Further(
         tuple(estimates),
-        tuple(_curve(solved, trust, symbol, known) for symbol in SYMBOLS if _has_curve(solved, symbol, known)),
+        tuple(_curve(solved, trust, symbol, known) for symbol in curved),
         (_adequacy(solved, pooled), *_together(solved, trust, known)),
         {
             "forms": {symbol: form.name for symbol, form in solved.forms.items()},
@@ -360,10 +351,6 @@ def _forms(forms: Mapping[str, Form]) -> str:
     """The forms in words."""
     chosen = [f"{symbol} {form.name}" for symbol, form in forms.items() if form.knots is None]
     return ", ".join(chosen) or f"every coefficient in {next(iter(forms.values())).name}"
-
-
-def _has_curve(solved: Joint, symbol: str, known: Sequence[Estimate]) -> bool:
-    return solved.forms[symbol].knots is None and sum(e.symbol == symbol for e in known) > 1
 
 
 def _curve(solved: Joint, trust: Trust, symbol: str, known: Sequence[Estimate]) -> Curve:

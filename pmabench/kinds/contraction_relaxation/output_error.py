@@ -19,7 +19,6 @@ from pmabench.analysis.results import Estimate, Finding
 from pmabench.analysis.shared.samples import Noise
 from pmabench.base.quantities import show
 from pmabench.kinds.contraction_relaxation.intervals import Pooled
-from pmabench.kinds.contraction_relaxation.joint import Beside
 from pmabench.kinds.contraction_relaxation.pooled import (
     FEWEST_KNOTS,
     FLOOR,
@@ -35,7 +34,7 @@ from pmabench.kinds.contraction_relaxation.pooled import (
 from pmabench.kinds.contraction_relaxation.segments import Segments
 from pmabench.kinds.contraction_relaxation.stretch import Stretch, answers
 from pmabench.kinds.contraction_relaxation.trials import Campaign
-from pmabench.kinds.contraction_relaxation.values import Solution, values
+from pmabench.kinds.contraction_relaxation.values import Further, Solution, values
 from pmabench.store.records import Array
 
 MOST_STEPS = 25
@@ -221,18 +220,18 @@ MOST_NAMED = 4
 """Coefficients that a sentence names."""
 
 
-def compare(campaign: Campaign, pooled: Pooled, estimates: Sequence[Estimate], options: Mapping[str, Any]) -> Beside:
+def compare(campaign: Campaign, pooled: Pooled, estimates: Sequence[Estimate], options: Mapping[str, Any]) -> Further:
     """The pooled fit polished by output error where `options` ask, {"polish": True}; else nothing.
 
     `estimates` are those of the pooled fit. A polish that does not converge gives no value, and says so.
     """
     if not options.get("polish"):
-        return Beside()
+        return Further()
     polished = polish(pooled.segments, pooled.fit, campaign.noise, pooled.expected)
     known = np.isfinite(polished.misses)
     if known.sum() < FEWEST:
         text = "output error: no stroke moves for long enough in one piece to be simulated; nothing was polished"
-        return Beside(findings=(Finding("doubt", text),))
+        return Further(findings=(Finding("doubt", text),))
     residual = pooled.segments.force - design_of(pooled.segments, polished.knots) @ polished.theta
     facts = {
         "converged": polished.converged,
@@ -250,11 +249,11 @@ def compare(campaign: Campaign, pooled: Pooled, estimates: Sequence[Estimate], o
             " measured-pressure stand; trials of too few loads, or a muscle that is not of the model's form, leave"
             " it open"
         )
-        return Beside(findings=(Finding("doubt", text),), facts=facts)
+        return Further(findings=(Finding("doubt", text),), facts=facts)
     every = np.ones(len(pooled.segments), bool)
     trust = pooled.trust_of(polished, every, np.full(len(every), polished.unit))
     found = values(Solution(campaign, pooled.segments, polished, polished.knots, trust, METHOD))
-    return Beside(
+    return Further(
         estimates=tuple(found),
         findings=(_residual(polished, facts), *_moved(estimates, found), *_open(estimates, found)),
         facts=facts,

@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.analysis.shared.samples import Noise
-from pmabench.kinds.contraction_relaxation.segment_noise import ON_TIME, covariance
-from pmabench.kinds.contraction_relaxation.segments import Segments
+from pmabench.kinds.contraction_relaxation.segments import ON_TIME, Segments, covariance
 from pmabench.store.records import Array
 
 SYMBOLS = ("F_ce", "K", "B_c", "B_r")

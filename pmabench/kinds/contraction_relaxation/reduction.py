@@ -19,12 +19,12 @@ from pmabench.analysis.shared.samples import NotUsable, Samples
 from pmabench.analysis.shared.trials import reference_findings
 from pmabench.base.quantities import show
 from pmabench.kinds.contraction_relaxation import RESULTS, drift, exponentials, form, output_error, view
+from pmabench.kinds.contraction_relaxation.bandwidth import regulator
 from pmabench.kinds.contraction_relaxation.checks import free_runs
 from pmabench.kinds.contraction_relaxation.curves import curve
 from pmabench.kinds.contraction_relaxation.intervals import Pooled, Trust, assess, replay_fits
 from pmabench.kinds.contraction_relaxation.joint import compare
 from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, Solved, first_knots, fit, rms_of
-from pmabench.kinds.contraction_relaxation.regulator_response import regulator
 from pmabench.kinds.contraction_relaxation.segments import Gate, Segments, cut, moved
 from pmabench.kinds.contraction_relaxation.trials import Campaign, gather, strokes
 from pmabench.kinds.contraction_relaxation.values import FEWEST, METHOD, Solution, values
@@ -94,7 +94,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         facts={
             **facts,
             **view.facts(campaign, pooled, simulated),
-            "steps": stepwise.table,
+            **stepwise.facts,
             **({"joint": joint.facts} if joint.facts else {}),
             **({"output_error": polished.facts} if polished.facts else {}),
             **({"bootstrap": resampled} if resampled else {}),

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
-from pmabench.analysis.results import Analysis, Estimate, Parts
+from pmabench.analysis.results import Analysis, Curve, Estimate, Finding, Parts
 from pmabench.analysis.shared import skew
 from pmabench.analysis.verdict.agreement import Offer, anywhere, at_pressures, everywhere, straight, weighted
 from pmabench.kinds.contraction_relaxation.checks import WIDE
@@ -26,6 +26,16 @@ FEWEST = 3
 NUMERICS = 2e-4
 """The method part is no smaller than this share of a coefficient: replays are integrated, too."""
 QUANTITY = {"F_ce": ("N", "force"), "K": ("N/m", "stiffness"), "B_c": ("N.s/m", "damping"), "B_r": ("N.s/m", "damping")}
+
+
+@dataclass(frozen=True)
+class Further:
+    """Results of a method next to the primary one."""
+
+    estimates: tuple[Estimate, ...] = ()
+    curves: tuple[Curve, ...] = ()
+    findings: tuple[Finding, ...] = ()
+    facts: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)

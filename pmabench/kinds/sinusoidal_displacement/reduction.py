@@ -78,7 +78,8 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
             where = show(dict(key)["pressure"], "pressure") if "pressure" in dict(key) else "this pressure"
             text = "is not in the calibration parts: one pressure does not tell how K, B and F_c change over it"
             findings.append(Finding("note", f"at {where}: what an error of the pressure adds {text}"))
-    pressed = pressure_and_force(members, _muscles(fits), scales)
+    muscles = {member.name: fitted.muscle for fitted in fits.values() for member in fitted.group}
+    pressed = pressure_and_force(members, muscles, scales)
     estimates += pressed.estimates
     findings += pressed.findings
     traces += pressed.traces
@@ -101,11 +102,6 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
             "lines": lines,
         },
     )
-
-
-def _muscles(fits: Mapping[Key, Fitted]) -> dict[str, Muscle | None]:
-    """What the harmonics gave, by name of the trial."""
-    return {member.name: fitted.muscle for fitted in fits.values() for member in fitted.group}
 
 
 def _over_pressure(key: Key, fits: Mapping[Key, Fitted]) -> Muscle | None:
