@@ -84,8 +84,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     findings += pressed.findings
     traces += pressed.traces
     findings += skew.findings(runs, CHANNELS, max((fitted.skew for fitted in fits.values()), default=0.0), estimates)
-    scaled = ("force", "displacement", "pressure")[: 3 if len(fits) > 1 else 2]
-    if estimates and (lack := scales.lack(scaled)):
+    if estimates and (lack := scales.lack(("force", "displacement", "pressure")[: 3 if len(fits) > 1 else 2])):
         findings.append(Finding("note", lack))
     return Analysis.of(
         KIND,
