@@ -241,7 +241,7 @@ def _print(
     ui: Ui, left: Side, right: Side, found: Comparison, curves: Sequence[Published], last: Sequence[str]
 ) -> None:
     from pmabench.plotting.wording import clean
-    from pmabench.report.pages.comparison_tables import curve_rows, rows_of
+    from pmabench.report.pages.comparison_page import curve_rows, rows_of
     from pmabench.report.terminal import print_grid
 
     console = ui.console(columns=140)

@@ -314,8 +314,7 @@ def write(
 
 def print_analyses(ui: Ui, analyses: Sequence[Analysis]) -> None:
     """The coefficient table, what was left out, and the findings."""
-    from pmabench.plotting.rounding import printed
-    from pmabench.plotting.wording import clean
+    from pmabench.plotting.wording import clean, printed
     from pmabench.report.terminal_coefficients import print_coefficients
 
     console = ui.console()

@@ -46,14 +46,7 @@ class Picture:
 
 
 def picture(
-    draw: Callable[[], Figure],
-    title: str,
-    caption: str,
-    alt: str,
-    table: pd.DataFrame,
-    *,
-    wide: bool,
-    simulated: bool,
+    draw: Callable[[], Figure], title: str, caption: str, alt: str, table: pd.DataFrame, *, wide: bool, simulated: bool
 ) -> Picture:
     """Draw within the style of reports, stamped where simulated."""
     with drawing():
@@ -66,7 +59,7 @@ def picture(
 
 
 def drawable(analysis: Analysis) -> Analysis:
-    """The same without what no drawing can bear: numbers that are not finite or beyond `LARGEST`, empty domains."""
+    """The analysis without what cannot be drawn: numbers that are not finite or beyond `LARGEST`, empty domains."""
     return replace(
         analysis,
         estimates=tuple(e for e in analysis.estimates if _sound(e)),
@@ -93,7 +86,7 @@ def _small(*values: float) -> bool:
 
 
 def usable(trace: Trace) -> bool:
-    """Columns of one length, with something finite in each."""
+    """Whether a trace can be drawn: columns of numbers of one length, with finite values."""
     columns = [np.asarray(trace.columns[name]) for name in trace.columns]
     if not all(values.ndim == 1 and np.issubdtype(values.dtype, np.number) for values in columns):
         return False
@@ -168,7 +161,7 @@ def has(trace: Trace, *names: str) -> bool:
 
 
 def head(trace: Trace) -> str:
-    """What a panel is headed: the title up to its colon."""
+    """The title of a panel: that of the trace up to its colon."""
     return clean(trace.title.partition(":")[0], 60)
 
 
@@ -178,11 +171,11 @@ def how_many(shown_traces: Sequence[Trace], all_traces: Sequence[Trace]) -> str:
 
 
 def bound(draw: Callable[..., Figure], *arguments: object) -> Callable[[], Figure]:
-    """`draw` with its arguments, to be called within the style of reports."""
+    """`draw` with its arguments bound, to be called within the style of reports."""
     return lambda: draw(*arguments)
 
 
 def reach(values: Sequence[float]) -> str:
-    """Least to most of some numbers, two digits."""
+    """The range of some numbers with two digits: `0.12 to 3.4`."""
     low, high = (f"{value:.2g}" if value < 99 else f"{value:.0f}" for value in (min(values), max(values)))
     return low if low == high else f"{low} to {high}"

@@ -11,7 +11,7 @@ from pmabench.base.kind import Result
 from pmabench.plotting.wording import POINTS, clean, in_order, point_text, spoken, symbol_text
 from pmabench.report.document.tables import pivot_table, whole_table
 from pmabench.report.terminal import print_grid
-from pmabench.report.words.names import declared, kind_title
+from pmabench.report.words import declared, kind_title
 
 if TYPE_CHECKING:
     from rich.console import Console

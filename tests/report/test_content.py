@@ -8,14 +8,13 @@ import pandas as pd
 import pytest
 
 from pmabench.analysis.results import Analysis, Estimate, Finding, Parts, Source, Trace
-from pmabench.report.document.budget_tables import budget_table
 from pmabench.report.document.checklist import Issuer
-from pmabench.report.document.citation import methods_paragraph
 from pmabench.report.document.content import content_of
 from pmabench.report.document.deviations import deviations
 from pmabench.report.document.front import verdict_of
 from pmabench.report.document.grids import grid
-from pmabench.report.document.parents import trial_ranges
+from pmabench.report.document.provenance import methods_paragraph
+from pmabench.report.document.special_tables import budget_table, trial_ranges
 from pmabench.report.figures import coefficient_figures
 from pmabench.store.notes import Note
 from pmabench.store.records import TrialData

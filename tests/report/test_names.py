@@ -12,13 +12,12 @@ from rich.console import Console
 from pmabench.analysis.results import Analysis, Estimate, Parts, withhold
 from pmabench.base.kind import Result
 from pmabench.report.document import tables
-from pmabench.report.document.content import content_of
+from pmabench.report.document.content import content_of, page_of
 from pmabench.report.document.front import tiles_of
-from pmabench.report.document.html import page_of
 from pmabench.report.document.workbook import workbook_bytes
 from pmabench.report.files.csv_files import write_with_tables
 from pmabench.report.terminal_coefficients import print_coefficients
-from pmabench.report.words.names import declared, distinct
+from pmabench.report.words import declared, distinct
 from pmabench.store.analyses.folder import read_analysis, write_analysis
 
 from . import samples

@@ -3,8 +3,7 @@
 import pandas as pd
 import pytest
 
-from pmabench.report.document.tables import Table
-from pmabench.report.document.wide_tables import MOST, narrow
+from pmabench.report.document.tables import MOST, Table, narrow
 
 
 def cells(tables):

@@ -1,4 +1,4 @@
-"""The muscle as a closed volume: filled, shut off, and contracted slowly; its pressure tells its volume (paper 3)."""
+"""The muscle as a closed volume: filled, shut off, contracted slowly; its pressure gives its volume (paper 3)."""
 
 from __future__ import annotations
 
@@ -11,8 +11,7 @@ from pmabench.base.quantities import show
 from pmabench.files.document import Strict
 from pmabench.files.quantity import Length, Pressure, Speed, Time, Volume
 from pmabench.protocol.common import Compilation, ProtocolHead
-from pmabench.protocol.driven import arrive, leave, not_too_fast
-from pmabench.protocol.driven_air import Tube
+from pmabench.protocol.driven import Tube, arrive, leave, not_too_fast
 from pmabench.protocol.plan import Hold, Plan, Record, Seek, TrialRecord
 from pmabench.protocol.sweep import Point, PressureAxis, Sweep, expand
 
@@ -98,7 +97,7 @@ class ClosedTrial(Strict):
     """Time at pressure before the motion to the start."""
     approach: Speed
     every: Length
-    """Distance of the contractions at which a volume is told."""
+    """Distance of the contractions at which a volume is computed."""
     reference: Reference
     dead: Dead
     exponent: Annotated[float, Field(ge=1.0, le=1.4)] = 1.0

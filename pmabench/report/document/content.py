@@ -1,6 +1,7 @@
-"""What a characterisation report says, before any format: texts, tables and figures in their order; no estimate.
+"""What a characterisation report says: texts, tables and figures in their order, and as an HTML page; no estimate.
 
-HTML, PDF and workbook are made from this. Every text in it is untrusted and stays text in each of them.
+PDF and workbook are made from the same content. Every text in it is untrusted and stays text in each of them. The page
+is one file that references nothing outside itself; the same input gives the same bytes.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ import json
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from pmabench import __version__
@@ -19,26 +21,22 @@ from pmabench.kinds import registry
 from pmabench.kinds.reduce import verdicts
 from pmabench.plotting import wording
 from pmabench.plotting.pictures import Picture
-from pmabench.plotting.rounding import printed
 from pmabench.plotting.svg import drawing
+from pmabench.plotting.wording import printed
 from pmabench.report.document import provenance, tables
-from pmabench.report.document.budget_tables import budget_table
-from pmabench.report.document.check_tables import check_tables
 from pmabench.report.document.checklist import Issuer, Item, checklist
-from pmabench.report.document.citation import citation, methods_paragraph
-from pmabench.report.document.deviations import deviations
+from pmabench.report.document.deviations import Said, deviations, notes_of
 from pmabench.report.document.front import Tile, Verdict, first_findings, tiles_of, verdict_of
 from pmabench.report.document.grids import Grid, grid
-from pmabench.report.document.parents import Parents
-from pmabench.report.document.recalibration_tables import change_tables, reduced_with
-from pmabench.report.document.recalibration_tables import who as who_changed
-from pmabench.report.document.run_notes import Said, notes_of
-from pmabench.report.document.wide_tables import narrow
+from pmabench.report.document.provenance import citation, methods_paragraph
+from pmabench.report.document.special_tables import Parents, budget_table, change_tables, check_tables, reduced_with
+from pmabench.report.document.special_tables import who as who_changed
+from pmabench.report.document.tables import narrow
 from pmabench.report.figures import overlays
 from pmabench.report.figures.characteristic_figures import characteristic
 from pmabench.report.figures.figures import front_pictures, kind_pictures
-from pmabench.report.words.method_words import described
-from pmabench.report.words.names import distinct, kind_title
+from pmabench.report.words import described, distinct, kind_title
+from pmabench.report.writing import render, write_file
 from pmabench.store.folder import plain
 from pmabench.store.records import RunData
 
@@ -180,6 +178,16 @@ def content_of(
     )
 
 
+def write_page(content: Content, path: Path) -> Path:
+    """Write a report's content as a page; raises RecordError where it cannot be written."""
+    return write_file(path, page_of(content), "the report")
+
+
+def page_of(content: Content) -> str:
+    """The content as an HTML page."""
+    return render("report.html.j2", vars(content) | {"levels": LEVELS})
+
+
 def _judged(
     analyses: Sequence[Analysis], runs: Sequence[RunData], names: Mapping[str, str], failed: list[str]
 ) -> dict[str, Any]:
@@ -233,7 +241,7 @@ def _results(analyses: Sequence[Analysis], names: Mapping[str, str], parents: Pa
 
 
 class _Figures:
-    """Numbers figures in the order in which they come, and knows which are there already."""
+    """Numbers the figures of a report in their order, and remembers which were drawn."""
 
     def __init__(self) -> None:
         self.count = 0

@@ -9,9 +9,9 @@ import pandas as pd
 
 from pmabench.analysis.results import AGREEMENT, Analysis, Estimate
 from pmabench.plotting import wording
-from pmabench.plotting.rounding import WITHHELD, rounded
+from pmabench.plotting.wording import WITHHELD, rounded
 from pmabench.report.document import tables
-from pmabench.report.words.names import declared, is_headline
+from pmabench.report.words import declared, is_headline
 from pmabench.store.records import RunData
 
 TILES = 8

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import pandas as pd
 
-from pmabench.plotting.rounding import UNRESOLVED, WITHHELD
+from pmabench.plotting.wording import UNRESOLVED, WITHHELD
 
 MOST_ROWS = 600
 BRIEF = 32
@@ -33,7 +33,7 @@ class Cell:
 
 @dataclass(frozen=True)
 class Column:
-    """How a column is set."""
+    """Head and alignment of a column."""
 
     head: str
     align: str

@@ -1,4 +1,4 @@
-"""Tables of what analyses found, as pandas frames of text; computes no estimate, draws nothing.
+"""Tables of what analyses found, as pandas frames of text, cut where they are too wide for a page; no estimate.
 
 Cells are text, rounded as their interval says; numbers for programs are in `csv_files`. Every header names its unit.
 """
@@ -7,26 +7,34 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from math import radians
+from typing import Any, TypeGuard
 
 import pandas as pd
 
 from pmabench.analysis.results import AGREEMENT, Analysis, Estimate
 from pmabench.base.kind import Result
 from pmabench.base.quantities import QUANTITIES
-from pmabench.plotting.rounding import RAISED, RESOLVED, UNRESOLVED, WITHHELD, cut, half_width, rounded
 from pmabench.plotting.wording import (
     POINTS,
+    RAISED,
+    RESOLVED,
+    UNRESOLVED,
+    WITHHELD,
     clean,
+    cut,
+    half_width,
     in_order,
     number,
+    point_head,
     point_shown,
     point_text,
+    rounded,
     shown,
     spoken,
     symbol_text,
 )
-from pmabench.report.words.names import declared, kind_title
+from pmabench.report.words import declared, kind_title
 
 LONGEST_JOINT = 60
 COEFFICIENTS = {"F_ce", "K", "B_c", "B_r", "B"}
@@ -53,7 +61,7 @@ def cell(estimate: Estimate) -> str:
         return UNRESOLVED
     if half is not None and estimate.positive and 0 <= estimate.value < half:
         return cut(estimate.value / scale, half / scale)
-    return rounded(estimate.value / scale, None if half is None else half / scale)
+    return shown(estimate.quantity, estimate.unit).rounded(estimate.value, half)
 
 
 def note_text(estimate: Estimate) -> str:
@@ -86,10 +94,7 @@ def primary_table(analyses: Sequence[Analysis]) -> tuple[pd.DataFrame, str]:
         for e in a.estimates
         if "pressure" in e.at and set(e.at) <= PLACES and not e.coordinate and e.method == a.estimates[0].method
     ]
-    by = {
-        symbol: list(dict.fromkeys(e.method for e in chosen if e.symbol == symbol))
-        for symbol in {e.symbol for e in chosen}
-    }
+    by = {symbol: {e.method for e in chosen if e.symbol == symbol} for symbol in {e.symbol for e in chosen}}
     met = {name: {e.at[name] for e in chosen if name in e.at} for name in PLACES - {"pressure"}}
     alike = {name: next(iter(values)) for name, values in met.items() if len(values) == 1}
     slim = [replace(e, at={name: at for name, at in e.at.items() if name not in alike}) for e in chosen]
@@ -120,7 +125,7 @@ def _by_point(
     order = list(results)
     estimates = sorted(estimates, key=lambda e: order.index(e.symbol))
     points = in_order((name for e in estimates for name in e.at), POINTS)
-    heads = {name: point_shown(name)[1].label(point_shown(name)[0]) for name in points}
+    heads = {name: point_head(name) for name in points}
     rows: dict[tuple[float, ...], dict[str, str]] = {}
     for e in estimates:
         at = {name: round(e.at[name] / point_shown(name)[1].scale, 6) for name in points if name in e.at}
@@ -150,16 +155,15 @@ def other_tables(analysis: Analysis) -> list[Table]:
             del constant[in_order(names, POINTS)[0]]
         constant_text = point_text(constant)
         moving = [spoken(name) for name in in_order(names, POINTS) if name not in constant]
-        caption = f"Values by {' and '.join(moving) or 'operating point'}" + (
-            f", at {constant_text}" if constant_text else ""
-        )
+        at = f", at {constant_text}" if constant_text else ""
+        caption = f"Values by {' and '.join(moving) or 'operating point'}{at}"
         slim = [replace(e, at={k: v for k, v in e.at.items() if k not in constant}) for e in members]
         tables.append(Table(caption, pivot_table(_merged(slim), results)))
     return tables
 
 
 def _merged(estimates: Sequence[Estimate]) -> Sequence[Estimate]:
-    """The same under one joint name of method, where no two methods give the same symbol: fewer, fuller rows."""
+    """The estimates under one joint method name, where no two methods give the same symbol: fewer rows."""
     methods: dict[str, set[str]] = {}
     for e in estimates:
         methods.setdefault(_column(e), set()).add(e.method)
@@ -184,10 +188,9 @@ def pivot_table(estimates: Sequence[Estimate], results: Mapping[str, Result]) ->
         place = tuple(e.at.get(name, float("-inf")) for name in names)
         row = rows.setdefault((methods.index(e.method), place), {"method": clean(e.method)})
         for name in names:
-            label, unit = point_shown(name)
-            row[unit.label(label)] = number(e.at[name] / unit.scale) if name in e.at else ""
+            row[point_head(name)] = number(e.at[name] / point_shown(name)[1].scale) if name in e.at else ""
         row[_column(e)] = cell(e)
-    heads = [point_shown(name)[1].label(point_shown(name)[0]) for name in names]
+    heads = [point_head(name) for name in names]
     frame = pd.DataFrame([rows[key] for key in sorted(rows)], columns=["method", *heads, *columns], dtype=object)
     return frame.fillna("")
 
@@ -277,9 +280,8 @@ def polynomials_table(analyses: Sequence[Analysis]) -> pd.DataFrame:
         first = shown(curve.terms[0].quantity, curve.terms[0].unit)
         low, high, centre, scale = (f"{x / unit.scale:.5g}" for x in (*curve.domain, curve.centre, curve.scale))
         row = {"coefficient": clean(curve.symbol), "unit": first.unit}
-        row["method"] = (
-            f"{clean(curve.method)}; z = ({label} − {centre}) / {scale}, {low} to {high} {unit.unit}".strip()
-        )
+        where = f"z = ({label} − {centre}) / {scale}, {low} to {high} {unit.unit}"
+        row["method"] = f"{clean(curve.method)}; {where}".strip()
         for n, term in enumerate(curve.terms):
             row["1" if n == 0 else "z" + str(n).translate(RAISED) * (n > 1)] = cell(term)
         row |= {"R²": _r2(curve.r2), "rms": half_width(curve.residual_rms / first.scale)}
@@ -317,11 +319,8 @@ def findings_table(analyses: Sequence[Analysis]) -> pd.DataFrame:
 def tuning_table(analyses: Sequence[Analysis]) -> pd.DataFrame:
     """Controller settings of every rule, ideal and parallel form, with margins where a model is known; text."""
     rows = []
-    for entry in (e for a in analyses for e in _mappings(a.facts.get("tuning"))):
-        row = {
-            "operating point": point_text(_numbers(entry.get("at"))),
-            "rule": clean(entry.get("rule", "")),
-        }
+    for entry in (e for a in analyses for e in mappings(a.facts.get("tuning"))):
+        row = {"operating point": point_text(_numbers(entry.get("at"))), "rule": clean(entry.get("rule", ""))}
         gains = entry.get("gains")
         for symbol, found in gains.items() if isinstance(gains, Mapping) else ():
             if not isinstance(found, Mapping):
@@ -330,10 +329,7 @@ def tuning_table(analyses: Sequence[Analysis]) -> pd.DataFrame:
             value, ends = found.get("value"), found.get("ci95")
             if not isinstance(value, int | float):
                 continue
-            half = None
-            if isinstance(ends, list | tuple) and len(ends) == 2 and all(isinstance(x, int | float) for x in ends):
-                half = (ends[1] - ends[0]) / 2
-            row[unit.label(clean(symbol))] = rounded(value / unit.scale, None if half is None else half / unit.scale)
+            row[unit.label(clean(symbol))] = unit.rounded(value, half_of(ends))
         margins = _numbers(entry.get("margins"))
         for name, head, scale in _MARGINS:
             if name in margins:
@@ -353,17 +349,96 @@ def tuning_table(analyses: Sequence[Analysis]) -> pd.DataFrame:
 _MARGINS = (
     ("M_s", "M_s", 1.0),
     ("gain_margin", "gain margin [×]", 1.0),
-    ("phase_margin", "phase margin [deg]", 0.0174532925199433),
+    ("phase_margin", "phase margin [deg]", radians(1)),
 )
 
 
-def _mappings(value: Any) -> list[Mapping[str, Any]]:
+def mappings(value: Any) -> list[Mapping[str, Any]]:
     """The mappings in a list; facts may hold anything."""
     return [item for item in value if isinstance(item, Mapping)] if isinstance(value, list | tuple) else []
 
 
+def is_number(value: Any) -> TypeGuard[float]:
+    """Whether it is a number and no truth value."""
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def half_of(ends: Any) -> float | None:
+    """Half the width of an interval in facts; None where it is none."""
+    pair = isinstance(ends, list | tuple) and len(ends) == 2 and all(map(is_number, ends))
+    return (ends[1] - ends[0]) / 2 if pair else None
+
+
 def _numbers(value: Any) -> dict[str, float]:
     """The numbers of a mapping; facts may hold anything."""
-    if not isinstance(value, Mapping):
-        return {}
-    return {str(k): float(v) for k, v in value.items() if isinstance(v, int | float) and not isinstance(v, bool)}
+    return {str(k): float(v) for k, v in value.items() if is_number(v)} if isinstance(value, Mapping) else {}
+
+
+MOST = 7.0
+"""Most columns of values next to those of the operating point; one without intervals counts as `PLAIN` of one."""
+PLAIN = 0.6
+
+
+def narrow(table: Table) -> list[Table]:
+    """The table, or tables whose cells are together those of it; every row of them has a value."""
+    keys, values = _columns(table.frame)
+    if _width(table.frame, values) <= MOST:
+        return [table]
+    for key in (key for key in keys if key != "method"):
+        filled = table.frame[key] != ""
+        if filled.any() and not filled.all():
+            parts = [replace(table, frame=table.frame[rows]) for rows in (~filled, filled)]
+            return [one for part in parts for one in narrow(_part(part, keys, _used(part.frame, values), part.caption))]
+    if "method" in keys and table.frame["method"].nunique() > 1:
+        groups: dict[tuple[str, ...], list[str]] = {}
+        for method in dict.fromkeys(table.frame["method"]):
+            rows = table.frame[table.frame["method"] == method]
+            groups.setdefault(tuple(_used(rows, values)), []).append(str(method))
+        if len(groups) > 1:
+            return [
+                part
+                for used, methods in groups.items()
+                for part in narrow(_part(table, keys, used, f"{table.caption}: {clean(', '.join(methods))}", methods))
+            ]
+    chunks: list[list[str]] = []
+    for symbol in dict.fromkeys(_symbol(value) for value in values):
+        alike = [value for value in values if _symbol(value) == symbol]
+        if chunks and _width(table.frame, [*chunks[-1], *alike]) <= MOST:
+            chunks[-1] += alike
+            continue
+        for value in alike:
+            if value == alike[0] or _width(table.frame, [*chunks[-1], value]) > MOST:
+                chunks.append([])
+            chunks[-1].append(value)
+    captions = [table.caption, *[f"{table.caption} (continued)".lstrip()] * (len(chunks) - 1)]
+    return [_part(table, keys, chunk, caption) for chunk, caption in zip(chunks, captions, strict=True)]
+
+
+def _columns(frame: pd.DataFrame) -> tuple[list[str], list[str]]:
+    """Heads of method and operating point, and those of values."""
+    heads = {"method", *(point_head(name) for name in POINTS)}
+    return [c for c in frame.columns if c in heads], [c for c in frame.columns if c not in heads]
+
+
+def _used(frame: pd.DataFrame, values: Sequence[str]) -> list[str]:
+    """Columns that have a cell."""
+    return [c for c in values if (frame[c] != "").any()]
+
+
+def _width(frame: pd.DataFrame, columns: Sequence[str]) -> float:
+    """Width of columns together, counted in columns with intervals."""
+    return sum(1.0 if frame[c].astype(str).str.contains("±").any() else PLAIN for c in columns)
+
+
+def _symbol(head: str) -> str:
+    return head.partition(" [")[0]
+
+
+def _part(
+    table: Table, keys: Sequence[str], values: Sequence[str], caption: str, methods: Sequence[str] | None = None
+) -> Table:
+    """Some columns of values with the rows that have any, and what of the operating point these rows have."""
+    frame = table.frame if methods is None else table.frame[table.frame["method"].isin(methods)]
+    frame = frame[(frame[list(values)] != "").any(axis=1)]
+    kept = [key for key in keys if (frame[key] != "").any()]
+    return Table(caption, frame[[*kept, *values]].reset_index(drop=True))
