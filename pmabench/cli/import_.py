@@ -18,7 +18,7 @@ from pmabench.cli.common import Ui, common, fields
 from pmabench.files.shipped import find_file
 
 if TYPE_CHECKING:
-    from pmabench.store.importers.guess.columns import Guess, Proposal
+    from pmabench.store.importers.guess.columns import Guess
     from pmabench.store.importers.guess.write import Span
     from pmabench.store.importers.importing import ImportedRun
 
@@ -131,7 +131,7 @@ def guess(ui: Ui, files: Sequence[Path], spans: Sequence[str], output: Path | No
         "format": found.layout.format,
         "kind": found.kind,
         "rate": list(found.rate),
-        "columns": [_about(column) for column in found.columns],
+        "columns": [{"is": c.role, **fields(c, "name", "unit", "reasons", "doubts")} for c in found.columns],
         "left_out": found.left_out,
         "reasons": found.reasons,
         "doubts": found.doubts,
@@ -162,10 +162,6 @@ def guess(ui: Ui, files: Sequence[Path], spans: Sequence[str], output: Path | No
 
     ui.result(data, human, [] if output is None else [str(output)])
     return None
-
-
-def _about(column: Proposal) -> dict[str, Any]:
-    return {"is": column.role, **fields(column, "name", "unit", "reasons", "doubts")}
 
 
 def _span(text: str) -> tuple[str, Span]:

@@ -10,7 +10,7 @@ import shutil
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -88,7 +88,8 @@ def _files(prepared: Prepared) -> Iterator[tuple[str, str]]:
     bench_folder = paths["bench"].parent
     for name in prepared.mounted.documents:
         if own and name.startswith("calibrations/") and _shipped("bench", paths["bench"]):
-            yield name, _calibration(name, Document(name, _text(bench_folder / name)).data)
+            shipped = Document(name, _text(bench_folder / name)).data  # of another sensor: only its quantity counts
+            yield name, CALIBRATION.format(id=Path(name).stem, quantity=shipped["quantity"])
         elif "/" in name:
             yield name, _text(bench_folder / name, depth=name.count("/"))
     for kind in (*ROLES, "calibration"):
@@ -98,11 +99,6 @@ def _files(prepared: Prepared) -> Iterator[tuple[str, str]]:
 
 def _shipped(role: str, path: Path) -> bool:
     return shipped_folder(role).resolve() in path.resolve().parents
-
-
-def _calibration(name: str, shipped: dict[str, Any]) -> str:
-    """A calibration that is to be filled in; one that was made for another sensor says nothing of this one."""
-    return CALIBRATION.format(id=Path(name).stem, quantity=shipped["quantity"])
 
 
 def _included(path: Path) -> Iterator[tuple[str, str]]:

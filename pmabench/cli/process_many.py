@@ -15,7 +15,7 @@ from pmabench.analysis.cluster import Cluster
 from pmabench.analysis.many import Pool, Processes
 from pmabench.cli.common import Ui
 from pmabench.plotting.wording import clean
-from pmabench.report.many.many import SCHEMA, Many, plain_entry, process_many, write_table
+from pmabench.report.many import SCHEMA, Many, plain_entry, process_many, write_table
 from pmabench.store.catalogue import tasks_below
 
 LINE_EVERY = 10.0

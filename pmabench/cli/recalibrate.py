@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -15,7 +15,6 @@ from pmabench.cli.common import Ui, common, fields, login_name, read_quantity
 
 if TYPE_CHECKING:
     from pmabench.analysis.results import Analysis
-    from pmabench.analysis.verdict.changes import Change
     from pmabench.store.reader import NewScale, Recalibration
     from pmabench.store.records import RunData
 
@@ -77,7 +76,9 @@ def command(
     who = {"at": now, "operator": operator or login_name(), "because": because.strip()}
     after = [_marked(analysis, channels) for analysis in analyse(changed)]
     found = changes(before, after)
-    after = [_with_changes(analysis, found, who) for analysis in after]
+    for n, analysis in enumerate(after):
+        mine = [one.to_dict() for one in found if (one.kind, one.runs) == (analysis.kind, analysis.runs)]
+        after[n] = replace(analysis, facts={**analysis.facts, "recalibration": {**who, "changes": mine}})
     first = next(run for run in recorded if Path(run.path).resolve() == given[0].resolve())
     folder = out or _free(campaign_folder(Path(first.path).resolve().parent) / "analyses" / f"{first.id}-recalibrated")
     if folder.exists():
@@ -173,12 +174,6 @@ def _marked(analysis: Analysis, channels: Sequence[dict[str, Any]]) -> Analysis:
     said = [Finding("note", f"recalibrated after the fact, {channel['sentence']}") for channel in channels]
     facts = {**analysis.facts, "recalibrated": [dict(channel) for channel in channels]}
     return replace(analysis, findings=(*said, *analysis.findings), facts=facts)
-
-
-def _with_changes(analysis: Analysis, found: Sequence[Change], who: Mapping[str, str]) -> Analysis:
-    """The analysis with who asked for it, when and why, and what became of each of its coefficients."""
-    mine = [change.to_dict() for change in found if change.kind == analysis.kind and change.runs == analysis.runs]
-    return replace(analysis, facts={**analysis.facts, "recalibration": {**who, "changes": mine}})
 
 
 def _free(folder: Path) -> Path:

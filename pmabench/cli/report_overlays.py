@@ -55,16 +55,12 @@ def _read(path: Path, label: str) -> Published:
         raise InvalidFile(problems)
     values = [name for name in chosen if name not in COORDINATES]
     if not values or len(values) == len(chosen):
-        heads = ", ".join(f'"{names[0]} [{_unit(quantity)}]"' for _, quantity, names in HEADS)
+        heads = ", ".join(f'"{names[0]} [{QUANTITIES[quantity].shown_in}]"' for _, quantity, names in HEADS)
         raise invalid(
             path, f"a coordinate and a value over it are expected, of: {heads}", table.columns[0].head.line, 1
         )
     columns, _ = numbers(table, list(chosen.values()), blank=True)
     return Published(label, table.source, path, dict(zip(chosen, columns, strict=True)))
-
-
-def _unit(quantity: str) -> str:
-    return QUANTITIES[quantity].shown_in
 
 
 def _meaning(column: Column) -> tuple[str, str, str | None] | None:

@@ -251,14 +251,6 @@ def _with_loop(pairs: Pairs, dead_time: str | None, lags: tuple[str, ...]) -> tu
     return found, notes
 
 
-def _percent(share: float) -> str:
-    return f"{100 * share:.0f} %" if isfinite(share) else "unstable"
-
-
-def _late(time: float) -> str:
-    return f"{time:.3g} s" if isfinite(time) else "never"
-
-
 def _print(ui: Ui, gains: tuple[Gains, ...]) -> None:
     def cell(estimate: Any) -> str:
         if estimate is None or estimate.value is None:
@@ -279,7 +271,12 @@ def _print(ui: Ui, gains: tuple[Gains, ...]) -> None:
         elif row.margins is not None:
             cells += [f"{row.margins.M_s:.2f}", f"{row.margins.gain_margin:.2f}"]
             cells.append(QUANTITIES["angle"].show(row.margins.phase_margin, 3))
-            cells += ["", ""] if row.answer is None else [_percent(row.answer.overshoot), _late(row.answer.settling)]
+            answer = ["", ""]
+            if row.answer is not None:
+                overshoot, settling = row.answer.overshoot, row.answer.settling
+                answer = [f"{100 * overshoot:.0f} %" if isfinite(overshoot) else "unstable"]
+                answer += [f"{settling:.3g} s" if isfinite(settling) else "never"]
+            cells += answer
         rows.append([row.rule.title, *cells])
     print_grid(ui.console(), heads, rows, ("rule",))
 

@@ -15,7 +15,7 @@ from random import Random
 from typing import Any
 
 from pmabench.base.errors import DeviceError
-from pmabench.bench.interface import OutputRecord, Supervised
+from pmabench.bench.interface import OutputRecord
 from pmabench.conformance.commands import near, raw, sent, times_sent
 from pmabench.conformance.relay import Hostile, late, silence
 from pmabench.conformance.rig import (
@@ -46,17 +46,10 @@ def calls(rig: Rig, device: Any) -> list[tuple[str, Callable[[], Any], float]]:
     for output in rig.record.outputs:
         value = _fifth(output)
         found.append((f"write({value:g})", partial(device.write, output.output, value), CALLS_WITHIN))
-        found.append(("read_back()", partial(device.read_back, output.output), CALLS_WITHIN))
     for valve in rig.record.valves:
         found.append(("switch(on=False)", partial(device.switch, valve.output, on=False), CALLS_WITHIN))
-        found.append(("is_on()", partial(device.is_on, valve.output), CALLS_WITHIN))
-    for lock in rig.record.interlocks:
-        found.append(("level()", partial(device.level, lock.input), CALLS_WITHIN))
-    if isinstance(device, Supervised):
-        found.append(("held()", device.held, CALLS_WITHIN))
-    if rig.streams():
-        found.append(("collect()", device.collect, COLLECTS_WITHIN))
-    return found
+    within = {"collect()": COLLECTS_WITHIN}
+    return found + [(what, act, within.get(what, CALLS_WITHIN)) for what, act in rig.questions(device)]
 
 
 def _fifth(output: OutputRecord) -> float:
@@ -69,9 +62,7 @@ def silent(rig: Rig) -> str:
     rig.need_wire()
     answers: list[str] = []
     for sampling in (False, True) if rig.streams() else (False,):
-        with rig.opened() as device:
-            if sampling:
-                rig.call("start()", device.start, RATE).good(COLLECTS_WITHIN)
+        with rig.opened(rate=RATE if sampling else 0.0) as device:
             rig.damage(silence)
             answers += _in_silence(rig, device)
             if sampling:
@@ -159,9 +150,7 @@ def late_answers(rig: Rig) -> str:
 def hang_up(rig: Rig) -> str:
     """When the line is cut, calls say so in time, and after a new open() all is well."""
     rig.need_wire()
-    with rig.opened() as device:
-        if rig.streams():
-            rig.call("start()", device.start, RATE).good(COLLECTS_WITHIN)
+    with rig.opened(rate=RATE) as device:
         for relay in rig.relays:
             relay.hang_up()
         answers: list[str] = []
@@ -236,7 +225,7 @@ def nothing_left(rig: Rig) -> str:
 
 def _refuse_growth(rig: Rig, device: Any) -> None:
     """Raise Failed where calls leave threads or files behind while the device is open."""
-    asked = [(what, act) for what, act, _ in calls(rig, device) if not what.startswith(("write", "switch"))]
+    asked = rig.questions(device)
     for rounds in (3, MANY):
         before = _left()
         for _ in range(rounds):

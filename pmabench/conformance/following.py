@@ -12,7 +12,7 @@ from pmabench.base.quantities import show
 from pmabench.bench.interface import Follower, Motion, OutputRecord, Segment, Supervised, Watchdog
 from pmabench.conformance.commands import MOVES, at, close_enough, commanded, lift, near, reaches, refuse_unsafe
 from pmabench.conformance.relay import silence
-from pmabench.conformance.rig import COLLECTS_WITHIN, Failed, Late, NotApplicable, NotChecked, Rig
+from pmabench.conformance.rig import Failed, Late, NotApplicable, NotChecked, Rig
 from pmabench.conformance.samples import RATE
 from pmabench.conformance.truth import Truth
 
@@ -25,9 +25,7 @@ def ramps(rig: Rig) -> str:
     if not rig.record.outputs or not issubclass(rig.driver(), Follower):
         raise NotApplicable("it follows no ramps")
     truth = rig.truth()
-    with rig.opened() as device:
-        if rig.streams():
-            rig.call("start()", device.start, RATE).good(COLLECTS_WITHIN)
+    with rig.opened(rate=RATE) as device:
         for output in rig.record.outputs:
             origin, target = at(output, 0.1), at(output, 0.4)
             swing = at(output, 0.05) - at(output, 0.0)
@@ -106,9 +104,7 @@ def halts(rig: Rig) -> str:
     if not rig.record.outputs or not issubclass(rig.driver(), Motion):
         raise NotApplicable("it stops no motion by itself")
     truth = rig.truth()
-    with rig.opened() as device:
-        if rig.streams():
-            rig.call("start()", device.start, RATE).good(COLLECTS_WITHIN)
+    with rig.opened(rate=RATE) as device:
         for output in rig.record.outputs:
             origin, target = at(output, 0.1), at(output, 0.4)
             _begin_at(rig, truth, output, origin)

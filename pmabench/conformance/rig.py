@@ -18,7 +18,7 @@ from typing import Any
 
 from pmabench.base.clock import Clock, RealClock, VirtualClock
 from pmabench.base.errors import DeviceError, UsageError
-from pmabench.bench.interface import Device, DeviceRecord, Identity, Rescue, Stream, Watchdog
+from pmabench.bench.interface import Device, DeviceRecord, Identity, Rescue, Stream, Supervised, Watchdog
 from pmabench.bench.interface import Truth as Wiring
 from pmabench.conformance.relay import Relay, SerialRelay, TcpRelay
 from pmabench.conformance.truth import Behind, Emulated, Inside, Truth
@@ -290,10 +290,12 @@ class Rig:
             self.call("close()", device.close).judged(COLLECTS_WITHIN)
 
     @contextmanager
-    def opened(self, *, armed: bool = True) -> Iterator[Any]:
-        """The driver open, closed at the end."""
+    def opened(self, *, armed: bool = True, rate: float = 0.0) -> Iterator[Any]:
+        """The driver open, and sampling where a `rate` [Hz] is given and it can; closed at the end."""
         self.open(armed=armed)
         try:
+            if rate and self.streams():
+                self.call("start()", self.device.start, rate).good(COLLECTS_WITHIN)
             yield self.device
         finally:
             self.well()
@@ -308,6 +310,16 @@ class Rig:
             self._owner = Owner(self.record.name)
             raise Failed(f"{what} hangs: it is not back after {hung:g} s; give every wait of the driver a time-out")
         return Outcome(what, call.result, call.error, time.monotonic() - began, self._lag.worst)
+
+    def questions(self, device: Any) -> list[tuple[str, Callable[[], Any]]]:
+        """What can be asked of a device without changing anything: name and call."""
+        record = self.record
+        asked: list[tuple[str, Callable[[], Any]]] = []
+        asked += [("read_back()", partial(device.read_back, output.output)) for output in record.outputs]
+        asked += [("is_on()", partial(device.is_on, valve.output)) for valve in record.valves]
+        asked += [("level()", partial(device.level, lock.input)) for lock in record.interlocks]
+        asked += [("held()", device.held)] if isinstance(device, Supervised) else []
+        return asked + ([("collect()", device.collect)] if self.streams() else [])
 
     def pass_time(self, seconds: float) -> None:
         """Let bench time pass, the watchdog fed."""

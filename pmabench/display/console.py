@@ -134,7 +134,7 @@ _ASCII = dict(zip("━─●╎┃…±·▏\N{REPLACEMENT CHARACTER}", "=-O:|~~
 
 def rendered(lines: Sequence[Text], width: int, *, color: bool, ascii_only: bool = False) -> list[str]:
     """Lines with the codes of the sixteen colours; without `color` bold, dim and reverse are left."""
-    plain = dict.fromkeys(("legacy_windows", "highlight", "markup", "emoji"), False)
+    plain: dict[str, Any] = dict.fromkeys(("legacy_windows", "highlight", "markup", "emoji"), False)
     terminal_like: dict[str, Any] = {"force_terminal": True, "color_system": "standard", "no_color": not color}
     rich = Rich(file=io.StringIO(), width=width, **terminal_like, **plain)
     texts = []

@@ -1,11 +1,75 @@
-"""How a run ended, in the words of the record and as an exit code. Pure functions of the cause and of the vent."""
+"""How a run ends: the signals that end it, and its end in the words of the record and as an exit code."""
 
 from __future__ import annotations
 
+import signal
 import traceback
+from types import FrameType, TracebackType
+from typing import Any
 
 from pmabench.base.errors import Interrupted, LimitTripped, PmaError, RecordError, VerdictFailed
 from pmabench.guard.safe import Vent
+
+_NAMES = {"SIGINT": "Ctrl-C", "SIGTERM": "SIGTERM", "SIGHUP": "SIGHUP (terminal closed)"}
+
+
+class Signals:
+    """While entered, SIGINT, SIGTERM and SIGHUP become an `Interrupted` at the next `check`.
+
+    While `waiting` (for a person to type) they are raised at once. After `shut` they are only counted: the safe state
+    has begun and nothing cancels it; more signals only shorten its waits.
+    """
+
+    def __init__(self) -> None:
+        self.pending: list[int] = []
+        self.waiting = False
+        self._shut = False
+        self._acted_on = 0
+        self._before: dict[int, Any] = {}
+
+    def __enter__(self) -> Signals:
+        """Take the signals over; where that is not the main thread they stay as they are."""
+        for name in _NAMES:
+            number = getattr(signal, name, None)
+            if number is None:
+                continue
+            try:
+                self._before[number] = signal.signal(number, self._note)
+            except ValueError:
+                return self
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Give the signals back."""
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+    def _note(self, number: int, frame: FrameType | None) -> None:
+        self.pending.append(number)
+        if self.waiting and not self._shut:
+            self.check()
+
+    def check(self) -> None:
+        """Raise what has been noted and not been acted on."""
+        if len(self.pending) > self._acted_on and not self._shut:
+            number = self.pending[self._acted_on]  # the first is the cause
+            raise Interrupted(_NAMES[signal.Signals(number).name], 128 + number)
+
+    def news(self) -> bool:
+        """Whether a signal has come since the last call; it counts as acted on then."""
+        before, self._acted_on = self._acted_on, len(self.pending)
+        return self._acted_on > before
+
+    @property
+    def gently(self) -> bool:
+        """Whether all that came is one Ctrl-C: a controlled stop before the safe state."""
+        return self.pending == [signal.SIGINT]
+
+    def shut(self) -> None:
+        """From now on signals are only counted."""
+        self._shut = True
 
 
 def sentence(cause: BaseException) -> str:

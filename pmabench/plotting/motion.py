@@ -65,10 +65,7 @@ def motions(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
 
 
 def overlays(
-    traces: Sequence[Trace],
-    analysis: Analysis,
-    model: str = FREE_RUN,
-    title: str = "Measured and modelled motion",
+    traces: Sequence[Trace], analysis: Analysis, model: str = FREE_RUN, title: str = "Measured and modelled motion"
 ) -> list[Picture]:
     """Contraction over time, measured and of a `model` in words, and their difference below."""
     able = [t for t in traces if has(t, "t", "displacement", "model")]
@@ -92,18 +89,9 @@ def overlays(
         f"{'; '.join(p.title for p in panels)}. Root mean square difference {reach(misfits)} {unit}"
         + (f", largest at {panels[worst].title}." if len(panels) > 1 else ".")
     )
-    table = numbers([(head(t), t) for t in chosen], ("t", "pressure", "displacement", "model"))
-    return [
-        picture(
-            lambda: time_plots.overlay(panels, labels),
-            title,
-            caption,
-            alt,
-            table,
-            wide=len(chosen) > 1,
-            simulated=analysis.simulated,
-        )
-    ]
+    table = numbers([(head(t), t) for t in chosen], NAMES)
+    draw = bound(time_plots.overlay, panels, labels)
+    return [picture(draw, title, caption, alt, table, wide=len(chosen) > 1, simulated=analysis.simulated)]
 
 
 def _rms(values: Array) -> float:

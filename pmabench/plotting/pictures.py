@@ -46,14 +46,7 @@ class Picture:
 
 
 def picture(
-    draw: Callable[[], Figure],
-    title: str,
-    caption: str,
-    alt: str,
-    table: Frame,
-    *,
-    wide: bool,
-    simulated: bool,
+    draw: Callable[[], Figure], title: str, caption: str, alt: str, table: Frame, *, wide: bool, simulated: bool
 ) -> Picture:
     """Draw within the style of reports, stamped where simulated."""
     with drawing():

@@ -1,6 +1,6 @@
 """Tables, figures and the characterisation report; nothing here computes an estimate.
 
-- `document`: what the report says, and as HTML, PDF and workbook; `templates` are its pages; `writing`: into files
+- `document`: what the report says, and as HTML, PDF and workbook; `templates` are its pages; `writing`: pages and files
 - `figures`: every picture in it
 - `pages`: other pages: bench card, comparison, history, a fitted model
 - `cascade_record`, `cascade_drawing`, `cascade_page`: chains of muscles, drawn and animated

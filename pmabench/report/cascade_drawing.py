@@ -84,8 +84,8 @@ class Scene:
             line, s = self._outline(link, float(self.x[i, row])), self.scale
             fitting = FITTING * link.length * s
             tint = link.pressure[row] / self.highest if self.highest else 0.0
-            sizes = (line.length, line.fitting, line.radius, line.meet, line.body)
-            found.append(Shape(place + fitting, *(size * s for size in sizes), tint=tint))
+            sizes = {name: getattr(line, name) * s for name in ("length", "fitting", "radius", "meet", "body")}
+            found.append(Shape(begin=place + fitting, **sizes, tint=tint))
             place += 2 * fitting + line.length * s
         return found
 

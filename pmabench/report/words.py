@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from operator import attrgetter
 
 from pmabench.analysis.results import AGREEMENT, Analysis, Curve, Estimate
 from pmabench.base.kind import Result
@@ -39,18 +40,15 @@ def distinct(analyses: Sequence[Analysis]) -> list[Analysis]:
     """The analyses, their symbols renamed where an earlier one calls another quantity so: `K (bulk modulus)`."""
     first: dict[str, Result] = {}
     renamed = []
+    key = attrgetter("title", "quantity", "unit")
     for analysis in analyses:
         names = {
             result.symbol: f"{result.symbol} ({result.title})"
             for result in analysis.results
-            if not _same(first.setdefault(result.symbol, result), result)
+            if key(first.setdefault(result.symbol, result)) != key(result)
         }
         renamed.append(_renamed(analysis, names) if names else analysis)
     return renamed
-
-
-def _same(one: Result, other: Result) -> bool:
-    return (one.title, one.quantity, one.unit) == (other.title, other.quantity, other.unit)
 
 
 def _renamed(analysis: Analysis, names: Mapping[str, str]) -> Analysis:

@@ -1,16 +1,25 @@
-"""How reports are written to files, and how their pages are rendered: self-contained HTML, every text escaped."""
+"""How reports are written to files, how their pages are rendered, and the short page for what is no report.
+
+A page is one self-contained HTML file; every text on it is escaped. Imports little, so that a kept page is copied fast.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from html import escape
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from pmabench import __version__
 from pmabench.base.errors import RecordError
 from pmabench.base.text import clean
 from pmabench.plotting.svg import symbol_parts
+
+if TYPE_CHECKING:
+    from pmabench.analysis.results import Finding
+    from pmabench.plotting.pictures import Picture
 
 
 @contextmanager
@@ -60,3 +69,42 @@ def css_text(text: object) -> Any:
 
     inert = (c if c.isascii() and (c.isalnum() or c == " ") else f"\\{ord(c):06x} " for c in clean(text, 90))
     return Markup("".join(inert))  # noqa: S704
+
+
+@dataclass(frozen=True)
+class TextTable:
+    """Heads, and rows of text under them; the first `texts` columns are words, the others numbers."""
+
+    title: str
+    heads: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    texts: int = 1
+
+
+@dataclass(frozen=True)
+class Page:
+    """The content of a page for what is no report."""
+
+    kicker: str
+    title: str
+    simulated: bool
+    facts: Sequence[tuple[str, str]]
+    failed: Sequence[str]
+    findings: Sequence[Finding]
+    pictures: Sequence[Picture]
+    tables: Sequence[TextTable]
+
+
+def write_page(page: Page, path: Path) -> Path:
+    """Write a page to `path`; raises RecordError where it cannot be."""
+    tables = [
+        TextTable(
+            f"Numbers of figure {number}: {picture.title}",
+            picture.table.columns,
+            picture.table.cells(),
+            2,
+        )
+        for number, picture in enumerate(page.pictures, 1)
+    ]
+    context = {"page": page, "numbers": tables, "version": __version__}
+    return write_file(path, render("page.html.j2", context, sym=lambda text: symbols_marked(clean(text))), "the page")

@@ -3,13 +3,12 @@
 - `session`: before the first run, again when it has run out: self-test, warm-up, zeros; `ensure` is its face, `state`
   keeps it in the folder of the bench, `zeros` takes and applies zeros
 - `length`: how long a session takes, for `check`
-- `self_test`: the start check; made of `at_rest` (noise, supply), `stepping` (small steps), `wiring` (what
-  readings of a right bench satisfy), `cause` (which wire explains what they do not), `checks` (one line of the table)
-- `calibration`: guided calibration of a channel or of the regulator; `fit` is its arithmetic, `calibration_file` its
-  file
+- `self_test`: the start check; made of `checks` (lines of the table; noise and supply at rest), `stepping` (small
+  steps), `wiring` (what readings of a right bench satisfy), `cause` (which wire explains what they do not)
+- `calibration`: guided calibration of a channel or of the regulator; `calibration_file` has its fit and its file
 - `jog`: pressure and actuator by hand, inside the set-up pressure
 - `look`: a bench that is opened and sampled, and not armed
-- shared: `guided` (their plan), `words` (what is asked for), `listening` (means, noise, drift over a stretch of
+- shared: `guided` (their plan, what is asked for), `listening` (means, noise, drift over a stretch of
   time), `response` (a step as in ISO 10094, delays)
 """
 

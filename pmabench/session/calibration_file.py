@@ -1,17 +1,115 @@
-"""A new calibration file from a fit; no file is ever changed."""
+"""Reference points to a straight line with its uncertainty (GUM, k = 2), and that line to a new calibration file."""
 
 from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from datetime import date
+from itertools import groupby
+from math import sqrt
 from pathlib import Path
 
-from pmabench.base.errors import RecordError
+import numpy as np
+
+from pmabench.base.errors import RecordError, VerdictFailed
 from pmabench.base.quantities import QUANTITIES, show
-from pmabench.bench.channels import read_calibration
-from pmabench.session.fit import Fit
+from pmabench.bench.channels import fit_line, read_calibration
+from pmabench.bench.interface import Scale
+
+UP, DOWN = "up", "down"
+
+
+@dataclass(frozen=True)
+class Point:
+    """One reading: the reference [SI], the mean raw value [device units], on the way `up` or `down`, in which cycle."""
+
+    target: float
+    reference: float
+    raw: float
+    way: str
+    cycle: int
+
+
+@dataclass(frozen=True)
+class Fit:
+    """The line through the points and what is known of it; all in SI but `points`: (raw, reference) means."""
+
+    scale: Scale
+    points: tuple[tuple[float, float], ...]
+    residual: float
+    """Largest distance of a point from the line."""
+    hysteresis: float
+    """Largest difference between up and down at one point."""
+    repeatability: float
+    """Standard deviation of readings at one point, the same way, between cycles."""
+    drift: float
+    """Of the first point, from the first cycle to the last one."""
+    reference: float
+    """Expanded uncertainty of the reference (k = 2)."""
+    expanded: float
+    """Expanded uncertainty of a value by this line (k = 2)."""
+
+
+def fit(points: Sequence[Point], reference: float) -> Fit:
+    """The calibration from readings up and down.
+
+    The standard uncertainties are combined by their squares (GUM 5.1.2): reference U/2; largest residual,
+    half the hysteresis and half the drift as half widths of rectangles (/ sqrt 3, GUM 4.3.7); repeatability.
+    Raises VerdictFailed where the points make no line.
+    """
+    groups = {
+        target: list(group) for target, group in groupby(sorted(points, key=lambda p: p.target), lambda p: p.target)
+    }
+    means = [
+        (float(np.mean([p.raw for p in group])), float(np.mean([p.reference for p in group])))
+        for group in groups.values()
+    ]
+    try:
+        scale = fit_line([raw for raw, _ in means], [value for _, value in means])
+    except (ValueError, ZeroDivisionError) as error:
+        raise VerdictFailed(f"no calibration: {error}") from error
+    residual = max(abs(scale.to_si(raw) - value) for raw, value in means)
+    # what the line is off at each reading: differences in the reference itself do not count
+    off = {id(p): float(scale.to_si(p.raw)) - p.reference for p in points}
+    hysteresis = max((_between_ways(group, off) for group in groups.values()), default=0.0)
+    repeatability = _repeatability(points, off)
+    drift = _drift(points, off)
+    squares = (
+        (reference / 2) ** 2,
+        (residual / sqrt(3)) ** 2,
+        (hysteresis / 2 / sqrt(3)) ** 2,
+        (drift / 2 / sqrt(3)) ** 2,
+        repeatability**2,
+    )
+    return Fit(scale, tuple(means), residual, hysteresis, repeatability, drift, reference, 2 * sqrt(sum(squares)))
+
+
+def _drift(points: Sequence[Point], off: dict[int, float]) -> float:
+    cycles: dict[int, list[float]] = {}
+    for p in points:
+        if p.target == points[0].target:
+            cycles.setdefault(p.cycle, []).append(off[id(p)])
+    means = [float(np.mean(values)) for values in cycles.values()]
+    return means[-1] - means[0]
+
+
+def _between_ways(group: Sequence[Point], off: dict[int, float]) -> float:
+    up, down = ([off[id(p)] for p in group if p.way == way] for way in (UP, DOWN))
+    return abs(float(np.mean(up)) - float(np.mean(down))) if up and down else 0.0
+
+
+def _repeatability(points: Sequence[Point], off: dict[int, float]) -> float:
+    """Pooled over points and ways; 0 where nothing was repeated."""
+    sums, freedom = 0.0, 0
+    cells: dict[tuple[float, str], list[float]] = {}
+    for p in points:
+        cells.setdefault((p.target, p.way), []).append(off[id(p)])
+    for values in cells.values():
+        sums += float(np.sum((np.array(values) - np.mean(values)) ** 2))
+        freedom += len(values) - 1
+    return sqrt(sums / freedom) if freedom else 0.0
 
 
 def write_calibration(

@@ -16,14 +16,12 @@ from pmabench.engine.executor import Executor, Progress
 from pmabench.engine.operator import Operator
 from pmabench.engine.run import Outcome, run_plan
 from pmabench.protocol.plan import Ask, Hold, Set
-from pmabench.session.at_rest import at_rest
 from pmabench.session.cause import table, unchecked
-from pmabench.session.checks import NOT_MEASURED, Check, SelfTestFailed, judged, refuse
-from pmabench.session.guided import guided_plan
+from pmabench.session.checks import NOT_MEASURED, Check, SelfTestFailed, at_rest, judged, refuse
+from pmabench.session.guided import guided_plan, load_text, moving_mass
 from pmabench.session.listening import listen
 from pmabench.session.stepping import PHASE, Stepping
 from pmabench.session.wiring import MOVED, Stage, Wiring
-from pmabench.session.words import load_text, moving_mass
 
 LEAK = 10.0
 """How long the pressure is watched with the isolation valve shut [s]."""

@@ -19,6 +19,7 @@ from pmabench.engine.executor import Executor
 from pmabench.protocol.plan import Ask, Hold, Ramp, Set
 from pmabench.session.cause import table
 from pmabench.session.checks import NOT_CHECKED, NOT_MEASURED, Check, judged, refuse
+from pmabench.session.guided import load_text, moving_mass
 from pmabench.session.listening import Series, listen
 from pmabench.session.response import delay, first_crossing, smoothed, step_response
 from pmabench.session.wiring import (
@@ -31,7 +32,6 @@ from pmabench.session.wiring import (
     Stage,
     Wiring,
 )  # fmt: skip
-from pmabench.session.words import load_text, moving_mass
 
 PHASE = "self-test"
 REST = 1.0

@@ -14,8 +14,8 @@ from pmabench.bench.interface import CompiledBench, Scale
 from pmabench.bench.session import Zero
 from pmabench.engine.executor import Executor
 from pmabench.protocol.plan import Ask, Set, WaitUntil
+from pmabench.session.guided import load_text, moving_mass
 from pmabench.session.listening import Reading, steady
-from pmabench.session.words import load_text, moving_mass
 
 PHASE = "zeros"
 DRIFT = 0.2

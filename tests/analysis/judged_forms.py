@@ -14,12 +14,13 @@ from pmabench.kinds.arm_angle import reduction as arm_angle
 from pmabench.kinds.closed_volume import reduction as closed_volume
 from pmabench.kinds.free_contraction import reduction as free_contraction
 from pmabench.kinds.isometric_pressurisation import reduction as isometric_pressurisation
+from pmabench.kinds.positioning import reduction as positioning
 from pmabench.kinds.recorded_sine import reduction as recorded_sine
 from pmabench.kinds.recorded_step import reduction as recorded_step
 from pmabench.kinds.step_displacement import reduction as step_displacement
 from pmabench.kinds.ultimate_gain import reduction as ultimate_gain
 from pmabench.store.records import ChannelInfo, Command, RunData, TrialData
-from tests.judge import arm, closed, displaced, free, held, loop, rung, sines
+from tests.judge import arm, closed, displaced, free, held, loop, placed, rung, sines
 from tests.judge.record import Trial, Truth
 
 CHANNELS = {
@@ -82,6 +83,16 @@ def arm_of(cause: str, size: float, seed: int) -> Analysis:
     run = as_run("arm-angle", as_trials(arm.campaign(cause, size, seed)), arm.RATE,
                  {"preload": arm.PRELOAD, "angle": "measured", "compare": "nothing"})  # fmt: skip
     return arm_angle.reduce([run])
+
+
+def placed_of(cause: str, size: float, seed: int) -> Analysis:
+    trials = []
+    for one, record in zip(as_trials(found := placed.campaign(cause, size, seed)), found, strict=True):
+        begin, setpoint = float(record.t[0]) + placed.BEFORE, record.point["setpoint"]
+        law = {"t0": begin, "t1": begin + placed.HOLD, "ended": "time", "setpoint": setpoint}
+        trials.append(replace(one, found={"position": law}))
+    settings: dict[str, object] = {"window": list(placed.WINDOW), "band": placed.BAND}
+    return positioning.reduce([as_run("positioning", trials, placed.RATE, settings)])
 
 
 def isometric_of(cause: str, size: float, seed: int) -> Analysis:
@@ -176,6 +187,7 @@ KINDS = {
     "recorded-sine": Kind(sines_of, sines.truth, sines.FULL, "frequency"),
     "recorded-step": Kind(rung_of, rung.truth, rung.FULL, "from"),
     "arm-angle": Kind(arm_of, arm.truth, arm.FULL, "tip_mass"),
+    "positioning": Kind(placed_of, placed.truth, placed.FULL, "setpoint"),
     "open-loop": Kind(open_loop_of, _loop_truth, loop.FULL, "none"),
     "relay": Kind(relay_of, _loop_truth, loop.FULL, "none", ("relay-fit",)),
     "gain-steps": Kind(gain_steps_of, _loop_truth, loop.FULL, "none"),

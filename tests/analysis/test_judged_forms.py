@@ -21,7 +21,7 @@ COVERED = 0.93
 CLEAN_WITHHELD = 0.02
 SEEDS = {
     "free-contraction": 16, "isometric-pressurisation": 16, "step-displacement": 8, "gain-steps": 4, "relay": 4,
-    "closed-volume": 2, "recorded-sine": 3, "recorded-step": 1, "arm-angle": 2,
+    "closed-volume": 2, "recorded-sine": 3, "recorded-step": 1, "arm-angle": 2, "positioning": 4,
 }  # fmt: skip
 """Sound campaigns in CI; open-loop steps take longer and are a study, and `test_open_loop` has some."""
 STUDIED = 34
@@ -82,6 +82,8 @@ def test_values_of_sound_tests_hold_the_truth_and_nothing_is_withheld(kind: str,
         ("arm-angle", "creep", 1.0, "the angle is not at rest"),
         ("arm-angle", "slip", 1.0, "a cable or a mount slips"),
         ("arm-angle", "other-curve", 1.0, "it is another curve"),
+        ("positioning", "drift", 1.0, "it moves in the window"),
+        ("positioning", "hunting", 1.0, "the window"),
         ("step-displacement", "creep", 1.0, "the force is not at rest"),
         ("step-displacement", "two-times", 1.0, "it is not one exponential"),
         ("step-displacement", "cell-drift", 1.0, "the force is not at rest"),
@@ -103,6 +105,7 @@ def test_a_departure_is_seen_with_its_reason_and_no_other_value_is_wrong(kind: s
         ("closed-volume", "cooling", 1.0),
         ("recorded-sine", "drift", 1.0),
         ("recorded-sine", "late", 1.0),
+        ("positioning", "tail", 1.0),
         ("step-displacement", "force-lag", 1.0),
         ("recorded-sine", "other-frequency", 1.0),
     ],

@@ -134,3 +134,16 @@ def test_a_table_of_forces_is_continued_in_a_sensible_way(
 ) -> None:
     curve = tabulated_force([P for P, _ in points], [F for _, F in points])
     assert curve(pressure) == pytest.approx(force, abs=1e-9)
+
+
+def test_what_is_not_known_of_the_measured_pressure_is_in_the_interval(trials: tuple[TrialData, ...]) -> None:
+    """An offset of 2 kPa moves the contraction of the driven model by dx/dP times that, by the printed polynomials."""
+    plain = run(*trials, model=model())
+    told = replace(plain.channels["pressure"], offset_uncertainty=2e3)
+    exact = replace(plain.channels["displacement"], gain_uncertainty=1e-9)
+    known = replace(plain, channels={**plain.channels, "pressure": told, "displacement": exact})
+    analysis = reduce([known])
+    for P in PRESSURES:
+        x = [(1.08 * p - 49.0) / (5.6 + 1e-3 * p + 9.7e-6 * p * p) for p in (P / 1e3, P / 1e3 + 2.0)]
+        assert value(analysis, "e_ss", P).parts.calibration == pytest.approx(abs(x[1] / x[0] - 1), rel=1e-2)
+        assert value(analysis, "e_ss", P, COMMANDED).parts.calibration == pytest.approx(0.0, abs=1e-8)

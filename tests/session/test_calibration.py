@@ -10,8 +10,7 @@ from pmabench.bench.channels import read_calibration
 from pmabench.bench.interface import Scale
 from pmabench.engine.operator import ConfirmedBeforehand, Nobody
 from pmabench.session.calibration import Request, calibrate, uncovered
-from pmabench.session.calibration_file import write_calibration
-from pmabench.session.fit import DOWN, UP, Point, fit
+from pmabench.session.calibration_file import DOWN, UP, Point, fit, write_calibration
 from pmabench.store.reader import open_run
 from tests.engine.benches import mounted
 

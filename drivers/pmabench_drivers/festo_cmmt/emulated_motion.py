@@ -40,7 +40,7 @@ BY_SPEED = frozenset({1, 102})
 
 REJECT, GO_ON, TASK, ACKNOWLEDGE, JOG_1, JOG_2, BY_PLC, HOME = (1 << bit for bit in (4, 5, 6, 7, 8, 9, 10, 11))
 """Bits of STW1; a task is rejected, and a motion is interrupted, where the first two are 0."""
-ABSOLUTE, FORWARD, BACKWARD, CONTINUOUS, SET_UP, MDI = (1 << bit for bit in (8, 9, 10, 12, 14, 15))
+ABSOLUTE, FORWARD, CONTINUOUS, SET_UP, MDI = (1 << bit for bit in (8, 9, 12, 14, 15))
 """Bits of POS_STW1, whose lowest seven are the number of a record."""
 SET_REFERENCE, BY_STEPS = 1 << 1, 1 << 5
 """Bits of POS_STW2: where it is is the reference; jogging goes by steps."""

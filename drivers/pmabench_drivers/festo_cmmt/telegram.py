@@ -46,7 +46,7 @@ KEEP_TASK, NO_INTERMEDIATE_STOP, TASK, ACKNOWLEDGE, BY_PLC = 1 << 4, 1 << 5, 1 <
 """Bits of STW1. Without `KEEP_TASK` the drive brakes as hard as it may, and holds the place."""
 ABSOLUTE, CONTINUOUS, MDI = 1 << 8, 1 << 12, 1 << 15
 """Bits of POS_STW1: positions are absolute; set-points are taken over while it moves; set-points come with it."""
-READY, ENABLED, FAULT, INHIBITED = 1 << 0, 1 << 2, 1 << 3, 1 << 6
+READY, ENABLED, FAULT = 1 << 0, 1 << 2, 1 << 3
 CONTROL, REACHED, HOMED, TAKEN, STOPPED = 1 << 9, 1 << 10, 1 << 11, 1 << 12, 1 << 13
 """Bits of ZSW1."""
 FULL = 0x4000

@@ -363,7 +363,7 @@ ATTRIBUTES: dict[tuple[str, int], Callable[[Board, Any], Any]] = {
     ("Device UInt32", 0x0632): _always(0),
     ("Device Bool", 0x22CA): _always(False),
     ("Device Double", 0x298D): _always(FASTEST),
-    ("Device DoubleArray", 0x2990): _always([end for span in SPANS for end in (-span, span)]),
+    ("Device DoubleArray", 0x2990): lambda _b, _r: [end for span in SPANS for end in (-span, span)],
     ("Device DoubleArray", 0x299B): _always([-10.0, 10.0]),
     ("Task String", 0x1276): lambda _b, request: request.task.name,
     ("Task String", 0x1273): _task(_names),

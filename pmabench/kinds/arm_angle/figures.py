@@ -25,7 +25,9 @@ def angles(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     chosen = spread(able, LOADS)
     if not chosen:
         return []
-    panels = [panel(t, {name: name for name in NAMES if name in t.columns and has(t, name)}, _told(t)) for t in chosen]
+    panels = [
+        panel(t, {name: name for name in NAMES if name in t.columns and has(t, name)}, _in_words(t)) for t in chosen
+    ]
     first = chosen[0]
     labels = {"x": label(first, "pressure"), "y": label(first, "angle"), "gap": "above − below [deg]"}
     kinds = {name for one in panels for name in one.columns}
@@ -46,7 +48,7 @@ def angles(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     return [picture(draw, title, caption + how_many(chosen, able), alt, table, wide=True, simulated=analysis.simulated)]
 
 
-def _told(trace: Trace) -> str:
+def _in_words(trace: Trace) -> str:
     return show(trace.marks["tip_mass"], "mass", 4) if "tip_mass" in trace.marks else trace.name
 
 

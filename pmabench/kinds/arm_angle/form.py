@@ -120,5 +120,9 @@ def _curve(P: Array, terms: Array) -> Array:
 def _fit(P: Array, angles: Array, start: Sequence[float] | Array) -> Array:
     """Coefficients a, b, c, d by least squares from those near by."""
     begin = np.array(start, dtype=np.float64)
-    solved = least_squares(lambda share: _curve(P, share * begin) - angles, np.ones(len(begin)), method="lm")
+
+    def miss(share: Array) -> Array:
+        return np.asarray(_curve(P, share * begin) - angles)
+
+    solved = least_squares(miss, np.ones(len(begin)), method="lm")
     return np.asarray(solved.x * begin)

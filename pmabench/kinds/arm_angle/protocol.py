@@ -1,6 +1,6 @@
 """Arm angle: where the end of an arm of muscles comes to over the pressure of the one that bends it (paper 2).
 
-All muscles of the arm stand at the preload; one of them is then taken up in steps, and down again, with a load at the
+All muscles of the arm are at the preload; one of them is then taken up in steps, and down again, with a load at the
 arm's end. The others have a regulator of their own, set by hand.
 """
 
@@ -79,7 +79,7 @@ class ArmAngle(ProtocolHead):
             mass = value if kind == "mass" else value / g
             load = c.load(point.values["load"], point.places["load"])
             if self.compare == "paper-2":
-                self._foreseen(c, mass, point.places["load"], pressures)
+                self._within_the_formula(c, mass, point.places["load"], pressures)
             if c.problems or c.too_long():
                 continue
             c.put_on(load, also=others)
@@ -125,7 +125,7 @@ class ArmAngle(ProtocolHead):
             c.fault(at, "one pressure above the preload at least is needed")
         return rising
 
-    def _foreseen(self, c: Compilation, mass: float, place: Location, pressures: list[float]) -> None:
+    def _within_the_formula(self, c: Compilation, mass: float, place: Location, pressures: list[float]) -> None:
         """Check that paper 2's formula holds for load, preload and pressures, and that nothing would trip."""
         from pmabench.model.library import MODELS  # slow to import
 

@@ -55,7 +55,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     """Bending angle [rad] at the preload and at most, its hysteresis, a, b [rad], c [Pa], d [1] of each load [kg].
 
     As the paper does it: alpha = a + b / (1 + (p / c)^d) through the way up, its coefficients as powers of the load.
-    Beside it both ways apart, their difference, and the same form through their mean. `options`: `angle`, `radius` [m],
+    And both ways apart, their difference, and the same form through their mean. `options`: `angle`, `radius` [m],
     `compare` as the plan's settings.
     """
     settings = {**(runs[0].plan.get("settings") or {} if runs else {}), **(options or {})}
@@ -74,8 +74,8 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         *view.of_matrix(matrix, why, fits),
         *(view.of_paper(fits) if compare else []),
     ]
-    if estimates and (untold := scales.lack((channel, "pressure"))):
-        findings.append(Finding("note", untold))
+    if estimates and (lacking := scales.lack((channel, "pressure"))):
+        findings.append(Finding("note", lacking))
     return Analysis.of(
         KIND,
         runs,
@@ -94,7 +94,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
 
 
 def _of_load(fitted: Fitted, scales: Scales, channel: str, settings: Mapping[str, Any]) -> list[Estimate]:
-    """What one load tells."""
+    """The values of one load."""
     one = fitted.of
     at, names = {"tip_mass": one.mass}, tuple(stair.trial.name for stair in one.stairs)
     slope = _slopes(one.pressure, one.mean)

@@ -25,7 +25,7 @@ UNUSABLE_SHARE = 0.5
 FOLLOWS = 0.5
 """Share of the commanded change that the measured pressure must show between the rests [1]."""
 MANY = 3
-"""Trials of which one can be told from the others."""
+"""Trials of which one can be known from the others."""
 SURE = 8.0
 """Standard deviations of the noise of a rest from which on a trial that does not come back is seen."""
 PHASES = {"preload": -1, "up": -1, "down": 1}
@@ -134,7 +134,7 @@ class Loaded:
 
 
 def loads_of(runs: Sequence[RunData], settings: Mapping[str, Any]) -> tuple[list[Loaded], list[Dropped]]:
-    """The loads, rising, and the trials that tell nothing."""
+    """The loads, rising, and the trials that cannot be used."""
     groups: dict[int, list[Stair]] = {}
     dropped = []
     for run in runs:

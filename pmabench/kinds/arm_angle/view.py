@@ -1,4 +1,4 @@
-"""What an arm's bending angle says in words and shows in its figure; paper 2's formula and Table 1 beside it."""
+"""What an arm's bending angle says in words and shows in its figure; paper 2's formula and Table 1 for comparison."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ DRIFTS = 0.005
 SAME = np.radians(0.01)
 """Difference of both ways that nobody can measure [rad]."""
 BENT = np.radians(1.0)
-"""Angle without load at the preload that is told: paper 2 calls the arm straight there [rad]."""
+"""Angle without load at the preload that is reported: paper 2 calls the arm straight there [rad]."""
 APART = 0.02
-"""Share of the largest angle by which the displacement may tell another one."""
+"""Share of the largest angle by which the displacement may give another one."""
 
 
 def of_rests(loads: Sequence[Loaded], settings: Mapping[str, Any]) -> list[Finding]:
@@ -177,7 +177,7 @@ def printed(mass: float) -> float | None:
 
 
 def of_paper(fits: Sequence[Fitted]) -> list[Finding]:
-    """Paper 2's formula and Table 1 beside what was measured."""
+    """Paper 2's formula and Table 1 compared with what was measured."""
     found = []
     off = [(one.of, one.of.mean - paper_angle(one.of.pressure, one.of.mass)) for one in fits]
     known = [(one, values, int(np.nanargmax(np.abs(values)))) for one, values in off if np.isfinite(values).any()]

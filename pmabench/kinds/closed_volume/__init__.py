@@ -16,7 +16,7 @@ RESULTS = (
 METHODS = {
     "closed, leak taken out": (
         "P V^k of the air shut in is constant, P absolute, from the volume at the start of the stroke; what leaks into "
-        "the room is told from the pressure back at the start. Mean of both directions."
+        "the room follows from the pressure back at the start. Mean of both directions."
     ),
     "closed, as printed": "As closed, leak taken out, with no leak: V = V0 P0/P of paper 3.",
     "closed, V(eps)": (

@@ -1,4 +1,4 @@
-"""The muscle as a closed volume: filled, shut off, and contracted slowly; its pressure tells its volume (paper 3)."""
+"""The muscle as a closed volume: filled, shut off, contracted slowly; its pressure gives its volume (paper 3)."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ class ClosedTrial(Strict):
     """Time at pressure before the motion to the start."""
     approach: Speed
     every: Length
-    """Distance of the contractions at which a volume is told."""
+    """Distance of the contractions at which a volume is computed."""
     reference: Reference
     dead: Dead
     exponent: Annotated[float, Field(ge=1.0, le=1.4)] = 1.0

@@ -41,7 +41,7 @@ class _Member:
 
 @dataclass(frozen=True)
 class _Given:
-    """What the plan tells: gas, and half widths of what it is made of."""
+    """What the plan gives: gas, and half widths of what it is made of."""
 
     gas: Gas
     reference: float
@@ -117,7 +117,7 @@ def _given(settings: Mapping[str, Any]) -> _Given:
 
 
 def _systematic(of: Callable[[Gas, float, float], Array], given: _Given, scales: Scales) -> tuple[Array, Array | None]:
-    """Half widths of `of`(gas, gain, offset) from what the plan tells, and from the pressure's calibration.
+    """Half widths of `of`(gas, gain, offset) from what the plan gives, and from the pressure's calibration.
 
     `gain` and `offset` are what is wrong with the measured pressure: share, and [Pa].
     """
@@ -257,14 +257,14 @@ def _agree(estimates: Sequence[Estimate]) -> list[Finding]:
 
 
 def _made_of(members: Sequence[_Member], given: _Given) -> Finding:
-    """The numbers that the volumes stand on."""
+    """The numbers that the volumes rest on."""
     gas = given.gas
     start = float(members[0].stroke.x[0])
     text = (
         f"volume at {show(start, 'length')} {show(gas.reference, 'volume', 5)} +- {show(given.reference, 'volume', 2)} "
         f"by {given.by}, dead volume {show(gas.dead, 'volume')} +- {show(given.dead, 'volume', 2)}, room "
         f"{show(gas.atmosphere, 'pressure', 6)} +- {show(given.atmosphere, 'pressure', 2)} absolute, added to gauge "
-        "pressures; they stand in the method part of the intervals"
+        "pressures; they are in the method part of the intervals"
     )
     return Finding("note", text)
 

@@ -1,4 +1,4 @@
-"""One trial of a closed volume: absolute pressures on a grid of contractions, and the volumes they tell; no campaign.
+"""One trial of a closed volume: absolute pressures on a grid of contractions, and the volumes that follow; no campaign.
 
 P_abs V^k of a closed mass is constant (paper 3, chamber equation without flow): V + V_d = (V_0 + V_d) (m/m_0)
 (P_0/P)^(1/k), P absolute: the room's pressure is added to what gauges read. m/m_0 is 1 as the paper prints it; a leak
@@ -26,7 +26,7 @@ FEWEST = 5
 
 @dataclass(frozen=True)
 class Gas:
-    """What is known beside the pressure: volumes [m3], the room's pressure [Pa absolute], k [1]."""
+    """What is known apart from the pressure: volumes [m3], the room's pressure [Pa absolute], k [1]."""
 
     reference: float
     dead: float

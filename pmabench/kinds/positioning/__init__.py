@@ -1,7 +1,7 @@
 """Positions held in closed loop: error, overshoot, settling, limit cycle.
 
 - `reduction`, made of `response`
-- protocol files: `protocol` and `controller`; one trial on the display: `live`; figures: `figures`, `plots`
+- protocol files: `protocol` and `controller`; one trial on the display: `live`; figures: `figures`
 """
 
 from pmabench.base.imported import Imported

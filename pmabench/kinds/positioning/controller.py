@@ -108,7 +108,7 @@ def schedule(c: Compilation, controller: Controller, at: Location) -> list[tuple
     if isinstance(given, Ultimate):
         c.positive(given.K_u, (*place, "K_u"))
         c.positive(given.T_u, (*place, "T_u"))
-        loop = None if c.problems else _told_loop(c, given, place)
+        loop = None if c.problems else _given_loop(c, given, place)
         made = None if c.problems else _by_rule(c, controller, given.K_u, given.T_u, loop, (*at, "rule"))
         return [] if made is None else [(float("nan"), made)]
     if "rule" in controller.model_fields_set:
@@ -152,7 +152,7 @@ def _checked(c: Compilation, form: str, gains: Gains, place: Location) -> Settin
 
 
 def model_for_gains(c: Compilation, model: Mapping[str, Any] | None, place: Location) -> Described | None:
-    """The plan's model, where it tells what makes a loop; None with a problem noted."""
+    """The plan's model, where it has what makes a loop; None with a problem noted."""
     from pmabench.model.presets import Described
 
     if model is None:
@@ -195,7 +195,7 @@ def of_model(
     return _by_rule(c, controller, found.gain, found.period, loop, ("controller", "rule")) or {}
 
 
-def _told_loop(c: Compilation, given: Ultimate, place: Location) -> Loop | None:
+def _given_loop(c: Compilation, given: Ultimate, place: Location) -> Loop | None:
     """The loop of the given times, which oscillates at the given gain; a problem noted where its period is another."""
     from pmabench.analysis.tuning import loop_of
 

@@ -1,11 +1,14 @@
-"""Figures of positions in closed loop and of a model's validation; draws through `position_plots` and `time_plots`."""
+"""Figures of held positions: the approach with its reference, and the error over the whole hold."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import ceil
+from typing import TYPE_CHECKING
+
+import numpy as np
 
 from pmabench.analysis.results import Analysis, Trace
-from pmabench.kinds.positioning import plots as position_plots
 from pmabench.plotting.pictures import (
     Picture,
     bound,
@@ -19,8 +22,27 @@ from pmabench.plotting.pictures import (
     spread,
     unit_of,
 )
-from pmabench.plotting.plots import Panel
+from pmabench.plotting.plots import (
+    BLUE,
+    FAINT,
+    FULL,
+    INK,
+    QUIET,
+    RED,
+    Array,
+    Panel,
+    blank,
+    few_ticks,
+    grid,
+    legend_above,
+)
 
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+DASHED = (0, (4, 3))
+COLUMNS = 3
 MOST = 12
 """Most set-points or steps of a figure."""
 APPROACH = 2.0
@@ -55,5 +77,68 @@ def positions(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
         f"distance from the set-point, at {'; '.join(p.title for p in panels)}."
     )
     table = numbers([(head(t), t) for t in chosen], ("t", "setpoint", "displacement", "model", "pressure_command"))
-    draw = bound(position_plots.held, panels, APPROACH, labels)
+    draw = bound(held, panels, APPROACH, labels)
     return [picture(draw, "Positions in closed loop", caption, alt, table, wide=True, simulated=analysis.simulated)]
+
+
+def held(panels: Sequence[Panel], approach: float, labels: dict[str, str]) -> Figure:
+    """Above: reference, measured and simulated position up to `approach` [s]; below: measured and simulated distance
+    from the set-point over the whole hold, on one scale for all panels.
+
+    Columns t, setpoint, measured, and model where it was simulated; marks `setpoint`, `window`.
+    """
+    columns = min(COLUMNS, len(panels))
+    rows = ceil(len(panels) / columns)
+    figure = blank(FULL, 0.5 + 2.75 * rows)
+    outer = grid(figure, rows, columns, top=0.5, left=0.58, across=0.5, down=0.6)
+    reach = max(_reach(one) for one in panels)
+    for i, one in enumerate(panels):
+        inner = outer[i].subgridspec(2, 1, height_ratios=(1.5, 1), hspace=0.42)
+        upper, lower = figure.add_subplot(inner[0]), figure.add_subplot(inner[1])
+        _approach(upper, one, approach)
+        _distance(lower, one, reach)
+        upper.set_title(one.title)
+        if i % columns == 0:
+            upper.set_ylabel(labels["measured"])
+            lower.set_ylabel(labels["error"])
+            figure.align_ylabels([upper, lower])
+        lower.set_xlabel(labels["t"])
+    legend_above(figure, 3)
+    return figure
+
+
+def _approach(axes: Axes, panel: Panel, until: float) -> None:
+    early = panel.columns["t"] <= until
+    t = panel.columns["t"][early]
+    axes.plot(t, panel.columns["measured"][early], color=FAINT, linewidth=2.6, label="measured")
+    if "model" in panel.columns:
+        axes.plot(t, panel.columns["model"][early], color=RED, linewidth=1.0, label="simulated")
+    axes.step(
+        t, panel.columns["setpoint"][early], where="post", color=INK, linewidth=0.8, linestyle=DASHED, label="reference"
+    )
+    axes.set_xlim(min(0.0, float(t[0])) if len(t) else 0.0, until)
+    few_ticks(axes, y=5)
+
+
+def _distance(axes: Axes, panel: Panel, reach: float) -> None:
+    """Distance from the set-point; the approach leaves the frame."""
+    after = panel.columns["t"] >= 0
+    t, aim = panel.columns["t"][after], panel.marks["setpoint"]
+    axes.axhline(0, color=INK, linewidth=0.8, linestyle=DASHED)
+    axes.plot(t, panel.columns["measured"][after] - aim, color=BLUE, linewidth=0.8)
+    if "model" in panel.columns:
+        axes.plot(t, panel.columns["model"][after] - aim, color=RED, linewidth=0.7, alpha=0.8)
+    if panel.marks.get("window", 0.0) > 0:
+        axes.axvline(panel.marks["window"], color=QUIET, linewidth=0.7, linestyle=(0, (1, 2)))
+    axes.set_ylim(-reach, reach)
+    axes.set_xlim(0, float(t[-1]) if len(t) else 1.0)
+    few_ticks(axes, y=4)
+
+
+def _reach(panel: Panel) -> float:
+    """What the error reaches inside the window, with room, in display units."""
+    late = panel.columns["t"] >= panel.marks.get("window", 0.0)
+    away: Array = np.abs(panel.columns["measured"][late] - panel.marks["setpoint"])
+    known = away[np.isfinite(away)]
+    least = 1e-3 * abs(panel.marks["setpoint"])
+    return 1.5 * max(float(known.max()) if len(known) else 0.0, least)

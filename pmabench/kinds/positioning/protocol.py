@@ -53,19 +53,8 @@ class Positioning(ProtocolHead):
     def compile(self, c: Compilation) -> Plan:
         """The plan: per set-point a rest, the loop, and a vent."""
         trial, controller = self.trial, self.controller
-        c.needs_channel("displacement")
-        c.positive(trial.hold, ("trial", "hold"))
-        c.positive(trial.band, ("trial", "band"))
-        begin, end = trial.window
-        if not 0 <= begin < end <= trial.hold:
-            c.fault(("trial", "window"), "must rise and lie inside the hold")
+        self._sound(c)
         low, high = controller.output
-        c.within("pressure", low, ("controller", "output", 0))
-        c.within("pressure", high, ("controller", "output", 1))
-        if not low < high:
-            c.fault(("controller", "output"), "must rise")
-        if controller.tracking is not None:
-            c.positive(controller.tracking, ("controller", "tracking"))
         model = None if self.model is None else described(c, self.model, ("model",))
         by_model = controller.gains == MODEL
         muscle = model_for_gains(c, model, ("controller",)) if by_model else None
@@ -109,8 +98,25 @@ class Positioning(ProtocolHead):
                 Set("vent", "pressure", 0.0),
                 Hold("vent", trial.rest),
             ]
-        settings: dict[str, Any] = {"window": [begin, end], "band": trial.band, "form": controller.form}
+        settings: dict[str, Any] = {"window": list(trial.window), "band": trial.band, "form": controller.form}
         if len(table) == 1 and isfinite(table[0][0]):
             settings["gains_of"] = table[0][0]
         settings |= {"model": model} if model is not None else {}
         return c.plan("positioning", settings)
+
+    def _sound(self, c: Compilation) -> None:
+        """Check hold, window, band and the controller's output by themselves."""
+        trial, controller = self.trial, self.controller
+        c.needs_channel("displacement")
+        c.positive(trial.hold, ("trial", "hold"))
+        c.positive(trial.band, ("trial", "band"))
+        begin, end = trial.window
+        if not 0 <= begin < end <= trial.hold:
+            c.fault(("trial", "window"), "must rise and lie inside the hold")
+        low, high = controller.output
+        c.within("pressure", low, ("controller", "output", 0))
+        c.within("pressure", high, ("controller", "output", 1))
+        if not low < high:
+            c.fault(("controller", "output"), "must rise")
+        if controller.tracking is not None:
+            c.positive(controller.tracking, ("controller", "tracking"))

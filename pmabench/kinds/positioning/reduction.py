@@ -1,6 +1,6 @@
-"""Reduction of positioning runs: each set-point's response, steady-state error and limit cycle, beside a simulation.
+"""Reduction of positioning runs: each set-point's response, steady-state error and limit cycle; the same simulated.
 
-Measures of one hold are in `position_response`, the simulated loop in `simulated`.
+Measures of one hold are in `response`, the simulated loop in `analysis.shared.simulated`.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import numpy as np
 from pmabench.analysis.results import Analysis, Dropped, Estimate, Finding, Parts, Trace
 from pmabench.analysis.shared import student
 from pmabench.analysis.shared.calibration import Scales, sentences
+from pmabench.analysis.shared.form import Doubt, weighed
 from pmabench.analysis.shared.simulated import closed_loop, model_of
 from pmabench.base.quantities import show
 from pmabench.kinds.positioning import RESULTS
@@ -30,7 +31,7 @@ LONGEST_TRACE = 4000
 EARLY = 4.0
 """Up to here [s] a trace is kept denser: half of its points."""
 BAND = 0.02
-"""Band that counts as settled where the plan tells none."""
+"""Band that counts as settled where the plan gives none."""
 MEASURES = {
     "e_ss": ("1", "ratio"),
     "OS": ("1", "ratio"),
@@ -158,6 +159,30 @@ def _value(symbol: str, response: Response, setpoint: float) -> float | None:
     }[symbol]
 
 
+def _method(symbol: str, response: Response) -> float:
+    """What sampling, noise and the choice of a band leave open of a measure; of e_ss nothing but what moves."""
+    unsure = response.unsure
+    return {
+        "e_ss": 0.0,
+        "OS": unsure.overshoot,
+        "t_r": unsure.rise,
+        "t_s": unsure.settling,
+        "IAE": unsure.IAE,
+        "x_pp": unsure.size,
+        "T_c": unsure.period,
+    }[symbol]
+
+
+def _moves(members: Sequence[Hold], setpoint: float) -> Doubt:
+    """What a motion in the window leaves open of the steady-state error."""
+    worst = max(members, key=lambda hold: hold.response.unsure.error)
+    half = worst.response.unsure.error
+    what = "it swings in the window, whose ends cut a cycle" if worst.response.cycle else "it moves in the window"
+    text = f"{what}: the mean may be {show(half, 'length', 2)} off that of a steady state"
+    seen = any(hold.response.unsure.moves for hold in members)
+    return Doubt("motion in the window", "method", half / setpoint, seen, f"{text}. Hold longer, with a later window")
+
+
 def _half(symbol: str, shifted: Sequence[tuple[Response, Response]], setpoint: float) -> float | None:
     """Half of what the measure changes between both ends of a scale's uncertainty, causes as squares."""
     if not shifted:
@@ -179,24 +204,24 @@ def _estimates(at: dict[str, float], members: Sequence[Hold]) -> list[Estimate]:
         if not known and symbol in CYCLE:
             continue
         values = np.array([value for value, _ in known])
+        methods = [_method(symbol, h.response) for h in members]
         several = len(values) > 1
         spread = student.ppf(0.975, len(values) - 1) * values.std(ddof=1) / sqrt(len(values)) if several else None
         scales = [half for _, half in known if half is not None]
         lacking = Scales.of([hold.run for hold in members]).lack(("displacement",), ("displacement",))
-        found.append(
-            Estimate(
-                symbol,
-                float(values.mean()) if len(values) else None,
-                unit,
-                quantity,
-                METHOD,
-                at,
-                parts=Parts(repeats=None if spread is None else float(spread), calibration=max(scales, default=None)),
-                n=len(values),
-                note=sentences(ALONE, lacking) if len(values) == 1 else lacking if len(values) else _why_not(symbol),
-                trials=names,
-            )
+        e = Estimate(
+            symbol,
+            float(values.mean()) if len(values) else None,
+            unit,
+            quantity,
+            METHOD,
+            at,
+            parts=Parts(None if spread is None else float(spread), max(methods), max(scales, default=None)),
+            n=len(values),
+            note=sentences(ALONE, lacking) if len(values) == 1 else lacking if len(values) else _why_not(symbol),
+            trials=names,
         )
+        found.append(weighed(e, [_moves(members, setpoint)], 1.0) if symbol == "e_ss" else e)
     rms = [float(np.sqrt(np.mean((h.x - h.simulated) ** 2))) for h in members if h.simulated is not None]
     if rms:
         found.append(Estimate("e_sim", float(np.mean(rms)), "m", "length", SIMULATION, at, n=len(rms), trials=names))
@@ -265,10 +290,10 @@ def _cycles(holds: Sequence[Hold]) -> list[Finding]:
     for sticks, what in ((True, "stick-slip limit cycle"), (False, "sustained oscillation that does not stick")):
         mine = [hold for hold in hunting if hold.response.cycle is not None and hold.response.cycle.sticks == sticks]
         if mine:
-            text = f"{what} at {_places(mine)}: {_told(hold.response for hold in mine)}"
+            text = f"{what} at {_places(mine)}: {_in_words(hold.response for hold in mine)}"
             compared = [hold.simulated_response for hold in mine if hold.simulated_response is not None]
             if compared:
-                text += f"; simulated: {_told(compared)}"
+                text += f"; simulated: {_in_words(compared)}"
             lines.append(Finding("doubt", text + ("" if sticks else "; the gain is near or above the ultimate one")))
     still = [hold for hold in holds if hold.response.cycle is None]
     slow = [hold for hold in still if hold.response.wander > hold.response.smallest]
@@ -296,7 +321,7 @@ def _places(holds: Sequence[Hold]) -> str:
     return f"{len(points)} set-points from {show(points[0], 'length')} to {show(points[-1], 'length')}"
 
 
-def _told(responses: Iterable[Response]) -> str:
+def _in_words(responses: Iterable[Response]) -> str:
     """Size and period of the cycles, least to most."""
     cycles = [response.cycle for response in responses if response.cycle is not None]
     if not cycles:

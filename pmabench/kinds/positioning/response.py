@@ -8,11 +8,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
+from math import sqrt
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.analysis.shared.oscillation import SEEN
+from pmabench.analysis.shared.rest import Held, left
 from pmabench.analysis.shared.samples import noise_of
 from pmabench.store.records import Array
 
@@ -28,6 +30,10 @@ FEWEST = 2
 """Fewest whole cycles that are called a limit cycle."""
 STILL = 0.01
 """A fortieth of a cycle in which it moves less than this share of its size is spent at rest; a sine spends 8 % so."""
+SURE = 3.0
+"""Standard deviations that the largest of many samples may lie off."""
+PART = 0.02
+"""Share by which a smoothed cycle may be off: at its corners, and where its middle is crossed."""
 STICKS = 0.3
 """Share of a cycle spent at rest from which on it is stick-slip."""
 
@@ -70,6 +76,24 @@ class Response:
     """Peak to peak in the window [m]; larger than `smallest` without a cycle: too slow for the window, or a drift."""
     smallest: float
     """Smallest cycle that would be seen, peak to peak [m]."""
+    unsure: Unsure
+
+
+@dataclass(frozen=True)
+class Unsure:
+    """Half widths of what sampling, noise and a motion in the window leave open, as in `Response` and `Cycle`."""
+
+    rise: float
+    overshoot: float
+    settling: float
+    """Between the times at which it stays in a band that is narrower and wider by what noise is left."""
+    IAE: float
+    size: float
+    period: float
+    error: float
+    """What the mean in the window differs by from that at rest, or over whole cycles [m]."""
+    moves: bool
+    """Whether a motion in the window is seen."""
 
 
 def respond(
@@ -95,20 +119,42 @@ def respond(
     if step <= 0:
         raise ValueError("it rested beyond the set-point already")
     noise = noise_of(x[inside])
-    smooth = _smoothed(x, max(1, round(SMOOTHED / period)))
+    width = max(1, round(SMOOTHED / period))
+    rest = SURE * noise / sqrt(width)
+    smooth = _smoothed(x, width)
     low, high = (_first(t, smooth >= origin + share * step) for share in (0.1, 0.9))
-    outside = np.flatnonzero(np.abs(smooth - setpoint) > band * step)
-    settled = 0.0 if not len(outside) else float(t[outside[-1] + 1]) if outside[-1] + 1 < len(t) else None
+
+    def settled(limit: float) -> float | None:
+        outside = np.flatnonzero(np.abs(smooth - setpoint) > limit)
+        return 0.0 if not len(outside) else float(t[outside[-1] + 1]) if outside[-1] + 1 < len(t) else None
+
     smallest = max(SEEN * noise, 2 * resolution, SMALLEST * setpoint)
+    cycle, wander = cycle_of(t[inside], x[inside], smallest), float(np.ptp(smooth[inside]))
+    ends = [one for limit in (band * step - rest, band * step + rest) if (one := settled(limit)) is not None]
+    further = left([Held.of(t[inside], x[inside], float(window[0]))])
+    if cycle is not None:
+        error = 0.5 * cycle.size * min(1.0, cycle.period / (window[1] - window[0]))
+    else:
+        error = max(further.most, wander if wander > smallest else 0.0)
     return Response(
         rise=high - low if low is not None and high is not None else None,
         overshoot=max(0.0, (float(smooth.max()) - setpoint) / step),
-        settling=settled,
+        settling=settled(band * step),
         error=setpoint - float(x[inside].mean()),
         IAE=float(np.trapezoid(np.abs(setpoint - x), t)),
-        cycle=cycle_of(t[inside], x[inside], smallest),
-        wander=float(np.ptp(smooth[inside])),
+        cycle=cycle,
+        wander=wander,
         smallest=smallest,
+        unsure=Unsure(
+            rise=period + SMOOTHED / 2,
+            overshoot=rest / step,
+            settling=period + (max(ends) - min(ends) if ends else 0.0),
+            IAE=noise * float(t[-1] - t[0]),
+            size=2 * rest + 2 * PART * (0.0 if cycle is None else cycle.size),
+            period=0.0 if cycle is None else period + PART * cycle.period / cycle.count,
+            error=error,
+            moves=cycle is not None or further.seen or wander > smallest,
+        ),
     )
 
 

@@ -43,7 +43,7 @@ ANOTHER = 1.05
 SURE = 5.0
 """Standard deviations from which on a frequency counts as another one than the named."""
 NO_SINE = 0.1
-"""Share of the signal that its first harmonic leaves, above which that is told."""
+"""Share of the signal that its first harmonic leaves, above which that is said."""
 Complex = NDArray[np.complex128]
 
 
@@ -65,7 +65,7 @@ class Sine:
     left: Mapping[str, float]
     """Rms of what the first harmonic leaves, over the rms of the signal about its mean [1]."""
     late: tuple[float, float]
-    """How much older the pressure is than its stamps [s]; (0, 0) where that is not told."""
+    """How much older the pressure is than its stamps [s]; (0, 0) where that is not known."""
     off: float
     """Frequency of the command, else of the pressure, over the named one, less one [1]; 0 where chance explains it."""
 
@@ -98,7 +98,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     the pressure against its command, both negative for a lag. H = 2 |x| |sin phi_x| is the width of the ellipse at mean
     pressure. The pressure may be older than its stamps (`late_by` of the map, or option [[least, most] in s]): phases
     are turned by the middle of that, and half its range is the `method` part. The bandwidth is that of
-    `sweep_bandwidth`. K and B do not follow from x and P alone: F_ce(P) stands between them.
+    `bandwidth`. K and B do not follow from x and P alone: F_ce(P) comes in between.
     """
     options = options or {}
     sines, dropped, read_off = measured(runs, options, measure)

@@ -29,7 +29,7 @@ FEWEST = 12
 LAGS = (0.005, 0.01, 0.02, 0.04)
 """Lags [s] between the pressure that was measured and the one that drives."""
 AS_GOOD = 1.02
-"""Motions whose misfit is within this factor of the least are not told apart."""
+"""Motions whose misfit is within this factor of the least cannot be distinguished."""
 PERIODS = 1.5
 """Of a stretch of free swinging."""
 CLEAR = 20.0
@@ -128,7 +128,7 @@ def free_swings(t: Array, P: Array, x: Array, known: Motion, noise: float) -> li
     off = np.abs(P - np.median(P[t > t[-1] - 1.0])) > REACHED * np.ptp(P)
     begin = SETTLED * float(t[np.flatnonzero(off)[-1]]) if off.any() else 0.0
     length = PERIODS * 2 * np.pi / known.w
-    found = []
+    found: list[Swing] = []
     while begin + length < t[-1]:
         rows = (t > begin) & (t <= begin + length)
         if np.count_nonzero(rows) < FEWEST or (found and found[-1].size < CLEAR * noise):

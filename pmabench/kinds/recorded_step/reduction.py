@@ -56,7 +56,7 @@ UNTOLD = 0.005
 """What pressure and position may be apart [s] where the map gives no `late_by`, for K and B."""
 UNKNOWN = "nothing is known of the time between the channels"
 ILL_FITTED = 0.1
-"""Rms of the misfit as a share of the stroke, above which K and B are not told."""
+"""Rms of the misfit as a share of the stroke, above which K and B are withheld."""
 INSTEAD = "with a column of force or the load, a map of `kind: contraction-relaxation` gives K from such steps"
 ONCE = "no repeats part: one step only"
 STOPPED = 0.3
@@ -116,7 +116,7 @@ class Step:
 
 
 def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) -> Analysis:
-    """t_d [s], tau_P [s], X [m], dP/dx [Pa/m] and, where they can be told, K [N/m] and B [N.s/m] of recorded steps.
+    """t_d [s], tau_P [s], X [m], dP/dx [Pa/m] and, where they can be found, K [N/m] and B [N.s/m] of recorded steps.
 
     Pressure and displacement at one load give the ratios B/K and (dF_ce/dP)/K only, never K itself. Where the moving
     `mass` of the point is known and the motion rings, M x'' + B x' + K x = (dF_ce/dP) P + const, driven by the measured

@@ -59,7 +59,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
 
     Static stiffness is -(F relaxed - F before)/(step as measured), the instantaneous one has the peak in place of the
     relaxed force: damping (K + B v/step for three elements) and the pressure that the step makes are in it. Steps there
-    and back are told apart by their sign: above 0 the muscle contracts. The time constants are those of one exponential
+    and back differ by their sign: above 0 the muscle contracts. The time constants are those of one exponential
     from the end of the motion on. `options`: `discard`
     (cycles at the start; else the plan's setting, else 1).
     """
@@ -117,7 +117,8 @@ def _estimates(
     before, after = (_still_moving([getattr(one, name) for one in every]) for name in ("earlier", "later"))
     both = tuple(replace(one, half=one.half / moved) for one in (before, after))
     blunt = _blunt(group, every)
-    told: list[Estimate] = []
+    of_peak = (both[0], replace(blunt, half=blunt.half / moved))
+    estimates: list[Estimate] = []
 
     def estimate(
         symbol: str, kind: tuple[str, str], method: str, value: Callable[[Relaxation], float],
@@ -132,20 +133,12 @@ def _estimates(
             note = sentences(note, scales.lack(powers))
         e = Estimate(symbol, mean, *kind, method, dict(at), Parts(half, extra, part), len(group), note=note,
                      trials=names, coordinate=coordinate)  # fmt: skip
-        told.append(weighed(e, [*doubts, *(_trend(values) if symbol == "F" else ())]))
+        estimates.append(weighed(e, [*doubts, *(_trend(values) if symbol == "F" else ())]))
 
     stiffness, newton, second = ("N/m", "stiffness"), ("N", "force"), ("s", "time")
     slope = {"force": 1, "displacement": -1}
     estimate("K", stiffness, RELAXED, lambda one: one.static, slope, 0.0, doubts=both)
-    estimate(
-        "K",
-        stiffness,
-        PEAK,
-        lambda one: one.instant,
-        slope,
-        extreme / moved,
-        doubts=(both[0], replace(blunt, half=blunt.half / moved)),
-    )
+    estimate("K", stiffness, PEAK, lambda one: one.instant, slope, extreme / moved, doubts=of_peak)
     estimate("F", newton, RELAXED, lambda one: one.before, {"force": 1}, 0.0, "before", (before,))
     estimate("F", newton, PEAK, lambda one: one.peak, {"force": 1}, extreme, "peak", (blunt,))
     estimate("F", newton, RELAXED, lambda one: one.relaxed, {"force": 1}, 0.0, "relaxed", (after,))
@@ -155,14 +148,14 @@ def _estimates(
         back = [getattr(one, name) for one in every]
         if None in back:
             note = "no recovery shows above the noise, or it is over within a few samples"
-            told.append(Estimate(symbol, None, *second, BACK, dict(at), n=len(group), note=note, trials=names))
+            estimates.append(Estimate(symbol, None, *second, BACK, dict(at), n=len(group), note=note, trials=names))
             continue
         estimate(symbol, second, BACK, lambda one, name=name: getattr(one, name).tau, {}, 0.0)  # type: ignore[misc]
         size = float(np.mean([abs(one.size) for one in back]))
         restless = name == "force_back" and after.seen and after.half > MOST_HIDDEN * size
-        tau = _one_time(told.pop(), max(one.apart for one in back))
-        told.append(withhold(tau, after.reason) if restless else tau)
-    return told
+        tau = _one_time(estimates.pop(), max(one.apart for one in back))
+        estimates.append(withhold(tau, after.reason) if restless else tau)
+    return estimates
 
 
 def _one_time(tau: Estimate, apart: float) -> Estimate:
@@ -204,7 +197,7 @@ def _trend(values: Sequence[NDArray[np.float64]]) -> list[Doubt]:
 
 def _findings(at: Mapping[str, float], group: Sequence[_Member]) -> list[Finding]:
     """What catches the eye."""
-    told = []
+    lines = []
     for member in group:
         every = (*member.steps.there, *member.steps.back)
         for steps in (member.steps.there, member.steps.back):
@@ -212,11 +205,11 @@ def _findings(at: Mapping[str, float], group: Sequence[_Member]) -> list[Finding
             if further.seen and abs(further.size) > DRIFTS * size:
                 change = show(further.size, "force", 2)
                 text = f"trial {member.trial.name}: after a rest the force would still change by {change}"
-                told.append(Finding("doubt", f"{text}; K is not static yet, hold longer"))
+                lines.append(Finding("doubt", f"{text}; K is not static yet, hold longer"))
         if any(one.static <= 0 for one in every):
             text = f"trial {member.trial.name}: the force rises with contraction: a sign is wrong, or the step is lost"
-            told.append(Finding("fault", text))
-    return told
+            lines.append(Finding("fault", text))
+    return lines
 
 
 def _trace(at: Mapping[str, float], member: _Member) -> Trace:
@@ -224,12 +217,12 @@ def _trace(at: Mapping[str, float], member: _Member) -> Trace:
     columns = member.steps.last
     stride = max(1, -(-len(columns["t"]) // LONGEST_TRACE))
     step = member.steps.there[-1]
-    told = [show(at[name], quantity) for name, quantity in
+    places = [show(at[name], quantity) for name, quantity in
             (("pressure", "pressure"), ("step", "length"), ("speed", "speed")) if name in at]  # fmt: skip
     return Trace(
         "step-" + "-".join(f"{value:g}" for value in at.values()),
         "displacement-step",
-        f"{', '.join(told)}: step of displacement",
+        f"{', '.join(places)}: step of displacement",
         {name: values[::stride] for name, values in columns.items()},
         {"t": "time", "force": "force", "displacement": "length", "pressure": "pressure"},
         {"before": step.before, "peak": step.peak, "relaxed": step.relaxed},

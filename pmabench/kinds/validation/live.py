@@ -8,7 +8,7 @@ from pmabench.store.records import RunData, TrialData
 
 
 def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
-    """The contraction in the window beside the one that the specimen's file expects."""
+    """The contraction in the window and the one that the specimen's file expects."""
     reason = unusable(run, trial)
     if reason:
         return [Measured("x", "length", None)], [reason]

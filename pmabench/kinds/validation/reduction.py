@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from math import sqrt
+from dataclasses import dataclass, replace
+from math import hypot, sqrt
 from typing import Any
 
 import numpy as np
@@ -45,6 +45,8 @@ class _Step:
     """Mean in the window [m]."""
     window: Mapping[str, float]
     """Mean of each simulation in the window [m]."""
+    by_pressure: tuple[float, float]
+    """What the simulation by the measured pressure moves there for the gain and the offset of that channel [m]."""
 
     def error(self, method: str) -> float:
         """Simulated minus measured contraction in the window [m]."""
@@ -134,18 +136,36 @@ def _rest(trial: TrialData) -> float:
 
 
 def _steps(run: RunData, trials: Sequence[TrialData], model: Described) -> list[_Step]:
-    """Usable trials beside their simulations."""
+    """Usable trials with their simulations."""
     found = []
     origins = [_rest(trial) for trial in trials]
     driven = from_measured_pressure(model, trials, 1.0 / run.rate, origins)
-    for trial, by_measured, origin in zip(trials, driven, origins, strict=True):
+    scaled = _by_pressure(run, trials, model, origins)
+    for place, (trial, by_measured, origin) in enumerate(zip(trials, driven, origins, strict=True)):
         ok, inside = _usable(trial), inside_window(run, trial)
         simulated = {COMMANDED: from_commanded_pressure(model, trial, origin), MEASURED: by_measured}
         means = {method: float(values[inside].mean()) for method, values in simulated.items()}
         x = trial.channels["displacement"]
         t = trial.t - (_begin(trial) or 0.0)
         models = {method: values[ok] for method, values in simulated.items()}
-        found.append(_Step(run, trial, t[ok], x[ok], models, float(x[inside].mean()), means))
+        moves = [abs(float((values[place] - by_measured)[inside].mean())) if values else 0.0 for values in scaled]
+        found.append(_Step(run, trial, t[ok], x[ok], models, float(x[inside].mean()), means, (moves[0], moves[1])))
+    return found
+
+
+def _by_pressure(
+    run: RunData, trials: Sequence[TrialData], model: Described, origins: Sequence[float]
+) -> list[Sequence[Array]]:
+    """Simulations by the measured pressure with its gain, and with its offset, at the end of what is known of them."""
+    scales = Scales.of([run])
+    gain, offset = scales.gains.get("pressure", 0.0), scales.offsets.get("pressure", 0.0)
+    found: list[Sequence[Array]] = []
+    for share, more in ((gain, 0.0), (0.0, offset)):
+        moved = [
+            replace(one, channels={**one.channels, "pressure": one.channels["pressure"] * (1 + share) + more})
+            for one in trials
+        ]
+        found.append(from_measured_pressure(model, moved, 1.0 / run.rate, origins) if share or more else [])
     return found
 
 
@@ -159,6 +179,8 @@ def _estimates(at: dict[str, float], members: Sequence[_Step], method: str, full
         spread = student.ppf(0.975, len(values) - 1) * np.std(values, ddof=1) / sqrt(len(values)) if several else None
         channels = ("displacement",) if method == COMMANDED else ("displacement", "pressure")
         part = scales.part({"displacement": 1.0}, {"displacement": by}) if symbol != "e_sim" else None
+        if part is not None and method == MEASURED:
+            part = hypot(part, *(by * max(step.by_pressure[n] for step in members) for n in (0, 1)))
         return Estimate(
             symbol,
             float(np.mean(values)),

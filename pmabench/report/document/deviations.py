@@ -16,7 +16,7 @@ import numpy as np
 from pmabench.plotting.wording import clean, number, shown
 from pmabench.report.document.provenance import get, text_of
 from pmabench.store.folder import open_regular
-from pmabench.store.records import RunData, TrialData
+from pmabench.store.records import RunData
 
 RATE_OFF = 0.01
 """Share by which a sample rate differs from the planned one before it is reported."""
@@ -58,16 +58,13 @@ def _trials(run: RunData) -> Iterator[str]:
     again = [str(trial.number) for trial in run.trials if trial.attempt > 1]
     if again:
         yield f"begun again: trial{'s' if len(again) > 1 else ''} {', '.join(again[:12])}"
-    begun = [trial.index for trial in sorted(run.trials, key=_begin) if trial.attempt == 1 and not trial.again]
+    in_time = sorted(run.trials, key=lambda trial: float(trial.t[0]) if len(trial.t) else float("inf"))
+    begun = [trial.index for trial in in_time if trial.attempt == 1 and not trial.again]
     if begun != sorted(begun):
         yield "trials were not done in the planned order"
     for note in run.notes:
         if note.exclude is not None:
             yield f"trial {note.excluded} is left out by {clean(note.operator, 120)}: {clean(note.because, 300)}"
-
-
-def _begin(trial: TrialData) -> float:
-    return float(trial.t[0]) if len(trial.t) else float("inf")
 
 
 def _samples(run: RunData) -> Iterator[str]:

@@ -128,13 +128,13 @@ def protocol_table(runs: Sequence[RunData], names: Mapping[str, str]) -> Frame:
     """One row a run: what was tested, where, for how long; `names` are the short names of runs."""
     rows = []
     for run in runs:
-        planned = run.manifest.get("trials_planned")
+        planned, source = run.manifest.get("trials_planned"), text_of(run.manifest.get("source"))
         done = sum(trial.status == "finished" and not trial.again for trial in run.trials)
         rows.append(
             {
                 "run": names.get(run.id, ""),
                 "test": kind_title(run.kind),
-                "protocol": _protocol(run),
+                "protocol": _name_of(run.manifest.get("protocol")) + (f" (after: {source})" if source else ""),
                 "operating points": _points(run),
                 "trials": f"{done} of {planned}" if isinstance(planned, int) else str(done),
                 "rate": f"{run.rate:.4g} Hz" if run.rate else "",
@@ -143,12 +143,6 @@ def protocol_table(runs: Sequence[RunData], names: Mapping[str, str]) -> Frame:
             }
         )
     return Frame(rows)
-
-
-def _protocol(run: RunData) -> str:
-    name = _name_of(run.manifest.get("protocol"))
-    source = text_of(run.manifest.get("source"))
-    return f"{name} (after: {source})" if source else name
 
 
 def _duration(value: Any) -> str:

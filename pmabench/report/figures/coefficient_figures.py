@@ -53,10 +53,8 @@ def over_pressure(analyses: Sequence[Analysis], results: Mapping[str, Result] | 
             for e in analysis.estimates
             if e.symbol in symbols and "pressure" in e.at and set(e.at) <= OVER_PRESSURE and not e.coordinate
         ]
-        drawn = _figure(symbols, results, "pressure", _without_variants(members))
-        if drawn is not None:
-            found.append(drawn)
-    return found
+        found.append(_figure(symbols, results, "pressure", _without_variants(members)))
+    return [drawn for drawn in found if drawn is not None]
 
 
 def _without_variants(members: Sequence[tuple[Analysis, Estimate]]) -> list[tuple[Analysis, Estimate]]:
@@ -86,10 +84,8 @@ def others(analysis: Analysis) -> list[Picture]:
             continue
         if len({e.at[over] for e in members}) < FEWEST:
             continue
-        drawn = _figure(group, results, over, [(analysis, e) for e in members])
-        if drawn is not None:
-            found.append(drawn)
-    return found
+        found.append(_figure(group, results, over, [(analysis, e) for e in members]))
+    return [drawn for drawn in found if drawn is not None]
 
 
 def _varying(estimates: Sequence[Estimate]) -> str | None:

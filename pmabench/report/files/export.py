@@ -22,9 +22,8 @@ from pmabench.notebook import Results, Run, estimates_frame, headed, with_unit
 from pmabench.plotting.wording import clean
 from pmabench.report.document import tables
 from pmabench.report.files import latex
-from pmabench.report.files.control_model import control_model, control_text, suits
 from pmabench.report.files.csv_files import inert, write_tables
-from pmabench.report.files.mujoco_model import mujoco_model, mujoco_text
+from pmabench.report.files.simulator_models import control_model, control_text, mujoco_model, mujoco_text, suits
 from pmabench.report.words import kind_title
 from pmabench.report.writing import write_file, writing
 from pmabench.store.analyses.folder import file_names

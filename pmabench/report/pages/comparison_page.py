@@ -16,8 +16,8 @@ from pmabench.plotting.pictures import Picture, drawable, picture
 from pmabench.plotting.wording import clean, in_order, point_text, shown, spoken, symbol_text
 from pmabench.report.figures.coefficient_figures import over_pressure
 from pmabench.report.figures.overlays import Comparison, comparison_table
-from pmabench.report.pages.page import Page, TextTable, write_page
 from pmabench.report.words import declared
+from pmabench.report.writing import Page, TextTable, write_page
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -15,8 +15,8 @@ from pmabench.plotting import plots
 from pmabench.plotting.frame import Frame
 from pmabench.plotting.pictures import LARGEST, Picture, picture
 from pmabench.plotting.wording import clean, point_text, rounded, shown, symbol_text
-from pmabench.report.pages.page import Page, TextTable, write_page
 from pmabench.report.words import kind_title
+from pmabench.report.writing import Page, TextTable, write_page
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -1,1 +1,0 @@
-"""Many runs: `many` works out what has changed, run by run, and writes one table over all of them."""
