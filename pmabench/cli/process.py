@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
+from textwrap import fill
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -330,7 +331,5 @@ def print_analyses(ui: Ui, analyses: Sequence[Analysis]) -> None:
 
 def _wrapped(text: str, width: int) -> str:
     """Lines of at most `width` where words allow it; a value and its half width stay on one line."""
-    from textwrap import fill
-
     kept = fill(text.replace(" ± ", "\u00a0±\u00a0"), width, break_long_words=False, break_on_hyphens=False)
     return kept.replace("\u00a0±\u00a0", " ± ")

@@ -2,5 +2,5 @@
 
 - `content`, also as an HTML page, made of `front` (first page), `provenance` (with methods and citation), `deviations`
   (with notes), `checklist`, `tables`, `special_tables`; tables ready for any format: `grids`
-- `pdf`, `workbook`
+- `pdf`, `workbook`; `kept_page`: the last page of stored analyses, copied while nothing changed
 """
