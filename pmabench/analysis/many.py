@@ -1,11 +1,11 @@
 """Many runs or cells at once: in this process, by an executor of `concurrent.futures`, or on a Dask cluster.
 
-Workers read the runs and write the analyses themselves: they see the same folders under the same names, and have the
-same pmabench. Its start-up script usually gives each worker `MALLOC_TRIM_THRESHOLD_=65536`, which hands memory back so
-often that numpy takes twice as long.
-
 The order of results, and what they are, never depend on how many work at once: each thing is worked on alone, and its
-number goes with it. Standard library only.
+number goes with it. Standard library only; `distributed` is imported where a cluster is used.
+
+Workers of a cluster read the runs and write the analyses themselves: they see the same folders under the same names,
+and have the same pmabench. Dask usually starts each with `MALLOC_TRIM_THRESHOLD_=65536`, which hands memory back so
+often that numpy takes twice as long.
 """
 
 from __future__ import annotations

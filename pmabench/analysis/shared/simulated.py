@@ -1,6 +1,6 @@
 """Models simulated next to a trial: a fitted muscle, or the model that a plan carries; fits nothing.
 
-Many stretches are integrated side by side. Knows a fit and samples, no trial and no interval.
+Many stretches are integrated side by side.
 """
 
 from __future__ import annotations
@@ -179,7 +179,7 @@ def _calm(P: Array, width: int) -> Array:
 
 @dataclass(frozen=True)
 class _Coefficients:
-    """A described muscle as `replay` takes it."""
+    """A described muscle as `run` takes it."""
 
     model: Described
 

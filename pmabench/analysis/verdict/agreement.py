@@ -1,9 +1,7 @@
 """Whether independent tests of one specimen agree: what each offers, differences with combined intervals; fits nothing.
 
 Each kind has a function `offers` in its own room, named in its record: a new kind that measures a quantity of another
-one is compared with all others from then on.
-
-What each kind of test says is in its own room (`offers`); every pair of kinds is compared wherever both say something.
+one is compared with all others from then on, wherever both say something.
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
 """What speaks for or against an analysis next to its residual: named numbers, and open questions of its runs.
 
-An import stores questions that nobody answered, a bench what its files seem to have wrong (another muscle than the
-simulated one). Every analysis of such runs repeats it.
-
 A check is plain data in `Analysis.facts["checks"]`, so that a report made from files has it too. Those of the trials
 themselves (spread of repeats, first repeat, drift) are made here for every kind that has a value per trial; those of
 the pooled fit come from the kind of test.
+
+An import stores questions that nobody answered, a bench what its files seem to have wrong (another muscle than the
+simulated one). Every analysis of such runs repeats it.
 """
 
 from __future__ import annotations

@@ -1,9 +1,7 @@
 """The step-exponential way of the papers: K, F_ce and B = K tau from exponentials; dead times and bandwidth.
 
-It takes the pressure for a step, which biases B where the regulator is slow; kept for comparison.
-Knows samples and commands; no interval but the scatter over loads.
-
-Knows trials and what the primary method found; computes no interval of the latter.
+It takes the pressure for a step, which biases B where the regulator is slow; kept for comparison. Knows trials and what
+the primary method found; computes no interval of the latter.
 """
 
 from __future__ import annotations

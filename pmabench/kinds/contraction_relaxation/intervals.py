@@ -335,8 +335,8 @@ class Draws:
 def bootstrap(segments: Segments, fit: Solved, cells: NDArray[np.intp], count: int, within: bool) -> Draws:
     """`count` fits to trials drawn with replacement: within their cells, or among all.
 
-    `cells` holds the cell of each trial number in `segments.trial`. The prior of the fit stays in every draw; the same
-    The draws are the same each time.
+    `cells` holds the cell of each trial number in `segments.trial`. The prior of the fit stays in every draw. The
+    draws are the same each time.
     """
     trials, rows = np.unique(segments.trial, return_inverse=True)
     normal = np.array([design.T @ design for design in (fit.design[rows == i] for i in range(len(trials)))])

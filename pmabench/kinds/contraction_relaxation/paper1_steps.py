@@ -1,9 +1,7 @@
 """Single steps as paper 1 reads them: stroke, time constant, stiffness from the braid; K and B_c with F_ce known.
 
 One load cannot tell F_ce from K x: every solution of F_L = F_ce - K x - B x' can be scaled. F_ce from elsewhere settles
-it; K and B are then fitted to all contractions at once as in `pooled`. Knows no trial kind and no interval.
-
-Knows samples and geometry; no interval, no protocol.
+it; K and B are then fitted to all contractions at once as in `pooled`. Knows samples and geometry; no interval.
 """
 
 from __future__ import annotations

@@ -265,7 +265,7 @@ def expected_noise(segments: Segments, fit: Solved, noise: Noise) -> Array:
 
 
 def noise_covariance(segments: Segments, fit: Solved, noise: Noise, late: Noise = ON_TIME) -> tuple[Array, Array]:
-    """Of the residuals, as in `segment_noise`: from the noise of the cell or, where none measures, in M x''; of the
+    """Of the residuals, as in `segments`: from the noise of the cell or, where none measures, in M x''; of the
     pressure, by the slope of F_ce - K x; of the displacement, by K and in the velocity by B.
     """
     P = segments.pressure

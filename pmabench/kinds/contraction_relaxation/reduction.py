@@ -48,7 +48,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
 
     `options`: `speed` (gate of the segments [m/s]), `replays` (how many), `static` = {"intercept" [N], "slope"
     [N/Pa]}, F_ce of a static-load study, for the one-parameter regression of K; `forms` = ["K=line", ...], as
-    `forms` has them, for a joint fit with these forms over pressure beside it; `bootstrap`, how many draws over trials;
+    `joint` has them, for a fit with these forms over pressure next to it; `bootstrap`, how many draws over trials;
     `regulator`: dead time and lags from the command to the pressure [s]; `polish`: the same coefficients by output
     error beside them.
     """

@@ -1,6 +1,6 @@
 """Reduction of free contraction: length over pressure, the sigmoid a to e through it, paper 2's formula beside it.
 
-Knows the samples at rest of each trial; words and figure are in `view`.
+Knows the samples at rest of each trial; words and figure are in `figures`.
 """
 
 from __future__ import annotations

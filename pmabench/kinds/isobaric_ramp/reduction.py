@@ -2,8 +2,7 @@
 
 A, B1 and B2 can be separated only where data come close to the pole at -B2; the curve itself is known long before.
 
-Knows the samples and the protocol's settings. One trial is measured in `ramp_loop`, one cell in `isobaric_cell`, the
-rubber's force is fitted in `rubber`.
+Knows the samples and the protocol's settings. One trial is measured in `ramp_loop`, one cell in `cell`.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Isometric pressurisation: F(P) at each contraction, S(eps), dead band, hysteresis; F_ce and K as a cross-check.
 
 Lines at one contraction come from `isometric_lines` and `curve`, S(eps) from `daerden`, what several
-contractions say at one pressure from `sections`; words, figures in `view`.
+contractions say at one pressure from `sections`; words and figures in `figures`.
 """
 
 from __future__ import annotations

@@ -64,7 +64,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     P on F_L, as it is P that carries the error.
 
     A load that was lifted hangs above its support when it breaks away again: with the option `stiffness` (K over
-    pressure from another test of the specimen, `break_away.option_of`) the mean is of pressures carried to x = 0; the
+    pressure from another test of the specimen, `points.option_of`) the mean is of pressures carried to x = 0; the
     sides by themselves are the paper's, as they were found.
     """
     points, dropped = points_of(runs)

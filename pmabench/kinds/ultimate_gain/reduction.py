@@ -1,6 +1,6 @@
 """Reduction of ultimate-gain runs: K_u and T_u of each set-point, refused where the loop does not oscillate as a sine.
 
-Trials of steps without a loop are reduced in `open_loop_gain`, those with a relay in `relay_gain`; here are those with
+Trials of steps without a loop are reduced in `open_loop`, those with a relay in `relay_gain`; here are those with
 a rising gain, and what all say together.
 
 Per level of gain the mean ln of the ratio of successive swings; a line through the last levels, K_u where it is 0.
