@@ -182,9 +182,9 @@ class Results:
 
     def report(self, path: Path | str, *, title: str | None = None, issuer: Issuer | None = None) -> Path:
         """Write the report as one HTML file; RecordError where it cannot be written."""
-        from pmabench.report.document.html import write_report
+        from pmabench.report.document.content import content_of, write_page
 
-        return write_report(self.analyses, self.runs, Path(path), title=title, issuer=issuer)
+        return write_page(content_of(self.analyses, self.runs, title=title, issuer=issuer), Path(path))
 
 
 def estimates_frame(analyses: Sequence[Analysis]) -> pd.DataFrame:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import datetime
+from dataclasses import asdict
 from pathlib import Path
 
 import click
 
 from pmabench.cli.common import Ui, common
+from pmabench.files.shipped import find_file
 
 
 @click.group(name="bench")
@@ -21,12 +24,8 @@ def command() -> None:
 @common
 def card(ui: Ui, bench: str, specimen: str | None, output: Path) -> int | None:
     """Write the card of BENCH: limits, what vents, what happens when something fails, wiring; one A4 page."""
-    import datetime
-    from dataclasses import asdict
-
     from pmabench.bench.card import make_card
     from pmabench.bench.compile import mount, mount_alone
-    from pmabench.files.shipped import find_file
     from pmabench.report.pages.bench_card import write_card
 
     path = find_file("bench", bench)

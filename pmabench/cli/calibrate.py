@@ -12,7 +12,12 @@ import click
 
 from pmabench.base.errors import UsageError
 from pmabench.base.quantities import CHANNEL_QUANTITY
-from pmabench.cli.common import Ui, common, say
+from pmabench.cli.common import Ui, common, read_quantity, say
+from pmabench.cli.operator import AtLines
+from pmabench.cli.outcome import outcome_json, print_outcome, progress_line
+from pmabench.engine.operator import ConfirmedBeforehand, Nobody
+from pmabench.files.shipped import find_file
+from pmabench.report.terminal import print_grid
 
 if TYPE_CHECKING:
     from pmabench.bench.compile import Mounted
@@ -59,18 +64,17 @@ def command(
 ) -> int:
     """Calibrate CHANNEL (force, pressure, displacement, angle; pressure_command: the regulator) by points."""
     from pmabench.bench.compile import mount
-    from pmabench.files.shipped import find_file
     from pmabench.session.calibration import Request, check, uncovered
 
     quantity = CHANNEL_QUANTITY.get(channel, "force")
     request = Request(
         channel,
-        tuple(_quantity(text, quantity, "--points") for text in points.split(",")),
+        tuple(read_quantity("--points", text, quantity) for text in points.split(",")),
         reference,
-        _quantity(reference_uncertainty, quantity, "--reference-uncertainty"),
+        read_quantity("--reference-uncertainty", reference_uncertainty, quantity),
         cycles,
         nominal=yes,
-        hold=_quantity(hold, "pressure", "--hold"),
+        hold=read_quantity("--hold", hold, "pressure"),
     )
     if request.reference_uncertainty < 0:
         raise UsageError("--reference-uncertainty: an uncertainty is not below zero")
@@ -86,19 +90,7 @@ def command(
     return done.outcome.exit_code
 
 
-def _quantity(text: str, quantity: str, option: str) -> float:
-    from pmabench.files.quantity import parse_quantity
-
-    try:
-        return parse_quantity(text.strip(), quantity)
-    except ValueError as error:
-        raise UsageError(f"{option}: {error}") from error
-
-
 def _run(ui: Ui, mounted: Mounted, request: Request, out: Path, operator: str, *, yes: bool) -> Calibrated:
-    from pmabench.cli.lines import AtLines
-    from pmabench.cli.progress import progress_line
-    from pmabench.engine.operator import ConfirmedBeforehand, Nobody
     from pmabench.session.calibration import calibrate
 
     lines = AtLines(realtime=mounted.bench.realtime)
@@ -108,7 +100,7 @@ def _run(ui: Ui, mounted: Mounted, request: Request, out: Path, operator: str, *
         while True:
             answer = lines.line(f"{text} ", wait)
             try:
-                return _quantity(answer, quantity, "reading")
+                return read_quantity("reading", answer, quantity)
             except UsageError as error:
                 say(str(error))
 
@@ -152,8 +144,6 @@ def _write(mounted: Mounted, request: Request, done: Calibrated, into: Path, unt
 
 
 def _show_result(ui: Ui, request: Request, done: Calibrated, path: Path | None, quantity: str) -> None:
-    from pmabench.cli.run import outcome_json, print_outcome
-    from pmabench.report.terminal import print_grid
     from pmabench.session.calibration import REGULATOR, as_json, budget
 
     data: dict[str, Any] = {
@@ -168,9 +158,8 @@ def _show_result(ui: Ui, request: Request, done: Calibrated, path: Path | None, 
         if done.fit is not None:
             console = ui.console()
             rows = [[name, value] for name, value in budget(done.fit, quantity, done.raw_unit)]
-            print_grid(
-                console, [f"calibration of {request.channel}", ""], rows, (f"calibration of {request.channel}", "")
-            )
+            heads = [f"calibration of {request.channel}", ""]
+            print_grid(console, heads, rows, heads)
         print_outcome(done.outcome)
         if path is None:
             return

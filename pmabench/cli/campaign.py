@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pmabench.cli.common import Ui, common, say, session_options
-from pmabench.cli.next_steps import show_next
+from pmabench.cli.outcome import outcome_json, show_next
+from pmabench.files.shipped import find_file
 
 if TYPE_CHECKING:
     from pmabench.engine.run import Outcome
@@ -27,8 +28,6 @@ def command(
     ui: Ui, file: str, out: Path, operator: str, session: dict[str, Any], *, yes: bool, resume: bool
 ) -> int | None:
     """Run every protocol of the campaign FILE in order; the first run that does not finish ends it."""
-    from pmabench.cli.run import outcome_json
-
     outcomes = run_campaign(ui, file, out, operator_name=operator, yes=yes, resume=resume, session=session)
     data = {"schema": "pmabench.campaign-outcome/1", "runs": [outcome_json(outcome) for outcome in outcomes]}
     ui.result(data, lambda: click.echo("".join(f"{outcome.folder}\n" for outcome in outcomes), nl=False))
@@ -58,7 +57,6 @@ def run_campaign(
     """Run the campaign `file`; `seed` replaces that of simulated devices; `resume` goes on with what `out` holds."""
     from pmabench.cli.prepare import Prepared, seeded
     from pmabench.cli.run import execute
-    from pmabench.files.shipped import find_file
     from pmabench.kinds.campaign import plan_campaign
 
     name, planned = plan_campaign(find_file("campaign", file))

@@ -1,20 +1,26 @@
-"""`pmabench cascade`: muscles end to end with pressures of their own: simulate, draw, play again."""
+"""`pmabench cascade`: muscles end to end with pressures of their own: simulate, draw, play again in real time."""
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from shutil import get_terminal_size
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from pmabench.cli.common import Ui, common
+from pmabench.base.clock import RealClock
+from pmabench.base.errors import UsageError
+from pmabench.base.quantities import show
+from pmabench.cli.common import Ui, common, fields, rewrite, say
+from pmabench.files.shipped import find_file
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
+    from pmabench.base.clock import Clock
     from pmabench.model.cascade import Course
     from pmabench.model.curve import Array
-    from pmabench.report.cascade.cascade_record import Result
+    from pmabench.report.cascade_record import Result
 
 ROWS = 25
 """Rows of the table for people."""
@@ -47,10 +53,9 @@ def simulate(ui: Ui, file: str, out: Path | None, moments: tuple[str, ...], *, p
     """Simulate the chain of a cascade FILE (or the shipped paper1, unlike) as fast as possible, or paced."""
     import numpy as np
 
-    from pmabench.files.shipped import find_file
     from pmabench.model import cascade
     from pmabench.protocol.cascade import read_cascade
-    from pmabench.report.cascade.cascade_record import Head, result
+    from pmabench.report.cascade_record import result
 
     _not_both(ui, as_csv=as_csv)
     plan = read_cascade(find_file("cascade", file))
@@ -65,14 +70,9 @@ def simulate(ui: Ui, file: str, out: Path | None, moments: tuple[str, ...], *, p
         pace_kept = {"simulated": float(times[-1]), "elapsed": elapsed}
     else:
         course = cascade.simulate(members, times)
-    head = Head(
-        plan.name,
-        plan.source,
-        plan.load[0],
-        plan.fce_eval,
-        [(m.name, m.law, m.length, m.radius, m.braid_angle, m.assumed) for m in plan.muscles],
-    )
-    _deliver(ui, result(head, course, pace_kept), out, at, result_too=True, as_csv=as_csv)
+    about = fields(plan, "name", "source", "fce_eval") | {"load": plan.load[0]}
+    muscles = [fields(m, "name", "law", "length", "radius", "braid_angle", "assumed") for m in plan.muscles]
+    _deliver(ui, result(about, muscles, course, pace_kept), out, at, result_too=True, as_csv=as_csv)
     return None
 
 
@@ -86,7 +86,7 @@ def replay(ui: Ui, source: Path, out: Path | None, moments: tuple[str, ...], *, 
     import numpy as np
 
     from pmabench.model.cascade import Course
-    from pmabench.report.cascade.cascade_record import read_result
+    from pmabench.report.cascade_record import read_result
 
     _not_both(ui, as_csv=as_csv)
     found = read_result(source)
@@ -108,11 +108,9 @@ def replay(ui: Ui, source: Path, out: Path | None, moments: tuple[str, ...], *, 
 
 
 def _play(ui: Ui, times: Array, step: Callable[[Array], Course], lengths: list[float]) -> tuple[Course, float]:
-    """The whole course in real time, and how long it took [s]."""
+    """Simulate or replay in real time; the whole course, and how long it took [s]."""
     import numpy as np
 
-    from pmabench.base.clock import RealClock
-    from pmabench.cli.cascade_pace import paced, show_ended, show_pace, shower
     from pmabench.model.cascade import Course
 
     blocks, elapsed = paced(times, step, RealClock(), shower(ui, lengths))
@@ -124,15 +122,12 @@ def _play(ui: Ui, times: Array, step: Callable[[Array], Course], lengths: list[f
 
 
 def _not_both(ui: Ui, *, as_csv: bool) -> None:
-    from pmabench.base.errors import UsageError
-
     if as_csv and ui.json:
         raise UsageError("--csv or --json, not both")
 
 
 def _moments(texts: tuple[str, ...], last: float, out: Path | None) -> list[float]:
     """The moments of the still [s]; UsageError with all that is wrong."""
-    from pmabench.base.errors import UsageError
     from pmabench.files.quantity import parse_quantity
 
     found, problems = [], []
@@ -152,15 +147,15 @@ def _moments(texts: tuple[str, ...], last: float, out: Path | None) -> list[floa
 
 
 def _deliver(ui: Ui, found: Result, out: Path | None, moments: list[float], *, result_too: bool, as_csv: bool) -> None:
-    """Write what was asked for, and show the result."""
-    from pmabench.report.cascade.cascade_record import as_data, csv_text, write_result
+    """Write the files that were requested, and show the result."""
+    from pmabench.report.cascade_record import csv_text, write_result
 
     written = write_result(found, out) if out is not None and result_too else []
     if out is not None:
-        from pmabench.report.cascade.cascade_page import write_drawings
+        from pmabench.report.cascade_page import write_drawings
 
         written += write_drawings(found, out, moments)
-    data = as_data(found) | {"written": [str(path) for path in written]}
+    data = found.model_dump(by_alias=True) | {"written": [str(path) for path in written]}
 
     def human() -> None:
         if as_csv:
@@ -175,11 +170,10 @@ def _deliver(ui: Ui, found: Result, out: Path | None, moments: list[float], *, r
 
 
 def _show_result(ui: Ui, found: Result) -> None:
-    """Who is in the chain, and the totals in time."""
+    """Print the muscles of the chain, and a table of the totals over time."""
     import numpy as np
 
-    from pmabench.base.quantities import show
-    from pmabench.cli.model_table import print_table
+    from pmabench.cli.model_inputs import print_table
 
     convention = f"; F_ce of the printed model at {found.fce_eval}" if found.fce_eval else ""
     click.echo(f"SIMULATED: {found.name}; load {show(found.load, 'force')}{convention}\n")
@@ -206,3 +200,82 @@ def _show_result(ui: Ui, found: Result) -> None:
         "\nThe force of the chain is what it pulls with if it is held where it is: that of one muscle.\n"
         "The sum of F_ce is a sum of coefficients, which paper 1 calls total F_ce; nothing feels it."
     )
+
+
+BLOCK = 0.05
+"""Time of one block [s]."""
+CLOSE = 0.02
+"""How far elapsed and simulated time may lie apart."""
+WIDTH, MARGIN = 60, 30
+"""Letters of the whole chain where there is room, and of what is next to it."""
+Show = Callable[[float, Sequence[float], Sequence[bool]], None]
+"""Takes the time [s], the contraction of each muscle [m], and which of them are under pressure."""
+
+
+def paced(times: Array, step: Callable[[Array], Course], clock: Clock, show: Show) -> tuple[list[Course], float]:
+    """Take `times` [s] block by block, each ending no earlier than its moment; the blocks and the seconds elapsed."""
+    import numpy as np
+
+    begin = clock.now()
+    blocks: list[Course] = []
+    edges = np.arange(1, int(times[-1] / BLOCK) + 2) * BLOCK + 1e-9
+    for part in np.split(times, np.searchsorted(times, edges, side="right")):
+        if len(part) == 0:
+            continue
+        course = step(part)
+        blocks.append(course)
+        clock.wait_until(begin + float(part[-1]))
+        show(float(part[-1]), course.x[:, -1].tolist(), (course.P[:, -1] > 0).tolist())
+    return blocks, clock.now() - begin
+
+
+def show_pace(ui: Ui, simulated: float, elapsed: float) -> None:
+    """Say how well the pace was kept."""
+    apart = elapsed / simulated - 1
+    if abs(apart) <= CLOSE:
+        ui.note(f"{simulated:.3f} s in {elapsed:.3f} s ({100 * apart:+.2f} %)")
+    else:
+        ui.note(
+            f"{simulated:.3f} s took {elapsed:.3f} s ({100 * apart:+.1f} %): this computer does not keep up; take a "
+            "lower sample_rate, or leave --pace"
+        )
+
+
+def shower(ui: Ui, lengths: Sequence[float]) -> Show:
+    """Draws the chain as a line of text on stderr: in place on a terminal, else once a second; quiet: nothing."""
+    live = sys.stderr.isatty()
+    last = [-1.0]
+
+    def show(t: float, x: Sequence[float], on: Sequence[bool]) -> None:
+        if ui.quiet or (not live and t - last[0] < 1 - 1e-9):
+            return
+        last[0] = t
+        width = min(max(get_terminal_size().columns - MARGIN, 10), WIDTH) if live else WIDTH
+        text = f"{t:8.2f} s {drawn(lengths, x, on, width)} x {1e3 * sum(x):7.2f} mm"
+        if live:
+            rewrite(text)
+        else:
+            say(text)
+
+    return show
+
+
+def show_ended(ui: Ui) -> None:
+    """Leave the line that was drawn in place."""
+    if sys.stderr.isatty() and not ui.quiet:
+        say("")
+
+
+def drawn(lengths: Sequence[float], x: Sequence[float], on: Sequence[bool], width: int = WIDTH) -> str:
+    """The chain between its fixed end and where its free end rests: muscles as long as they are, `=` under pressure.
+
+    >>> drawn([0.3, 0.3], [0.1, 0.0], [True, False])
+    '|[==================][----------------------------]o          .'
+    """
+    whole, place, text = sum(lengths), 0.0, ""
+    for length, contraction, pressed in zip(lengths, x, on, strict=True):
+        place += length - contraction
+        wide = round(width * place / whole) - len(text)
+        sign = "=" if pressed else "-"
+        text += f"[{sign * (wide - 2)}]" if wide > 2 else sign * wide
+    return f"|{text}o".ljust(width + 2) + "."

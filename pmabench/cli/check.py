@@ -8,8 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from pmabench.cli.common import Ui, common, plan_options
-from pmabench.cli.space import needed, size, too_little
+from pmabench.base.errors import UsageError
+from pmabench.base.quantities import CHANNEL_QUANTITY, in_words, show
+from pmabench.cli.common import Ui, common, fields, plan_options
+from pmabench.engine.operator import ConfirmedBeforehand
+from pmabench.report.terminal import print_grid
 
 if TYPE_CHECKING:
     from pmabench.bench.compile import Mounted
@@ -34,7 +37,7 @@ def command(
     simulate: bool,
 ) -> int | None:
     """Check PROTOCOL against a bench and a specimen, and show the plan."""
-    from pmabench.cli.prepare import prepare
+    from pmabench.cli.prepare import prepare, too_little
 
     prepared = prepare(protocol, bench, specimen, settings)
     plan, mounted, warnings = prepared.plan, prepared.mounted, prepared.warnings()
@@ -62,6 +65,7 @@ def plan_summary(plan: Plan, mounted: Mounted) -> dict[str, Any]:
 
     The duration holds the session that comes first, where the bench declares one and none counts now.
     """
+    from pmabench.cli.prepare import needed
     from pmabench.session.length import session_length
     from pmabench.session.state import kept, out_of_date, utc_now
 
@@ -76,9 +80,7 @@ def plan_summary(plan: Plan, mounted: Mounted) -> dict[str, Any]:
     rows = plan.rows()
     return {
         "schema": "pmabench.check/1",
-        "kind": plan.kind,
-        "name": plan.name,
-        "source": plan.source,
+        **fields(plan, "kind", "name", "source", "hazards"),
         "bench": mounted.bench.name,
         "plants": _plants(mounted),
         "trials": len(plan.trials),
@@ -89,16 +91,13 @@ def plan_summary(plan: Plan, mounted: Mounted) -> dict[str, Any]:
         "bytes": needed(plan),
         "commands": {
             name: {
-                "lowest": low,
-                "highest": high,
+                **{"lowest": low, "highest": high, "quantity": outputs[name].quantity},
                 "limits": [outputs[name].low, outputs[name].high],
                 "limits_from": [outputs[name].low_from, outputs[name].high_from],
-                "quantity": outputs[name].quantity,
             }
             for name, (low, high) in plan.commands().items()
         },
         "lacks": list(mounted.lacks),
-        "hazards": list(plan.hazards),
         "plan_sha256": plan.sha256,
     }
 
@@ -113,17 +112,13 @@ def _plants(mounted: Mounted) -> dict[str, str]:
 
 
 def _simulate(plan: Plan, mounted: Mounted) -> dict[str, Any]:
-    from pmabench.base.errors import UsageError
-    from pmabench.engine.operator import ConfirmedBeforehand
     from pmabench.engine.run import run_plan
 
     if mounted.bench.realtime:
         raise UsageError('--simulate needs a bench with "time: virtual", for instance --bench mock')
     outcome = run_plan(plan, mounted, ConfirmedBeforehand(), out=None)
     return {
-        "status": outcome.status,
-        "exit_code": outcome.exit_code,
-        "why": outcome.why,
+        **fields(outcome, "status", "exit_code", "why"),
         "duration": outcome.bench_seconds,
         "measured": {name: {"lowest": low, "highest": high} for name, (low, high) in outcome.extremes.items()},
         "trials_failed": [index + 1 for index in outcome.trials_failed],
@@ -131,8 +126,7 @@ def _simulate(plan: Plan, mounted: Mounted) -> dict[str, Any]:
 
 
 def _print(ui: Ui, plan: Plan, summary: dict[str, Any], peaks: dict[str, Any] | None, warnings: list[str]) -> None:
-    from pmabench.base.quantities import CHANNEL_QUANTITY, in_words, show
-    from pmabench.report.terminal import print_grid
+    from pmabench.cli.prepare import size
 
     console = ui.console()
     console.print(f"{plan.name} ({plan.kind})\n  source    {plan.source}\n  bench     {summary['bench']}")

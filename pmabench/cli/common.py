@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, TextIO, cast
 
 import click
 
-from pmabench.base.errors import InvalidFile, PmaError, RecordError
+from pmabench.base.errors import InvalidFile, PmaError, RecordError, UsageError
 from pmabench.base.text import Spelled, raw, spelled
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 @dataclass
 class Ui:
-    """Where a command prints: results on stdout, everything else on stderr; quiet: results and errors only."""
+    """Output of a command: results on stdout, everything else on stderr; quiet: results and errors only."""
 
     json: bool = False
     verbose: bool = False
@@ -71,7 +71,7 @@ class Ui:
         from rich.segment import Segment
 
         class Plain(Console):
-            """Leaves a closed pipe to the command, and spells texts, as any other output does."""
+            """A console that leaves a closed pipe to the command, and spells control characters."""
 
             def on_broken_pipe(self) -> None:
                 raise BrokenPipeError(EPIPE, os.strerror(EPIPE))
@@ -205,7 +205,7 @@ def plan_options(*, required: bool = True) -> Callable[[Callable[..., Any]], Cal
 
 
 def session_options(function: Callable[..., Any]) -> Callable[..., Any]:
-    """How the session before a run is held; together one argument `session`."""
+    """Options of the session before a run; passed on as one argument `session`."""
 
     @click.option("--new-session", is_flag=True, help="Warm-up, self-test and zeros again, though a session counts.")
     @click.option("--skip-warm-up", is_flag=True, help="Leave the warm-up of the session out; with --because.")
@@ -217,6 +217,21 @@ def session_options(function: Callable[..., Any]) -> Callable[..., Any]:
         return function(*args, session={"anew": new_session, "skip_warm_up": because.strip()}, **kwargs)
 
     return command
+
+
+def read_quantity(option: str, text: str, quantity: str) -> float:
+    """The value [SI] of what was typed with its unit; UsageError that names the option."""
+    from pmabench.files.quantity import parse_quantity
+
+    try:
+        return parse_quantity(text.strip(), quantity)
+    except ValueError as error:
+        raise UsageError(f"{option}: {error}") from error
+
+
+def fields(thing: object, *names: str) -> dict[str, Any]:
+    """These attributes by name, for JSON."""
+    return {name: getattr(thing, name) for name in names}
 
 
 def login_name() -> str:

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pmabench.base.errors import InvalidFile, UsageError, invalid
-from pmabench.cli.common import Ui, common
+from pmabench.cli.common import Ui, common, fields, read_quantity
+from pmabench.report.terminal import print_grid
 
 if TYPE_CHECKING:
     from pmabench.analysis.results import Analysis, Estimate
@@ -45,15 +46,15 @@ def command(
 ) -> int | None:
     """Hold A against B, the reference: differences with their 95 % interval and E_n number.
 
-    A and B are analysis folders, folders of them, or runs (processed now, unless `process` did that and nothing
-    has changed since); B may be a CSV of published values, with
-    FILE.csv:LABEL. Without B the two methods of A given with --method are compared.
+    A and B are analysis folders, folders of them, or runs (processed now, unless `process` did that and nothing has
+    changed since); B may be a CSV of published values, with FILE.csv:LABEL. Without B the two methods of A given with
+    --method are compared.
     """
     from pmabench.analysis.verdict.comparison import Comparison, compare, not_accepted
     from pmabench.plotting.wording import clean
 
     limits = [_limit(text) for text in accepted]
-    pressures = [_quantity("--at", text, "pressure") for text in places]
+    pressures = [read_quantity("--at", text, "pressure") for text in places]
     if output is not None and output.is_fifo():
         raise UsageError(f"{output} is a pipe; give the name of a file")
     if len(methods) > 2 or (b is None and len(methods) != 2):
@@ -101,7 +102,7 @@ def _limit(text: str) -> tuple[str, float]:
         raise UsageError(f'--accept "{text}": expected "E_n<=1" or "difference<=2 %"')
     measure, limit = found.groups()
     if measure == "difference":
-        value = _quantity("--accept", limit, "ratio")
+        value = read_quantity("--accept", limit, "ratio")
     else:
         try:
             value = float(limit)
@@ -110,15 +111,6 @@ def _limit(text: str) -> tuple[str, float]:
     if not 0 < value < float("inf"):
         raise UsageError(f'--accept "{text}": a limit is above 0')
     return measure, value
-
-
-def _quantity(option: str, text: str, quantity: str) -> float:
-    from pmabench.files.quantity import parse_quantity
-
-    try:
-        return parse_quantity(text, quantity)
-    except ValueError as error:
-        raise UsageError(f'{option} "{text}": {error}') from error
 
 
 def _is_table(text: str) -> bool:
@@ -201,29 +193,17 @@ def _json(
     left: Side, right: Side, found: Comparison, curves: Sequence[Published], failed: Sequence[str]
 ) -> dict[str, Any]:
     def side(one: Side) -> dict[str, Any]:
-        runs = sorted(one.runs)
-        return {"name": one.name, "about": one.about, "runs": runs, "simulated": one.simulated}
+        return fields(one, "name", "about", "simulated") | {"runs": sorted(one.runs)}
 
     def value(e: Estimate) -> dict[str, Any]:
-        return {"value": e.value, "half_width": e.parts.combined, "n": e.n, "method": e.method}
+        return fields(e, "value", "n", "method") | {"half_width": e.parts.combined}
 
     def difference(d: Difference) -> dict[str, Any]:
         return {
-            "kind": d.kind,
-            "symbol": d.a.symbol,
-            "coordinate": d.a.coordinate,
-            "at": dict(d.a.at),
-            "unit": d.a.unit,
-            "quantity": d.a.quantity,
-            "a": value(d.a),
-            "b": value(d.b),
-            "difference": d.value,
-            "half_width": d.half,
-            "relative": d.relative,
-            "E_n": d.score,
-            "agrees": d.agrees,
-            "between_points": d.between,
-            "term": d.term,
+            **fields(d.a, "symbol", "coordinate", "at", "unit", "quantity"),
+            **fields(d, "kind", "relative", "agrees", "term"),
+            **{"a": value(d.a), "b": value(d.b), "between_points": d.between},
+            **{"difference": d.value, "half_width": d.half, "E_n": d.score},
         }
 
     return {
@@ -232,7 +212,7 @@ def _json(
         "b": side(right),
         "differences": [difference(d) for d in found.differences],
         "curves": [vars(one) for one in curves],
-        "findings": [{"level": f.level, "text": f.text} for f in found.findings],
+        "findings": [fields(f, "level", "text") for f in found.findings],
         "verdicts": list(failed),
     }
 
@@ -241,8 +221,7 @@ def _print(
     ui: Ui, left: Side, right: Side, found: Comparison, curves: Sequence[Published], last: Sequence[str]
 ) -> None:
     from pmabench.plotting.wording import clean
-    from pmabench.report.pages.comparison_tables import curve_rows, rows_of
-    from pmabench.report.terminal import print_grid
+    from pmabench.report.pages.comparison_page import curve_rows, rows_of
 
     console = ui.console(columns=140)
     for side in (left, right):

@@ -18,7 +18,7 @@ def command(ui: Ui, out: Path, seed: int) -> int | None:
     """Characterise a simulated muscle: run every shipped kind of protocol, fit, and write the report."""
     from pmabench.cli.campaign import run_campaign, severity
     from pmabench.cli.process import analyse, chains, load_runs, print_analyses, write
-    from pmabench.report.document.html import write_report
+    from pmabench.report.document.content import content_of, write_page
     from pmabench.store.analyses.made_from import key_of
 
     started = time.monotonic()
@@ -33,7 +33,8 @@ def command(ui: Ui, out: Path, seed: int) -> int | None:
     runs = load_runs(recorded_in)
     analyses = analyse(runs)
     folders = write(analyses, runs, out / "analyses" / runs[0].id, key)
-    report = write_report(analyses, runs, out / "report.html", title="Characterisation of a simulated MAS-20-250")
+    content = content_of(analyses, runs, title="Characterisation of a simulated MAS-20-250")
+    report = write_page(content, out / "report.html")
     elapsed = time.monotonic() - started
     data = {
         "schema": "pmabench.demo/1",

@@ -1,6 +1,6 @@
-"""`pmabench devices`: drivers that are installed, what a bench's devices answer, the self-test of a bench.
+"""`pmabench devices`: installed drivers, what devices answer, the self-test of a bench, conformance of a driver.
 
-`read` and `set` are in `pmabench.cli.devices_values`, `conformance` in `pmabench.cli.devices_conformance`.
+`read` and `set` are in `pmabench.cli.devices_values`.
 """
 
 from __future__ import annotations
@@ -13,11 +13,19 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from pmabench.base.errors import DeviceError, UsageError
-from pmabench.cli import devices_conformance, devices_values
-from pmabench.cli.common import Ui, common
+from pmabench.base.clock import RealClock
+from pmabench.base.errors import DeviceError, UsageError, VerdictFailed, did_you_mean
+from pmabench.base.quantities import show
+from pmabench.cli.common import Ui, common, fields, say
+from pmabench.cli.devices_values import read, set_
+from pmabench.cli.operator import AtLines
+from pmabench.cli.outcome import outcome_json, print_checks, print_outcome, progress_line
+from pmabench.engine.operator import ConfirmedBeforehand, Nobody, Operator
+from pmabench.files.shipped import find_file
+from pmabench.report.terminal import print_grid
 
 if TYPE_CHECKING:
+    from pmabench.conformance import Result
     from pmabench.session.checks import Check
 
 CAPABILITIES = {
@@ -39,9 +47,8 @@ def command() -> None:
     """Drivers that are installed, and what the devices of a bench answer."""
 
 
-command.add_command(devices_values.read)
-command.add_command(devices_values.set_)
-command.add_command(devices_conformance.conformance)
+command.add_command(read)
+command.add_command(set_)
 
 
 @command.command(name="list")
@@ -76,8 +83,6 @@ def _driver(name: str, target: str) -> dict[str, Any]:
 
 
 def _print_drivers(ui: Ui, rows: Sequence[dict[str, Any]]) -> None:
-    from pmabench.report.terminal import print_grid
-
     heads = ["driver", "verified", "can"]
     table = [[row["name"], row["verified"], row["problem"] or ", ".join(row["can"])] for row in rows]
     print_grid(ui.console(), heads, table, heads)
@@ -114,8 +119,6 @@ def probe(
     if (bench is None) == (driver is None) or (driver is None) != (address is None) or (test and bench is None):
         raise UsageError("give a BENCH, or --driver and --address of one device")
     if driver is not None and address is not None:
-        from pmabench.cli.devices_alone import who_answers
-
         identities = who_answers(driver, address, options)
         data: dict[str, Any] = {"schema": "pmabench.probe/1", "bench": None, "devices": identities, "channels": []}
         ui.result(data, lambda: _print_probe(ui, identities, []))
@@ -138,7 +141,6 @@ def _read_once(bench: str) -> tuple[str, dict[str, dict[str, Any]], list[dict[st
     """Name of the bench, who answers by device, and a row for each channel with the mean and noise of half a second."""
     from pmabench.bench.compile import mount_alone
     from pmabench.engine.untried import doubt
-    from pmabench.files.shipped import find_file
     from pmabench.session.listening import listen
     from pmabench.session.look import looking
 
@@ -157,28 +159,16 @@ def _read_once(bench: str) -> tuple[str, dict[str, dict[str, Any]], list[dict[st
     for channel in compiled.channels:
         one = series.get(channel.name)
         reading = one.reading() if one is not None else None
-        channels.append(
-            {
-                "channel": channel.name,
-                "device": channel.device,
-                "input": channel.input,
-                "quantity": channel.quantity,
-                "raw": channel.scale.to_raw(reading.mean) if reading else None,
-                "raw_unit": channel.raw_unit,
-                "value": reading.mean if reading else None,
-                "noise": reading.noise if reading else None,
-            }
-        )
+        about = {"channel": channel.name} | fields(channel, "device", "input", "quantity", "raw_unit")
+        measured = (channel.scale.to_raw(reading.mean), reading.mean, reading.noise) if reading else (None,) * 3
+        channels.append(about | dict(zip(("raw", "value", "noise"), measured, strict=True)))
     return compiled.name, identities, channels
 
 
 def _print_probe(ui: Ui, identities: dict[str, dict[str, Any]], channels: Sequence[dict[str, Any]]) -> None:
-    from pmabench.base.quantities import show
-    from pmabench.report.terminal import print_grid
-
     console = ui.console()
     rows = [
-        [name, f"{i['maker']} {i['model']}", i["serial"], i["firmware"], _standing(i)] for name, i in identities.items()
+        [name, f"{i['maker']} {i['model']}", i["serial"], i["firmware"], _proven(i)] for name, i in identities.items()
     ]
     heads = ["device", "answers as", "serial", "firmware", ""]
     print_grid(console, heads, rows, heads)
@@ -187,20 +177,15 @@ def _print_probe(ui: Ui, identities: dict[str, dict[str, Any]], channels: Sequen
     console.print()
     table = []
     for row in channels:
-        given = row["value"] is not None
-        table.append(
-            [
-                row["channel"],
-                f"{row['device']}.{row['input']}",
-                f"{row['raw']:.6g} {row['raw_unit']}" if given else "no sample",
-                show(row["value"], row["quantity"], 5) if given else "",
-                show(row["noise"], row["quantity"], 2) if given else "",
-            ]
-        )
+        values = ["no sample", "", ""]
+        if row["value"] is not None:
+            measured = [show(row[name], row["quantity"], digits) for name, digits in (("value", 5), ("noise", 2))]
+            values = [f"{row['raw']:.6g} {row['raw_unit']}", *measured]
+        table.append([row["channel"], f"{row['device']}.{row['input']}", *values])
     print_grid(console, ["channel", "wire", "raw", "value", "noise (rms)"], table, ("channel", "wire"))
 
 
-def _standing(identity: dict[str, Any]) -> str:
+def _proven(identity: dict[str, Any]) -> str:
     """Whether a device is simulated, and its scales not proven by that, or what its driver was verified on."""
     from pmabench.bench.interface import UNPROVEN
 
@@ -211,12 +196,6 @@ def _standing(identity: dict[str, Any]) -> str:
 
 def _self_test(ui: Ui, bench: str, specimen: str, out: Path, operator: str, *, yes: bool) -> int:
     from pmabench.bench.compile import mount
-    from pmabench.cli.checks import print_checks
-    from pmabench.cli.lines import AtLines
-    from pmabench.cli.progress import progress_line
-    from pmabench.cli.run import outcome_json, print_outcome
-    from pmabench.engine.operator import ConfirmedBeforehand, Nobody, Operator
-    from pmabench.files.shipped import find_file
     from pmabench.session.self_test import run_self_test
     from pmabench.store.folder import read_manifest
 
@@ -250,3 +229,90 @@ def _self_test(ui: Ui, bench: str, specimen: str, out: Path, operator: str, *, y
 
     ui.result(data, human)
     return outcome.exit_code
+
+
+def who_answers(driver: str, address: str, options: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """Open a device by the name of its driver (or `module:Class`) and its address, ask who it is, and close.
+
+    `options` are those of a bench file, as name=value. Raises UsageError where they cannot be read, DeviceError where
+    the driver refuses them or nobody answers.
+    """
+    from pmabench.bench.interface import DeviceRecord
+    from pmabench.bench.registry import driver_class, verified
+    from pmabench.engine.untried import doubt
+    from pmabench.guard.links import OPENS_WITHIN, load_driver
+    from pmabench.guard.owner import Owner
+
+    try:
+        target = driver_class(driver)
+    except ValueError as error:
+        raise UsageError(f"--driver: {error}; or give module:Class") from error
+    record = DeviceRecord("device", target, address, dict(_option(text) for text in options))
+    device = load_driver(record, RealClock())
+    owner = Owner(record.name)
+    try:
+        identity = owner.call(device.open, OPENS_WITHIN)
+    finally:
+        owner.call(device.close, OPENS_WITHIN)
+    record = DeviceRecord("device", target, address, verified=verified(type(device)))
+    return {record.name: {**vars(identity), "verified": record.verified, "doubt": doubt(record, identity)}}
+
+
+def _option(text: str) -> tuple[str, Any]:
+    """`rate=50 Hz` as a bench file would give it."""
+    from ruamel.yaml import YAML
+    from ruamel.yaml.error import YAMLError
+
+    name, equals, value = text.partition("=")
+    if not equals or not name:
+        raise UsageError(f'--option: "{text}" is not name=value, for instance rate=50 Hz')
+    try:
+        return name, YAML(typ="safe", pure=True).load(value)
+    except YAMLError as error:
+        raise UsageError(f'--option {name}: "{value}" cannot be read as in a bench file') from error
+
+
+@command.command(name="conformance")
+@click.argument("driver")
+@click.option("--bench", help="Bench file with a device of this driver; else the shipped one with most to try.")
+@click.option("--device", help="Its name in the bench file; else the one of this driver with most to try.")
+@click.option("--hostile", type=click.IntRange(0, 10_000_000), default=300, show_default=True, help="Damaged answers.")
+@click.option("--seed", type=int, default=1, show_default=True, help="Which damage; the same seed, the same damage.")
+@click.option("--check", "only", multiple=True, metavar="NAME", help="Only this one; may be repeated.")
+@common
+def conformance(
+    ui: Ui, driver: str, bench: str | None, device: str | None, hostile: int, seed: int, only: tuple[str, ...]
+) -> int:
+    """Try DRIVER (its name, or module:Class) against its own emulator: one line for each promise of a driver.
+
+    What is tried is a device of a bench file, with the emulator behind its own wire; no address of the file is
+    reached. Exit code 6 where a check fails. How to write a driver: docs/drivers.md.
+    """
+    from pmabench.conformance import FAILED, run, subject
+    from pmabench.conformance.suite import CHECKS, HOSTILE
+
+    for name in only:
+        if name not in CHECKS and name != HOSTILE:
+            raise UsageError(f'no check "{name}"{did_you_mean(name, [*CHECKS, HOSTILE])}')
+    tried = subject(driver, find_file("bench", bench) if bench else None, device)
+    ui.note(f"{tried.record.driver} as {tried.record.name} of {tried.bench}")
+    results: list[Result] = []
+    for result in run(tried, hostile=hostile, seed=seed, only=only):
+        results.append(result)
+        if not ui.json and (result.verdict == FAILED or not ui.quiet):
+            click.echo(f"{result.verdict:<15} {result.check:<16} {result.why}")
+    failed = [result.check for result in results if result.verdict == FAILED]
+    data = {
+        "schema": "pmabench.conformance/1",
+        "driver": tried.record.driver,
+        "device": tried.record.name,
+        "bench": tried.bench,
+        "hostile": hostile,
+        "seed": seed,
+        "checks": [asdict(result) for result in results],
+    }
+    if ui.json:
+        ui.result(data, lambda: None)
+    if failed:
+        say(f"{len(failed)} of {len(results)} checks failed: {', '.join(failed)}")
+    return VerdictFailed.exit_code if failed else 0

@@ -5,13 +5,19 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Mapping
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from pmabench.base.errors import DeviceError, UsageError, did_you_mean
-from pmabench.cli.common import Ui, common
+from pmabench.base.quantities import CHANNEL_QUANTITY, QUANTITIES, show
+from pmabench.cli.common import Ui, common, fields, read_quantity
+from pmabench.cli.operator import AtLines
+from pmabench.cli.outcome import show_outcome
+from pmabench.engine.operator import ConfirmedBeforehand, Operator
+from pmabench.files.shipped import find_file
 
 if TYPE_CHECKING:
     from pmabench.bench.interface import ChannelRecord
@@ -38,7 +44,6 @@ SHOWN = 1.0
 def read(ui: Ui, bench: str, channel: str, lasting: str | None, rate: str) -> None:
     """Read one CHANNEL of BENCH: its value with unit, and what the device gave. Arms nothing and commands nothing."""
     from pmabench.bench.compile import mount_alone
-    from pmabench.files.shipped import find_file
     from pmabench.session.look import looking
 
     seconds = None if lasting is None else _above_zero(lasting, "time", "--for")
@@ -57,12 +62,7 @@ def read(ui: Ui, bench: str, channel: str, lasting: str | None, rate: str) -> No
 
 
 def _above_zero(text: str, quantity: str, option: str) -> float:
-    from pmabench.files.quantity import parse_quantity
-
-    try:
-        value = parse_quantity(text.strip(), quantity)
-    except ValueError as error:
-        raise UsageError(f"{option}: {error}") from error
+    value = read_quantity(option, text, quantity)
     if not value > 0:
         raise UsageError(f'{option}: "{text}" is not above zero')
     return value
@@ -89,9 +89,6 @@ def _listen(look: Look, record: ChannelRecord, seconds: float | None) -> Reading
 
 def _reading_json(record: ChannelRecord, reading: Reading, rate: float, *, averaged: bool) -> dict[str, Any]:
     """The documented object; numbers that are none, as those of a broken wire, are null."""
-    from math import isfinite
-
-    from pmabench.base.quantities import QUANTITIES
 
     def number(value: float) -> float | None:
         return value if isfinite(value) else None
@@ -99,13 +96,10 @@ def _reading_json(record: ChannelRecord, reading: Reading, rate: float, *, avera
     return {
         "schema": "pmabench.reading/1",
         "channel": record.name,
-        "device": record.device,
-        "input": record.input,
-        "quantity": record.quantity,
+        **fields(record, "device", "input", "quantity", "raw_unit"),
         "value": number(reading.mean),
         "unit": QUANTITIES[record.quantity].unit,
         "raw": number(float(record.scale.to_raw(reading.mean))),
-        "raw_unit": record.raw_unit,
         "noise": number(reading.noise) if averaged else None,
         "drift": number(reading.drift) if averaged else None,
         "samples": reading.count,
@@ -115,8 +109,6 @@ def _reading_json(record: ChannelRecord, reading: Reading, rate: float, *, avera
 
 
 def _print_reading(record: ChannelRecord, reading: Reading, data: Mapping[str, Any]) -> None:
-    from pmabench.base.quantities import show
-
     def shown(value: float, digits: int) -> str:
         return show(value, record.quantity, digits)
 
@@ -162,27 +154,16 @@ def set_(
     run of kind setup. It ends by --for or by Ctrl-C, and vents on every way out.
     """
     from pmabench.bench.compile import mount
-    from pmabench.cli.lines import AtLines
-    from pmabench.cli.run import show_outcome
-    from pmabench.engine.operator import ConfirmedBeforehand, Operator
-    from pmabench.files.quantity import parse_quantity
-    from pmabench.files.shipped import find_file
     from pmabench.session.jog import hold_at
 
     seconds = None if lasting is None else _above_zero(lasting, "time", "--for")
     mounted = mount(find_file("bench", bench), find_file("specimen", specimen))
     known = {record.name: record for record in mounted.bench.outputs}
     if output not in known:
-        what = (
-            "is a valve, which runs and the safe state switch"
-            if output in mounted.bench_file.valves
-            else "is not there"
-        )
+        valve = output in mounted.bench_file.valves
+        what = "is a valve, which runs and the safe state switch" if valve else "is not there"
         raise UsageError(f'the output "{output}" of "{mounted.bench.name}" {what}{did_you_mean(output, known)}')
-    try:
-        wanted = parse_quantity(value.strip(), known[output].quantity)
-    except ValueError as error:
-        raise UsageError(f"{output}: {error}") from error
+    wanted = read_quantity(output, value, known[output].quantity)
     if not (yes or sys.stdin.isatty()):
         raise UsageError("this moves the bench, and there is no terminal to ask at; with --yes it counts as answered")
     asked: Operator = ConfirmedBeforehand() if yes else AtLines(realtime=mounted.bench.realtime)
@@ -202,8 +183,6 @@ class _Lines:
 
     def __call__(self, series: Mapping[str, Series], work: Jog) -> None:
         """Called ten times a second of bench time."""
-        from pmabench.base.quantities import CHANNEL_QUANTITY, show
-
         if time.monotonic() >= self._due:
             self._due = time.monotonic() + SHOWN
             measured = "   ".join(

@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pmabench.base.errors import InvalidFile, UsageError, invalid
-from pmabench.cli.common import Ui, common
+from pmabench.cli.common import Ui, common, fields
+from pmabench.files.shipped import find_file
+from pmabench.report.terminal import print_grid
 
 if TYPE_CHECKING:
     from pmabench.analysis.results import Analysis, Finding
@@ -91,7 +93,6 @@ def _names(text: str) -> set[str]:
     """What a run may call the specimen: the text itself, or type and serial of the file that it names."""
     from pmabench.bench.files.specimen import SpecimenFile
     from pmabench.files.document import read_document, validate
-    from pmabench.files.shipped import find_file
 
     try:
         path = find_file("specimen", text)
@@ -185,42 +186,26 @@ def _json(
         "specimen": title,
         "simulated": any(past.simulated for past in life),
         "runs": [
-            {
-                "run": past.run,
-                "date": past.date,
-                "kind": past.kind,
-                "bench": past.bench,
-                "status": past.status,
-                "cycles_before": past.before,
-                "cycles": past.use.cycles,
-                "strokes": past.use.strokes,
-                "time_at_pressure": past.use.at_pressure,
-                "highest_pressure": past.use.highest,
-            }
+            fields(past, "run", "date", "kind", "bench", "status")
+            | fields(past.use, "cycles", "strokes")
+            | {"cycles_before": past.before}
+            | {"time_at_pressure": past.use.at_pressure, "highest_pressure": past.use.highest}
             for past in life
         ],
         "series": [
-            {
+            fields(one.first, "symbol", "at", "unit", "method")
+            | {
                 "kind": one.kind,
-                "symbol": one.first.symbol,
-                "at": dict(one.first.at),
-                "unit": one.first.unit,
-                "method": one.first.method,
                 "values": [
-                    {
-                        "date": moment.date,
-                        "cycles": moment.cycles,
-                        "run": moment.run,
-                        "value": moment.estimate.value,
-                        "half_width": moment.estimate.parts.combined,
-                    }
+                    fields(moment, "date", "cycles", "run")
+                    | {"value": moment.estimate.value, "half_width": moment.estimate.parts.combined}
                     for moment in one.moments
                 ],
             }
             for one in series
         ],
         "references": [_reference(one) for one in references],
-        "findings": [{"level": f.level, "text": f.text} for f in remarks],
+        "findings": [fields(f, "level", "text") for f in remarks],
     }
 
 
@@ -232,7 +217,7 @@ def _reference(one: References) -> dict[str, Any]:
             {"date": date, "cycles": cycles, "trial": trial, "stroke": stroke}
             for date, cycles, stroke, trial in one.moments
         ],
-        "limits": None if limits is None else {"centre": limits.centre, "low": limits.low, "high": limits.high},
+        "limits": None if limits is None else fields(limits, "centre", "low", "high"),
         "beyond": [] if limits is None else list(limits.beyond),
         "shifted": None if limits is None else limits.shifted,
     }
@@ -242,8 +227,7 @@ def _print(
     ui: Ui, life: Sequence[Past], series: Sequence[Series], remarks: Sequence[Finding], path: str | None
 ) -> None:
     from pmabench.plotting.wording import clean
-    from pmabench.report.pages.history_tables import run_rows, value_rows
-    from pmabench.report.terminal import print_grid
+    from pmabench.report.pages.history_page import run_rows, value_rows
 
     console = ui.console(columns=160)
     if any(past.simulated for past in life):

@@ -1,17 +1,25 @@
-"""`pmabench import`: old files of other programs become runs, by a map; doubts are reported, nothing is mended."""
+"""`pmabench import`: old files of other programs become runs, by a map; `--guess` proposes the map and makes no run.
+
+Doubts are reported, nothing is mended.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from pmabench.base.errors import UsageError
+from pmabench.base.errors import RecordError, UsageError
+from pmabench.base.quantities import CHANNEL_QUANTITY
 from pmabench.base.text import printable
-from pmabench.cli.common import Ui, common
+from pmabench.cli.common import Ui, common, fields
+from pmabench.files.shipped import find_file
 
 if TYPE_CHECKING:
+    from pmabench.store.importers.guess.columns import Guess
+    from pmabench.store.importers.guess.write import Span
     from pmabench.store.importers.importing import ImportedRun
 
 
@@ -50,10 +58,7 @@ def command(
     if guessing == (map_name is not None) or (not guessing and (span or output)) or (guessing and answers):
         raise UsageError("give --map to import, or --guess (with --span and -o) to have a map proposed")
     if guessing or map_name is None:
-        from pmabench.cli.guess import guess
-
         return guess(ui, files, span, output)
-    from pmabench.files.shipped import find_file
     from pmabench.kinds.registry import importable
     from pmabench.store.importers.importing import import_files
 
@@ -91,13 +96,119 @@ def command(
 
 
 def _plain(run: ImportedRun) -> dict[str, Any]:
-    return {
-        "run": str(run.path),
-        "id": run.id,
-        "source": str(run.source),
-        "kind": run.kind,
-        "rows": run.rows,
-        "trials": run.trials,
-        "flagged": dict(run.flagged),
-        "findings": [vars(finding) for finding in run.findings],
+    findings = [vars(finding) for finding in run.findings]
+    about = fields(run, "id", "kind", "rows", "trials", "flagged")
+    return {"run": str(run.path), "source": str(run.source), "findings": findings} | about
+
+
+SECONDS = 10.0
+"""Shown of the beginning."""
+
+
+def guess(ui: Ui, files: Sequence[Path], spans: Sequence[str], output: Path | None) -> int | None:
+    """Report what the files seem to hold, and write the map where `output` says."""
+    from pmabench.files.document import Document
+    from pmabench.kinds.registry import importable
+    from pmabench.store.importers.guess.guess import guess_files
+    from pmabench.store.importers.guess.write import map_text, still_open
+    from pmabench.store.importers.map_file import questions_of
+
+    time_spans = dict(map(_span, spans))
+    if output is not None and output.exists():
+        raise UsageError(f"{output} is there already and is not overwritten; give another name")
+    found = guess_files(files, importable())
+    text = map_text(found, time_spans)
+    left = still_open(text)
+    questions = questions_of(Document("map" if output is None else str(output), text))
+    if output is not None:
+        try:
+            output.write_text(text, encoding="utf-8")
+        except OSError as error:
+            raise RecordError(f"{output}: the map cannot be written: {error.strerror or error}") from error
+    data = {
+        "schema": "pmabench.import-guess/1",
+        "files": [str(path) for path in files],
+        "format": found.layout.format,
+        "kind": found.kind,
+        "rate": list(found.rate),
+        "columns": [{"is": c.role, **fields(c, "name", "unit", "reasons", "doubts")} for c in found.columns],
+        "left_out": found.left_out,
+        "reasons": found.reasons,
+        "doubts": found.doubts,
+        "known": found.known or None,
+        "open": left,
+        "questions": [vars(question) for question in questions],
+        "map": text,
+        "written": None if output is None else str(output),
     }
+
+    def human() -> None:
+        _show(found)
+        if output is None:
+            click.echo(f"\n{text}")
+            click.echo("nothing was written; -o MAP writes it")
+        else:
+            click.echo(f"\nmap: {output}")
+        if questions:
+            many = "1 question" if len(questions) == 1 else f"{len(questions)} questions"
+            click.echo(
+                f"{many} that no file answers (??); write each answer into the map, or give it with import --set:"
+            )
+            for question in questions:
+                taken = f" [until then: {question.used}]" if question.used else ""
+                click.echo(printable(f"  {question.where}  {question.question}{taken}"))
+        elif output is not None:
+            click.echo(f"then: pmabench import FILE... --map {output}")
+
+    ui.result(data, human, [] if output is None else [str(output)])
+    return None
+
+
+def _span(text: str) -> tuple[str, Span]:
+    from pmabench.files.quantity import raw_quantity, unit_factor
+    from pmabench.store.importers.guess.write import Span
+
+    role, _, ends = text.partition("=")
+    low, _, high = ends.partition("..")
+    if role not in CHANNEL_QUANTITY or not high:
+        raise UsageError(f'--span {text}: say CHANNEL=LOW..HIGH with units, for instance "pressure=0 bar..12 bar"')
+    try:
+        begin, end = raw_quantity(low), raw_quantity(high)
+        for _, unit in (begin, end):
+            unit_factor(unit, CHANNEL_QUANTITY[role])
+    except ValueError as error:
+        raise UsageError(f"--span {text}: {error}") from error
+    if begin[1] != end[1] or begin[0] == end[0]:
+        raise UsageError(f"--span {text}: both ends have the same unit, and they differ")
+    return role, Span(begin[0], end[0], begin[1])
+
+
+def _show(found: Guess) -> None:
+    """Layout, columns with their course, and what is doubtful."""
+    from pmabench.display.plot import sparkline
+
+    click.echo(printable(f"{found.files[0]}{f' and {len(found.files) - 1} more' if len(found.files) > 1 else ''}"))
+    for key in ("file", "sampling", "trials", "name_tells"):
+        for reason in found.reasons.get(key, []):
+            click.echo(printable(f"  {reason}"))
+    if found.known:
+        click.echo(f"  the shipped map {found.known} takes them as they are: --map {found.known}")
+    seconds = found.seconds
+    rows = None
+    if seconds is not None and len(seconds):
+        early = seconds <= seconds[0] + SECONDS
+        rows = int(early.argmin()) if not early.all() else len(seconds)
+        click.echo(f"\nthe first {min(SECONDS, float(seconds[rows - 1] - seconds[0])):.3g} s:")
+    for column in found.columns:
+        role = column.role.replace("_", " ") + (f" [{column.unit}]" if column.unit and column.role != "ignore" else "")
+        click.echo("\n" + printable(f"{column.name}: {role}"))
+        shown = column.values[: max(rows or 0, 2)] if rows else column.values
+        good = shown[abs(shown) < float("inf")] if len(shown) else shown
+        if len(good):
+            click.echo(f"  {sparkline(shown.tolist())}  {good.min():.5g} to {good.max():.5g}")
+        for text in column.reasons:
+            click.echo(printable(f"  because: {text}"))
+        for text in column.doubts:
+            click.echo(printable(f"  DOUBT: {text}"))
+    for text in found.doubts:
+        click.echo("\n" + printable(f"DOUBT: {text}"))

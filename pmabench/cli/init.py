@@ -6,14 +6,17 @@ is written as `??`, and `check` refuses each until it is filled in.
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
+from pmabench.base.errors import InvalidFile, RecordError, UsageError, invalid
 from pmabench.cli.common import Ui, common
+from pmabench.files.shipped import shipped_folder
 
 if TYPE_CHECKING:
     from pmabench.cli.prepare import Prepared
@@ -54,7 +57,6 @@ expanded_uncertainty: ??                       # k = 2, with a unit
 @common
 def command(ui: Ui, folder: Path, bench: str, specimen: str, protocol: str) -> int | None:
     """Write a lab folder: bench, specimen and protocol with all that they need, and a README. DIR must be empty."""
-    from pmabench.base.errors import UsageError
     from pmabench.cli.prepare import prepare
 
     try:
@@ -86,7 +88,8 @@ def _files(prepared: Prepared) -> Iterator[tuple[str, str]]:
     bench_folder = paths["bench"].parent
     for name in prepared.mounted.documents:
         if own and name.startswith("calibrations/") and _shipped("bench", paths["bench"]):
-            yield name, _calibration(name, Document(name, _text(bench_folder / name)).data)
+            shipped = Document(name, _text(bench_folder / name)).data  # of another sensor: only its quantity counts
+            yield name, CALIBRATION.format(id=Path(name).stem, quantity=shipped["quantity"])
         elif "/" in name:
             yield name, _text(bench_folder / name, depth=name.count("/"))
     for kind in (*ROLES, "calibration"):
@@ -95,19 +98,11 @@ def _files(prepared: Prepared) -> Iterator[tuple[str, str]]:
 
 
 def _shipped(role: str, path: Path) -> bool:
-    from pmabench.files.shipped import shipped_folder
-
     return shipped_folder(role).resolve() in path.resolve().parents
-
-
-def _calibration(name: str, shipped: dict[str, Any]) -> str:
-    """A calibration that is to be filled in; one that was made for another sensor says nothing of this one."""
-    return CALIBRATION.format(id=Path(name).stem, quantity=shipped["quantity"])
 
 
 def _included(path: Path) -> Iterator[tuple[str, str]]:
     """What a file includes, and what that includes."""
-    from pmabench.base.errors import invalid
     from pmabench.files.document import Document
 
     name = Document(str(path), path.read_text()).data.get("include")
@@ -131,9 +126,6 @@ def _text(path: Path, depth: int = 0) -> str:
 
 def _write(folder: Path, files: dict[str, str]) -> None:
     """Write them and check them where they lie; nothing is left where that fails."""
-    import shutil
-
-    from pmabench.base.errors import RecordError
     from pmabench.cli.prepare import prepare
 
     there = folder.exists()
@@ -157,7 +149,6 @@ def _write(folder: Path, files: dict[str, str]) -> None:
 
 def _refuse_faulty(prepare: Callable[[], object]) -> None:
     """Raise what is wrong with the files, apart from what is to be filled in."""
-    from pmabench.base.errors import InvalidFile
     from pmabench.bench.compile import OPEN
 
     try:

@@ -62,12 +62,12 @@ class Commands(click.Group):
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """The table."""
+        """Print the table of commands."""
         with formatter.section("Commands"):
             formatter.write_dl([(name, line) for name, (_, line) in COMMANDS.items()])
 
     def main(self, *args: Any, **kwargs: Any) -> Any:
-        """As any command; an output that takes no more ends it with a sentence."""
+        """Run a command; a full disk or closed pipe behind the output ends it with a sentence."""
         prepare_streams()
         try:
             return super().main(*args, **kwargs)

@@ -3,15 +3,29 @@
 from __future__ import annotations
 
 import math
+from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from pmabench.cli.common import Ui, common
+from pmabench.base.errors import UsageError
+from pmabench.cli.common import Ui, common, fields
 from pmabench.cli.model_fit import fit
-from pmabench.cli.model_inputs import grid, named_model, pairs, read_inputs, shown
+from pmabench.cli.model_inputs import (
+    cell,
+    column_of,
+    display_unit,
+    grid,
+    named_model,
+    pairs,
+    print_csv,
+    print_table,
+    read_inputs,
+    shown,
+    si_unit,
+)
 from pmabench.cli.model_simulate import simulate
-from pmabench.cli.model_table import cell, display_unit, print_csv, print_table, si_unit
+from pmabench.report.terminal import print_grid
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -44,12 +58,10 @@ def list_models(ui: Ui) -> int | None:
     known = sorted(models().values(), key=lambda model: FAMILIES.index(model.family))
     data = {
         "schema": "pmabench.models/1",
-        "models": [{"name": m.name, "family": m.family, "title": m.title, "source": m.source} for m in known],
+        "models": [fields(m, "name", "family", "title", "source") for m in known],
     }
 
     def human() -> None:
-        from pmabench.report.terminal import print_grid
-
         heads = ["family", "model", "what it gives"]
         rows = []
         for before, model in zip([None, *known], known, strict=False):
@@ -79,86 +91,50 @@ def _facts(model: Model, checks: Sequence[Check]) -> dict[str, Any]:
     """The model as plain data."""
     return {
         "schema": "pmabench.model/1",
-        "name": model.name,
-        "family": model.family,
-        "title": model.title,
-        "equation": list(model.equation),
-        "source": model.source,
+        **fields(model, "name", "family", "title", "equation", "source", "fitted", "notes"),
         "inputs": [_input_facts(p) for p in model.parameters],
         "outputs": [
-            {
-                "name": o.name,
-                "symbol": o.symbol,
-                "quantity": o.quantity,
-                "unit": si_unit(o.quantity),
-                "meaning": o.meaning,
-            }
-            for o in model.outputs
+            fields(o, "name", "symbol", "quantity", "meaning") | {"unit": si_unit(o.quantity)} for o in model.outputs
         ],
         "references": [
-            {
-                "output": r.output,
-                "at": dict(r.at),
-                "printed": r.printed,
-                "printed_unit": r.unit,
-                "value": r.value,
-                "computed": now,
-                "agrees": agrees,
-                "source": r.source,
-            }
+            fields(r, "output", "at", "printed", "value", "source")
+            | {"printed_unit": r.unit, "computed": now, "agrees": agrees}
             for r, now, agrees in checks
         ],
-        "fitted": list(model.fitted),
-        "notes": list(model.notes),
     }
 
 
 def _print_model(ui: Ui, model: Model, checks: Sequence[Check]) -> None:
-    from textwrap import wrap
-
-    from pmabench.report.terminal import print_grid
-
     console = ui.console()
     click.echo(f"{model.name}: {model.title}\n")
     for line in model.equation:
         click.echo(f"  {line}")
     click.echo(f"\nSource: {model.source}.\n")
-    rows = [
-        [
-            p.name,
-            p.symbol,
-            shown(p, p.value),
-            _domain(p),
-            p.meaning + (f" ({p.origin})" if p.origin != "example" else ""),
-        ]
-        for p in model.parameters
-    ]
+    rows = []
+    for p in model.parameters:
+        origin = f" ({p.origin})" if p.origin != "example" else ""
+        rows.append([p.name, p.symbol, shown(p, p.value), _domain(p), p.meaning + origin])
     heads = ["input", "symbol", "reference", "domain", "meaning"]
-    print_grid(console, heads, rows, ("input", "symbol", "reference", "domain", "meaning"))
+    print_grid(console, heads, rows, heads)
     if model.fitted:
         for line in wrap(f"A fit takes as unknown: {', '.join(model.fitted)}.", console.width):
             click.echo(line)
     click.echo()
     rows = [[o.name, o.symbol, display_unit(o.quantity), o.meaning] for o in model.outputs]
-    print_grid(console, ["output", "symbol", "unit", "meaning"], rows, ("output", "symbol", "unit", "meaning"))
+    heads = ["output", "symbol", "unit", "meaning"]
+    print_grid(console, heads, rows, heads)
     click.echo()
     parameters = {p.name: p for p in model.parameters}
-    rows = [
-        [
-            r.output,
-            ", ".join(f"{key} = {shown(parameters[key], value)}" for key, value in r.at.items()) or "reference",
-            f"{r.printed} {r.unit}".strip(),
-            f"{now / r.scale:.7g} {r.unit}".strip(),
-            "" if agrees else "DIFFERS",
-            r.source,
-        ]
-        for r, now, agrees in checks
-    ]
+    rows = []
+    for r, now, agrees in checks:
+        at = ", ".join(f"{key} = {shown(parameters[key], value)}" for key, value in r.at.items()) or "reference"
+        values = [f"{value} {r.unit}".strip() for value in (r.printed, f"{now / r.scale:.7g}")]
+        rows.append([r.output, at, *values, "" if agrees else "DIFFERS", r.source])
     heads = ["check", "at", "expected", "computed now", "", "expected from"]
     print_grid(console, heads, rows, ("check", "at", "", "expected from"))
     click.echo()
     for note in model.notes:
-        for line in _wrapped(note, console.width):
+        for line in wrap(note, console.width, initial_indent="- ", subsequent_indent="  "):
             click.echo(line)
 
 
@@ -179,23 +155,15 @@ def eval_model(
     ui: Ui, name: str, settings: list[tuple[str, str]], axes: list[tuple[str, str]], *, as_csv: bool
 ) -> int | None:
     """Values of the model NAME; inputs that are not given are at their reference values."""
-    from pmabench.base.errors import UsageError
-
     if as_csv and ui.json:
         raise UsageError("--csv or --json, not both")
     model = named_model(name)
     given, table = read_inputs(model, settings, axes)
     inputs, columns = grid(model, given, table)
     outputs = _evaluate(model, {**given, **columns})
-    table_columns = [
-        {"name": p.name, "quantity": p.quantity, "unit": si_unit(p.quantity), "values": columns[p.name]}
-        for p in model.parameters
-        if p.name in columns
-    ]
-    table_columns += [
-        {"name": o.name, "quantity": o.quantity, "unit": si_unit(o.quantity), "values": outputs[o.name]}
-        for o in model.outputs
-    ]
+    values: list[tuple[Any, Any]] = [(p, columns[p.name]) for p in model.parameters if p.name in columns]
+    values += [(o, outputs[o.name]) for o in model.outputs]
+    table_columns = [column_of(item.name, item.quantity, numbers) for item, numbers in values]
     data = {
         "schema": "pmabench.model-eval/1",
         "model": model.name,
@@ -222,27 +190,18 @@ def eval_model(
     return None
 
 
-# -- reading -----------------------------------------------------------------------------------------------------
-
-
 def _evaluate(model: Model, values: dict[str, Any]) -> dict[str, list[float | None]]:
     """The outputs row by row [SI]; UsageError with the reasons where the model does not hold."""
     import numpy as np
 
-    from pmabench.base.errors import UsageError
     from pmabench.model.library import OutsideDomain
 
     parameters = {p.name: p for p in model.parameters}
     names = [name for name in values if parameters[name].choices and isinstance(values[name], list)]
     count = max((len(value) for value in values.values() if isinstance(value, list)), default=1)
     try:
-        if not names:
-            found = [model.evaluate(values)]
-        else:
-            found = [
-                model.evaluate({key: v[i] if isinstance(v, list) else v for key, v in values.items()})
-                for i in range(count)
-            ]
+        rows = [{key: v[i] if isinstance(v, list) else v for key, v in values.items()} for i in range(count)]
+        found = [model.evaluate(row) for row in (rows if names else [values])]
     except OutsideDomain as error:
         sentences = [_sentence(parameters.get(refusal.name), refusal) for refusal in error.refusals]
         raise UsageError("\n".join(f"{model.name}: {sentence}" for sentence in sentences)) from error
@@ -254,9 +213,6 @@ def _evaluate(model: Model, values: dict[str, Any]) -> dict[str, list[float | No
             column = np.broadcast_to(found[0][output.name], (count,))
         result[output.name] = [float(value) if math.isfinite(value) else None for value in column]
     return result
-
-
-# -- words -------------------------------------------------------------------------------------------------------
 
 
 def _domain(parameter: Parameter) -> str:
@@ -282,33 +238,15 @@ def _sentence(parameter: Parameter | None, refusal: Any) -> str:
 
 
 def _input_facts(parameter: Parameter) -> dict[str, Any]:
-    ends = (parameter.low, parameter.high)
     return {
-        "name": parameter.name,
-        "symbol": parameter.symbol,
-        "quantity": parameter.quantity,
+        **fields(parameter, "name", "symbol", "quantity", "origin", "choices", "reason", "meaning"),
         "unit": si_unit(parameter.quantity),
         "reference": parameter.value,
-        "origin": parameter.origin,
-        "domain": [end if math.isfinite(end) else None for end in ends],
-        "choices": list(parameter.choices),
-        "reason": parameter.reason,
-        "meaning": parameter.meaning,
+        "domain": [end if math.isfinite(end) else None for end in (parameter.low, parameter.high)],
     }
 
 
-def _wrapped(text: str, width: int) -> list[str]:
-    from textwrap import wrap
-
-    return wrap(text, width, initial_indent="- ", subsequent_indent="  ")
-
-
-# -- printing ----------------------------------------------------------------------------------------------------
-
-
 def _print_inputs(width: int, model: Model, given: dict[str, Any], inputs: dict[str, Any]) -> None:
-    from textwrap import wrap
-
     parameters = {p.name: p for p in model.parameters}
     for own, word in ((True, "given:"), (False, "at their reference values:")):
         settings = [f"{key} {shown(parameters[key], value)}" for key, value in inputs.items() if (key in given) == own]
@@ -319,8 +257,6 @@ def _print_inputs(width: int, model: Model, given: dict[str, Any], inputs: dict[
 
 
 def _print_outputs(ui: Ui, model: Model, outputs: dict[str, list[float | None]]) -> None:
-    from pmabench.report.terminal import print_grid
-
     heads = ["output", "symbol", "value", "unit", "meaning"]
     rows = [
         [o.name, o.symbol, cell(o.quantity, outputs[o.name][0]), display_unit(o.quantity), o.meaning]

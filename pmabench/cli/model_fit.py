@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import csv
+import sys
+from math import floor, log10
 from pathlib import Path
+from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from pmabench.cli.common import Ui, common
-from pmabench.cli.model_inputs import named_model, pairs, read_inputs, shown
-from pmabench.cli.model_table import display_unit, si_unit
+from pmabench.base.errors import UsageError, did_you_mean
+from pmabench.base.quantities import QUANTITIES
+from pmabench.cli.common import Ui, common, fields
+from pmabench.cli.model_inputs import display_unit, named_model, pairs, read_inputs, shown, si_unit
+from pmabench.report.terminal import print_grid
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -64,7 +70,6 @@ def fit(
     Columns are inputs and one output of the model, by name or symbol; other inputs are given with --set or stay at
     their reference values. Exit code 6 where the fit did not converge.
     """
-    from pmabench.base.errors import UsageError
     from pmabench.cli.model_measured import read_measured
 
     if as_csv and ui.json:
@@ -100,7 +105,6 @@ def fit(
 
 def _ranges(model: Model, within: list[tuple[str, str]]) -> dict[str, tuple[float, float]]:
     """Ends of the inputs or outputs [SI] between which rows count."""
-    from pmabench.base.errors import UsageError, did_you_mean
     from pmabench.cli.model_inputs import number_of
 
     quantities = {o.name: o.quantity for o in model.outputs}
@@ -131,7 +135,6 @@ def _fit(
 ) -> ModelFit:
     """The fit, or UsageError with what makes it impossible."""
     from pmabench.analysis.fitting.model_fit import fit_model
-    from pmabench.base.errors import UsageError
     from pmabench.model.library import OutsideDomain
 
     fixed = {p.name: given.get(p.name, p.value) for p in model.parameters if p.name not in measured.columns}
@@ -162,9 +165,8 @@ def _unknown(
     begin: Mapping[str, Any],
     free: str | None,
 ) -> list[str]:
-    """What is fitted: as asked, or what the model names and acts on the output."""
+    """Inputs that are fitted: those of `--free`, or those that the model names and that change the output."""
     from pmabench.analysis.fitting.model_problem import acting
-    from pmabench.base.errors import UsageError, did_you_mean
 
     able = [p.name for p in model.parameters if not p.choices and p.name not in measured.columns]
     if free is None:
@@ -198,9 +200,6 @@ def _unknown(
     return unknown
 
 
-# -- results -----------------------------------------------------------------------------------------------------
-
-
 def _data(found: ModelFit, measured: Measured, table: Path, given: Mapping[str, Any]) -> dict[str, Any]:
     """The documented JSON object."""
     known = {p.name: p for p in found.model.parameters}
@@ -211,27 +210,13 @@ def _data(found: ModelFit, measured: Measured, table: Path, given: Mapping[str, 
         "file": str(table),
         "output": {"name": found.output, "unit": si_unit(outputs[found.output].quantity)},
         "parameters": [
-            {
-                "name": u.name,
-                "symbol": known[u.name].symbol,
-                "quantity": known[u.name].quantity,
-                "unit": si_unit(known[u.name].quantity),
-                "value": u.value,
-                "standard_error": u.standard_error,
-                "ci95": None if u.ci95 is None else list(u.ci95),
-                "start": u.start,
-                "note": u.note,
-            }
+            fields(u, "name", "value", "standard_error", "ci95", "start", "note")
+            | fields(known[u.name], "symbol", "quantity")
+            | {"unit": si_unit(known[u.name].quantity)}
             for u in found.unknowns
         ],
         "follows": [
-            {
-                "name": f.name,
-                "unit": si_unit(outputs[f.name].quantity),
-                "value": f.value,
-                "standard_error": f.standard_error,
-                "ci95": None if f.ci95 is None else list(f.ci95),
-            }
+            fields(f, "name", "value", "standard_error", "ci95") | {"unit": si_unit(outputs[f.name].quantity)}
             for f in found.follows
         ],
         "inputs": {
@@ -240,7 +225,7 @@ def _data(found: ModelFit, measured: Measured, table: Path, given: Mapping[str, 
             if name in given or name not in found.idle
         },
         "correlation": [[None if value != value else float(value) for value in row] for row in found.correlation],
-        "residual_rms": found.residual_rms,
+        **fields(found, "residual_rms", "starts", "converged"),
         "largest_residual": float(abs(found.computed - found.measured).max()),
         "degrees_of_freedom": found.freedom,
         "rows": len(found.measured),
@@ -250,18 +235,13 @@ def _data(found: ModelFit, measured: Measured, table: Path, given: Mapping[str, 
             for column, v in found.columns.items()
         },
         "intervals": found.method,
-        "starts": found.starts,
         "starts_agreeing": found.agreeing,
-        "converged": found.converged,
         "notes": list(measured.notes),
-        "findings": [{"level": f.level, "text": f.text} for f in found.findings],
+        "findings": [fields(f, "level", "text") for f in found.findings],
     }
 
 
 def _print_csv(data: Mapping[str, Any]) -> None:
-    import csv
-    import sys
-
     writer = csv.writer(sys.stdout, lineterminator="\n")
     writer.writerow(["name", "value", "unit", "standard_error", "low95", "high95"])
     for u in data["parameters"]:
@@ -271,11 +251,6 @@ def _print_csv(data: Mapping[str, Any]) -> None:
 
 
 def _print(ui: Ui, found: ModelFit, measured: Measured, table: Path, given: Mapping[str, Any]) -> None:
-    from textwrap import wrap
-
-    from pmabench.base.quantities import QUANTITIES
-    from pmabench.report.terminal import print_grid
-
     known = {p.name: p for p in found.model.parameters}
     outputs = {o.name: o for o in found.model.outputs}
     console = ui.console()
@@ -310,12 +285,8 @@ def _print(ui: Ui, found: ModelFit, measured: Measured, table: Path, given: Mapp
             [name, *("" if value != value else f"{value:+.4f}" for value in found.correlation[i][: i + 1])]
             for i, name in enumerate(names)
         ]
-        print_grid(
-            console,
-            ["correlation", *names],
-            [row + [""] * (len(names) + 1 - len(row)) for row in cells],
-            ("correlation",),
-        )
+        rows = [row + [""] * (len(names) + 1 - len(row)) for row in cells]
+        print_grid(console, ["correlation", *names], rows, ("correlation",))
     for finding in found.findings:
         for line in wrap(f"{finding.level}: {finding.text}", console.width, subsequent_indent="  "):
             click.echo(line)
@@ -323,9 +294,6 @@ def _print(ui: Ui, found: ModelFit, measured: Measured, table: Path, given: Mapp
 
 def _print_values(ui: Ui, found: ModelFit, known: Mapping[str, Parameter], outputs: Mapping[str, Output]) -> None:
     """What was fitted, and what follows from it, with intervals."""
-    from pmabench.base.quantities import QUANTITIES
-    from pmabench.report.terminal import print_grid
-
     rows = []
     for u in found.unknowns:
         scale = QUANTITIES[known[u.name].quantity].scale
@@ -347,8 +315,6 @@ def _print_values(ui: Ui, found: ModelFit, known: Mapping[str, Parameter], outpu
 
 def _interval_cells(value: float, error: float | None, ends: tuple[float | None, ...] | None) -> tuple[str, str, str]:
     """Value, standard error and interval with the digits that the interval leaves."""
-    from math import floor, log10
-
     if error is None:
         return f"{value:.6g}", "not identifiable", ""
     smallest = error if error > 1e-9 * abs(value) else 1e-9 * (abs(value) or 1.0)

@@ -1,11 +1,20 @@
-"""What people give as inputs of a model: values with units, ranges and lists; all errors are reported at once."""
+"""Inputs of a model as people give them, with all errors at once, and columns of its values as a table or as CSV."""
 
 from __future__ import annotations
 
+import csv
 import math
+import sys
+from collections.abc import Mapping, Sequence
+from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import click
+
+from pmabench.base.errors import UsageError, did_you_mean
+from pmabench.base.quantities import QUANTITIES, show
+from pmabench.cli.common import Ui
+from pmabench.report.terminal import print_grid
 
 if TYPE_CHECKING:
     from pmabench.model.library import Model, Parameter
@@ -26,7 +35,6 @@ def pairs(_context: click.Context, _parameter: click.Parameter, values: tuple[st
 
 def named_model(name: str) -> Model:
     """The model, or UsageError with the nearest name."""
-    from pmabench.base.errors import UsageError, did_you_mean
     from pmabench.model.library import models
 
     known = models()
@@ -39,8 +47,6 @@ def read_inputs(
     model: Model, settings: list[tuple[str, str]], axes: list[tuple[str, str]], option: str = "--set"
 ) -> tuple[dict[str, Any], dict[str, list[Any]]]:
     """Values given by `option` and the axes of the table; UsageError with everything that is wrong."""
-    from pmabench.base.errors import UsageError, did_you_mean
-
     parameters = {p.name: p for p in model.parameters}
     given: dict[str, Any] = {}
     table: dict[str, list[Any]] = {}
@@ -69,15 +75,11 @@ def read_inputs(
 
 def shown(parameter: Parameter, value: object, digits: int = 6) -> str:
     """An input in the unit that people read."""
-    from pmabench.base.quantities import show
-
     return value if isinstance(value, str) else show(float(value), parameter.quantity, digits)  # type: ignore[arg-type]
 
 
 def _value(parameter: Parameter, text: str) -> float | str:
     """One value [SI], or the name of a choice; ValueError that says what is expected."""
-    from pmabench.base.errors import did_you_mean
-
     if parameter.choices:
         if text not in parameter.choices:
             raise ValueError(
@@ -126,8 +128,58 @@ def grid(
     model: Model, given: dict[str, Any], table: dict[str, list[Any]]
 ) -> tuple[dict[str, Any], dict[str, list[Any]]]:
     """Every single input, and the columns of the table: all combinations of its axes."""
-    from itertools import product
-
     inputs = {p.name: given.get(p.name, p.value) for p in model.parameters if p.name not in table}
     rows = list(product(*table.values()))
     return inputs, {name: [row[index] for row in rows] for index, name in enumerate(table)}
+
+
+Column = Mapping[str, Any]
+"""`name`, `quantity`, `values` (numbers in SI, None where not finite, or names); `unit` for CSV."""
+
+
+def column_of(name: str, quantity: str, values: Sequence[Any]) -> dict[str, Any]:
+    """A column with its SI unit, as it is in JSON too."""
+    return {"name": name, "quantity": quantity, "unit": si_unit(quantity), "values": values}
+
+
+def print_table(ui: Ui, columns: Sequence[Column], keys: int) -> None:
+    """The columns in display units; the first `keys` of them are repeated in every part of a table that is too wide."""
+    heads = [f"{column['name']} {display_unit(column['quantity'])}".strip() for column in columns]
+    cells = [_cells(column) for column in columns]
+    texts = [head for head, column in zip(heads, columns, strict=True) if not column["quantity"]]
+    print_grid(ui.console(), heads, [list(row) for row in zip(*cells, strict=True)], texts, keys)
+
+
+def _cells(column: Column) -> list[str]:
+    """Texts of a column's values; what is negligible against the largest is 0."""
+    numbers = [abs(value) for value in column["values"] if isinstance(value, float)]
+    least = 1e-9 * max(numbers, default=0.0)
+    return [
+        cell(column["quantity"], 0.0 if isinstance(value, float) and abs(value) < least else value)
+        for value in column["values"]
+    ]
+
+
+def cell(quantity: str, value: float | str | None) -> str:
+    """One value without its unit."""
+    if value is None or isinstance(value, str):
+        return value or ""
+    return f"{value / QUANTITIES[quantity].scale:.6g}"
+
+
+def display_unit(quantity: str) -> str:
+    """The unit that people read."""
+    return QUANTITIES[quantity].shown_in if quantity else ""
+
+
+def si_unit(quantity: str) -> str:
+    """The SI unit; "1" for a pure number."""
+    return QUANTITIES[quantity].unit if quantity else ""
+
+
+def print_csv(columns: Sequence[Column]) -> None:
+    """Print columns as CSV, SI values with all digits; heads are `name [unit]`."""
+    writer = csv.writer(sys.stdout, lineterminator="\n")
+    writer.writerow([f"{c['name']} [{c['unit']}]" if c["unit"] else c["name"] for c in columns])
+    for row in zip(*(c["values"] for c in columns), strict=True):
+        writer.writerow(["" if value is None else value if isinstance(value, str) else repr(value) for value in row])

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from math import inf
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from pmabench.files.table import Column, Table, Wanted
-    from pmabench.model.curve import Array
-    from pmabench.model.library import Model, Parameter
-    from pmabench.model.library.description import Output
+from pmabench.base.errors import InvalidFile, UsageError, did_you_mean
+from pmabench.base.quantities import QUANTITIES, show
+from pmabench.files.table import Column, Table, Wanted, meaning, numbers, read_table
+from pmabench.model.curve import Array
+from pmabench.model.library import Model, Parameter
+from pmabench.model.library.description import Output
 
 SYNONYMS = {
     "pressure": ("P", "p"),
@@ -66,9 +66,6 @@ def read_measured(
 
     A folder is an analysis: its table of coefficients. Raises UsageError, InvalidFile.
     """
-    from pmabench.base.errors import InvalidFile, UsageError
-    from pmabench.files.table import numbers, read_table
-
     notes: list[str] = []
     table = _only(read_table(path / "coefficients.csv" if path.is_dir() else path), only)
     inputs, outputs, unused, problems = _columns(model, table, renamed)
@@ -116,8 +113,6 @@ Found = dict[str, tuple["Column", "str | None"]]
 
 def _only(table: Table, rows: Sequence[tuple[str, str]]) -> Table:
     """The rows with these texts in these columns. Raises UsageError."""
-    from pmabench.base.errors import UsageError
-
     try:
         for column, text in rows:
             table = table.only(column, text)
@@ -128,8 +123,6 @@ def _only(table: Table, rows: Sequence[tuple[str, str]]) -> Table:
 
 def _chosen_output(model: Model, table: Table, outputs: Found, wanted: str | None) -> str:
     """The output to read: the wanted one, else the only one of the table. Raises UsageError."""
-    from pmabench.base.errors import UsageError, did_you_mean
-
     if wanted is not None and wanted not in outputs:
         known = outputs or [o.name for o in model.outputs]
         raise UsageError(f"--output {wanted}: {table.path} has no column of it{did_you_mean(wanted, known)}")
@@ -147,9 +140,6 @@ def _columns(
     model: Model, table: Table, renamed: Sequence[tuple[str, str]]
 ) -> tuple[Found, Found, list[str], list[Any]]:
     """Columns of inputs and outputs by name with their units, heads that are neither, and problems."""
-    from pmabench.base.errors import UsageError, did_you_mean
-    from pmabench.files.table import meaning
-
     inputs: Found = {}
     outputs: Found = {}
     unused: list[str] = []
@@ -190,8 +180,6 @@ def _columns(
 
 def _wanted(model: Model, *, given_as_output: bool) -> list[Wanted]:
     """Names and symbols of inputs or outputs; a symbol that two share counts for none."""
-    from pmabench.files.table import Wanted
-
     inputs = [p for p in model.parameters if not p.choices]
     own = {p.name for p in inputs}
     outputs = [o for o in model.outputs if o.name not in own]
@@ -232,8 +220,6 @@ def _between(value: float, low: float, high: float) -> bool:
 
 def _outside(known: dict[str, Parameter], names: list[str], place: int, value: float) -> str:
     """Why an input's value is outside the model's domain, or nothing."""
-    from pmabench.base.quantities import show
-
     if place >= len(names):
         return ""
     p = known[names[place]]
@@ -249,7 +235,5 @@ def _outside(known: dict[str, Parameter], names: list[str], place: int, value: f
 
 
 def _example(name: str, quantity: str) -> str:
-    from pmabench.base.quantities import QUANTITIES
-
     unit = QUANTITIES[quantity].shown_in if quantity else ""
     return f'"{name} [{unit}]"' if unit else f'"{name}"'

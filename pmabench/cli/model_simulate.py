@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import math
 import re
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from pmabench.base.errors import UsageError, did_you_mean
+from pmabench.base.quantities import show
 from pmabench.cli.common import Ui, common
-from pmabench.cli.model_table import print_csv, print_table, si_unit
+from pmabench.cli.model_inputs import column_of, print_csv, print_table
 
 if TYPE_CHECKING:
     from pmabench.model.curve import Array
@@ -84,8 +87,6 @@ def simulate(
 
     Values in time, without sensors.
     """
-    from pmabench.base.errors import UsageError
-
     problems: list[str] = []
     seconds = _parsed(problems, "--for", _quantity, duration, "time", 1e-3, LONGEST)
     spacing: Any = _parsed(problems, "--every", _quantity, every, "time", 1e-6, LONGEST) if every else None
@@ -109,18 +110,9 @@ def simulate(
         motion = _simulated(plant, kind, changes, waves, weight, driven, seconds, spacing)
     except ValueError as error:
         raise UsageError(f"{plant}: {error}") from error
-    columns = [
-        {"name": name, "quantity": quantity, "unit": si_unit(quantity), "values": getattr(motion, field).tolist()}
-        for name, quantity, field in COLUMNS
-    ]
-    data = {
-        "schema": "pmabench.model-simulation/1",
-        "simulated": True,
-        "plant": plant,
-        "kind": kind,
-        "columns": columns,
-    }
-
+    columns = [column_of(name, quantity, getattr(motion, field).tolist()) for name, quantity, field in COLUMNS]
+    data = {"schema": "pmabench.model-simulation/1", "simulated": True}
+    data |= {"plant": plant, "kind": kind, "columns": columns}
     ui.result(data, lambda: print_csv(columns) if as_csv else _print(ui, f"{plant}, {kind}", columns))
     return None
 
@@ -165,8 +157,6 @@ def _stays_inside(setup: Setup, actuator: Actuator, low: float, high: float) -> 
 
     Below 0 it is stretched, and only a muscle whose law says how far may be.
     """
-    from pmabench.base.quantities import show
-
     least = actuator.low if hasattr(setup.muscle, "reach") else 0.0
     if low < least - 1e-9 or high > actuator.high + 1e-9:
         lengths = f"{show(low, 'length')} to {show(high, 'length')}"
@@ -179,12 +169,9 @@ def _stays_inside(setup: Setup, actuator: Actuator, low: float, high: float) -> 
 
 def _setup(plant: str, kind: str, changes: Overrides, waves: tuple[Wave, ...]) -> Setup:
     """A preset by name, or what a plant file says; ValueError where the course goes beyond that."""
-    from pmabench.base.quantities import show
     from pmabench.model.presets import changed, preset
 
     if plant.endswith(".yaml"):
-        from pathlib import Path
-
         from pmabench.bench.plant import read_plant
         from pmabench.model.presets import setup_of
 
@@ -199,9 +186,6 @@ def _setup(plant: str, kind: str, changes: Overrides, waves: tuple[Wave, ...]) -
     return setup
 
 
-# -- reading -----------------------------------------------------------------------------------------------------
-
-
 def _parsed(problems: list[str], option: str, parse: Any, *arguments: Any) -> Any:
     """What `parse` makes of the arguments, or None and a line in `problems`."""
     try:
@@ -212,7 +196,6 @@ def _parsed(problems: list[str], option: str, parse: Any, *arguments: Any) -> An
 
 
 def _quantity(text: str, quantity: str, least: float, most: float) -> float:
-    from pmabench.base.quantities import show
     from pmabench.files.quantity import parse_quantity
 
     value = parse_quantity(text, quantity)
@@ -284,7 +267,6 @@ def _drive(text: str | None) -> tuple[float, float, float] | None:
 
 def _overrides(settings: tuple[str, ...]) -> Overrides:
     """The changes by name; ValueError with a line for each that is wrong."""
-    from pmabench.base.errors import did_you_mean
     from pmabench.files.quantity import parse_quantity
     from pmabench.model.overrides import Overrides
 

@@ -6,14 +6,17 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
+from textwrap import wrap
 from typing import TYPE_CHECKING
 
 import click
 
 from pmabench.base.errors import Interrupted, UsageError
-from pmabench.cli.common import Ui, common
+from pmabench.cli.common import Ui, common, fields
+from pmabench.cli.outcome import show_outcome
+from pmabench.files.shipped import find_file
 
 if TYPE_CHECKING:
     from pmabench.bench.compile import Mounted
@@ -50,7 +53,6 @@ def command(
 ) -> int | None:
     """Show every channel of BENCH live: raw, value, noise, rate, age, limits. Arms nothing and commands nothing."""
     from pmabench.bench.compile import mount, mount_alone
-    from pmabench.files.shipped import find_file
 
     if jogging:
         if specimen is None:
@@ -87,7 +89,6 @@ def _monitor(ui: Ui, bench: CompiledBench, seconds: float | None, *, plain: bool
 
 
 def _jog(ui: Ui, mounted: Mounted, out: Path, operator: str, seconds: float | None) -> int:
-    from pmabench.cli.run import show_outcome
     from pmabench.session.jog import BLOCK, KEYS, jog
 
     live = _Live(mounted.bench, simulated=False)
@@ -142,7 +143,7 @@ class _Live:
         self.page: Page = Page(bench.name, simulated, rows)
 
     def update(self, series: Mapping[str, Series], now: float, rate: float) -> None:
-        """Take in a block."""
+        """Update the page with a block of samples."""
         for name, one in series.items():
             row, reading = self._rows[name], one.reading()
             row.channel.value, row.noise = reading.mean, reading.noise
@@ -154,7 +155,7 @@ class _Live:
             self._rows[name].channel.age = max(0.0, now - last)
 
     def tare(self) -> None:
-        """What is shown counts from the values of now."""
+        """Show differences from the present values from now on."""
         for row in self._rows.values():
             row.tare = row.channel.value or 0.0
 
@@ -166,15 +167,7 @@ class _Live:
             "simulated": self.page.simulated,
             "t": t,
             "channels": {
-                name: {
-                    "value": row.channel.value,
-                    "quantity": row.channel.quantity,
-                    "raw": row.raw,
-                    "raw_unit": row.raw_unit,
-                    "noise": row.noise,
-                    "rate": row.rate,
-                    "age": row.channel.age,
-                }
+                name: fields(row.channel, "value", "quantity", "age") | fields(row, "raw", "raw_unit", "noise", "rate")
                 for name, row in self._rows.items()
             },
         }
@@ -188,12 +181,12 @@ class _Keys:
         self._lock = threading.Lock()
 
     def add(self, keys: Sequence[str]) -> None:
-        """More keys."""
+        """Add keys that were pressed."""
         with self._lock:
             self._pressed.extend(keys)
 
     def taken(self) -> list[str]:
-        """All since the last call."""
+        """Keys pressed since the last call."""
         with self._lock:
             keys, self._pressed = self._pressed, []
         return keys
@@ -211,8 +204,6 @@ class _AtKeys:
 
     def ask(self, text: str, measured: Mapping[str, float], wait: Callable[[], None]) -> str:
         """Wait for y; q and v end the run."""
-        from textwrap import wrap
-
         before, self._page.notices = self._page.notices, (*wrap(text, 76), "y goes on, q ends")
         while True:
             wait()
@@ -231,7 +222,6 @@ def _screen(ui: Ui, page: Page, footer: str, *, wanted: bool) -> Iterator[_Keys]
     if not wanted:
         yield keys
         return
-    from contextlib import ExitStack, suppress
 
     from pmabench.base import terminal
     from pmabench.display.console import Painter

@@ -1,14 +1,19 @@
-"""The operator of a bench in real time: answers prompts, presses keys, types notes; never holds the run up."""
+"""Operators at a terminal: they answer prompts, press keys, type notes; the bench is watched while they think."""
 
 from __future__ import annotations
 
 import os
 import select
+import sys
 from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING
 
 from pmabench.base.errors import Interrupted
-from pmabench.display.child import Display
+from pmabench.cli.common import rewrite, say
 from pmabench.engine.operator import ConfirmedBeforehand, Nobody
+
+if TYPE_CHECKING:
+    from pmabench.display.child import Display
 
 
 class _Keys:
@@ -37,7 +42,7 @@ class _Keys:
 
 
 class Confirmed(_Keys):
-    """`--yes`: every prompt counts as answered, and the record says so; keys and notes are heeded all the same."""
+    """`--yes`: every prompt counts as answered, and the record says so; keys and notes still count."""
 
     def ask(self, text: str, measured: Mapping[str, float], wait: Callable[[], None]) -> str:
         """Answered without a person."""
@@ -106,3 +111,46 @@ class InLines:
 def _pressure(measured: Mapping[str, float]) -> str:
     pressure = measured.get("pressure")
     return "The pressure is not measured." if pressure is None else f"Measured pressure: {pressure / 1e3:.1f} kPa."
+
+
+Wait = Callable[[], None]
+
+
+class AtLines:
+    """A person at standard input. `realtime`: bench time passes while they think; else it waits."""
+
+    def __init__(self, *, realtime: bool) -> None:
+        self._realtime = realtime
+        self._typed = b""
+
+    def poll(self, measured: Mapping[str, float]) -> Sequence[tuple[str, str]]:
+        """No keys; lines are answers."""
+        return ()
+
+    def ask(self, text: str, measured: Mapping[str, float], wait: Wait) -> str:
+        """Ask until the word is `clear`."""
+        if sys.stderr.isatty():
+            rewrite()
+        say(text)
+        while True:
+            pressure = measured.get("pressure")
+            shown = "not measured" if pressure is None else f"{pressure / 1e3:.1f} kPa"
+            prompt = f'Measured pressure: {shown}. Type "clear" when it is done and hands are out: '
+            if self.line(prompt, wait).lower() == "clear":
+                return "clear"
+
+    def line(self, prompt: str, wait: Wait) -> str:
+        """The next line that is typed; raises Interrupted at the end of the input."""
+        sys.stderr.write(prompt)
+        sys.stderr.flush()
+        descriptor = sys.stdin.fileno()
+        while b"\n" not in self._typed:
+            if select.select([descriptor], [], [], 0.0 if self._realtime else None)[0]:
+                read = os.read(descriptor, 4096)
+                if not read:
+                    raise Interrupted("end of input at the prompt", 130)
+                self._typed += read
+            elif self._realtime:
+                wait()
+        line, _, self._typed = self._typed.partition(b"\n")
+        return line.decode("utf-8", "replace").strip()

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
+from textwrap import fill
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -314,8 +315,7 @@ def write(
 
 def print_analyses(ui: Ui, analyses: Sequence[Analysis]) -> None:
     """The coefficient table, what was left out, and the findings."""
-    from pmabench.plotting.rounding import printed
-    from pmabench.plotting.wording import clean
+    from pmabench.plotting.wording import clean, printed
     from pmabench.report.terminal_coefficients import print_coefficients
 
     console = ui.console()
@@ -331,7 +331,5 @@ def print_analyses(ui: Ui, analyses: Sequence[Analysis]) -> None:
 
 def _wrapped(text: str, width: int) -> str:
     """Lines of at most `width` where words allow it; a value and its half width stay on one line."""
-    from textwrap import fill
-
     kept = fill(text.replace(" ± ", "\u00a0±\u00a0"), width, break_long_words=False, break_on_hyphens=False)
     return kept.replace("\u00a0±\u00a0", " ± ")

@@ -7,17 +7,18 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
+from pmabench.analysis.cluster import Cluster
+from pmabench.analysis.many import Pool, Processes
 from pmabench.cli.common import Ui
+from pmabench.plotting.wording import clean
+from pmabench.report.many import SCHEMA, Many, plain_entry, process_many, write_table
+from pmabench.store.catalogue import tasks_below
 
-if TYPE_CHECKING:
-    from pmabench.analysis.many import Pool
-    from pmabench.report.many.many import Many
-
-TOLD_EVERY = 10.0
+LINE_EVERY = 10.0
 """Seconds between lines of progress where there is no terminal."""
 MOST_LINES = 20
 """Lines of one kind on the screen; the rest is in the table."""
@@ -34,10 +35,6 @@ def process_folders(
     fresh: bool,
 ) -> int | None:
     """Process each run below `given` on its own, with options by kind; the exit code."""
-    from pmabench.report.many.many import process_many
-    from pmabench.report.many.many_table import write_table
-    from pmabench.store.catalogue import tasks_below
-
     tasks = tasks_below(given)
     with _pool(ui, jobs, cluster) as pool, _progress(ui) as progress:
         many = process_many(tasks, out, pool, progress, options, fresh=fresh)
@@ -49,12 +46,8 @@ def process_folders(
 @contextmanager
 def _pool(ui: Ui, jobs: int, cluster: str | None) -> Iterator[Pool | None]:
     """Who does the work; None is this process."""
-    from pmabench.analysis.many import Processes
-
     pool: Pool | None = None
     if cluster is not None:
-        from pmabench.analysis.cluster import Cluster
-
         pool = Cluster(cluster)
         for doubt in pool.doubts():
             ui.note(doubt)
@@ -79,13 +72,14 @@ def _progress(ui: Ui) -> Iterator[Callable[[int, int, int], None] | None]:
         def line(done: int, total: int, unchanged: int) -> None:
             nonlocal last
             now = time.monotonic()
-            if now - last >= TOLD_EVERY:
+            if now - last >= LINE_EVERY:
                 last = now
                 left = (now - began) * (total - done) / max(done - unchanged, 1)
                 ui.note(f"{done:,} of {total:,} runs, {_duration(left)} left")
 
         yield line
         return
+
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     columns = (TextColumn("runs"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), TextColumn("left"))
@@ -103,8 +97,6 @@ def _duration(seconds: float) -> str:
 
 
 def _data(many: Many, paths: Sequence[Path]) -> dict[str, Any]:
-    from pmabench.report.many.many_table import SCHEMA, plain_entry
-
     return {
         "schema": SCHEMA,
         "out": str(many.out),
@@ -156,7 +148,6 @@ def _failures(many: Many) -> list[str]:
         lines += [f"{what} not be processed:", *failed]
     if not lines:
         return []
-    from pmabench.plotting.wording import clean
 
     return [clean(line) for line in lines]
 

@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import asdict, replace
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from pmabench.base.errors import UsageError
-from pmabench.cli.common import Ui, common, login_name
+from pmabench.cli.common import Ui, common, fields, login_name, read_quantity
 
 if TYPE_CHECKING:
     from pmabench.analysis.results import Analysis
-    from pmabench.analysis.verdict.changes import Change
     from pmabench.store.reader import NewScale, Recalibration
-    from pmabench.store.records import ChannelInfo, RunData
+    from pmabench.store.records import RunData
+
+SCALE = ("calibration", "slope", "offset", "offset_uncertainty", "gain_uncertainty")
+"""What a channel says of its scale."""
 
 
 @click.command(name="recalibrate")
@@ -69,10 +72,13 @@ def command(
     changed = open_chains(given, anew)
     channels = _described(recorded, changed, anew)
     before = analyse(recorded)
-    who = {"at": _now(), "operator": operator or login_name(), "because": because.strip()}
+    now = datetime.now(UTC).isoformat(timespec="seconds")
+    who = {"at": now, "operator": operator or login_name(), "because": because.strip()}
     after = [_marked(analysis, channels) for analysis in analyse(changed)]
     found = changes(before, after)
-    after = [_with_changes(analysis, found, who) for analysis in after]
+    for n, analysis in enumerate(after):
+        mine = [one.to_dict() for one in found if (one.kind, one.runs) == (analysis.kind, analysis.runs)]
+        after[n] = replace(analysis, facts={**analysis.facts, "recalibration": {**who, "changes": mine}})
     first = next(run for run in recorded if Path(run.path).resolve() == given[0].resolve())
     folder = out or _free(campaign_folder(Path(first.path).resolve().parent) / "analyses" / f"{first.id}-recalibrated")
     if folder.exists():
@@ -105,23 +111,18 @@ def _asked(runs: Sequence[RunData], calibrations: Sequence[str], skews: Sequence
     scales: dict[str, NewScale] = {}
     for text in calibrations:
         name, file = _named(text, runs)
-        scale = _scale(file, _quantity(file))
+        scale = _scale(file)
         channel = channel_for(runs, scale.quantity, name)
         if channel in scales:
             raise UsageError(f"two calibrations are given for {channel}")
         scales[channel] = scale
     late: dict[str, float] = {}
     for text in skews:
-        from pmabench.files.quantity import parse_quantity
-
         name, equals, value = text.partition("=")
         known = sorted({channel for run in runs for channel in run.channels})
         if not equals or name not in known:
             raise UsageError(f'--skew "{text}" is not CHANNEL=TIME; channels here: {", ".join(known)}')
-        try:
-            late[name] = parse_quantity(value, "time")
-        except ValueError as error:
-            raise UsageError(f"--skew {name}: {error}") from error
+        late[name] = read_quantity(f"--skew {name}", value, "time")
         if abs(late[name]) > LONGEST:
             raise UsageError(f"--skew {name}: {value} is more than {LONGEST:g} s")
     return Recalibration(scales, late)
@@ -135,19 +136,13 @@ def _named(text: str, runs: Sequence[RunData]) -> tuple[str, Path]:
     return "", Path(text)
 
 
-def _quantity(file: Path) -> str:
+def _scale(file: Path) -> NewScale:
+    from pmabench.bench.channels import read_calibration
     from pmabench.bench.files.specimen import CalibrationFile
     from pmabench.files.document import read_document, validate
-
-    return validate(CalibrationFile, read_document(file)).quantity
-
-
-def _scale(file: Path, quantity: str) -> NewScale:
-    from dataclasses import asdict
-
-    from pmabench.bench.channels import read_calibration
     from pmabench.store.reader import NewScale
 
+    quantity = validate(CalibrationFile, read_document(file)).quantity
     read = read_calibration(file, quantity)
     return NewScale(quantity, read.raw_unit, read.scale.slope, read.scale.offset, asdict(read.record))
 
@@ -162,12 +157,8 @@ def _described(before: Sequence[RunData], after: Sequence[RunData], anew: Recali
         scales: list[dict[str, Any]] = []
         for old, new in zip(before, after, strict=True):
             if name in old.channels:
-                was, is_ = old.channels[name], new.channels[name]
-                scales.append({
-                    "run": old.id,
-                    "before": _scale_of(was),
-                    "after": _scale_of(is_),
-                })  # fmt: skip
+                was, is_ = (fields(run.channels[name], *SCALE) for run in (old, new))
+                scales.append({"run": old.id, "before": was, "after": is_})
         names = list(dict.fromkeys(str(scale["before"]["calibration"]) or "no calibration" for scale in scales))
         sentence = f"{name}: calibration {anew.scales[name].calibration.get('id')} instead of {', '.join(names)}"
         record = anew.scales[name].calibration
@@ -176,33 +167,13 @@ def _described(before: Sequence[RunData], after: Sequence[RunData], anew: Recali
     return channels
 
 
-def _scale_of(info: ChannelInfo) -> dict[str, Any]:
-    names = ("calibration", "slope", "offset", "offset_uncertainty", "gain_uncertainty")
-    return {name: getattr(info, name) for name in names}
-
-
 def _marked(analysis: Analysis, channels: Sequence[dict[str, Any]]) -> Analysis:
     """The analysis, which says that its samples were not taken as they were recorded."""
     from pmabench.analysis.results import Finding
 
     said = [Finding("note", f"recalibrated after the fact, {channel['sentence']}") for channel in channels]
-    return replace(
-        analysis,
-        findings=(*said, *analysis.findings),
-        facts={**analysis.facts, "recalibrated": [dict(channel) for channel in channels]},
-    )
-
-
-def _with_changes(analysis: Analysis, found: Sequence[Change], who: Mapping[str, str]) -> Analysis:
-    """The analysis with who asked for it, when and why, and what became of each of its coefficients."""
-    mine = [change.to_dict() for change in found if change.kind == analysis.kind and change.runs == analysis.runs]
-    return replace(analysis, facts={**analysis.facts, "recalibration": {**who, "changes": mine}})
-
-
-def _now() -> str:
-    from datetime import UTC, datetime
-
-    return datetime.now(UTC).isoformat(timespec="seconds")
+    facts = {**analysis.facts, "recalibrated": [dict(channel) for channel in channels]}
+    return replace(analysis, findings=(*said, *analysis.findings), facts=facts)
 
 
 def _free(folder: Path) -> Path:

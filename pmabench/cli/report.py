@@ -56,14 +56,18 @@ def command(
     Runs are processed now, unless `process` did that and nothing has changed since.
     """
     from pmabench.cli.process import apart, chains, stored, without_analyses
-    from pmabench.cli.report_overlays import read_overlays
     from pmabench.report.document import kept_page
+    from pmabench.report.writing import write_file
     from pmabench.store.analyses.folder import runs_of
     from pmabench.store.since import as_sealed
 
     for path in (path for path in (output, pdf, xlsx) if path is not None and path.is_fifo()):
         raise UsageError(f"{path} is a pipe; give the name of a file")
-    published = read_overlays(overlays)
+    published: list[Published] = []
+    if overlays:
+        from pmabench.cli.report_overlays import read_overlays
+
+        published = read_overlays(overlays)
     folders, others = apart(sources)
     given = without_analyses(ui, others) if others else []
     used = folders if folders or fresh else stored(ui, given)
@@ -76,7 +80,7 @@ def command(
     if page is not None:
         for line in page.remarks:
             ui.note(line)
-        written = {"path": str(kept_page.write_text(page.text, output))}
+        written = {"path": str(write_file(output, page.text, "the report"))}
     else:
         analyses, runs = _analysed(ui, folders, used, given)
         written, page = _written(ui, analyses, runs, published, title, issuer, output, pdf, xlsx)
@@ -124,9 +128,9 @@ def _written(
     from pmabench.cli.process import since_lines
     from pmabench.plotting.svg import import_without_3d
     from pmabench.report.document.checklist import Issuer
-    from pmabench.report.document.content import content_of
-    from pmabench.report.document.html import page_of
-    from pmabench.report.document.kept_page import Page, write_text
+    from pmabench.report.document.content import content_of, page_of
+    from pmabench.report.document.kept_page import Page
+    from pmabench.report.writing import write_file
 
     import_without_3d()
     page = Page("", {run.id: run.since.as_data() for run in runs if run.since.sentences}, since_lines(runs))
@@ -134,7 +138,7 @@ def _written(
         ui.note(line)
     content = content_of(analyses, runs, title=title, published=published, issuer=Issuer(**issuer))
     page = replace(page, text=page_of(content))
-    written = {"path": str(write_text(page.text, output))}
+    written = {"path": str(write_file(output, page.text, "the report"))}
     if pdf is not None:
         from pmabench.report.document.pdf import write_pdf
 

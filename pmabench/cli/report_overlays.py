@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from pmabench.files.table import Column
-    from pmabench.report.figures.overlays import Published
+from pmabench.base.errors import InvalidFile, Problem, UsageError, invalid
+from pmabench.base.quantities import QUANTITIES
+from pmabench.files.table import Column, Wanted, meaning, numbers, read_table, unit_scale
+from pmabench.report.figures.overlays import COORDINATES, HEADS, Published
 
 
 def read_overlays(given: Sequence[str]) -> list[Published]:
     """The tables of `FILE[:LABEL]`; InvalidFile with every head and cell that is wrong, of all files."""
-    from pmabench.base.errors import InvalidFile, Problem, UsageError
-
     found, problems = [], list[Problem]()
     for text in given:
         path, label = _parted(text)
@@ -42,10 +40,6 @@ def _parted(text: str) -> tuple[Path, str]:
 
 
 def _read(path: Path, label: str) -> Published:
-    from pmabench.base.errors import InvalidFile, invalid
-    from pmabench.files.table import numbers, read_table
-    from pmabench.report.figures.overlays import COORDINATES, HEADS, Published
-
     table = read_table(path)
     chosen: dict[str, tuple[Column, str, str | None]] = {}
     problems = []
@@ -61,7 +55,7 @@ def _read(path: Path, label: str) -> Published:
         raise InvalidFile(problems)
     values = [name for name in chosen if name not in COORDINATES]
     if not values or len(values) == len(chosen):
-        heads = ", ".join(f'"{names[0]} [{_unit(quantity)}]"' for _, quantity, names in HEADS)
+        heads = ", ".join(f'"{names[0]} [{QUANTITIES[quantity].shown_in}]"' for _, quantity, names in HEADS)
         raise invalid(
             path, f"a coordinate and a value over it are expected, of: {heads}", table.columns[0].head.line, 1
         )
@@ -69,17 +63,8 @@ def _read(path: Path, label: str) -> Published:
     return Published(label, table.source, path, dict(zip(chosen, columns, strict=True)))
 
 
-def _unit(quantity: str) -> str:
-    from pmabench.base.quantities import QUANTITIES
-
-    return QUANTITIES[quantity].shown_in
-
-
 def _meaning(column: Column) -> tuple[str, str, str | None] | None:
     """Name, quantity and unit of a column: the first of its meanings whose unit fits, else the first."""
-    from pmabench.files.table import Wanted, meaning, unit_scale
-    from pmabench.report.figures.overlays import HEADS
-
     able = []
     for name, quantity, heads in HEADS:
         found = meaning(column, [Wanted(heads, quantity)])

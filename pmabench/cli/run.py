@@ -13,10 +13,10 @@ import click
 
 from pmabench.base.errors import RecordError, UsageError
 from pmabench.base.system import ENGINE, ordinary, real_time
-from pmabench.cli.common import Ui, common, plan_options, rewrite, say, session_options
-from pmabench.cli.next_steps import show_next
-from pmabench.cli.progress import progress_line
-from pmabench.cli.space import needed, too_little
+from pmabench.cli.common import Ui, common, plan_options, rewrite, session_options
+from pmabench.cli.operator import AtDisplay, Confirmed, InLines
+from pmabench.cli.outcome import print_checks, progress_line, show_next, show_outcome
+from pmabench.engine.operator import AtTerminal, ConfirmedBeforehand, Nobody
 
 if TYPE_CHECKING:
     from pmabench.bench.compile import Mounted
@@ -102,6 +102,7 @@ def execute(
 
     With a display in real time, with a line of progress in virtual time. `session` are options of `ensure`.
     """
+    from pmabench.cli.prepare import needed, too_little
     from pmabench.engine.run import run_plan
     from pmabench.protocol.plan import Ask
 
@@ -137,7 +138,6 @@ def _in_session(
     ui: Ui, mounted: Mounted, out: Path, operator_name: str, options: dict[str, Any], *, yes: bool
 ) -> Mounted:
     """The bench within a valid session, which is run first where none is; `options` are those of `ensure`."""
-    from pmabench.cli.checks import print_checks
     from pmabench.session.session import SessionFailed, ensure
 
     with _operated(ui, mounted, "session", yes=yes) as (operator, shown):
@@ -168,7 +168,6 @@ def _operated(ui: Ui, mounted: Mounted, title: str, *, yes: bool) -> Iterator[tu
         with progress_line(ui, title) as progress:
             yield _operator(mounted, yes=yes), {"progress": progress}
         return
-    from pmabench.cli.operator import AtDisplay, Confirmed
     from pmabench.display.child import Display
 
     display = Display(color=ui.color)
@@ -194,8 +193,6 @@ def _somebody(mounted: Mounted) -> bool:
 
 def _operator(mounted: Mounted, *, yes: bool) -> Operator:
     """Who answers without a display."""
-    from pmabench.cli.operator import InLines
-    from pmabench.engine.operator import AtTerminal, ConfirmedBeforehand, Nobody
 
     def write(text: str) -> None:
         if sys.stderr.isatty():
@@ -207,43 +204,3 @@ def _operator(mounted: Mounted, *, yes: bool) -> Operator:
     if not _somebody(mounted):
         return Nobody()
     return InLines(write) if mounted.bench.realtime else AtTerminal(input, write)
-
-
-def outcome_json(outcome: Outcome) -> dict[str, Any]:
-    """The documented object of a run's end."""
-    return {
-        "schema": "pmabench.outcome/1",
-        "run": str(outcome.folder),
-        "status": outcome.status,
-        "why": outcome.why,
-        "exit_code": outcome.exit_code,
-        "vent": None
-        if outcome.vent is None
-        else {"result": outcome.vent.result, "actions": list(outcome.vent.actions)},
-        "bench_seconds": outcome.bench_seconds,
-        "rows": outcome.rows,
-        "trials_failed": [index + 1 for index in outcome.trials_failed],
-    }
-
-
-def show_outcome(ui: Ui, outcome: Outcome) -> None:
-    """The result of a command that was one run; with --quiet its folder, why it did not finish, how it vented."""
-    if ui.quiet and not ui.json and outcome.status != "finished":
-        say(f"{outcome.status}: {outcome.why}{_vented(outcome)}")
-    folder = () if outcome.folder is None else (str(outcome.folder),)
-    ui.result(outcome_json(outcome), lambda: print_outcome(outcome), folder)
-
-
-def print_outcome(outcome: Outcome) -> None:
-    """How it ended, in two lines; where no vent was confirmed, what came of each action and what to do."""
-    why = f": {outcome.why}" if outcome.why else ""
-    click.echo(f"{outcome.status}{why}; {outcome.rows:,} rows{_vented(outcome)}")
-    if outcome.vent is not None and not outcome.vent.confirmed:
-        for action in outcome.vent.actions:
-            click.echo(f"  {action}")
-        click.echo("  nobody knows that the pressure is gone: stay away, shut the supply by hand, then pmabench vent")
-    click.echo(str(outcome.folder))
-
-
-def _vented(outcome: Outcome) -> str:
-    return f"; vent {outcome.vent.result}" if outcome.vent is not None else ""

@@ -10,8 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from pmabench.base.errors import InvalidFile, invalid
 from pmabench.base.text import printable
-from pmabench.cli.common import Ui, common
+from pmabench.cli.common import Ui, common, fields
+from pmabench.report.terminal import print_grid
 
 if TYPE_CHECKING:
     from pmabench.store.records import RunData
@@ -32,7 +34,6 @@ def command() -> None:
 @common
 def list_runs(ui: Ui, folder: Path) -> int | None:
     """Every run in FOLDER, by date."""
-    from pmabench.base.errors import invalid
     from pmabench.store.catalogue import catalogue
 
     if not folder.is_dir():
@@ -43,7 +44,6 @@ def list_runs(ui: Ui, folder: Path) -> int | None:
         row["resume"] = "" if row["id"] in continued else _resume(folder / row["folder"], row)
 
     def human() -> None:
-        from pmabench.report.terminal import print_grid
         from pmabench.store.since import Added, Since
 
         table = []
@@ -93,29 +93,16 @@ def _summary(data: RunData, going_on: Mapping[str, str]) -> dict[str, Any]:
     taken = sampling(data.trials)
     return {
         "schema": "pmabench.run-summary/1",
-        "id": data.id,
-        "kind": data.kind,
-        "status": data.status,
-        "simulated": data.simulated,
-        "manifest": dict(data.manifest),
+        **fields(data, "id", "kind", "status", "simulated", "manifest", "interpolated"),
         "channels": {name: vars(channel) for name, channel in data.channels.items()},
         "trials": [
-            {
-                "trial": t.number,
-                "point": dict(t.point),
-                "repeat": t.repeat,
-                "attempt": t.attempt,
-                "status": t.status,
-                "reference": t.reference,
-                "again": t.again,
-                "rows": len(t.t),
-            }
+            {"trial": t.number, "rows": len(t.t)}
+            | fields(t, "point", "repeat", "attempt", "status", "reference", "again")
             for t in data.trials
         ],
         "sampling": vars(taken) if taken is not None else None,
         "events": len(data.events),
         "clocks": {name: {**vars(clock), "offset": clock.offset} for name, clock in data.clocks.items()},
-        "interpolated": dict(data.interpolated),
         "notes": [note.as_data() for note in data.notes],
         "since": data.since.as_data(),
         **going_on,
@@ -261,7 +248,6 @@ def verify_runs(ui: Ui, runs: tuple[Path, ...]) -> int | None:
 
 def _verified(folder: Path) -> list[Finding]:
     """What is wrong with a folder; that it is no run is the only finding then."""
-    from pmabench.base.errors import InvalidFile
     from pmabench.store.verify import Finding, verify
 
     try:

@@ -1,20 +1,28 @@
-"""`pmabench tune`: controller settings of every rule from an ultimate gain and period, ideal and parallel form."""
+"""`pmabench tune`: controller settings of every rule, ideal and parallel form.
+
+From an ultimate gain and period, from an analysis, from open-loop steps, or from the fitted muscle and regulator.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from pmabench.base.errors import UsageError, invalid
 from pmabench.base.kind import load
-from pmabench.cli.common import Ui, common
+from pmabench.base.quantities import QUANTITIES, show
+from pmabench.cli.common import Ui, common, read_quantity
+from pmabench.report.terminal import print_grid
 
 if TYPE_CHECKING:
     from pmabench.analysis.results import Analysis, Estimate
     from pmabench.analysis.tuning import Gains
-    from pmabench.cli.tune_model import Where
+    from pmabench.base.kind import Kind
     from pmabench.model.loop import Loop
     from pmabench.model.rules.record import Rule
 
@@ -56,8 +64,6 @@ def command(
 ) -> int | None:
     """Gains of the tuning rules from K_u and T_u, from an analysis, or from RUNS in which no loop was closed."""
     from pmabench.analysis.tuning import facts, rules_named
-    from pmabench.base.errors import UsageError
-    from pmabench.cli.tune_model import Where, holds_model
     from pmabench.model.rules.record import all_rules
 
     _check_one_source(runs, [ku is not None, tu is not None], analysis, steps=steps, model=model)
@@ -99,8 +105,6 @@ def _check_one_source(
     runs: tuple[Path, ...], given: list[bool], analysis: Path | None, *, steps: bool, model: bool
 ) -> None:
     """Raise UsageError unless there is one source of K_u and T_u; `given`: whether --ku and --tu are."""
-    from pmabench.base.errors import UsageError
-
     from_runs = steps or model
     if (steps and model) or from_runs != bool(runs) or (from_runs and (any(given) or analysis is not None)):
         way = "--model" if model and not steps else "--steps"
@@ -117,7 +121,6 @@ def _measured_pairs(
 ) -> tuple[Pairs, list[str]]:
     """K_u, T_u and the loop where it is known, from runs or else from an analysis, with what was found on the way."""
     from pmabench.analysis.tuning import measured_loops
-    from pmabench.cli.tune_model import by_folder, by_runs, holds_model
 
     if analysis is None:
         reduced = _reduced(ui, runs) if steps else by_runs(ui, runs, where)
@@ -131,7 +134,6 @@ def _measured_pairs(
 def _tuned(pairs: Pairs, rules: tuple[Rule, ...]) -> list[tuple[Estimate, Estimate, tuple[Gains, ...]]]:
     """Each K_u and T_u with its gains by rule. Raises UsageError."""
     from pmabench.analysis.tuning import tune
-    from pmabench.base.errors import UsageError
 
     try:
         found = [(gain, time, tune(gain, time, rules, loop)) for gain, time, loop in pairs]
@@ -146,9 +148,7 @@ def _tuned(pairs: Pairs, rules: tuple[Rule, ...]) -> list[tuple[Estimate, Estima
 
 def _reduced(ui: Ui, runs: tuple[Path, ...]) -> Analysis:
     """What the open-loop steps of runs give; other ways to K_u in them are in the findings."""
-    from pmabench.base.errors import invalid
     from pmabench.cli.process import load_runs, without_analyses
-    from pmabench.cli.tune_model import models
     from pmabench.kinds import registry
 
     loaded = load_runs(without_analyses(ui, runs))
@@ -169,7 +169,6 @@ def _reduced(ui: Ui, runs: tuple[Path, ...]) -> Analysis:
 def _ultimate_text(gain: Estimate, period: Estimate) -> str:
     """Operating point, K_u and T_u with their intervals, and where they come from."""
     from pmabench.analysis.results import POINT_QUANTITIES
-    from pmabench.base.quantities import show
 
     names = [name for name in POINT_QUANTITIES if name in gain.at]
     where = ", ".join(f"{name} {show(gain.at[name], POINT_QUANTITIES[name])}" for name in names)
@@ -202,36 +201,26 @@ def _time(ui: Ui, text: str) -> Estimate:
     return Estimate("T_u", value, "s", "time", "given")
 
 
-def _seconds(option: str, text: str) -> float:
-    return _quantity(option, text, "time", 0.0)[0]
-
-
 def _quantity(option: str, text: str, quantity: str, least: float) -> tuple[float, bool]:
     """The value [SI], and whether it was written without a unit."""
-    from pmabench.base.errors import UsageError
-    from pmabench.files.quantity import parse_quantity
-
-    bare = True
     try:
-        value = float(text)
+        value, bare = float(text), True
     except ValueError:
-        bare = False
-        try:
-            value = parse_quantity(text, quantity)
-        except ValueError as error:
-            raise UsageError(f"{option}: {error}") from error
-    most = 1e6 if quantity == "time" else 1e30
+        value, bare = read_quantity(option, text, quantity), False
+    return _within(option, text, quantity, value, least, 1e6 if quantity == "time" else 1e30), bare
+
+
+def _within(option: str, text: str, quantity: str, value: float, least: float, most: float) -> float:
+    """The value, which must lie between both [SI]."""
     if not least <= value <= most:
-        raise UsageError(
-            f'{option}: "{text}" is no {quantity} that can be; expected is {least:g} to {most:g} in SI units'
-        )
-    return value, bare
+        expected = f"expected is {least:g} to {most:g} in SI units"
+        raise UsageError(f'{option}: "{text}" is no {quantity} that can be; {expected}')
+    return value
 
 
 def _measured(folder: Path) -> list[tuple[Estimate, Estimate, Loop | None]]:
     """Gain, period and the identified loop (where there is one) at each operating point."""
     from pmabench.analysis.tuning import measured_loops
-    from pmabench.base.errors import invalid
     from pmabench.store.analyses.folder import read_analysis
 
     found = measured_loops(read_analysis(folder))
@@ -246,11 +235,11 @@ Pairs = list[tuple["Estimate", "Estimate", "Loop | None"]]
 def _with_loop(pairs: Pairs, dead_time: str | None, lags: tuple[str, ...]) -> tuple[Pairs, list[str]]:
     """The pairs, each with the loop of the given dead time and lags where its period fits, and a sentence on each."""
     from pmabench.analysis.tuning import loop_of
-    from pmabench.base.errors import UsageError
 
     if dead_time is None:
         raise UsageError("--lag is for --dead-time; give both, or neither")
-    dead, rest = _seconds("--dead-time", dead_time), [_seconds("--lag", lag) for lag in lags]
+    dead = _quantity("--dead-time", dead_time, "time", 0.0)[0]
+    rest = [_quantity("--lag", lag, "time", 0.0)[0] for lag in lags]
     found, notes = [], []
     for gain, period, known in pairs:
         try:
@@ -262,18 +251,7 @@ def _with_loop(pairs: Pairs, dead_time: str | None, lags: tuple[str, ...]) -> tu
     return found, notes
 
 
-def _percent(share: float) -> str:
-    return f"{100 * share:.0f} %" if isfinite(share) else "unstable"
-
-
-def _late(time: float) -> str:
-    return f"{time:.3g} s" if isfinite(time) else "never"
-
-
 def _print(ui: Ui, gains: tuple[Gains, ...]) -> None:
-    from pmabench.base.quantities import QUANTITIES
-    from pmabench.report.terminal import print_grid
-
     def cell(estimate: Any) -> str:
         if estimate is None or estimate.value is None:
             return ""
@@ -293,6 +271,101 @@ def _print(ui: Ui, gains: tuple[Gains, ...]) -> None:
         elif row.margins is not None:
             cells += [f"{row.margins.M_s:.2f}", f"{row.margins.gain_margin:.2f}"]
             cells.append(QUANTITIES["angle"].show(row.margins.phase_margin, 3))
-            cells += ["", ""] if row.answer is None else [_percent(row.answer.overshoot), _late(row.answer.settling)]
+            answer = ["", ""]
+            if row.answer is not None:
+                overshoot, settling = row.answer.overshoot, row.answer.settling
+                answer = [f"{100 * overshoot:.0f} %" if isfinite(overshoot) else "unstable"]
+                answer += [f"{settling:.3g} s" if isfinite(settling) else "never"]
+            cells += answer
         rows.append([row.rule.title, *cells])
     print_grid(ui.console(), heads, rows, ("rule",))
+
+
+PART = "tune by model"
+LOOP = ("F_ce", "K", "B_c", "tau_P")
+"""Coefficients that make a loop, with the lag of the regulator."""
+G = 9.80665
+LONGEST, MOST, SLOWEST = 10.0, 1e5, 10.0
+"""Set-points [m], loads [N] and sample periods [s] above which nothing is believed."""
+
+
+@dataclass(frozen=True)
+class Where:
+    """Where the loop is to be known: set-points [m], load [N], its mass [kg], sample period [s] (None: the runs')."""
+
+    setpoints: tuple[float, ...]
+    load: float
+    mass: float
+    period: float | None
+    given: bool
+    """Whether any of it was given."""
+
+    @classmethod
+    def read(cls, setpoints: Sequence[str], load: str | None, period: str | None) -> Where:
+        """From what was typed; UsageError for what cannot be."""
+        from pmabench.files.quantity import parse_mass_or_force
+
+        def quantity(option: str, text: str, kind: str, most: float) -> float:
+            return _within(option, text, kind, read_quantity(option, text, kind), 0.0, most)
+
+        places = tuple(quantity("--setpoint", text, "length", LONGEST) for text in setpoints)
+        try:
+            hung, value = ("force", 0.0) if load is None else parse_mass_or_force(load)
+        except ValueError as error:
+            raise UsageError(f"--load: {error}") from error
+        force, mass = (value * G, value) if hung == "mass" else (value, 0.0)
+        if not 0 <= force <= MOST:
+            raise UsageError(f'--load: "{load}" is no load of a muscle; expected is 0 to {MOST:g} N')
+        step = None if period is None else quantity("--period", period, "time", SLOWEST)
+        return cls(places, force, mass, step, bool(setpoints) or load is not None or period is not None)
+
+
+def holds_model(folder: Path) -> bool:
+    """Whether a folder is an analysis whose coefficients make a loop."""
+    from pmabench.store.analyses.folder import read_analysis
+
+    return read_analysis(folder).kind in models()
+
+
+def models() -> dict[str, Kind]:
+    """The kinds of test whose coefficients make a loop."""
+    from pmabench.kinds import registry
+
+    return registry.with_results(*LOOP)
+
+
+def by_folder(folder: Path, where: Where) -> Analysis:
+    """K_u and T_u by the model of an analysis; without `--period` no hold is counted."""
+    from pmabench.store.analyses.folder import read_analysis
+
+    return _found(folder, read_analysis(folder), where, where.period or 0.0)
+
+
+def by_runs(ui: Ui, runs: Sequence[Path], where: Where) -> Analysis:
+    """K_u and T_u by the model that is fitted to runs; they must be of one specimen."""
+    from pmabench.cli.process import load_runs, without_analyses
+    from pmabench.kinds import registry
+    from pmabench.kinds.reduce import reduce_runs, reduction_of
+
+    loaded = load_runs(without_analyses(ui, runs))
+    able = models()
+    for run in loaded:
+        if reduction_of(run) not in able:
+            raise invalid(run.path, f'is a run of kind "{reduction_of(run)}"; --model takes kind {", ".join(able)}')
+    reduced = [a for a in reduce_runs(loaded, registry.options_for({"regulator": True})) if a.kind in able]
+    if len(reduced) != 1:
+        raise invalid(runs[0], "the runs are of several specimens; give those of one")
+    period = max(1 / run.rate for run in loaded) if where.period is None else where.period
+    return _found(runs[0], reduced[0], where, period)
+
+
+def _found(path: Path, analysis: Analysis, where: Where, period: float) -> Analysis:
+    from pmabench.kinds import registry
+
+    try:
+        made: Analysis = load(next(iter(registry.with_part(PART).values())).parts[PART])(
+            analysis, where.setpoints, where.load, where.mass, period
+        )
+    except ValueError as error:
+        raise invalid(path, str(error)) from error
+    return made

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import getpass
 import json
 import os
 import socket
@@ -16,7 +15,7 @@ from typing import Any
 import click
 
 from pmabench.base.errors import LimitRefused, PmaError, UsageError, did_you_mean
-from pmabench.cli.common import Ui, common
+from pmabench.cli.common import Ui, common, login_name
 from pmabench.guard.station import Station, stations
 from pmabench.guard.wire import Messages, encode, keys
 
@@ -199,13 +198,9 @@ def _reset(station: Station, saved: dict[str, Any], operator: str, because: str)
 
 def _who() -> str:
     try:
-        user = getpass.getuser()
-    except (OSError, KeyError):
-        user = "unknown"
-    try:
-        return f"{user} at {os.ttyname(0)}"
+        return f"{login_name()} at {os.ttyname(0)}"
     except (OSError, AttributeError):
-        return user
+        return login_name()
 
 
 def _print(vented: list[Vented], *, reset: bool) -> None:

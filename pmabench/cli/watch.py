@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from pmabench.cli.common import Ui, common
+from pmabench.base.errors import invalid
+from pmabench.cli.common import Ui, common, fields
 
 if TYPE_CHECKING:
     from pmabench.display.state import RunState
@@ -27,7 +28,7 @@ def command(ui: Ui, run: Path, *, plain: bool, wait: bool) -> int | None:
     folder = _find(ui, run, wait=wait)
     several = folder != run
     from pmabench.display.console import watch
-    from pmabench.display.plain import last_line
+    from pmabench.display.lines import last_line
 
     try:
         state = watch(folder, plain=plain, color=ui.color, quiet=ui.json or ui.quiet, on=several)
@@ -40,8 +41,6 @@ def command(ui: Ui, run: Path, *, plain: bool, wait: bool) -> int | None:
 
 def _find(ui: Ui, place: Path, *, wait: bool) -> Path:
     """The run folder that is meant; raises InvalidFile where there is none."""
-    from pmabench.base.errors import invalid
-
     noted = False
     while True:
         if (place / "manifest.json").exists():
@@ -63,32 +62,12 @@ def _json(folder: Path, state: RunState) -> dict[str, Any]:
     return {
         "schema": "pmabench.watch/1",
         "run": str(folder),
-        "status": state.status,
-        "why": state.why,
-        "vent": state.vent,
-        "simulated": state.simulated,
-        "rows": state.rows,
+        **fields(state, "status", "why", "vent", "simulated", "rows"),
         "flagged": dict(state.counts),
         "trials_planned": state.trials,
         "trials": [
-            {
-                "trial": line.number,
-                "point": line.point,
-                "repeat": line.repeat,
-                "status": line.status,
-                "doubts": list(line.doubts),
-                "numbers": [
-                    {
-                        "symbol": n.symbol,
-                        "quantity": n.quantity,
-                        "value": n.value,
-                        "reference": n.reference,
-                        "reference_is": n.reference_is,
-                        "assumed": n.assumed,
-                    }
-                    for n in line.numbers
-                ],
-            }
+            fields(line, "point", "repeat", "status", "doubts")
+            | {"trial": line.number, "numbers": [vars(number) for number in line.numbers]}
             for line in state.lines
         ],
     }

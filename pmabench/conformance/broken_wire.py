@@ -15,7 +15,7 @@ from random import Random
 from typing import Any
 
 from pmabench.base.errors import DeviceError
-from pmabench.bench.interface import OutputRecord, Supervised
+from pmabench.bench.interface import OutputRecord
 from pmabench.conformance.commands import near, raw, sent, times_sent
 from pmabench.conformance.relay import Hostile, late, silence
 from pmabench.conformance.rig import (
@@ -38,6 +38,14 @@ MANY = 10
 """Rounds of questions after which no more may be open than before."""
 RECOVERS = 5
 """How often a question may fail after the wire is well again."""
+LISTENS = 0.03
+"""How long samples are damaged before they are collected [s]."""
+HEALS = 2
+"""How often a question may fail on a good wire before the device is opened again."""
+OPENS = 5
+"""How often it may fail to open after that."""
+SELDOM_LATE = 500
+"""Of so many pieces one call may be late: this computer has other things to do, too."""
 
 
 def calls(rig: Rig, device: Any) -> list[tuple[str, Callable[[], Any], float]]:
@@ -46,17 +54,10 @@ def calls(rig: Rig, device: Any) -> list[tuple[str, Callable[[], Any], float]]:
     for output in rig.record.outputs:
         value = _fifth(output)
         found.append((f"write({value:g})", partial(device.write, output.output, value), CALLS_WITHIN))
-        found.append(("read_back()", partial(device.read_back, output.output), CALLS_WITHIN))
     for valve in rig.record.valves:
         found.append(("switch(on=False)", partial(device.switch, valve.output, on=False), CALLS_WITHIN))
-        found.append(("is_on()", partial(device.is_on, valve.output), CALLS_WITHIN))
-    for lock in rig.record.interlocks:
-        found.append(("level()", partial(device.level, lock.input), CALLS_WITHIN))
-    if isinstance(device, Supervised):
-        found.append(("held()", device.held, CALLS_WITHIN))
-    if rig.streams():
-        found.append(("collect()", device.collect, COLLECTS_WITHIN))
-    return found
+    within = {"collect()": COLLECTS_WITHIN}
+    return found + [(what, act, within.get(what, CALLS_WITHIN)) for what, act in rig.questions(device)]
 
 
 def _fifth(output: OutputRecord) -> float:
@@ -69,9 +70,7 @@ def silent(rig: Rig) -> str:
     rig.need_wire()
     answers: list[str] = []
     for sampling in (False, True) if rig.streams() else (False,):
-        with rig.opened() as device:
-            if sampling:
-                rig.call("start()", device.start, RATE).good(COLLECTS_WITHIN)
+        with rig.opened(rate=RATE if sampling else 0.0) as device:
             rig.damage(silence)
             answers += _in_silence(rig, device)
             if sampling:
@@ -159,9 +158,7 @@ def late_answers(rig: Rig) -> str:
 def hang_up(rig: Rig) -> str:
     """When the line is cut, calls say so in time, and after a new open() all is well."""
     rig.need_wire()
-    with rig.opened() as device:
-        if rig.streams():
-            rig.call("start()", device.start, RATE).good(COLLECTS_WITHIN)
+    with rig.opened(rate=RATE) as device:
         for relay in rig.relays:
             relay.hang_up()
         answers: list[str] = []
@@ -236,7 +233,7 @@ def nothing_left(rig: Rig) -> str:
 
 def _refuse_growth(rig: Rig, device: Any) -> None:
     """Raise Failed where calls leave threads or files behind while the device is open."""
-    asked = [(what, act) for what, act, _ in calls(rig, device) if not what.startswith(("write", "switch"))]
+    asked = rig.questions(device)
     for rounds in (3, MANY):
         before = _left()
         for _ in range(rounds):
@@ -256,18 +253,6 @@ def _left() -> tuple[frozenset[str], int]:
         f"{thread.name} ({thread.ident})" for thread in threading.enumerate() if not thread.name.startswith("link-")
     )
     return names, open_files()
-
-
-LISTENS = 0.03
-"""How long samples are damaged before they are collected [s]."""
-HEALS = 2
-"""How often a question may fail on a good wire before the device is opened again."""
-OPENS = 5
-"""How often it may fail to open after that."""
-
-
-SELDOM_LATE = 500
-"""Of so many pieces one call may be late: this computer has other things to do, too."""
 
 
 class Battle:

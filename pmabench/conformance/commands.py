@@ -114,11 +114,14 @@ def refuse_position(
         )
 
 
-def _refuse_nowhere(rig: Rig, *names: tuple[str, Callable[[], Any]]) -> None:
-    for what, act in names:
-        given = rig.call(what, act).judged()
-        if not isinstance(given, DeviceError):
-            raise Failed(f"{what} gave {given!r}; a DeviceError is expected, with the names that there are")
+def _refuse_nowhere(rig: Rig, *calls: str) -> None:
+    """Raise Failed where a call takes a name that does not exist."""
+    for name in calls:
+        given = [0.0] if name == "write" else []
+        act = partial(getattr(rig.device, name), NOWHERE, *given, **({"on": False} if name == "switch" else {}))
+        answer = rig.call(what := f"{name}({NOWHERE})", act).judged()
+        if not isinstance(answer, DeviceError):
+            raise Failed(f"{what} gave {answer!r}; a DeviceError is expected, with the names that there are")
 
 
 # -- checks -----------------------------------------------------------------------------------------------------------
@@ -129,18 +132,12 @@ def set_points(rig: Rig) -> str:
     if not rig.record.outputs:
         raise NotApplicable("the bench names no output of it")
     truth = rig.truth()
-    with rig.opened() as device:
-        if rig.streams():
-            rig.call("start()", device.start, RATE).good(COLLECTS_WITHIN)
+    with rig.opened(rate=RATE):
         for output in rig.record.outputs:
             moves = output.quantity == "length"
             for share in (0.4, 0.07, 0.0) if moves else (0.93, 0.37, 0.013, 0.0):
                 _one_set_point(rig, truth, output, at(output, share), moves=moves)
-        _refuse_nowhere(
-            rig,
-            (f"write({NOWHERE})", partial(device.write, NOWHERE, 0.0)),
-            (f"read_back({NOWHERE})", partial(device.read_back, NOWHERE)),
-        )
+        _refuse_nowhere(rig, "write", "read_back")
     return f"{len(rig.record.outputs)} outputs: the plant gets each value [SI], once; it is read back, others stay"
 
 
@@ -206,11 +203,7 @@ def valves(rig: Rig) -> str:
                 shown = rig.call("is_on()", device.is_on, valve.output).good()
                 if shown is not on:
                     raise Failed(f"{valve.name} was switched {'on' if on else 'off'} and is_on() gives {shown!r}")
-        _refuse_nowhere(
-            rig,
-            (f"switch({NOWHERE})", partial(device.switch, NOWHERE, on=False)),
-            (f"is_on({NOWHERE})", partial(device.is_on, NOWHERE)),
-        )
+        _refuse_nowhere(rig, "switch", "is_on")
     dump = dump_of(rig.record.valves)
     seen = f"; {dump.name} opens and closes in the plant" if dump else ""
     return f"{len(rig.record.valves)} valves energised as commanded{seen}"
@@ -235,7 +228,7 @@ def inputs(rig: Rig) -> str:
                         f"level() of {lock.name} gave {level}; the emulated contact is {'safe' if safe else 'unsafe'}, "
                         f"and {lock.safe} is safe"
                     )
-        _refuse_nowhere(rig, (f"level({NOWHERE})", partial(device.level, NOWHERE)))
+        _refuse_nowhere(rig, "level")
     if fixed:
         raise NotChecked(f"{', '.join(fixed)} at rest only: the emulator cannot change it")
     return f"{len(rig.record.interlocks)} inputs, at rest, with the emergency stop pressed, and released"

@@ -12,12 +12,16 @@ from pmabench.base.quantities import show
 from pmabench.bench.interface import Follower, Motion, OutputRecord, Segment, Supervised, Watchdog
 from pmabench.conformance.commands import MOVES, at, close_enough, commanded, lift, near, reaches, refuse_unsafe
 from pmabench.conformance.relay import silence
-from pmabench.conformance.rig import COLLECTS_WITHIN, Failed, Late, NotApplicable, NotChecked, Rig
+from pmabench.conformance.rig import Failed, Late, NotApplicable, NotChecked, Rig
 from pmabench.conformance.samples import RATE
 from pmabench.conformance.truth import Truth
 
 BEHIND = 0.12
 """How far a ramp may be from its time [s]."""
+EARLY, LATEST = 0.1, 0.25
+"""How much before and after its time a watchdog may act [s]."""
+NOTICED = 0.5
+"""So soon a difference must be in `held` [s]."""
 
 
 def ramps(rig: Rig) -> str:
@@ -25,9 +29,7 @@ def ramps(rig: Rig) -> str:
     if not rig.record.outputs or not issubclass(rig.driver(), Follower):
         raise NotApplicable("it follows no ramps")
     truth = rig.truth()
-    with rig.opened() as device:
-        if rig.streams():
-            rig.call("start()", device.start, RATE).good(COLLECTS_WITHIN)
+    with rig.opened(rate=RATE) as device:
         for output in rig.record.outputs:
             origin, target = at(output, 0.1), at(output, 0.4)
             swing = at(output, 0.05) - at(output, 0.0)
@@ -106,9 +108,7 @@ def halts(rig: Rig) -> str:
     if not rig.record.outputs or not issubclass(rig.driver(), Motion):
         raise NotApplicable("it stops no motion by itself")
     truth = rig.truth()
-    with rig.opened() as device:
-        if rig.streams():
-            rig.call("start()", device.start, RATE).good(COLLECTS_WITHIN)
+    with rig.opened(rate=RATE) as device:
         for output in rig.record.outputs:
             origin, target = at(output, 0.1), at(output, 0.4)
             _begin_at(rig, truth, output, origin)
@@ -127,12 +127,6 @@ def halts(rig: Rig) -> str:
                 where = show(stopped, output.quantity)
                 raise Late(f"{output.name}: halt() in the middle of a ramp left the plant at {where}, not where it was")
     return "a ramp stops where it is"
-
-
-EARLY, LATEST = 0.1, 0.25
-"""How much before and after its time a watchdog may act [s]."""
-NOTICED = 0.5
-"""So soon a difference must be in `held` [s]."""
 
 
 def watchdog(rig: Rig) -> str:

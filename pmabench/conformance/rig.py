@@ -18,13 +18,27 @@ from typing import Any
 
 from pmabench.base.clock import Clock, RealClock, VirtualClock
 from pmabench.base.errors import DeviceError, UsageError
-from pmabench.bench.interface import Device, DeviceRecord, Identity, Rescue, Stream, Watchdog
+from pmabench.bench.interface import Device, DeviceRecord, Identity, Rescue, Stream, Supervised, Watchdog
 from pmabench.bench.interface import Truth as Wiring
 from pmabench.conformance.relay import Relay, SerialRelay, TcpRelay
 from pmabench.conformance.truth import Behind, Emulated, Inside, Truth
 from pmabench.guard.owner import PATIENCE, Call, Owner
 
 PASSED, FAILED, NOT_APPLICABLE, NOT_CHECKED = "pass", "fail", "does not apply", "not checked"
+OPENS_WITHIN = 2.0
+"""Longest time that `open` may take [s]."""
+STARTS_WITHIN = 8.0
+"""And that of a simulation without a wire, which may start another process [s]: so long the guard waits."""
+COLLECTS_WITHIN = 0.5
+"""Longest time that `start`, `collect` and `stop` may take [s]."""
+HUNG = 10.0
+"""A call that is not back after so long counts as hanging [s]."""
+CALLS_WITHIN = PATIENCE
+"""Longest time that a command or a question may take [s]."""
+_PLACE = re.compile(r"(.*://)?((?:[A-Za-z0-9._-]+|\[[0-9A-Fa-f:.]+\]):\d{1,5})")
+"""HOST:PORT, also behind the beginning of an address like `slcan:socket://`."""
+SLACK = 0.1
+"""What every call is given besides [s], and three times what this computer was late meanwhile."""
 
 
 @dataclass(frozen=True)
@@ -51,22 +65,6 @@ class NotApplicable(Exception):
 
 class NotChecked(Exception):
     """Something could not be compared with an independent reference; the text says what, why, and what was compared."""
-
-
-OPENS_WITHIN = 2.0
-"""Longest time that `open` may take [s]."""
-STARTS_WITHIN = 8.0
-"""And that of a simulation without a wire, which may start another process [s]: so long the guard waits."""
-COLLECTS_WITHIN = 0.5
-"""Longest time that `start`, `collect` and `stop` may take [s]."""
-HUNG = 10.0
-"""A call that is not back after so long counts as hanging [s]."""
-CALLS_WITHIN = PATIENCE
-"""Longest time that a command or a question may take [s]."""
-_PLACE = re.compile(r"(.*://)?((?:[A-Za-z0-9._-]+|\[[0-9A-Fa-f:.]+\]):\d{1,5})")
-"""HOST:PORT, also behind the beginning of an address like `slcan:socket://`."""
-SLACK = 0.1
-"""What every call is given besides [s], and three times what this computer was late meanwhile."""
 
 
 @dataclass(frozen=True)
@@ -290,10 +288,12 @@ class Rig:
             self.call("close()", device.close).judged(COLLECTS_WITHIN)
 
     @contextmanager
-    def opened(self, *, armed: bool = True) -> Iterator[Any]:
-        """The driver open, closed at the end."""
+    def opened(self, *, armed: bool = True, rate: float = 0.0) -> Iterator[Any]:
+        """The driver open, and sampling where a `rate` [Hz] is given and it can; closed at the end."""
         self.open(armed=armed)
         try:
+            if rate and self.streams():
+                self.call("start()", self.device.start, rate).good(COLLECTS_WITHIN)
             yield self.device
         finally:
             self.well()
@@ -308,6 +308,16 @@ class Rig:
             self._owner = Owner(self.record.name)
             raise Failed(f"{what} hangs: it is not back after {hung:g} s; give every wait of the driver a time-out")
         return Outcome(what, call.result, call.error, time.monotonic() - began, self._lag.worst)
+
+    def questions(self, device: Any) -> list[tuple[str, Callable[[], Any]]]:
+        """What can be asked of a device without changing anything: name and call."""
+        record = self.record
+        asked: list[tuple[str, Callable[[], Any]]] = []
+        asked += [("read_back()", partial(device.read_back, output.output)) for output in record.outputs]
+        asked += [("is_on()", partial(device.is_on, valve.output)) for valve in record.valves]
+        asked += [("level()", partial(device.level, lock.input)) for lock in record.interlocks]
+        asked += [("held()", device.held)] if isinstance(device, Supervised) else []
+        return asked + ([("collect()", device.collect)] if self.streams() else [])
 
     def pass_time(self, seconds: float) -> None:
         """Let bench time pass, the watchdog fed."""

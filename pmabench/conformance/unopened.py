@@ -8,12 +8,11 @@ import subprocess
 import sys
 import threading
 from dataclasses import asdict, replace
-from functools import partial
 from typing import Any
 
 from pmabench.base.errors import DeviceError
 from pmabench.bench import interface
-from pmabench.bench.interface import EMULATED, Block, Device, DeviceRecord, Identity, Supervised
+from pmabench.bench.interface import EMULATED, Block, Device, DeviceRecord, Identity
 from pmabench.conformance.relay import Relay
 from pmabench.conformance.rig import COLLECTS_WITHIN, OPENS_WITHIN, Failed, NotApplicable, Rig, open_files
 
@@ -148,7 +147,7 @@ def life(rig: Rig) -> str:
             raise Failed(f'the device says "{EMULATED.strip()}" over its wire, and open() gives simulated=False')
         rig.call("close()", device.close).good(COLLECTS_WITHIN)
         rig.call("close() again", device.close).good(COLLECTS_WITHIN)
-        for what, act in _questions(rig, device):
+        for what, act in rig.questions(device):
             answer = rig.call(f"{what} after close()", act).judged(COLLECTS_WITHIN)
             if not isinstance(answer, DeviceError) and not (isinstance(answer, Block) and not len(answer.time)):
                 raise Failed(f"{what} after close() gave {answer!r}; a DeviceError is expected")
@@ -166,14 +165,3 @@ def _says_emulated(relay: Relay) -> bool:
 def _commanded(rig: Rig) -> list[Any]:
     """What the emulated device was commanded so far."""
     return [entry for kind in ("set", "switch", "move", "halt") for entry in rig.logged(kind)]
-
-
-def _questions(rig: Rig, device: Any) -> list[tuple[str, Any]]:
-    """What can be asked of the device without changing anything."""
-    asked: list[tuple[str, Any]] = []
-    asked += [("read_back()", partial(device.read_back, output.output)) for output in rig.record.outputs]
-    asked += [("is_on()", partial(device.is_on, valve.output)) for valve in rig.record.valves]
-    asked += [("level()", partial(device.level, lock.input)) for lock in rig.record.interlocks]
-    asked += [("held()", device.held)] if isinstance(device, Supervised) else []
-    asked += [("collect()", device.collect)] if rig.streams() else []
-    return asked

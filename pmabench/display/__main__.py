@@ -10,8 +10,8 @@ from contextlib import suppress
 from pathlib import Path
 
 from pmabench.base.system import ordinary
+from pmabench.display.child import Link
 from pmabench.display.console import Console, Terminate, tidy_signals
-from pmabench.display.link import Link
 
 
 def main() -> int:

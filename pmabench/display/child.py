@@ -1,4 +1,6 @@
-"""The run's side of its display: starts the process, talks to it, and is never held up by it. Standard library only.
+"""The run's side of its display, and the link between both: JSON lines over a socket that never blocks either of them.
+
+Starts the display process, talks to it, and is never held up by it. Standard library only.
 
     display = Display()
     display.start(writer.folder)                            # at once; the picture comes half a second later
@@ -23,6 +25,7 @@ its next line changes: use `log`.
 
 from __future__ import annotations
 
+import json
 import os
 import select
 import socket
@@ -34,7 +37,81 @@ from pathlib import Path
 from typing import Any
 
 from pmabench.base import terminal
-from pmabench.display.link import Link
+
+MOST = 1 << 16
+"""Bytes that wait to be sent, and the longest message."""
+
+
+class Link:
+    """One end of the link. A message that the other end cannot take is dropped, and `send` returns False."""
+
+    def __init__(self, end: socket.socket) -> None:
+        end.setblocking(False)
+        self._socket = end
+        self._out = bytearray()
+        self._in = bytearray()
+        self.closed = False
+        """Whether the other end is gone."""
+
+    def fileno(self) -> int:
+        """The file descriptor, for `select`."""
+        return self._socket.fileno()
+
+    @property
+    def waiting(self) -> bool:
+        """Whether something waits to be sent."""
+        return bool(self._out)
+
+    def send(self, message: Mapping[str, Any]) -> bool:
+        """Send as far as the other end takes it now; the rest goes with later calls. False: dropped."""
+        self.flush()
+        line = json.dumps(message, default=str).encode() + b"\n"
+        if self.closed or len(self._out) + len(line) > MOST:
+            return False
+        self._out += line
+        self.flush()
+        return not self.closed
+
+    def flush(self) -> None:
+        """Send what waits, as far as it is taken."""
+        try:
+            while self._out and not self.closed:
+                del self._out[: self._socket.send(self._out)]
+        except (BlockingIOError, InterruptedError):
+            return
+        except OSError:
+            self.closed = True
+
+    def receive(self) -> list[dict[str, Any]]:
+        """Messages received since the last call; lines that are no JSON objects are left out."""
+        try:
+            while len(self._in) < 4 * MOST:
+                piece = self._socket.recv(MOST)
+                if not piece:
+                    self.closed = True
+                    break
+                self._in += piece
+        except (BlockingIOError, InterruptedError):
+            pass
+        except OSError:
+            self.closed = True
+        *lines, rest = bytes(self._in).split(b"\n")
+        self._in = bytearray(rest if len(rest) <= MOST else b"")
+        return [message for message in map(_parsed, lines) if message is not None]
+
+    def close(self) -> None:
+        """Close this end; harmless when repeated."""
+        self.closed = True
+        self._socket.close()
+
+
+def _parsed(line: bytes) -> dict[str, Any] | None:
+    try:
+        message = json.loads(line)
+    except (ValueError, RecursionError):
+        return None
+    return message if isinstance(message, dict) else None
+
 
 LEAVE = b"\x1b[0m\x1b[?25h\x1b[?1049l"
 """Colours off, cursor on, back from the other screen."""
@@ -103,7 +180,7 @@ class Display:
             self._link.send({"live": dict(values)})
 
     def poll(self) -> list[dict[str, Any]]:
-        """What came: `answer` {id, text}, `key`, `note`. Answers to what is not asked are left out."""
+        """Messages of the display: `answer` {id, text}, `key`, `note`. Answers to other questions are left out."""
         if self._link is None:
             return []
         self._link.flush()
@@ -115,7 +192,7 @@ class Display:
             self._sent = self._link.send({"ask": self._asked})
 
     def _counts(self, message: Mapping[str, Any]) -> bool:
-        """Whether a message is one that may come; a good answer ends its question."""
+        """Whether a message is valid; a valid answer ends its question."""
         answer = message.get("answer")
         if answer is None:
             return isinstance(message.get("key"), str) or isinstance(message.get("note"), str)
@@ -143,7 +220,7 @@ class Display:
         self._leave()
 
     def _leave(self) -> None:
-        """After a display that could not tidy up: the terminal as it was. Once, and without waiting."""
+        """Restore the terminal after a display that died before it could; done once, and without waiting."""
         process = self._process
         if process is None or self._lost or process.poll() is None:
             return

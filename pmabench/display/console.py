@@ -25,12 +25,11 @@ from rich.text import Text
 from pmabench.base import terminal
 from pmabench.base.errors import Interrupted, UsageError
 from pmabench.base.text import raw
-from pmabench.display.child import LEAVE
-from pmabench.display.link import Link
-from pmabench.display.plain import first_line, last_line, plain_line
-from pmabench.display.quantities import prepare
+from pmabench.display.child import LEAVE, Link
+from pmabench.display.follow import awaits_another, run_after
+from pmabench.display.lines import first_line, last_line, plain_line
 from pmabench.display.state import RunState
-from pmabench.display.succession import awaits_another, run_after
+from pmabench.display.verdicts import prepare
 from pmabench.display.view import Extra, Question, closing, screen
 from pmabench.display.wording import clean
 
@@ -65,7 +64,7 @@ class Terminate(Exception):
 
 @contextmanager
 def tidy_signals(*, child: bool) -> Iterator[None]:
-    """Ends by signals are tidy, and the background stops nobody; Ctrl-C of a run's child is the run's."""
+    """Handle signals so that the terminal is restored; a child of a run ignores Ctrl-C, which is for the run."""
 
     def ended(number: int, _frame: object) -> None:
         raise Terminate(number)
@@ -93,7 +92,7 @@ class Painter:
         self._size = (0, 0)
 
     def size(self) -> tuple[int, int]:
-        """Columns and rows now."""
+        """Columns and rows of the terminal now."""
         try:
             width, height = os.get_terminal_size(self._fd)
         except OSError:
@@ -102,7 +101,7 @@ class Painter:
 
     @contextmanager
     def open(self) -> Iterator[None]:
-        """The other screen, and back."""
+        """Switch to the terminal's other screen, and back at the end."""
         self._write(ENTER_SCREEN)
         try:
             yield
@@ -111,7 +110,7 @@ class Painter:
                 self._write(LEAVE)
 
     def draw(self, lines: Sequence[Text], size: tuple[int, int]) -> None:
-        """Bring the screen to these lines."""
+        """Show these lines; only those that changed are written."""
         drawn = rendered(lines, size[0], color=self._color, ascii_only=self._ascii)
         before = self._drawn if size == self._size else []
         out = "" if before else "\x1b[0m\x1b[2J"
@@ -130,33 +129,14 @@ class Painter:
                 select.select([], [self._fd], [], 1.0)
 
 
-_ASCII = {
-    "━": "=",
-    "─": "-",
-    "●": "O",
-    "╎": ":",
-    "┃": "|",
-    "…": "~",
-    "±": "~",
-    "·": "|",
-    "▏": "_",
-    "\N{REPLACEMENT CHARACTER}": "?",
-}
+_ASCII = dict(zip("━─●╎┃…±·▏\N{REPLACEMENT CHARACTER}", "=-O:|~~|_?", strict=True))
 
 
 def rendered(lines: Sequence[Text], width: int, *, color: bool, ascii_only: bool = False) -> list[str]:
     """Lines with the codes of the sixteen colours; without `color` bold, dim and reverse are left."""
-    rich = Rich(
-        file=io.StringIO(),
-        force_terminal=True,
-        color_system="standard",
-        no_color=not color,
-        width=width,
-        legacy_windows=False,
-        highlight=False,
-        markup=False,
-        emoji=False,
-    )
+    plain: dict[str, Any] = dict.fromkeys(("legacy_windows", "highlight", "markup", "emoji"), False)
+    terminal_like: dict[str, Any] = {"force_terminal": True, "color_system": "standard", "no_color": not color}
+    rich = Rich(file=io.StringIO(), width=width, **terminal_like, **plain)
     texts = []
     for line in lines:
         with rich.capture() as captured:
@@ -172,9 +152,7 @@ def rendered(lines: Sequence[Text], width: int, *, color: bool, ascii_only: bool
 def _dots(character: str) -> str:
     """A braille character as a sign that every terminal has, by where its dots are."""
     code = ord(character) - 0x2800
-    return {(False, False): " ", (True, False): "'", (False, True): ".", (True, True): ":"}[
-        bool(code & 0x1B), bool(code & 0xE4)
-    ]
+    return " '.:"[bool(code & 0x1B) + 2 * bool(code & 0xE4)]
 
 
 class Console:
@@ -299,7 +277,7 @@ class Console:
     # -- the run ------------------------------------------------------------------------------------------------------
 
     def _listen(self) -> bool:
-        """Take in messages of the run; whether a question came or went, or the end."""
+        """Handle messages of the run; True where a question was asked or withdrawn, or the run ended."""
         urgent = False
         for message in self._link.receive() if self._link is not None else ():
             urgent |= "ask" in message or "end" in message
@@ -342,7 +320,7 @@ class Console:
             time.sleep(seconds)
 
     def _pressed(self, seconds: float) -> bool:
-        """Wait for keys and messages; whether something calls for a new picture at once."""
+        """Wait for keys and messages; True where the picture must be drawn again at once."""
         keys = self._keys
         if keys is None or not terminal.in_front(keys.fd):
             self._wait(seconds)
@@ -375,7 +353,7 @@ class Console:
             self.state.log(text)
 
     def _answer(self, key: str) -> None:
-        """One key of an answer; only one of the words counts."""
+        """Handle one key of an answer; only the words that were asked for count."""
         if key == terminal.ENTER:
             text = self._typed.strip().lower()
             self._typed, self._refused = "", text

@@ -1,12 +1,14 @@
-"""Reads a run folder on from where reading stopped; knows its files, not what the run means. Writes nothing.
+"""Reads a run folder on from where reading stopped, keeps its newest samples, and finds the run that comes after it.
 
-Whatever is missing, torn or half written is read at a later call, or never; nothing here raises for it.
+Knows files, not what the run means; writes nothing. Whatever is missing, torn or half written is read at a later call,
+or never; nothing here raises for it.
 """
 
 from __future__ import annotations
 
 import json
 import os
+from collections import deque
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
@@ -23,7 +25,7 @@ from pmabench.store.folder import decode_lines, open_json, open_regular, read_ma
 from pmabench.store.livestream import FLAGS, TIME, LiveReader
 from pmabench.store.records import Array, ChannelInfo, ClockInfo, Event, Flags
 from pmabench.store.seal import read_archive
-from pmabench.store.timebase import fit_clock
+from pmabench.store.timebase import fit_clock, onto
 
 MOST_BYTES = 4 << 20
 """Read of one file at one call; so the first pictures of a long run come at once."""
@@ -221,7 +223,7 @@ class Follower:
         return bool(self.manifest)
 
     def events(self) -> list[Event]:
-        """Events that are new; also reads what is written once."""
+        """New events; also reads the files that are written only once."""
         if not self.manifest:
             self._begin()
         if not self.manifest:
@@ -284,3 +286,91 @@ class Follower:
             return
         self.plan = read_json(self.folder / files.PLAN)
         self.bench = read_json(self.folder / "bench.json")
+
+
+class Kept:
+    """Blocks of samples in the order in which they came."""
+
+    def __init__(self) -> None:
+        self._blocks: dict[str, deque[Block]] = {}
+
+    def add(self, stream: str, block: Block) -> None:
+        """Keep a block, which is not empty."""
+        self._blocks.setdefault(stream, deque()).append(block)
+
+    def forget(self, before: float) -> None:
+        """Drop blocks that end before a time [s], except the last of each stream."""
+        for blocks in self._blocks.values():
+            while len(blocks) > 1 and blocks[0].t[-1] < before:
+                blocks.popleft()
+
+    @property
+    def newest(self) -> float:
+        """Time of the newest sample [s]; 0 where there is none."""
+        return max((float(blocks[-1].t[-1]) for blocks in self._blocks.values()), default=0.0)
+
+    @property
+    def reached(self) -> float:
+        """Time up to which every stream was read [s]."""
+        return min((float(blocks[-1].t[-1]) for blocks in self._blocks.values()), default=-np.inf)
+
+    def trace(self, channel: str) -> tuple[Array, Array]:
+        """Time [s] and value [SI] of a channel, both of shape (n,)."""
+        for blocks in self._blocks.values():
+            if channel in blocks[-1].values:
+                return np.concatenate([b.t for b in blocks]), np.concatenate([b.values[channel] for b in blocks])
+        return np.empty(0), np.empty(0)
+
+    def between(
+        self, begin: float, end: float, rates: Mapping[str, float]
+    ) -> tuple[Array, dict[str, Array], Flags, float]:
+        """Times [s], channels [SI], flags and rate [Hz], about from `begin` to `end` [s].
+
+        On the times of the stream with the displacement, else the pressure, as `open_run` has them.
+        """
+        parts: dict[str, tuple[Array, dict[str, Array], Flags]] = {}
+        for name, blocks in self._blocks.items():
+            near = [b for b in blocks if b.t[-1] >= begin - 1.0 and b.t[0] <= end + 1.0]
+            if near:
+                columns = {c: np.concatenate([b.values[c] for b in near]) for c in near[0].values}
+                parts[name] = np.concatenate([b.t for b in near]), columns, np.concatenate([b.flags for b in near])
+        if not parts:
+            return np.empty(0), {}, np.empty(0, np.uint16), 0.0
+        named = (n for channel in ("displacement", "pressure") for n in parts if channel in parts[n][1])
+        main = next(named, next(iter(parts)))
+        t, channels, flags = parts[main]
+        for name, (other, columns, other_flags) in parts.items():
+            missing = {c: values for c, values in columns.items() if c not in channels}
+            if name != main and missing:
+                moved, flags, _ = onto(t, flags, other, other_flags, missing, rates.get(name, 0.0))
+                channels |= moved
+        return t, channels, flags, rates.get(main, 0.0)
+
+
+GOES_ON = {"session": ("finished",), "campaign": ("finished", "failed")}
+"""How a session, or a run of a campaign, ends where another run follows."""
+
+
+def awaits_another(manifest: Mapping[str, Any], status: str) -> bool:
+    """Whether the program that wrote this run still lives and is going to begin another one."""
+    if status_of(manifest, None) != "running":
+        return False
+    place = manifest.get("campaign")
+    if isinstance(place, dict) and place.get("number", 0) + 1 < place.get("of", 0):
+        return status in GOES_ON["campaign"]
+    return manifest.get("kind") == "session" and status in GOES_ON["session"]
+
+
+def run_after(folder: Path, manifest: Mapping[str, Any]) -> Path | None:
+    """The first run next to `folder` that the same program began later; None where there is none yet."""
+    later = []
+    for path in folder.resolve().parent.glob(f"*/{files.MANIFEST}"):
+        with suppress(InvalidFile, OSError):
+            other = read_manifest(path.parent)
+            if other.get("writer") == manifest.get("writer") and _began(other) > _began(manifest):
+                later.append((_began(other), path.parent))
+    return min(later)[1] if later else None
+
+
+def _began(manifest: Mapping[str, Any]) -> str:
+    return str(manifest.get("started_utc", ""))

@@ -1,4 +1,4 @@
-"""The table of finished trials, one line each, as wide as there is room; judges nothing."""
+"""Finished trials as a table as wide as there is room, and a run as plain lines for pipes and logs; judges nothing."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ from collections.abc import Sequence
 
 from rich.text import Text
 
+from pmabench.display.state import Notice, RunState
 from pmabench.display.verdicts import Number, TrialLine
-from pmabench.display.wording import POINT, clean, quantity, wrapped
+from pmabench.display.wording import POINT, clean, clock, point_text, quantity, wrapped
 
 FAINT, WARN, GOOD = "dim", "bold black on yellow", "green"
 VALUE, OFF, PLACE = 7, 6, 7
@@ -33,7 +34,7 @@ def number_text(number: Number) -> str:
 
 
 def off_text(number: Number) -> str:
-    """How far it is from what it is compared with."""
+    """The relative difference from the value that it is compared with."""
     off = number.off
     if off is None or number.assumed:
         return ""
@@ -102,3 +103,39 @@ def _legend(lines: Sequence[TrialLine]) -> str:
     text = f"  % against {' or '.join(against[kind] for kind in sorted(kinds))}" if kinds else ""
     starred = any(n.assumed for line in lines for n in line.numbers)
     return text + ("; * leans on the specimen file" if starred else "")
+
+
+def first_line(state: RunState) -> str:
+    """The kind, specimen and id of the run."""
+    simulated = "SIMULATED " if state.simulated else ""
+    return clean(f"{simulated}{state.kind}, {state.specimen}: {state.files.manifest.get('id', '')}")
+
+
+def plain_line(item: Notice | TrialLine, trials: int) -> str:
+    """A notice or a finished trial."""
+    if isinstance(item, Notice):
+        mark = {"info": "", "doubt": "! ", "fault": "!! "}[item.level]
+        return f"{clock(item.t) + ' ' if item.t is not None else ''}{mark}{clean(item.text)}"
+    numbers = ", ".join(_number(number) for number in item.numbers)
+    verdict = "ok" if item.ok else "DOUBT: " + "; ".join(clean(doubt) for doubt in item.doubts)
+    point = point_text(item.point)
+    which = "reference trial again" if item.again else f"trial {item.number} of {trials}"
+    return f"{which} ({point}): {numbers}{'; ' if numbers else ''}{verdict}"
+
+
+def _number(number: Number) -> str:
+    unit = quantity(number.quantity).shown_in
+    text = f"{number.symbol} {number_text(number)}{f' {unit}' if number.value is not None else ''}"
+    if number.reference is None or number.value is None:
+        return text
+    reference = Number(number.symbol, number.quantity, number.reference)
+    return f"{text} ({number.reference_is} {number_text(reference)})"
+
+
+def last_line(state: RunState) -> str:
+    """How the run ended, or that it is still running."""
+    doubtful = sum(not line.ok for line in state.lines)
+    why = f": {clean(state.why)}" if state.why else ""
+    trials = f"{state.done} of {state.trials} trials" + (f", {doubtful} in doubt" if doubtful else "")
+    vent = f"; vent {clean(state.vent)}" if state.vent else ""
+    return f"{clean(state.status)}{why}; {trials}; {state.rows:,} rows{vent}"

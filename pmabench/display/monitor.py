@@ -9,7 +9,7 @@ from math import isfinite
 from rich.text import Text
 
 from pmabench.display.channel import Channel
-from pmabench.display.view import BAD, FAINT, STRONG, WARN, limit_bar
+from pmabench.display.view import BAD, FAINT, STRONG, WARN, fill, limit_bar
 from pmabench.display.wording import clean, quantity, value_text
 
 FIXED = 71
@@ -55,23 +55,14 @@ def monitor_screen(page: Page, width: int, height: int) -> list[Text]:
     if page.simulated:
         head.append(" SIMULATED ", WARN).append(" ")
     head.append(clean(page.title), STRONG)
-    lines = [head, Text(_heads(), FAINT)]
+    heads = f"  {'':<14}{'value':>9}{'':<7}{'raw':>14}{'noise rms':>11}{'rate':>7}{'age':>6} "
+    lines = [head, Text(heads, FAINT)]
     lines += [_line(row, width) for row in page.rows.values()]
     if page.settings:
         lines += [Text(), Text(page.settings)]
     lines += [Text(), *(Text(clean(notice)) for notice in page.notices)]
-    room = height - (1 if page.keys else 0)
-    lines = lines[:room] + [Text() for _ in range(room - len(lines))]
-    if page.keys:
-        lines.append(Text(page.keys, FAINT))
-    for line in lines:
-        line.no_wrap = True
-        line.truncate(width, overflow="ellipsis")
-    return lines
-
-
-def _heads() -> str:
-    return f"  {'':<14}{'value':>9}{'':<7}{'raw':>14}{'noise rms':>11}{'rate':>7}{'age':>6} "
+    footer = [Text(page.keys, FAINT)] if page.keys else []
+    return fill(lines, width, height - len(footer)) + fill(footer, width, len(footer))
 
 
 def _line(row: Row, width: int) -> Text:

@@ -16,7 +16,7 @@ ENOUGH = 0.02
 
 
 class Progress:
-    """A pointer into the steps of a plan.
+    """The current step of a plan, found from the events of its run.
 
     The pace leaves out the time between a prompt and its answer, pauses and a reference trial that is done again, and
     steps that the pointer went over without doing them, because an earlier run has done them.
@@ -58,7 +58,7 @@ class Progress:
         return self._until[-1]
 
     def take(self, event: Event) -> None:
-        """Move the pointer."""
+        """Move on to the step that an event belongs to."""
         self._first = event.t if self._first is None else self._first
         kind, phase = event.kind, event.data.get("phase")
         if kind == "pause" or (kind == "trial-begin" and event.data.get("again")):
@@ -104,7 +104,7 @@ class Progress:
                 return
 
     def done(self, t: float) -> float:
-        """Share of the plan that is behind [1], at `t` [s]."""
+        """Fraction of the plan that is done at `t` [s]."""
         return min(1.0, self._behind(t) / self.length) if self.length > 0 else 0.0
 
     def _behind(self, t: float) -> float:

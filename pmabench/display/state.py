@@ -15,11 +15,9 @@ from typing import Any
 import numpy as np
 
 from pmabench.display.channel import Channel, Setting
-from pmabench.display.expected import read_expected
-from pmabench.display.follow import Block, Follower, StreamTail
-from pmabench.display.kept import Kept
+from pmabench.display.follow import Block, Follower, Kept, StreamTail
 from pmabench.display.progress import Progress
-from pmabench.display.verdicts import TrialLine, Verdicts
+from pmabench.display.verdicts import TrialLine, Verdicts, read_expected
 from pmabench.display.wording import event_text
 from pmabench.store.records import Event, Flag, RunData, cut_trials
 
@@ -63,7 +61,7 @@ class Trial:
 
 
 class RunState:
-    """Everything that is shown. `poll` reads on; nothing here raises for what the folder holds."""
+    """All that is known of a run. `poll` reads what is new; nothing here raises for what the folder holds."""
 
     def __init__(self, folder: Path) -> None:
         self.files = Follower(folder)
@@ -134,7 +132,7 @@ class RunState:
             self._live = when, known
 
     def _begin(self) -> None:
-        """The folder is there: limits and channels from the bench, the prediction from the specimen."""
+        """Read limits and channels from the bench, and the prediction from the specimen, once the folder exists."""
         bench = self.files.bench
         recorded = self.files.plan.get("record")
         for device in _list(bench.get("devices")):
@@ -163,7 +161,7 @@ class RunState:
         return self.channels.setdefault(name, Channel(name, quantity, ends[0] or 0.0, ends[1] or 0.0))
 
     def _take(self, event: Event) -> None:
-        """Fold one event in."""
+        """Update the state by one event."""
         self._t = max(self._t, event.t)
         data, kind = event.data, event.kind
         if self.progress is not None:
@@ -327,11 +325,9 @@ class RunState:
     def specimen(self) -> str:
         """Type and serial."""
         specimen = self.files.manifest.get("specimen")
-        return (
-            f"{specimen.get('type', '')} {specimen.get('serial', '')}".strip()
-            if isinstance(specimen, dict)
-            else str(specimen or "")
-        )
+        if isinstance(specimen, dict):
+            return f"{specimen.get('type', '')} {specimen.get('serial', '')}".strip()
+        return str(specimen or "")
 
     @property
     def trials(self) -> int:
@@ -340,7 +336,7 @@ class RunState:
 
     @property
     def done(self) -> int:
-        """How many of them came to their end, in this run and in those that it continues."""
+        """How many trials came to their end, in this run and in those that it continues."""
         return len(self.before | {line.index for line in self.lines if line.ended and not line.again})
 
     @property
@@ -374,14 +370,14 @@ class RunState:
 
     @property
     def vent(self) -> str:
-        """How the safe state ended: `confirmed` or else; empty before."""
+        """Result of the vent at the end, as `confirmed`; empty before."""
         end = (self.files.seal or {}).get("end") or self.end_event or {}
         vent = end.get("vent") if isinstance(end, dict) else None
         return str(vent.get("result", "")) if isinstance(vent, dict) else ""
 
     @property
     def t(self) -> float:
-        """Bench time [s]; at a bench in real time it goes on between what is written."""
+        """Bench time [s]; at a bench in real time it advances also while nothing is written."""
         written = max([s.written for s in self.files.streams.values()] + [self.files.journal.written], default=0.0)
         if self.status == "running" and self.files.bench.get("realtime") and written:
             return self._t + max(0.0, self._now - written)

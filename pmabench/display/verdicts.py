@@ -1,6 +1,7 @@
 """The line that a finished trial gets: what it measured, what was expected, `ok` or the reasons to doubt.
 
-`quantities` measures; here it is held against the specimen file's prediction and earlier repeats. Draws nothing.
+A trial is measured by the functions of its kind of test that `process` uses, without intervals, and compared with the
+specimen file's prediction and with earlier repeats. Draws nothing.
 """
 
 from __future__ import annotations
@@ -8,15 +9,33 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from math import isfinite, sqrt
+from pathlib import Path
 
 import numpy as np
 
 from pmabench.analysis.shared.motion import never, not_moved
-from pmabench.analysis.trial import Expected, Measured, Quick
+from pmabench.analysis.trial import Expected, Found, Measured, Quick
+from pmabench.base.errors import InvalidFile
 from pmabench.base.quantities import show
-from pmabench.display.quantities import measure
 from pmabench.kinds import registry
 from pmabench.store.records import UNUSABLE, Flag, RunData, TrialData
+
+
+def read_expected(folder: Path) -> Expected | None:
+    """`expected` of the specimen file that a run was made from; None where there is none that can be read."""
+    from pmabench.bench.files.specimen import SpecimenFile
+    from pmabench.files.document import read_document, validate
+
+    try:
+        expected = validate(SpecimenFile, read_document(folder / "specimen.yaml")).expected
+    except InvalidFile:
+        return None
+    if expected is None:
+        return None
+    points = sorted(expected.points, key=lambda point: point.pressure)
+    columns = {name: np.array([getattr(p, name) for p in points]) for name in ("pressure", "F_ce", "K", "B_c", "B_r")}
+    return Expected(source=expected.source, F_c=expected.F_c, **columns)
+
 
 FAR = 0.10
 """Relative distance from prediction or from less than three repeats that is doubted."""
@@ -53,7 +72,7 @@ class Number:
 
 @dataclass(frozen=True)
 class TrialLine:
-    """What is said of one trial."""
+    """The verdict on one trial, with its numbers and doubts."""
 
     index: int
     point: dict[str, float]
@@ -66,12 +85,12 @@ class TrialLine:
 
     @property
     def number(self) -> int:
-        """From 1, as people count."""
+        """Number of the trial, from 1."""
         return self.index + 1
 
     @property
     def ok(self) -> bool:
-        """Whether nothing speaks against the trial."""
+        """Whether there is no doubt about the trial."""
         return not self.doubts
 
     @property
@@ -80,7 +99,7 @@ class TrialLine:
         return self.status in USED
 
     def replaces(self, earlier: TrialLine) -> bool:
-        """Whether an earlier line gives way to this one: a repeat that did not finish takes nothing away."""
+        """Whether this line replaces an earlier one; a repeat that did not finish does not."""
         return earlier.index == self.index and (self.status == "finished" or earlier.status != "finished")
 
 
@@ -165,7 +184,7 @@ def _flagged(trial: TrialData) -> list[str]:
 
 
 def _not_reached(trial: TrialData) -> list[str]:
-    """A commanded pressure that the measured one has not come to before the next command."""
+    """A sentence where the measured pressure did not reach its command before the next one."""
     if "pressure" not in trial.channels or not len(trial.t):
         return []
     commands = [c for c in trial.commands if c.output == "pressure"]
@@ -181,3 +200,19 @@ def _not_reached(trial: TrialData) -> list[str]:
             asked = show(command.value, "pressure", 4)
             return [f"pressure not reached: {show(reached, 'pressure', 4)} of {asked} ({command.phase})"]
     return []
+
+
+def prepare(name: str) -> None:
+    """Import in advance what a kind needs, which takes a second, so that keys are not delayed at the first trial."""
+    kind = registry.find(name)
+    if kind and kind.live:
+        kind.part("live")
+
+
+def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
+    """The quantities of a trial and what its own samples say against it; none for kinds that say nothing live."""
+    kind = registry.find(run.kind)
+    if kind is None or not kind.live:
+        return [], []
+    found: Found = kind.part("live")(run, trial, expected, quick)
+    return found

@@ -42,7 +42,7 @@ OLD = 1.0
 
 @dataclass(frozen=True)
 class Question:
-    """What the run asks of the person here."""
+    """A question of the run to the operator."""
 
     text: str
     words: tuple[str, ...] = ()
@@ -64,7 +64,7 @@ class Extra:
 def screen(state: RunState, width: int, height: int, extra: Extra | None = None) -> list[Text]:
     """The picture: `height` lines, none wider than `width` columns."""
     if not state.files.there:
-        return _fill([Text(clean(state.files.problem or f"waiting for {state.files.folder}"))], width, height)
+        return fill([Text(clean(state.files.problem or f"waiting for {state.files.folder}"))], width, height)
     width, height = max(20, width), max(3, height)
     extra = extra or Extra()
     footer = _footer(extra)
@@ -74,12 +74,12 @@ def screen(state: RunState, width: int, height: int, extra: Extra | None = None)
     left = room - len(lines)
     if left >= 3:
         lines += _lower(state, width, left, curves=not asked or left > 16)
-    lines = _fill(lines, width, room)
-    return [*lines, *_fill([footer], width, 1)] if footer else lines
+    lines = fill(lines, width, room)
+    return [*lines, *fill([footer], width, 1)] if footer else lines
 
 
-def _fill(lines: Sequence[Text], width: int, height: int) -> list[Text]:
-    """Cut to width and height; empty lines where there are too few."""
+def fill(lines: Sequence[Text], width: int, height: int) -> list[Text]:
+    """The lines cut to width and height, with empty lines where there are too few."""
     kept = list(lines[:height]) + [Text() for _ in range(height - len(lines))]
     for line in kept:
         line.no_wrap = True
@@ -88,7 +88,7 @@ def _fill(lines: Sequence[Text], width: int, height: int) -> list[Text]:
 
 
 def _row(left: Text, right: Text, width: int) -> Text:
-    """One line with a part at each end; the left one gives way."""
+    """One line with a part at each end; the left part is cut where there is too little room."""
     room = max(0, width - right.cell_len - 1)
     left.truncate(room, overflow="ellipsis")
     return Text.assemble(left, " " * max(1, width - left.cell_len - right.cell_len), right)
@@ -121,7 +121,7 @@ def _head(state: RunState, width: int) -> list[Text]:
 
 
 def _doing(state: RunState) -> Text:
-    """The phase, or what the operator's keys have brought about."""
+    """The phase of the trial, or that the run is paused, held or about to pause."""
     if state.status != "running":
         return Text()
     if state.paused:
@@ -140,7 +140,7 @@ def _done(state: RunState) -> str:
 
 
 def _time(state: RunState, width: int) -> Text:
-    """Elapsed, left, and how far."""
+    """Time elapsed, time left, and a bar of progress."""
     t = state.t
     line = Text(f"{clock(t)} elapsed")
     if state.progress is None or not state.progress.length or state.status != "running":
@@ -188,7 +188,7 @@ def _age(seconds: float) -> str:
 
 
 def limit_bar(channel: Channel, width: int) -> Text:
-    """From zero to the value; `╎` is what may be commanded, `┃` trips."""
+    """A bar from zero to the value; `╎` marks limits of the command, `┃` trip limits."""
     low, high = channel.axis()
 
     def place(value: float) -> int:
@@ -340,5 +340,5 @@ def _footer(extra: Extra) -> Text | None:
 
 
 def closing(state: RunState, width: int, most: int = 12) -> list[Text]:
-    """What is worth keeping on the terminal when the picture goes: the last trials."""
-    return _fill(table := trial_table(state.lines, width, most, spare=1), width, len(table))
+    """The last trials, which stay on the terminal when the picture is closed."""
+    return fill(table := trial_table(state.lines, width, most, spare=1), width, len(table))

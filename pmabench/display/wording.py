@@ -129,7 +129,8 @@ def event_text(event: Event) -> tuple[str, str] | None:
         why, status = clean(data.get("why", "")), clean(data.get("status", ""))
         return f"{status}{f': {why}' if why else ''}", "info" if status == "finished" else "fault"
     level = "doubt" if data.get("ok") is False or "warn" in kind or "lost" in kind else "info"
-    text = data.get("text") or data.get("reason") or ", ".join(f"{key} {_short(value)}" for key, value in data.items())
+    said = (f"{key} {value:.4g}" if isinstance(value, float) else f"{key} {value}" for key, value in data.items())
+    text = data.get("text") or data.get("reason") or ", ".join(said)
     return clean(f"{kind}: {text}" if text else kind), level
 
 
@@ -140,7 +141,7 @@ def _session(data: Mapping[str, Any]) -> tuple[str, str]:
 
 
 def _self_test(data: Mapping[str, Any]) -> tuple[str, str]:
-    """How many of the checks came out how; what failed in full."""
+    """Counts of the checks by verdict; those that failed in full."""
     checks = [check for check in data.get("checks") or [] if isinstance(check, dict)]
     counts = Counter(str(check.get("verdict")) for check in checks)
     verdicts = ", ".join(f"{count} {verdict}" for verdict, count in counts.items())
@@ -159,7 +160,7 @@ def _zero_check(data: Mapping[str, Any]) -> tuple[str, str]:
 
 
 def _by_channel(data: Mapping[str, Any], entry: str) -> str:
-    """One number of each channel."""
+    """One number of each channel, as text."""
     zeros = []
     for name, zero in (data.get("channels") or {}).items():
         if isinstance(zero.get(entry), int | float):
@@ -180,10 +181,6 @@ _OF_SESSIONS: dict[str, Callable[[Mapping[str, Any]], tuple[str, str]]] = {
     "zero-check": _zero_check,
     "warm-up": _warm_up,
 }
-
-
-def _short(value: object) -> str:
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
 def wrapped(text: str, width: int) -> list[str]:

@@ -58,7 +58,7 @@ def together(traces: Sequence[Trace], simulated: bool) -> list[Picture]:
 
 
 def _loop_name(trace: Trace, mark: str) -> str:
-    """What sets a loop apart, with its unit."""
+    """The frequency, pressure or other mark in which a loop differs from the others, with its unit."""
     if mark not in trace.marks:
         return head(trace)
     unit = shown(mark)
@@ -69,22 +69,19 @@ def loops(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     """Loops at each frequency, a figure for each operating point."""
     groups: dict[str, list[Trace]] = {}
     for trace in traces:
-        first, second = ("pressure", "displacement") if trace.figure == "pressure-loop" else ("displacement", "force")
+        first, second = TOGETHER["pressure-loop" if trace.figure == "pressure-loop" else "loop"][:2]
         if has(trace, first, second):
             groups.setdefault(re.sub(r"-[^-]*$", "", trace.name), []).append(trace)
     found = []
     for members in list(groups.values())[:MOST]:
         chosen = spread(sorted(members, key=lambda t: t.marks.get("frequency", 0.0)), LOOPS)
-        first, second = (
-            ("pressure", "displacement") if chosen[0].figure == "pressure-loop" else ("displacement", "force")
-        )
+        first, second = TOGETHER["pressure-loop" if chosen[0].figure == "pressure-loop" else "loop"][:2]
         names = {"x": first, "measured": second} | ({"model": "model"} if all(has(t, "model") for t in chosen) else {})
         panels = [panel(t, names, _frequency(t)) for t in chosen]
         labels = {"x": label(chosen[0], first), "y": label(chosen[0], second)}
         where = clean(chosen[0].title.partition(", ")[2], 60)
-        title = f"Loops of {second} over {first}".replace("displacement", "contraction") + (
-            f", {where}" if where else ""
-        )
+        title = f"Loops of {second} over {first}".replace("displacement", "contraction")
+        title += f", {where}" if where else ""
         caption = "Grey: the last measured cycle at each frequency"
         caption += (
             "; red: the fitted muscle along the same motion."
@@ -178,11 +175,8 @@ def growth_alone(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
 
     table = numbers([("", traces[0])])
     title = f"Growth of the oscillation over gain, {_setpoint(traces[0])}"
-    caption, alt = (
-        _GROWTH,
-        f"Logarithm of the ratio of successive swings over gain, rising through zero at {growth.title}.",
-    )
-    return [picture(draw, title, caption, alt, table, wide=False, simulated=analysis.simulated)]
+    alt = f"Logarithm of the ratio of successive swings over gain, rising through zero at {growth.title}."
+    return [picture(draw, title, _GROWTH, alt, table, wide=False, simulated=analysis.simulated)]
 
 
 _GROWTH = (
@@ -232,15 +226,5 @@ def oscillations(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
         f"Oscillation over time, and growth per half period over gain, for {len(rows)} set-points. {'; '.join(gains)}."
     )
     draw = bound(time_plots.oscillations, rows, labels)
-    table = numbers(named)
-    return [
-        picture(
-            draw,
-            "Sustained oscillation and ultimate gain",
-            caption,
-            alt,
-            table,
-            wide=True,
-            simulated=analysis.simulated,
-        )
-    ]
+    title = "Sustained oscillation and ultimate gain"
+    return [picture(draw, title, caption, alt, numbers(named), wide=True, simulated=analysis.simulated)]

@@ -1,17 +1,19 @@
 """Figures of measured motion compared with the fitted muscle: contraction over pressure, and what residuals look like.
 
-Draws through `motion_plots`; residuals are described and not tested: at 500 Hz every whiteness test rejects.
+Residuals are described and not tested: at 500 Hz every whiteness test rejects.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import ceil
 from statistics import NormalDist
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pmabench.analysis.results import Analysis, Trace
-from pmabench.plotting import motion_plots, time_plots
+from pmabench.plotting import time_plots
 from pmabench.plotting.pictures import (
     Picture,
     bound,
@@ -26,7 +28,23 @@ from pmabench.plotting.pictures import (
     spread,
     unit_of,
 )
-from pmabench.plotting.plots import Array
+from pmabench.plotting.plots import (
+    BLUE,
+    FAINT,
+    FULL,
+    HALF,
+    PALETTE,
+    QUIET,
+    Array,
+    Panel,
+    blank,
+    few_ticks,
+    grid,
+    legend_above,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 TOGETHER = 5
 """Most curves of a figure."""
@@ -41,16 +59,13 @@ FREE_RUN = "the fitted muscle, run freely with the measured pressure"
 
 
 def motions(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
-    """Free runs of the fitted muscle, what they leave, and the same motion over the pressure."""
+    """Free runs of the fitted muscle, their residuals, and the same motion over the pressure."""
     found = overlays(traces, analysis)
     return found + residuals(traces, analysis.simulated) + over_pressure(traces, analysis.simulated)
 
 
 def overlays(
-    traces: Sequence[Trace],
-    analysis: Analysis,
-    model: str = FREE_RUN,
-    title: str = "Measured and modelled motion",
+    traces: Sequence[Trace], analysis: Analysis, model: str = FREE_RUN, title: str = "Measured and modelled motion"
 ) -> list[Picture]:
     """Contraction over time, measured and of a `model` in words, and their difference below."""
     able = [t for t in traces if has(t, "t", "displacement", "model")]
@@ -74,18 +89,9 @@ def overlays(
         f"{'; '.join(p.title for p in panels)}. Root mean square difference {reach(misfits)} {unit}"
         + (f", largest at {panels[worst].title}." if len(panels) > 1 else ".")
     )
-    table = numbers([(head(t), t) for t in chosen], ("t", "pressure", "displacement", "model"))
-    return [
-        picture(
-            lambda: time_plots.overlay(panels, labels),
-            title,
-            caption,
-            alt,
-            table,
-            wide=len(chosen) > 1,
-            simulated=analysis.simulated,
-        )
-    ]
+    table = numbers([(head(t), t) for t in chosen], NAMES)
+    draw = bound(time_plots.overlay, panels, labels)
+    return [picture(draw, title, caption, alt, table, wide=len(chosen) > 1, simulated=analysis.simulated)]
 
 
 def _rms(values: Array) -> float:
@@ -104,7 +110,7 @@ def over_pressure(traces: Sequence[Trace], simulated: bool) -> list[Picture]:
     caption = "Measured, filling and venting; what lies between the branches is lag, damping and friction."
     alt = f"{labels[1]} over {labels[0]} as measured, both branches, for {'; '.join(p.title for p in panels)}."
     table = numbers([(head(t), t) for t in chosen], ("pressure", "displacement"))
-    draw = bound(motion_plots.curves, panels, *labels)
+    draw = bound(_draw_curves, panels, *labels)
     title = "Contraction over pressure, both branches"
     return [picture(draw, title, caption + how_many(chosen, able), alt, table, wide=False, simulated=simulated)]
 
@@ -140,9 +146,9 @@ def residuals(traces: Sequence[Trace], simulated: bool) -> list[Picture]:
     )
     columns = {"lag": lags} | {f"r{n}": r for n, (_, r) in enumerate(correlations)}
     table = numbers([("", Trace("", "", "", columns, {"lag": "time"}))])
-    heads = (f"autocorrelation {n}, {name}" for n, (name, _) in enumerate(correlations, 1))
-    table.columns = ["lag [s]", *heads]
-    draw = bound(motion_plots.residuals, lags, correlations, normal, quantiles)
+    for n, (name, _) in enumerate(correlations):
+        table = table.renamed(f"r{n}", f"autocorrelation {n + 1}, {name}")
+    draw = bound(_draw_residuals, lags, correlations, normal, quantiles)
     return [picture(draw, "Residuals of the free runs", caption, alt, table, wide=True, simulated=simulated)]
 
 
@@ -153,7 +159,41 @@ def _residual(trace: Trace) -> Array:
 
 
 def _autocorrelation(values: Array) -> Array:
-    """Of values less their mean, lags 0 to `LAGS`, shape (LAGS + 1,); 1 at lag 0."""
+    """Autocorrelation of values less their mean at lags 0 to `LAGS`, shape (LAGS + 1,); 1 at lag 0."""
     x = values - values.mean()
     power = float(np.dot(x, x))
     return np.array([float(np.dot(x[: len(x) - lag], x[lag:])) / power for lag in range(LAGS + 1)])
+
+
+def _draw_curves(panels: Sequence[Panel], x_label: str, y_label: str) -> Figure:
+    """Columns y over x, a curve for each panel on common axes."""
+    figure = blank(HALF, 2.7)
+    rows = ceil(len(panels) / 2)
+    axes = figure.add_subplot(grid(figure, 1, 1, top=0.2 + 0.16 * rows, left=0.56)[0])
+    for i, one in enumerate(panels):
+        color = PALETTE[i % len(PALETTE)]
+        axes.plot(one.columns["x"], one.columns["y"], color=color, linewidth=0.9, label=one.title)
+    axes.set(xlabel=x_label, ylabel=y_label)
+    few_ticks(axes)
+    legend_above(figure, 2, at=(0.105, 0.13), handletextpad=0.4)
+    return figure
+
+
+def _draw_residuals(lags: Array, correlations: Sequence[tuple[str, Array]], normal: Array, quantiles: Array) -> Figure:
+    """Autocorrelation over lags [s], a line for each trial; quantiles over those of a normal distribution."""
+    figure = blank(FULL, 2.7)
+    cells = grid(figure, 1, 2, top=0.4, left=0.56, across=0.7)
+    left, right = figure.add_subplot(cells[0]), figure.add_subplot(cells[1])
+    left.axhline(0, color=QUIET, linewidth=0.8)
+    for i, (name, values) in enumerate(correlations):
+        left.plot(lags, values, color=PALETTE[i % len(PALETTE)], linewidth=0.9, label=name)
+    left.set(xlabel="lag [s]", ylabel="autocorrelation")
+    left.set_ylim(min(-0.3, 1.1 * min(float(values.min()) for _, values in correlations)), 1.05)
+    few_ticks(left)
+    ends = (float(normal[0]), float(normal[-1]))
+    right.plot(ends, ends, color=FAINT, linewidth=1.0)
+    right.plot(normal, quantiles, ".", color=BLUE, markersize=3)
+    right.set(xlabel="quantile of a normal distribution", ylabel="quantile of residuals")
+    few_ticks(right)
+    figure.legend(*left.get_legend_handles_labels(), loc="upper left", bbox_to_anchor=(0.06, 0.985), ncols=3)
+    return figure

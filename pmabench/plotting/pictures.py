@@ -10,11 +10,11 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
 from pmabench.analysis.results import Analysis, Estimate, Trace
 from pmabench.plotting import plots
+from pmabench.plotting.frame import Frame
 from pmabench.plotting.plots import Array, Panel
 from pmabench.plotting.svg import drawing, to_svg
 from pmabench.plotting.wording import COLUMNS, Shown, clean, shown
@@ -40,20 +40,13 @@ class Picture:
     caption: str
     alt: str
     svg: str
-    table: pd.DataFrame
+    table: Frame
     wide: bool
     simulated: bool
 
 
 def picture(
-    draw: Callable[[], Figure],
-    title: str,
-    caption: str,
-    alt: str,
-    table: pd.DataFrame,
-    *,
-    wide: bool,
-    simulated: bool,
+    draw: Callable[[], Figure], title: str, caption: str, alt: str, table: Frame, *, wide: bool, simulated: bool
 ) -> Picture:
     """Draw within the style of reports, stamped where simulated."""
     with drawing():
@@ -66,7 +59,7 @@ def picture(
 
 
 def drawable(analysis: Analysis) -> Analysis:
-    """The same without what no drawing can bear: numbers that are not finite or beyond `LARGEST`, empty domains."""
+    """The analysis without what cannot be drawn: numbers that are not finite or beyond `LARGEST`, empty domains."""
     return replace(
         analysis,
         estimates=tuple(e for e in analysis.estimates if _sound(e)),
@@ -93,7 +86,7 @@ def _small(*values: float) -> bool:
 
 
 def usable(trace: Trace) -> bool:
-    """Columns of one length, with something finite in each."""
+    """Whether a trace can be drawn: columns of numbers of one length, with finite values."""
     columns = [np.asarray(trace.columns[name]) for name in trace.columns]
     if not all(values.ndim == 1 and np.issubdtype(values.dtype, np.number) for values in columns):
         return False
@@ -133,16 +126,17 @@ def panel(trace: Trace, names: Mapping[str, str], title: str) -> Panel:
     return Panel(title, {new: values[::stride] for new, values in columns.items()}, dict(trace.marks), published)
 
 
-def numbers(traces: Sequence[tuple[str, Trace]], wanted: Sequence[str] = ()) -> pd.DataFrame:
+def numbers(traces: Sequence[tuple[str, Trace]], wanted: Sequence[str] = ()) -> Frame:
     """The numbers of traces, evenly thinned, with the panel's title in front; text."""
-    frames = []
+    cells: list[dict[str, str]] = []
     for title, trace in traces:
         names = [name for name in (wanted or tuple(trace.columns)) if name in trace.columns]
         length = len(trace.columns[names[0]]) if names else 0
         rows = np.unique(np.linspace(0, length - 1, min(length, TABLE_ROWS)).astype(int))
         texts = {label(trace, name): _texts(column(trace, name), rows) for name in names}
-        frames.append(pd.DataFrame({**({"panel": [clean(title, 80)] * len(rows)} if len(traces) > 1 else {}), **texts}))
-    return pd.concat(frames, ignore_index=True).fillna("") if frames else pd.DataFrame()
+        panel = {"panel": clean(title, 80)} if len(traces) > 1 else {}
+        cells += [{**panel, **dict(zip(texts, row, strict=True))} for row in zip(*texts.values(), strict=True)]
+    return Frame(cells)
 
 
 def _texts(values: Array, rows: NDArray[np.intp]) -> list[str]:
@@ -168,7 +162,7 @@ def has(trace: Trace, *names: str) -> bool:
 
 
 def head(trace: Trace) -> str:
-    """What a panel is headed: the title up to its colon."""
+    """The title of a panel: that of the trace up to its colon."""
     return clean(trace.title.partition(":")[0], 60)
 
 
@@ -178,11 +172,11 @@ def how_many(shown_traces: Sequence[Trace], all_traces: Sequence[Trace]) -> str:
 
 
 def bound(draw: Callable[..., Figure], *arguments: object) -> Callable[[], Figure]:
-    """`draw` with its arguments, to be called within the style of reports."""
+    """`draw` with its arguments bound, to be called within the style of reports."""
     return lambda: draw(*arguments)
 
 
 def reach(values: Sequence[float]) -> str:
-    """Least to most of some numbers, two digits."""
+    """The range of some numbers with two digits: `0.12 to 3.4`."""
     low, high = (f"{value:.2g}" if value < 99 else f"{value:.0f}" for value in (min(values), max(values)))
     return low if low == high else f"{low} to {high}"

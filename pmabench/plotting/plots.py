@@ -5,7 +5,7 @@ All are called inside `svg.drawing()`. Numbers come in display units, with their
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from math import ceil
 from typing import TYPE_CHECKING, Any
@@ -28,6 +28,8 @@ MARKERS = ("o", "s", "^", "D", "v", "P")
 CROSSES = ("x", "+", "1", "2", "3", "4")
 """Marks of published values."""
 WARN = "#a14a00"
+OPEN: dict[str, Any] = {"markerfacecolor": "white", "markersize": 3.6}
+"""Look of marks of other methods than the primary one."""
 
 
 @dataclass(frozen=True)
@@ -74,21 +76,10 @@ def grid(figure: Figure, rows: int, columns: int, **options: Any) -> Any:
     left, right = options.pop("left", 0.52), options.pop("right", 0.1)
     bottom, top = options.pop("bottom", 0.38), options.pop("top", 0.28)
     across, down = options.pop("across", 0.5), options.pop("down", 0.5)
-    wide, high = (
-        (width - left - right - (columns - 1) * across) / columns,
-        (height - bottom - top - (rows - 1) * down) / rows,
-    )
-    return figure.add_gridspec(
-        rows,
-        columns,
-        left=left / width,
-        right=1 - right / width,
-        bottom=bottom / height,
-        top=1 - top / height,
-        wspace=across / wide,
-        hspace=down / high,
-        **options,
-    )
+    wide = (width - left - right - (columns - 1) * across) / columns
+    high = (height - bottom - top - (rows - 1) * down) / rows
+    options |= {"left": left / width, "right": 1 - right / width, "bottom": bottom / height, "top": 1 - top / height}
+    return figure.add_gridspec(rows, columns, wspace=across / wide, hspace=down / high, **options)
 
 
 def fit_labels(figure: Figure) -> None:
@@ -120,9 +111,34 @@ def stamp(figure: Figure, text: str) -> None:
     )
 
 
-def coefficients(points: Sequence[Points], x_label: str, y_label: str, height: float = 2.55) -> Figure:
+def legend_above(
+    figure: Figure, columns: int, named: tuple[Any, Any] | None = None, at: Sequence[float] = (0.5, 0.06), **look: Any
+) -> None:
+    """The labels of the first axes (or `named`: handles, labels) in rows above them, `at` [in] from the upper left."""
+    width, height = figure.get_size_inches()
+    handles, labels = named or figure.axes[0].get_legend_handles_labels()
+    place = (at[0] / width, 1 - at[1] / height)
+    figure.legend(handles, labels, loc="upper left", bbox_to_anchor=place, ncols=columns, **look)
+
+
+def multiples(
+    figure: Figure, cells: Any, panels: Sequence[Panel], columns: int, labels: dict[str, str], ticks: int
+) -> Iterator[tuple[Axes, Panel]]:
+    """Axes for each panel, all to one scale, which get title and labels when they are drawn."""
+    first: Axes | None = None
+    for i, panel in enumerate(panels):
+        axes = figure.add_subplot(cells[i], sharex=first, sharey=first)
+        first = first or axes
+        yield axes, panel
+        axes.set_title(panel.title)
+        axes.tick_params(labelleft=i % columns == 0)
+        axes.set(xlabel=labels["x"], ylabel=labels["y"] if i % columns == 0 else "")
+        few_ticks(axes, x=ticks)
+
+
+def coefficients(points: Sequence[Points], x_label: str, y_label: str) -> Figure:
     """Coefficients over an operating point with 95 % bars, fitted curve and band; methods side by side."""
-    figure = blank(HALF, height)
+    figure = blank(HALF, 2.55)
     rows = ceil(len(points) / 2) if len(points) > 1 else 0
     cells = grid(figure, 1, 1, top=0.2 + 0.16 * rows, left=0.56)[0]
     apart = _apart(points)
@@ -147,27 +163,17 @@ def coefficients(points: Sequence[Points], x_label: str, y_label: str, height: f
         shift = 0.0 if p.primary else step * (1 + compared.index(i) // 2) * (-1) ** compared.index(i)
         drawn: list[tuple[Any, Array]] = [(axes, p.y)] + ([] if strip is None else [(strip, apart[i])])
         for place, y in drawn:
-            place.errorbar(
-                p.x + shift,
-                y,
-                yerr=np.nan_to_num([p.below, p.above]),
-                fmt=MARKERS[p.mark % len(MARKERS)],
-                color=color,
-                markerfacecolor=color if p.primary else "white",
-                markersize=4 if p.primary else 3.6,
-                markeredgewidth=0.9,
-                elinewidth=0.9,
-                linewidth=0,
-                label=p.label,
-            )
+            look: dict[str, Any] = {"fmt": MARKERS[p.mark % len(MARKERS)], "color": color, "label": p.label}
+            look |= {"markerfacecolor": color, "markersize": 4} if p.primary else OPEN
+            look |= {"markeredgewidth": 0.9, "elinewidth": 0.9, "linewidth": 0}
+            place.errorbar(p.x + shift, y, yerr=np.nan_to_num([p.below, p.above]), **look)
     _frame(axes, points)
     axes.set_ylabel(y_label)
     few_ticks(axes)
     axes.tick_params(labelbottom=strip is None)
     if strip is not None:
         strip.axhline(0, color=FAINT, linewidth=0.6, zorder=0)
-        strip.set_ylabel(f"apart {y_label[y_label.find('[') :]}" if "[" in y_label else "apart")
-        strip.set_xlim(axes.get_xlim())
+        strip.set(ylabel=f"apart {y_label[y_label.find('[') :]}" if "[" in y_label else "apart", xlim=axes.get_xlim())
         few_ticks(strip, y=4)
         figure.align_ylabels([axes, strip])
     (strip or axes).set_xlabel(x_label)
@@ -175,13 +181,12 @@ def coefficients(points: Sequence[Points], x_label: str, y_label: str, height: f
         handles, labels = axes.get_legend_handles_labels()
         shown = [labels.index(p.label) for p in points]
         named = [handles[i] for i in shown], [labels[i] for i in shown]
-        corner = (0.03, 1 - 0.13 / height)
-        figure.legend(*named, loc="upper left", bbox_to_anchor=corner, ncols=2, handletextpad=0.3)
+        legend_above(figure, 2, named, (0.105, 0.13), handletextpad=0.3)
     return figure
 
 
 def _apart(points: Sequence[Points]) -> list[Array]:
-    """What each series is above the first one's curve, where series lie too close to be seen apart; else nothing."""
+    """Differences of each series from the curve of the first, where series are too close to be distinguished."""
     points = [p for p in points if not p.published]
     if len(points) < 2 or points[0].curve is None or len({p.group for p in points}) < 2:
         return []
@@ -240,30 +245,20 @@ def loops(panels: Sequence[Panel], labels: dict[str, str]) -> Figure:
     figure = blank(HALF if alone else FULL, 2.55 if alone else 0.43 + 1.97 * rows)
     cells = grid(figure, rows, columns, top=0.5, left=0.56, across=0.18, down=0.62)
     marks: dict[str, int] = {}
-    first: Axes | None = None
-    for i, panel in enumerate(panels):
-        axes = figure.add_subplot(cells[i], sharex=first, sharey=first)
-        first = first or axes
+    for axes, panel in multiples(figure, cells, panels, columns, labels, 4):
         x, y = panel.columns["x"], panel.columns["measured"]
         axes.plot(_closed(x), _closed(y), color=FAINT, linewidth=2.4, label="measured")
         if "model" in panel.columns:
             axes.plot(_closed(x), _closed(panel.columns["model"]), color=RED, linewidth=1.0, label="model")
         published(axes, panel, marks)
-        axes.set_title(panel.title)
-        axes.tick_params(labelleft=i % columns == 0)
-        if i % columns == 0:
-            axes.set_ylabel(labels["y"])
-        axes.set_xlabel(labels["x"])
-        few_ticks(axes, x=4)
-    width, height = figure.get_size_inches()
     handles, names = figure.axes[0].get_legend_handles_labels()
-    figure.legend(handles[:2], names[:2], loc="upper left", bbox_to_anchor=(0.5 / width, 1 - 0.06 / height), ncols=2)
+    legend_above(figure, 2, (handles[:2], names[:2]))
     return figure
 
 
-def loops_together(panels: Sequence[Panel], x_label: str, y_label: str, height: float = 2.55) -> Figure:
+def loops_together(panels: Sequence[Panel], x_label: str, y_label: str) -> Figure:
     """Measured loops on common axes, columns x, y."""
-    figure = blank(HALF, height)
+    figure = blank(HALF, 2.55)
     rows = ceil((len(panels) + len({name for panel in panels for name, _, _ in panel.published})) / 3)
     axes = figure.add_subplot(grid(figure, 1, 1, top=0.2 + 0.16 * rows, left=0.56)[0])
     marks: dict[str, int] = {}
@@ -276,13 +271,11 @@ def loops_together(panels: Sequence[Panel], x_label: str, y_label: str, height: 
         for name, x, y in panel.published:
             mark = CROSSES[marks.setdefault(name, len(marks)) % len(CROSSES)]
             axes.plot(x, y, mark, color=INK, markersize=4.5, label=name, zorder=4)
-    axes.set_xlabel(x_label)
-    axes.set_ylabel(y_label)
+    axes.set(xlabel=x_label, ylabel=y_label)
     few_ticks(axes)
     handles, names = axes.get_legend_handles_labels()
     shown = dict(zip(names, handles, strict=True))
-    place = (0.03, 1 - 0.13 / height)
-    figure.legend(shown.values(), shown.keys(), loc="upper left", bbox_to_anchor=place, ncols=3, handletextpad=0.4)
+    legend_above(figure, 3, (shown.values(), shown.keys()), (0.105, 0.13), handletextpad=0.4)
     return figure
 
 
@@ -313,15 +306,12 @@ def against_frequency(panels: Sequence[Panel], labels: dict[str, str], names: Se
         axes.set_xticks(frequencies)
         axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _place: f"{value:g}"))
         axes.xaxis.set_minor_formatter(NullFormatter())
-        axes.set_xlabel(labels["frequency"])
-        axes.set_ylabel(labels[name])
+        axes.set(xlabel=labels["frequency"], ylabel=labels[name])
         low, high = axes.get_ylim()
         middle = abs(low + high) / 2
         if high - low < 0.06 * middle:
             axes.set_ylim(0.97 * middle * np.sign(low + high), 1.03 * middle * np.sign(low + high))
-    width, height = figure.get_size_inches()
-    handles = figure.axes[0].get_legend_handles_labels()
-    figure.legend(*handles, loc="upper left", bbox_to_anchor=(0.5 / width, 1 - 0.06 / height), ncols=columns)
+    legend_above(figure, columns)
     return figure
 
 
@@ -333,10 +323,7 @@ def scatter_and_line(panels: Sequence[Panel], labels: dict[str, str]) -> Figure:
     figure = blank(HALF if alone else FULL, 2.55 if alone else 0.3 + 2.15 * rows)
     cells = grid(figure, rows, columns, left=0.56, across=0.3, down=0.65)
     marks: dict[str, int] = {}
-    first: Axes | None = None
-    for i, panel in enumerate(panels):
-        axes = figure.add_subplot(cells[i], sharex=first, sharey=first)
-        first = first or axes
+    for axes, panel in multiples(figure, cells, panels, columns, labels, 5):
         x, y = panel.columns["x"], panel.columns["measured"]
         group = panel.columns.get("group", np.zeros(len(x)))
         for number, member in enumerate(np.unique(group)):
@@ -348,12 +335,6 @@ def scatter_and_line(panels: Sequence[Panel], labels: dict[str, str]) -> Figure:
                 ends = known[[np.argmin(x[known]), np.argmax(x[known])]]
                 axes.plot(x[ends], panel.columns["fit"][ends], color=INK, linewidth=1.3)
         published(axes, panel, marks)
-        axes.set_title(panel.title)
-        axes.tick_params(labelleft=i % columns == 0)
-        if i % columns == 0:
-            axes.set_ylabel(labels["y"])
-        axes.set_xlabel(labels["x"])
-        few_ticks(axes, x=5)
     return figure
 
 
@@ -369,8 +350,7 @@ def load_points(points: Panel, curves: Sequence[tuple[str, Array, Array]], label
             axes.plot(
                 points.columns[key], load, marker, color=color, markerfacecolor="white", markeredgewidth=0.9, label=name
             )
-    axes.set_xlabel(labels["x"])
-    axes.set_ylabel(labels["y"])
+    axes.set(xlabel=labels["x"], ylabel=labels["y"])
     axes.legend(loc="upper left")
     few_ticks(axes)
     return figure

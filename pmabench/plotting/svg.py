@@ -133,7 +133,7 @@ def _marks(run: re.Match[str]) -> str:
 
 
 def shortened(path: str) -> str:
-    """Path data (absolute M, L, Q, C and z) as differences with two decimals; what rounding leaves does not add up."""
+    """Path data (absolute M, L, Q, C and z) as differences with two decimals; rounding errors do not accumulate."""
     here = start = (0, 0)
     commands: list[tuple[str, list[int]]] = []
     for command, numbers in re.findall(r"([MLQCz])([^A-Za-z]*)", path):

@@ -1,6 +1,7 @@
-"""Words and units of reports: what methods, kinds and operating points are called; holds no results.
+"""Words, units and numbers of reports: what operating points are called, and how many digits people read.
 
-Unknown names are shown as they are: a new kind of test needs no entry here. Coefficients have theirs in `names`.
+A value is rounded to the second significant digit of its interval. Unknown names are shown as they are: a new kind of
+test needs no entry here. Holds no results; titles of coefficients are in `pmabench.report.words`.
 """
 
 from __future__ import annotations
@@ -8,6 +9,8 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from decimal import Decimal
+from math import floor, isfinite, log10
 
 from pmabench.analysis.results import POINT_QUANTITIES
 from pmabench.base.quantities import QUANTITIES
@@ -85,6 +88,18 @@ class Shown:
         """`text [unit]`; `text` alone where there is no unit."""
         return f"{text} [{self.unit}]" if self.unit else text
 
+    def plain_label(self, text: str) -> str:
+        """As `label`, the unit in ASCII, for files."""
+        return f"{text} [{plain_unit(self.unit)}]" if self.unit else text
+
+    def of(self, value: float | None) -> float | None:
+        """An SI value in this unit."""
+        return None if value is None else value / self.scale
+
+    def rounded(self, value: float | None, half: float | None = None, digits: int = 4) -> str:
+        """`rounded` of an SI value and half width in this unit."""
+        return rounded(self.of(value), self.of(half), digits)
+
 
 def shown(quantity: str, unit: str = "") -> Shown:
     """The unit to show for a quantity of `QUANTITIES`; for others their SI unit with kPa and mm in it."""
@@ -116,7 +131,7 @@ def shown(quantity: str, unit: str = "") -> Shown:
 
 
 def _typeset(unit: str) -> str:
-    """A middle dot for a product, raised exponents."""
+    """The unit with a middle dot for products and raised exponents."""
     return re.sub(r"(?<=[A-Za-z])[23]", lambda m: "²³"[int(m[0]) - 2], unit.replace(".", "·"))
 
 
@@ -129,6 +144,12 @@ def point_shown(name: str) -> tuple[str, Shown]:
     """Label and unit of a coordinate of an operating point."""
     label, quantity = POINTS.get(name, (name, ""))
     return clean(label), shown(quantity)
+
+
+def point_head(name: str) -> str:
+    """The head of a column with a coordinate of operating points: `P [kPa]`."""
+    label, unit = point_shown(name)
+    return unit.label(label)
 
 
 def spoken(name: str) -> str:
@@ -161,3 +182,89 @@ def in_order(names: Iterable[str], known: Iterable[str]) -> list[str]:
 def symbol_text(symbol: str, coordinate: str = "") -> str:
     """A symbol with the name of its variant: `t_d command-to-motion`."""
     return clean(f"{symbol} {coordinate}".strip())
+
+
+MOST_DIGITS = 7
+"""Significant digits of a value whose interval would ask for more."""
+PLAIN = (1e-3, 1e6)
+"""Sizes outside these are written with a power of ten."""
+RESOLVED = 1e-9
+"""Less than this of the unit that people read is rounding of the computer and no measurement."""
+UNRESOLVED = "below resolution"
+WITHHELD = "withheld"
+RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+def rounded(value: float | None, half: float | None = None, digits: int = 4) -> str:
+    """`value`, and `± half` where there is an interval: `7.552 ± 0.021`, `(9.73 ± 0.12)×10⁻⁶`, `900 ± 1200`.
+
+    Without an interval `digits` significant digits; "not identifiable" where there is no value.
+    """
+    if value is None or not isfinite(value):
+        return "not identifiable"
+    if half is not None and not (isfinite(half) and half >= 0):
+        half = None
+    size = max(abs(value), half or 0.0)
+    power = 0
+    if size != 0 and not PLAIN[0] <= size < PLAIN[1]:
+        power = floor(log10(size))
+    scaled, width = value / 10.0**power, None if half is None else half / 10.0**power
+    text = _pair(scaled, width, digits)
+    if power == 0:
+        return text
+    raised = f"×10{str(power).translate(RAISED)}"
+    return f"({text}){raised}" if half is not None else text + raised
+
+
+def printed(text: str) -> str:
+    """A sentence with the signs of print: `±` for `+-`, a minus before a number, products of units by a middle dot."""
+    text = re.sub(r"(?<![\w.,)\]])-(?=\d)", "−", text.replace("+-", "±").replace("+/-", "±"))
+    return re.sub(r"(?<=[A-Za-z])\.(?=(?:s|m|K)\b(?:[/) ,;]|$))", "·", text)
+
+
+def cut(value: float, half: float) -> str:
+    """A value whose interval value ± half ends at 0, below which it cannot be: `0.022 (0 to 0.071)`."""
+    decimals = min(_decimals(half, 2), _decimals(value, MOST_DIGITS))
+    return f"{_fixed(value, decimals)} (0 to {_fixed(value + half, decimals)})"
+
+
+def half_width(half: float | None, least: float = 0.0) -> str:
+    """An interval's half width alone, with two significant digits; empty where it was not assessed.
+
+    Above 0 and below `least` it says so.
+    """
+    if half is None or not (isfinite(half) and half >= 0):
+        return ""
+    if half == 0:
+        return "0"
+    if half < least:
+        return f"< 10{str(round(log10(least))).translate(RAISED)}"
+    half = float(f"{half:.1e}")
+    if not PLAIN[0] <= half < PLAIN[1]:
+        power = floor(log10(half))
+        return f"{half / 10.0**power:.1f}×10{str(power).translate(RAISED)}"
+    return _fixed(half, _decimals(half, 2))
+
+
+def _pair(value: float, half: float | None, digits: int) -> str:
+    if half is None:
+        return _fixed(value, _decimals(value, digits)).replace("-", "−")
+    finest = _decimals(value, MOST_DIGITS)
+    if half == 0:
+        return f"{_fixed(value, _decimals(value, digits))} ± 0".replace("-", "−")
+    decimals = _decimals(half, 2)
+    if decimals > finest:
+        return f"{_fixed(value, finest)} ± {_fixed(10.0**-finest, finest)}".replace("-", "−")
+    return f"{_fixed(value, decimals)} ± {_fixed(half, decimals)}".replace("-", "−")
+
+
+def _decimals(number: float, digits: int) -> int:
+    """Decimals (negative: left of the point) that show `number` with so many significant digits."""
+    if number == 0:
+        return digits - 1
+    return digits - 1 - Decimal(f"{abs(number):.{digits - 1}e}").adjusted()
+
+
+def _fixed(number: float, decimals: int) -> str:
+    text = f"{round(number, decimals):.{max(0, decimals)}f}"
+    return text[1:] if text.startswith("-") and float(text) == 0 else text

@@ -29,7 +29,7 @@ IN_EXPECTED = ("F_ce", "K", "B_c", "B_r", "F_c")
 """What a specimen file can expect."""
 
 
-def _wider_than_nothing(value: float) -> float:
+def _interval_above_zero(value: float) -> float:
     if not value > 0:
         raise ValueError(f'{show(value, "ratio")}: an interval must be > 0 %, for instance "5 %"')
     return value
@@ -57,7 +57,7 @@ StaticLimit = Annotated[ShareOrForce, AfterValidator(_size_above_zero)]
 class Accept(Strict):
     """Limits of one coefficient, of one check, or of R2."""
 
-    relative_interval: Annotated[Ratio, AfterValidator(_wider_than_nothing)] | None = None
+    relative_interval: Annotated[Ratio, AfterValidator(_interval_above_zero)] | None = None
     """Widest 95 % interval of a coefficient, of its value."""
     of_specimen: Limit | None = None
     """How far a coefficient may be from what the specimen file expects, of that."""

@@ -123,7 +123,7 @@ class ChainMuscle:
 
 @dataclass(frozen=True)
 class _Law:
-    """What moves the muscles of an entry: its name, the plant (None: the printed model), and its highest pressure."""
+    """The model that moves the muscles of an entry: name, plant (None: the printed model), and highest pressure."""
 
     name: str
     setup: Setup | None
@@ -166,7 +166,7 @@ class _Reading:
         self.problems.append(self.document.problem(location, message, key=key))
 
     def plan(self) -> ChainPlan:
-        """The chain, or every problem."""
+        """The checked chain; raises InvalidFile with every problem."""
         file = self.file
         kind, value = file.load
         if not 0 <= value <= 1e5:
@@ -222,7 +222,7 @@ class _Reading:
             self.fault(f"no muscle here is a {DMSP}, for which this is", "fce_eval", key=True)
 
     def _law(self, muscle: MuscleFile, at: Location) -> _Law | None:
-        """What moves the muscle, or None and the reason in the problems."""
+        """The model of a muscle; None, and the reason in the problems, where there is none."""
         if (muscle.model is None) == (muscle.plant is None):
             self.fault(f'needs either "model: {DMSP}" or "plant: NAME", one of both', *at)
             return None

@@ -23,7 +23,7 @@ ChannelName = Literal["pressure", "displacement", "force", "angle", "pressure_co
 
 
 class Needs(Strict):
-    """What the bench must have."""
+    """Requirements on the bench."""
 
     free_end: Literal["weights", "actuator"]
 
@@ -50,7 +50,7 @@ class ProtocolHead(Strict):
     gives: ClassVar[tuple[str, ...]] = ()
     """Coefficients that the reduction of this kind can give."""
     checks: ClassVar[tuple[str, ...]] = ()
-    """Checks that the reduction of this kind makes beside them."""
+    """Checks that the reduction of this kind makes in addition to them."""
     with_static: ClassVar[bool] = False
     """Whether its F_ce can be compared with that of static load."""
     schema_: Annotated[Literal["pmabench.protocol/1"], Field(alias="schema")]
@@ -220,7 +220,7 @@ class Compilation:
                 self.fault(("record",), f'lacks "{needed}", without which nothing can be fitted; add it')
 
     def needs_coefficients(self) -> None:
-        """Check that what is to be accepted can come out."""
+        """Check that the kind of test gives the coefficients that have acceptance limits."""
         accept.find_faults(self, self.head.accept, self.head.gives, self.head.checks, with_static=self.head.with_static)
 
     def plan(self, kind: str, settings: dict[str, Any]) -> Plan:

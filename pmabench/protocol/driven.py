@@ -1,10 +1,15 @@
-"""What kinds of test with a driven end share: what the actuator can do, and the force that is believed to come."""
+"""What kinds of test with a driven end share: what the actuator can do, the expected force, and air that cannot escape.
+
+A muscle that is stretched loses volume. What its regulator cannot let out in time raises the pressure (paper 3, chamber
+equation), which is compared with what the bench and the muscle bear. Predicted with the bench's `air: conductance`;
+where that is not given, a fast motion counts as closed.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from math import cos, pi, sin
+from math import ceil, cos, inf, pi, sin, tan
 
 from pmabench.base.quantities import show
 from pmabench.bench.files.specimen import ExpectedFile
@@ -20,7 +25,7 @@ VENT_HOLD = 3.0
 
 @dataclass(frozen=True)
 class Believed:
-    """What is believed of the specimen at one pressure: F_ce [N], K [N/m], B_c and B_r [N.s/m], F_c [N]."""
+    """Expected coefficients of the specimen at one pressure: F_ce [N], K [N/m], B_c and B_r [N.s/m], F_c [N]."""
 
     F_ce: float
     K: float
@@ -107,3 +112,144 @@ def leave(back_from: float, approach: float) -> list[Step]:
     """Back to 0 and vented."""
     back: Sequence[Step] = [Ramp("return", "displacement", back_from, 0.0, approach)] if approach > 0 else []
     return [*back, Set("vent", "pressure", 0.0), Hold("vent", VENT_HOLD)]
+
+
+R_AIR, ROOM = 287.0, 293.0
+"""Gas constant of air [J/(kg K)] (paper 3) and its temperature [K]."""
+POLYTROPIC = 1.4
+"""Adiabatic, the highest exponent of paper 3: the safe side."""
+ALPHA = 2.6
+"""Exponent of the volume: above 2, that of an ideal braid, the volume changes more; the safe side."""
+SLOW = 10.0
+"""A motion whose period is at least so long [s] is slow for any regulator whose conductance is unknown."""
+STEPS = 360
+PERIODS = 4
+
+
+@dataclass(frozen=True)
+class Tube:
+    """A muscle's size: free diameter and length [m], braid angle [rad]."""
+
+    diameter: float
+    length: float
+    braid_angle: float
+
+    def volume(self, x: float) -> float:
+        """V [m3] at contraction x [m] (paper 3, volume of the muscle)."""
+        eps = x / self.length
+        size = pi / 4 * self.diameter**2 * self.length
+        return float(
+            size * (1 / sin(self.braid_angle) ** 2 - (1 - eps) ** ALPHA / tan(self.braid_angle) ** 2) * (1 - eps)
+        )
+
+
+@dataclass(frozen=True)
+class Supply:
+    """Conductances of the regulator while filling and venting [kg/s/Pa], and the room's pressure [Pa absolute]."""
+
+    fill: float
+    vent: float
+    atmosphere: float
+
+
+def peak(
+    pressure: float, path: Sequence[float], period: float, tube: Tube, supply: Supply | None, room: float
+) -> float:
+    """Highest gauge pressure [Pa] at a set `pressure` [Pa] while contractions `path` [m] are gone through.
+
+    `path`: contractions at equal times of one `period` [s], which repeats. Without a `supply` nothing flows between the
+    largest volume and the smallest.
+    """
+    volumes = [tube.volume(x) for x in path]
+    if min(volumes) <= 0:
+        return inf
+    if supply is None:
+        return float((pressure + room) * (max(volumes) / min(volumes)) ** POLYTROPIC - room)
+    dt = period / len(volumes)
+    P, highest = pressure, pressure
+    for _ in range(PERIODS):
+        for i, volume in enumerate(volumes):
+            grow = (volume - volumes[i - 1]) / dt
+            conductance = supply.fill if pressure > P else supply.vent
+            flow = POLYTROPIC * R_AIR * ROOM * conductance
+            # backward Euler, linear in P: stable however large the conductance
+            P = (P + dt * (flow * pressure - POLYTROPIC * room * grow) / volume) / (
+                1 + dt * (flow + POLYTROPIC * grow) / volume
+            )
+            highest = max(highest, P)
+    return highest
+
+
+def not_pushed_together(
+    c: Compilation,
+    pressure: float,
+    motion: Callable[[float], tuple[Sequence[float], float]],
+    size: tuple[float, str, str],
+    pace: tuple[float, str, str],
+    where: Location,
+) -> None:
+    """Check that a motion's air stays below the pressure trip and the specimen's `never_above`.
+
+    `motion(share)` gives the contractions over one period and the period [s] where its size is `share` of what is
+    wanted; `size` is that size, and `pace` what the period goes down with, each with its quantity and name. Nothing is
+    predicted for a specimen file without a braid angle.
+    """
+    specimen, bench = c.mounted.specimen_file, c.mounted.bench
+    if specimen.braid_angle is None or pressure <= 0:
+        return
+    tube = Tube(specimen.inner_diameter, specimen.nominal_length, specimen.braid_angle)
+    air = c.mounted.bench_file.air
+    conductance = air.conductance
+    supply = None if conductance is None else Supply(conductance.fill, conductance.vent, air.atmosphere)
+    if supply is None and motion(1.0)[1] >= SLOW:
+        return
+    limit, source = specimen.limits.pressure.never_above, "never_above of the specimen"
+    for trip in bench.trips:
+        if trip.channel == "pressure" and trip.kind == "range" and trip.action != "warn" and trip.high is not None:
+            limit, source = min((limit, source), (trip.high, f"trip of measured pressure, {trip.source}"))
+
+    def reached(P: float, share: float, slower: float = 1.0) -> float:
+        path, period = motion(share)
+        return peak(P, path, period / slower, tube, supply, air.atmosphere)
+
+    high = reached(pressure, 1.0)
+    if high <= limit:
+        return
+    shares = (
+        (*size, _largest(lambda s: reached(pressure, s) <= limit)),
+        (*pace, _largest(lambda s: reached(pressure, 1.0, s) <= limit) if supply is not None else 0.0),
+        (pressure, "pressure", "pressure", _largest(lambda s: reached(pressure * s, 1.0) <= limit)),
+    )
+    allowed = [
+        f"{name} up to {show(_down(share * value), quantity, 3)}"
+        for value, quantity, name, share in shares
+        if share > 0.01
+    ]
+    how = (
+        "with the bench's air conductance"
+        if supply is not None
+        else "as a closed volume, for the bench file has no air: {conductance: {fill, vent}}"
+    )
+    options = " or ".join(allowed) or "slower motions"
+    c.fault(
+        where,
+        f"the motion pushes the air together to {show(high, 'pressure', 3)} at a set {show(pressure, 'pressure')} "
+        f"({how}); the cap is {show(limit, 'pressure')} ({source}); allowed are {options}",
+    )
+
+
+def _largest(allowed: Callable[[float], bool]) -> float:
+    """The largest fraction below 1 that is allowed, found by bisection; 0 where none is."""
+    low, high = 0.0, 1.0
+    for _ in range(12):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if allowed(middle) else (low, middle)
+    return low
+
+
+def _down(value: float) -> float:
+    """A number rounded down to two digits, so that the value reported as allowed is allowed."""
+    if value <= 0:
+        return 0.0
+    digit = 10.0 ** (len(f"{int(value * 1e9)}") - 11)
+    return (ceil(value / digit) - 1) * digit

@@ -200,7 +200,7 @@ def _of_analysis(c: Compilation, name: str) -> dict[str, Any]:
 
 
 def _first(analysis: Analysis, symbol: str, *coordinates: str) -> float:
-    """The first of several ways to a time that is known [s]; 0 where none is."""
+    """The first of several estimates of a time that is known [s]; 0 where none is."""
     found = (_overall(analysis, symbol, coordinate) for coordinate in coordinates)
     return max(0.0, next((value for value in found if value is not None), 0.0))
 

@@ -57,7 +57,7 @@ SpeedAxis = Annotated[list[Speed], Field(min_length=1)]
 
 
 class Repeat(Strict):
-    """How often, and whether the whole grid is run again or each point at once."""
+    """Number of repeats, and whether the whole grid is repeated or each point."""
 
     count: Annotated[int, Field(ge=1, le=1000)] = 1
     as_: Annotated[Literal["blocks", "adjacent"], Field(alias="as")] = "blocks"

@@ -50,7 +50,7 @@ def print_grid(
 
 
 def _least(cells: Sequence[str], *, text: bool) -> int:
-    """The narrowest that a column may become: a number stays in one piece, words and heads break at blanks."""
+    """The narrowest width of a column: numbers stay in one piece, words and heads break at blanks."""
     head = max((len(word) for word in cells[0].split()), default=0)
     widths = [len(cell) if any(sign.isdigit() for sign in cell) else _word(cell) for cell in cells[1:]]
     longest = max([head, *widths])
@@ -75,7 +75,7 @@ def _parts(least: Sequence[int], keys: int, width: int) -> list[list[int]]:
 
 
 def _widths(least: Sequence[int], whole: Sequence[int], width: int) -> list[int]:
-    """The widths: as least, and what is left over in order to those that want more."""
+    """The width of each column: the least width, and the remaining room for the first columns that need more."""
     left = width - sum(least) - len(GAP) * (len(least) - 1)
     widths = []
     for low, high in zip(least, whole, strict=True):

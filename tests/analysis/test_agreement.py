@@ -6,8 +6,8 @@ import pytest
 
 from pmabench.analysis.results import Analysis, Estimate, Parts
 from pmabench.kinds.reduce import compared, verdicts
-from pmabench.report.document.html import render
-from pmabench.report.words.method_words import described
+from pmabench.report.words import described
+from tests.report.samples import render
 
 
 def estimate(symbol, value, half, pressure, method, quantity="stiffness", **at):

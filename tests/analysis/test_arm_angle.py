@@ -7,7 +7,7 @@ import pytest
 
 from pmabench.analysis.trial import Quick
 from pmabench.base.errors import InvalidFile
-from pmabench.display.quantities import measure as line_of
+from pmabench.display.verdicts import measure as line_of
 from pmabench.kinds.arm_angle.reduction import flat_from, reduce
 from pmabench.kinds.arm_angle.view import left_out
 from pmabench.store.records import Flag

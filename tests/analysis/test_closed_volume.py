@@ -9,7 +9,7 @@ import pytest
 from pmabench.analysis.trial import Quick
 from pmabench.base.errors import InvalidFile
 from pmabench.bench.compile import mount
-from pmabench.display.quantities import measure
+from pmabench.display.verdicts import measure
 from pmabench.engine.operator import ConfirmedBeforehand
 from pmabench.engine.run import run_plan
 from pmabench.kinds.closed_volume.fit import fit_volume, volume_at

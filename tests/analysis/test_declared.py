@@ -9,7 +9,7 @@ from pmabench.base.kind import Result
 from pmabench.base.quantities import QUANTITIES
 from pmabench.kinds.reduce import results_of
 from pmabench.kinds.registry import all_kinds
-from pmabench.report.words.names import in_common
+from pmabench.report.words import in_common
 
 STIFF = Result("K", "stiffness", "stiffness", headline=True)
 K = Estimate("K", 6.5e3, "N/m", "stiffness", "m", {"pressure": 3e5})

@@ -17,7 +17,7 @@ from pmabench.analysis.results import Analysis
 from pmabench.analysis.trial import Quick
 from pmabench.cli.main import main
 from pmabench.cli.prepare import prepare
-from pmabench.display.quantities import measure
+from pmabench.display.verdicts import measure
 from pmabench.engine.operator import ConfirmedBeforehand
 from pmabench.engine.run import run_plan
 from pmabench.kinds.ultimate_gain.open_loop import examine

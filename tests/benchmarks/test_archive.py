@@ -17,8 +17,7 @@ import pytest
 
 from pmabench.analysis.many import Processes
 from pmabench.kinds.recorded_step.reduction import SHIFTS, fit_motion
-from pmabench.report.many.many import process_many
-from pmabench.report.many.many_table import write_table
+from pmabench.report.many import process_many, write_table
 from pmabench.store.catalogue import tasks_below
 from tests.benchmarks.archive import AT, LATE, SCALES, write_run
 

@@ -16,17 +16,17 @@ from click.testing import CliRunner
 
 from pmabench.base.clock import VirtualClock
 from pmabench.base.errors import InvalidFile
-from pmabench.cli import cascade_pace
-from pmabench.cli.cascade_pace import drawn, paced, show_pace
+from pmabench.cli import cascade as cascade_command
+from pmabench.cli.cascade import drawn, paced, show_pace
 from pmabench.cli.common import Ui
 from pmabench.cli.main import main
 from pmabench.model import cascade
 from pmabench.model.cascade import PrintedMuscle, Step, simulate
 from pmabench.model.muscle import quadratic
 from pmabench.protocol.cascade import read_cascade
-from pmabench.report.cascade.cascade_drawing import Scene, moments_of, snapshots
-from pmabench.report.cascade.cascade_page import frame_rows
-from pmabench.report.cascade.cascade_record import Result, read_result
+from pmabench.report.cascade_drawing import Scene, moments_of, snapshots
+from pmabench.report.cascade_page import frame_rows
+from pmabench.report.cascade_record import Result, read_result
 
 ROOT = Path(__file__).resolve().parents[2]
 SHIPPED = ROOT / "fixtures" / "cascades"
@@ -244,7 +244,7 @@ def test_the_chain_as_text_is_as_long_as_it_is():
 
 
 def test_the_chain_as_text_is_what_its_docstring_shows():
-    assert doctest.testmod(cascade_pace) == (0, 1)
+    assert doctest.testmod(cascade_command) == (0, 1)
 
 
 def test_examples_of_the_models_hold():

@@ -7,7 +7,7 @@ from pmabench_drivers.emulator.faults import KINDS
 from pmabench_drivers.emulator.faults import Faults as DeviceFaults
 
 from pmabench.base.errors import InvalidFile
-from pmabench.cli.emulated_faults import Faults as Written
+from pmabench.cli.emulate import Faults as Written
 
 
 @pytest.fixture

@@ -5,7 +5,7 @@ import os
 import pytest
 
 from pmabench.base.errors import Interrupted
-from pmabench.cli.lines import AtLines
+from pmabench.cli.operator import AtLines
 
 
 class Input:

@@ -8,12 +8,10 @@ import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner
 
-import pmabench.report.many.many
+import pmabench.report.many
 from pmabench.cli.main import main
 from pmabench.report.files.csv_files import csv_text
-from pmabench.report.many.many import process_many
-from pmabench.report.many.many_table import table_rows
-from pmabench.report.many.processed import process_one
+from pmabench.report.many import process_many, process_one, table_rows
 from pmabench.store.analyses import made_from
 from pmabench.store.analyses.folder import runs_of
 from pmabench.store.catalogue import tasks_below
@@ -119,7 +117,7 @@ def counted(monkeypatch):
         worked.extend(thing["folder"] for thing in things)
         return [process_one(thing) for thing in things]
 
-    monkeypatch.setattr(pmabench.report.many.many, "process_batch", one)
+    monkeypatch.setattr(pmabench.report.many, "process_batch", one)
     return worked
 
 

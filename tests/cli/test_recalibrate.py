@@ -12,10 +12,10 @@ from pmabench.analysis.results import Analysis
 from pmabench.base.errors import InvalidFile
 from pmabench.cli.main import main
 from pmabench.report.document.content import content_of
-from pmabench.report.document.html import render
 from pmabench.store.analyses.folder import read_analysis
 from pmabench.store.reader import NewScale, Recalibration, open_run, refound
 from tests.benchmarks.archive import write_run
+from tests.report.samples import render
 from tests.store.runs import closed
 
 LENGTH = """schema: pmabench.calibration/1

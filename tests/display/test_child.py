@@ -14,8 +14,7 @@ from contextlib import suppress
 
 import pytest
 
-from pmabench.display.child import Display
-from pmabench.display.link import MOST, Link
+from pmabench.display.child import MOST, Display, Link
 from tests.display.recorded import Recorded
 
 PATIENCE = 60.0

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pmabench.analysis.trial import Expected, Quick
-from pmabench.display.quantities import measure
+from pmabench.display.verdicts import measure
 from pmabench.display.wording import point_text
 from pmabench.store.records import Command, RunData, TrialData
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pmabench.analysis.trial import Quick
-from pmabench.display.quantities import measure
+from pmabench.display.verdicts import measure
 from tests.analysis.test_paper1 import single_steps, table
 
 

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from pmabench.analysis.trial import Expected, Quick
-from pmabench.display.quantities import measure
-from pmabench.display.verdicts import Verdicts
+from pmabench.display.verdicts import Verdicts, measure
 from pmabench.store.records import RunData, TrialData
 
 EXPECTED = Expected(

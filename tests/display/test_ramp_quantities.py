@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pmabench.analysis.trial import Expected, Quick
-from pmabench.display.quantities import measure
+from pmabench.display.verdicts import measure
 from pmabench.store.records import Command, RunData, TrialData
 
 EXPECTED = Expected(

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from pmabench.display.channel import Channel
 from pmabench.display.console import LINKED, rendered
-from pmabench.display.plain import last_line, plain_line
+from pmabench.display.lines import last_line, plain_line
 from pmabench.display.plot import curve
 from pmabench.display.state import RunState
 from pmabench.display.view import Extra, Question, screen

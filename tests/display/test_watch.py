@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner
 
 from pmabench.cli.main import main
-from pmabench.display.succession import awaits_another
+from pmabench.display.follow import awaits_another
 from pmabench.store.folder import this_process
 from tests.display.recorded import Recorded
 

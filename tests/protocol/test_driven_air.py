@@ -14,7 +14,7 @@ from pmabench.kinds.compile import make_plan
 from pmabench.kinds.sinusoidal_displacement import protocol as sinusoidal_displacement
 from pmabench.model.library import MODELS
 from pmabench.model.library.chamber import driven_chamber
-from pmabench.protocol.driven_air import Supply, Tube, peak
+from pmabench.protocol.driven import Supply, Tube, peak
 from pmabench.store.reader import open_run
 from tests.analysis.driven_runs import ROOT, planned
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from pmabench.analysis.results import Analysis, Curve, Dropped, Estimate, Finding, Parts, Trace
 from pmabench.kinds.reduce import results_of
+from pmabench.report.document.content import content_of, page_of
 from pmabench.store.records import ChannelInfo, Event, RunData, TrialData
 
 PRESSURES = tuple(np.arange(150e3, 501e3, 50e3))
@@ -300,3 +301,8 @@ def run(kind: str, simulated: bool = True, **manifest) -> RunData:
 
 def all_runs(simulated: bool = True) -> list[RunData]:
     return [run(kind, simulated) for kind in RUNS]
+
+
+def render(analyses, runs, **options) -> str:
+    """The HTML page of a report."""
+    return page_of(content_of(analyses, runs, **options))

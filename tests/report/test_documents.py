@@ -13,9 +13,8 @@ import pytest
 from pmabench.analysis.results import Parts, Source
 from pmabench.base.errors import UsageError
 from pmabench.report.document.content import content_of
-from pmabench.report.document.pdf import pdf_bytes, write_pdf
-from pmabench.report.document.pdf_compact import packed
-from pmabench.report.document.run_notes import Said
+from pmabench.report.document.deviations import Said
+from pmabench.report.document.pdf import packed, pdf_bytes, write_pdf
 from pmabench.report.document.workbook import workbook_bytes, write_workbook
 
 from . import samples

@@ -21,10 +21,9 @@ from pmabench.base.quantities import QUANTITIES
 from pmabench.cli.main import main
 from pmabench.notebook import Results
 from pmabench.plotting.svg import GREEK
-from pmabench.report.files.control_model import GRAVITY, control_model, simulated
 from pmabench.report.files.export import FORMATS, export_results, export_run
 from pmabench.report.files.latex import typeset
-from pmabench.report.files.mujoco_model import mujoco_model
+from pmabench.report.files.simulator_models import GRAVITY, control_model, mujoco_model, simulated
 from tests.store.runs import closed
 
 from . import samples

@@ -18,13 +18,12 @@ from pmabench.cli.main import main
 from pmabench.notebook import Results
 from pmabench.plotting.wording import clean
 from pmabench.report.document.checklist import Issuer
-from pmabench.report.document.content import content_of
-from pmabench.report.document.html import page_of
+from pmabench.report.document.content import content_of, page_of
 from pmabench.report.document.pdf import pdf_bytes
 from pmabench.report.document.workbook import workbook_bytes
 from pmabench.report.files import latex
-from pmabench.report.files.control_model import control_model, control_text
 from pmabench.report.files.export import export_results
+from pmabench.report.files.simulator_models import control_model, control_text
 from pmabench.report.terminal_coefficients import print_coefficients
 from pmabench.store.notes import Note, add_note
 from tests.store.runs import begin, record

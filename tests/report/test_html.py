@@ -14,7 +14,9 @@ import numpy as np
 import pytest
 
 from pmabench.analysis.results import Analysis, Dropped, Estimate, Finding, Parts, Trace
-from pmabench.report.document.html import css_text, render, symbols_marked, write_report
+from pmabench.report.document.content import content_of, write_page
+from pmabench.report.writing import css_text, symbols_marked
+from tests.report.samples import render
 
 from . import samples
 
@@ -141,7 +143,7 @@ def test_simulated_is_said_everywhere_and_real_runs_are_not_called_so(report):
 def test_the_same_input_gives_the_same_bytes(report):
     assert render(samples.all_analyses(), samples.all_runs()[::-1]) == report
     code = (
-        "import hashlib; from tests.report import samples; from pmabench.report.document.html import render;"
+        "import hashlib; from tests.report import samples; from tests.report.samples import render;"
         "print(hashlib.sha256(render(samples.all_analyses(), samples.all_runs()).encode()).hexdigest())"
     )
     root = Path(__file__).resolve().parents[2]
@@ -229,7 +231,7 @@ def test_empty_and_unknown_analyses_make_a_report(tmp_path):
         Trace("h", "growth", "t", {"gain": np.full(3, 1e300), "log_ratio": np.zeros(3), "used": np.ones(3)}, {}),
     )
     analyses = [Analysis("nothing", (), False), Analysis("new-test", ("r",), False, traces=(unknown, *broken))]
-    path = write_report(analyses, [], tmp_path / "sub" / "r.html", title=None)
+    path = write_page(content_of(analyses, []), tmp_path / "sub" / "r.html")
     text = path.read_text(encoding="utf-8")
     assert "Something new" in text
     assert "Every trial entered its fit" in text

@@ -7,7 +7,7 @@ import pytest
 
 from pmabench.analysis.results import Analysis, Trace
 from pmabench.analysis.shared.repeats import traces
-from pmabench.report.figures.repeat_figures import repeats
+from pmabench.report.figures.coefficient_figures import repeats
 from tests.report.samples import run
 
 KIND = "contraction-relaxation"

@@ -5,9 +5,9 @@ import json
 from dataclasses import replace
 
 from pmabench.report.document.deviations import deviations
-from pmabench.report.document.html import render
 from pmabench.store.notes import add_note
 from pmabench.store.reader import open_run
+from tests.report.samples import render
 from tests.report.test_html import EVIL, Page
 from tests.store.runs import begin, closed, die, record
 

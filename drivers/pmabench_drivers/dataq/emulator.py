@@ -7,7 +7,7 @@ import struct
 from time import monotonic
 
 from pmabench.bench.interface import DeviceRecord
-from pmabench_drivers.dataq.wire import DIGITAL, DIVIDEND, OVERRUN, Options, counts, read_options
+from pmabench_drivers.dataq.wire import DIGITAL, DIVIDEND, OVERRUN, counts, read_options
 from pmabench_drivers.emulator.faults import NOISE, OVER, CommandLog, Fault
 from pmabench_drivers.emulator.plant import RealPlant
 from pmabench_drivers.emulator.ports import Streaming
@@ -19,17 +19,11 @@ LEVELS = 0x7F00
 SET = {"encode": (0, 0), "ps": (0, 7), "srate": (375, 65535), "dec": (1, 512), "deca": (1, 40000)}
 
 
-def serve(device: DeviceRecord, plant: RealPlant, log: CommandLog) -> Daq:
-    """The device that the driver `dataq` talks to."""
-    options = options_of(device, read_options)
-    return Daq(device, options, plant, log)
-
-
 class Daq(Streaming):
     """One device; an input that no channel names reads 0 V."""
 
-    def __init__(self, device: DeviceRecord, options: Options, plant: RealPlant, log: CommandLog) -> None:
-        self._options, self._plant, self._name = options, plant, device.name
+    def __init__(self, device: DeviceRecord, plant: RealPlant, log: CommandLog) -> None:
+        self._options, self._plant, self._name = options_of(device, read_options), plant, device.name
         super().__init__(device, log, NOISE, OVER, garbage=GARBAGE)
         self._channels = {channel.input: channel for channel in device.channels}
         self._list: list[int] = []
@@ -96,3 +90,7 @@ class Daq(Streaming):
             value += random.uniform(-fault.value, fault.value)
         span = float(self._options.model.ranges[entry >> 8].removesuffix(" V"))
         return struct.pack("<h", counts(self._options.model, span, value))
+
+
+serve = Daq
+"""The device that the driver `dataq` talks to."""

@@ -40,7 +40,7 @@ BY_SPEED = frozenset({1, 102})
 
 REJECT, GO_ON, TASK, ACKNOWLEDGE, JOG_1, JOG_2, BY_PLC, HOME = (1 << bit for bit in (4, 5, 6, 7, 8, 9, 10, 11))
 """Bits of STW1; a task is rejected, and a motion is interrupted, where the first two are 0."""
-ABSOLUTE, FORWARD, BACKWARD, CONTINUOUS, SET_UP, MDI = (1 << bit for bit in (8, 9, 10, 12, 14, 15))
+ABSOLUTE, FORWARD, CONTINUOUS, SET_UP, MDI = (1 << bit for bit in (8, 9, 12, 14, 15))
 """Bits of POS_STW1, whose lowest seven are the number of a record."""
 SET_REFERENCE, BY_STEPS = 1 << 1, 1 << 5
 """Bits of POS_STW2: where it is is the reference; jogging goes by steps."""
@@ -55,6 +55,14 @@ ZSW1 = (
 """Bits in the order of their places."""
 POS_ZSW1 = {"jogging": 10, "homing": 11, "by record": 13, "set up": 14, "mdi": 15}
 POS_ZSW2 = {"forwards": 4, "backwards": 5, "at negative limit": 6, "at positive limit": 7, "task active": 15}
+STROKE = (-0.01, 0.09)
+"""Software limits [m of contraction]."""
+HOMING, LEAST = 0.02, 0.3
+"""Speed towards the reference mark, which is at a contraction of 0 [m/s]; homing takes at least so long [s]."""
+JOGGING, STEP = 0.005, 0.001
+"""Speed of jogging [m/s], and how far it goes by steps [m]."""
+RECORDS = {1: (0.005, 0.02), 2: (0.010, 0.02)}
+"""Its record table: number -> place [m of contraction] and speed [m/s]."""
 
 
 def length(telegram: int) -> int:
@@ -87,16 +95,6 @@ def bits(places: Sequence[str] | Mapping[str, int], true: Mapping[str, bool]) ->
     """A status word: the bits at their `places` that are `true`."""
     at = places if isinstance(places, Mapping) else {name: bit for bit, name in enumerate(places)}
     return sum(true.get(name, False) << bit for name, bit in at.items())
-
-
-STROKE = (-0.01, 0.09)
-"""Software limits [m of contraction]."""
-HOMING, LEAST = 0.02, 0.3
-"""Speed towards the reference mark, which is at a contraction of 0 [m/s]; homing takes at least so long [s]."""
-JOGGING, STEP = 0.005, 0.001
-"""Speed of jogging [m/s], and how far it goes by steps [m]."""
-RECORDS = {1: (0.005, 0.02), 2: (0.010, 0.02)}
-"""Its record table: number -> place [m of contraction] and speed [m/s]."""
 
 
 @dataclass

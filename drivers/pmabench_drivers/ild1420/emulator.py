@@ -9,7 +9,7 @@ from pmabench.bench.interface import DeviceRecord
 from pmabench_drivers.emulator.faults import EXCEPTION, NOISE, OVER, CommandLog
 from pmabench_drivers.emulator.plant import RealPlant
 from pmabench_drivers.emulator.ports import Streaming
-from pmabench_drivers.ild1420.wire import WRAP, Options, code_of, encode, read_options
+from pmabench_drivers.ild1420.wire import WRAP, code_of, encode, read_options
 from pmabench_drivers.shared.options import options_of
 
 GARBAGE = b"\x8f\xff\x15"
@@ -17,19 +17,13 @@ RATES = (0.25, 0.5, 1.0, 2.0, 4.0)
 """Measuring rates that it takes [kHz]."""
 
 
-def serve(device: DeviceRecord, plant: RealPlant, log: CommandLog) -> Sensor:
-    """The sensor that a device of the driver `ild1420` talks to."""
-    options = options_of(device, read_options)
-    return Sensor(device, options, plant, log)
-
-
 class Sensor(Streaming):
     """One sensor; `counter` may be set, to look at where it begins again."""
 
-    def __init__(self, device: DeviceRecord, options: Options, plant: RealPlant, log: CommandLog) -> None:
-        self._device, self._options, self._plant = device, options, plant
+    def __init__(self, device: DeviceRecord, plant: RealPlant, log: CommandLog) -> None:
+        self._device, self._options, self._plant = device, options_of(device, read_options), plant
         super().__init__(device, log, EXCEPTION, NOISE, OVER, garbage=GARBAGE)
-        self._rate = options.rate
+        self._rate = self._options.rate
         self.counter = 0
 
     def command(self, line: str) -> None:
@@ -83,3 +77,7 @@ class Sensor(Streaming):
         elif fault.kind == "exception":
             code = int(fault.value)
         return self.outgoing(encode(code, counter), fault)
+
+
+serve = Sensor
+"""The sensor that a device of the driver `ild1420` talks to."""

@@ -6,7 +6,7 @@ Served as the device's own register map says; what the map does not name answers
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from time import monotonic
 
 from pmabench.bench.interface import DeviceRecord
@@ -144,33 +144,27 @@ class Registers:
     def look_at_watchdog(self) -> None:
         """Vent by itself where the watchdog is armed and nothing was heard for its time."""
         watchdog = self._map.watchdog
-        if watchdog is None:
-            return
         with self._lock:
-            timeout = self._value(watchdog.timeout) * watchdog.resolution
-            silent = monotonic() - self._heard
-            if silent > timeout and self._armed(watchdog):
-                self._fire(watchdog, silent)
+            if watchdog is not None:
+                timeout = self._value(watchdog.timeout) * watchdog.resolution
+                if monotonic() - self._heard > timeout and self._armed(watchdog):
+                    self._fire(watchdog)
 
     def expire_watchdog(self) -> bool:
         """Vent by itself now; whether the watchdog was armed."""
-        watchdog = self._map.watchdog
-        if watchdog is None:
-            return False
-        with self._lock:
-            if armed := self._armed(watchdog):
-                self._fire(watchdog, monotonic() - self._heard)
-            return armed
+        return self._end_watchdog(self._fire)
 
     def switch_off_watchdog(self) -> bool:
         """Off, as by another program; whether it was armed."""
-        watchdog = self._map.watchdog
-        if watchdog is None:
-            return False
+        return self._end_watchdog(self._store_off)
+
+    def _end_watchdog(self, act: Callable[[WatchdogRegisters], None]) -> bool:
         with self._lock:
-            if armed := self._armed(watchdog):
-                self._store_off(watchdog)
-            return armed
+            watchdog = self._map.watchdog
+            if watchdog is None or not self._armed(watchdog):
+                return False
+            act(watchdog)
+            return True
 
     def _store_off(self, watchdog: WatchdogRegisters) -> None:
         """The registers of a watchdog that is not running."""
@@ -199,11 +193,11 @@ class Registers:
         triggered = watchdog.trigger is None or self._value(watchdog.trigger) == watchdog.on
         return triggered and self._value(watchdog.timeout) > 0 and not self._fired
 
-    def _fire(self, watchdog: WatchdogRegisters, silent: float) -> None:
+    def _fire(self, watchdog: WatchdogRegisters) -> None:
         self._fired = True
         self._store_off(watchdog)
         self._vent()
-        self._log.note("watchdog", self.device.name, silent=silent)
+        self._log.note("watchdog", self.device.name, silent=monotonic() - self._heard)
 
     def _vent(self) -> None:
         for output in self.device.outputs:

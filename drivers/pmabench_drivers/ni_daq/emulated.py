@@ -40,6 +40,8 @@ GIVE_UP = 10.0
 """Longest wait for a client to give up [s]."""
 
 Answer = dict[str, Any]
+KINDS = {"ai": 10100, "ao": 10102, "di": 10151, "do": 10153}
+VOLTAGE = 10322
 
 
 def serve(device: DeviceRecord, plant: RealPlant, log: CommandLog) -> EmulatedServer:
@@ -353,8 +355,6 @@ def _terminals(_board: Board, request: Any) -> int:
     return 7 if name in AI[:8] else 3
 
 
-KINDS = {"ai": 10100, "ao": 10102, "di": 10151, "do": 10153}
-VOLTAGE = 10322
 ATTRIBUTES: dict[tuple[str, int], Callable[[Board, Any], Any]] = {
     **{("SystemInfo UInt32", key): _always(part) for key, part in VERSION.items()},
     ("SystemInfo String", 0x193B): lambda board, _r: board.device.address,
@@ -363,7 +363,7 @@ ATTRIBUTES: dict[tuple[str, int], Callable[[Board, Any], Any]] = {
     ("Device UInt32", 0x0632): _always(0),
     ("Device Bool", 0x22CA): _always(False),
     ("Device Double", 0x298D): _always(FASTEST),
-    ("Device DoubleArray", 0x2990): _always([end for span in SPANS for end in (-span, span)]),
+    ("Device DoubleArray", 0x2990): lambda _b, _r: [end for span in SPANS for end in (-span, span)],
     ("Device DoubleArray", 0x299B): _always([-10.0, 10.0]),
     ("Task String", 0x1276): lambda _b, request: request.task.name,
     ("Task String", 0x1273): _task(_names),

@@ -8,7 +8,7 @@ from pmabench.bench.interface import DeviceRecord
 from pmabench_drivers.emulator.faults import LINK, NOISE, OVER, SKEW, STUCK, UNIT, CommandLog, DeviceClock, Faults
 from pmabench_drivers.emulator.plant import RealPlant
 from pmabench_drivers.emulator.ports import IDLE, OnTerminal
-from pmabench_drivers.serial_ascii.lines import Options, read_options
+from pmabench_drivers.serial_ascii.lines import read_options
 from pmabench_drivers.shared.options import options_of
 
 OTHER_UNITS = {"N": "kg", "kN": "kg", "kg": "lb", "mm": "in", "cm": "in", "um": "mil", "kPa": "bar", "bar": "psi"}
@@ -16,18 +16,12 @@ GARBAGE = b"\x00\x7f@#"
 KINDS = (LINK, STUCK, NOISE, OVER, UNIT)
 
 
-def serve(device: DeviceRecord, plant: RealPlant, log: CommandLog) -> Indicator:
-    """The indicator that a device of the driver `serial-ascii` talks to."""
-    options = options_of(device, read_options)
-    return Indicator(device, options, plant, log)
-
-
 class Indicator(OnTerminal):
     """One indicator on a pseudo-terminal; the line is the option `emulate`, its number the first channel's."""
 
-    def __init__(self, device: DeviceRecord, options: Options, plant: RealPlant, log: CommandLog) -> None:
-        self._device, self._options, self._plant = device, options, plant
-        faults = Faults(*KINDS, *(() if options.poll else (SKEW,)))
+    def __init__(self, device: DeviceRecord, plant: RealPlant, log: CommandLog) -> None:
+        self._device, self._options, self._plant = device, options_of(device, read_options), plant
+        faults = Faults(*KINDS, *(() if self._options.poll else (SKEW,)))
         super().__init__(device, log, faults, GARBAGE)
         self._clock, self._due, self._asked = DeviceClock(faults), 0.0, b""
 
@@ -70,3 +64,7 @@ class Indicator(OnTerminal):
             unit = self._options.unit or channel.raw_unit
             line = line.replace(unit, OTHER_UNITS.get(unit, "XX"))
         return line
+
+
+serve = Indicator
+"""The indicator that a device of the driver `serial-ascii` talks to."""

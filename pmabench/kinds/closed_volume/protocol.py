@@ -11,8 +11,7 @@ from pmabench.base.quantities import show
 from pmabench.files.document import Strict
 from pmabench.files.quantity import Length, Pressure, Speed, Time, Volume
 from pmabench.protocol.common import Compilation, ProtocolHead
-from pmabench.protocol.driven import arrive, leave, not_too_fast
-from pmabench.protocol.driven_air import Tube
+from pmabench.protocol.driven import Tube, arrive, leave, not_too_fast
 from pmabench.protocol.plan import Hold, Plan, Record, Seek, TrialRecord
 from pmabench.protocol.sweep import Point, PressureAxis, Sweep, expand
 

@@ -1,4 +1,4 @@
-"""Figures of slow ramps at constant pressure: loops, mean curves, gap, the rubber's force; draws by `ramp_plots`."""
+"""Figures of slow ramps at constant pressure: loops, mean curves, gap, the rubber's force; draws by `time_plots`."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from pmabench.analysis.results import Analysis, Trace
-from pmabench.plotting import ramp_plots
+from pmabench.plotting import time_plots
 from pmabench.plotting.pictures import (
     Picture,
     bound,
@@ -59,7 +59,7 @@ def loops(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     alt = (
         f"{labels['y']} over {labels['x']} as loops at {', '.join(title for title, *_ in panels)}, with the mean curve."
     )
-    draw = bound(ramp_plots.loops, panels, labels)
+    draw = bound(time_plots.loops, panels, labels)
     table = numbers(rows, ("displacement", "force"))
     return [
         picture(draw, "Isobaric loops", caption, alt, table, wide=len(panels) > 1, simulated=analysis.simulated),
@@ -80,7 +80,7 @@ def _means(traces: Sequence[Trace], simulated: bool) -> list[Picture]:
         "the ends of the stroke, where one branch turns into the other."
     )
     alt = f"Mean force and gap over contraction at {', '.join(p.title for p in panels)}."
-    draw = bound(ramp_plots.means, panels, labels)
+    draw = bound(time_plots.means, panels, labels)
     table = numbers([(p.title, t) for p, t in zip(panels, able, strict=True)], ("displacement", "force", "gap"))
     title = "Mean curves and gap over contraction"
     return [picture(draw, title, caption, alt, table, wide=False, simulated=simulated)]
@@ -98,7 +98,7 @@ def rubber(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
             f"difference {off:.2g} {shown('force').unit}."
         )
         alt = f"Force over contraction without pressure, measured and fitted, apart by {off:.2g} N rms."
-        draw = bound(ramp_plots.marks_and_line, data, labels)
+        draw = bound(time_plots.marks_and_line, data, labels)
         table = numbers([("", trace)])
         found.append(
             picture(draw, "Force of the rubber at 0 kPa", caption, alt, table, wide=False, simulated=analysis.simulated)

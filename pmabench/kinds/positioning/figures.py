@@ -22,7 +22,20 @@ from pmabench.plotting.pictures import (
     spread,
     unit_of,
 )
-from pmabench.plotting.plots import BLUE, FAINT, FULL, INK, QUIET, RED, Array, Panel, blank, few_ticks, grid
+from pmabench.plotting.plots import (
+    BLUE,
+    FAINT,
+    FULL,
+    INK,
+    QUIET,
+    RED,
+    Array,
+    Panel,
+    blank,
+    few_ticks,
+    grid,
+    legend_above,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -90,9 +103,7 @@ def held(panels: Sequence[Panel], approach: float, labels: dict[str, str]) -> Fi
             lower.set_ylabel(labels["error"])
             figure.align_ylabels([upper, lower])
         lower.set_xlabel(labels["t"])
-    width, height = figure.get_size_inches()
-    handles = figure.axes[0].get_legend_handles_labels()
-    figure.legend(*handles, loc="upper left", bbox_to_anchor=(0.5 / width, 1 - 0.06 / height), ncols=3)
+    legend_above(figure, 3)
     return figure
 
 

@@ -1,6 +1,6 @@
 """Sines of pressure that other programs recorded: amplitudes, phase, loop, bandwidth.
 
-- `reduction`, with `bandwidth`
+- `reduction`, with `bandwidth`; `form`: what a sine lacks of a steady one
 """
 
 from pmabench.base.imported import Imported

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from pmabench.analysis.results import Analysis, Trace
-from pmabench.plotting import ramp_plots
+from pmabench.plotting import time_plots
 from pmabench.plotting.pictures import (
     Picture,
     bound,
@@ -45,7 +45,7 @@ def sine_pressure(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
         f"{reach(worst)} {shown('pressure').unit}.{how_many(chosen, able)}"
     )
     alt = f"Force and pressure error over contraction along sines at {'; '.join(p.title for p in panels)}."
-    draw = bound(ramp_plots.sine_pressure, panels, labels)
+    draw = bound(time_plots.sine_pressure, panels, labels)
     table = numbers([(p.title, t) for p, t in zip(panels, chosen, strict=True)])
     title = "Force with set and with measured pressure"
     return [picture(draw, title, caption, alt, table, wide=len(chosen) > 1, simulated=analysis.simulated)]

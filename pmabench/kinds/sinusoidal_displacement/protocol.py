@@ -11,8 +11,7 @@ from pmabench.files.document import Location, Strict
 from pmabench.files.quantity import Length, Speed, Time
 from pmabench.protocol.accept import OF_TRIALS
 from pmabench.protocol.common import Compilation, ProtocolHead
-from pmabench.protocol.driven import along_sine, arrive, bearable, leave, not_too_fast
-from pmabench.protocol.driven_air import not_pushed_together
+from pmabench.protocol.driven import along_sine, arrive, bearable, leave, not_pushed_together, not_too_fast
 from pmabench.protocol.plan import Follow, Hold, Plan, Record, TrialRecord
 from pmabench.protocol.sweep import FrequencyAxis, LengthAxis, Point, PressureAxis, Sweep, expand
 

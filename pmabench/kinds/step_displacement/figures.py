@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from pmabench.analysis.results import Analysis, Trace
-from pmabench.plotting import ramp_plots
+from pmabench.plotting import time_plots
 from pmabench.plotting.pictures import (
     Picture,
     bound,
@@ -53,7 +53,7 @@ def steps(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     alt = (
         f"Contraction, force and pressure over time around steps of displacement: {'; '.join(p.title for p in panels)}."
     )
-    draw = bound(ramp_plots.steps, panels, labels)
+    draw = bound(time_plots.steps, panels, labels)
     table = numbers([(p.title, t) for p, t in zip(panels, chosen, strict=True)])
     title = "Steps of displacement"
     return [picture(draw, title, caption, alt, table, wide=len(chosen) > 1, simulated=analysis.simulated)]

@@ -24,14 +24,17 @@ OUTPUTS = (
 )
 
 
-def _coefficients(muscle: Muscle, pressure: Array, load: Array) -> Values:
-    F_ce, K = muscle.F_ce.values(pressure), muscle.K.values(pressure)
-    B_c, B_r = muscle.B_c.values(pressure), muscle.B_r.values(pressure)
-    x = np.maximum(F_ce - load, 0) / K
+def with_motion(F_ce: Array, K: Array, B_c: Array, B_r: Array, load: Array) -> Values:
+    """The values of `OUTPUTS` from F_ce and F_L [N], K [N/m], B_c and B_r [N.s/m]."""
     return {
         "force_ce": F_ce, "stiffness": K, "damping_contract": B_c, "damping_relax": B_r,
-        "displacement": x, "tau_contract": B_c / K, "tau_relax": B_r / K,
+        "displacement": np.maximum(F_ce - load, 0) / K, "tau_contract": B_c / K, "tau_relax": B_r / K,
     }  # fmt: skip
+
+
+def _coefficients(muscle: Muscle, pressure: Array, load: Array) -> Values:
+    F_ce, K, B_c, B_r = (curve.values(pressure) for curve in (muscle.F_ce, muscle.K, muscle.B_c, muscle.B_r))
+    return with_motion(F_ce, K, B_c, B_r, load)
 
 
 @described(

@@ -17,6 +17,11 @@ CM = 1e-2
 EXPONENTS = {"mended": -0.248, "printed": 0.75}
 """Power of L0 in the row of e: the print's 0.75 makes nearly a step of the curve."""
 RANGE_BAR = "the measurements go from 0 to 5 bar"
+PRESSURE = Parameter("pressure", "p", "pressure", 3 * BAR, "gauge pressure", 0.0, 5 * BAR, RANGE_BAR)
+ANGLE = Output("angle", "alpha", "angle", "bending angle, 0 for the straight arm")
+LENGTHS = (
+    Output("length", "L", "length", "length without load"), Output("contraction", "eps", "ratio", "(L0 - L) / L0"),
+)  # fmt: skip
 
 
 @described(
@@ -29,7 +34,7 @@ RANGE_BAR = "the measurements go from 0 to 5 bar"
     ),
     source="paper 2 eqs. 1-2",
     parameters=(
-        Parameter("pressure", "p", "pressure", 3 * BAR, "gauge pressure", 0.0, 5 * BAR, RANGE_BAR),
+        PRESSURE,
         Parameter(
             "nominal_length", "L0", "length", 30 * CM, "length without pressure", 15 * CM, 40 * CM,
             "muscles of 15 to 40 cm were measured, and c and d fall below 0 further off",
@@ -37,8 +42,7 @@ RANGE_BAR = "the measurements go from 0 to 5 bar"
         Parameter("exponent", "n", "", "mended", "power of L0 in e", choices=tuple(EXPONENTS)),
     ),
     outputs=(
-        Output("length", "L", "length", "length without load"),
-        Output("contraction", "eps", "ratio", "(L0 - L) / L0"),
+        *LENGTHS,
         Output("c", "c", "pressure", "coefficient c"),
         Output("d", "d", "count", "coefficient d"),
         Output("e", "e", "count", "coefficient e"),
@@ -152,7 +156,7 @@ ARM = np.array(
             "0 to 0.5 kg were measured; at 0.6 kg the polynomials give nonsense",
         ),
     ),
-    outputs=(Output("angle", "alpha", "angle", "bending angle, 0 for the straight arm"),),
+    outputs=(ANGLE,),
     references=(
         Reference("angle", "84.12", "deg", DEG, "Table 1 of paper 2, 84.333, and the model's deviation there, -0.21"),
         Reference("angle", "46.9", "deg", DEG, "Table 1, 47.0, and the deviation there, -0.13",
@@ -173,8 +177,6 @@ def arm_angle(pressure: Array, load: Array) -> Values:
     return {"angle": (a + b / (1 + (pressure / BAR / c) ** d)) * DEG}
 
 
-PRESSURE = Parameter("pressure", "p", "pressure", 3 * BAR, "gauge pressure", 0.0, 5 * BAR, RANGE_BAR)
-ANGLE = Output("angle", "alpha", "angle", "bending angle, 0 for the straight arm")
 ROWS = {"a": (DEG, "angle"), "b": (DEG, "angle"), "c": (BAR, "pressure"), "d": (1.0, "count")}
 """Rows of the matrix of the arm's angle: SI value of the print's unit, quantity."""
 
@@ -193,10 +195,7 @@ ROWS = {"a": (DEG, "angle"), "b": (DEG, "angle"), "c": (BAR, "pressure"), "d": (
         Parameter("e", "e", "count", 0.1589, "exponent", 0.0, 10.0, "", above=True),
         Parameter("r", "r", "count", 0.009, "share of L0 that goes on with the root of p", 0.0, 0.1, "", "printed"),
     ),
-    outputs=(
-        Output("length", "L", "length", "length without load"),
-        Output("contraction", "eps", "ratio", "(L0 - L) / L0"),
-    ),
+    outputs=LENGTHS,
     references=(
         Reference("contraction", "22.7", "%", 0.01, "table of sigmoid-length at 30 cm, 3 bar"),
         Reference("contraction", "8.5", "%", 0.01, "the same at 1 bar", {"pressure": 1 * BAR}),

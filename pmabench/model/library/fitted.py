@@ -8,11 +8,10 @@ import numpy as np
 
 from pmabench.model.curve import Array
 from pmabench.model.library.braid import BAR, MM
-from pmabench.model.library.coefficients import CENTRE, POLYNOMIALS, SCALE
+from pmabench.model.library.coefficients import CENTRE, KPA, N_MM, OUTPUTS, POLYNOMIALS, SCALE, with_motion
 from pmabench.model.library.description import INF, Output, Parameter, Reference, Values, described, refuse
 from pmabench.model.library.three_element import FAMILY, LOAD
 
-KPA, N_MM = 1e3, 1e3
 PRESSURE = Parameter("pressure", "P", "pressure", 300 * KPA, "gauge pressure", 0.0, INF, "gauge pressure of a muscle")
 
 
@@ -64,15 +63,7 @@ def _coefficient(name: str, symbol: str, base: str, values: tuple[float, ...]) -
         *_coefficient("damping_contract", "B_c", "damping", (1.2 * N_MM, 1.6e-3 * N_MM, 0.0)),
         *_coefficient("damping_relax", "B_r", "damping", (1.1 * N_MM, 3.4e-3 * N_MM, 0.0)),
     ),
-    outputs=(
-        Output("force_ce", "F_ce", "force", "contractile force at x = 0"),
-        Output("stiffness", "K", "stiffness", "stiffness"),
-        Output("damping_contract", "B_c", "damping", "damping while it contracts"),
-        Output("damping_relax", "B_r", "damping", "damping while it relaxes"),
-        Output("displacement", "x", "length", "contraction at rest under the load"),
-        Output("tau_contract", "tau_c", "time", "B_c / K"),
-        Output("tau_relax", "tau_r", "time", "B_r / K"),
-    ),
+    outputs=OUTPUTS,
     references=(
         Reference("stiffness", "6.773", "N/mm", N_MM, "by hand: 5.6 + 0.3 + 0.873"),
         Reference("displacement", "40.60", "mm", MM, "by hand: 275 / 6.773"),
@@ -105,11 +96,7 @@ def polynomial_coefficients(
     B_c = damping_contract_0 + P * (damping_contract_1 + P * damping_contract_2)
     B_r = damping_relax_0 + P * (damping_relax_1 + P * damping_relax_2)
     _sound(pressure, K, B_c, B_r)
-    x = np.maximum(F_ce - load, 0) / K
-    return {
-        "force_ce": F_ce, "stiffness": K, "damping_contract": B_c, "damping_relax": B_r,
-        "displacement": x, "tau_contract": B_c / K, "tau_relax": B_r / K,
-    }  # fmt: skip
+    return with_motion(F_ce, K, B_c, B_r, load)
 
 
 @described(
@@ -146,7 +133,7 @@ def polynomial_coefficients(
         Reference("damping", "1.663", "N.s/mm", N_MM, "by hand: 0.311 + 0.00338 400", {"pressure": 400 * KPA}),
         Reference("stiffness_jump", "0.000", "N/mm", N_MM, "by hand: 15.7 - 0.05 314"),
     ),
-    notes=("A jump at the join is told, not hidden: lines of two fits seldom meet exactly.",),
+    notes=("A jump at the join is an output of the model: lines of two fits seldom meet exactly.",),
 )  # fmt: skip
 def piecewise_coefficients(
     pressure: Array,

@@ -1,7 +1,6 @@
 """What a report says, before any format, and the formats.
 
-- `content`, made of `front` (first page), `provenance`, `deviations`, `checklist`, `citation`, `run_notes`, `parents`
-  (trials behind a number), `tables`, `wide_tables`, `budget_tables`, `check_tables`, `recalibration_tables`
-- as HTML page, PDF, workbook: `html`, `pdf` (made smaller by `pdf_compact`), `workbook`; tables ready for any of
-  them: `grids`
+- `content`, also as an HTML page, made of `front` (first page), `provenance` (with methods and citation), `deviations`
+  (with notes), `checklist`, `tables`, `special_tables`; tables ready for any format: `grids`
+- `pdf`, `workbook`; `kept_page`: the last page of stored analyses, copied while nothing changed
 """

@@ -20,7 +20,7 @@ Answer = tuple[str, str, bool, str]
 
 @dataclass(frozen=True)
 class Issuer:
-    """Who gives the report out; empty where it was not given."""
+    """Who issues the report; empty where it was not given."""
 
     laboratory: str = ""
     """Name and address."""

@@ -1,6 +1,7 @@
-"""What a characterisation report says, before any format: texts, tables and figures in their order; no estimate.
+"""What a characterisation report says: texts, tables and figures in their order, and as an HTML page; no estimate.
 
-HTML, PDF and workbook are made from this. Every text in it is untrusted and stays text in each of them.
+PDF and workbook are made from the same content. Every text in it is untrusted and stays text in each of them. The page
+is one file that references nothing outside itself; the same input gives the same bytes.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ import json
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from pmabench import __version__
@@ -19,26 +21,22 @@ from pmabench.kinds import registry
 from pmabench.kinds.reduce import verdicts
 from pmabench.plotting import wording
 from pmabench.plotting.pictures import Picture
-from pmabench.plotting.rounding import printed
 from pmabench.plotting.svg import drawing
+from pmabench.plotting.wording import printed
 from pmabench.report.document import provenance, tables
-from pmabench.report.document.budget_tables import budget_table
-from pmabench.report.document.check_tables import check_tables
 from pmabench.report.document.checklist import Issuer, Item, checklist
-from pmabench.report.document.citation import citation, methods_paragraph
-from pmabench.report.document.deviations import deviations
+from pmabench.report.document.deviations import Said, deviations, notes_of
 from pmabench.report.document.front import Tile, Verdict, first_findings, tiles_of, verdict_of
 from pmabench.report.document.grids import Grid, grid
-from pmabench.report.document.parents import Parents
-from pmabench.report.document.recalibration_tables import change_tables, reduced_with
-from pmabench.report.document.recalibration_tables import who as who_changed
-from pmabench.report.document.run_notes import Said, notes_of
-from pmabench.report.document.wide_tables import narrow
+from pmabench.report.document.provenance import citation, methods_paragraph
+from pmabench.report.document.special_tables import Parents, budget_table, change_tables, check_tables, reduced_with
+from pmabench.report.document.special_tables import who as who_changed
+from pmabench.report.document.tables import narrow
 from pmabench.report.figures import overlays
 from pmabench.report.figures.characteristic_figures import characteristic
 from pmabench.report.figures.figures import front_pictures, kind_pictures
-from pmabench.report.words.method_words import described
-from pmabench.report.words.names import distinct, kind_title
+from pmabench.report.words import described, distinct, kind_title
+from pmabench.report.writing import render, write_file
 from pmabench.store.folder import plain
 from pmabench.store.records import RunData
 
@@ -180,13 +178,24 @@ def content_of(
     )
 
 
+def write_page(content: Content, path: Path) -> Path:
+    """Write a report's content as a page; raises RecordError where it cannot be written."""
+    return write_file(path, page_of(content), "the report")
+
+
+def page_of(content: Content) -> str:
+    """The content as an HTML page."""
+    return render("report.html.j2", vars(content) | {"levels": LEVELS})
+
+
 def _judged(
     analyses: Sequence[Analysis], runs: Sequence[RunData], names: Mapping[str, str], failed: list[str]
 ) -> dict[str, Any]:
     """Fields of `Content` that say what the results are worth; `failed`: why they are not accepted."""
     accept = list(dict.fromkeys(wording.clean(limit.short, 80) for run in runs for limit in limits_of(run)))
     findings = tables.findings_table(analyses)
-    findings["finding"] = [_named(text, names) for text in findings["finding"]]
+    for row in findings.rows:
+        row["finding"] = _named(row["finding"], names)
     shown, more = first_findings(findings)
     return {
         "verdict": verdict_of(analyses, runs, failed, accepted=bool(accept)),
@@ -194,14 +203,14 @@ def _judged(
         "accept": accept,
         "verdicts": shown,
         "more_findings": more,
-        "findings": findings.to_numpy().tolist(),
+        "findings": findings.cells(),
         "tiles": tiles_of(analyses),
     }
 
 
 def _about_runs(runs: Sequence[RunData], names: Mapping[str, str]) -> dict[str, Any]:
     """Fields of `Content` that the runs alone give."""
-    details = provenance.run_table(runs, names).to_dict("records")
+    details = provenance.run_table(runs, names).rows
     return {
         "specimens": provenance.specimens(runs),
         "benches": provenance.benches(runs),
@@ -233,7 +242,7 @@ def _results(analyses: Sequence[Analysis], names: Mapping[str, str], parents: Pa
 
 
 class _Figures:
-    """Numbers figures in the order in which they come, and knows which are there already."""
+    """Numbers the figures of a report in their order, and remembers which were drawn."""
 
     def __init__(self) -> None:
         self.count = 0
@@ -294,16 +303,16 @@ def _tuning(analyses: Sequence[Analysis]) -> list[Grid]:
     """For each operating point a table of settings, and one of margins where a model is known."""
     frame = tables.tuning_table(analyses)
     found = []
-    for point in dict.fromkeys(str(point) for point in frame["operating point"]) if len(frame) else ():
-        rows = frame[frame["operating point"] == point].drop(columns="operating point")
+    for point in dict.fromkeys(frame["operating point"] if len(frame) else ()):
+        rows = frame.where(cell == point for cell in frame["operating point"]).without("operating point")
         settings = [
             c for c in rows.columns if c == "rule" or c.partition(" [")[0] in ("K_p", "T_i", "T_d", "K_i", "K_d")
         ]
         margins = ["rule", *(c for c in rows.columns if c not in settings)]
         where = f" at {point}" if point else ""
-        found.append(grid(rows[settings], f"Settings{where}"))
-        if len(margins) > 1 and (rows[margins[1:]] != "").any(axis=None):
-            found.append(grid(rows[margins], f"Margins with these settings{where}"))
+        found.append(grid(rows.select(settings), f"Settings{where}"))
+        if rows.select(margins[1:]).filled().columns:
+            found.append(grid(rows.select(margins), f"Margins with these settings{where}"))
     return found
 
 
@@ -318,8 +327,9 @@ def _methods(methods: Sequence[str]) -> list[tuple[str, str]]:
 
 def _dropped(analyses: Sequence[Analysis], names: Mapping[str, str]) -> Grid:
     frame = tables.dropped_table(analyses)
-    frame["trial"] = [_short(trial, names) for trial in frame["trial"]]
-    return grid(frame.rename(columns={"test": "method"})) if len(frame) else grid(frame)
+    for row in frame.rows:
+        row["trial"] = _short(row["trial"], names)
+    return grid(frame.renamed("test", "method")) if len(frame) else grid(frame)
 
 
 def _named(text: str, names: Mapping[str, str]) -> str:

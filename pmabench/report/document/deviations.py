@@ -1,17 +1,22 @@
-"""What did not go as the protocol says, found in the record of each run, a sentence each; nothing is computed twice.
+"""What did not go as the protocol says, found in the record of each run, a sentence each; notes with their pictures.
 
 Manifests are untrusted and everything in them is optional; nothing here raises for what is missing or odd.
 """
 
 from __future__ import annotations
 
+import base64
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from pmabench.plotting.wording import clean, number, shown
 from pmabench.report.document.provenance import get, text_of
-from pmabench.store.records import RunData, TrialData
+from pmabench.store.folder import open_regular
+from pmabench.store.records import RunData
 
 RATE_OFF = 0.01
 """Share by which a sample rate differs from the planned one before it is reported."""
@@ -43,10 +48,7 @@ def _recorded(run: RunData) -> Iterator[str]:
 
 def _trials(run: RunData) -> Iterator[str]:
     """Trials that ended otherwise, are missing, came twice or in another order, or are excluded by a note."""
-    count: dict[str, int] = {}
-    for trial in run.trials:
-        if trial.status != "finished":
-            count[trial.status] = count.get(trial.status, 0) + 1
+    count = Counter(trial.status for trial in run.trials if trial.status != "finished")
     if count:
         yield "trials: " + ", ".join(f"{n} {status}" for status, n in count.items())
     planned = run.manifest.get("trials_planned")
@@ -56,16 +58,13 @@ def _trials(run: RunData) -> Iterator[str]:
     again = [str(trial.number) for trial in run.trials if trial.attempt > 1]
     if again:
         yield f"begun again: trial{'s' if len(again) > 1 else ''} {', '.join(again[:12])}"
-    begun = [trial.index for trial in sorted(run.trials, key=_begin) if trial.attempt == 1 and not trial.again]
+    in_time = sorted(run.trials, key=lambda trial: float(trial.t[0]) if len(trial.t) else float("inf"))
+    begun = [trial.index for trial in in_time if trial.attempt == 1 and not trial.again]
     if begun != sorted(begun):
         yield "trials were not done in the planned order"
     for note in run.notes:
         if note.exclude is not None:
             yield f"trial {note.excluded} is left out by {clean(note.operator, 120)}: {clean(note.because, 300)}"
-
-
-def _begin(trial: TrialData) -> float:
-    return float(trial.t[0]) if len(trial.t) else float("inf")
 
 
 def _samples(run: RunData) -> Iterator[str]:
@@ -116,7 +115,7 @@ def _pressure_off(run: RunData) -> tuple[float, float, int]:
 
 
 def _end(run: RunData) -> Iterator[str]:
-    """How it was watched and ended."""
+    """Prompts that nobody answered, a vent by the guard, and an end without a confirmed safe state."""
     answered = sum(e.kind == "answer" and "--yes" in str(e.data.get("answer", "")) for e in run.events)
     if answered:
         yield f"prompts to the operator confirmed beforehand (--yes): {answered}"
@@ -127,3 +126,64 @@ def _end(run: RunData) -> Iterator[str]:
     if vent not in (None, "confirmed"):
         yield f"the safe state at the end was {text_of(vent)}"
     yield from run.since.sentences
+
+
+KINDS = {b"\x89PNG\r\n\x1a\n": "image/png", b"\xff\xd8\xff": "image/jpeg"}
+"""Pictures are known by how their bytes begin, not by their names."""
+LARGEST = 5_000_000
+"""Bytes of a picture; a larger one is only named."""
+MOST = 40_000_000
+"""Bytes of all pictures of a page."""
+
+
+@dataclass(frozen=True)
+class Said:
+    """One note."""
+
+    run: str
+    """Short name of the run."""
+    utc: str
+    operator: str
+    text: str
+    pictures: tuple[tuple[str, str], ...]
+    """Name and data URI."""
+    files: tuple[str, ...]
+    """Attached files that are not shown."""
+
+
+def notes_of(runs: Sequence[RunData], names: Mapping[str, str]) -> list[Said]:
+    """Every note of every run; `names` are the short names of runs."""
+    left = MOST
+    found = []
+    for run in runs:
+        for note in run.notes:
+            words = [note.text] if note.text else []
+            if note.exclude is not None:
+                words.append(f"Trial {note.excluded} is left out: {note.because}")
+            pictures, others = [], []
+            for file in note.files:
+                data = _picture(Path(run.path) / file, min(LARGEST, left))
+                left -= len(data)
+                name = clean(file.rpartition("/")[2], 120)
+                if data:
+                    pictures.append((name, data))
+                else:
+                    others.append(name)
+            text = clean(". ".join(words), 2000)
+            who = clean(note.operator, 120)
+            when = clean(note.utc, 40)[:16].replace("T", " ")
+            found.append(Said(names.get(run.id, "?"), when, who, text, tuple(pictures), tuple(others)))
+    return found
+
+
+def _picture(path: Path, most: int) -> str:
+    """The file as a data URI; empty where it is no picture that a page can show, or too large."""
+    try:
+        with open_regular(path) as file:
+            raw = file.read(most + 1)
+        if len(raw) > most:
+            return ""
+    except (OSError, ValueError):
+        return ""
+    kind = next((kind for begin, kind in KINDS.items() if raw.startswith(begin)), "")
+    return f"data:{kind};base64,{base64.b64encode(raw).decode()}" if kind else ""

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pmabench.base.errors import RecordError
 from pmabench.store.analyses.made_from import key_of
 from pmabench.store.folder import open_regular
 from pmabench.store.since import stamp
@@ -55,13 +54,3 @@ def kept(place: Path, key: str) -> Page | None:
         if key and head["key"] == key and head["sha256"] == hashlib.sha256(body).hexdigest():
             return Page(body.decode(), head["since"], head["remarks"])
     return None
-
-
-def write_text(text: str, path: Path) -> Path:
-    """Write a page; raises RecordError where it cannot be written."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text, encoding="utf-8", newline="")
-    except OSError as error:
-        raise RecordError(f"{path}: the report cannot be written: {error.strerror or error}") from error
-    return path

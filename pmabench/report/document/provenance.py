@@ -1,30 +1,30 @@
-"""What runs record about themselves, as text for a page: specimen, bench, protocol, deviations, hashes, calibrations.
+"""What runs record about themselves, as text for a page; a paragraph on methods made of it, and how to cite the report.
 
-Manifests are untrusted and everything in them is optional; nothing here raises for what is missing or odd.
+Specimen, bench, protocol, hashes, calibrations. Manifests are untrusted and everything in them is optional; nothing
+here raises for what is missing or odd.
 """
 
 from __future__ import annotations
 
+import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-import pandas as pd
-
+from pmabench import __version__
+from pmabench.analysis.results import AGREEMENT, Analysis
+from pmabench.plotting.frame import Frame
 from pmabench.plotting.wording import POINTS, clean, in_order, number, point_shown, shown
-from pmabench.report.words.names import kind_title
+from pmabench.report.words import described, kind_title
 from pmabench.store.folder import is_regular, sha256_of
 from pmabench.store.records import RunData
 
 LISTED = 8
 """Values of a swept coordinate that are listed; of more, the ends and the count are."""
 LONGEST_SEAL = 10_000_000
-SPECIMEN: tuple[tuple[str, str, str], ...] = (
-    ("nominal_length", "nominal length", "length"),
-    ("inner_diameter", "inner diameter", "length"),
-    ("braid_angle", "braid angle", "angle"),
-    ("mass", "mass", "mass"),
-)
+SPECIMEN = {"nominal_length": "length", "inner_diameter": "length", "braid_angle": "angle", "mass": "mass"}
 
 
 def text_of(value: Any, longest: int = 300) -> str:
@@ -47,6 +47,11 @@ def get(data: Any, *names: str) -> Any:
     return data
 
 
+def _name_of(entry: Any) -> str:
+    """The name in an entry, else the entry itself."""
+    return text_of((entry.get("name") if isinstance(entry, Mapping) else None) or entry)
+
+
 def specimens(runs: Sequence[RunData]) -> list[tuple[str, str]]:
     """Name and description of every specimen."""
     found: dict[str, str] = {}
@@ -64,11 +69,10 @@ def specimens(runs: Sequence[RunData]) -> list[tuple[str, str]]:
 
 def _specimen(specimen: Mapping[str, Any]) -> str:
     lines = []
-    for key, words, quantity in SPECIMEN:
-        value = specimen.get(key)
+    for key, quantity in SPECIMEN.items():
+        value, unit = specimen.get(key), shown(quantity)
         if isinstance(value, int | float) and not isinstance(value, bool):
-            unit = shown(quantity)
-            lines.append(f"{words} {number(value / unit.scale)} {unit.unit}")
+            lines.append(f"{key.replace('_', ' ')} {number(value / unit.scale)} {unit.unit}")
     length = get(specimen, "mounted", "length")
     if isinstance(length, int | float):
         at = text_of(get(specimen, "mounted", "at"))
@@ -82,8 +86,7 @@ def benches(runs: Sequence[RunData]) -> list[tuple[str, str]]:
     """Name of every bench, and its devices."""
     found: dict[str, str] = {}
     for run in runs:
-        bench = run.manifest.get("bench")
-        name = text_of(bench.get("name") if isinstance(bench, Mapping) and bench.get("name") else bench)
+        name = _name_of(run.manifest.get("bench"))
         if not name:
             continue
         devices = run.manifest.get("devices")
@@ -110,31 +113,28 @@ def when(runs: Sequence[RunData]) -> str:
 
 def operators(runs: Sequence[RunData]) -> str:
     """Everyone who was at the bench."""
-    return ", ".join(
-        dict.fromkeys(text_of(run.manifest.get("operator")) for run in runs if run.manifest.get("operator"))
-    )
+    names = [text_of(run.manifest.get("operator")) for run in runs if run.manifest.get("operator")]
+    return ", ".join(dict.fromkeys(names))
 
 
 def statuses(runs: Sequence[RunData]) -> str:
     """How the runs ended, in a phrase."""
-    counts: dict[str, int] = {}
-    for run in runs:
-        counts[clean(run.status, 40)] = counts.get(clean(run.status, 40), 0) + 1
+    counts = Counter(clean(run.status, 40) for run in runs)
     ended = ", ".join(f"{count} {status}" for status, count in counts.items())
     return f"{len(runs)} run{'s' if len(runs) != 1 else ''}: {ended}" if runs else "the runs are not at hand"
 
 
-def protocol_table(runs: Sequence[RunData], names: Mapping[str, str]) -> pd.DataFrame:
+def protocol_table(runs: Sequence[RunData], names: Mapping[str, str]) -> Frame:
     """One row a run: what was tested, where, for how long; `names` are the short names of runs."""
     rows = []
     for run in runs:
-        planned = run.manifest.get("trials_planned")
+        planned, source = run.manifest.get("trials_planned"), text_of(run.manifest.get("source"))
         done = sum(trial.status == "finished" and not trial.again for trial in run.trials)
         rows.append(
             {
                 "run": names.get(run.id, ""),
                 "test": kind_title(run.kind),
-                "protocol": _protocol(run),
+                "protocol": _name_of(run.manifest.get("protocol")) + (f" (after: {source})" if source else ""),
                 "operating points": _points(run),
                 "trials": f"{done} of {planned}" if isinstance(planned, int) else str(done),
                 "rate": f"{run.rate:.4g} Hz" if run.rate else "",
@@ -142,14 +142,7 @@ def protocol_table(runs: Sequence[RunData], names: Mapping[str, str]) -> pd.Data
                 "status": clean(run.status, 40),
             }
         )
-    return pd.DataFrame(rows, dtype=object)
-
-
-def _protocol(run: RunData) -> str:
-    protocol = run.manifest.get("protocol")
-    name = text_of(protocol.get("name") if isinstance(protocol, Mapping) and protocol.get("name") else protocol)
-    source = text_of(run.manifest.get("source"))
-    return f"{name} (after: {source})" if source else name
+    return Frame(rows)
 
 
 def _duration(value: Any) -> str:
@@ -174,7 +167,7 @@ def _points(run: RunData) -> str:
     return "; ".join(ranges) + (f"; {len(repeats)} repeats" if len(repeats) > 1 else "")
 
 
-def run_table(runs: Sequence[RunData], names: Mapping[str, str]) -> pd.DataFrame:
+def run_table(runs: Sequence[RunData], names: Mapping[str, str]) -> Frame:
     """Identity of every run: id, when, and the hashes that show whether it was changed."""
     rows = []
     for run in runs:
@@ -192,16 +185,14 @@ def run_table(runs: Sequence[RunData], names: Mapping[str, str]) -> pd.DataFrame
             row["imported file"] = text_of(imported.get("file"), 120)
             row["sha256 of that file"] = text_of(imported.get("sha256"), 64)
         rows.append(row)
-    return pd.DataFrame(rows, dtype=object).fillna("")
+    return Frame(rows)
 
 
 def _seal(run: RunData) -> str:
     path = Path(run.path) / "seal.json"
-    try:
+    with suppress(OSError, ValueError):
         if run.path and is_regular(path) and path.stat().st_size < LONGEST_SEAL:
             return sha256_of(path)
-    except (OSError, ValueError):
-        return ""
     return ""
 
 
@@ -212,7 +203,7 @@ def versions(runs: Sequence[RunData]) -> list[str]:
 
 def calibration_table(
     runs: Sequence[RunData], names: Mapping[str, str], reduced: Mapping[tuple[str, str], str]
-) -> pd.DataFrame:
+) -> Frame:
     """Channel, calibration that it was recorded with and its expanded uncertainty, with the runs that used it.
 
     `reduced` says by run and channel what was taken in its place, where that is another.
@@ -229,5 +220,50 @@ def calibration_table(
             rows.setdefault(key, []).append(names.get(run.id, "?"))
     recorded = "recorded with" if reduced else "calibration"
     heads = ("channel", recorded, "offset, 95 %", "gain, 95 %", "sensor lag", "reduced here with")
-    frame = pd.DataFrame([{**dict(zip(heads, key, strict=True)), "runs": ", ".join(who)} for key, who in rows.items()])
-    return frame.loc[:, lambda f: (f != "").any()] if len(frame) else frame
+    frame = Frame([{**dict(zip(heads, key, strict=True)), "runs": ", ".join(who)} for key, who in rows.items()])
+    return frame.filled() if len(frame) else frame
+
+
+def methods_paragraph(analyses: Sequence[Analysis], runs: Sequence[RunData]) -> str:
+    """Specimen, bench, each test with its points, the primary method of each, what was left out."""
+    sentences = []
+    for name, about in specimens(runs):
+        sentences.append(f"The specimen was a {name}" + (f" ({about})" if about else "") + ".")
+    for name, about in benches(runs):
+        sentences.append(f"It was tested on the bench “{name}”" + (f" ({about})" if about else "") + ".")
+    if any(a.simulated for a in analyses) or any(run.simulated for run in runs):
+        alone = all(a.simulated for a in analyses) and all(run.simulated for run in runs)
+        sentences.append(f"{'All' if alone else 'Some'} of the tests are simulated; no real muscle moved in them.")
+    for row in protocol_table(runs, {}).rows:
+        points = f" at {row['operating points']}" if row["operating points"] else ""
+        rate = f", sampled at {row['rate']}" if row["rate"] else ""
+        sentences.append(f"{row['test']}, protocol “{row['protocol']}”{points}{rate}; {row['trials']} trials finished.")
+    seen: set[str] = set()
+    for analysis in (a for a in analyses if a.kind != AGREEMENT and a.estimates):
+        method = analysis.estimates[0].method
+        how = described(method)
+        named = f"{kind_title(analysis.kind)} was evaluated by the method “{clean(method, 120)}”"
+        sentences.append(f"{named}: {how.rstrip('.')}." if how and method not in seen else f"{named}.")
+        seen.add(method)
+    dropped = sum(len(a.dropped) for a in analyses)
+    if any(e.ci95 for a in analyses for e in a.estimates):
+        sentences.append(
+            "Intervals are 95 % intervals: the scatter between trials, what the estimator itself adds and the "
+            "calibration of the channels, added as squares as far as each was assessed."
+        )
+    if dropped:
+        sentences.append(f"{dropped} trials did not enter a fit; the report lists each with its reason.")
+    sentences.append(f"Tests were run and evaluated with pmabench {__version__}.")
+    return clean(" ".join(sentences), 12_000)
+
+
+def citation(title: str, report_id: str, when: str, simulated: bool) -> tuple[str, str]:
+    """How to cite the report: one line, and the same as a BibTeX entry."""
+    from pmabench.report.files.latex import escaped
+
+    year = when[-10:-6] if re.fullmatch(r"\d{4}", when[-10:-6]) else ""
+    note = f"report {report_id}, pmabench {__version__}" + (", simulated" if simulated else "")
+    line = f"{title}. Characterisation {note}{', ' + when if when else ''}."
+    fields = {"title": escaped(title), "note": escaped(note[:1].upper() + note[1:])} | ({"year": year} if year else {})
+    body = ",\n".join(f"  {name} = {{{text}}}" for name, text in fields.items())
+    return line, f"@misc{{pmabench-{report_id},\n{body}\n}}"

@@ -1,4 +1,4 @@
-"""Tables of what analyses found, as pandas frames of text; computes no estimate, draws nothing.
+"""Tables of what analyses found, as frames of text, cut where they are too wide for a page; no estimate.
 
 Cells are text, rounded as their interval says; numbers for programs are in `csv_files`. Every header names its unit.
 """
@@ -7,26 +7,33 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
-
-import pandas as pd
+from math import radians
+from typing import Any, TypeGuard
 
 from pmabench.analysis.results import AGREEMENT, Analysis, Estimate
 from pmabench.base.kind import Result
 from pmabench.base.quantities import QUANTITIES
-from pmabench.plotting.rounding import RAISED, RESOLVED, UNRESOLVED, WITHHELD, cut, half_width, rounded
+from pmabench.plotting.frame import Frame
 from pmabench.plotting.wording import (
     POINTS,
+    RAISED,
+    RESOLVED,
+    UNRESOLVED,
+    WITHHELD,
     clean,
+    cut,
+    half_width,
     in_order,
     number,
+    point_head,
     point_shown,
     point_text,
+    rounded,
     shown,
     spoken,
     symbol_text,
 )
-from pmabench.report.words.names import declared, kind_title
+from pmabench.report.words import declared, kind_title
 
 LONGEST_JOINT = 60
 COEFFICIENTS = {"F_ce", "K", "B_c", "B_r", "B"}
@@ -40,7 +47,7 @@ class Table:
     """A frame of text cells with a caption."""
 
     caption: str
-    frame: pd.DataFrame
+    frame: Frame
 
 
 def cell(estimate: Estimate) -> str:
@@ -53,7 +60,7 @@ def cell(estimate: Estimate) -> str:
         return UNRESOLVED
     if half is not None and estimate.positive and 0 <= estimate.value < half:
         return cut(estimate.value / scale, half / scale)
-    return rounded(estimate.value / scale, None if half is None else half / scale)
+    return shown(estimate.quantity, estimate.unit).rounded(estimate.value, half)
 
 
 def note_text(estimate: Estimate) -> str:
@@ -67,14 +74,14 @@ def least(estimate: Estimate) -> float:
     return RESOLVED if estimate.quantity in QUANTITIES else 0.0
 
 
-def coefficient_table(analyses: Sequence[Analysis]) -> pd.DataFrame:
+def coefficient_table(analyses: Sequence[Analysis]) -> Frame:
     """F_ce, K, B_c, B_r, ... with their 95 % intervals: one row per method and pressure, rounded text."""
     chosen = [e for analysis in analyses for e in analysis.estimates if set(e.at) == {"pressure"} and not e.coordinate]
     methods = {e.method for e in chosen if e.symbol in COEFFICIENTS}
     return pivot_table([e for e in chosen if e.method in methods], declared(analyses))
 
 
-def primary_table(analyses: Sequence[Analysis]) -> tuple[pd.DataFrame, str]:
+def primary_table(analyses: Sequence[Analysis]) -> tuple[Frame, str]:
     """The coefficients of each test's primary method, which comes first in it: one row per operating point; text.
 
     Next to the pressure, the columns have what a coefficient was found at in several places (a mean, an amplitude); the
@@ -86,10 +93,7 @@ def primary_table(analyses: Sequence[Analysis]) -> tuple[pd.DataFrame, str]:
         for e in a.estimates
         if "pressure" in e.at and set(e.at) <= PLACES and not e.coordinate and e.method == a.estimates[0].method
     ]
-    by = {
-        symbol: list(dict.fromkeys(e.method for e in chosen if e.symbol == symbol))
-        for symbol in {e.symbol for e in chosen}
-    }
+    by = {symbol: {e.method for e in chosen if e.symbol == symbol} for symbol in {e.symbol for e in chosen}}
     met = {name: {e.at[name] for e in chosen if name in e.at} for name in PLACES - {"pressure"}}
     alike = {name: next(iter(values)) for name, values in met.items() if len(values) == 1}
     slim = [replace(e, at={name: at for name, at in e.at.items() if name not in alike}) for e in chosen]
@@ -113,21 +117,19 @@ def method_tables(analyses: Sequence[Analysis]) -> list[Table]:
     return tables
 
 
-def _by_point(
-    estimates: Sequence[Estimate], results: Mapping[str, Result], column: Callable[[Estimate], str]
-) -> pd.DataFrame:
+def _by_point(estimates: Sequence[Estimate], results: Mapping[str, Result], column: Callable[[Estimate], str]) -> Frame:
     """One row per operating point, the columns in the order of `results`."""
     order = list(results)
     estimates = sorted(estimates, key=lambda e: order.index(e.symbol))
     points = in_order((name for e in estimates for name in e.at), POINTS)
-    heads = {name: point_shown(name)[1].label(point_shown(name)[0]) for name in points}
+    heads = {name: point_head(name) for name in points}
     rows: dict[tuple[float, ...], dict[str, str]] = {}
     for e in estimates:
         at = {name: round(e.at[name] / point_shown(name)[1].scale, 6) for name in points if name in e.at}
         place = tuple(at.get(name, float("-inf")) for name in points)
         rows.setdefault(place, {heads[name]: number(at[name]) for name in at})[column(e)] = cell(e)
     columns = list(dict.fromkeys([*heads.values(), *(column(e) for e in estimates)]))
-    return pd.DataFrame([rows[place] for place in sorted(rows)], columns=columns, dtype=object).fillna("")
+    return Frame([rows[place] for place in sorted(rows)], columns=columns)
 
 
 def other_tables(analysis: Analysis) -> list[Table]:
@@ -150,16 +152,15 @@ def other_tables(analysis: Analysis) -> list[Table]:
             del constant[in_order(names, POINTS)[0]]
         constant_text = point_text(constant)
         moving = [spoken(name) for name in in_order(names, POINTS) if name not in constant]
-        caption = f"Values by {' and '.join(moving) or 'operating point'}" + (
-            f", at {constant_text}" if constant_text else ""
-        )
+        at = f", at {constant_text}" if constant_text else ""
+        caption = f"Values by {' and '.join(moving) or 'operating point'}{at}"
         slim = [replace(e, at={k: v for k, v in e.at.items() if k not in constant}) for e in members]
         tables.append(Table(caption, pivot_table(_merged(slim), results)))
     return tables
 
 
 def _merged(estimates: Sequence[Estimate]) -> Sequence[Estimate]:
-    """The same under one joint name of method, where no two methods give the same symbol: fewer, fuller rows."""
+    """The estimates under one joint method name, where no two methods give the same symbol: fewer rows."""
     methods: dict[str, set[str]] = {}
     for e in estimates:
         methods.setdefault(_column(e), set()).add(e.method)
@@ -174,7 +175,7 @@ def _column(e: Estimate) -> str:
     return shown(e.quantity, e.unit).label(symbol_text(e.symbol, e.coordinate))
 
 
-def pivot_table(estimates: Sequence[Estimate], results: Mapping[str, Result]) -> pd.DataFrame:
+def pivot_table(estimates: Sequence[Estimate], results: Mapping[str, Result]) -> Frame:
     """One row per method and operating point, one column per symbol in the order of `results`; text cells."""
     names = in_order((name for e in estimates for name in e.at), POINTS)
     columns = list(dict.fromkeys(_column(e) for s in results for e in estimates if e.symbol == s))
@@ -184,15 +185,14 @@ def pivot_table(estimates: Sequence[Estimate], results: Mapping[str, Result]) ->
         place = tuple(e.at.get(name, float("-inf")) for name in names)
         row = rows.setdefault((methods.index(e.method), place), {"method": clean(e.method)})
         for name in names:
-            label, unit = point_shown(name)
-            row[unit.label(label)] = number(e.at[name] / unit.scale) if name in e.at else ""
+            row[point_head(name)] = number(e.at[name] / point_shown(name)[1].scale) if name in e.at else ""
         row[_column(e)] = cell(e)
-    heads = [point_shown(name)[1].label(point_shown(name)[0]) for name in names]
-    frame = pd.DataFrame([rows[key] for key in sorted(rows)], columns=["method", *heads, *columns], dtype=object)
-    return frame.fillna("")
+    heads = [point_head(name) for name in names]
+    frame = Frame([rows[key] for key in sorted(rows)], columns=["method", *heads, *columns])
+    return frame
 
 
-def whole_table(estimates: Sequence[Estimate], results: Mapping[str, Result]) -> pd.DataFrame:
+def whole_table(estimates: Sequence[Estimate], results: Mapping[str, Result]) -> Frame:
     """Estimates without an operating point, a row each."""
     rows = [
         {
@@ -205,10 +205,10 @@ def whole_table(estimates: Sequence[Estimate], results: Mapping[str, Result]) ->
         }
         for e in estimates
     ]
-    return pd.DataFrame(rows, dtype=object)
+    return Frame(rows)
 
 
-def parts_table(analysis: Analysis, parents: Callable[[Estimate], tuple[str, str]] | None = None) -> pd.DataFrame:
+def parts_table(analysis: Analysis, parents: Callable[[Estimate], tuple[str, str]] | None = None) -> Frame:
     """Every estimate with the half widths of its 95 % interval by cause; text in the display units of the row.
 
     The column `skew` is there where streams have clocks of their own; `parents` gives the trials
@@ -244,10 +244,10 @@ def parts_table(analysis: Analysis, parents: Callable[[Estimate], tuple[str, str
                 "note": behind[1],
             }
         )
-    return pd.DataFrame(rows, dtype=object)
+    return Frame(rows)
 
 
-def curves_table(analyses: Sequence[Analysis]) -> pd.DataFrame:
+def curves_table(analyses: Sequence[Analysis]) -> Frame:
     """Regression coefficients of every curve in its own coordinate, with interval, domain, R2 and residual; text."""
     rows = []
     for curve in (c for analysis in analyses for c in analysis.curves if not c.normalised):
@@ -266,10 +266,10 @@ def curves_table(analyses: Sequence[Analysis]) -> pd.DataFrame:
     heads = in_order((head for row in rows for head in row), ("coefficient", "method", "at", "form"))
     tail = [head for head in heads if head.startswith("valid") or head in ("R²", "residual rms")]
     columns = [head for head in heads if head not in tail] + tail
-    return pd.DataFrame(rows, columns=columns, dtype=object).fillna("")
+    return Frame(rows, columns=columns)
 
 
-def polynomials_table(analyses: Sequence[Analysis]) -> pd.DataFrame:
+def polynomials_table(analyses: Sequence[Analysis]) -> Frame:
     """Terms of every polynomial in z = (coordinate - centre) / scale, powers from 0 up, one unit a row; text."""
     rows = []
     for curve in (c for analysis in analyses for c in analysis.curves if c.normalised and c.terms):
@@ -277,33 +277,32 @@ def polynomials_table(analyses: Sequence[Analysis]) -> pd.DataFrame:
         first = shown(curve.terms[0].quantity, curve.terms[0].unit)
         low, high, centre, scale = (f"{x / unit.scale:.5g}" for x in (*curve.domain, curve.centre, curve.scale))
         row = {"coefficient": clean(curve.symbol), "unit": first.unit}
-        row["method"] = (
-            f"{clean(curve.method)}; z = ({label} − {centre}) / {scale}, {low} to {high} {unit.unit}".strip()
-        )
+        where = f"z = ({label} − {centre}) / {scale}, {low} to {high} {unit.unit}"
+        row["method"] = f"{clean(curve.method)}; {where}".strip()
         for n, term in enumerate(curve.terms):
             row["1" if n == 0 else "z" + str(n).translate(RAISED) * (n > 1)] = cell(term)
         row |= {"R²": _r2(curve.r2), "rms": half_width(curve.residual_rms / first.scale)}
         rows.append(row)
     heads = in_order((head for row in rows for head in row), ("coefficient", "method", "unit"))
     columns = [head for head in heads if head not in ("R²", "rms")] + ["R²", "rms"]
-    return pd.DataFrame(rows, columns=columns if rows else [], dtype=object).fillna("")
+    return Frame(rows, columns=columns if rows else [])
 
 
 def _r2(value: float) -> str:
     return f"{value:.5f}" if not 0.999995 <= value < 1 else ">\u202f0.99999"
 
 
-def dropped_table(analyses: Sequence[Analysis]) -> pd.DataFrame:
+def dropped_table(analyses: Sequence[Analysis]) -> Frame:
     """Trials that did not enter a fit, with their operating point and the reason; text."""
     rows = [
         {"test": kind_title(a.kind), "trial": clean(d.trial), "at": point_text(d.point), "reason": clean(d.reason)}
         for a in analyses
         for d in a.dropped
     ]
-    return pd.DataFrame(rows, columns=["test", "trial", "at", "reason"], dtype=object)
+    return Frame(rows, columns=["test", "trial", "at", "reason"])
 
 
-def findings_table(analyses: Sequence[Analysis]) -> pd.DataFrame:
+def findings_table(analyses: Sequence[Analysis]) -> Frame:
     """Findings of all analyses, faults first, then doubts, then what is said of the agreement of tests; text."""
     rank = {"fault": 0, "doubt": 1}
     found = [(rank.get(f.level, 2 if a.kind == AGREEMENT else 3), a, f) for a in analyses for f in a.findings]
@@ -311,17 +310,14 @@ def findings_table(analyses: Sequence[Analysis]) -> pd.DataFrame:
         {"level": clean(f.level), "test": kind_title(a.kind), "finding": clean(f.text)}
         for _, a, f in sorted(found, key=lambda entry: entry[0])
     ]
-    return pd.DataFrame(rows, columns=["level", "test", "finding"], dtype=object)
+    return Frame(rows, columns=["level", "test", "finding"])
 
 
-def tuning_table(analyses: Sequence[Analysis]) -> pd.DataFrame:
+def tuning_table(analyses: Sequence[Analysis]) -> Frame:
     """Controller settings of every rule, ideal and parallel form, with margins where a model is known; text."""
     rows = []
-    for entry in (e for a in analyses for e in _mappings(a.facts.get("tuning"))):
-        row = {
-            "operating point": point_text(_numbers(entry.get("at"))),
-            "rule": clean(entry.get("rule", "")),
-        }
+    for entry in (e for a in analyses for e in mappings(a.facts.get("tuning"))):
+        row = {"operating point": point_text(_numbers(entry.get("at"))), "rule": clean(entry.get("rule", ""))}
         gains = entry.get("gains")
         for symbol, found in gains.items() if isinstance(gains, Mapping) else ():
             if not isinstance(found, Mapping):
@@ -330,10 +326,7 @@ def tuning_table(analyses: Sequence[Analysis]) -> pd.DataFrame:
             value, ends = found.get("value"), found.get("ci95")
             if not isinstance(value, int | float):
                 continue
-            half = None
-            if isinstance(ends, list | tuple) and len(ends) == 2 and all(isinstance(x, int | float) for x in ends):
-                half = (ends[1] - ends[0]) / 2
-            row[unit.label(clean(symbol))] = rounded(value / unit.scale, None if half is None else half / unit.scale)
+            row[unit.label(clean(symbol))] = unit.rounded(value, half_of(ends))
         margins = _numbers(entry.get("margins"))
         for name, head, scale in _MARGINS:
             if name in margins:
@@ -347,23 +340,103 @@ def tuning_table(analyses: Sequence[Analysis]) -> pd.DataFrame:
     heads = list(dict.fromkeys(head for row in rows for head in row))
     rank = {name: place for place, name in enumerate(wanted)}
     heads.sort(key=lambda head: rank.get(head, rank.get(head.partition(" [")[0], len(rank))))
-    return pd.DataFrame(rows, columns=heads, dtype=object).fillna("")
+    return Frame(rows, columns=heads)
 
 
 _MARGINS = (
     ("M_s", "M_s", 1.0),
     ("gain_margin", "gain margin [×]", 1.0),
-    ("phase_margin", "phase margin [deg]", 0.0174532925199433),
+    ("phase_margin", "phase margin [deg]", radians(1)),
 )
 
 
-def _mappings(value: Any) -> list[Mapping[str, Any]]:
+def mappings(value: Any) -> list[Mapping[str, Any]]:
     """The mappings in a list; facts may hold anything."""
     return [item for item in value if isinstance(item, Mapping)] if isinstance(value, list | tuple) else []
 
 
+def is_number(value: Any) -> TypeGuard[float]:
+    """Whether it is a number and no truth value."""
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def half_of(ends: Any) -> float | None:
+    """Half the width of an interval in facts; None where it is none."""
+    pair = isinstance(ends, list | tuple) and len(ends) == 2 and all(map(is_number, ends))
+    return (ends[1] - ends[0]) / 2 if pair else None
+
+
 def _numbers(value: Any) -> dict[str, float]:
     """The numbers of a mapping; facts may hold anything."""
-    if not isinstance(value, Mapping):
-        return {}
-    return {str(k): float(v) for k, v in value.items() if isinstance(v, int | float) and not isinstance(v, bool)}
+    return {str(k): float(v) for k, v in value.items() if is_number(v)} if isinstance(value, Mapping) else {}
+
+
+MOST = 7.0
+"""Most columns of values next to those of the operating point; one without intervals counts as `PLAIN` of one."""
+PLAIN = 0.6
+
+
+def narrow(table: Table) -> list[Table]:
+    """The table, or tables whose cells are together those of it; every row of them has a value."""
+    keys, values = _columns(table.frame)
+    if _width(table.frame, values) <= MOST:
+        return [table]
+    for key in (key for key in keys if key != "method"):
+        filled = [cell != "" for cell in table.frame[key]]
+        if any(filled) and not all(filled):
+            parts = [replace(table, frame=table.frame.where(has == way for has in filled)) for way in (False, True)]
+            return [one for part in parts for one in narrow(_part(part, keys, _used(part.frame, values), part.caption))]
+    if "method" in keys and len(set(table.frame["method"])) > 1:
+        groups: dict[tuple[str, ...], list[str]] = {}
+        for method in dict.fromkeys(table.frame["method"]):
+            rows = table.frame.where(cell == method for cell in table.frame["method"])
+            groups.setdefault(tuple(_used(rows, values)), []).append(str(method))
+        if len(groups) > 1:
+            return [
+                part
+                for used, methods in groups.items()
+                for part in narrow(_part(table, keys, used, f"{table.caption}: {clean(', '.join(methods))}", methods))
+            ]
+    chunks: list[list[str]] = []
+    for symbol in dict.fromkeys(_symbol(value) for value in values):
+        alike = [value for value in values if _symbol(value) == symbol]
+        if chunks and _width(table.frame, [*chunks[-1], *alike]) <= MOST:
+            chunks[-1] += alike
+            continue
+        for value in alike:
+            if value == alike[0] or _width(table.frame, [*chunks[-1], value]) > MOST:
+                chunks.append([])
+            chunks[-1].append(value)
+    captions = [table.caption, *[f"{table.caption} (continued)".lstrip()] * (len(chunks) - 1)]
+    return [_part(table, keys, chunk, caption) for chunk, caption in zip(chunks, captions, strict=True)]
+
+
+def _columns(frame: Frame) -> tuple[list[str], list[str]]:
+    """Heads of method and operating point, and those of values."""
+    heads = {"method", *(point_head(name) for name in POINTS)}
+    return [c for c in frame.columns if c in heads], [c for c in frame.columns if c not in heads]
+
+
+def _used(frame: Frame, values: Sequence[str]) -> list[str]:
+    """Columns that have a cell."""
+    return frame.select(values).filled().columns
+
+
+def _width(frame: Frame, columns: Sequence[str]) -> float:
+    """Width of columns together, counted in columns with intervals."""
+    return sum(1.0 if any("±" in str(cell) for cell in frame[c]) else PLAIN for c in columns)
+
+
+def _symbol(head: str) -> str:
+    return head.partition(" [")[0]
+
+
+def _part(
+    table: Table, keys: Sequence[str], values: Sequence[str], caption: str, methods: Sequence[str] | None = None
+) -> Table:
+    """Some columns of values with the rows that have any, and what of the operating point these rows have."""
+    frame = table.frame.where(
+        (methods is None or row["method"] in methods) and any(row[value] != "" for value in values)
+        for row in table.frame.rows
+    )
+    return Table(caption, frame.select([*_used(frame, keys), *values]))

@@ -14,12 +14,13 @@ from textwrap import wrap
 from typing import Any
 
 from pmabench.analysis.results import Analysis
-from pmabench.base.errors import RecordError, UsageError
+from pmabench.base.errors import UsageError
 from pmabench.plotting.wording import clean, shown
 from pmabench.report.document.content import Content
 from pmabench.report.document.grids import Grid
 from pmabench.report.files.csv_files import coefficient_rows, curve_rows, estimate_rows, inert
-from pmabench.report.words.names import kind_title
+from pmabench.report.words import kind_title
+from pmabench.report.writing import write_file
 
 EPOCH = datetime(2000, 1, 1)
 """What the file says of when it was made: nothing, so that it can be compared."""
@@ -39,13 +40,7 @@ NAME = 31
 
 def write_workbook(content: Content, analyses: Sequence[Analysis], path: Path) -> Path:
     """Write the workbook; UsageError without the extra, RecordError where it cannot be written."""
-    data = workbook_bytes(content, analyses)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(data)
-    except OSError as error:
-        raise RecordError(f"{path}: the workbook cannot be written: {error.strerror or error}") from error
-    return path
+    return write_file(path, workbook_bytes(content, analyses), "the workbook")
 
 
 def workbook_bytes(content: Content, analyses: Sequence[Analysis]) -> bytes:
@@ -127,12 +122,12 @@ def _budgets(analyses: Sequence[Analysis]) -> list[dict[str, Any]]:
 
 
 def _width(values: Sequence[Any]) -> float:
-    """Of a column, in letters."""
+    """Width of a column [letters]."""
     return min(WIDEST, max(9, *(len(value) if isinstance(value, str) else 10 for value in values)) + 1)
 
 
 def _height(values: Sequence[Any], widths: Sequence[float]) -> float:
-    """Of a row whose texts are wrapped in columns of these widths [points]: programs do not all find it themselves."""
+    """Height of a row [points] with texts wrapped in columns of these widths; not all programs find it themselves."""
     texts = [(value, width) for value, width in zip(values, widths, strict=True) if isinstance(value, str)]
     lines = [len(wrap(value[:COUNTED], int(0.9 * width))) for value, width in texts if len(value) > width]
     return min(TALLEST, LINE * max((*lines, 1)))

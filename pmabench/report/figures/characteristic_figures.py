@@ -10,13 +10,12 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 
 from pmabench.analysis.results import Analysis, Estimate, Trace
+from pmabench.plotting.frame import Frame
 from pmabench.plotting.pictures import Picture, bound, drawable, has, picture
 from pmabench.plotting.plots import FAINT, FULL, INK, PALETTE, Array, blank, few_ticks, grid
-from pmabench.plotting.rounding import rounded
-from pmabench.plotting.wording import shown
+from pmabench.plotting.wording import rounded, shown
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -49,16 +48,8 @@ class _Model:
         self.words = ""
         self.P, self.F_ce, self.K = np.empty(0), np.empty(0), np.empty(0)
         for method, words in MODELS:
-            known: dict[str, dict[float, float]] = {
-                symbol: {
-                    e.at["pressure"]: e.value
-                    for a in analyses
-                    for e in a.estimates
-                    if (e.method, e.symbol) == (method, symbol)
-                    and set(e.at) == {"pressure"}
-                    and e.value is not None
-                    and not e.coordinate
-                }
+            known = {
+                symbol: {e.at["pressure"]: e.value or 0.0 for e in _over_pressure(analyses, symbol, method)}
                 for symbol in ("F_ce", "K")
             }
             both = sorted(set(known["F_ce"]) & set(known["K"]))
@@ -129,7 +120,7 @@ def _ends(analyses: Sequence[Analysis]) -> list[Picture]:
         f"share of the nominal length of {nominal / mm.scale:.4g} mm. Marks with 95 % intervals.{line_words}"
     )
     alt = (
-        f"Blocked force over pressure, up to {F.max():.4g} N at {P_F[int(np.argmax(F))] / kPa.scale:.4g} kPa, beside "
+        f"Blocked force over pressure, up to {F.max():.4g} N at {P_F[int(np.argmax(F))] / kPa.scale:.4g} kPa, next to "
         f"free contraction over pressure, up to {x.max() / mm.scale:.4g} mm ({100 * x.max() / nominal:.3g} % of the "
         f"nominal length) at {P_x[int(np.argmax(x))] / kPa.scale:.4g} kPa."
     )
@@ -149,7 +140,7 @@ def _ends(analyses: Sequence[Analysis]) -> list[Picture]:
     draw = bound(_draw_ends, left, right, nominal / mm.scale)
     simulated = any(a.simulated for a in analyses)
     title = "Blocked force and free contraction"
-    return [picture(draw, title, caption, alt, pd.DataFrame(rows), wide=True, simulated=simulated)]
+    return [picture(draw, title, caption, alt, Frame(rows), wide=True, simulated=simulated)]
 
 
 Side = tuple[Array, Array, Array, Array, Array]
@@ -163,8 +154,7 @@ def _draw_ends(left: Side, right: Side, nominal: float) -> Figure:
         axes = figure.add_subplot(cells[i])
         axes.plot(through, model, color=FAINT, linewidth=1.6, zorder=1)
         axes.errorbar(P, y, yerr=half, fmt="o", color=PALETTE[i], markersize=3.8, elinewidth=0.9, linewidth=0)
-        axes.set_xlabel("P [kPa]")
-        axes.set_ylabel(heads[i])
+        axes.set(xlabel="P [kPa]", ylabel=heads[i])
         few_ticks(axes)
         if i:
             share = axes.secondary_yaxis("right", functions=_scaled(100 / nominal))
@@ -231,8 +221,7 @@ def _family(analyses: Sequence[Analysis]) -> list[Picture]:
         f"Force over contraction at {', '.join(f'{P / 1e3:g}' for P in chosen)} kPa: forces fall from "
         f"{most:.4g} N with rising contraction" + (f"; the model is off by {rms:.2g} N rms." if off else ".")
     )
-    table = pd.DataFrame(rows).fillna("")
-    table = table[[head for head in table.columns if (table[head] != "").any()]]
+    table = Frame(rows).filled()
     draw = bound(_draw_family, levels, nominal)
     simulated = any(a.simulated for a in analyses)
     title = "Force, pressure and contraction"
@@ -280,8 +269,7 @@ def _draw_family(levels: Sequence[Level], nominal: float) -> Figure:
         axes.plot(1e3 * zero, np.zeros(len(zero)), "D", color=color, markerfacecolor="white", markersize=4.2,
                   markeredgewidth=1.0, zorder=4, clip_on=False)  # fmt: skip
     axes.axhline(0, color=FAINT, linewidth=0.8, zorder=0)
-    axes.set_xlabel("contraction x [mm]")
-    axes.set_ylabel("force F [N]")
+    axes.set(xlabel="contraction x [mm]", ylabel="force F [N]")
     few_ticks(axes, x=8)
     if np.isfinite(nominal):
         share = axes.secondary_xaxis("top", functions=_scaled(0.1 / nominal))

@@ -1,22 +1,36 @@
-"""Figures of coefficients over an operating point: values with 95 % bars, curves with bands, methods side by side."""
+"""Figures of coefficients over an operating point, with 95 % bars, curves and bands; and of repeats over each other."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from math import floor, log10, nan
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 
-from pmabench.analysis.results import PUBLISHED, Analysis, Curve, Estimate
+from pmabench.analysis.results import PUBLISHED, Analysis, Curve, Estimate, Trace
 from pmabench.base.kind import Result
 from pmabench.plotting import plots
-from pmabench.plotting.pictures import Picture, picture
-from pmabench.plotting.plots import Array, Points
-from pmabench.plotting.rounding import RAISED
-from pmabench.plotting.wording import POINTS, Shown, clean, in_order, number, point_shown, shown, spoken, symbol_text
+from pmabench.plotting.frame import Frame
+from pmabench.plotting.pictures import Picture, bound, column, has, numbers, picture, unit_of
+from pmabench.plotting.plots import FAINT, HALF, PALETTE, QUIET, RED, Array, Points, blank, few_ticks, grid
+from pmabench.plotting.wording import (
+    POINTS,
+    RAISED,
+    Shown,
+    clean,
+    in_order,
+    number,
+    point_shown,
+    shown,
+    spoken,
+    symbol_text,
+)
 from pmabench.report.document.tables import cell, least
-from pmabench.report.words.names import declared
+from pmabench.report.words import declared
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 TOGETHER = (("K",), ("B_c", "B_r", "B"), ("F_ce",))
 """Symbols that are drawn over all tests together, those of one plot together."""
@@ -39,10 +53,8 @@ def over_pressure(analyses: Sequence[Analysis], results: Mapping[str, Result] | 
             for e in analysis.estimates
             if e.symbol in symbols and "pressure" in e.at and set(e.at) <= OVER_PRESSURE and not e.coordinate
         ]
-        drawn = _figure(symbols, results, "pressure", _without_variants(members))
-        if drawn is not None:
-            found.append(drawn)
-    return found
+        found.append(_figure(symbols, results, "pressure", _without_variants(members)))
+    return [drawn for drawn in found if drawn is not None]
 
 
 def _without_variants(members: Sequence[tuple[Analysis, Estimate]]) -> list[tuple[Analysis, Estimate]]:
@@ -72,10 +84,8 @@ def others(analysis: Analysis) -> list[Picture]:
             continue
         if len({e.at[over] for e in members}) < FEWEST:
             continue
-        drawn = _figure(group, results, over, [(analysis, e) for e in members])
-        if drawn is not None:
-            found.append(drawn)
-    return found
+        found.append(_figure(group, results, over, [(analysis, e) for e in members]))
+    return [drawn for drawn in found if drawn is not None]
 
 
 def _varying(estimates: Sequence[Estimate]) -> str | None:
@@ -220,7 +230,7 @@ def _curve(
     return np.asarray(x / x_scale), np.asarray(y / scale), np.asarray(band / scale)
 
 
-def _table(estimates: Sequence[Estimate], over: str) -> pd.DataFrame:
+def _table(estimates: Sequence[Estimate], over: str) -> Frame:
     head, unit = point_shown(over)
     rows = [
         {
@@ -232,4 +242,61 @@ def _table(estimates: Sequence[Estimate], over: str) -> pd.DataFrame:
         }
         for e in estimates
     ]
-    return pd.DataFrame(rows, dtype=object).fillna("")
+    return Frame(rows)
+
+
+WORDS = {"length": "contraction", "force": "force"}
+
+
+def repeats(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
+    """One figure for each trace with at least two repeats."""
+    return [found for trace in traces if (found := _repeats(trace, analysis.simulated)) is not None]
+
+
+def _repeats(trace: Trace, simulated: bool) -> Picture | None:
+    names = [name for name in trace.columns if name.startswith("repeat ") and has(trace, "t", name)]
+    if len(names) < 2:
+        return None
+    where, t = clean(trace.title.partition(":")[0], 140), column(trace, "t")
+    values = np.array([column(trace, name) for name in names])
+    mean = values.mean(axis=0)
+    unit = unit_of(trace, names[0]).unit
+    spread = float(np.sqrt(np.mean(values.var(axis=0, ddof=1))))
+    first = float(np.sqrt(np.mean((values[0] - values[1:].mean(axis=0)) ** 2)))
+    word = WORDS.get(trace.quantities.get(names[0], ""), "value")
+    last = "the second" if len(names) == 2 else "the mean of the later ones"
+    caption = (
+        f"{len(names)} trials at {where}, the first in red. Below: each less the mean of all. Standard deviation "
+        f"between repeats {spread:.2g} {unit}, over the whole time; the first is {first:.2g} {unit} rms off {last}."
+    )
+    alt = (
+        f"{word.capitalize()} over time of {len(names)} repeats at {where}, which scatter by {spread:.2g} "
+        f"{unit}; the first is {first:.2g} {unit} rms off {last}."
+    )
+    draw = bound(drawing_of, t, values, mean, unit_of(trace, "t").label("time"), word, unit)
+    return picture(draw, "Repeats", caption, alt, numbers([("", trace)]), wide=False, simulated=simulated)
+
+
+def drawing_of(t: Array, values: Array, mean: Array, x_label: str, word: str, unit: str) -> Figure:
+    """Values (repeats, n) above, what they are off their mean (n,) below."""
+    figure = blank(HALF, 2.9)
+    cells = grid(figure, 1, 1, top=0.42, left=0.6)[0].subgridspec(2, 1, height_ratios=(1.6, 1), hspace=0.12)
+    upper = figure.add_subplot(cells[0])
+    lower = figure.add_subplot(cells[1], sharex=upper)
+    others = [color for color in PALETTE if color != RED]
+    lower.axhline(0, color=FAINT, linewidth=0.6, zorder=0)
+    for i in reversed(range(len(values))):
+        color = RED if i == 0 else others[(i - 1) % len(others)] if len(values) < 4 else QUIET
+        width = 1.0 if i == 0 else 0.8
+        label = ("first" if i == 0 else "second" if len(values) == 2 else "later") if i < 2 else None
+        upper.plot(t, values[i], color=color, linewidth=width, label=label)
+        lower.plot(t, values[i] - mean, color=color, linewidth=0.8)
+    upper.tick_params(labelbottom=False)
+    upper.set_ylabel(f"{word} [{unit}]")
+    lower.set(ylabel=f"off mean [{unit}]", xlabel=x_label)
+    few_ticks(upper)
+    few_ticks(lower, y=3)
+    figure.align_ylabels([upper, lower])
+    handles, labels = upper.get_legend_handles_labels()
+    plots.legend_above(figure, 2, (handles[::-1], labels[::-1]))
+    return figure

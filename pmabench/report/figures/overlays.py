@@ -10,14 +10,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 
 from pmabench.analysis.results import PUBLISHED, Analysis, Estimate, PublishedPoints, Trace
 from pmabench.base.errors import InvalidFile, Problem
 from pmabench.base.quantities import QUANTITIES
 from pmabench.kinds import registry
-from pmabench.plotting.rounding import rounded
-from pmabench.plotting.wording import clean, number, point_shown, shown
+from pmabench.plotting.frame import Frame
+from pmabench.plotting.wording import clean, number, point_shown, rounded, shown
 from pmabench.report.document.provenance import get
 from pmabench.report.figures.coefficient_figures import OVER_PRESSURE
 from pmabench.store.records import Array, RunData
@@ -236,7 +235,7 @@ def _apart(trace: Trace, table: Published, points: PublishedPoints) -> Compariso
 
 
 def _one_curve(x: Array, y: Array) -> tuple[Array, Array]:
-    """Rising x as it is; branches averaged in bins, drawn out straight to the ends."""
+    """One curve y(x): points with rising x as they are; branches averaged in bins and extended to the ends."""
     if len(x) < 2 or np.all(np.diff(x) > 0):
         return x, y
     edges = np.linspace(x.min(), x.max(), BINS + 1)
@@ -266,7 +265,7 @@ def _compared(
     return Comparison(name, over, label, places, len(within), mean, size)
 
 
-def comparison_table(compared: Sequence[Comparison]) -> pd.DataFrame:
+def comparison_table(compared: Sequence[Comparison]) -> Frame:
     """A row for each comparison; text."""
     rows = [
         {
@@ -280,4 +279,4 @@ def comparison_table(compared: Sequence[Comparison]) -> pd.DataFrame:
         }
         for c in compared
     ]
-    return pd.DataFrame(rows, dtype=object).fillna("")
+    return Frame(rows)

@@ -1,4 +1,4 @@
 """Analyses as files: `csv_files`; for others: `export`, `latex`, and models for simulators.
 
-The models: `control_model`, `control_law`, `mujoco_model`.
+The models: `simulator_models`.
 """

@@ -12,9 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from pmabench.analysis.results import Analysis, Curve, Estimate
-from pmabench.base.errors import RecordError
-from pmabench.plotting.rounding import WITHHELD
-from pmabench.plotting.wording import POINTS, clean, in_order, plain_unit, point_shown, shown, symbol_text
+from pmabench.plotting.wording import POINTS, WITHHELD, clean, in_order, plain_unit, point_shown, shown, symbol_text
+from pmabench.report.writing import writing
 from pmabench.store.analyses.folder import write_analysis
 
 FORMULA = tuple("=+-@＝＋－＠")
@@ -24,10 +23,8 @@ FORMULA = tuple("=+-@＝＋－＠")
 def write_with_tables(analysis: Analysis, folder: Path) -> Path:
     """An analysis folder with its tables as CSV, as people want it; raises RecordError where it cannot be written."""
     write_analysis(analysis, folder)
-    try:
+    with writing(folder, "the tables"):
         write_tables(analysis, folder)
-    except OSError as error:
-        raise RecordError(f"{folder}: the tables cannot be written: {error.strerror or error}") from error
     return folder
 
 
@@ -40,7 +37,7 @@ def write_tables(analysis: Analysis, folder: Path) -> list[Path]:
     points = in_order((name for d in analysis.dropped for name in d.point), POINTS)
     dropped = [
         {"trial": d.trial}
-        | {_head(name): d.point[name] / point_shown(name)[1].scale if name in d.point else None for name in points}
+        | {plain_head(name): d.point[name] / point_shown(name)[1].scale if name in d.point else None for name in points}
         | {"reason": d.reason}
         for d in analysis.dropped
     ]
@@ -98,11 +95,10 @@ def coefficient_rows(estimates: Sequence[Estimate]) -> list[dict[str, Any]]:
         unit = shown(e.quantity, e.unit)
         row = rows.setdefault((e.method, tuple(e.at.get(name) for name in names)), {"method": e.method})
         for name in names:
-            row[_head(name)] = e.at[name] / point_shown(name)[1].scale if name in e.at else None
-        symbol, half = symbol_text(e.symbol, e.coordinate), e.parts.combined
-        ascii_unit = f" [{plain_unit(unit.unit)}]" if unit.unit else ""
-        row[f"{symbol}{ascii_unit}"] = None if e.value is None else e.value / unit.scale
-        row[f"{symbol} half width 95 %{ascii_unit}"] = None if half is None else half / unit.scale
+            row[plain_head(name)] = e.at[name] / point_shown(name)[1].scale if name in e.at else None
+        symbol = symbol_text(e.symbol, e.coordinate)
+        row[unit.plain_label(symbol)] = unit.of(e.value)
+        row[unit.plain_label(f"{symbol} half width 95 %")] = unit.of(e.parts.combined)
         if e.withheld:
             held.setdefault(id(row), []).append(f"{symbol}: {WITHHELD}: {e.note}")
     return [row | ({"withheld": "; ".join(held.get(id(row), []))} if held else {}) for row in rows.values()]
@@ -117,21 +113,22 @@ def estimate_rows(analyses: Sequence[Analysis]) -> list[dict[str, Any]]:
             unit = shown(e.quantity, e.unit)
             row: dict[str, Any] = {"kind": analysis.kind, "symbol": e.symbol, "coordinate": e.coordinate}
             for name in names:
-                row[_head(name)] = e.at[name] / point_shown(name)[1].scale if name in e.at else None
+                row[plain_head(name)] = e.at[name] / point_shown(name)[1].scale if name in e.at else None
             ends = e.ci95 or (None, None)
             numbers = {"value": e.value, "low95": ends[0], "high95": ends[1], "repeats": e.parts.repeats}
             numbers |= {"method_part": e.parts.method, "calibration": e.parts.calibration, "skew": e.parts.skew}
             numbers["bias"] = e.bias
-            row |= {key: None if value is None else value / unit.scale for key, value in numbers.items()}
+            row |= {key: unit.of(value) for key, value in numbers.items()}
             row |= {"unit": plain_unit(unit.unit), "corrected": e.corrected, "n": e.n, "method": e.method}
             note = f"{WITHHELD}: {e.note}" if e.withheld else e.note
             rows.append(row | {"note": note, "trials": " ".join(e.trials)})
     return rows
 
 
-def _head(name: str) -> str:
+def plain_head(name: str) -> str:
+    """The head of a column with a coordinate of operating points."""
     label, unit = point_shown(name)
-    return f"{label} [{plain_unit(unit.unit)}]" if unit.unit else label
+    return unit.plain_label(label)
 
 
 def curve_rows(curves: Iterable[Curve]) -> list[dict[str, Any]]:
@@ -143,19 +140,11 @@ def curve_rows(curves: Iterable[Curve]) -> list[dict[str, Any]]:
             unit = shown(term.quantity, term.unit)
             ends = term.ci95 or (None, None)
             numbers = {"value": term.value, "low95": ends[0], "high95": ends[1]}
-            rows.append(
-                {"symbol": curve.symbol, "method": curve.method, "form": curve.form, "power": power}
-                | {key: None if value is None else value / unit.scale for key, value in numbers.items()}
-                | {"unit": plain_unit(unit.unit), "against": curve.against}
-                | {
-                    f"{end} [{plain_unit(against.unit)}]": x / against.scale
-                    for end, x in zip(("from", "to"), curve.domain, strict=True)
-                }
-                | {
-                    f"{name} [{plain_unit(against.unit)}]": x / against.scale
-                    for name, x in (("centre", curve.centre), ("scale", curve.scale))
-                    if curve.normalised
-                }
-                | {"r2": curve.r2}
-            )
+            row = {"symbol": curve.symbol, "method": curve.method, "form": curve.form, "power": power}
+            row |= {key: unit.of(value) for key, value in numbers.items()}
+            row |= {"unit": plain_unit(unit.unit), "against": curve.against}
+            places = {"from": curve.domain[0], "to": curve.domain[1]}
+            places |= {"centre": curve.centre, "scale": curve.scale} if curve.normalised else {}
+            row |= {f"{name} [{plain_unit(against.unit)}]": x / against.scale for name, x in places.items()}
+            rows.append(row | {"r2": curve.r2})
     return rows

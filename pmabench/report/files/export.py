@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -18,15 +17,15 @@ import numpy as np
 import pandas as pd
 
 from pmabench.analysis.results import POINT_QUANTITIES, Analysis
-from pmabench.base.errors import RecordError, UsageError
+from pmabench.base.errors import UsageError
 from pmabench.notebook import Results, Run, estimates_frame, headed, with_unit
 from pmabench.plotting.wording import clean
 from pmabench.report.document import tables
 from pmabench.report.files import latex
-from pmabench.report.files.control_model import control_model, control_text, suits
 from pmabench.report.files.csv_files import inert, write_tables
-from pmabench.report.files.mujoco_model import mujoco_model, mujoco_text
-from pmabench.report.words.names import kind_title
+from pmabench.report.files.simulator_models import control_model, control_text, mujoco_model, mujoco_text, suits
+from pmabench.report.words import kind_title
+from pmabench.report.writing import write_file, writing
 from pmabench.store.analyses.folder import file_names
 from pmabench.store.exported import NAME as RECORD
 from pmabench.store.exported import record_of
@@ -35,14 +34,6 @@ from pmabench.store.records import RunData
 
 FORMATS = ("csv", "parquet", "mat", "latex", "json", "python-control", "mujoco")
 _UNIT = re.compile(r"(.*) \[([^\[\]]*)\]")
-
-
-@contextmanager
-def _written(path: Path) -> Iterator[None]:
-    try:
-        yield
-    except OSError as error:
-        raise RecordError(f"{path}: cannot be written: {error.strerror or error}") from error
 
 
 def export_run(run: Run, form: str, out: Path) -> list[Path]:
@@ -54,7 +45,7 @@ def export_run(run: Run, form: str, out: Path) -> list[Path]:
     """
     frames = {name: run.stream(name) for name in run.streams}
     frames["trials"] = run.trials.reset_index()
-    with _written(out):
+    with writing(out, "the export"):
         if form == "csv":
             return _run_csv(run, frames, out)
         if form == "parquet":
@@ -80,7 +71,7 @@ def _run_csv(run: Run, frames: dict[str, pd.DataFrame], out: Path) -> list[Path]
     paths = _csv(frames, out)
     heads = {with_unit(channel, info.unit): channel for channel, info in run.data.channels.items()}
     record = record_of(run.data, paths[list(frames).index(name)].name, {h: c for h, c in heads.items() if h in frame})
-    return [*paths, _text(json.dumps(record, indent=1, allow_nan=False) + "\n", out / RECORD)]
+    return [*paths, write_file(out / RECORD, json.dumps(record, indent=1, allow_nan=False) + "\n", "the export")]
 
 
 def _with_trials(run: Run, frame: pd.DataFrame) -> pd.DataFrame:
@@ -172,7 +163,7 @@ def export_results(results: Results, form: str, out: Path) -> list[Path]:
 
     RecordError where it cannot be written; UsageError where a model for python-control or MuJoCo cannot be made.
     """
-    with _written(out):
+    with writing(out, "the export"):
         return _RESULTS[form](results, out)
 
 
@@ -214,22 +205,23 @@ def _results_latex(results: Results, out: Path) -> list[Path]:
             if len(table.frame):
                 texts = ("method", "symbol", "quantity", "unit")
                 parts.append(latex.table(table.frame, f"{title}: {table.caption}", f"tab:{name}-{n}", texts=texts))
-    return [_text("\n".join(parts), out)]
+    return [write_file(out, "\n".join(parts), "the export")]
 
 
 def _results_json(results: Results, out: Path) -> list[Path]:
     data = {"schema": "pmabench.coefficients/1", "analyses": [plain(a.to_dict()) for a in results.analyses]}
-    return [_text(json.dumps(data, indent=1, sort_keys=True, ensure_ascii=False, allow_nan=False) + "\n", out)]
+    text = json.dumps(data, indent=1, sort_keys=True, ensure_ascii=False, allow_nan=False)
+    return [write_file(out, text + "\n", "the export")]
 
 
 def _results_control(results: Results, out: Path) -> list[Path]:
     analysis, runs = _modelled(results)
-    return [_text(control_text(control_model(analysis, runs), analysis), out)]
+    return [write_file(out, control_text(control_model(analysis, runs), analysis), "the export")]
 
 
 def _results_mujoco(results: Results, out: Path) -> list[Path]:
     analysis, runs = _modelled(results)
-    return [_text(mujoco_text(mujoco_model(analysis, runs), analysis), out)]
+    return [write_file(out, mujoco_text(mujoco_model(analysis, runs), analysis), "the export")]
 
 
 def _modelled(results: Results) -> tuple[Analysis, list[RunData]]:
@@ -238,12 +230,6 @@ def _modelled(results: Results) -> tuple[Analysis, list[RunData]]:
     if not able:
         raise UsageError("there is no analysis to make a model of")
     return able[0], [run for run in results.runs if run.id in able[0].runs]
-
-
-def _text(text: str, path: Path) -> Path:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(text, encoding="utf-8", newline="")
-    return path
 
 
 _RESULTS: dict[str, Callable[[Results, Path], list[Path]]] = {

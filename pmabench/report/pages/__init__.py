@@ -1,5 +1,5 @@
 """Other pages than the report.
 
-- `bench_card`; `comparison_page` with `comparison_tables`; `history_page` with `history_tables`; all on `page`
+- `bench_card`; `comparison_page` and `history_page`, with their tables
 - a fitted model: `fit_figure`; what recalibration changed: `change_tables`
 """

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from pmabench import __version__
-from pmabench.base.errors import RecordError
+from pmabench.report.writing import render, write_file
 
 SIZES = tuple(size / 10 for size in range(92, 46, -2))
 """Sizes of letters [pt] that are tried."""
@@ -21,28 +21,13 @@ LETTER = 0.59
 
 def write_card(card: Mapping[str, Any], path: Path) -> Path:
     """Write the card (the fields of `pmabench.bench.card.Card`) to `path`; raises RecordError where it cannot be."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(render_card(card), encoding="utf-8", newline="")
-    except OSError as error:
-        raise RecordError(f"{path}: the card cannot be written: {error.strerror or error}") from error
-    return path
+    return write_file(path, render_card(card), "the card")
 
 
 def render_card(card: Mapping[str, Any]) -> str:
     """The card as text; every value is escaped."""
-    from jinja2 import Environment, PackageLoader, StrictUndefined
-
-    environment = Environment(
-        loader=PackageLoader("pmabench.report"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters["nb"] = unbroken
-    template = environment.get_template("bench_card.html.j2")
-    return template.render({**card, "version": __version__, "size": letter_size(card)}) + "\n"
+    context = {**card, "version": __version__, "size": letter_size(card)}
+    return render("bench_card.html.j2", context, nb=unbroken)
 
 
 def letter_size(card: Mapping[str, Any]) -> float:

@@ -9,13 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 from pmabench.analysis.results import Estimate
 from pmabench.analysis.verdict.changes import Change
-from pmabench.base.errors import RecordError
-from pmabench.plotting.rounding import rounded
-from pmabench.plotting.wording import plain_unit as plain
-from pmabench.plotting.wording import point_text, shown, symbol_text
+from pmabench.plotting.wording import Shown, plain_unit, point_text, shown, symbol_text
 from pmabench.report.files.csv_files import csv_text
 from pmabench.report.terminal import print_grid
-from pmabench.store.folder import plain as as_json
+from pmabench.report.writing import write_file
+from pmabench.store.folder import plain
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -36,27 +34,23 @@ def print_changes(changes: Sequence[Change], console: Console) -> None:
         difference = change.difference
         base = None if change.before is None else change.before.value
         share = "" if difference is None or not base else f"{100 * difference / abs(base):+.2f}"
-        half = None if change.half_width is None else change.half_width / unit.scale
-        signed = "" if difference is None else _signed(difference / unit.scale, half, abs(base or 0.0) / unit.scale)
+        signed = "" if difference is None else _signed(difference, change.half_width, abs(base or 0.0), unit)
         where = (change.kind, symbol_text(e.symbol, e.coordinate), point_text(e.at), unit.unit)
-        rows.append(
-            [*where, _cell(change.before, unit.scale), _cell(change.after, unit.scale), signed, share, e.method]
-        )
+        rows.append([*where, _cell(change.before, unit), _cell(change.after, unit), signed, share, e.method])
     print_grid(console, HEADS, rows, ("kind", "coefficient", "at", "unit", "method"), keys=3)
 
 
-def _cell(estimate: Estimate | None, scale: float) -> str:
+def _cell(estimate: Estimate | None, unit: Shown) -> str:
     if estimate is None or estimate.value is None:
         return "none"
-    half = estimate.parts.combined
-    return rounded(estimate.value / scale, None if half is None else half / scale)
+    return unit.rounded(estimate.value, estimate.parts.combined)
 
 
-def _signed(value: float, half: float | None, size: float) -> str:
-    """A difference of values of this size, all in one unit; 0 where it is no more than rounding."""
+def _signed(value: float, half: float | None, size: float, unit: Shown) -> str:
+    """Text of a difference between values of this size [SI]; 0 where it is only rounding."""
     if abs(value) <= SAME * size:
         return "0"
-    text = rounded(value, half or None)
+    text = unit.rounded(value, half or None)
     return text if text.startswith(("-", "−")) else f"+{text}"
 
 
@@ -69,16 +63,13 @@ def write_changes(
         e = change.estimate
         unit = shown(e.quantity, e.unit)
 
-        def scaled(value: float | None, by: float = unit.scale) -> float | None:
-            return None if value is None else value / by
-
         row: dict[str, Any] = {"kind": change.kind, "symbol": e.symbol, "coordinate": e.coordinate}
-        row |= {"at": point_text(e.at), "unit": plain(unit.unit)}
+        row |= {"at": point_text(e.at), "unit": plain_unit(unit.unit)}
         for name, side in (("before", change.before), ("after", change.after)):
             ends = (side.ci95 if side is not None else None) or (None, None)
-            row[name] = scaled(side.value if side is not None else None)
-            row |= {f"{name} low95": scaled(ends[0]), f"{name} high95": scaled(ends[1])}
-        row |= {"difference": scaled(change.difference), "half width 95 %": scaled(change.half_width)}
+            row[name] = unit.of(side.value if side is not None else None)
+            row |= {f"{name} low95": unit.of(ends[0]), f"{name} high95": unit.of(ends[1])}
+        row |= {"difference": unit.of(change.difference), "half width 95 %": unit.of(change.half_width)}
         rows.append(row | {"method": e.method})
     data = {
         "schema": SCHEMA,
@@ -86,12 +77,6 @@ def write_changes(
         "channels": list(channels),
         "changes": [change.to_dict() for change in changes],
     }
-    paths = [folder / f"{NAME}.csv", folder / f"{NAME}.json"]
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        paths[0].write_bytes(csv_text(rows, ["kind", "symbol"]).encode())
-        text = json.dumps(as_json(data), indent=1, sort_keys=True, ensure_ascii=False, allow_nan=False)
-        paths[1].write_bytes(f"{text}\n".encode())
-    except OSError as error:
-        raise RecordError(f"{folder}: the changes cannot be written: {error.strerror or error}") from error
-    return paths
+    text = json.dumps(plain(data), indent=1, sort_keys=True, ensure_ascii=False, allow_nan=False)
+    files = {f"{NAME}.csv": csv_text(rows, ["kind", "symbol"]), f"{NAME}.json": f"{text}\n"}
+    return [write_file(folder / name, data, "the changes") for name, data in files.items()]

@@ -1,4 +1,4 @@
-"""A comparison as one HTML file: both sides over pressure, E_n numbers, the table; computes nothing."""
+"""A comparison as rows of text and as one HTML file: both sides over pressure, E_n numbers, the table; no estimate."""
 
 from __future__ import annotations
 
@@ -7,19 +7,17 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import pandas as pd
-
 from pmabench.analysis.results import PUBLISHED, Analysis
 from pmabench.analysis.verdict import comparison
-from pmabench.analysis.verdict.comparison import Difference, Side
+from pmabench.analysis.verdict.comparison import Difference, Side, percent
 from pmabench.plotting import plots
+from pmabench.plotting.frame import Frame
 from pmabench.plotting.pictures import Picture, drawable, picture
-from pmabench.plotting.wording import clean, in_order, spoken, symbol_text
+from pmabench.plotting.wording import clean, in_order, point_text, shown, spoken, symbol_text
 from pmabench.report.figures.coefficient_figures import over_pressure
-from pmabench.report.figures.overlays import Comparison
-from pmabench.report.pages.comparison_tables import curve_rows, rows_of
-from pmabench.report.pages.page import Page, TextTable, write_page
-from pmabench.report.words.names import declared
+from pmabench.report.figures.overlays import Comparison, comparison_table
+from pmabench.report.words import declared
+from pmabench.report.writing import Page, TextTable, write_page
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -110,7 +108,41 @@ def _scores(differences: Sequence[Difference], *, simulated: bool) -> Picture | 
         "E_n numbers of all differences",
         "Shaded: both values lie within their common 95 % interval. Arrows: further out than drawn.",
         alt,
-        pd.DataFrame(rows, dtype=object),
+        Frame(rows),
         wide=True,
         simulated=simulated,
     )
+
+
+Rows = tuple[list[str], list[list[str]]]
+"""Heads, and rows of text under them."""
+
+
+def rows_of(a: Side, b: Side, differences: Sequence[Difference]) -> Rows:
+    """A row for each difference: both values, a - b, in % of b, E_n."""
+    one, other = clean(a.name, 30), clean(b.name, 30)
+    heads = ["symbol", "at", "unit", one, other, f"{one} − {other}", "[%]", "E_n", ""]
+    rows = []
+    for d in differences:
+        unit = shown(d.a.quantity, d.a.unit)
+        marks = ["~" if side in d.between else "" for side in ("a", "b")]
+        rows.append(
+            [
+                symbol_text(d.a.symbol, d.a.coordinate),
+                point_text({name: float(f"{value:.6g}") for name, value in d.a.at.items()}),
+                unit.unit,
+                marks[0] + unit.rounded(d.a.value, d.a.parts.combined),
+                marks[1] + unit.rounded(d.b.value, d.b.parts.combined),
+                unit.rounded(d.value, d.half, 3),
+                "" if d.relative is None else percent(d.relative).replace("-", "−"),
+                "" if d.score is None else f"{d.score:+.2f}".replace("-", "−"),
+                {True: "", False: "differs", None: "no interval"}[d.agrees],
+            ]
+        )
+    return heads, rows
+
+
+def curve_rows(curves: Sequence[Comparison]) -> Rows:
+    """A row for each curve compared with published points."""
+    frame = comparison_table(curves)
+    return frame.columns, frame.cells()

@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.analysis.fitting.model_fit import ModelFit
-from pmabench.base.errors import RecordError
-from pmabench.model.library import OutsideDomain, Parameter
+from pmabench.model.library import OutsideDomain
 from pmabench.plotting import plots
 from pmabench.plotting.plots import FAINT, FULL, MARKERS, PALETTE, blank, few_ticks, grid
 from pmabench.plotting.svg import drawing, to_svg
 from pmabench.plotting.wording import clean, number, shown
+from pmabench.report.writing import write_file
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 MOST_CURVES = 8
 """Combinations of the other inputs up to which each has a curve; with more, computed is drawn over measured."""
 POINTS = 121
+MARK: dict[str, Any] = {"markerfacecolor": "white", "markersize": 3.6, "markeredgewidth": 0.9}
 MOST_MARKS = 400
 """Marks of a curve that are drawn, evenly chosen."""
 ALONE = 'xmlns="http://www.w3.org/2000/svg" font-family="sans-serif" style="background: #fff"'
@@ -40,14 +41,10 @@ def write_fit(fit: ModelFit, path: Path, name: str, source: str = "") -> None:
     with drawing():
         svg = to_svg(_draw(fit, title), alt)
     text = svg.replace("<svg ", f"<svg {ALONE} ", 1)
-    try:
-        path.write_text(f"{text}\n", encoding="utf-8", newline="")
-    except OSError as error:
-        raise RecordError(f"{path}: the figure cannot be written: {error.strerror or error}") from error
+    write_file(path, f"{text}\n", "the figure")
 
 
 def _draw(fit: ModelFit, title: str) -> Figure:
-    known = {p.name: p for p in fit.model.parameters}
     over = max(fit.columns, key=lambda name: len(np.unique(fit.columns[name])))
     others = [name for name in fit.columns if name != over]
     rows = np.column_stack([fit.columns[name] for name in others]) if others else np.zeros((len(fit.measured), 0))
@@ -56,27 +53,14 @@ def _draw(fit: ModelFit, title: str) -> Figure:
     if len(groups) > MOST_CURVES:
         _measured_over_computed(figure, fit, title)
     else:
-        _curves(
-            figure,
-            fit,
-            title,
-            over,
-            [dict(zip(others, row, strict=True)) for row in groups],
-            np.asarray(member.ravel(), dtype=np.intp),
-            known,
-        )
+        _curves(figure, fit, title, over, [dict(zip(others, row, strict=True)) for row in groups], member.ravel())
     return figure
 
 
 def _curves(
-    figure: Figure,
-    fit: ModelFit,
-    title: str,
-    over: str,
-    groups: list[dict[str, Any]],
-    member: NDArray[np.intp],
-    known: dict[str, Parameter],
+    figure: Figure, fit: ModelFit, title: str, over: str, groups: list[dict[str, Any]], member: NDArray[np.intp]
 ) -> None:
+    known = {p.name: p for p in fit.model.parameters}
     quantity = next(o.quantity for o in fit.model.outputs if o.name == fit.output)
     unit, x_unit = shown(quantity), shown(known[over].quantity)
     cells = grid(figure, 1, 1, left=0.6, top=0.32, right=1.35 if len(groups) > 1 else 0.12)[0]
@@ -102,23 +86,12 @@ def _curves(
         )
         drawn = np.flatnonzero(mine)[:: -(-int(mine.sum()) // MOST_MARKS)]
         for axes, y in ((upper, fit.measured), (lower, residual)):
-            axes.plot(
-                x[drawn] / x_unit.scale,
-                y[drawn] / unit.scale,
-                MARKERS[i % len(MARKERS)],
-                color=color,
-                markerfacecolor="white",
-                markersize=3.6,
-                markeredgewidth=0.9,
-                label=label,
-            )
+            place, look = (x[drawn] / x_unit.scale, y[drawn] / unit.scale), MARKERS[i % len(MARKERS)]
+            axes.plot(*place, look, color=color, label=label, **MARK)
     lower.axhline(0, color=FAINT, linewidth=0.6, zorder=0)
-    upper.set_title(title)
-    upper.set_ylabel(unit.label(fit.output))
+    upper.set(title=title, ylabel=unit.label(fit.output))
     upper.tick_params(labelbottom=False)
-    lower.set_ylabel(f"apart [{unit.unit}]" if unit.unit else "apart")
-    lower.set_xlabel(x_unit.label(over))
-    lower.set_xlim(upper.get_xlim())
+    lower.set(ylabel=f"apart [{unit.unit}]" if unit.unit else "apart", xlabel=x_unit.label(over), xlim=upper.get_xlim())
     few_ticks(upper)
     few_ticks(lower, y=3)
     figure.align_ylabels([upper, lower])
@@ -133,7 +106,5 @@ def _measured_over_computed(figure: Figure, fit: ModelFit, title: str) -> None:
     ends = np.array([min(fit.computed.min(), fit.measured.min()), max(fit.computed.max(), fit.measured.max())])
     axes.plot(ends / unit.scale, ends / unit.scale, color=FAINT, linewidth=1.0)
     axes.plot(fit.computed / unit.scale, fit.measured / unit.scale, ".", color=PALETTE[0], markersize=2.5)
-    axes.set_title(title)
-    axes.set_xlabel(unit.label(f"{fit.output}, fitted"))
-    axes.set_ylabel(unit.label(f"{fit.output}, measured"))
+    axes.set(title=title, xlabel=unit.label(f"{fit.output}, fitted"), ylabel=unit.label(f"{fit.output}, measured"))
     few_ticks(axes)

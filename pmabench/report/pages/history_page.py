@@ -1,4 +1,4 @@
-"""The life of a specimen as one HTML file: coefficients over cycles, control charts, tables; computes nothing."""
+"""The life of a specimen as rows of text and as one HTML file: coefficients over cycles, control charts."""
 
 from __future__ import annotations
 
@@ -7,17 +7,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 
 from pmabench.analysis.results import Finding
 from pmabench.analysis.verdict.life import Past, References, Series, chosen
+from pmabench.base.quantities import in_words
 from pmabench.plotting import plots
+from pmabench.plotting.frame import Frame
 from pmabench.plotting.pictures import LARGEST, Picture, picture
-from pmabench.plotting.rounding import rounded
-from pmabench.plotting.wording import clean, point_text, shown
-from pmabench.report.pages.history_tables import run_rows, value_rows
-from pmabench.report.pages.page import Page, TextTable, write_page
-from pmabench.report.words.names import kind_title
+from pmabench.plotting.wording import clean, point_text, rounded, shown, symbol_text
+from pmabench.report.words import kind_title
+from pmabench.report.writing import Page, TextTable, write_page
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -86,7 +85,7 @@ def _over_cycles(one: Series, *, simulated: bool) -> Picture:
         f"{name[:1].upper()}{name[1:]} {over}",
         f"{kind_title(one.kind)}{f', {at}' if at else ''}; {interval_text}.",
         f"Plot of {name} {over}, {len(moments)} values. The numbers are in the table below.",
-        pd.DataFrame(rows, dtype=object),
+        Frame(rows),
         wide=False,
         simulated=simulated,
     )
@@ -110,8 +109,7 @@ def _control(one: References, *, simulated: bool) -> Picture:
             rows = [i for i in range(len(strokes)) if (i in alarms) == alarm]
             axes.plot(place[rows], strokes[rows], "s" if alarm else "o", color=plots.RED if alarm else plots.BLUE,
                       markersize=4, linestyle="none")  # fmt: skip
-        axes.set_xlabel("reference trial, in order of time")
-        axes.set_ylabel("stroke [mm]")
+        axes.set(xlabel="reference trial, in order of time", ylabel="stroke [mm]")
         axes.locator_params(axis="x", integer=True)
         return figure
 
@@ -132,7 +130,58 @@ def _control(one: References, *, simulated: bool) -> Picture:
         caption,
         f"Strokes of {len(strokes)} reference trials in order of time, from {strokes.min():.4g} to "
         f"{strokes.max():.4g} mm; {len(alarms)} are marked. The numbers are in the table below.",
-        pd.DataFrame(rows, dtype=object),
+        Frame(rows),
         wide=True,
         simulated=simulated,
     )
+
+
+Rows = tuple[list[str], list[list[str]]]
+"""Heads, and rows of text under them."""
+MOST_COLUMNS = 8
+"""Coefficients that are shown side by side."""
+
+
+def run_rows(life: Sequence[Past]) -> Rows:
+    """A row for each run: when, what, cycles before it and in it, time at pressure."""
+    heads = ["date", "kind", "status", "cycles before", "cycles", "strokes", "at pressure", "highest [kPa]"]
+    return heads, [
+        [
+            clean(past.date, 40)[:16].replace("T", " "),
+            kind_title(past.kind),
+            clean(past.status, 40),
+            f"{past.before:,}",
+            f"{past.use.cycles:,}",
+            f"{past.use.strokes:,.6g}",
+            in_words(past.use.at_pressure),
+            f"{past.use.highest / 1e3:.4g}",
+        ]
+        for past in life
+    ]
+
+
+def value_rows(life: Sequence[Past], series: Sequence[Series]) -> Rows:
+    """A row for each run that has values: the chosen coefficients side by side."""
+    columns = [one for one in chosen(series) if one.moments][:MOST_COLUMNS]
+    heads = ["date", "cycles"]
+    symbols = [one.first.symbol for one in columns]
+    for one in columns:
+        e = one.first
+        unit = shown(e.quantity, e.unit)
+        at = point_text({name: value for name, value in e.at.items() if name in ("pressure", "frequency", "speed")})
+        head = f"{unit.label(symbol_text(e.symbol))}{f' at {at}' if at else ''}"
+        heads.append(f"{head}, {kind_title(one.kind).lower()}" if symbols.count(e.symbol) > 1 else head)
+    rows = []
+    for past in life:
+        cells = [_cell(one, past) for one in columns]
+        if any(cells):
+            rows.append([clean(past.date, 40)[:16].replace("T", " "), f"{past.before:,}", *cells])
+    return heads, rows
+
+
+def _cell(one: Series, past: Past) -> str:
+    moment = next((moment for moment in one.moments if moment.run == past.run), None)
+    if moment is None or moment.estimate.value is None:
+        return ""
+    e = moment.estimate
+    return shown(e.quantity, e.unit).rounded(e.value, e.parts.combined)

@@ -24,6 +24,7 @@ from pmabench.base.text import clean
 from pmabench.store.analyses.results import SCHEMA, Analysis, Curve, Trace
 from pmabench.store.folder import plain
 from pmabench.store.json_files import read_json
+from pmabench.store.livestream import numbers
 
 ANALYSIS = "analysis.json"
 TRACES = "traces"
@@ -166,8 +167,16 @@ def _as_damage(path: Path) -> Iterator[None]:
 
 
 @lru_cache
-def _types(record: type) -> dict[str, Any]:
-    return get_type_hints(record)
+def _fields(record: type) -> tuple[tuple[str, Any, bool], ...]:
+    """Name and type of each field of a record, and whether it must be there."""
+    types = get_type_hints(record)
+    return tuple((f.name, types[f.name], f.default is MISSING and f.default_factory is MISSING) for f in fields(record))
+
+
+@lru_cache
+def _made_of(kind: Any) -> tuple[Any, tuple[Any, ...], bool]:
+    """Origin and arguments of a type, and whether it is a record."""
+    return get_origin(kind), get_args(kind), isinstance(kind, type) and is_dataclass(kind)
 
 
 def _read(kind: Any, value: Any) -> Any:
@@ -175,16 +184,15 @@ def _read(kind: Any, value: Any) -> Any:
 
     Entries of a record that are not there have its default, those that it does not know are left out.
     """
-    inner = get_args(kind)
-    if is_dataclass(kind) and isinstance(kind, type) and isinstance(value, Mapping):
-        needed = {f.name for f in fields(kind) if f.default is MISSING and f.default_factory is MISSING}
-        names = [f.name for f in fields(kind) if f.name in value or f.name in needed]
-        return kind(**{name: _read(_types(kind)[name], value[name]) for name in names})
-    if get_origin(kind) is UnionType:  # something or None
+    origin, inner, record = _made_of(kind)
+    if record and isinstance(value, Mapping):
+        known = [(name, type_) for name, type_, needed in _fields(kind) if needed or name in value]
+        return kind(**{name: _read(type_, value[name]) for name, type_ in known})
+    if origin is UnionType:  # something or None
         return None if value is None else _read(inner[0], value)
-    if get_origin(kind) is Mapping and isinstance(value, Mapping):
+    if origin is Mapping and isinstance(value, Mapping):
         return {_read(str, key): _read(inner[1], item) for key, item in value.items()}
-    if get_origin(kind) is tuple and isinstance(value, list):
+    if origin is tuple and isinstance(value, list):
         kinds = [inner[0]] * len(value) if inner[-1] is Ellipsis else inner
         if len(kinds) != len(value):
             raise ValueError(f"{len(value)} values are there where {len(kinds)} are expected")
@@ -223,7 +231,8 @@ def _trace(folder: Path, t: Mapping[str, Any]) -> Trace:
         if file is None or file.metadata.num_rows > MOST_ROWS:
             raise ValueError(f"{t['file']} is a link or too long")
         table = file.read(wanted)
-        columns = {name: np.asarray(table.column(name).to_numpy(), dtype=np.float64) for name in wanted}
+        found = {name: table.column(name).combine_chunks() for name in wanted}
+        columns = {name: np.asarray(numbers(values), dtype=np.float64) for name, values in found.items()}
     except (OSError, pa.ArrowException) as error:
         raise ValueError(f"{t['file']} cannot be read: {error}") from error
     return Trace(

@@ -6,16 +6,16 @@ import csv
 import io
 import json
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from pmabench.base.errors import RecordError, invalid
+from pmabench.base.errors import invalid
 from pmabench.model.cascade import Course
+from pmabench.report.writing import write_file
 from pmabench.store.json_files import read_model
 
 SCHEMA: Literal["pmabench.cascade-result/1"] = "pmabench.cascade-result/1"
@@ -29,7 +29,7 @@ class _Strict(BaseModel):
 
 
 class Link(_Strict):
-    """One muscle of a result: who it is, its shape without contraction [m, rad], and what it did [SI]."""
+    """One muscle of a result: name and law, shape without contraction [m, rad], and its motion over time [SI]."""
 
     name: str
     law: str
@@ -43,7 +43,7 @@ class Link(_Strict):
 
 
 class Result(_Strict):
-    """A chain and what it did; columns in SI, all of one length. `units` names them."""
+    """The simulated motion of a chain; columns over time in SI, all of one length, with their `units`."""
 
     schema_: Annotated[Literal["pmabench.cascade-result/1"], Field(alias="schema")] = SCHEMA
     simulated: Literal[True] = True
@@ -71,67 +71,26 @@ TOTALS = ("time", "displacement", "force_ce_sum", "force_ce", "force")
 EACH = ("pressure", "displacement", "force_ce")
 
 
-@dataclass(frozen=True)
-class Head:
-    """What describes a chain, without its course: `muscles` are (name, law, length, radius, braid angle, assumed)."""
+def result(
+    about: Mapping[str, Any], muscles: Sequence[Mapping[str, Any]], course: Course, paced: dict[str, float] | None
+) -> Result:
+    """The result of a course; `about` and `muscles` have what describes the chain and each of its links.
 
-    name: str
-    source: str
-    load: float
-    fce_eval: str
-    muscles: Sequence[tuple[str, str, float, float, float, Sequence[str]]]
-
-
-def result(head: Head, course: Course, paced: dict[str, float] | None) -> Result:
-    """The result of a course; `paced` has the seconds `simulated` and `elapsed` where it was paced."""
-    links = [
-        Link(
-            name=name,
-            law=law,
-            length=length,
-            radius=radius,
-            braid_angle=angle,
-            assumed=list(assumed),
-            pressure=course.P[i].tolist(),
-            displacement=course.x[i].tolist(),
-            force_ce=course.F_ce[i].tolist(),
-        )
-        for i, (name, law, length, radius, angle, assumed) in enumerate(head.muscles)
-    ]
-    return Result(
-        name=head.name,
-        source=head.source,
-        load=head.load,
-        fce_eval=head.fce_eval,
-        paced=paced,
-        units=UNITS,
-        muscles=links,
-        time=course.t.tolist(),
-        displacement=course.displacement.tolist(),
-        force_ce_sum=course.force_ce_sum.tolist(),
-        force_ce=course.force_ce.tolist(),
-        force=course.force.tolist(),
-    )
-
-
-def as_data(found: Result) -> dict[str, Any]:
-    """The result as plain data for JSON."""
-    return found.model_dump(by_alias=True)
+    `paced` has the seconds `simulated` and `elapsed` where it was paced.
+    """
+    columns = zip(muscles, course.P.tolist(), course.x.tolist(), course.F_ce.tolist(), strict=True)
+    links = [Link(**muscle, pressure=P, displacement=x, force_ce=F_ce) for muscle, P, x, F_ce in columns]
+    totals = {name: getattr(course, name).tolist() for name in TOTALS if name != "time"}
+    return Result(**about, paced=paced, units=UNITS, muscles=links, time=course.t.tolist(), **totals)
 
 
 def write_result(found: Result, folder: Path) -> list[Path]:
-    """`cascade.json` and `cascade.csv` in the folder, which is made."""
+    """Write `cascade.json` and `cascade.csv` into the folder, which is made where needed."""
     files = {
-        "cascade.json": json.dumps(as_data(found), allow_nan=False, separators=(",", ":")) + "\n",
+        "cascade.json": json.dumps(found.model_dump(by_alias=True), allow_nan=False, separators=(",", ":")) + "\n",
         "cascade.csv": csv_text(found),
     }
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for name, text in files.items():
-            (folder / name).write_text(text, encoding="utf-8", newline="")
-    except OSError as error:
-        raise RecordError(f"{folder}: the result cannot be written: {error.strerror or error}") from error
-    return [folder / name for name in files]
+    return [write_file(folder / name, text, "the result") for name, text in files.items()]
 
 
 def csv_text(found: Result) -> str:
@@ -149,7 +108,7 @@ def csv_text(found: Result) -> str:
 
 
 def read_result(path: Path) -> Result:
-    """A result that was written, from its JSON file or the folder of it; `InvalidFile` in a sentence."""
+    """Read a result from its JSON file or its folder. Raises InvalidFile."""
     file = path / "cascade.json" if path.is_dir() else path
     missing = "there is no result here; pmabench cascade simulate FILE --out FOLDER writes one"
     found = read_model(Result, file, SCHEMA, "result of a cascade", MOST_BYTES, missing)

@@ -15,7 +15,7 @@ import numpy as np
 
 from pmabench.model.muscle import Outline, outline
 from pmabench.plotting.plots import FAINT, INK, QUIET, RED, WARN
-from pmabench.report.cascade.cascade_record import Link, Result
+from pmabench.report.cascade_record import Link, Result
 
 WIDTH = 1000.0
 LEFT, RIGHT = 84.0, 112.0
@@ -29,13 +29,13 @@ FONT = "'Inter','Segoe UI','Helvetica Neue',Arial,'DejaVu Sans','Liberation Sans
 
 
 def px(value: float) -> str:
-    """A coordinate with two decimals."""
+    """Text of a coordinate with two decimals."""
     return f"{round(value, 2) + 0.0:g}" if abs(value) < 1e4 else f"{value:.0f}"
 
 
 @dataclass(frozen=True)
 class Shape:
-    """One muscle in pixels: where it begins, its length, and what makes its outline; `tint` 0..1 shows its pressure."""
+    """One muscle in pixels: its position, its length and the sizes of its outline; `tint` 0..1 shows its pressure."""
 
     begin: float
     length: float
@@ -84,17 +84,8 @@ class Scene:
             line, s = self._outline(link, float(self.x[i, row])), self.scale
             fitting = FITTING * link.length * s
             tint = link.pressure[row] / self.highest if self.highest else 0.0
-            found.append(
-                Shape(
-                    place + fitting,
-                    line.length * s,
-                    line.fitting * s,
-                    line.radius * s,
-                    line.meet * s,
-                    line.body * s,
-                    tint,
-                )
-            )
+            sizes = {name: getattr(line, name) * s for name in ("length", "fitting", "radius", "meet", "body")}
+            found.append(Shape(begin=place + fitting, **sizes, tint=tint))
             place += 2 * fitting + line.length * s
         return found
 
@@ -120,7 +111,7 @@ def _gradient(name: str, colours: Sequence[str]) -> str:
 
 
 def _braid(number: int, link: Link, scale: float) -> str:
-    """Crossing strands at the braid's angle without contraction; a drawing stretches them as the muscle is."""
+    """A pattern of crossing strands at the angle of the braid without contraction, stretched later with the muscle."""
     high = max(2 * link.radius * scale / 6, 4.0)
     wide = high / math.tan(link.braid_angle)
     return (
@@ -205,7 +196,7 @@ def _fitting(length: float, radius: float, way: int) -> str:
 
 
 def _tip(scene: Scene, tip: float, row: int, *, live: bool) -> str:
-    """The free end: an eye or the load's arrow, how far it has come, and where it rested."""
+    """The free end: an eye or the arrow of the load, its position without contraction, and how far it has moved."""
     load, x = scene.result.load, scene.result.displacement[row]
     mark = (
         f'<path d="M4 0H30M23 -5L31 0L23 5" fill="none" stroke="{INK}" stroke-width="2" stroke-linejoin="round"/>'
@@ -230,14 +221,14 @@ def _tip(scene: Scene, tip: float, row: int, *, live: bool) -> str:
 
 
 def come(tip: float, end: float, y: float) -> str:
-    """The arrow from where the free end rested to where it is; a line of no length where it has not moved."""
+    """The path of the arrow from the free end's position without contraction to its position now."""
     head = min(6.0, max(end - tip, 0.0))
     barb = px(tip + head)
     return f"M{px(end)} {px(y)}H{px(tip)}M{barb} {px(y - 0.6 * head)}L{px(tip)} {px(y)}L{barb} {px(y + 0.6 * head)}"
 
 
 def moments_of(result: Result, count: int = SNAPSHOTS) -> list[float]:
-    """Moments that show the course best: as much motion, and a little of the time, between each and the next [s]."""
+    """Times [s] for snapshots, chosen so that about the same motion lies between each and the next."""
     t = np.array(result.time)
     moved = np.abs(np.diff(np.array([link.displacement for link in result.muscles]), axis=1)).sum(axis=0)
     share = moved / (moved.sum() or 1.0) + 0.25 * np.diff(t) / (t[-1] - t[0])
@@ -282,7 +273,7 @@ def _head(result: Result, scene: Scene) -> str:
 
 
 def pressure_key(scene: Scene) -> str:
-    """What the colour of a muscle says, right-aligned at x = 0."""
+    """The legend of the colour that shows a muscle's pressure, right-aligned at x = 0."""
     steps = "".join(
         f'<rect x="{px(-152 + 12 * i)}" y="-10" width="12.3" height="12" fill="url(#rubber)"/>'
         f'<rect x="{px(-152 + 12 * i)}" y="-10" width="12.3" height="12" fill="url(#tint)" '
@@ -311,7 +302,7 @@ def ruler(scene: Scene) -> str:
 
 
 def standalone(body: str, width: float, height: float, alt: str, head: str = "") -> str:
-    """An SVG file: white ground, a fount, a description."""
+    """A complete SVG file with a white background, a font and a description."""
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {px(width)} {px(height)}" width="{px(width)}" '
         f'height="{px(height)}" role="img" aria-labelledby="alt" font-family="{FONT}">'

@@ -1,9 +1,10 @@
-"""What the symbols of results are called, as their kinds of test declared it; one name for one thing in a report."""
+"""What symbols, kinds of test and methods are called, as the kinds declare it; one name for one thing in a report."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from operator import attrgetter
 
 from pmabench.analysis.results import AGREEMENT, Analysis, Curve, Estimate
 from pmabench.base.kind import Result
@@ -39,18 +40,15 @@ def distinct(analyses: Sequence[Analysis]) -> list[Analysis]:
     """The analyses, their symbols renamed where an earlier one calls another quantity so: `K (bulk modulus)`."""
     first: dict[str, Result] = {}
     renamed = []
+    key = attrgetter("title", "quantity", "unit")
     for analysis in analyses:
         names = {
             result.symbol: f"{result.symbol} ({result.title})"
             for result in analysis.results
-            if not _same(first.setdefault(result.symbol, result), result)
+            if key(first.setdefault(result.symbol, result)) != key(result)
         }
         renamed.append(_renamed(analysis, names) if names else analysis)
     return renamed
-
-
-def _same(one: Result, other: Result) -> bool:
-    return (one.title, one.quantity, one.unit) == (other.title, other.quantity, other.unit)
 
 
 def _renamed(analysis: Analysis, names: Mapping[str, str]) -> Analysis:
@@ -86,3 +84,17 @@ def in_common(orders: Iterable[Iterable[str]]) -> list[str]:
             after = next((whole.index(s) for s in symbols[place + 1 :] if s in whole), len(whole))
             whole.insert(whole.index(symbols[place - 1]) + 1 if place else after, symbol)
     return whole
+
+
+_DIFFERENCE = "Difference of two independent tests of the same specimen; their intervals are added as squares."
+
+
+def described(method: str) -> str:
+    """What a method does; empty for one that is not known.
+
+    What follows ` above ` is a limit of it; after `, ` the way of one side of a comparison.
+    """
+    known = {name: words for kind in registry.all_kinds().values() for name, words in kind.methods.items()}
+    names = (method, method.partition(" above ")[0], method.partition(", ")[0])
+    words = next((known[name] for name in names if name in known), "")
+    return words or (_DIFFERENCE if " against " in method else "")

@@ -1,13 +1,16 @@
-"""An analysis as a model for python-control: its coefficients, the law that joins them, and how far it is off.
+"""An analysis as a model for simulators, python-control and MuJoCo: its coefficients, a law, and how far it is off.
 
-The deviation is found by running the exported law along the pressures of the analysis' own free runs.
+The deviation is found by running the exported law along the pressures of the analysis' own free runs. In MuJoCo the
+muscle is one slide joint under an affine actuator: its force is gain x control + bias with gain and bias affine in
+length and speed, which is the muscle's law where F_ce, K and B are straight lines over the pressure,
+f_0 + f_1 P - (k_0 + k_1 P) x - (b_0 + b_1 P) v. It has one damping for both directions.
 """
 
 from __future__ import annotations
 
 import inspect
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -17,8 +20,31 @@ from pmabench.analysis.results import Analysis, Trace
 from pmabench.base.errors import UsageError
 from pmabench.plotting.pictures import has
 from pmabench.plotting.wording import clean
-from pmabench.report.files.control_law import rates
 from pmabench.store.records import Array, RunData
+
+
+def rates(t: float, state: Any, inputs: Any, params: dict[str, Any]) -> Any:
+    """Rates of [contraction m, speed m/s] under [pressure Pa gauge, load N]: M x'' = F_ce - K x - B x' - F_c - F_L.
+
+    Coefficients are joined by straight lines over the pressure, which go on beyond its ends; stiffness and damping stay
+    above 0. Friction grows with the speed up to F_c within a few `v_0`; a stop of 1e8 N/m holds the muscle at 0.
+    """
+    x, v = float(state[0]), float(state[1])
+    pressure, load = float(inputs[0]), float(inputs[1])
+    knots = params["P"]
+    left = min(max(int(np.searchsorted(knots, pressure)) - 1, 0), max(len(knots) - 2, 0))
+    share = (pressure - knots[left]) / (knots[left + 1] - knots[left]) if len(knots) > 1 else 0.0
+
+    def at(name: str) -> float:
+        values = params[name]
+        return float(values[left] + share * (values[left + 1] - values[left])) if len(knots) > 1 else float(values[0])
+
+    damping = max(at("B_c" if v >= 0 else "B_r"), 1.0)
+    friction = params["F_c"] * np.tanh(v / params["v_0"])
+    stop = max(0.0, -1e8 * x - 4e4 * v) if x < 0 else 0.0
+    a = (at("F_ce") - max(at("K"), 1.0) * x - damping * v - friction - load + stop) / params["M"]
+    return np.array([v, a])
+
 
 GRAVITY = 9.80665
 SLOW = 1e-6
@@ -27,7 +53,7 @@ SLOW = 1e-6
 
 @dataclass(frozen=True)
 class Deviation:
-    """What the exported model is off: from the fitted muscle of the analysis, and from what was measured [m]."""
+    """Differences of the exported model from the fitted muscle of the analysis and from the measurement [m]."""
 
     runs: int
     rms: float
@@ -37,7 +63,7 @@ class Deviation:
 
 @dataclass(frozen=True)
 class ControlModel:
-    """Parameters of `control_law.rates`, and how well they do."""
+    """Parameters of `rates`, and how well they do."""
 
     params: dict[str, Any]
     method: str
@@ -104,7 +130,7 @@ def _free_runs(analysis: Analysis) -> list[Trace]:
 
 
 def _joined(P: Array, places: Sequence[float], values: Sequence[float]) -> Array:
-    """Values at P by straight lines between places, which go on beyond them."""
+    """Values at P, interpolated linearly between places and extrapolated beyond them."""
     if len(places) == 1:
         return np.full(len(P), values[0])
     left = np.clip(np.searchsorted(places, P) - 1, 0, len(places) - 2)
@@ -119,7 +145,7 @@ def _masses(runs: Sequence[RunData]) -> dict[float, float]:
 
 
 def deviation_of(analysis: Analysis, runs: Sequence[RunData], params: dict[str, Any]) -> Deviation | None:
-    """What a model with these parameters is off along the free runs of an analysis; None without any."""
+    """The deviation of a model with these parameters along the free runs of an analysis; None without any."""
     fitted, measured = [], []
     masses = _masses(runs)
     for trace in _free_runs(analysis):
@@ -156,19 +182,7 @@ def control_text(model: ControlModel, analysis: Analysis) -> str:
     mark = "SIMULATED. " if analysis.simulated else ""
     lines += [f"{mark}Method {inside(model.method)}, pmabench {__version__}; runs:"]
     lines += [f"- {inside(run)}" for run in analysis.runs]
-    if model.deviation is None:
-        lines += ["", "How far it is off the fit was not found: the analysis has no free runs."]
-    else:
-        d = model.deviation
-        lines += [
-            "",
-            f"Along the pressures of {d.runs} measured trials its contraction is {d.rms * 1e3:.2g} mm rms off",
-        ]
-        lines += [
-            f"that of the fitted muscle (largest {d.largest * 1e3:.2g} mm), and {d.measured_rms * 1e3:.2g} mm rms"
-        ]
-        lines += ["off the measured one."]
-    lines += [f"{note[:1].upper()}{note[1:]}." for note in model.notes]
+    lines += ["", *remarks_of(model)]
     lines += ['Friction makes it stiff: control.input_output_response(..., solve_ivp_method="LSODA").']
     lines += ["The coefficients hold inside the pressures of `P`; M is the moving mass: put yours.", '"""', ""]
     lines += ["from typing import Any", "", "import control", "import numpy as np", ""]
@@ -199,8 +213,88 @@ def control_text(model: ControlModel, analysis: Analysis) -> str:
     return "\n".join(lines) + "\n"
 
 
+def remarks_of(model: ControlModel) -> list[str]:
+    """How far it is off the fit, and its notes, in lines for the head of a file."""
+    lines = ["How far it is off the fit was not found: the analysis has no free runs."]
+    if (d := model.deviation) is not None:
+        lines = [
+            f"Along the pressures of {d.runs} measured trials its contraction is {d.rms * 1e3:.2g} mm rms off",
+            f"that of the fitted muscle (largest {d.largest * 1e3:.2g} mm), and {d.measured_rms * 1e3:.2g} mm rms",
+            "off the measured one.",
+        ]
+    return [*lines, *(f"{note[:1].upper()}{note[1:]}." for note in model.notes)]
+
+
 def inside(text: str) -> str:
-    """Text that cannot end the docstring around it."""
+    """Text without the signs that could end the docstring or comment that holds it."""
     return "".join(
         sign if sign.isascii() and (sign.isalnum() or sign in " ._-:/") else "?" for sign in clean(text, 120)
     )
+
+
+STEP = 0.0005
+"""Time step of the file [s]."""
+STIFF = "0.9999 0.9999 0.001"
+"""Impedance of the joint's friction: with less of it a muscle at rest creeps."""
+LINES = (("F_ce", "f"), ("K", "k"), ("B", "b"))
+
+
+def mujoco_model(analysis: Analysis, runs: Sequence[RunData] = ()) -> ControlModel:
+    """The model of `control_model` with each coefficient on one straight line; UsageError where it makes none.
+
+    The lines are those of least squares through the values at the tested pressures. B is the mean of B_c and B_r.
+    """
+    model = control_model(analysis, runs)
+    P = model.params["P"]
+    ends = np.array([P[0], P[-1] if len(P) > 1 else P[0] + 1e5])
+    values = {name: model.params[name] for name in ("F_ce", "K", "B_c", "B_r")}
+    values["B"] = 0.5 * (values["B_c"] + values["B_r"])
+    lines = {name: np.polyval(line_through(P, values[name]), ends) for name, _ in LINES}
+    both = {"B_c": lines["B"], "B_r": lines["B"]}
+    params = model.params | {"P": ends, "F_ce": lines["F_ce"], "K": lines["K"], **both}
+    notes = [*model.notes, "one damping for both directions: the mean of B_c and B_r"]
+    return replace(model, params=params, notes=notes, deviation=deviation_of(analysis, runs, params))
+
+
+def line_through(P: Array, values: Array) -> Array:
+    """Slope and intercept of least squares, shape (2,); a constant where there is one pressure."""
+    return np.polyfit(P, values, 1) if len(P) > 1 else np.array([0.0, float(values[0])])
+
+
+def mujoco_text(model: ControlModel, analysis: Analysis) -> str:
+    """The MJCF file; the same bytes for the same analysis. Controls: pressure [Pa gauge] and load [N]."""
+    P = model.params["P"]
+    slopes = {}
+    for symbol, name in (("F_ce", "f"), ("K", "k"), ("B_c", "b")):
+        slope, start = line_through(P, np.asarray(model.params[symbol]))
+        slopes[name] = (f"{start:.12g}", f"{slope:.12g}", f"{-start:.12g}", f"{-slope:.12g}")
+    (f_0, f_1, *_), (*_, k_0, k_1), (*_, b_0, b_1) = slopes["f"], slopes["k"], slopes["b"]
+    remarks = ["SIMULATED."] if analysis.simulated else []
+    remarks += [f"A pneumatic muscle as fitted: method {inside(model.method)}, pmabench {__version__}; runs:"]
+    remarks += [inside(run) for run in analysis.runs]
+    remarks += [
+        *remarks_of(model),
+        f"It holds from {P[0] / 1e3:g} to {P[-1] / 1e3:g} kPa. Controls: pressure [Pa gauge] and load [N].",
+        "The joint is the contraction [m]; the mass is the moving mass: put yours.",
+    ]
+    comment = "\n".join(f"  {line.replace('--', '- -')}" for line in remarks)
+    mass, friction = (f"{model.params[name]:.12g}" for name in ("M", "F_c"))
+    return f"""<mujoco model="pneumatic muscle">
+  <!--
+{comment}
+  -->
+  <option timestep="{STEP:g}" integrator="implicitfast" gravity="0 0 0"/>
+  <worldbody>
+    <body name="end">
+      <joint name="contraction" type="slide" axis="0 0 1" limited="true" range="0 1"
+        frictionloss="{friction}" solimpfriction="{STIFF}"/>
+      <geom type="sphere" size="0.02" mass="{mass}" contype="0" conaffinity="0"/>
+    </body>
+  </worldbody>
+  <actuator>
+    <general name="muscle" joint="contraction" gaintype="affine" biastype="affine"
+      gainprm="{f_1} {k_1} {b_1}" biasprm="{f_0} {k_0} {b_0}"/>
+    <motor name="load" joint="contraction" gear="-1"/>
+  </actuator>
+</mujoco>
+"""

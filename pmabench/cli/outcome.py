@@ -1,0 +1,120 @@
+"""What a person sees of a run from the command line: its progress, how it ended, its checks, what to type next."""
+
+from __future__ import annotations
+
+import shlex
+import shutil
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from pmabench.cli.common import Ui, fields, rewrite, say
+from pmabench.files.shipped import shipped_folder
+from pmabench.report.terminal import print_grid
+
+if TYPE_CHECKING:
+    from pmabench.bench.interface import CompiledBench
+    from pmabench.engine.executor import Progress
+    from pmabench.engine.run import Outcome
+    from pmabench.session.checks import Check
+
+FINISHED = ("finished", "failed")
+
+
+def show_next(ui: Ui, outcome: Outcome, bench: CompiledBench, *, trials: bool) -> None:
+    """A line for each thing to do, each with its command; nothing where the run came to its end.
+
+    `trials`: whether the run had any; a session has none, and is done anew. With --quiet only that a bench is tripped.
+    """
+    from pmabench.guard.station import Station
+
+    if bench.realtime and Station(bench.name).latched():
+        reset = f"pmabench vent {_named(bench)} --reset --operator NAME --because TEXT"
+        say(f"the bench is now tripped, and nothing runs on it: look at it, then  {reset}")
+    if trials and outcome.folder is not None and outcome.status not in FINISHED:
+        ui.note(f"the trials that are left:  pmabench run --resume {shlex.quote(str(outcome.folder))}")
+
+
+def _named(bench: CompiledBench) -> str:
+    """The bench as it can be typed here: a shipped one by its name, another by its file."""
+    path = Path(bench.path)
+    if path == (shipped_folder("bench") / path.name).resolve():
+        return path.stem
+    return shlex.quote(str(path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path))
+
+
+def outcome_json(outcome: Outcome) -> dict[str, Any]:
+    """The documented object of a run's end."""
+    return {
+        "schema": "pmabench.outcome/1",
+        "run": str(outcome.folder),
+        **fields(outcome, "status", "why", "exit_code", "bench_seconds", "rows"),
+        "vent": None if outcome.vent is None else fields(outcome.vent, "result", "actions"),
+        "trials_failed": [index + 1 for index in outcome.trials_failed],
+    }
+
+
+def show_outcome(ui: Ui, outcome: Outcome) -> None:
+    """The result of a command that was one run; with --quiet its folder, why it did not finish, how it vented."""
+    if ui.quiet and not ui.json and outcome.status != "finished":
+        say(f"{outcome.status}: {outcome.why}{_vent_words(outcome)}")
+    folder = () if outcome.folder is None else (str(outcome.folder),)
+    ui.result(outcome_json(outcome), lambda: print_outcome(outcome), folder)
+
+
+def print_outcome(outcome: Outcome) -> None:
+    """How it ended, in two lines; where no vent was confirmed, what came of each action and what to do."""
+    why = f": {outcome.why}" if outcome.why else ""
+    click.echo(f"{outcome.status}{why}; {outcome.rows:,} rows{_vent_words(outcome)}")
+    if outcome.vent is not None and not outcome.vent.confirmed:
+        for action in outcome.vent.actions:
+            click.echo(f"  {action}")
+        click.echo("  nobody knows that the pressure is gone: stay away, shut the supply by hand, then pmabench vent")
+    click.echo(str(outcome.folder))
+
+
+def _vent_words(outcome: Outcome) -> str:
+    return f"; vent {outcome.vent.result}" if outcome.vent is not None else ""
+
+
+@contextmanager
+def progress_line(ui: Ui, title: str) -> Iterator[Callable[[Progress], None]]:
+    """A line that is rewritten at most four times a second on a terminal; nothing elsewhere."""
+    live = sys.stderr.isatty() and not ui.quiet and not ui.json
+    started = last = time.monotonic()
+
+    def show(progress: Progress) -> None:
+        nonlocal last
+        now = time.monotonic()
+        if not live or now - last < 0.25:
+            return
+        last = now
+        done = progress.t / (progress.t + progress.longest) if progress.t + progress.longest > 0 else 0.0
+        left = (now - started) * (1 - done) / done if done > 0.02 else None
+        trial = f"trial {progress.trial + 1} of {progress.trials}" if progress.trial is not None else progress.phase
+        bar = "#" * round(24 * done)
+        rest = f", {left:.0f} s left" if left is not None else ""
+        line = f"{title}  [{bar:<24}] {100 * done:3.0f} %  {trial}{rest}"
+        rewrite(line[: shutil.get_terminal_size().columns - 1])
+
+    yield show
+    if live:
+        rewrite()
+
+
+def print_checks(ui: Ui, checks: Sequence[Check], *, err: bool = False) -> None:
+    """The table of a self-test; below it what to look at."""
+    if not checks:
+        return
+    console = ui.console(err=err)
+    heads = ["check", "value", "limit", "verdict"]
+    rows = [[c.name, c.value or (c.hint if c.verdict.startswith("not ") else ""), c.limit, c.verdict] for c in checks]
+    print_grid(console, heads, rows, heads)
+    for check in checks:
+        if check.verdict == "failed":
+            console.print(f"{check.name}: {check.hint}")

@@ -1,1 +1,0 @@
-"""Chains of muscles: `cascade_page`, `cascade_drawing`, `cascade_figures`, `cascade_record`."""

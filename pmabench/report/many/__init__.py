@@ -1,1 +1,0 @@
-"""Many runs: `many`, which works out only what has changed, one by one (`processed`); `many_table`."""

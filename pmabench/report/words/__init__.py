@@ -1,1 +1,0 @@
-"""Words: `names` (kinds of test, coefficients), `method_words`."""

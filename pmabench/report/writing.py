@@ -1,0 +1,110 @@
+"""How reports are written to files, how their pages are rendered, and the short page for what is no report.
+
+A page is one self-contained HTML file; every text on it is escaped. Imports little, so that a kept page is copied fast.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pmabench import __version__
+from pmabench.base.errors import RecordError
+from pmabench.base.text import clean
+from pmabench.plotting.svg import symbol_parts
+
+if TYPE_CHECKING:
+    from pmabench.analysis.results import Finding
+    from pmabench.plotting.pictures import Picture
+
+
+@contextmanager
+def writing(path: Path, what: str) -> Iterator[None]:
+    """Raise RecordError for an operating system error inside: `what` (as "the report") cannot be written to `path`."""
+    try:
+        yield
+    except OSError as error:
+        raise RecordError(f"{path}: {what} cannot be written: {error.strerror or error}") from error
+
+
+def write_file(path: Path, data: str | bytes, what: str) -> Path:
+    """Write text (UTF-8, line ends as they are) or bytes, the folder made where needed. Raises RecordError."""
+    with writing(path, what):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(data.encode() if isinstance(data, str) else data)
+    return path
+
+
+def render(template: str, context: dict[str, Any], **filters: Callable[[Any], Any]) -> str:
+    """A page from a template of this package; `filters` are added to `sym` and `css`."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    environment = Environment(
+        loader=PackageLoader("pmabench.report"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters.update({"sym": symbols_marked, "css": css_text} | filters)
+    return environment.get_template(template).render(context) + "\n"
+
+
+def symbols_marked(text: object) -> Any:
+    """Escaped text with symbols in italics and their subscripts lowered."""
+    from markupsafe import Markup
+
+    tags = {"symbol": ("<i>", "</i>"), "sub": ("<sub>", "</sub>"), "text": ("", "")}
+    parts = symbol_parts(str(text))
+    return Markup("".join(f"{tags[kind][0]}{escape(part)}{tags[kind][1]}" for kind, part in parts))  # noqa: S704
+
+
+def css_text(text: object) -> Any:
+    """Text inside a CSS string: everything but letters, digits and blanks as an escape."""
+    from markupsafe import Markup
+
+    inert = (c if c.isascii() and (c.isalnum() or c == " ") else f"\\{ord(c):06x} " for c in clean(text, 90))
+    return Markup("".join(inert))  # noqa: S704
+
+
+@dataclass(frozen=True)
+class TextTable:
+    """Heads, and rows of text under them; the first `texts` columns are words, the others numbers."""
+
+    title: str
+    heads: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    texts: int = 1
+
+
+@dataclass(frozen=True)
+class Page:
+    """The content of a page for what is no report."""
+
+    kicker: str
+    title: str
+    simulated: bool
+    facts: Sequence[tuple[str, str]]
+    failed: Sequence[str]
+    findings: Sequence[Finding]
+    pictures: Sequence[Picture]
+    tables: Sequence[TextTable]
+
+
+def write_page(page: Page, path: Path) -> Path:
+    """Write a page to `path`; raises RecordError where it cannot be."""
+    tables = [
+        TextTable(
+            f"Numbers of figure {number}: {picture.title}",
+            picture.table.columns,
+            picture.table.cells(),
+            2,
+        )
+        for number, picture in enumerate(page.pictures, 1)
+    ]
+    context = {"page": page, "numbers": tables, "version": __version__}
+    return write_file(path, render("page.html.j2", context, sym=lambda text: symbols_marked(clean(text))), "the page")
