@@ -1,6 +1,6 @@
 """Reduction of steps of displacement at constant pressure: static and instantaneous stiffness, the way back to rest.
 
-Knows the samples. One trial is measured in `step_relaxation`.
+Knows the samples. One trial is measured in `relaxation`.
 """
 
 from __future__ import annotations
