@@ -2,8 +2,8 @@
 
 - `results`: the `Analysis`; `trial`: what one trial says by itself
 - `imported`: what imports say besides their samples; `tuning`: controller settings
-- `many` reduces many runs at once, `cluster` does so on a Dask cluster
-- a library model fitted to a table: `fitting`
+- `many` works on many runs at once, here or on a Dask cluster
+- a library model fitted to a table: `model_fit`, made of `model_problem`
 - what speaks for or against a result, and results next to each other: `verdict`
 - parts of reductions: `shared`
 """

@@ -70,7 +70,7 @@ def measured(
 def import_findings(runs: Sequence[RunData]) -> list[Finding]:
     """What was found wrong with the files: faults and doubts of each, notes counted by kind over all of them.
 
-    Spikes, which are samples and no files, are told once for each channel.
+    Spikes, which are samples and no files, are reported once for each channel.
     """
     findings: list[Finding] = []
     notes: dict[str, list[Mapping[str, Any]]] = {}

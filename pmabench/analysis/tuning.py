@@ -17,7 +17,7 @@ from pmabench.model.loop import Answer, Controller, Loop, Margins, dead_time_for
 from pmabench.model.rules.record import Rule, all_rules
 
 FOLLOWING: dict[str, tuple[tuple[str, str], tuple[str, str]]] = {
-    "Pa/m": (("Pa/(m.s)", "integral gain"), ("Pa.s/m", "derivative gain")),
+    "Pa/m": (("Pa/(m.s)", "integral gain"), ("Pa.s/m", "derivative gain"))
 }
 """Unit of K_p: units and quantities of K_i and K_d."""
 
@@ -45,7 +45,7 @@ class Gains:
     def to_dict(self) -> dict[str, Any]:
         """Plain data; infinite margins as None."""
 
-        def told(made: Margins | Answer | None) -> dict[str, Any]:
+        def as_dict(made: Margins | Answer | None) -> dict[str, Any]:
             found = {} if made is None else asdict(made)
             return {name: value if isfinite(value) else None for name, value in found.items()}
 
@@ -55,9 +55,9 @@ class Gains:
             "form": self.rule.form,
             "source": self.rule.source,
             "gains": {e.symbol: e.to_dict() for e in self.estimates},
-            "margins": told(self.margins) or None,
-            "overshoot": told(self.answer).get("overshoot"),
-            "settling": told(self.answer).get("settling"),
+            "margins": as_dict(self.margins) or None,
+            "overshoot": as_dict(self.answer).get("overshoot"),
+            "settling": as_dict(self.answer).get("settling"),
         }
 
 

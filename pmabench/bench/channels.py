@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -181,9 +180,9 @@ LEAST_ROOM = 1e-3
 """A driven end stays below the specimen's contraction limit by the channel's uncertainty, at least by so much [1]."""
 
 
-def outputs(c: Compilation, channels: Mapping[str, ChannelRecord]) -> dict[str, OutputRecord]:
+def outputs(c: Compilation) -> dict[str, OutputRecord]:
     """Every output that takes values and has no problem, by name."""
-    return {name: output for name in c.bench.set_points if (output := _output(c, name, channels.get(name)))}
+    return {name: output for name in c.bench.set_points if (output := _output(c, name, c.channels.get(name)))}
 
 
 def valves(c: Compilation) -> dict[str, ValveRecord]:

@@ -10,6 +10,7 @@ from typing import Any
 from pmabench.base.errors import InvalidFile, Problem, did_you_mean
 from pmabench.bench.files.bench import BenchFile
 from pmabench.bench.files.specimen import SpecimenFile, any_specimen
+from pmabench.bench.interface import ChannelRecord, OutputRecord, ValveRecord
 from pmabench.files.document import Document, Location, Strict, document_text, validate
 from pmabench.files.quantity import unit_factor
 
@@ -26,6 +27,10 @@ class Compilation:
         """Channel -> lowest and highest value [SI] that its calibration covers."""
         self.extrapolated: list[str] = []
         """Trips beyond what a calibration covers, each with how well it is known there."""
+        self.channels: dict[str, ChannelRecord] = {}
+        """Every channel that has no problem, by name; outputs and valves likewise."""
+        self.outputs: dict[str, OutputRecord] = {}
+        self.valves: dict[str, ValveRecord] = {}
         self.driver_lacks: list[str] = []
         """What of devices' options may surprise; each line goes on after "this bench has"."""
         files: dict[type[Strict], Any] = {SpecimenFile: any_specimen()}

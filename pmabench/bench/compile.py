@@ -19,7 +19,7 @@ from pmabench.bench.compilation import Compilation
 from pmabench.bench.driver_options import checked
 from pmabench.bench.files.bench import BenchFile, DeviceFile
 from pmabench.bench.files.specimen import SpecimenFile
-from pmabench.bench.interface import ChannelRecord, CompiledBench, DeviceRecord, OutputRecord, SafeAction, ValveRecord
+from pmabench.bench.interface import CompiledBench, DeviceRecord, SafeAction, ValveRecord
 from pmabench.bench.registry import HARDWARE, driver_class
 from pmabench.bench.remarks import lacks, mistaken
 from pmabench.bench.safety import interlocks, proof, safe_state, setup_pressure, stop_rate, trips
@@ -110,14 +110,14 @@ def _compilation(paths: list[Path], today: datetime.date | None) -> Compilation:
 
 
 def _compile(c: Compilation, path: Path) -> Mounted:
-    measured = channels(c)
-    commanded, switched = outputs(c, measured), valves(c)
-    trip_records = tuple(trips(c, measured, commanded))
-    actions = safe_state(c, measured, commanded, switched)
-    missing = (*lacks(c, measured, commanded), *lacks_session(c))
-    most = setup_pressure(c, commanded)
-    proof_test, before = proof(c, most), session(c, measured, commanded, most)
-    devices = tuple(_devices(c, measured, commanded, switched, actions))
+    c.channels = channels(c)
+    c.outputs, c.valves = outputs(c), valves(c)
+    trip_records = tuple(trips(c))
+    actions = safe_state(c)
+    missing = (*lacks(c), *lacks_session(c))
+    most = setup_pressure(c)
+    proof_test, before = proof(c, most), session(c, most)
+    devices = tuple(_devices(c, actions))
     if c.problems:
         raise InvalidFile(c.problems)
     weights = c.bench.weights
@@ -143,16 +143,10 @@ def _compile(c: Compilation, path: Path) -> Mounted:
         proof=proof_test,
         path=str(path.resolve()),
     )
-    return Mounted(bench, c.bench, c.specimen, c.texts, missing, before, tuple(mistaken(c, measured, devices)))
+    return Mounted(bench, c.bench, c.specimen, c.texts, missing, before, tuple(mistaken(c, devices)))
 
 
-def _devices(
-    c: Compilation,
-    measured: Mapping[str, ChannelRecord],
-    commanded: Mapping[str, OutputRecord],
-    switched: Mapping[str, ValveRecord],
-    actions: tuple[SafeAction, ...],
-) -> Iterator[DeviceRecord]:
+def _devices(c: Compilation, actions: tuple[SafeAction, ...]) -> Iterator[DeviceRecord]:
     locked = interlocks(c)
     for name, file in c.bench.devices.items():
         try:
@@ -165,9 +159,9 @@ def _devices(
             driver,
             file.address,
             file.options,
-            tuple(channel for channel in measured.values() if channel.device == name),
-            tuple(output for output in commanded.values() if output.device == name),
-            tuple(_left_safe(valve, actions) for valve in switched.values() if valve.device == name),
+            tuple(channel for channel in c.channels.values() if channel.device == name),
+            tuple(output for output in c.outputs.values() if output.device == name),
+            tuple(_left_safe(valve, actions) for valve in c.valves.values() if valve.device == name),
             tuple(locked[name]),
             file.watchdog or 0.0,
             _verified(file),

@@ -8,25 +8,25 @@ from typing import Any, NamedTuple
 
 from pmabench.base.quantities import show
 from pmabench.bench.compilation import Compilation
-from pmabench.bench.interface import ChannelRecord, DeviceRecord, OutputRecord
+from pmabench.bench.interface import ChannelRecord, DeviceRecord
 from pmabench.bench.safety import SUPPLY_MARGIN
 
 
-def lacks(c: Compilation, channels: Mapping[str, ChannelRecord], outputs: Mapping[str, OutputRecord]) -> Iterator[str]:
+def lacks(c: Compilation) -> Iterator[str]:
     """Each line goes on after "this bench has"; a relief valve that protects nothing is a problem, not a lack."""
-    yield from _air(c, outputs)
+    yield from _air(c)
     yield from c.driver_lacks
-    yield from _calibrations(c, channels)
+    yield from _calibrations(c)
     if c.bench.weights is not None and c.bench.weights.catch_height is None:
         yield (
             "no catch height: venting drops a raised stack; remedy: a catch under the stack and "
             '"catch_height", or "ramp_down: pressure" before the dump valve opens'
         )
     if c.bench.time == "real":
-        yield from _of_a_real_bench(c, channels)
+        yield from _of_a_real_bench(c)
 
 
-def _air(c: Compilation, outputs: Mapping[str, OutputRecord]) -> Iterator[str]:
+def _air(c: Compilation) -> Iterator[str]:
     air, never = c.bench.air, c.specimen.limits.pressure.never_above
     if air.relief_valve == "none":
         most = show(never, "pressure") if isfinite(never) else "what the muscle bears"
@@ -38,24 +38,24 @@ def _air(c: Compilation, outputs: Mapping[str, OutputRecord]) -> Iterator[str]:
         place = c.specimen_place("limits", "pressure", "never_above")
         opens = show(air.relief_valve, "pressure")
         c.fault(("air", "relief_valve"), f"opens at {opens}, not below the specimen's never_above ({place})")
-    elif "pressure" in outputs and air.relief_valve <= outputs["pressure"].high:
-        most = f"{show(outputs['pressure'].high, 'pressure')} ({outputs['pressure'].high_from})"
+    elif "pressure" in c.outputs and air.relief_valve <= c.outputs["pressure"].high:
+        most = f"{show(c.outputs['pressure'].high, 'pressure')} ({c.outputs['pressure'].high_from})"
         c.fault(("air", "relief_valve"), f"opens below what may be commanded, {most}")
     if "pressure" in c.bench.set_points and not c.bench.normally_open_dump:
         yield (
             "no normally-open dump valve: pressure stays on when the power or the computer fails; "
             'remedy: "dump_valve" among the outputs with "energised: closed"'
         )
-    if "pressure" in outputs and air.supply < outputs["pressure"].high + SUPPLY_MARGIN:
+    if "pressure" in c.outputs and air.supply < c.outputs["pressure"].high + SUPPLY_MARGIN:
         yield (
             f"a supply of {show(air.supply, 'pressure')}, less than {show(SUPPLY_MARGIN, 'pressure')} above the "
-            f"highest set-point {show(outputs['pressure'].high, 'pressure')}: high set-points are not reached; "
+            f"highest set-point {show(c.outputs['pressure'].high, 'pressure')}: high set-points are not reached; "
             'remedy: more supply, or a lower "command"'
         )
 
 
-def _calibrations(c: Compilation, channels: Mapping[str, ChannelRecord]) -> Iterator[str]:
-    for name, channel in channels.items():
+def _calibrations(c: Compilation) -> Iterator[str]:
+    for name, channel in c.channels.items():
         record = channel.calibration
         if record.valid_until and record.valid_until < c.today.isoformat():
             yield f"an expired calibration of {name}, {record.id}, valid until {record.valid_until}; remedy: a new one"
@@ -66,11 +66,11 @@ def _calibrations(c: Compilation, channels: Mapping[str, ChannelRecord]) -> Iter
             )
 
 
-def _pressure_elsewhere(c: Compilation, channels: Mapping[str, ChannelRecord]) -> Iterator[str]:
+def _pressure_elsewhere(c: Compilation) -> Iterator[str]:
     """A line where the guard, which outlives the program, cannot read the pressure by itself."""
     guarded = {file.device for file in c.bench.outputs.values()} | {lock.input.device for lock in c.bench.interlocks}
     guarded |= {name for name, file in c.bench.devices.items() if file.watchdog}
-    channel = channels.get("pressure")
+    channel = c.channels.get("pressure")
     if channel is not None and channel.device not in guarded:
         yield (
             f"its pressure on {channel.device}, which only measures ({c.place('channels', 'pressure', 'device')}): the "
@@ -85,7 +85,7 @@ def _pressure_elsewhere(c: Compilation, channels: Mapping[str, ChannelRecord]) -
         )
 
 
-def _of_a_real_bench(c: Compilation, channels: Mapping[str, ChannelRecord]) -> Iterator[str]:
+def _of_a_real_bench(c: Compilation) -> Iterator[str]:
     pressurising = {file.device for name, file in c.bench.outputs.items() if name in {"pressure", "dump_valve"}}
     accepted = c.bench.no_watchdog
     for device in sorted(pressurising):
@@ -101,11 +101,11 @@ def _of_a_real_bench(c: Compilation, channels: Mapping[str, ChannelRecord]) -> I
             )
     if "pressure" not in c.bench.set_points:
         return
-    yield from _pressure_elsewhere(c, channels)
+    yield from _pressure_elsewhere(c)
     if not c.bench.interlocks:
         yield 'no interlock: the program does not see the emergency stop; remedy: "interlocks" with a contact of it'
     watched = {(entry.kind, entry.channel) for entry in c.bench.watch if entry.action in {"stop", "vent"}}
-    if "pressure" in channels and not {("stale", "pressure"), ("frozen", "pressure")} & watched:
+    if "pressure" in c.channels and not {("stale", "pressure"), ("frozen", "pressure")} & watched:
         yield (
             "nothing that sees a dead pressure sensor; remedy: "
             '"watch: [{stale: pressure, for: 100 ms, action: vent}, {off_range: pressure, action: vent}]"'
@@ -162,14 +162,14 @@ TOO_WIDE = 2.0
 """A calibration over so many times the range of its channel is likely another sensor's."""
 
 
-def mistaken(c: Compilation, channels: Mapping[str, ChannelRecord], devices: Sequence[DeviceRecord]) -> Iterator[str]:
+def mistaken(c: Compilation, devices: Sequence[DeviceRecord]) -> Iterator[str]:
     """A simulated muscle that is not the specimen, and calibrations that do not fit the range of their channel."""
     for device in devices:
         if "plant" in device.options and c.length:
             yield from _other_muscle(c, device.name, device.options["plant"])
     for name, (low, high) in c.calibrated.items():
-        if name in channels and not name.endswith("_command"):
-            yield from _of_another_range(c, channels[name], low, high)
+        if name in c.channels and not name.endswith("_command"):
+            yield from _of_another_range(c, c.channels[name], low, high)
 
 
 def _other_muscle(c: Compilation, device: str, plant: Any) -> Iterator[str]:

@@ -5,7 +5,7 @@ A trip that protects nothing is refused, and so is a safe state that does not ve
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 
 from pmabench.base.quantities import CHANNEL_QUANTITY, show
 from pmabench.bench.compilation import Compilation
@@ -14,11 +14,9 @@ from pmabench.bench.files.specimen import Reading
 from pmabench.bench.interface import (
     ChannelRecord,
     InterlockRecord,
-    OutputRecord,
     ProofTest,
     SafeAction,
     TripRecord,
-    ValveRecord,
 )
 from pmabench.files.document import Location
 
@@ -48,38 +46,34 @@ ENDS = ("stop", "vent")
 """Actions that take the pressure off."""
 
 
-def trips(
-    c: Compilation, channels: Mapping[str, ChannelRecord], outputs: Mapping[str, OutputRecord]
-) -> Iterator[TripRecord]:
+def trips(c: Compilation) -> Iterator[TripRecord]:
     """Every limit of bench and specimen on a channel, and every entry of the watch list."""
     ends_contraction = False
     for name, limit in c.bench.limits.items():
         for key in ("command", "command_low"):
             if getattr(limit, key) is not None and name not in c.bench.set_points:
                 c.fault(("limits", name, key), f'nothing commands "{name}" on this bench')
-        channel = channels.get(LIMIT_CHANNEL[name])
+        channel = c.channels.get(LIMIT_CHANNEL[name])
         if channel is None:
             if (limit.trip or limit.trip_low) and LIMIT_CHANNEL[name] not in c.bench.channels:
                 c.fault(("limits", name), f'there is no channel "{LIMIT_CHANNEL[name]}" to watch')
             continue
-        found = _range(c, name, limit, channel, outputs)
+        found = _range(c, name, limit, channel)
         if found is not None:
             ends_contraction = ends_contraction or (name == "contraction" and found.action in ENDS)
             yield found
-    yield from _of_the_specimen(c, channels, watched=ends_contraction)
-    yield from _supply(c, channels, outputs)
+    yield from _of_the_specimen(c, watched=ends_contraction)
+    yield from _supply(c)
     pressure = c.bench.limits.get("pressure")
     if "pressure" in c.bench.set_points and (pressure is None or pressure.trip is None):
         c.fault(("limits", "pressure"), 'the output "pressure" has no trip limit; add "pressure: {trip: ...}"')
     for index, entry in enumerate(c.bench.watch):
-        watch = _watch(c, index, entry, channels, outputs)
+        watch = _watch(c, index, entry)
         if watch is not None:
             yield watch
 
 
-def _range(
-    c: Compilation, name: str, limit: LimitFile, channel: ChannelRecord, outputs: Mapping[str, OutputRecord]
-) -> TripRecord | None:
+def _range(c: Compilation, name: str, limit: LimitFile, channel: ChannelRecord) -> TripRecord | None:
     at: Location = ("limits", name)
     before = len(c.problems)
     high, low = _bound(c, name, limit.trip, "trip"), _bound(c, name, limit.trip_low, "trip_low")
@@ -101,7 +95,7 @@ def _range(
             c.fault((*at, "trip"), "a value above zero is expected: the bench would trip where it rests")
             return None
         _inside(c, (*at, "trip"), high, channel)
-        _above_commands(c, name, high, channel, outputs)
+        _above_commands(c, name, high, channel)
         if name == "pressure":
             _protects_the_muscle(c, limit, high)
     return TripRecord(channel.name, low, high, limit.delay, limit.action, source)
@@ -153,11 +147,9 @@ def _extrapolation(c: Compilation, channel: ChannelRecord, value: float) -> floa
     return 2.0 * _beyond(c, channel, value) * channel.calibration.offset_uncertainty
 
 
-def _above_commands(
-    c: Compilation, name: str, high: float, channel: ChannelRecord, outputs: Mapping[str, OutputRecord]
-) -> None:
+def _above_commands(c: Compilation, name: str, high: float, channel: ChannelRecord) -> None:
     """A trip lies above what may be commanded, by the channel's uncertainty and the regulator's overshoot."""
-    output = outputs.get(LIMIT_CHANNEL[name])
+    output = c.outputs.get(LIMIT_CHANNEL[name])
     if output is None:
         return
     margin = channel.calibration.uncertainty(high) + _extrapolation(c, channel, high)
@@ -181,9 +173,9 @@ def _protects_the_muscle(c: Compilation, limit: LimitFile, high: float) -> None:
         c.fault(("limits", "pressure", "action"), 'the trip limit of the pressure must "vent"')
 
 
-def _of_the_specimen(c: Compilation, channels: Mapping[str, ChannelRecord], *, watched: bool) -> Iterator[TripRecord]:
+def _of_the_specimen(c: Compilation, *, watched: bool) -> Iterator[TripRecord]:
     """The specimen's contraction limit, where no limit of the bench that stops or vents is as strict."""
-    if "displacement" in channels and not watched and c.length is not None:
+    if "displacement" in c.channels and not watched and c.length is not None:
         most = c.specimen.limits.contraction * c.length
         yield TripRecord("displacement", None, most, 0.0, "vent", c.specimen_place("limits", "contraction"))
     if "displacement" not in c.bench.channels and c.bench.free_end in {"weights", "actuator"}:
@@ -192,11 +184,9 @@ def _of_the_specimen(c: Compilation, channels: Mapping[str, ChannelRecord], *, w
         c.fault(("channels",), 'nothing measures the pressure that is commanded; add a channel "pressure"')
 
 
-def _supply(
-    c: Compilation, channels: Mapping[str, ChannelRecord], outputs: Mapping[str, OutputRecord]
-) -> Iterator[TripRecord]:
+def _supply(c: Compilation) -> Iterator[TripRecord]:
     """A measured supply stays above what may be commanded; the bench holds while it does not."""
-    supply, output = channels.get("supply"), outputs.get("pressure")
+    supply, output = c.channels.get("supply"), c.outputs.get("pressure")
     if supply is None or output is None:
         return
     least = output.high + SUPPLY_MARGIN
@@ -215,18 +205,12 @@ def _supply(
     yield TripRecord("supply", least, None, SUPPLY_DELAY, "hold", c.place(*place))
 
 
-def _watch(
-    c: Compilation,
-    index: int,
-    entry: WatchFile,
-    channels: Mapping[str, ChannelRecord],
-    outputs: Mapping[str, OutputRecord],
-) -> TripRecord | None:
+def _watch(c: Compilation, index: int, entry: WatchFile) -> TripRecord | None:
     at: Location = ("watch", index)
     kind, name = entry.kind, entry.channel
-    if c.unknown((*at, kind), "channel", name, c.bench.channels) or name not in channels:
+    if c.unknown((*at, kind), "channel", name, c.bench.channels) or name not in c.channels:
         return None
-    channel = channels[name]
+    channel = c.channels[name]
     quantity = channel.quantity
     delay, window = entry.for_ or 0.0, entry.within or 0.0
     low: float | None = None
@@ -237,7 +221,7 @@ def _watch(
         high = _above_zero(c, entry.more_than, quantity, (*at, "more_than"))
         if name not in c.bench.set_points:
             c.fault(
-                (*at, kind), f'nothing commands "{name}"; what is commanded here: {", ".join(outputs) or "nothing"}'
+                (*at, kind), f'nothing commands "{name}"; what is commanded here: {", ".join(c.outputs) or "nothing"}'
             )
     elif kind == "burst":
         high = _above_zero(c, entry.falls, quantity, (*at, "falls"))
@@ -268,19 +252,14 @@ SETUP_PRESSURE = 100e3
 """Highest pressure before the bench is proven, where the file does not say [Pa]."""
 
 
-def safe_state(
-    c: Compilation,
-    channels: Mapping[str, ChannelRecord],
-    outputs: Mapping[str, OutputRecord],
-    valves: Mapping[str, ValveRecord],
-) -> tuple[SafeAction, ...]:
+def safe_state(c: Compilation) -> tuple[SafeAction, ...]:
     """The declared actions in order; each output must end where it is safe, and the vent must be confirmed."""
     actions: list[SafeAction | None] = []
     for index, file in enumerate(c.bench.safe_state):
         verb = file.verb
         at: Location = ("safe_state", index)
         if verb in {"set", "ramp_down", "drive_quick_stop"}:
-            actions.append(_output(c, file, at, outputs))
+            actions.append(_output(c, file, at))
         elif verb in {"open", "close"}:
             target = str(getattr(file, verb))
             known = not c.unknown((*at, verb), "valve", target, c.bench.valves)
@@ -288,23 +267,21 @@ def safe_state(
         elif verb == "hold":
             actions.append(SafeAction("hold", "", 0.0, file.hold or 0.0))
         else:
-            actions.append(_confirm(c, file, at, channels))
+            actions.append(_confirm(c, file, at))
     if None not in actions:
         found = tuple(action for action in actions if action is not None)
-        _vents(c, found, outputs)
-        _ends_safe(c, found, outputs, valves)
+        _vents(c, found)
+        _ends_safe(c, found)
         return found
     return ()
 
 
-def _output(
-    c: Compilation, file: SafeActionFile, at: Location, outputs: Mapping[str, OutputRecord]
-) -> SafeAction | None:
+def _output(c: Compilation, file: SafeActionFile, at: Location) -> SafeAction | None:
     verb, within = file.verb, file.within or 0.0
     target = str(getattr(file, verb))
-    if c.unknown((*at, verb), "output that takes values", target, c.bench.set_points) or target not in outputs:
+    if c.unknown((*at, verb), "output that takes values", target, c.bench.set_points) or target not in c.outputs:
         return None
-    output = outputs[target]
+    output = c.outputs[target]
     if verb == "drive_quick_stop":
         if target == "pressure":
             c.fault((*at, verb), 'the pressure is not a drive; use "set", "ramp_down" or "open"')
@@ -327,13 +304,11 @@ def _output(
     return SafeAction("ramp", target, value, within, rate)
 
 
-def _confirm(
-    c: Compilation, file: SafeActionFile, at: Location, channels: Mapping[str, ChannelRecord]
-) -> SafeAction | None:
+def _confirm(c: Compilation, file: SafeActionFile, at: Location) -> SafeAction | None:
     target = str(file.confirm)
-    if c.unknown((*at, "confirm"), "channel", target, c.bench.channels) or target not in channels or not file.below:
+    if c.unknown((*at, "confirm"), "channel", target, c.bench.channels) or target not in c.channels or not file.below:
         return None
-    channel = channels[target]
+    channel = c.channels[target]
     below = c.si(file.below, channel.quantity, (*at, "below"))
     if target == "pressure" and below <= 0:
         c.fault((*at, "below"), "a pressure above zero is expected: a vent ends at that of the room")
@@ -345,13 +320,13 @@ def _confirm(
     return SafeAction("confirm", target, below, file.within or 0.0)
 
 
-def _vents(c: Compilation, actions: tuple[SafeAction, ...], outputs: Mapping[str, OutputRecord]) -> None:
+def _vents(c: Compilation, actions: tuple[SafeAction, ...]) -> None:
     """Pressure begins to fall soon, ends at its safe value, and is looked at after that."""
     if "pressure" not in c.bench.set_points:
         return
     to_pressure = [n for n, a in enumerate(actions) if a.do in {"set", "ramp"} and a.target == "pressure"]
     first = [n for n, a in enumerate(actions) if n in to_pressure or (a.do == "open" and a.target == "dump_valve")]
-    output = outputs.get("pressure")
+    output = c.outputs.get("pressure")
     if not to_pressure or (output is not None and actions[to_pressure[-1]].value > output.safe):
         safe = show(output.safe, "pressure") if output else "its safe value"
         c.fault(("safe_state",), f'does not vent: its last "set: pressure" or "ramp_down: pressure" must go to {safe}')
@@ -366,18 +341,13 @@ def _vents(c: Compilation, actions: tuple[SafeAction, ...], outputs: Mapping[str
         c.fault(("safe_state", looks[-1]), "looks before the vent; the confirmation comes last")
 
 
-def _ends_safe(
-    c: Compilation,
-    actions: tuple[SafeAction, ...],
-    outputs: Mapping[str, OutputRecord],
-    valves: Mapping[str, ValveRecord],
-) -> None:
+def _ends_safe(c: Compilation, actions: tuple[SafeAction, ...]) -> None:
     """Every drive is stopped or brought to a place, every valve gets a position, and the dump valve ends open."""
     moved = {action.target for action in actions if action.do in {"set", "ramp", "stop"}}
-    for name in outputs:
+    for name in c.outputs:
         if name != "pressure" and name not in moved:
             c.fault(("safe_state",), f'leaves "{name}" moving: add "drive_quick_stop: {name}" or "set: {name}"')
-    for name in valves:
+    for name in c.valves:
         ends = [action.do for action in actions if action.target == name and action.do in {"open", "close"}]
         if name == "dump_valve" and (not ends or ends[-1] != "open"):
             c.fault(("safe_state",), 'does not open the dump valve: "- {open: dump_valve, within: ...}" is missing')
@@ -400,9 +370,9 @@ def interlocks(c: Compilation) -> dict[str, list[InterlockRecord]]:
     return found
 
 
-def setup_pressure(c: Compilation, outputs: Mapping[str, OutputRecord]) -> float:
+def setup_pressure(c: Compilation) -> float:
     """Highest pressure before the bench is proven [Pa], never above the command limit."""
-    output = outputs.get("pressure")
+    output = c.outputs.get("pressure")
     most = output.high if output is not None else SETUP_PRESSURE
     if c.bench.setup_pressure is None:
         return min(SETUP_PRESSURE, most)

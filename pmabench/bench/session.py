@@ -10,7 +10,6 @@ from functools import cached_property
 from pmabench.base.quantities import in_words, show
 from pmabench.bench.compilation import Compilation
 from pmabench.bench.files.bench import SelfTestFile, SessionFile
-from pmabench.bench.interface import ChannelRecord, OutputRecord
 from pmabench.files.document import Location
 
 TOLERANCE = 1e-3
@@ -160,9 +159,7 @@ class Session:
         return tuple(found)
 
 
-def session(
-    c: Compilation, channels: Mapping[str, ChannelRecord], outputs: Mapping[str, OutputRecord], setup: float
-) -> Session | None:
+def session(c: Compilation, setup: float) -> Session | None:
     """The session that the bench file declares, or None; `setup` is the set-up pressure [Pa]."""
     file = c.bench.session
     if file is None:
@@ -170,9 +167,9 @@ def session(
     warm_up = None
     if file.warm_up is not None:
         given = file.warm_up
-        _commanded(c, outputs, given.pressure, ("session", "warm_up", "pressure"))
+        _commanded(c, given.pressure, ("session", "warm_up", "pressure"))
         warm_up = WarmUp(given.duration, given.pressure, given.period)
-    return Session(_self_test(c, file, channels, outputs, setup), warm_up, _zeros(c, file, channels), file.valid)
+    return Session(_self_test(c, file, setup), warm_up, _zeros(c, file), file.valid)
 
 
 def lacks_session(c: Compilation) -> Iterator[str]:
@@ -184,11 +181,11 @@ def lacks_session(c: Compilation) -> Iterator[str]:
         )
 
 
-def _commanded(c: Compilation, outputs: Mapping[str, OutputRecord], pressure: float, at: Location) -> None:
+def _commanded(c: Compilation, pressure: float, at: Location) -> None:
     if "pressure" not in c.bench.set_points:
         c.fault(at, "nothing commands the pressure on this bench")
-    elif "pressure" in outputs and pressure > outputs["pressure"].high:
-        most = f"{show(outputs['pressure'].high, 'pressure')} ({outputs['pressure'].high_from})"
+    elif "pressure" in c.outputs and pressure > c.outputs["pressure"].high:
+        most = f"{show(c.outputs['pressure'].high, 'pressure')} ({c.outputs['pressure'].high_from})"
         c.fault(at, f"{show(pressure, 'pressure')} is above the command limit, {most}")
 
 
@@ -207,42 +204,36 @@ def _mass(c: Compilation, load: tuple[str, float] | None, at: Location) -> float
     return mass
 
 
-def _zeros(c: Compilation, file: SessionFile, channels: Mapping[str, ChannelRecord]) -> dict[str, Zero]:
+def _zeros(c: Compilation, file: SessionFile) -> dict[str, Zero]:
     found: dict[str, Zero] = {}
     for name, zero in file.zeros.items():
         at: Location = ("session", "zeros", name)
-        if c.unknown(at, "channel", name, c.bench.channels) or name not in channels:
+        if c.unknown(at, "channel", name, c.bench.channels) or name not in c.channels:
             continue
-        most = c.si(zero.most, channels[name].quantity, (*at, "most"))
+        most = c.si(zero.most, c.channels[name].quantity, (*at, "most"))
         if most <= 0:
             c.fault((*at, "most"), "a value above zero is expected")
         found[name] = Zero(most, zero.at, _mass(c, zero.load, (*at, "load")))
     return found
 
 
-def _self_test(
-    c: Compilation,
-    file: SessionFile,
-    channels: Mapping[str, ChannelRecord],
-    outputs: Mapping[str, OutputRecord],
-    setup: float,
-) -> SelfTest | None:
+def _self_test(c: Compilation, file: SessionFile, setup: float) -> SelfTest | None:
     given: SelfTestFile | None = file.self_test
     if given is None:
         return None
     at: Location = ("session", "self_test")
     highest = setup if given.pressure is None else given.pressure
-    _commanded(c, outputs, highest, at if given.pressure is None else (*at, "pressure"))
+    _commanded(c, highest, at if given.pressure is None else (*at, "pressure"))
     if highest > setup:
         c.fault((*at, "pressure"), f"is above the set-up pressure, {show(setup, 'pressure')}")
     if given.step > highest or highest / given.step > 50:
         c.fault((*at, "step"), f"one to fifty steps up to {show(highest, 'pressure')} are expected")
         return None
     count = max(1, round(highest / given.step))
-    noise = {name: NOISE * (channel.high - channel.low) for name, channel in channels.items()}
+    noise = {name: NOISE * (channel.high - channel.low) for name, channel in c.channels.items()}
     for name, reading in given.noise.items():
-        if not c.unknown((*at, "noise", name), "channel", name, c.bench.channels) and name in channels:
-            noise[name] = c.si(reading, channels[name].quantity, (*at, "noise", name))
+        if not c.unknown((*at, "noise", name), "channel", name, c.bench.channels) and name in c.channels:
+            noise[name] = c.si(reading, c.channels[name].quantity, (*at, "noise", name))
     return SelfTest(
         points=tuple(highest * (index + 1) / count for index in range(count)),
         settle=given.settle,

@@ -57,7 +57,7 @@ def run_campaign(
     """Run the campaign `file`; `seed` replaces that of simulated devices; `resume` goes on with what `out` holds."""
     from pmabench.cli.prepare import Prepared, seeded
     from pmabench.cli.run import execute
-    from pmabench.kinds.campaign import plan_campaign
+    from pmabench.kinds.compile import plan_campaign
 
     name, planned = plan_campaign(find_file("campaign", file))
     outcomes: list[Outcome] = []

@@ -20,7 +20,7 @@ from pmabench.report.terminal import print_grid
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from pmabench.analysis.fitting.model_fit import ModelFit
+    from pmabench.analysis.model_fit import ModelFit
     from pmabench.cli.model_measured import Measured
     from pmabench.model.library import Model, Parameter
     from pmabench.model.library.description import Output
@@ -134,7 +134,7 @@ def _fit(
     model: Model, measured: Measured, given: Mapping[str, Any], begin: Mapping[str, Any], free: str | None
 ) -> ModelFit:
     """The fit, or UsageError with what makes it impossible."""
-    from pmabench.analysis.fitting.model_fit import fit_model
+    from pmabench.analysis.model_fit import fit_model
     from pmabench.model.library import OutsideDomain
 
     fixed = {p.name: given.get(p.name, p.value) for p in model.parameters if p.name not in measured.columns}
@@ -166,7 +166,7 @@ def _unknown(
     free: str | None,
 ) -> list[str]:
     """Inputs that are fitted: those of `--free`, or those that the model names and that change the output."""
-    from pmabench.analysis.fitting.model_problem import acting
+    from pmabench.analysis.model_problem import acting
 
     able = [p.name for p in model.parameters if not p.choices and p.name not in measured.columns]
     if free is None:

@@ -11,8 +11,7 @@ from typing import Any
 
 import click
 
-from pmabench.analysis.cluster import Cluster
-from pmabench.analysis.many import Pool, Processes
+from pmabench.analysis.many import Cluster, Pool, Processes
 from pmabench.cli.common import Ui
 from pmabench.plotting.wording import clean
 from pmabench.report.many import SCHEMA, Many, plain_entry, process_many, write_table

@@ -56,7 +56,7 @@ def command(
 
     The runs and what was made of them before stay as they are; the new analyses get a folder of their own.
     """
-    from pmabench.analysis.verdict.changes import changes
+    from pmabench.analysis.verdict.comparison import changes
     from pmabench.cli.process import analyse, campaign_folder, load_runs, without_analyses, write
     from pmabench.kinds.registry import loops
     from pmabench.report.pages.change_tables import print_changes, write_changes

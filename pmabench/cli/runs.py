@@ -110,7 +110,7 @@ def _summary(data: RunData, going_on: Mapping[str, str]) -> dict[str, Any]:
 
 
 def _print_run(data: RunData, going_on: Mapping[str, str]) -> None:
-    from pmabench.analysis.verdict.record import unresolved_of
+    from pmabench.analysis.verdict.checks import unresolved_of
     from pmabench.display.wording import point_text
 
     manifest = data.manifest

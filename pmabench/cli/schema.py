@@ -90,8 +90,7 @@ def _of_models(kind: str) -> dict[str, Any]:
     from pmabench.bench.files.plant import AnyPlant, FaultsFile, TruthFile
     from pmabench.bench.files.specimen import CalibrationFile, SpecimenFile
     from pmabench.kinds import registry
-    from pmabench.kinds.campaign import CampaignFile
-    from pmabench.kinds.compile import kind_class
+    from pmabench.kinds.compile import CampaignFile, kind_class
     from pmabench.protocol.cascade import CascadeFile
     from pmabench.store.importers.map_file import MapFile
 

@@ -38,6 +38,14 @@ MANY = 10
 """Rounds of questions after which no more may be open than before."""
 RECOVERS = 5
 """How often a question may fail after the wire is well again."""
+LISTENS = 0.03
+"""How long samples are damaged before they are collected [s]."""
+HEALS = 2
+"""How often a question may fail on a good wire before the device is opened again."""
+OPENS = 5
+"""How often it may fail to open after that."""
+SELDOM_LATE = 500
+"""Of so many pieces one call may be late: this computer has other things to do, too."""
 
 
 def calls(rig: Rig, device: Any) -> list[tuple[str, Callable[[], Any], float]]:
@@ -245,18 +253,6 @@ def _left() -> tuple[frozenset[str], int]:
         f"{thread.name} ({thread.ident})" for thread in threading.enumerate() if not thread.name.startswith("link-")
     )
     return names, open_files()
-
-
-LISTENS = 0.03
-"""How long samples are damaged before they are collected [s]."""
-HEALS = 2
-"""How often a question may fail on a good wire before the device is opened again."""
-OPENS = 5
-"""How often it may fail to open after that."""
-
-
-SELDOM_LATE = 500
-"""Of so many pieces one call may be late: this computer has other things to do, too."""
 
 
 class Battle:

@@ -18,6 +18,10 @@ from pmabench.conformance.truth import Truth
 
 BEHIND = 0.12
 """How far a ramp may be from its time [s]."""
+EARLY, LATEST = 0.1, 0.25
+"""How much before and after its time a watchdog may act [s]."""
+NOTICED = 0.5
+"""So soon a difference must be in `held` [s]."""
 
 
 def ramps(rig: Rig) -> str:
@@ -123,12 +127,6 @@ def halts(rig: Rig) -> str:
                 where = show(stopped, output.quantity)
                 raise Late(f"{output.name}: halt() in the middle of a ramp left the plant at {where}, not where it was")
     return "a ramp stops where it is"
-
-
-EARLY, LATEST = 0.1, 0.25
-"""How much before and after its time a watchdog may act [s]."""
-NOTICED = 0.5
-"""So soon a difference must be in `held` [s]."""
 
 
 def watchdog(rig: Rig) -> str:

@@ -16,6 +16,11 @@ from random import Random
 Pieces = Sequence[tuple[float, bytes]]
 """What arrives instead: after so long [s], these bytes."""
 Damage = Callable[[bytes], Pieces]
+SELDOM = {"late", "nothing"}
+"""They cost a time-out each."""
+PIECE = 4096
+WAIT = 0.05
+"""Longest wait for bytes on a serial line [s]."""
 
 
 def silence(_data: bytes) -> Pieces:
@@ -54,8 +59,6 @@ KINDS: dict[str, Callable[[bytes, Random, bytes], Pieces]] = {
     "nothing": lambda _data, _chance, _before: [],
 }
 """Name -> what arrives instead of `data`, where `before` came last."""
-SELDOM = {"late", "nothing"}
-"""They cost a time-out each."""
 
 
 class Hostile:
@@ -79,11 +82,6 @@ class Hostile:
         before, self._before = self._before, data
         self.done += 1
         return KINDS[self.kind](data, self._chance, before) if data else ()
-
-
-PIECE = 4096
-WAIT = 0.05
-"""Longest wait for bytes on a serial line [s]."""
 
 
 class Relay(ABC):

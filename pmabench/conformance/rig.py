@@ -25,6 +25,20 @@ from pmabench.conformance.truth import Behind, Emulated, Inside, Truth
 from pmabench.guard.owner import PATIENCE, Call, Owner
 
 PASSED, FAILED, NOT_APPLICABLE, NOT_CHECKED = "pass", "fail", "does not apply", "not checked"
+OPENS_WITHIN = 2.0
+"""Longest time that `open` may take [s]."""
+STARTS_WITHIN = 8.0
+"""And that of a simulation without a wire, which may start another process [s]: so long the guard waits."""
+COLLECTS_WITHIN = 0.5
+"""Longest time that `start`, `collect` and `stop` may take [s]."""
+HUNG = 10.0
+"""A call that is not back after so long counts as hanging [s]."""
+CALLS_WITHIN = PATIENCE
+"""Longest time that a command or a question may take [s]."""
+_PLACE = re.compile(r"(.*://)?((?:[A-Za-z0-9._-]+|\[[0-9A-Fa-f:.]+\]):\d{1,5})")
+"""HOST:PORT, also behind the beginning of an address like `slcan:socket://`."""
+SLACK = 0.1
+"""What every call is given besides [s], and three times what this computer was late meanwhile."""
 
 
 @dataclass(frozen=True)
@@ -51,22 +65,6 @@ class NotApplicable(Exception):
 
 class NotChecked(Exception):
     """Something could not be compared with an independent reference; the text says what, why, and what was compared."""
-
-
-OPENS_WITHIN = 2.0
-"""Longest time that `open` may take [s]."""
-STARTS_WITHIN = 8.0
-"""And that of a simulation without a wire, which may start another process [s]: so long the guard waits."""
-COLLECTS_WITHIN = 0.5
-"""Longest time that `start`, `collect` and `stop` may take [s]."""
-HUNG = 10.0
-"""A call that is not back after so long counts as hanging [s]."""
-CALLS_WITHIN = PATIENCE
-"""Longest time that a command or a question may take [s]."""
-_PLACE = re.compile(r"(.*://)?((?:[A-Za-z0-9._-]+|\[[0-9A-Fa-f:.]+\]):\d{1,5})")
-"""HOST:PORT, also behind the beginning of an address like `slcan:socket://`."""
-SLACK = 0.1
-"""What every call is given besides [s], and three times what this computer was late meanwhile."""
 
 
 @dataclass(frozen=True)

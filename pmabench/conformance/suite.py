@@ -18,6 +18,36 @@ from pmabench.conformance.broken_wire import Battle
 from pmabench.conformance.rig import Result, Rig
 from pmabench.files.shipped import shipped_folder
 
+CHECKS: dict[str, Callable[[Rig], str]] = {
+    "interface": unopened.interfaces,
+    "imports": unopened.light,
+    "declares": unopened.declared,
+    "options": unopened.options,
+    "nobody there": unopened.nobody,
+    "life": unopened.life,
+    "samples": samples.samples,
+    "values": samples.values,
+    "set-points": commands.set_points,
+    "valves": commands.valves,
+    "inputs": commands.inputs,
+    "from outside": commands.from_outside,
+    "ramps": following.ramps,
+    "halt": following.halts,
+    "watchdog": following.watchdog,
+    "held": following.held,
+    "safe state": commands.safe_state,
+    "second way": commands.second_way,
+    "silence": broken_wire.silent,
+    "late answers": broken_wire.late_answers,
+    "line cut": broken_wire.hang_up,
+    "exchanges": broken_wire.exchanges,
+    "nothing left": broken_wire.nothing_left,
+}
+"""Name -> check; what it promises is the first line of its docstring."""
+HOSTILE = "hostile answers"
+ATTEMPTS = 3
+"""A check in which a call is late is tried so often."""
+
 
 @dataclass(frozen=True)
 class Subject:
@@ -76,37 +106,6 @@ def _size(record: DeviceRecord) -> tuple[int, int]:
     """Kinds of things, and things, that a device has."""
     groups = (record.channels, record.outputs, record.valves, record.interlocks)
     return sum(map(bool, groups)) + bool(record.watchdog), sum(map(len, groups))
-
-
-CHECKS: dict[str, Callable[[Rig], str]] = {
-    "interface": unopened.interfaces,
-    "imports": unopened.light,
-    "declares": unopened.declared,
-    "options": unopened.options,
-    "nobody there": unopened.nobody,
-    "life": unopened.life,
-    "samples": samples.samples,
-    "values": samples.values,
-    "set-points": commands.set_points,
-    "valves": commands.valves,
-    "inputs": commands.inputs,
-    "from outside": commands.from_outside,
-    "ramps": following.ramps,
-    "halt": following.halts,
-    "watchdog": following.watchdog,
-    "held": following.held,
-    "safe state": commands.safe_state,
-    "second way": commands.second_way,
-    "silence": broken_wire.silent,
-    "late answers": broken_wire.late_answers,
-    "line cut": broken_wire.hang_up,
-    "exchanges": broken_wire.exchanges,
-    "nothing left": broken_wire.nothing_left,
-}
-"""Name -> check; what it promises is the first line of its docstring."""
-HOSTILE = "hostile answers"
-ATTEMPTS = 3
-"""A check in which a call is late is tried so often."""
 
 
 def run(subject: Subject, *, hostile: int = 300, seed: int = 1, only: Collection[str] = ()) -> Iterator[Result]:

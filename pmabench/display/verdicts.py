@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pmabench.analysis.shared.motion import never, not_moved
+from pmabench.analysis.shared.samples import never, not_moved
 from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.base.errors import InvalidFile
 from pmabench.base.quantities import show

@@ -1,6 +1,6 @@
 """Kinds of test: one folder for each, with its record `KIND`, its protocol, reduction and live display.
 
-- `registry` finds them; `compile` makes plans of protocol files, `campaign` of several, `reduce` analyses of runs
+- `registry` finds them; `compile` makes plans of protocol files, one or several, `reduce` analyses of runs
 - muscles that lift weights: `static_load`, `contraction_relaxation`, `validation`
 - the free end is moved: `isobaric_ramp`, `step_displacement`, `sinusoidal_displacement`, `closed_volume`
 - at rest: `isometric_pressurisation`, `free_contraction`, `arm_angle`

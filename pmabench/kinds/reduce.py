@@ -8,14 +8,12 @@ from typing import Any
 
 from pmabench.analysis.imported import without_doubtful
 from pmabench.analysis.results import POINT_QUANTITIES, Analysis, Estimate
-from pmabench.analysis.shared import repeats
-from pmabench.analysis.shared.motion import with_motion
+from pmabench.analysis.shared.samples import with_motion
+from pmabench.analysis.shared.trials import repeat_traces
 from pmabench.analysis.verdict.acceptance import Pairs, not_accepted
 from pmabench.analysis.verdict.agreement import KIND as AGREEMENT
-from pmabench.analysis.verdict.agreement import against_static, agreement
-from pmabench.analysis.verdict.checks import with_checks
-from pmabench.analysis.verdict.offers import Offer, offers_of
-from pmabench.analysis.verdict.record import with_record
+from pmabench.analysis.verdict.agreement import Offer, against_static, agreement, offers_of
+from pmabench.analysis.verdict.checks import with_checks, with_record
 from pmabench.base.errors import did_you_mean, invalid
 from pmabench.base.kind import Result
 from pmabench.base.quantities import show
@@ -95,7 +93,7 @@ def _reduced(kind: str, runs: Sequence[RunData], options: Mapping[str, Any] | No
     analysis = record.part("reduction")(runs, options)
     analysis = with_motion(with_checks(analysis, record, runs), runs, record.moves)
     checked = with_record(without_doubtful(analysis, runs), runs)
-    return replace(checked, traces=(*checked.traces, *repeats.traces(record.compares, runs)))
+    return replace(checked, traces=(*checked.traces, *repeat_traces(record.compares, runs)))
 
 
 def verdicts(runs: Sequence[RunData], analyses: Sequence[Analysis]) -> list[str]:

@@ -1,6 +1,7 @@
 """What figures are made of: drawings from plain columns, their words, units and numbers; no kind of test, no page.
 
-- `pictures`: a drawing with title, caption, alternative text and its numbers; `svg`: as an element of a page
+- `pictures`: a drawing with title, caption, alternative text and its numbers (a `frame` of text); `svg`: as an element
+  of a page
 - drawings: `plots`, `time_plots`
 - figures that several kinds of test share: `loops`, `isometric`, `motion`
 - words, units, and numbers as people read them: `wording`

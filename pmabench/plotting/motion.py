@@ -146,8 +146,8 @@ def residuals(traces: Sequence[Trace], simulated: bool) -> list[Picture]:
     )
     columns = {"lag": lags} | {f"r{n}": r for n, (_, r) in enumerate(correlations)}
     table = numbers([("", Trace("", "", "", columns, {"lag": "time"}))])
-    heads = (f"autocorrelation {n}, {name}" for n, (name, _) in enumerate(correlations, 1))
-    table.columns = ["lag [s]", *heads]
+    for n, (name, _) in enumerate(correlations):
+        table = table.renamed(f"r{n}", f"autocorrelation {n + 1}, {name}")
     draw = bound(_draw_residuals, lags, correlations, normal, quantiles)
     return [picture(draw, "Residuals of the free runs", caption, alt, table, wide=True, simulated=simulated)]
 

@@ -10,11 +10,11 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
 from pmabench.analysis.results import Analysis, Estimate, Trace
 from pmabench.plotting import plots
+from pmabench.plotting.frame import Frame
 from pmabench.plotting.plots import Array, Panel
 from pmabench.plotting.svg import drawing, to_svg
 from pmabench.plotting.wording import COLUMNS, Shown, clean, shown
@@ -40,13 +40,13 @@ class Picture:
     caption: str
     alt: str
     svg: str
-    table: pd.DataFrame
+    table: Frame
     wide: bool
     simulated: bool
 
 
 def picture(
-    draw: Callable[[], Figure], title: str, caption: str, alt: str, table: pd.DataFrame, *, wide: bool, simulated: bool
+    draw: Callable[[], Figure], title: str, caption: str, alt: str, table: Frame, *, wide: bool, simulated: bool
 ) -> Picture:
     """Draw within the style of reports, stamped where simulated."""
     with drawing():
@@ -126,16 +126,17 @@ def panel(trace: Trace, names: Mapping[str, str], title: str) -> Panel:
     return Panel(title, {new: values[::stride] for new, values in columns.items()}, dict(trace.marks), published)
 
 
-def numbers(traces: Sequence[tuple[str, Trace]], wanted: Sequence[str] = ()) -> pd.DataFrame:
+def numbers(traces: Sequence[tuple[str, Trace]], wanted: Sequence[str] = ()) -> Frame:
     """The numbers of traces, evenly thinned, with the panel's title in front; text."""
-    frames = []
+    cells: list[dict[str, str]] = []
     for title, trace in traces:
         names = [name for name in (wanted or tuple(trace.columns)) if name in trace.columns]
         length = len(trace.columns[names[0]]) if names else 0
         rows = np.unique(np.linspace(0, length - 1, min(length, TABLE_ROWS)).astype(int))
         texts = {label(trace, name): _texts(column(trace, name), rows) for name in names}
-        frames.append(pd.DataFrame({**({"panel": [clean(title, 80)] * len(rows)} if len(traces) > 1 else {}), **texts}))
-    return pd.concat(frames, ignore_index=True).fillna("") if frames else pd.DataFrame()
+        panel = {"panel": clean(title, 80)} if len(traces) > 1 else {}
+        cells += [{**panel, **dict(zip(texts, row, strict=True))} for row in zip(*texts.values(), strict=True)]
+    return Frame(cells)
 
 
 def _texts(values: Array, rows: NDArray[np.intp]) -> list[str]:

@@ -28,16 +28,16 @@ def print_coefficients(analyses: Sequence[Analysis], console: Console) -> None:
         results = declared([analysis])
         groups = _for_terminal(shown_estimates, results)
         for names, (members, constant) in groups.items():
-            frame = pivot_table(members, results) if names else whole_table(members, results).drop(columns="quantity")
+            frame = pivot_table(members, results) if names else whole_table(members, results).without("quantity")
             over = in_order(members[0].at, POINTS)
             by = f"by {' and '.join(spoken(name) for name in over)}" if over else "for the whole campaign"
             at = f", at {point_text(constant)}" if constant else ""
-            for method, rows in frame.groupby("method", sort=False):
+            for method in dict.fromkeys(frame["method"]):
                 console.print(Text(f"  {method}, {by}{at}", style="italic"))
-                body = rows.drop(columns="method").loc[:, lambda f: (f != "").any()]
-                cells = [[str(value) for value in row] for row in body.itertuples(index=False)]
-                print_grid(console, [str(head) for head in body.columns], cells, ("symbol", "unit"), len(names) or 1)
-                for reason in _reasons([e for e in members if clean(e.method) == method]):
+                mine = [e for e in members if clean(e.method) == method]
+                body = frame.where(cell == method for cell in frame["method"]).without("method").filled()
+                print_grid(console, body.columns, body.cells(), ("symbol", "unit"), len(names) or 1)
+                for reason in _reasons(mine):
                     console.print(Text(f"  {reason}"))
         shown_symbols = {e.symbol for members, _ in groups.values() for e in members}
         more = [

@@ -100,8 +100,8 @@ def write_page(page: Page, path: Path) -> Path:
     tables = [
         TextTable(
             f"Numbers of figure {number}: {picture.title}",
-            [str(head) for head in picture.table.columns],
-            [[str(cell) for cell in row] for row in picture.table.itertuples(index=False)],
+            picture.table.columns,
+            picture.table.cells(),
             2,
         )
         for number, picture in enumerate(page.pictures, 1)

@@ -312,7 +312,7 @@ def _cuts(events: Sequence[Event]) -> list[_Cut]:
 
 
 def command_of(event: Event) -> Command:
-    """A `command` event as a Command; what it says besides the usual goes into `data` where it is a number."""
+    """A `command` event as a Command; what else it says goes into `data` where it is a number."""
     data = event.data
     return Command(
         t=event.t,

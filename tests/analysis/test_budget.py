@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from pmabench.analysis.results import Estimate
-from pmabench.kinds.contraction_relaxation.bootstrap import bootstrap
+from pmabench.kinds.contraction_relaxation.intervals import bootstrap
 from pmabench.kinds.contraction_relaxation.pooled import Fit
 from pmabench.kinds.contraction_relaxation.reduction import estimates_of, pool
 from pmabench.kinds.contraction_relaxation.segments import Segments

@@ -14,11 +14,11 @@ import pytest
 
 from pmabench.analysis.results import Analysis
 from pmabench.kinds.contraction_relaxation.departures import causes, order
+from pmabench.kinds.contraction_relaxation.drift import weighed
 from pmabench.kinds.contraction_relaxation.intervals import Pooled
 from pmabench.kinds.contraction_relaxation.reduction import pool, reduce
 from pmabench.kinds.contraction_relaxation.trials import Campaign, gather
 from pmabench.kinds.contraction_relaxation.view import findings
-from pmabench.kinds.contraction_relaxation.weights import weighed
 from pmabench.kinds.reduce import verdicts
 from pmabench.store.records import Event, RunData, TrialData
 from tests.analysis.judged import as_run

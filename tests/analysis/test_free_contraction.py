@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from pmabench.base.errors import InvalidFile
+from pmabench.kinds.free_contraction.figures import half_pressure, rounding
 from pmabench.kinds.free_contraction.reduction import reduce
-from pmabench.kinds.free_contraction.view import half_pressure, rounding
 from pmabench.store.records import Flag
 from tests.analysis.driven_runs import ROOT, planned, recorded
 from tests.analysis.test_honesty import unexplained

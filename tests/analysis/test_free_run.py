@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pmabench.kinds.contraction_relaxation import reduction as contraction
-from pmabench.kinds.contraction_relaxation.free_run import FreeRun, nrmse, rms
+from pmabench.kinds.contraction_relaxation.checks import FreeRun, nrmse, rms
 from tests.analysis.simulate import contraction_run, rig
 
 CELLS = [(load, P) for load in (58.86, 156.96, 255.06) for P in (3e5, 4e5, 5e5)]

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from pmabench.analysis.results import Analysis
-from pmabench.analysis.shared.turns import turns_of
-from pmabench.kinds.isobaric_ramp.reduction import reduce
-from pmabench.kinds.isobaric_ramp.rubber import fit, rubber_force
+from pmabench.analysis.shared.ramp_loop import turns_of
+from pmabench.kinds.isobaric_ramp.reduction import fit, reduce, rubber_force
 from pmabench.store.records import Flag, RunData
 from tests.analysis.driven_runs import recorded
 from tests.analysis.test_honesty import unexplained

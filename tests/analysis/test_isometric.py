@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pmabench.analysis.shared.sessions import mean_over_sessions
+from pmabench.analysis.shared.trials import mean_over_sessions
 from pmabench.kinds.isometric import reduction as isometric
 from pmabench.store.reader import open_run
 from tests import fixtures_old_runs as made

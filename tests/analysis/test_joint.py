@@ -10,7 +10,7 @@ import pytest
 
 from pmabench.analysis.results import Analysis
 from pmabench.base.errors import UsageError
-from pmabench.kinds.contraction_relaxation.forms import asked, order_of
+from pmabench.kinds.contraction_relaxation.joint import asked, order_of
 from pmabench.kinds.contraction_relaxation.reduction import reduce
 from pmabench.store.records import RunData
 from tests.analysis.coverage_study import hits, judged_by, table

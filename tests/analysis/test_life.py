@@ -5,8 +5,18 @@ from __future__ import annotations
 import pytest
 
 from pmabench.analysis.results import Analysis, Estimate, Parts
-from pmabench.analysis.verdict.control_chart import chart
-from pmabench.analysis.verdict.life import Past, References, Use, chosen, findings, leak_of, pasts, series_of, use_of
+from pmabench.analysis.verdict.life import (
+    Past,
+    References,
+    Use,
+    chart,
+    chosen,
+    findings,
+    leak_of,
+    pasts,
+    series_of,
+    use_of,
+)
 from pmabench.store.records import Event
 
 

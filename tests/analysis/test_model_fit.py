@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from pmabench.analysis.fitting.model_fit import fit_model
-from pmabench.analysis.fitting.model_problem import acting
+from pmabench.analysis.model_fit import fit_model
+from pmabench.analysis.model_problem import acting
 from pmabench.model.library import MODELS
 
 BAR, DEG = 1e5, math.pi / 180

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pmabench.analysis.shared.reference import compared, findings
+from pmabench.analysis.shared.trials import compared, reference_findings
 from pmabench.store.records import Command, Flag, RunData, TrialData
 
 FIRST = 40e-3
@@ -41,7 +41,7 @@ def test_the_change_of_stroke_is_that_of_the_numbers_put_in():
 
 
 def test_drift_beyond_the_bound_is_a_doubt_and_less_is_a_note():
-    told = findings([run(trial(0, FIRST), trial(5, FIRST * 1.019), trial(11, FIRST * 0.95, again=True))])
+    told = reference_findings([run(trial(0, FIRST), trial(5, FIRST * 1.019), trial(11, FIRST * 0.95, again=True))])
     assert [one.level for one in told] == ["doubt", "note"]
     assert "38 mm" in told[0].text
     assert "-5.00%" in told[0].text

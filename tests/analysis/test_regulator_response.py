@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from pmabench.kinds.contraction_relaxation.bandwidth import METHOD, response, step
 from pmabench.kinds.contraction_relaxation.reduction import reduce
-from pmabench.kinds.contraction_relaxation.regulator_response import METHOD, response, step
 from tests.analysis.simulate import LOADS, contraction_run, rig
 
 T = np.arange(-0.1, 2.0, 0.002)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pmabench.analysis.shared import replay
+from pmabench.analysis.shared import simulated
 from pmabench.analysis.shared.samples import Noise, Samples
 from pmabench.kinds.contraction_relaxation.pooled import Fit
 from pmabench.model.curve import Curve
@@ -36,7 +36,7 @@ def test_replay_moves_like_the_plant(mass: float, F_c: float):
     plant.command((*constant(0.1, 500e3), *constant(4.0, 300e3), *constant(7.0, 0.0)))
     t = np.arange(0, 10, 0.002)
     motion = plant.advance(float(t[-1]), t)
-    again = replay.run(fitted(F_c), motion.P[:, None], 0.002, np.array([100.0]), np.array([mass]), np.array([0.0]))
+    again = simulated.run(fitted(F_c), motion.P[:, None], 0.002, np.array([100.0]), np.array([mass]), np.array([0.0]))
     assert np.abs(again.x[:, 0] - motion.x).max() < 30e-6
     moving = (np.abs(motion.v) > 5e-3) & (np.abs(np.gradient(motion.v, t)) < 0.5)
     assert np.abs(again.force[:, 0] - motion.F)[moving].max() < 0.5
@@ -44,7 +44,7 @@ def test_replay_moves_like_the_plant(mass: float, F_c: float):
 
 def test_the_replay_rests_on_its_support():
     P = np.full((200, 1), 150e3)
-    again = replay.run(fitted(6.0), P, 0.002, np.array([200.0]), np.array([20.0]), np.array([0.0]))
+    again = simulated.run(fitted(6.0), P, 0.002, np.array([200.0]), np.array([20.0]), np.array([0.0]))
     assert (again.x == 0.0).all()
     assert again.force[-1, 0] == pytest.approx(127.5)
 
@@ -52,12 +52,12 @@ def test_the_replay_rests_on_its_support():
 def test_the_same_seed_shows_the_same_samples():
     t = np.arange(100) / 500
     samples = Samples(3, t, np.full(100, 3e5), np.zeros(100), np.zeros(100), np.ones(100, dtype=np.bool_), 50.0, 5.0)
-    work = replay.stretches([(samples, slice(10, 100)), (samples, slice(0, 50))], 0.002, 5)
+    work = simulated.stretches([(samples, slice(10, 100)), (samples, slice(0, 50))], 0.002, 5)
     assert work.P.shape == (90, 2)
-    run = replay.run(fitted(0.0), work.P, work.dt, work.load, work.mass, work.x)
+    run = simulated.run(fitted(0.0), work.P, work.dt, work.load, work.mass, work.x)
     noise = Noise(500.0, 2e-6, 0.3)
-    first, second = (replay.measured(work, run, noise, True, 7) for _ in range(2))
+    first, second = (simulated.measured(work, run, noise, True, 7) for _ in range(2))
     assert [len(s.t) for s in first] == [90, 50]
     assert np.array_equal(first[0].x, second[0].x)
-    assert not np.array_equal(first[0].x, replay.measured(work, run, noise, True, 8)[0].x)
-    assert replay.measured(work, run, noise, False, 7)[0].force is None
+    assert not np.array_equal(first[0].x, simulated.measured(work, run, noise, True, 8)[0].x)
+    assert simulated.measured(work, run, noise, False, 7)[0].force is None

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from pmabench.analysis.results import Estimate, Parts
-from pmabench.analysis.shared.onset import dead_times, onset
+from pmabench.analysis.shared.samples import dead_times, onset
 from pmabench.kinds.contraction_relaxation.curves import curve, polynomial
-from pmabench.kinds.contraction_relaxation.steps import exponential, regress, stiffness
+from pmabench.kinds.contraction_relaxation.exponentials import exponential, regress, stiffness
 
 T = np.arange(0, 10, 0.002)
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-import pmabench.analysis.cluster
+import pmabench.analysis.many
 from pmabench.cli.main import main
 from tests.benchmarks.archive import write_run
 
@@ -54,7 +54,7 @@ def test_two_workers_give_the_same_bytes(tmp_path, scheduler, monkeypatch):
 
 def test_without_the_extra_or_a_scheduler_a_sentence_says_so(tmp_path, monkeypatch):
     write_run(tmp_path / "runs", 0)
-    monkeypatch.setattr(pmabench.analysis.cluster, "PATIENCE", 0.5)
+    monkeypatch.setattr(pmabench.analysis.many, "PATIENCE", 0.5)
     assert (
         "no Dask scheduler answers there"
         in call("process", tmp_path / "runs", "--cluster", "tcp://127.0.0.1:9", code=2).output

@@ -3,6 +3,8 @@
 import json
 import os
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -162,6 +164,21 @@ def test_process_and_report_never_touch_the_run(run_folder, tmp_path):
     assert not re.search(r"""(?:src|href)\s*=\s*["']?(?:https?:)?//""", text)
     call("report", tmp_path / "a" / "contraction-relaxation", "-o", tmp_path / "again.html")
     assert {path: path.read_bytes() for path in run_folder.rglob("*") if path.is_file()} == before
+
+
+def test_process_and_report_import_no_heavy_library_that_they_do_not_need(run_folder, tmp_path):
+    """scipy, pandas, pydantic and the 3D axes of matplotlib take longer to import than these runs to process."""
+    heavy = ["scipy", "pandas", "pydantic", "mpl_toolkits.mplot3d"]
+    for command in (["process", "--out", str(tmp_path / "a")], ["report", "-o", str(tmp_path / "r.html")]):
+        code = (
+            "import sys\nfrom pmabench.cli.main import main\ntry:\n    main()\n"
+            f"finally:\n    print([name for name in {heavy} if name in sys.modules], file=sys.stderr)"
+        )
+        done = subprocess.run(
+            [sys.executable, "-c", code, *command, str(run_folder), "-q"], capture_output=True, text=True, check=False
+        )
+        assert done.returncode in (0, 6), done.stderr
+        assert done.stderr.splitlines()[-1] == "[]"
 
 
 def test_process_twice_gives_the_same_bytes(run_folder, tmp_path):

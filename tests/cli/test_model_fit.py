@@ -134,7 +134,7 @@ def test_all_bad_cells_come_at_once(tmp_path):
 
 
 def test_a_fit_that_does_not_converge_has_the_exit_code_of_a_failed_verdict(monkeypatch):
-    from pmabench.analysis.fitting import model_problem
+    from pmabench.analysis import model_problem
 
     monkeypatch.setattr(model_problem, "MOST_EVALUATIONS", 1)
     result = call("tondu-lopez", STRAND, code=6)

@@ -8,8 +8,7 @@ import pytest
 
 from pmabench.base.errors import InvalidFile
 from pmabench.bench.compile import mount
-from pmabench.kinds.campaign import plan_campaign
-from pmabench.kinds.compile import make_plan
+from pmabench.kinds.compile import make_plan, plan_campaign
 from pmabench.protocol.driven import predicted_force
 from pmabench.protocol.plan import Ask, Follow, Ramp, Record, Seek, Set
 

@@ -1,6 +1,7 @@
 """Tests on common axes: blocked force beside free contraction, force over contraction beside the model."""
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from pmabench.analysis.results import Analysis, Estimate, Parts, Trace
@@ -41,7 +42,7 @@ def free():
 
 def test_blocked_force_stands_beside_free_contraction():
     ends, _ = characteristic([steps(), isometric(), free()])
-    row = ends.table.set_index("P [kPa]").loc["300"]
+    row = pd.DataFrame(ends.table.rows).set_index("P [kPa]").loc["300"]
     assert row["blocked force F_b [N]"].startswith("275.0")
     assert row["free contraction [mm]"].startswith("39.29")  # 275 N by 7 N/mm
     assert float(row["free contraction [%]"]) == pytest.approx(15.71, abs=0.005)
@@ -52,7 +53,7 @@ def test_blocked_force_stands_beside_free_contraction():
 
 def test_the_difference_of_measured_force_and_model_is_told():
     _, family = characteristic([steps(), isometric(off=2.0), free()])
-    table = family.table.set_index(["P [kPa]", "x [mm]"])
+    table = pd.DataFrame(family.table.rows).set_index(["P [kPa]", "x [mm]"])
     assert table.loc[("400", "30.00"), "F measured [N]"] == "175.0"
     assert table.loc[("400", "30.00"), "F model [N]"] == "173.0"
     assert set(table["difference [N]"]) == {"2.00"}

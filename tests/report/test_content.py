@@ -4,7 +4,6 @@ import re
 from dataclasses import replace
 
 import numpy as np
-import pandas as pd
 import pytest
 
 from pmabench.analysis.results import Analysis, Estimate, Finding, Parts, Source, Trace
@@ -12,7 +11,6 @@ from pmabench.report.document.checklist import Issuer
 from pmabench.report.document.content import content_of
 from pmabench.report.document.deviations import deviations
 from pmabench.report.document.front import verdict_of
-from pmabench.report.document.grids import grid
 from pmabench.report.document.provenance import methods_paragraph
 from pmabench.report.document.special_tables import budget_table, trial_ranges
 from pmabench.report.figures import coefficient_figures
@@ -152,7 +150,7 @@ def test_budgets_tell_shares_and_what_was_not_assessed():
     e = replace(analysis.estimates[0], parts=Parts(repeats=(9.01) ** 0.5, calibration=4.0), budget=sources)
     table = budget_table(replace(analysis, estimates=(e, *analysis.estimates[1:])))
     assert table.caption.endswith("not assessed: drift (no reference trial)")
-    (row,) = table.frame.to_dict("records")
+    (row,) = table.frame.rows
     assert row["sources, shares of the variance"] == "calibration of pressure 64 %, scatter 36 %, 1 other < 0.1 %"
     assert row["± 95 %"] == "5.0"
     assert budget_table(analysis) is None
@@ -178,12 +176,6 @@ def test_labels_of_long_numbers_are_not_cut():
     (picture,) = coefficient_figures.others(Analysis("x", ("r",), False, estimates))
     (baseline,) = re.findall(r'<text[^>]* x="(-?[\d.]+)"[^>]*rotate\(-90', picture.svg)
     assert float(baseline) > 8.0, "a label of 8 points stands left of its base line"
-
-
-def test_columns_with_one_head_are_told_apart():
-    made = grid(pd.DataFrame([["1", "2"]], columns=["force", "force"]))
-    assert [c.head for c in made.columns] == ["force (1)", "force (2)"]
-    assert [cell.text for cell in made.groups[0][1][0]] == ["1", "2"]
 
 
 def test_a_test_of_a_new_kind_has_its_figures_on_the_first_page():

@@ -20,7 +20,7 @@ def test_the_autocorrelation_is_that_of_the_process():
     """x(k) = 0.9 x(k-1) + e has the autocorrelation 0.9^k."""
     noise = lfilter([1.0], [1.0, -0.9], np.random.default_rng(1).standard_normal(40_000))
     (picture,) = residuals([free_run(noise)], False)
-    told = picture.table.set_index("lag [s]")["autocorrelation 1, a"].astype(float)
+    told = dict(zip(picture.table["lag [s]"], map(float, picture.table["autocorrelation 1, a"]), strict=True))
     for lag, value in told.items():
         assert value == pytest.approx(0.9 ** (float(lag) / 0.01), abs=0.04)
     assert len(told) > 10
@@ -42,6 +42,7 @@ def test_nothing_is_drawn_where_there_is_nothing_to_see():
     assert residuals([free_run(np.ones(50))], False) == []
     assert over_pressure([free_run(np.ones(50))], False) == []
     repeats = [free_run(np.random.default_rng(n).standard_normal(1000)) for n in range(3)]
-    assert residuals(repeats, False)[0].table.columns.is_unique, "repeats have one title"
+    heads = residuals(repeats, False)[0].table.columns
+    assert len(heads) == len(set(heads)), "repeats have one title"
     (picture,) = over_pressure([free_run(np.ones(50), name) for name in "ab"], False)
     assert "for a; b" in picture.alt

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pmabench.analysis.results import Analysis, Trace
-from pmabench.analysis.shared.repeats import traces
+from pmabench.analysis.shared.trials import repeat_traces
 from pmabench.report.figures.coefficient_figures import repeats
 from tests.report.samples import run
 
@@ -28,7 +28,7 @@ def of(*trials):
     like = run(KIND)
     made = tuple(trial_at(like.trials[0], i, *trial[:2], **(trial[2] if len(trial) > 2 else {}))
                  for i, trial in enumerate(trials))  # fmt: skip
-    return traces("displacement", [replace(like, trials=made)])
+    return repeat_traces("displacement", [replace(like, trials=made)])
 
 
 def test_the_point_with_most_repeats_is_shown():
@@ -43,7 +43,7 @@ def test_trials_of_reference_and_those_that_ended_early_are_no_repeats():
     assert of((1e5, 0.01), (1e5, 0.01, {"status": "aborted"})) == []
     assert of((1e5, 0.01), (2e5, 0.01)) == []
     like = run(KIND)
-    assert traces("", [replace(like, trials=(like.trials[0],) * 2)]) == []
+    assert repeat_traces("", [replace(like, trials=(like.trials[0],) * 2)]) == []
 
 
 def test_scatter_and_first_repeat_are_those_of_the_numbers():

@@ -1,8 +1,8 @@
 """Tables too wide for a page: several that hold the same cells, none of them wide, none with an empty row."""
 
-import pandas as pd
 import pytest
 
+from pmabench.plotting.frame import Frame
 from pmabench.report.document.tables import MOST, Table, narrow
 
 
@@ -10,7 +10,7 @@ def cells(tables):
     """(method, pressure, head) -> cell, of all that is not empty."""
     found = {}
     for table in tables:
-        for row in table.frame.to_dict("records"):
+        for row in table.frame.rows:
             told = {head: text for head, text in row.items() if head not in ("method", "P [kPa]") and text}
             assert told, row
             for head, text in told.items():
@@ -27,7 +27,7 @@ def frame(methods):
         for method, heads in methods.items()
         for P in (100, 200)
     ]
-    return pd.DataFrame(rows).fillna("")
+    return Frame(rows)
 
 
 @pytest.mark.parametrize(
@@ -50,7 +50,7 @@ def test_every_cell_is_in_one_of_them(methods):
 
 def test_columns_of_one_symbol_stay_together():
     heads = ["F [N] a", "F [N] b", "F [N] c", "K [N/mm] a", "K [N/mm] b", "K [N/mm] c", "B [N] a", "B [N] b"]
-    parts = narrow(Table("", frame({"m": heads}).drop(columns="method")))
+    parts = narrow(Table("", frame({"m": heads}).without("method")))
     assert [list(part.frame.columns[1:]) for part in parts] == [heads[:6], heads[6:]]
 
 
@@ -68,7 +68,7 @@ def test_rows_at_points_of_another_kind_stand_apart():
     rows += [
         {"P [kPa]": "200", "amplitude [mm]": a} | {head: f"{head} {a} ± 1" for head in heads[5:]} for a in ("2", "5")
     ]
-    rest, sines = narrow(Table("", pd.DataFrame(rows).fillna("")))
+    rest, sines = narrow(Table("", Frame(rows)))
     assert list(rest.frame.columns) == ["P [kPa]", *heads[:5]]
     assert list(sines.frame.columns) == ["P [kPa]", "amplitude [mm]", *heads[5:]]
     assert len(rest.frame) == len(sines.frame) == 2
@@ -77,5 +77,5 @@ def test_rows_at_points_of_another_kind_stand_apart():
 def test_plain_numbers_take_less_room():
     """Nine columns without intervals stand side by side, twelve do not."""
     rows = [{"P [kPa]": "100"} | {f"c{n} [s]": "1.5" for n in range(12)}]
-    assert len(narrow(Table("", pd.DataFrame(rows).drop(columns=["c9 [s]", "c10 [s]", "c11 [s]"])))) == 1
-    assert len(narrow(Table("", pd.DataFrame(rows)))) == 2
+    assert len(narrow(Table("", Frame(rows).without("c9 [s]").without("c10 [s]").without("c11 [s]")))) == 1
+    assert len(narrow(Table("", Frame(rows)))) == 2

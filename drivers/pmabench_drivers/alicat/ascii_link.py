@@ -43,6 +43,20 @@ UNIT_ID, ERROR, STATUS = 700, 701, 702
 ABSOLUTE_SET_POINT = 34
 MEASURED_BY = {38: 6, 39: 7}
 """Statistic of the set-point -> that of the pressure that it controls: gauge, and differential to the open air."""
+PUSH = 0.1
+"""Longest time to hand a command to the port [s]."""
+PIECE = 0.005
+"""Longest single wait for bytes [s]."""
+QUIET = 0.15
+"""A list of lines is at its end when nothing comes for so long [s]."""
+FIRST = 0.4
+"""How long an answer may take while the port is opened [s]."""
+LARGEST = 1e6
+MOST_LINES = 100
+SOURCES = {"A": "its analogue input", "U": "its knob", "S": "the serial line"}
+FIRMWARE = re.compile(rb"\S\s+(?:GP|\d+v\d+).*")
+_ABOUT = re.compile(r"\S\s+M(?P<number>\d\d) (?P<text>.*)")
+_LABELS = {4: "Model Number", 5: "Serial Number", 9: "Software Revision"}
 
 
 @dataclass(frozen=True)
@@ -157,22 +171,6 @@ def _fits(column: Column, word: str) -> bool:
 
 def _text(line: bytes) -> str:
     return sp.text_of(line).rstrip()
-
-
-PUSH = 0.1
-"""Longest time to hand a command to the port [s]."""
-PIECE = 0.005
-"""Longest single wait for bytes [s]."""
-QUIET = 0.15
-"""A list of lines is at its end when nothing comes for so long [s]."""
-FIRST = 0.4
-"""How long an answer may take while the port is opened [s]."""
-LARGEST = 1e6
-MOST_LINES = 100
-SOURCES = {"A": "its analogue input", "U": "its knob", "S": "the serial line"}
-FIRMWARE = re.compile(rb"\S\s+(?:GP|\d+v\d+).*")
-_ABOUT = re.compile(r"\S\s+M(?P<number>\d\d) (?P<text>.*)")
-_LABELS = {4: "Model Number", 5: "Serial Number", 9: "Software Revision"}
 
 
 class AsciiLink:

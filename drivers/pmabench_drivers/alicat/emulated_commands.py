@@ -26,6 +26,8 @@ TIMES = {3: "ms", 4: "s", 5: "m", 6: "h", 7: "d"}
 NO_STATISTIC = "1 ---"
 
 Lines = list[str]
+FLOW = {c.VOLUME: ("7/2", "007 02 LPM"), c.MASS: ("7/2", "007 02 SLPM")}
+"""Width and unit of flows in the list of columns."""
 
 
 class Commands:
@@ -286,10 +288,6 @@ class Commands:
         if self._controller.mixes.pop(number, None) is None:
             return ["?"]
         return self._said(str(number))
-
-
-FLOW = {c.VOLUME: ("7/2", "007 02 LPM"), c.MASS: ("7/2", "007 02 SLPM")}
-"""Width and unit of flows in the list of columns."""
 
 
 def _flow(value: float) -> str:

@@ -28,6 +28,21 @@ UNITS = {
 """Unit of the bench file -> the number by which the device calls it, and pascal."""
 OFF_UNIT = 0.02
 """How far the slope of a calibration may be from its unit [1]; other units differ by far more."""
+OVER, HELD, FAILED, EXHAUST, LIMIT, ABORTED = "POV", "HLD", "ADC", "EXH", "OPL", "aborted"
+BITS = {6: OVER, 8: HELD, 9: FAILED, 10: EXHAUST, 11: LIMIT, 13: ABORTED}
+"""Bits of the Modbus status flags that a pressure controller has."""
+HARMLESS = frozenset({"LCK", "MOV", "OVR", "TMF", "TOV", "VOV"})
+"""A locked display, and what is about flow and temperature."""
+CODES = frozenset({*HARMLESS, OVER, HELD, FAILED, EXHAUST, LIMIT})
+NO_VALUE = frozenset({FAILED, ABORTED})
+"""With these the number is no measurement."""
+MEANING = {
+    FAILED: "its pressure sensor cannot be read (ADC)",
+    ABORTED: "its measurement was aborted",
+    LIMIT: "it is over its own pressure limit (OPL)",
+    HELD: "its valves are held (HLD): it traps the pressure and follows no set-point",
+    EXHAUST: "its exhaust is held open (EXH), and not by this program",
+}
 
 
 @dataclass(frozen=True)
@@ -112,23 +127,6 @@ def _unit(device: DeviceRecord, given: object, protocol: str, reader: Reader) ->
         elif unit in UNITS and abs(output.scale.slope / UNITS[unit][1] - 1.0) > OFF_UNIT:
             reader.fault(at, f"the scale is {output.scale.slope:g} Pa a step, and the device speaks {unit}")
     return unit if unit in UNITS else "kPa"
-
-
-OVER, HELD, FAILED, EXHAUST, LIMIT, ABORTED = "POV", "HLD", "ADC", "EXH", "OPL", "aborted"
-BITS = {6: OVER, 8: HELD, 9: FAILED, 10: EXHAUST, 11: LIMIT, 13: ABORTED}
-"""Bits of the Modbus status flags that a pressure controller has."""
-HARMLESS = frozenset({"LCK", "MOV", "OVR", "TMF", "TOV", "VOV"})
-"""A locked display, and what is about flow and temperature."""
-CODES = frozenset({*HARMLESS, OVER, HELD, FAILED, EXHAUST, LIMIT})
-NO_VALUE = frozenset({FAILED, ABORTED})
-"""With these the number is no measurement."""
-MEANING = {
-    FAILED: "its pressure sensor cannot be read (ADC)",
-    ABORTED: "its measurement was aborted",
-    LIMIT: "it is over its own pressure limit (OPL)",
-    HELD: "its valves are held (HLD): it traps the pressure and follows no set-point",
-    EXHAUST: "its exhaust is held open (EXH), and not by this program",
-}
 
 
 @dataclass(frozen=True)

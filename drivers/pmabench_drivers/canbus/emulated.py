@@ -49,6 +49,16 @@ GARBAGE = b"t1zz8\x00\xff\r\x07T0000\r"
 """What is no frame, in the form of some."""
 COMMANDS = (b"C", b"L", b"O", b"S", b"s", b"F", b"X", b"Z", b"V", b"N")
 PREFIX = f"slcan:{TCP}"
+CAN = {
+    "emergency": Kind(
+        "the drive stops with a fault, or a transducer has an error, and the emergency has this code", "number", 0x5000
+    ),
+    "restart": Kind("the nodes start again, as after a dip of their supply"),
+    "disabled": Kind("the drive's enable input is off: it does not go on to operation"),
+}
+"""What can happen to the nodes of a bus."""
+CYCLE = 0.01
+"""A message without a cycle time in its DBC file is sent so often [s]."""
 
 
 class Hub:
@@ -185,18 +195,6 @@ def _asked(line: bytes) -> Frame | None:
         return Frame(int(line[1:4], 16), remote=True)
     except ValueError:
         return None
-
-
-CAN = {
-    "emergency": Kind(
-        "the drive stops with a fault, or a transducer has an error, and the emergency has this code", "number", 0x5000
-    ),
-    "restart": Kind("the nodes start again, as after a dip of their supply"),
-    "disabled": Kind("the drive's enable input is off: it does not go on to operation"),
-}
-"""What can happen to the nodes of a bus."""
-CYCLE = 0.01
-"""A message without a cycle time in its DBC file is sent so often [s]."""
 
 
 def serve(device: DeviceRecord, plant: RealPlant, log: CommandLog) -> EmulatedBus:

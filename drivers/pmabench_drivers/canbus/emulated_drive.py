@@ -31,6 +31,24 @@ PROFILE_VERSION = 0x0302_0001
 """Version of the profile, and of the software."""
 UNKNOWN_TIME = 0xFFFF_FFFF
 """Operating time of a device that does not count it."""
+WORDS = {state: value for _mask, value, state in f.STATES}
+FOLLOWING_ERROR = 0x8611
+VELOCITY, AVERAGED = 0x606C, 0.02
+"""Actual velocity, and over which time it is taken [s]."""
+SERVO_DRIVE = 402 | 2 << 16
+"""Device type: the profile, and the kind of drive."""
+CONNECTION_LOST = 0x8100
+ON_EVENT = 255
+"""Transmission type of a PDO that is sent, or is in force, when its content changes."""
+DEFAULT_PDOS = (
+    (((f.STATUSWORD, 16),), ((f.CONTROLWORD, 16),)),
+    (((f.STATUSWORD, 16), (f.MODE_SHOWN, 8)), ((f.CONTROLWORD, 16), (f.MODE, 8))),
+)
+"""What its first PDOs, transmitted and received, hold from power-on (CiA 402-3): objects and bits."""
+ACCELERATIONS = (0x6083, 0x6084, 0x6085)
+"""Profile acceleration, deceleration, quick stop deceleration: held, and without effect, as its profile has none."""
+OPTION_STAYS = 5
+"""From this quick stop option code on a drive stays in quick stop active."""
 
 
 def encoder_objects(node: EmulatedNode, position: Callable[[], int]) -> dict[tuple[int, int], Entry]:
@@ -68,26 +86,6 @@ def encoder_objects(node: EmulatedNode, position: Callable[[], int]) -> dict[tup
     }
     counts = {index: max(sub for at, sub in objects if at == index) for index, _sub in objects}
     return objects | {(index, 0): Entry("B", count) for index, count in counts.items() if count}
-
-
-WORDS = {state: value for _mask, value, state in f.STATES}
-FOLLOWING_ERROR = 0x8611
-VELOCITY, AVERAGED = 0x606C, 0.02
-"""Actual velocity, and over which time it is taken [s]."""
-SERVO_DRIVE = 402 | 2 << 16
-"""Device type: the profile, and the kind of drive."""
-CONNECTION_LOST = 0x8100
-ON_EVENT = 255
-"""Transmission type of a PDO that is sent, or is in force, when its content changes."""
-DEFAULT_PDOS = (
-    (((f.STATUSWORD, 16),), ((f.CONTROLWORD, 16),)),
-    (((f.STATUSWORD, 16), (f.MODE_SHOWN, 8)), ((f.CONTROLWORD, 16), (f.MODE, 8))),
-)
-"""What its first PDOs, transmitted and received, hold from power-on (CiA 402-3): objects and bits."""
-ACCELERATIONS = (0x6083, 0x6084, 0x6085)
-"""Profile acceleration, deceleration, quick stop deceleration: held, and without effect, as its profile has none."""
-OPTION_STAYS = 5
-"""From this quick stop option code on a drive stays in quick stop active."""
 
 
 class EmulatedDrive(EmulatedNode):

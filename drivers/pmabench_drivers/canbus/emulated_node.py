@@ -19,6 +19,17 @@ UNMAPPABLE, TOO_MUCH = 0x06040041, 0x06040042
 LONG, SHORT, VALUE = 0x06070012, 0x06070013, 0x06090030
 STATE, NO_DATA = 0x08000022, 0x08000024
 """SDO abort codes."""
+LOST_HEARTBEAT = 0x8130
+ERRORS, SYNC_ID, SYNC_PERIOD, HARDWARE = 0x1003, 0x1005, 0x1006, 0x1009
+GUARD_TIME, LIFE_FACTOR, EMCY_ID = 0x100C, 0x100D, 0x1014
+BOOTING = 0.05
+"""From a reset until it says that it has started [s]."""
+KEPT = 4
+"""So many errors of the past are kept."""
+COMMUNICATION = range(0x1000, 0x2000)
+"""Objects that a reset of the communication brings back to their power-on values; a reset of the node, all."""
+SEGMENT = 7
+PDOS = 2
 
 
 class Abort(Exception):
@@ -51,19 +62,6 @@ class Entry:
         if isinstance(value, bytes):
             return value
         return struct.pack(f"<{self.kind}", value)
-
-
-LOST_HEARTBEAT = 0x8130
-ERRORS, SYNC_ID, SYNC_PERIOD, HARDWARE = 0x1003, 0x1005, 0x1006, 0x1009
-GUARD_TIME, LIFE_FACTOR, EMCY_ID = 0x100C, 0x100D, 0x1014
-BOOTING = 0.05
-"""From a reset until it says that it has started [s]."""
-KEPT = 4
-"""So many errors of the past are kept."""
-COMMUNICATION = range(0x1000, 0x2000)
-"""Objects that a reset of the communication brings back to their power-on values; a reset of the node, all."""
-SEGMENT = 7
-PDOS = 2
 
 
 @dataclass

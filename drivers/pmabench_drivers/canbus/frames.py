@@ -72,6 +72,23 @@ EMERGENCIES = (
     (0xF000, 0xF000, "something of its maker's"),
 )
 """Error code, mask, what it is about (CiA 301, CiA 402)."""
+CONTROLWORD, STATUSWORD, MODE, MODE_SHOWN = 0x6040, 0x6041, 0x6060, 0x6061
+TARGET, ACTUAL, DEMAND = 0x607A, 0x6064, 0x6062
+PROFILE_VELOCITY, LIMITS, SUPPORTED = 0x6081, 0x607D, 0x6502
+ABORT_OPTION, QUICK_STOP_OPTION, ERROR_CODE = 0x6007, 0x605A, 0x603F
+PERIOD = 0x60C2
+WINDOW, WINDOW_TIME = 0x6065, 0x6066
+PROFILE, CYCLIC = 1, 8
+"""Modes of operation: profile position, cyclic synchronous position."""
+MODES = {PROFILE: "profile position", CYCLIC: "cyclic synchronous position"}
+QUICK_STOP_ON_LOSS = 3
+"""Abort connection option code: quick stop where the heartbeat is lost."""
+STAY_STOPPED = 6
+"""Quick stop option code: slow down on the quick stop ramp and stay in quick stop active, with torque."""
+SHUTDOWN, SWITCH_ON, ENABLE, QUICK_STOP, FAULT_RESET = 0x06, 0x07, 0x0F, 0x02, 0x80
+NEW_SET_POINT, AT_ONCE = 0x10, 0x20
+"""Bits of the controlword in profile position: a new target is valid; it replaces the one under way."""
+TARGET_REACHED, INTERNAL_LIMIT, ACKNOWLEDGE = 1 << 10, 1 << 11, 1 << 12
 
 
 @dataclass(frozen=True)
@@ -156,27 +173,6 @@ def read_segment(data: bytes, toggle: int) -> tuple[bytes, bool, int]:
 def mapping(index: int, sub: int, bits: int) -> int:
     """An entry of a PDO mapping."""
     return index << 16 | sub << 8 | bits
-
-
-CONTROLWORD, STATUSWORD, MODE, MODE_SHOWN = 0x6040, 0x6041, 0x6060, 0x6061
-TARGET, ACTUAL, DEMAND = 0x607A, 0x6064, 0x6062
-PROFILE_VELOCITY, LIMITS, SUPPORTED = 0x6081, 0x607D, 0x6502
-ABORT_OPTION, QUICK_STOP_OPTION, ERROR_CODE = 0x6007, 0x605A, 0x603F
-PERIOD = 0x60C2
-WINDOW, WINDOW_TIME = 0x6065, 0x6066
-
-PROFILE, CYCLIC = 1, 8
-"""Modes of operation: profile position, cyclic synchronous position."""
-MODES = {PROFILE: "profile position", CYCLIC: "cyclic synchronous position"}
-QUICK_STOP_ON_LOSS = 3
-"""Abort connection option code: quick stop where the heartbeat is lost."""
-STAY_STOPPED = 6
-"""Quick stop option code: slow down on the quick stop ramp and stay in quick stop active, with torque."""
-
-SHUTDOWN, SWITCH_ON, ENABLE, QUICK_STOP, FAULT_RESET = 0x06, 0x07, 0x0F, 0x02, 0x80
-NEW_SET_POINT, AT_ONCE = 0x10, 0x20
-"""Bits of the controlword in profile position: a new target is valid; it replaces the one under way."""
-TARGET_REACHED, INTERNAL_LIMIT, ACKNOWLEDGE = 1 << 10, 1 << 11, 1 << 12
 
 
 class State(Enum):

@@ -41,6 +41,16 @@ ASKED = 0.2
 """How long an adapter is given to answer with its serial number [s]."""
 LONGEST = 64
 """More of an unfinished line is forgotten [bytes]."""
+NUMBERED = ("kvaser", "ixxat")
+"""Interfaces whose channels have numbers."""
+INTERFACES = ("socketcan", "slcan", "pcan", *NUMBERED)
+"""`slcan`, and python-can's names of what it is asked for."""
+WAIT = 0.05
+"""Longest single wait for a frame [s]."""
+Take = Callable[[Frame, float], None]
+"""Takes a frame and when it came [s, bench time]."""
+PATIENCE = 2
+"""So many periods an answer is waited for; no SYNC is sent in that time, so that it cannot belong to a later one."""
 
 
 def line_of(frame: Frame) -> bytes:
@@ -139,18 +149,6 @@ class Slcan:
                 self.serial = line[1:].decode("ascii", "replace")
 
 
-NUMBERED = ("kvaser", "ixxat")
-"""Interfaces whose channels have numbers."""
-INTERFACES = ("socketcan", "slcan", "pcan", *NUMBERED)
-"""`slcan`, and python-can's names of what it is asked for."""
-WAIT = 0.05
-"""Longest single wait for a frame [s]."""
-
-
-Take = Callable[[Frame, float], None]
-"""Takes a frame and when it came [s, bench time]."""
-
-
 class PythonCan:
     """An adapter that python-can knows."""
 
@@ -244,10 +242,6 @@ class Link(Listening):
 
     def _receive(self) -> Frame | None:
         return self._adapter.receive(WAIT)
-
-
-PATIENCE = 2
-"""So many periods an answer is waited for; no SYNC is sent in that time, so that it cannot belong to a later one."""
 
 
 class Rows:

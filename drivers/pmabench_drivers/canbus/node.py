@@ -28,6 +28,20 @@ LONGEST = 256
 """No object that is read here is longer [bytes]."""
 
 T = TypeVar("T")
+BEAT = 0.1
+"""Every node sends its heartbeat so often [s]."""
+SILENT = 5 * BEAT
+"""A node that was not heard for so long is lost [s]."""
+EVERY_SYNC = 1
+"""Transmission type of a PDO that answers to each SYNC."""
+STARTS = 0.5
+"""How long a node is given to become operational [s]."""
+Send = Callable[[int, bytes], None]
+POSITIONS = (f.mapping(0x6020, 1, 32), f.mapping(0x6004, 0, 32))
+"""How the position is mapped: of one of several magnets, or of the only one."""
+VELOCITY, STATUS = f.mapping(0x6030, 1, 16), f.mapping(0x6400, 1, 8)
+STEPS, MEASURING_STEP, ALARMS = 0x6005, 0x6501, 0x6503
+NO_MAGNET = 1
 
 
 class Refused(DeviceError):
@@ -156,18 +170,6 @@ class Objects:
 
 def _segment(toggle: int, data: bytes) -> tuple[bytes, bool, int]:
     return f.read_segment(data, toggle)
-
-
-BEAT = 0.1
-"""Every node sends its heartbeat so often [s]."""
-SILENT = 5 * BEAT
-"""A node that was not heard for so long is lost [s]."""
-EVERY_SYNC = 1
-"""Transmission type of a PDO that answers to each SYNC."""
-STARTS = 0.5
-"""How long a node is given to become operational [s]."""
-
-Send = Callable[[int, bytes], None]
 
 
 class Node(ABC):
@@ -308,13 +310,6 @@ class Node(ABC):
             return ""
         text = data.split(b"\0")[0].decode("ascii", "replace")
         return "".join(c if c.isprintable() else "?" for c in text)[:60]
-
-
-POSITIONS = (f.mapping(0x6020, 1, 32), f.mapping(0x6004, 0, 32))
-"""How the position is mapped: of one of several magnets, or of the only one."""
-VELOCITY, STATUS = f.mapping(0x6030, 1, 16), f.mapping(0x6400, 1, 8)
-STEPS, MEASURING_STEP, ALARMS = 0x6005, 0x6501, 0x6503
-NO_MAGNET = 1
 
 
 class Transducer(Node):

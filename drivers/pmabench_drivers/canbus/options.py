@@ -26,6 +26,13 @@ _SIGNAL = re.compile(
 )
 _KIND = re.compile(r"^SIG_VALTYPE_ (\d+) (\w+) *: *([0-3]) *;")
 _CYCLE = re.compile(r'^BA_ "GenMsgCycleTime" BO_ (\d+) (\d+) *;')
+PROFILES = (402, 406)
+OWN_NODE = 127
+"""Node number under which the program itself sends its heartbeat."""
+DRIVE, TRANSDUCER = ("position", "demand"), ("position", "velocity")
+"""Inputs of a drive and of a transducer, after its name and a point."""
+READY = "ready"
+"""Digital input of a drive: high while it is without fault."""
 
 
 class NoDatabase(ValueError):
@@ -165,15 +172,6 @@ def _set_kind(messages: dict[int, Message], key: int, name: str, kind: int, line
     if wanted is None or signal.length != wanted[1]:
         raise NoDatabase(f"line {line}: the signal {name} has {signal.length} bits, which is no floating-point number")
     messages[key] = replace(message, signals={**message.signals, name: replace(signal, kind=wanted[0])})
-
-
-PROFILES = (402, 406)
-OWN_NODE = 127
-"""Node number under which the program itself sends its heartbeat."""
-DRIVE, TRANSDUCER = ("position", "demand"), ("position", "velocity")
-"""Inputs of a drive and of a transducer, after its name and a point."""
-READY = "ready"
-"""Digital input of a drive: high while it is without fault."""
 
 
 @dataclass(frozen=True)

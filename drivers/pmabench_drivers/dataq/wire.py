@@ -29,6 +29,7 @@ OVERRUN = b"stop 01"
 """What the device sends last when its buffer has run over."""
 LATENCY = 0.02
 """A USB packet is filled within this, where the smallest one allows [s]."""
+FILTERS = {"last": 0, "average": 1}
 
 
 @dataclass(frozen=True)
@@ -124,9 +125,6 @@ class Scans:
         if self._rest.endswith(OVERRUN):
             raise Lost
         return self.whole
-
-
-FILTERS = {"last": 0, "average": 1}
 
 
 @dataclass(frozen=True)

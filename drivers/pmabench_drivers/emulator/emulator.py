@@ -26,6 +26,8 @@ from pmabench_drivers.emulator.truth import Errors, apply, wired
 from pmabench_drivers.mock.options import ARM
 
 LONGEST = 10_000
+PLANT = ("burst", "regulator_stuck", "supply_lost", "dump_stuck", "e_stop")
+"""What can go wrong with the plant."""
 
 
 class Control:
@@ -57,10 +59,6 @@ class Control:
                     reply = {"ok": False, "why": str(error)}
                 stream.write(json.dumps(reply).encode() + b"\n")
                 stream.flush()
-
-
-PLANT = ("burst", "regulator_stuck", "supply_lost", "dump_stuck", "e_stop")
-"""What can go wrong with the plant."""
 
 
 def server_of(driver: str) -> str:

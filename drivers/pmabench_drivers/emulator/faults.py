@@ -22,6 +22,15 @@ from pmabench.base.errors import did_you_mean
 
 Tap = Callable[[str, bytes], None]
 """Takes what one device `received` and `sent`."""
+EVENTS = {
+    "watchdog": "expire_watchdog",
+    "watchdog-off": "switch_off_watchdog",
+    "restart": "restart",
+    "setpoint": "change_set_point",
+}
+"""What happens once, and the method of an emulated device that does it: it takes the value where there is one, and
+returns False where the device is not in a state in which it can happen."""
+GARBAGE = b"\x00\xff\x13"
 
 
 class CommandLog:
@@ -116,15 +125,6 @@ STATUS = {
     "limit": Kind("the status says that it is over its pressure limit"),
 }
 KINDS = LINK | STUCK | SKEW | EXPIRY | WATCHDOG_OFF | RESTART | SETPOINT | MODBUS | NOISE | OVER | UNIT | STATUS
-EVENTS = {
-    "watchdog": "expire_watchdog",
-    "watchdog-off": "switch_off_watchdog",
-    "restart": "restart",
-    "setpoint": "change_set_point",
-}
-"""What happens once, and the method of an emulated device that does it: it takes the value where there is one, and
-returns False where the device is not in a state in which it can happen."""
-GARBAGE = b"\x00\xff\x13"
 
 
 @dataclass(frozen=True)

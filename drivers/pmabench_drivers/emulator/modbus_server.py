@@ -24,6 +24,10 @@ READS = {1: "coil", 2: "discrete", 3: "holding", 4: "input"}
 WRITES = {5: "coil", 6: "holding", 15: "coil", 16: "holding"}
 FUNCTION, ADDRESS, VALUE = 1, 2, 3
 """Exception codes: no such function, no such address, a value or count that cannot be."""
+WATCH = 0.005
+"""How often the watchdog is looked at [s]."""
+KINDS = (f.LINK, f.STUCK, f.MODBUS)
+IDENTIFY = b"\x2b\x0e"
 
 
 @dataclass(frozen=True)
@@ -161,11 +165,6 @@ def split_rtu(data: bytes) -> tuple[int, bytes, bytes] | None:
         if len(part) >= length and crc16(part[: length - 2]) == part[length - 2 : length]:
             return part[0], part[1 : length - 2], part[length:]
     return None
-
-
-WATCH = 0.005
-"""How often the watchdog is looked at [s]."""
-KINDS = (f.LINK, f.STUCK, f.MODBUS)
 
 
 def events(registers: object) -> Iterator[dict[str, Kind]]:
@@ -324,9 +323,6 @@ class RtuDevice(_Device):
                     return
                 except OSError:
                     return
-
-
-IDENTIFY = b"\x2b\x0e"
 
 
 class NamedDevice(TcpDevice):

@@ -18,6 +18,13 @@ from pmabench.base.errors import UsageError
 from pmabench.bench.interface import DeviceRecord
 from pmabench_drivers.emulator.faults import GARBAGE, LINK, SKEW, STUCK, CommandLog, Fault, Faults, Kind, Outgoing, Tap
 
+IDLE = 0.05
+"""Longest wait for bytes [s]."""
+TICK = 0.004
+"""What falls due within this is sent together [s]."""
+LONGEST_COMMAND = 200
+"""More of an unfinished line is forgotten [bytes]."""
+
 
 def host_of(address: str) -> str:
     """The host of `HOST:PORT` or `HOST`; empty where that is no IP address, as in a path."""
@@ -121,10 +128,6 @@ class Terminal:
                     os.close(end)
 
 
-IDLE = 0.05
-"""Longest wait for bytes [s]."""
-
-
 class OnTerminal(ABC):
     """One device at the end of a pseudo-terminal. A kind of device says what bytes do."""
 
@@ -174,12 +177,6 @@ class OnTerminal(ABC):
                 return
             except OSError:
                 return
-
-
-TICK = 0.004
-"""What falls due within this is sent together [s]."""
-LONGEST_COMMAND = 200
-"""More of an unfinished line is forgotten [bytes]."""
 
 
 class Streaming(OnTerminal):

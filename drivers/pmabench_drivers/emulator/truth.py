@@ -20,6 +20,16 @@ from pmabench.bench.interface import DeviceRecord, Plug, Scale, Truth, Wired
 
 PLACES = ("server", "stream_port")
 """Options that say where to listen; they come from the bench file, as the address does."""
+KINDS = {
+    "scale": "the reading (or what is done) is so many times the right one; 2",
+    "range": "the sensor has so many times its range, which begins where it did; 2",
+    "sign": "the sign is the other one; a valve or contact works the other way round",
+    "offset": "the reading (or what is done) is so much too high; 12 mm, 60 kPa, 120 N, 0.2 rad",
+    "swap": "two plugs are exchanged, or one is in another terminal",
+}
+OFFSETS = {"length": 0.012, "pressure": 60e3, "force": 120.0, "angle": 0.2}
+"""Usual offset [SI]: a little more than 10 mm, or 5 % of a usual range."""
+COMMANDS = ("pressure_command", "displacement_command")
 
 
 def wired(devices: Iterable[DeviceRecord], truth: Truth | None) -> list[Wired]:
@@ -78,18 +88,6 @@ def moved(item: Wired, *, inputs: Mapping[str, str] | None = None, outputs: Mapp
 def _in(plugs: Mapping[str, Plug], was: str, now: str) -> Plug:
     """A plug in another terminal: its sensor, and the digits of that terminal."""
     return replace(plugs[was], digits=plugs.get(now, plugs[was]).digits)
-
-
-KINDS = {
-    "scale": "the reading (or what is done) is so many times the right one; 2",
-    "range": "the sensor has so many times its range, which begins where it did; 2",
-    "sign": "the sign is the other one; a valve or contact works the other way round",
-    "offset": "the reading (or what is done) is so much too high; 12 mm, 60 kPa, 120 N, 0.2 rad",
-    "swap": "two plugs are exchanged, or one is in another terminal",
-}
-OFFSETS = {"length": 0.012, "pressure": 60e3, "force": 120.0, "angle": 0.2}
-"""Usual offset [SI]: a little more than 10 mm, or 5 % of a usual range."""
-COMMANDS = ("pressure_command", "displacement_command")
 
 
 @dataclass(frozen=True)

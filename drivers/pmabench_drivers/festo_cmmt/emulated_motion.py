@@ -55,6 +55,14 @@ ZSW1 = (
 """Bits in the order of their places."""
 POS_ZSW1 = {"jogging": 10, "homing": 11, "by record": 13, "set up": 14, "mdi": 15}
 POS_ZSW2 = {"forwards": 4, "backwards": 5, "at negative limit": 6, "at positive limit": 7, "task active": 15}
+STROKE = (-0.01, 0.09)
+"""Software limits [m of contraction]."""
+HOMING, LEAST = 0.02, 0.3
+"""Speed towards the reference mark, which is at a contraction of 0 [m/s]; homing takes at least so long [s]."""
+JOGGING, STEP = 0.005, 0.001
+"""Speed of jogging [m/s], and how far it goes by steps [m]."""
+RECORDS = {1: (0.005, 0.02), 2: (0.010, 0.02)}
+"""Its record table: number -> place [m of contraction] and speed [m/s]."""
 
 
 def length(telegram: int) -> int:
@@ -87,16 +95,6 @@ def bits(places: Sequence[str] | Mapping[str, int], true: Mapping[str, bool]) ->
     """A status word: the bits at their `places` that are `true`."""
     at = places if isinstance(places, Mapping) else {name: bit for bit, name in enumerate(places)}
     return sum(true.get(name, False) << bit for name, bit in at.items())
-
-
-STROKE = (-0.01, 0.09)
-"""Software limits [m of contraction]."""
-HOMING, LEAST = 0.02, 0.3
-"""Speed towards the reference mark, which is at a contraction of 0 [m/s]; homing takes at least so long [s]."""
-JOGGING, STEP = 0.005, 0.001
-"""Speed of jogging [m/s], and how far it goes by steps [m]."""
-RECORDS = {1: (0.005, 0.02), 2: (0.010, 0.02)}
-"""Its record table: number -> place [m of contraction] and speed [m/s]."""
 
 
 @dataclass

@@ -60,6 +60,14 @@ FAULTS = {
     294: "it is not controlled over the network",
 }
 """Codes of the drive that a motion under load is likely to meet; its manual has them all."""
+NOTHING = [0] * SENT
+"""What is sent at last: switched off, no control."""
+CATCH_UP = 0.02
+"""Share of what the drive is off its profile by that is made up in one cycle: slow against delays of the link."""
+HERE = ("options",)
+POSITION, SET_POINT = "position", "set_point"
+"""What can be recorded: where the drive is, and where it is wanted at that moment. `POSITION` is also the output."""
+WHOLE = 2**31
 
 
 @dataclass(frozen=True)
@@ -83,10 +91,6 @@ class Command:
         target = encode(Register("", "holding", 0, "int32", low_word_first=True), self.target)
         velocity = encode(Register("", "holding", 0, "uint32", low_word_first=True), self.velocity)
         return [control, ABSOLUTE | CONTINUOUS | MDI, 0, 0, self.override, *target, *velocity, FULL, FULL]
-
-
-NOTHING = [0] * SENT
-"""What is sent at last: switched off, no control."""
 
 
 @dataclass(frozen=True)
@@ -127,10 +131,6 @@ def speed(wanted: float) -> tuple[int, int]:
     """MDI_VELOCITY and OVERRIDE that together make the `wanted` velocity [velocity units, above 0] to 0.01 %."""
     velocity = max(1, ceil(wanted - 1e-9))
     return velocity, min(FULL, max(1, round(FULL * wanted / velocity)))
-
-
-CATCH_UP = 0.02
-"""Share of what the drive is off its profile by that is made up in one cycle: slow against delays of the link."""
 
 
 class Path:
@@ -207,12 +207,6 @@ class Path:
         way = self._velocity * max(now - self._since, 0.0)
         left = self._to - self._from
         return self._to if way >= abs(left) else self._from + math.copysign(way, left)
-
-
-HERE = ("options",)
-POSITION, SET_POINT = "position", "set_point"
-"""What can be recorded: where the drive is, and where it is wanted at that moment. `POSITION` is also the output."""
-WHOLE = 2**31
 
 
 @dataclass(frozen=True)

@@ -34,6 +34,9 @@ FORCED, PROTECTED = 1 << 15, 1 << 11
 """Bits of `STATUS`: outputs or inputs are forced by hand; parameters cannot be written."""
 MOST_MODULES = 25
 """Their inputs are read in one transaction of at most 125 registers."""
+RANGES = {"0..10 V": 1, "-10..10 V": 2, "-5..5 V": 3, "1..5 V": 4, "0..20 mA": 5, "4..20 mA": 6, "-20..20 mA": 7}
+DATA_FORMAT = 6
+"""Parameter whose bit 0 is clear for the format "sign + 15 bit"."""
 
 
 @dataclass(frozen=True)
@@ -56,9 +59,6 @@ KINDS = {
     "4ai-ui": Kind("ai", 4, 0, 5, 4, ranges=13),
     "4ao-ui": Kind("ao", 4, 4, 5, 4, ranges=11),
 }
-RANGES = {"0..10 V": 1, "-10..10 V": 2, "-5..5 V": 3, "1..5 V": 4, "0..20 mA": 5, "4..20 mA": 6, "-20..20 mA": 7}
-DATA_FORMAT = 6
-"""Parameter whose bit 0 is clear for the format "sign + 15 bit"."""
 
 
 @dataclass(frozen=True)

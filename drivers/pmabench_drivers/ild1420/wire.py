@@ -31,6 +31,8 @@ SCENE = {
 """Codes about what is in front of the laser: no number, as often as it happens."""
 SETTING = {262075: "sends more than its baud rate can carry", 262082: "has its laser switched off"}
 """Codes for something that is set wrong."""
+BAUDS = (115200, 230400, 256000, 460800, 691200, 921600, 1000000)
+INPUT = "distance"
 
 
 class Decoder:
@@ -141,10 +143,6 @@ class Numbering:
         self.lost += max(0, ahead - 1)
         self._last = counter
         return self._number
-
-
-BAUDS = (115200, 230400, 256000, 460800, 691200, 921600, 1000000)
-INPUT = "distance"
 
 
 @dataclass(frozen=True)

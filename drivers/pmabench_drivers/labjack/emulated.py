@@ -38,6 +38,8 @@ CORE = 40e6
 """Half of the core's frequency [Hz]."""
 REBOOT = 0x4C4A
 """What the upper word of `REBOOT` must be; the lower one waits in steps of 50 ms."""
+GROUPS = ((0, 8), (8, 8), (16, 4), (20, 3))
+"""First line and number of lines of FIO, EIO, CIO and MIO."""
 
 
 @dataclass(frozen=True)
@@ -49,8 +51,6 @@ class Lines:
     directions: bool = False
 
 
-GROUPS = ((0, 8), (8, 8), (16, 4), (20, 3))
-"""First line and number of lines of FIO, EIO, CIO and MIO."""
 BITS = {
     **{r.STATES + i: Lines(*group) for i, group in enumerate(GROUPS)},
     **{r.DIRECTIONS + i: Lines(*group, directions=True) for i, group in enumerate(GROUPS)},

@@ -54,6 +54,58 @@ CAPTURE = 650
 RANGES = {"10 V": (0, 10.0), "1 V": (1, 1.0), "0.1 V": (2, 0.1), "0.01 V": (3, 0.01)}
 """T7: range as it is written -> index of its gain, and the range [V]."""
 T8_SPANS = (11, 9.6, 4.8, 2.4, 1.2, 0.6, 0.3, 0.15, 0.075, 0.036, 0.018)
+STREAM_SCANRATE = 4002
+STREAM_CONFIGURATION = ("scan rate", "addresses", "samples a packet", "settling", "resolution", "buffer", "clock")
+"""What is from `STREAM_SCANRATE` on, two registers each; the clock's source is left at 0, the device's own."""
+STREAM_AUTO_TARGET, TO_ETHERNET = 4016, 1
+"""Then the data type, which must be 0, and the number of scans (0: no end)."""
+STREAM_SCANLIST = 4100
+STREAM_ENABLE = 4990
+STREAM_PORT = 702
+STREAM_BUFFER = 32768
+"""Bytes, the most that a T7 has: two for each sample."""
+MOST_SAMPLES = 512
+"""Samples in a packet."""
+FASTEST = 100_000.0
+"""Samples a second, over all channels, at resolution index 0 or 1 and the range of 10 V."""
+WATCHDOG_ENABLE, WATCHDOG_ADVANCED, WATCHDOG_TIMEOUT = 61600, 61602, 61604
+WATCHDOG_STRICT, WATCHDOG_KEY, WATCHDOG_CLEAR = 61610, 61612, 61614
+WATCHDOG_RESET = 61620
+WATCHDOG_DIO_ENABLE, WATCHDOG_DIO_STATE, WATCHDOG_DIO_DIRECTION, WATCHDOG_DIO_INHIBIT = 61630, 61632, 61634, 61636
+WATCHDOG_DAC_ENABLE, WATCHDOG_DAC = (61640, 61650), (61642, 61652)
+FLASH_POINTER, FLASH_READ = 61810, 61812
+ERRORS = {
+    2313: "a wrong number of registers",
+    2315: "an even number of registers is needed",
+    2402: "the code of the restart is wrong",
+    2370: "this range of an analogue input does not exist",
+    2371: "this settling time is too long",
+    2373: "this negative channel does not exist",
+    2375: "this resolution index does not exist",
+    2600: "a stream needs a channel",
+    2603: "the stream sends by itself and is not asked",
+    2605: "not while a stream runs",
+    2606: "the stream is not configured as a whole",
+    2607: "the list of channels is wrong",
+    2608: "the scan rate is out of range",
+    2611: "the data type is wrong",
+    2612: "the stream has no target",
+    2615: "the buffer size is wrong",
+    2618: "the number of samples a packet is wrong",
+    2620: "no stream runs",
+    2621: "the settling time is wrong",
+    2625: "a channel cannot be streamed",
+    2670: "the watchdog's time is too short",
+    2671: "the watchdog is on; it must be off while it is set",
+    2672: "the watchdog's digital lines are set wrong",
+    2673: "the watchdog's DAC0 is set wrong",
+    2674: "the watchdog's DAC1 is set wrong",
+}
+"""LabJack's own error code -> what it means."""
+HERE = ("options",)
+KNOWN_LINES = "FIO0 to FIO7, EIO0 to EIO7, CIO0 to CIO3, MIO0 to MIO2"
+OF_STREAMS = ("stream_port", "differential", "settling", "resolution_index")
+"""Options that only a model with a stream has; the others have `rate`."""
 
 
 @dataclass(frozen=True)
@@ -91,58 +143,6 @@ MODELS = {
     ),
 }
 
-STREAM_SCANRATE = 4002
-STREAM_CONFIGURATION = ("scan rate", "addresses", "samples a packet", "settling", "resolution", "buffer", "clock")
-"""What is from `STREAM_SCANRATE` on, two registers each; the clock's source is left at 0, the device's own."""
-STREAM_AUTO_TARGET, TO_ETHERNET = 4016, 1
-"""Then the data type, which must be 0, and the number of scans (0: no end)."""
-STREAM_SCANLIST = 4100
-STREAM_ENABLE = 4990
-STREAM_PORT = 702
-STREAM_BUFFER = 32768
-"""Bytes, the most that a T7 has: two for each sample."""
-MOST_SAMPLES = 512
-"""Samples in a packet."""
-FASTEST = 100_000.0
-"""Samples a second, over all channels, at resolution index 0 or 1 and the range of 10 V."""
-
-WATCHDOG_ENABLE, WATCHDOG_ADVANCED, WATCHDOG_TIMEOUT = 61600, 61602, 61604
-WATCHDOG_STRICT, WATCHDOG_KEY, WATCHDOG_CLEAR = 61610, 61612, 61614
-WATCHDOG_RESET = 61620
-WATCHDOG_DIO_ENABLE, WATCHDOG_DIO_STATE, WATCHDOG_DIO_DIRECTION, WATCHDOG_DIO_INHIBIT = 61630, 61632, 61634, 61636
-WATCHDOG_DAC_ENABLE, WATCHDOG_DAC = (61640, 61650), (61642, 61652)
-
-FLASH_POINTER, FLASH_READ = 61810, 61812
-
-ERRORS = {
-    2313: "a wrong number of registers",
-    2315: "an even number of registers is needed",
-    2402: "the code of the restart is wrong",
-    2370: "this range of an analogue input does not exist",
-    2371: "this settling time is too long",
-    2373: "this negative channel does not exist",
-    2375: "this resolution index does not exist",
-    2600: "a stream needs a channel",
-    2603: "the stream sends by itself and is not asked",
-    2605: "not while a stream runs",
-    2606: "the stream is not configured as a whole",
-    2607: "the list of channels is wrong",
-    2608: "the scan rate is out of range",
-    2611: "the data type is wrong",
-    2612: "the stream has no target",
-    2615: "the buffer size is wrong",
-    2618: "the number of samples a packet is wrong",
-    2620: "no stream runs",
-    2621: "the settling time is wrong",
-    2625: "a channel cannot be streamed",
-    2670: "the watchdog's time is too short",
-    2671: "the watchdog is on; it must be off while it is set",
-    2672: "the watchdog's digital lines are set wrong",
-    2673: "the watchdog's DAC0 is set wrong",
-    2674: "the watchdog's DAC1 is set wrong",
-}
-"""LabJack's own error code -> what it means."""
-
 
 def u32(*values: int) -> list[int]:
     """The words of whole numbers."""
@@ -171,12 +171,6 @@ def line_of(name: str) -> int | None:
     if match := re.fullmatch(r"DIO(\d{1,2})", name):
         return int(match[1]) if int(match[1]) < len(LINES) else None
     return LINES.get(name)
-
-
-HERE = ("options",)
-KNOWN_LINES = "FIO0 to FIO7, EIO0 to EIO7, CIO0 to CIO3, MIO0 to MIO2"
-OF_STREAMS = ("stream_port", "differential", "settling", "resolution_index")
-"""Options that only a model with a stream has; the others have `rate`."""
 
 
 @dataclass(frozen=True)

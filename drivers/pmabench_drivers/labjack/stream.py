@@ -38,6 +38,24 @@ COUNT = 41
 NOMINAL_SLOPE, NOMINAL_CENTER = 3.158058e-4, 33523.0
 """Of the range of 10 V [V], [1]; each next gain has a tenth of the slope."""
 CODES = 65536
+HEADER = struct.Struct(">HHHBBBBHHH")
+PROTOCOL, UNIT, FUNCTION, TYPE = 0, 1, 76, 16
+AFTER_LENGTH = 10
+"""Bytes of the header behind its length."""
+RECOVERING, RECOVERED, OVERLAP, UNCOUNTED, COMPLETE, FULL = 2940, 2941, 2942, 2943, 2944, 2945
+MARKER = 0xFFFF
+ENDS = {
+    OVERLAP: "scans overlap: the rate is too high for this number of channels, resolution index or settling time",
+    UNCOUNTED: "its buffer was full for so long that it did not count what it left out",
+    COMPLETE: "the stream ended by itself, as if a number of scans had been asked for",
+    FULL: "its buffer was full and the stream ended",
+}
+"""Status that ends a stream -> why."""
+PATIENCE = 0.25
+"""So long [s] after a packet is due `collect` says that none comes."""
+AHEAD, DRIFT = 0.5, 1e-3
+"""So far [s], and in proportion to time [1], a scan's time may be ahead of the moment when it arrived."""
+PIECE = 65536
 
 
 @dataclass(frozen=True)
@@ -77,21 +95,6 @@ def gains(constants: Sequence[float]) -> tuple[Gain, ...]:
             )
         found.append(Gain(positive, negative, center))
     return tuple(found)
-
-
-HEADER = struct.Struct(">HHHBBBBHHH")
-PROTOCOL, UNIT, FUNCTION, TYPE = 0, 1, 76, 16
-AFTER_LENGTH = 10
-"""Bytes of the header behind its length."""
-RECOVERING, RECOVERED, OVERLAP, UNCOUNTED, COMPLETE, FULL = 2940, 2941, 2942, 2943, 2944, 2945
-MARKER = 0xFFFF
-ENDS = {
-    OVERLAP: "scans overlap: the rate is too high for this number of channels, resolution index or settling time",
-    UNCOUNTED: "its buffer was full for so long that it did not count what it left out",
-    COMPLETE: "the stream ended by itself, as if a number of scans had been asked for",
-    FULL: "its buffer was full and the stream ended",
-}
-"""Status that ends a stream -> why."""
 
 
 class StreamBroken(Exception):
@@ -178,13 +181,6 @@ class Packets:
         first = self.next
         self.next += len(raw) // self._channels
         return Scans(first, raw)
-
-
-PATIENCE = 0.25
-"""So long [s] after a packet is due `collect` says that none comes."""
-AHEAD, DRIFT = 0.5, 1e-3
-"""So far [s], and in proportion to time [1], a scan's time may be ahead of the moment when it arrived."""
-PIECE = 65536
 
 
 class StreamLink:

@@ -89,7 +89,7 @@ class Damage:
         if faults.gap_at is not None:
             kept = (seconds < faults.gap_at) | (seconds >= faults.gap_at + GAP)
             time, columns = time[kept], {name: column[kept] for name, column in columns.items()}
-        return Block(time, columns)
+        return as_block(time, columns)
 
     def _errors(
         self, columns: dict[str, NDArray[Any]], seconds: NDArray[np.float64], errors: Mapping[str, SensorError]
@@ -105,3 +105,8 @@ class Damage:
             columns[channel.record.name] = np.where(
                 seconds >= error.at, channel.wrong(raw, error), own[channel.record.name]
             )
+
+
+def as_block(time: Any, columns: Mapping[str, Any]) -> Block:
+    """A block of lists or arrays."""
+    return Block(time, columns)

@@ -30,6 +30,13 @@ from pmabench_drivers.mock.options import output_of, problems, read_options, spl
 LONGEST_LINE = 1 << 20
 LONGEST_BYTES = 1 << 26
 Message = tuple[dict[str, Any], bytes]
+Answer = TypeVar("Answer")
+PATIENCE = 0.18
+"""How long an answer is waited for [s]: a little less than the caller waits for a call."""
+OPEN_WITHIN = 1.5
+"""The same when it is opened: its process may be one that has just begun."""
+START_WITHIN = 5.0
+"""How long a new process may take until it answers [s]."""
 
 
 def encode(message: Mapping[str, Any], payload: bytes = b"") -> bytes:
@@ -125,15 +132,6 @@ class Link:
         with suppress(OSError):
             self._socket.shutdown(socket.SHUT_RDWR)
         self._socket.close()
-
-
-Answer = TypeVar("Answer")
-PATIENCE = 0.18
-"""How long an answer is waited for [s]: a little less than the caller waits for a call."""
-OPEN_WITHIN = 1.5
-"""The same when it is opened: its process may be one that has just begun."""
-START_WITHIN = 5.0
-"""How long a new process may take until it answers [s]."""
 
 
 class MockClient:

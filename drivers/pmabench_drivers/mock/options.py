@@ -29,6 +29,25 @@ VALVES = (DUMP_VALVE, ISOLATION_VALVE)
 """All valves."""
 E_STOP = "e_stop"
 """The digital input: high while the emergency stop is not pressed."""
+TEXT = {"plant", "preset", "free_end", "b_relax", "fce_eval", "reads", "end", "log"}
+AIRY = "paper0-air"
+"""The free end whose regulator has to move air."""
+CONTRACTORS = tuple(f"contractor-{length}" for length in (15, 20, 25, 30, 40))
+CHOICES = {
+    "free_end": ("weights", "actuator"),
+    "preset": ("ideal", "bench"),
+    "plant": ("paper0", AIRY, "serres2009", "dmsp-40-305", "daerden", *CONTRACTORS, ARM),
+    "fce_eval": ("x0", "xmax"),
+    "reads": SENSORS,
+    "end": ("low", "high"),
+}
+FLOWS = ("hysteresis", "conductance_fill", "conductance_vent", "polytropic")
+NOT_FOR = (
+    {"daerden": ("F_s", "F_c", "b_relax", "fce_eval"), "dmsp-40-305": FLOWS}
+    | dict.fromkeys((*CONTRACTORS, "contractor"), (*FLOWS, "F_s", "F_c", "b_relax", "fce_eval"))
+    | {ARM: (*FLOWS, "b_relax", "fce_eval"), AIRY: ("hysteresis", "fce_eval")}
+)
+"""Options that a plant has no use for; of all others what is for one plant only."""
 
 
 @dataclass(frozen=True)
@@ -135,20 +154,6 @@ class Service:
     """What the device's clock shows at bench time 0 [s]."""
 
 
-TEXT = {"plant", "preset", "free_end", "b_relax", "fce_eval", "reads", "end", "log"}
-AIRY = "paper0-air"
-"""The free end whose regulator has to move air."""
-CONTRACTORS = tuple(f"contractor-{length}" for length in (15, 20, 25, 30, 40))
-CHOICES = {
-    "free_end": ("weights", "actuator"),
-    "preset": ("ideal", "bench"),
-    "plant": ("paper0", AIRY, "serres2009", "dmsp-40-305", "daerden", *CONTRACTORS, ARM),
-    "fce_eval": ("x0", "xmax"),
-    "reads": SENSORS,
-    "end": ("low", "high"),
-}
-
-
 def read_options(device: str, given: Mapping[str, Any]) -> Options:
     """Options checked by name and kind.
 
@@ -179,15 +184,6 @@ def read_options(device: str, given: Mapping[str, Any]) -> Options:
     if options.dump_lag < 0 or not options.slow_vent > 0:
         raise DeviceError(device, "option dump_lag needs a lag of at least 0 s, option slow_vent a factor above 0")
     return options
-
-
-FLOWS = ("hysteresis", "conductance_fill", "conductance_vent", "polytropic")
-NOT_FOR = (
-    {"daerden": ("F_s", "F_c", "b_relax", "fce_eval"), "dmsp-40-305": FLOWS}
-    | dict.fromkeys((*CONTRACTORS, "contractor"), (*FLOWS, "F_s", "F_c", "b_relax", "fce_eval"))
-    | {ARM: (*FLOWS, "b_relax", "fce_eval"), AIRY: ("hysteresis", "fce_eval")}
-)
-"""Options that a plant has no use for; of all others what is for one plant only."""
 
 
 def _check_plant(device: str, options: Options, overrides: Mapping[str, Any]) -> None:

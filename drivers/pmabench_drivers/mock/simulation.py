@@ -17,7 +17,7 @@ from pmabench.model.plant import Plant
 from pmabench.model.presets import Arm, changed, preset, setup_of
 from pmabench.model.regulator import Wave, constant, ramp, sine
 from pmabench_drivers.mock import options as o
-from pmabench_drivers.mock.channels import Channel, Column, Damage
+from pmabench_drivers.mock.channels import Channel, Column, Damage, as_block
 from pmabench_drivers.mock.options import Options, SensorError
 
 MEMORY = 2.5
@@ -252,7 +252,7 @@ class Simulation:
             return blocks[0]
         if not blocks:
             return Block([], {channel.record.name: [] for channel in self._channels})
-        return Block(
+        return as_block(
             np.concatenate([block.time for block in blocks]),
             {name: np.concatenate([block.columns[name] for block in blocks]) for name in blocks[0].columns},
         )
@@ -380,7 +380,7 @@ class Simulation:
         return 0.0 if self._is_due(self.faults.supply_lost_at) else self._options.supply
 
     def _keep(self, time_ns: list[int] | NDArray[np.int64], columns: dict[str, Column]) -> None:
-        self._pending.append(self._damage.done(Block(time_ns, columns), self.faults, self.errors))
+        self._pending.append(self._damage.done(as_block(time_ns, columns), self.faults, self.errors))
 
 
 def _known(device: str, word: str, names: list[str], known: tuple[str, ...]) -> None:

@@ -70,6 +70,8 @@ LAST_READ = 4
 
 Signature = tuple[int, ...]
 """What distinguishes an answer from others: function code, and number of bytes or address."""
+IDENTIFY = 43
+BASIC, REGULAR = 1, 2
 
 
 class _Tcp(ModbusTcpClient):
@@ -300,10 +302,6 @@ class Line:
         if monotonic() >= limit - 1e-3:
             return f"no answer from {self._address} within {self._timeout:g} s"
         return f"an answer that makes no sense from {self._address}"
-
-
-IDENTIFY = 43
-BASIC, REGULAR = 1, 2
 
 
 class NamedLine(Line):

@@ -24,6 +24,9 @@ MAP_KEYS = (
 UPTIMES = ("uint32", "int32")
 """Types of a number that only grows until a restart."""
 HIGH, LOW = "high-first", "low-first"
+Schema = dict[str, Any]
+NUMBER = r"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d{1,3})?"
+WRITTEN = ("holding", "coil")
 
 
 @dataclass(frozen=True)
@@ -231,11 +234,6 @@ def _fits(output: OutputRecord, register: Register, place: Place, reader: Reader
 def _ends(scale: Any, channel: Any) -> tuple[float, float]:
     ends = float(scale.to_raw(channel.low)), float(scale.to_raw(channel.high))
     return ends if all(map(math.isfinite, ends)) else (0.0, 0.0)
-
-
-Schema = dict[str, Any]
-NUMBER = r"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d{1,3})?"
-WRITTEN = ("holding", "coil")
 
 
 def _whole(low: int, high: int) -> Schema:

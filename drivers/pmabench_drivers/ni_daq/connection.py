@@ -22,6 +22,27 @@ from pmabench.bench.interface import EMULATED, Identity
 from pmabench_drivers.ni_daq.options import Input, Options, Output
 from pmabench_drivers.shared.link import Unanswered
 
+SHORTEST = 0.001
+"""Time for a call for which none is left [s]."""
+BUFFER = 10.0
+"""So long samples wait for whoever reads them [s]."""
+MOST = 4000
+"""Samples of each input that are read at once."""
+REASONS = {
+    -200220: "NI-DAQmx knows no device of this name",
+    -200170: "the device has no such channel",
+    -200324: "the device is absent or was unplugged",
+    -201003: "the device cannot be reached: is it plugged in, and has it power?",
+    -50103: "it is reserved by another program or task: end that one first",
+    -200587: "the line is reserved by another program or task: end that one first",
+    -200279: "samples were overwritten before they were read",
+    -200222: "sampling was ended because samples were not read in time",
+    -200361: "samples were lost inside the device: its memory overflowed on the way to the computer",
+    -200714: "samples were lost inside the device: the connection is too slow for the rate",
+    -200088: "the task is gone: the server was restarted, or another program took the device",
+}
+"""Errors of NI-DAQmx that are met at a bench, in words of our own."""
+
 
 class Bounded:
     """A separate gRPC connection whose calls end in time; nothing is sent twice."""
@@ -50,28 +71,6 @@ class Bounded:
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._channel, name)
-
-
-SHORTEST = 0.001
-"""Time for a call for which none is left [s]."""
-BUFFER = 10.0
-"""So long samples wait for whoever reads them [s]."""
-MOST = 4000
-"""Samples of each input that are read at once."""
-REASONS = {
-    -200220: "NI-DAQmx knows no device of this name",
-    -200170: "the device has no such channel",
-    -200324: "the device is absent or was unplugged",
-    -201003: "the device cannot be reached: is it plugged in, and has it power?",
-    -50103: "it is reserved by another program or task: end that one first",
-    -200587: "the line is reserved by another program or task: end that one first",
-    -200279: "samples were overwritten before they were read",
-    -200222: "sampling was ended because samples were not read in time",
-    -200361: "samples were lost inside the device: its memory overflowed on the way to the computer",
-    -200714: "samples were lost inside the device: the connection is too slow for the rate",
-    -200088: "the task is gone: the server was restarted, or another program took the device",
-}
-"""Errors of NI-DAQmx that are met at a bench, in words of our own."""
 
 
 class Connection:

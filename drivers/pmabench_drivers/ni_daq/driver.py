@@ -31,6 +31,13 @@ SLIP = 0.1
 """More than this the samples of a whole second may not be later than they were [s]."""
 BEYOND = 1.2
 """No converter gives more than so many times its range."""
+CALL = 0.17
+"""Longest time that a call takes [s]."""
+ANSWER = 0.1
+"""How long the answer to a command is waited for, before the line itself is looked at [s]."""
+STEP = 0.06
+"""How long a step of a ramp may take, so that a command that ends the ramp still has its time [s]."""
+OPEN = 1.8
 
 
 class Sampling:
@@ -117,15 +124,6 @@ class Sampling:
         origin, host = round(self.start * 1e9), round(now * 1e9)
         for number, values in enumerate(zip(*columns, strict=True), first):
             self._samples.append(origin + round(number * 1e9 / self._rate), values, host)
-
-
-CALL = 0.17
-"""Longest time that a call takes [s]."""
-ANSWER = 0.1
-"""How long the answer to a command is waited for, before the line itself is looked at [s]."""
-STEP = 0.06
-"""How long a step of a ramp may take, so that a command that ends the ramp still has its time [s]."""
-OPEN = 1.8
 
 
 class NiDaq(Led):

@@ -40,6 +40,8 @@ GIVE_UP = 10.0
 """Longest wait for a client to give up [s]."""
 
 Answer = dict[str, Any]
+KINDS = {"ai": 10100, "ao": 10102, "di": 10151, "do": 10153}
+VOLTAGE = 10322
 
 
 def serve(device: DeviceRecord, plant: RealPlant, log: CommandLog) -> EmulatedServer:
@@ -353,8 +355,6 @@ def _terminals(_board: Board, request: Any) -> int:
     return 7 if name in AI[:8] else 3
 
 
-KINDS = {"ai": 10100, "ao": 10102, "di": 10151, "do": 10153}
-VOLTAGE = 10322
 ATTRIBUTES: dict[tuple[str, int], Callable[[Board, Any], Any]] = {
     **{("SystemInfo UInt32", key): _always(part) for key, part in VERSION.items()},
     ("SystemInfo String", 0x193B): lambda board, _r: board.device.address,

@@ -32,6 +32,12 @@ _TOKEN = re.compile(
 )
 _QUANTIFIER = re.compile(r"(?:[*+?]|\{(\d{0,3})(,?)(\d{0,3})\})\??")
 _PRINTABLE = [chr(code) for code in (9, 10, 13, *range(32, 127))]
+_NUMBER = re.compile(r"([+-]?)\s*(\d{1,40}(?:\.\d{0,40})?|\.\d{1,40})", re.ASCII)
+KEYS = (
+    *("baud", "data_bits", "parity", "stop_bits", "poll", "pattern", "terminator", "timeout", "slowest", "rate"),
+    *("unit", "good_status", "over_range", "errors", "ask_identity", "emulate"),
+)
+_EMULATED = re.compile(r"[^%]*%[+\- 0]*\d{0,2}(?:\.\d{1,2})?f[^%]*")
 
 
 def pattern_problem(pattern: str) -> str:
@@ -87,22 +93,12 @@ def inputs_of(pattern: re.Pattern[str]) -> list[str]:
     return [name for name in pattern.groupindex if name not in NOT_INPUTS]
 
 
-_NUMBER = re.compile(r"([+-]?)\s*(\d{1,40}(?:\.\d{0,40})?|\.\d{1,40})", re.ASCII)
-
-
 def number(text: str, sign: str = "") -> float:
     """A decimal number, spaces after its sign allowed; ValueError for anything else."""
     found = _NUMBER.fullmatch(text.strip())
     if found is None or (sign and found[1]):
         raise ValueError(f'"{text[:40]}" is no number')
     return float(f"{sign.strip() or found[1]}{found[2]}")
-
-
-KEYS = (
-    *("baud", "data_bits", "parity", "stop_bits", "poll", "pattern", "terminator", "timeout", "slowest", "rate"),
-    *("unit", "good_status", "over_range", "errors", "ask_identity", "emulate"),
-)
-_EMULATED = re.compile(r"[^%]*%[+\- 0]*\d{0,2}(?:\.\d{1,2})?f[^%]*")
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,18 @@ from pmabench_drivers.shared.link import Still, Unanswered, always, opened, turn
 from pmabench_drivers.shared.polling import JOIN, Samples
 from pmabench_drivers.shared.serial_port import SerialPort, Splitter, readable
 
+CALL = 0.17
+"""Longest time that a call takes [s]."""
+ANSWER = 0.08
+"""How long an answer is waited for before what the board holds is asked for [s]."""
+OPEN = 1.9
+ASK = 0.2
+"""While it is opened a board is asked so often who it is: an Arduino restarts when its port is opened [s]."""
+PATIENCE = 0.25
+"""So long [s], and at least three periods, no sample may come, or steps may fail, before `collect` says so."""
+MISFITS = 3
+"""So many samples in a row whose number and clock do not fit are an error."""
+
 
 class Link(SerialPort):
     """An open port; `on_sample` gets the fields of each `S` line and when it came [s, bench time], on its thread."""
@@ -86,19 +98,6 @@ class Link(SerialPort):
         if waiting is not None and not waiting[0].is_set():
             waiting[1].append([fields[0], *fields[2:]])
             waiting[0].set()
-
-
-CALL = 0.17
-"""Longest time that a call takes [s]."""
-ANSWER = 0.08
-"""How long an answer is waited for before what the board holds is asked for [s]."""
-OPEN = 1.9
-ASK = 0.2
-"""While it is opened a board is asked so often who it is: an Arduino restarts when its port is opened [s]."""
-PATIENCE = 0.25
-"""So long [s], and at least three periods, no sample may come, or steps may fail, before `collect` says so."""
-MISFITS = 3
-"""So many samples in a row whose number and clock do not fit are an error."""
 
 
 class SerialLineDaq(Led):

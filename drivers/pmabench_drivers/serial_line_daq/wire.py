@@ -29,6 +29,15 @@ REASONS = {
 """The words with which a board refuses."""
 _WHOLE = re.compile(rb"([ -)+-~]{1,114})\*([0-9A-F]{4})")
 _COUNT = re.compile(r"-?\d{1,10}")
+WRAP = 1 << 32
+LONGEST = 10_000_000
+"""A jump over more than this is no loss but nonsense [us]."""
+DRIFT = 2e-3
+"""How far number and clock may drift apart over a gap [1]."""
+KNOWN_BAUDS = tuple(sorted({*BAUDS, 250_000, 500_000, 1_000_000, 2_000_000}))
+BAUD = 500_000
+WATCHDOG = (0.05, 1.0)
+"""Shortest and longest time of the board's watchdog [s]."""
 
 
 class NoLine(ValueError):
@@ -81,13 +90,6 @@ def index_of(name: str, letter: str) -> int | None:
     return int(found[1]) if found and int(found[1]) < MOST[letter] else None
 
 
-WRAP = 1 << 32
-LONGEST = 10_000_000
-"""A jump over more than this is no loss but nonsense [us]."""
-DRIFT = 2e-3
-"""How far number and clock may drift apart over a gap [1]."""
-
-
 class Timeline:
     """Gives the time of each sample; counts what was lost by the numbers.
 
@@ -122,12 +124,6 @@ class Timeline:
             self._time += passed
         self._last, self.misfits = sample, 0
         return self._time
-
-
-KNOWN_BAUDS = tuple(sorted({*BAUDS, 250_000, 500_000, 1_000_000, 2_000_000}))
-BAUD = 500_000
-WATCHDOG = (0.05, 1.0)
-"""Shortest and longest time of the board's watchdog [s]."""
 
 
 def read_options(device: DeviceRecord, reader: Reader) -> int:

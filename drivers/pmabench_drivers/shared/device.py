@@ -21,6 +21,9 @@ from pmabench_drivers.shared.link import Still
 from pmabench_drivers.shared.options import Place, Reader, options_of
 from pmabench_drivers.shared.polling import Cycle, Samples
 
+STEPS = 100.0
+"""Ramps and sines are stepped so often where no polling sets the pace [Hz]."""
+
 
 def refuse_nonsense(device: str, output: str, segment: Segment) -> None:
     """DeviceError where a segment is neither a ramp nor a sine, or has a number that is none, or no rate."""
@@ -61,10 +64,6 @@ def _on_step(value: float, resolution: float, low: float, high: float) -> float:
     if resolution > 0:
         value = round(value / resolution) * resolution
     return min(max(value, low), high)
-
-
-STEPS = 100.0
-"""Ramps and sines are stepped so often where no polling sets the pace [Hz]."""
 
 
 class Driver(ABC):

@@ -17,6 +17,18 @@ from pmabench.bench.interface import Block
 
 JOIN = 0.15
 """How long a thread is given to end, where that is waited for [s]."""
+PATIENCE = 0.25
+"""So long [s] ticks may fail before `collect` says so; what is lost till then is a gap in the samples."""
+BEHIND = 0.02
+"""Deadlines are made up that passed within so long [s], and always the last one: a busy computer's stalls are short."""
+DRIFT = 2e-4
+"""How far the clocks of device and computer may run apart [1]."""
+AHEAD = 0.3
+"""More than this no sample may be here before its time [s]."""
+WINDOW = 1.0
+"""So long everything must be late, before it is believed [s]: a computer that is busy is late now and then."""
+ENOUGH = 20
+"""And so many pieces."""
 
 
 class Samples:
@@ -47,12 +59,6 @@ class Samples:
             block = Block(self._time, dict(zip(self._names, self._columns, strict=True)), self._host)
             self._clear()
         return block
-
-
-PATIENCE = 0.25
-"""So long [s] ticks may fail before `collect` says so; what is lost till then is a gap in the samples."""
-BEHIND = 0.02
-"""Deadlines are made up that passed within so long [s], and always the last one: a busy computer's stalls are short."""
 
 
 class Cycle:
@@ -128,16 +134,6 @@ class Cycle:
             self.missed += lost
             due += lost
             halt.wait(max(0.0, start + due / rate - self._clock.now()))
-
-
-DRIFT = 2e-4
-"""How far the clocks of device and computer may run apart [1]."""
-AHEAD = 0.3
-"""More than this no sample may be here before its time [s]."""
-WINDOW = 1.0
-"""So long everything must be late, before it is believed [s]: a computer that is busy is late now and then."""
-ENOUGH = 20
-"""And so many pieces."""
 
 
 class Pace:

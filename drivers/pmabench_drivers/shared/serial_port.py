@@ -22,6 +22,14 @@ from pmabench_drivers.shared.link import Listening, opened, reason
 from pmabench_drivers.shared.polling import Samples
 
 LONGEST_LINE = 120
+PIECE = 0.02
+"""Longest single wait for bytes [s]."""
+PUSH = 0.1
+"""Longest time to hand bytes to the port [s]."""
+MOST = 20_000
+"""More than this is never kept while an answer is waited for [bytes]."""
+STREAM_PATIENCE = 0.5
+"""So long nothing usable may come before `collect` says so [s]."""
 
 
 class Wrong(Exception):
@@ -65,14 +73,6 @@ def text_of(line: bytes) -> str:
         return line.decode("ascii")
     except UnicodeDecodeError:
         raise Unreadable(f'"{readable(line)}"') from None
-
-
-PIECE = 0.02
-"""Longest single wait for bytes [s]."""
-PUSH = 0.1
-"""Longest time to hand bytes to the port [s]."""
-MOST = 20_000
-"""More than this is never kept while an answer is waited for [bytes]."""
 
 
 def hand_over(port: Any, data: bytes, seconds: float) -> None:
@@ -146,10 +146,6 @@ class SerialPort(Listening):
         self.hush()
         with contextlib.suppress(OSError):
             self._port.close()
-
-
-STREAM_PATIENCE = 0.5
-"""So long nothing usable may come before `collect` says so [s]."""
 
 
 class SerialStream(Driver):

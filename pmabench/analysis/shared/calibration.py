@@ -1,6 +1,6 @@
 """What the uncertainties of the channels' scales do to a result, to first order; knows no test.
 
-A calibration tells two expanded uncertainties (95 %, k = 2), independent of each other: an offset, the same at every
+A calibration gives two expanded uncertainties (95 %, k = 2), independent of each other: an offset, the same at every
 reading [SI of the channel], and a gain, a share of the reading: true value = (1 + gain) reading + offset.
 """
 
@@ -18,7 +18,7 @@ Sensitivities = Mapping[str, float]
 
 @dataclass(frozen=True)
 class Scales:
-    """Expanded uncertainties by channel, the largest of several runs; only those that every run's record tells."""
+    """Expanded uncertainties by channel, the largest of several runs; only those that every run's record gives."""
 
     offsets: Mapping[str, float]
     """[SI of the channel]."""
@@ -27,7 +27,7 @@ class Scales:
 
     @classmethod
     def of(cls, runs: Iterable[RunData]) -> Scales:
-        """Of the channels of runs; a channel that a run does not record counts as not told."""
+        """Of the channels of runs; a channel that a run does not record counts as unknown."""
         infos = [run.channels for run in runs]
         names = [name for name in (infos[0] if infos else ()) if all(name in info for info in infos)]
 
@@ -38,29 +38,29 @@ class Scales:
         return cls(worst("offset_uncertainty"), worst("gain_uncertainty"))
 
     def part(self, gains: Sensitivities, offsets: Sensitivities | None = None) -> float | None:
-        """Half width from the scales, independent causes added as squares; None where nothing of them is told.
+        """Half width from the scales, independent causes added as squares; None where none of them is known.
 
         `gains`: change of the result per relative change of a channel; `offsets`: per change of its offset [SI].
         """
         offsets = offsets or {}
-        if (gains or offsets) and len(self._untold(gains, offsets)) == len({*gains, *offsets}):
+        if (gains or offsets) and len(self._missing(gains, offsets)) == len({*gains, *offsets}):
             return None
         by_gain = sum((self.gains.get(name, 0.0) * change) ** 2 for name, change in gains.items())
         return sqrt(by_gain + sum((self.offsets.get(name, 0.0) * change) ** 2 for name, change in offsets.items()))
 
     def lack(self, gains: Iterable[str], offsets: Iterable[str] = ()) -> str:
-        """A sentence that names the channels of `part` whose uncertainty the record does not tell; empty if none."""
+        """A sentence that names the channels of `part` whose uncertainty the record does not give; empty if none."""
         gains, offsets = list(gains), list(offsets)
-        untold = self._untold(gains, offsets)
-        if not untold:
+        missing = self._missing(gains, offsets)
+        if not missing:
             return ""
-        kind = "uncertainty" if set(untold) <= set(offsets) else "gain uncertainty"
-        whole = len(untold) == len({*gains, *offsets})
-        named = ", ".join(untold[:-1]) + (" and " if untold[:-1] else "") + untold[-1]
+        kind = "uncertainty" if set(missing) <= set(offsets) else "gain uncertainty"
+        whole = len(missing) == len({*gains, *offsets})
+        named = ", ".join(missing[:-1]) + (" and " if missing[:-1] else "") + missing[-1]
         return f"{'no' if whole else 'incomplete'} calibration part: the record tells no {kind} of {named}"
 
-    def _untold(self, gains: Iterable[str], offsets: Iterable[str]) -> list[str]:
-        """Channels of which nothing is told that would count."""
+    def _missing(self, gains: Iterable[str], offsets: Iterable[str]) -> list[str]:
+        """Channels without a known uncertainty."""
         known = {*(set(gains) & set(self.gains)), *(set(offsets) & set(self.offsets))}
         return [name for name in dict.fromkeys((*gains, *offsets)) if name not in known]
 

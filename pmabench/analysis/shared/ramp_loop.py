@@ -1,4 +1,12 @@
-"""One isobaric loop: the branches of its cycles on a common grid of contraction, their gap, mean and work.
+"""One isobaric loop: branches on a common grid of contraction, their ends, gap, mean and work.
+
+After a turn the force goes over to the other branch as exp(-way/w), whatever the speed. In a loop that repeats itself,
+between ends `lower` and `upper` with E = exp(-(upper - lower)/w), and d1, d2 the ways from the two ends:
+
+    gap  = 2 h - 2 h/(1 + E) (exp(-d1/w) + exp(-d2/w))
+    mean = what it is without hysteresis + h/(1 + E) (exp(-d1/w) - exp(-d2/w))
+
+What the muscle does without hysteresis is not in the gap, so h and w are found whatever it is.
 
 Knows one trial of slow ramps; no campaign and no fit over pressure or speed.
 """
@@ -13,12 +21,87 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
 
 from pmabench.analysis.shared.samples import UNUSABLE_SHARE, NotUsable, noise_of, on_time
 from pmabench.analysis.shared.sine_loop import lost_work
-from pmabench.analysis.shared.turns import Turns, turns_of
 from pmabench.base.quantities import show
 from pmabench.store.records import Array, Command, Flag, RunData, TrialData
+
+BETTER = 0.5
+"""Share of the gap's rms about a constant that the turns must bring it below to be believed."""
+WIDEST = 0.4
+"""Largest w, as a share of the stroke."""
+
+
+@dataclass(frozen=True)
+class Turns:
+    """h: half the gap of the open loop [N]; w: way on which a turn fades to 1/e [m]; ends of the stroke [m]."""
+
+    h: float
+    w: float
+    lower: float
+    upper: float
+    rms: float
+    """Of the gap about the fit [N]."""
+
+    def of_mean(self, x: Array) -> Array:
+        """What the turns leave in the mean of the branches [N] at `x` [m]."""
+        first, second = _fading(x, self.lower, self.upper, self.w)
+        return np.asarray(0.5 * self.h * (first - second))
+
+
+def _fading(x: Array, lower: float, upper: float, w: float) -> tuple[Array, Array]:
+    """2/(1 + E) exp(-d1/w) and 2/(1 + E) exp(-d2/w)."""
+    size = 2.0 / (1.0 + np.exp(-(upper - lower) / w))
+    return size * np.exp(-(x - lower) / w), size * np.exp(-(upper - x) / w)
+
+
+def turns_of(x: Array, gap: Array, lower: float, upper: float) -> Turns | None:
+    """The turns in a gap [N] at `x` [m], both of shape (n,); None where none show.
+
+    The gap of the open loop is a constant, or where that does not do a parabola over the stroke: pressure that depends
+    on the motion makes one.
+    """
+    return _found(x, gap, lower, upper, 0) or _found(x, gap, lower, upper, 2)
+
+
+def _found(x: Array, gap: Array, lower: float, upper: float, order: int) -> Turns | None:
+    """The turns beside a gap of a power of `order` over the stroke."""
+    z = (2 * x - lower - upper) / (upper - lower)
+    powers = [z**k for k in range(order + 1)]
+
+    def left(columns: list[Array]) -> tuple[float, float]:
+        """The first coefficient, and the rms of what is left [N]."""
+        design = np.column_stack(columns)
+        terms, *_ = np.linalg.lstsq(design, gap, rcond=None)
+        return float(terms[0]), float(np.sqrt(np.mean((gap - design @ terms) ** 2)))
+
+    flat = left(powers)[1] if len(x) >= 8 else 0.0
+    if flat <= 1e-9 * float(np.max(np.abs(gap))):
+        return None
+
+    def solve(w: float) -> tuple[float, float]:
+        first, second = _fading(x, lower, upper, w)
+        return left([2.0 - first - second, *powers[1:]])
+
+    stroke = upper - lower
+    bounds = np.log(0.5 * float(x[1] - x[0])), np.log(WIDEST * stroke)
+    starts = np.linspace(*bounds, 40)
+    best = starts[int(np.argmin([solve(float(np.exp(s)))[1] for s in starts]))]
+    step = starts[1] - starts[0]
+    found = minimize_scalar(
+        lambda s: solve(float(np.exp(s)))[1],
+        bounds=(best - step, best + step),
+        method="bounded",
+        options={"xatol": 1e-6},
+    )
+    w = float(np.exp(found.x))
+    h, rms = solve(w)
+    if rms > BETTER * flat or w >= WIDEST * stroke or h <= 0:
+        return None
+    return Turns(h, w, lower, upper, rms)
+
 
 POINTS = 81
 """Points of the grid."""
@@ -95,22 +178,11 @@ def measure(run: RunData, trial: TrialData, discard: int, turn: float) -> Loop:
     Sensors' lags are taken off. Raises `NotUsable` where the trial ended early, lacks a channel or whole cycles, or
     went slack.
     """
-    if trial.status != "finished":
-        raise NotUsable(f"the trial is {trial.status}")
-    missing = [name for name in ("displacement", "force") if name not in trial.channels]
-    if missing:
-        raise NotUsable(f"{' and '.join(missing)} not recorded")
-    cycles = _cycles(trial)[discard:]
-    if not cycles:
-        raise NotUsable("it holds no whole cycle beyond those left out")
+    cycles, whole = _usable_cycles(trial, discard)
     lower, upper = cycles[0][0].before, cycles[0][0].value
     grid = np.linspace(lower + turn, upper - turn, POINTS)
     if not grid[-1] > grid[0]:
         raise NotUsable("nothing is left of the stroke between its ends")
-    whole = (trial.t >= cycles[0][0].t) & (trial.t < cycles[-1][2])
-    bad = float(np.mean(~trial.usable[whole])) if whole.any() else 1.0
-    if bad > UNUSABLE_SHARE:
-        raise NotUsable(f"{bad:.0%} of the samples are flagged")
     values = {name: on_time(run, trial, name) for name in ("displacement", "force", "pressure")}
     branches: dict[str, list[Array]] = {"contract": [], "expand": []}
     pressures: dict[str, list[float]] = {"contract": [], "expand": []}
@@ -161,6 +233,23 @@ def measure_as_planned(run: RunData, trial: TrialData, options: Mapping[str, Any
     settings = {**(run.plan.get("settings") or {}), **options}
     stroke = trial.point.get("upper", 0.0) - trial.point.get("lower", 0.0)
     return measure(run, trial, int(settings.get("discard", 1)), float(settings.get("turn", TURN * stroke)))
+
+
+def _usable_cycles(trial: TrialData, discard: int) -> tuple[list[tuple[Command, Command, float]], NDArray[np.bool_]]:
+    """The cycles to measure, and which samples lie in them; raises `NotUsable`."""
+    if trial.status != "finished":
+        raise NotUsable(f"the trial is {trial.status}")
+    missing = [name for name in ("displacement", "force") if name not in trial.channels]
+    if missing:
+        raise NotUsable(f"{' and '.join(missing)} not recorded")
+    cycles = _cycles(trial)[discard:]
+    if not cycles:
+        raise NotUsable("it holds no whole cycle beyond those left out")
+    whole = (trial.t >= cycles[0][0].t) & (trial.t < cycles[-1][2])
+    bad = float(np.mean(~trial.usable[whole])) if whole.any() else 1.0
+    if bad > UNUSABLE_SHARE:
+        raise NotUsable(f"{bad:.0%} of the samples are flagged")
+    return cycles, whole
 
 
 def _cycles(trial: TrialData) -> list[tuple[Command, Command, float]]:

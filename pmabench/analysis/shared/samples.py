@@ -1,13 +1,18 @@
-"""Samples of a trial of any kind: stretches of them, whether they can be used, their noise, a sine in them."""
+"""Samples of one trial: stretches and their noise, whether and when something moves, whether it is at rest.
+
+Knows samples and commands, no coefficient.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from math import pi
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from math import pi, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pmabench.analysis.results import Analysis, Finding
 from pmabench.store.records import Array, RunData, TrialData
 
 UNUSABLE_SHARE = 0.02
@@ -56,7 +61,7 @@ def noise_of(y: Array) -> float:
 
 
 def on_time(run: RunData, trial: TrialData, name: str) -> Array:
-    """A channel without the lag of its sensor, which along a ramp tells what was there one lag ago; NaN if missing."""
+    """A channel without the lag of its sensor, which along a ramp shows what was there one lag ago; NaN if missing."""
     if name not in trial.channels:
         return np.full(trial.t.shape, np.nan)
     lag = run.channels[name].sensor_lag if name in run.channels else 0.0
@@ -72,3 +77,196 @@ def three_parameter(t: Array, signals: Array, frequency: float) -> tuple[Array, 
     angle = 2 * pi * frequency * t
     fitted, *_ = np.linalg.lstsq(np.column_stack([np.ones_like(t), np.cos(angle), np.sin(angle)]), signals, rcond=None)
     return np.asarray(fitted[0]), np.asarray(fitted[1] - 1j * fitted[2], dtype=np.complex128)
+
+
+PARTS = 40
+"""The trial is averaged in at most so many parts ..."""
+LEAST_SAMPLES = 10
+"""... of at least so many samples, so that noise averages out and motion does not."""
+MOST_NAMES = 3
+"""So many trials are named in a sentence."""
+SPREADS = 3.0
+"""Standard deviations of the noise that a change must exceed."""
+LEAST_MOTION = {"displacement": 20e-6}
+"""Channel -> smallest change [SI] that counts as one: a gauge is repeatable to this."""
+DRIVEN = ("frequency", "speed", "step", "amplitude", "lower", "upper", "setpoint")
+"""Entries of an operating point that say that the free end is driven."""
+Holds = Callable[[float, float], bool]
+"""Whether the muscle at a pressure [Pa] does not lift a load [N]."""
+
+
+def never(_pressure: float, _load: float) -> bool:
+    """`Holds` of a muscle of which nothing is known: it is meant to lift every load."""
+    return False
+
+
+def not_moved(channel: str, trial: TrialData, holds: Holds) -> bool:
+    """Whether `channel`, which changes in each trial of its kind of test, should have changed and did not.
+
+    Nothing moves without pressure, nor under a load that the muscle `holds`, unless the free end is driven.
+    """
+    pressure, load = trial.point.get("pressure"), trial.point.get("load")
+    if pressure is None or any(name in trial.point for name in DRIVEN):
+        return nothing_moved(trial, channel)
+    held = load is not None and holds(pressure, load)
+    return not held and (pressure > 0 or "from" in trial.point) and nothing_moved(trial, channel)
+
+
+def with_motion(analysis: Analysis, runs: Sequence[RunData], channel: str) -> Analysis:
+    """The analysis with a doubt where `channel` did not change in a trial that lifts its load by the F_ce found."""
+    found = {e.at["pressure"]: e.value for e in analysis.estimates if e.symbol == "F_ce" and "pressure" in e.at}
+    known = sorted((pressure, value) for pressure, value in found.items() if value is not None)
+    friction = max((abs(e.value) for e in analysis.estimates if e.symbol == "F_c" and e.value is not None), default=0.0)
+
+    def holds(pressure: float, load: float) -> bool:
+        pulls = [value for at, value in known if at >= pressure - 1.0]  # F_ce grows with the pressure
+        return bool(pulls) and min(pulls) - load <= 2 * friction
+
+    trials = [trial for run in runs for trial in run.trials if trial.status == "finished" and not trial.again]
+    still = [trial.name for trial in trials if not_moved(channel, trial, holds)]
+    if not still:
+        return analysis
+    names = ", ".join(still[:MOST_NAMES]) + (" ..." if len(still) > MOST_NAMES else "")
+    text = (
+        f"nothing moved in {len(still)} of {len(trials)} trials ({names}): {channel} changed by less than its "
+        "noise; look at its gauge, at the hose to the muscle and at the load"
+    )
+    return replace(analysis, findings=(*analysis.findings, Finding("doubt", text)))
+
+
+def nothing_moved(trial: TrialData, channel: str) -> bool:
+    """Whether a channel of a trial changed by less than its noise.
+
+    The change is the range of the means over parts of the trial; the noise is the scatter of neighbouring samples.
+    False where there are too few samples to say.
+    """
+    if channel not in trial.channels:
+        return False
+    y = trial.channels[channel][trial.usable]
+    y = y[np.isfinite(y)]
+    if len(y) < 2 * LEAST_SAMPLES:
+        return False
+    means = [float(part.mean()) for part in np.array_split(y, min(PARTS, len(y) // LEAST_SAMPLES))]
+    noise = float(np.diff(y).std()) / np.sqrt(2.0)
+    return bool(max(means) - min(means) <= max(SPREADS * noise, LEAST_MOTION.get(channel, 0.0)))
+
+
+SEEN = 6.0
+"""A change counts where it exceeds this many standard deviations of the baseline."""
+LEAST = {"pressure": 200.0, "displacement": 10e-6}
+"""Least change that counts, where the baseline has less noise [SI]."""
+RISE = 4.0
+"""The line back to the baseline is laid through the samples up to this many times the threshold."""
+KINDS = ("command-to-pressure", "pressure-to-motion", "command-to-motion")
+
+
+def onset(t: Array, y: Array, command: float, least: float) -> float | None:
+    """The moment [s] at which `y` leaves its level before `command` [s]; None if it does not.
+
+    Threshold: `SEEN` times the noise of the samples before the command, at least `least`. From there a line through
+    the first samples above it is followed back to the level; where it misses the last still sample by far, y has
+    jumped from one sample to the next, at the latter.
+    """
+    before = y[t < command - 1e-9]
+    if len(before) < 8:
+        return None
+    level = float(np.mean(before))
+    threshold = max(least, SEEN * noise_of(before))
+    rise = y - level
+    above = np.flatnonzero((rise > threshold) & (t >= command - 1e-9))
+    held = above[:-2][(above[2:] - above[:-2]) == 2]
+    if not len(held):
+        return None
+    first = int(held[0])
+    beyond = np.flatnonzero(rise[first:] > RISE * threshold)
+    last = first + max(2, int(beyond[0]) if len(beyond) else 2)
+    part = slice(first, last + 1)
+    slope, height = np.polyfit(t[part] - t[first], rise[part], 1)
+    still = np.flatnonzero(rise[:first] <= threshold / SEEN)
+    reached, earliest = float(t[first]), float(t[still[-1]]) if len(still) else command
+    at = reached - float(height / slope) if slope > 0 else command
+    if at >= earliest - float(t[first] - t[first - 1]):
+        return min(reached, max(earliest, at))
+    return reached if rise[first] > RISE * threshold else earliest
+
+
+def dead_times(t: Array, channels: Mapping[str, Array], usable: NDArray[np.bool_], command: float) -> dict[str, float]:
+    """Times [s] between command, pressure and motion of a contraction that is commanded at `command` [s]."""
+    near = usable & (t < command + 2.0)
+    found = {name: onset(t[near], channels[name][near], command, least) for name, least in LEAST.items()}
+    result = {}
+    pressure, motion = found["pressure"], found["displacement"]
+    if pressure is not None:
+        result["command-to-pressure"] = pressure - command
+    if motion is not None:
+        result["command-to-motion"] = motion - command
+        if pressure is not None:
+            result["pressure-to-motion"] = motion - pressure
+    return result
+
+
+BLOCKS = 20
+"""Means that a stretch is divided into."""
+FEWEST = 5
+TIMES = np.geomspace(0.15, 4.0, 10)
+"""Time constants that are tried, over the length of the stretch; what takes longer looks like a drift."""
+ALIKE = 4.0
+"""By so many variances may the sum of squares of a time constant exceed the least (95 %)."""
+MORE = 1.2
+"""What is left counts by so much more than it is found, for a motion need not be one exponential."""
+SURE = 5.0
+"""Standard deviations from which on a motion is seen."""
+
+
+@dataclass(frozen=True)
+class Left:
+    """What a signal would still change by [as the signal] after the mean of its end, by an exponential."""
+
+    size: float
+    """The likeliest."""
+    most: float
+    """The largest that the samples allow (95 %), without a sign."""
+    seen: bool
+    """Whether it moves at all, as far as noise lets one say."""
+
+
+@dataclass(frozen=True, eq=False)
+class Held:
+    """Means of a signal along the later part of a hold."""
+
+    t: Array
+    """From its begin on [s]."""
+    y: Array
+    late: Array
+    """1 where it is of the end whose mean counts, else 0."""
+
+    @classmethod
+    def of(cls, t: Array, y: Array, since: float) -> Held:
+        """Of samples `y` (n,) at `t` (n,) [s]; the mean counts from the time `since` on."""
+        parts = np.array_split(np.arange(len(t)), max(1, min(BLOCKS, len(t) // 3)))
+        at, mean = (np.array([float(values[part].mean()) for part in parts]) for values in (t - t[0], y))
+        return cls(at, mean, np.where(at >= min(since - t[0], at[-1]), 1.0, 0.0))
+
+
+def left(holds: Sequence[Held]) -> Left:
+    """What the mean of the ends of like holds would still change by.
+
+    An exponential with each of `TIMES` is fitted to the means of all; those that fit nearly as well as the best
+    bound the result, and with few samples the range of the means does.
+    """
+    count = min(len(one.t) for one in holds)
+    at, mean, late = np.mean([[one.t[:count], one.y[:count], one.late[:count]] for one in holds], axis=0)
+    mean -= mean.mean()
+    if count < FEWEST or not late.any():
+        return Left(0.0, float(np.ptp(mean)), seen=False)
+    shapes = np.exp(-at / (float(at[-1]) * TIMES[:, None]))
+    off = shapes - shapes.mean(axis=1, keepdims=True)
+    power = np.sum(off**2, axis=1)
+    size = off @ mean / power
+    cost = np.sum((mean - size[:, None] * off) ** 2, axis=1)
+    best, beyond = int(np.argmin(cost)), shapes @ late / late.sum()
+    variance = float(cost[best]) / (count - 3)
+    fits = cost <= cost[best] + ALIKE * variance
+    most = MORE * beyond * (np.abs(size) + 2 * np.sqrt(variance / power))
+    seen = abs(float(size[best])) * sqrt(float(power[best])) > SURE * sqrt(variance)
+    return Left(-float(size[best] * beyond[best]), float(most[fits].max()), seen)

@@ -146,12 +146,7 @@ def _window(trial: TrialData, frequency: float, discard: float) -> slice:
 
 
 def evaluate(
-    t: Array,
-    x: Array,
-    F: Array,
-    frequency: float,
-    pressure: float = float("nan"),
-    ripple: complex = 0j,
+    t: Array, x: Array, F: Array, frequency: float, pressure: float = float("nan"), ripple: complex = 0j
 ) -> Sine:
     """Harmonics, area and width of the loop of displacement `x` [m] and force `F` [N] at `t` [s], shapes (n,)."""
     omega = 2 * pi * frequency

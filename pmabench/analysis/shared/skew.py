@@ -17,7 +17,7 @@ from pmabench.analysis.shared.calibration import sentences
 from pmabench.store.records import Array, RunData, TrialData
 
 WIDE = 0.25
-"""A coefficient is not told where the skew alone is worth more than this share of it, and more than all else."""
+"""A coefficient is withheld where the skew alone is worth more than this share of it, and more than all else."""
 REFUSED = "not identifiable in time"
 EQUAL, ARRIVALS, STAMPED = "stated equal", "host arrivals", "stamped by the computer"
 """`ClockInfo.how`."""

@@ -1,8 +1,7 @@
-"""What speaks for or against a result, and results beside each other.
+"""What speaks for or against a result, and results compared with each other.
 
-- beside its residual: `checks`; limits of a protocol: `acceptance`
-- independent tests of one specimen against each other: `agreement`, by what each kind says, `offers`
-- two analyses coefficient by coefficient (`compare`): `comparison`; what recalibration changed: `changes`
-- open questions of imports, kept files that changed, doubts about a bench, as the runs store them: `record`
-- a specimen over its runs (`history`): `life`, `control_chart`
+- next to its residual, and open questions of its runs: `checks`; limits of a protocol: `acceptance`
+- independent tests of one specimen against each other, by what each kind offers: `agreement`
+- two analyses coefficient by coefficient (`compare`), and what a recalibration changed: `comparison`
+- a specimen over its runs (`history`): `life`
 """

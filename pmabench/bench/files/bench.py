@@ -81,7 +81,7 @@ def one_of(model: Strict, kinds: dict[str, tuple[str, ...]], optional: set[tuple
 
 
 class WatchFile(Strict):
-    """One thing to watch besides the limits; which of the kinds is given says what."""
+    """One thing to watch in addition to the limits; which of the kinds is given says what."""
 
     rate: Name | None = None
     stale: Name | None = None
@@ -271,14 +271,14 @@ class Weights(Strict):
     plates: list[Plates] = []
     g: Acceleration = 9.81
     carriage: Mass = 0.0
-    """What moves besides the stack: table, cable, rod."""
+    """What moves with the stack: table, cable, rod."""
     act_as: Literal["mass", "force"] = "mass"
     """`mass`: the stack moves with the muscle; `force`: a constant-force device that has no inertia of its own."""
     pulley: bool = False
     support: Length = 0.0
     catch_height: Length | None = None
     load_tolerance: RatioAbove0 = 0.1
-    """How far the measured force of a load at rest may be from its weight, besides the cell's uncertainty."""
+    """How far the measured force of a load at rest may be from its weight, in addition to the cell's uncertainty."""
     load_action: Literal["warn", "stop"] = "warn"
     """What follows when it is further: a line in the record, or a controlled stop."""
 
@@ -305,7 +305,7 @@ class Air(Strict):
     relief_valve: PressureAbove0 | Literal["none"] = "none"
     isolation_valve: str = "none"
     dump_valve: Literal["normally open", "normally closed", "none"] | None = None
-    """A dump valve that the program does not switch; one that it switches stands among the outputs."""
+    """A dump valve that the program does not switch; one that it switches is among the outputs."""
     atmosphere: Pressure = 101325.0
     overshoot: PressureNotBelow0 = 0.0
     """Most that the regulator overshoots a step."""
@@ -370,7 +370,7 @@ class ValveFile(Strict):
     device: str
     output: str
     energised: Literal["closed", "open"]
-    """Its position while the output is on; without power it stands the other way."""
+    """Its position while the output is on; without power it is the other one."""
 
 
 def _kind_of_output(value: Any) -> str:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from pmabench.analysis.fitting.model_fit import ModelFit, fit_model
+from pmabench.analysis.model_fit import ModelFit, fit_model
 from pmabench.analysis.results import Analysis, Estimate, Finding, Parts, withhold
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.form import weighed
@@ -232,7 +232,7 @@ def _coefficients(
         quantity = quantities[name]
         power = name.partition("_")[2]
         per = f"per kg{power if power != '1' else ''}" if power not in {"", "0"} else ""
-        value, half, note = (None, None, why) if fit is None else fit.told(name, UNITS[quantity])
+        value, half, note = (None, None, why) if fit is None else fit.identified(name, UNITS[quantity])
         if half is not None:
             note = sentences(per, note, RESIDUALS, "no method part" if method == MATRIX else "")
         e = Estimate(

@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from pmabench.analysis.results import Dropped
-from pmabench.analysis.shared.rest import Held, Left, left
-from pmabench.analysis.shared.samples import NotUsable, noise_of
+from pmabench.analysis.shared.samples import Held, Left, NotUsable, left, noise_of
 from pmabench.base.quantities import show
 from pmabench.store.records import Array, RunData, TrialData
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from pmabench.analysis.fitting.model_fit import ModelFit
+from pmabench.analysis.model_fit import ModelFit
 from pmabench.analysis.results import Finding, Trace
 from pmabench.base.quantities import show
 from pmabench.kinds.arm_angle.stairs import Loaded

@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pmabench.analysis.shared.rest import Held
-from pmabench.analysis.shared.samples import UNUSABLE_SHARE, NotUsable, noise_of, on_time
+from pmabench.analysis.shared.samples import UNUSABLE_SHARE, Held, NotUsable, noise_of, on_time
 from pmabench.store.records import Array, RunData, TrialData
 
 FOLLOWS = 0.01

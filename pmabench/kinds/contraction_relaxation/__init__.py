@@ -1,15 +1,12 @@
 """Contraction and relaxation under load: K(P), B_c(P), B_r(P), F_ce(P), dead times.
 
-- `reduction`, made of `trials`, `segments`, `segment_noise`, `pooled`, `intervals`, `drift`, `values`, `curves`
+- `reduction`, made of `trials`, `segments`, `pooled`, `intervals`, `drift`, `values`, `curves`
   (regressions on pressure)
-- whether the data have the form of the fit, and what could hide in it: `form`, with `departures` and `weights`
-- the papers' way, dead times and bandwidth: `exponentials`, `steps`, `bandwidth`; words and overlays: `view`; whole
-  trials run freely: `free_run`; what speaks for the fit: `checks`
-- where asked for: chosen forms over pressure in `joint_forms`, `joint_fit`, `forms`; output error in `polish`,
-  `output_error`, `stretch`; draws over trials in `bootstrap`; the regulator in `regulator_response`
-- what it says of quantities that other tests measure, too: `offers`
-- by paper 1: `paper1`, made of `paper1_steps` and `known_force`; model against test in `paper1_view`
-- protocol files: `protocol`; one trial on the display: `live`; figures: `figures`
+- whether the data have the form of the fit, and what could hide in it: `form`, with `departures`; other `checks`
+- the way of the papers, dead times: `exponentials`; the regulator: `bandwidth`; words and overlays: `view`
+- where asked for: chosen forms over pressure in `joint`; output error in `output_error`, `stretch`
+- by paper 1: `paper1`, made of `paper1_steps`; model against test in `paper1_view`
+- protocol files: `protocol`; one trial on the display: `live`
 """
 
 from pmabench.base.imported import Commanded, Imported
@@ -28,14 +25,7 @@ RESULTS = (
     Result("tau_P", "rise time of the pressure", "time", positive=True),
 )
 PAPER_1_RESULTS = (
-    Result("F_ce", "contractile force", "force", headline=True),
-    Result("K", "stiffness", "stiffness", headline=True, positive=True),
-    Result("B_c", "damping, contracting", "damping", headline=True, plot="Damping", positive=True),
-    Result("B_r", "damping, relaxing", "damping", headline=True, plot="Damping", positive=True),
-    Result("F_c", "Coulomb friction", "force", headline=True, positive=True),
-    Result("tau_c", "time constant, contracting", "time", plot="Time constants", positive=True),
-    Result("tau_r", "time constant, relaxing", "time", plot="Time constants", positive=True),
-    Result("t_d", "dead time", "time", plot="Dead times t_d", positive=True),
+    *RESULTS[:8],
     Result("accuracy", "agreement of model and test at rest", "ratio", plot="Accuracy of the closed form at rest"),
     Result("misfit", "residual of the model over time", "length", plot="Residual of the closed form, rms over time"),
 )
@@ -110,10 +100,8 @@ PAPER_1 = Kind(
     moves="displacement",
     compares="displacement",
     word="contraction",
-    offers="pmabench.kinds.contraction_relaxation.offers:by_paper_1",
-    figures={
-        "step-overlay": "pmabench.kinds.contraction_relaxation.figures:step_overlays",
-    },
+    offers="pmabench.kinds.contraction_relaxation.values:by_paper_1",
+    figures={"step-overlay": "pmabench.kinds.contraction_relaxation.paper1_view:step_overlays"},
 )
 KIND = Kind(
     name="contraction-relaxation",
@@ -121,28 +109,21 @@ KIND = Kind(
     order=20,
     results=RESULTS,
     reduction="pmabench.kinds.contraction_relaxation.reduction:reduce",
-    papers=(
-        "paper 0, section 4",
-        "paper 1, section 3",
-    ),
+    papers=("paper 0, section 4", "paper 1, section 3"),
     protocol="pmabench.kinds.contraction_relaxation.protocol:ContractionRelaxation",
     live="pmabench.kinds.contraction_relaxation.live:measure",
     moves="displacement",
     compares="displacement",
-    repeated="pmabench.analysis.shared.reference:stroke_of",
+    repeated="pmabench.analysis.shared.trials:stroke_of",
     repeated_is="stroke",
     word="contraction",
-    offers="pmabench.kinds.contraction_relaxation.offers:offers",
+    offers="pmabench.kinds.contraction_relaxation.values:offers",
     methods=METHODS,
     options=("forms", "bootstrap", "regulator", "polish"),
-    parts={"check options": "pmabench.kinds.contraction_relaxation.forms:check"},
+    parts={"check options": "pmabench.kinds.contraction_relaxation.joint:check"},
     also=(PAPER_1,),
-    figures={
-        "overlay": "pmabench.plotting.motion:motions",
-    },
-    front={
-        "overlay": "pmabench.plotting.motion:overlays",
-    },
+    figures={"overlay": "pmabench.plotting.motion:motions"},
+    front={"overlay": "pmabench.plotting.motion:overlays"},
     imported=Imported(
         Commanded(
             "pressure",

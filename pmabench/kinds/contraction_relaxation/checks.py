@@ -1,23 +1,206 @@
-"""What speaks for the pooled fit beside its residual: loads left out, the other direction, friction.
+"""What speaks for the pooled fit next to its residual: loads left out, friction, whole trials simulated with it.
+
+NRMSE = ||x - x_model|| / ||x - mean x|| over the samples of a trial (100 (1 - NRMSE) is the fit in %, as system
+identification prints it); of one phase the rms error by the standard deviation of the whole trial, for a phase that
+hardly moves has next to none. Of several trials the squares of all are added. Knows the pooled fit; fits nothing.
 
 Every check is a least squares on the segments that the fit has already; no trial is read again.
 """
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from math import inf, nan, sqrt
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pmabench.analysis.results import Estimate
+from pmabench.analysis.shared import simulated
+from pmabench.analysis.shared.samples import Samples
 from pmabench.analysis.verdict.checks import Check
 from pmabench.base.quantities import show
-from pmabench.kinds.contraction_relaxation.intervals import Pooled
-from pmabench.kinds.contraction_relaxation.pooled import prior_of
-from pmabench.kinds.contraction_relaxation.segments import Segments
-from pmabench.kinds.contraction_relaxation.trials import Campaign
-from pmabench.store.records import Array
+from pmabench.kinds.contraction_relaxation.intervals import NORMAL, Pooled
+from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, prior_of, spread
+from pmabench.kinds.contraction_relaxation.segments import Gate, Segments, velocity
+from pmabench.kinds.contraction_relaxation.trials import Campaign, strokes
+from pmabench.store.records import Array, TrialData
+
+WIDE = 0.25
+"""A coefficient whose repeats part is wider than this share of its size is not identifiable."""
+BLIND = 0.15
+"""Share of the largest contraction that a free run may move where a coefficient is open."""
+COARSE = 4
+"""A free run steps over this many samples."""
+AIM = 0.1
+"""NRMSE from which on the fitted muscle is doubted: a fit of 90 % is what good models reach."""
+PHASES = ("contraction", "relaxation")
+
+
+@dataclass(frozen=True, eq=False)
+class FreeRun:
+    """One trial beside the fitted muscle; arrays of shape (n,), every `COARSE`-th sample."""
+
+    number: int
+    """Of the trial in the campaign."""
+    t: Array
+    P: Array
+    x: Array
+    model: Array
+    """Contraction of the fitted muscle [m]; nan from where its motion asks for what is not known."""
+    ok: NDArray[np.bool_]
+    """Samples that count: measured, and modelled."""
+    way: NDArray[np.intp]
+    """1 after a rise of the commanded pressure, -1 after a fall, 0 before any."""
+
+    @property
+    def whole(self) -> bool:
+        """Whether the fitted muscle is known to the end."""
+        return bool(np.isfinite(self.model).all())
+
+    @cached_property
+    def squares(self) -> dict[str, tuple[float, float]]:
+        """Sums of (x - model)^2 and (x - mean x)^2 [m2] of the trial, and of each of `PHASES` in its share of rows."""
+        parts = {"": self.ok, PHASES[0]: self.ok & (self.way > 0), PHASES[1]: self.ok & (self.way < 0)}
+        variance = float(np.var(self.x[self.ok])) if self.ok.any() else 0.0
+        return {
+            name: (float(np.sum((self.x[rows] - self.model[rows]) ** 2)), variance * int(rows.sum()))
+            for name, rows in parts.items()
+        }
+
+
+def free_runs(campaign: Campaign, pooled: Pooled, estimates: Sequence[Estimate]) -> list[FreeRun]:
+    """Every trial of the fit from rest on, by pressure, load and number.
+
+    Trials at pressures where a coefficient is not identifiable, but for B_r, are not run; the others as far as the
+    coefficients are known that their motion asks for.
+    """
+    unknown = {e.at["pressure"] for e in estimates if e.value is None and e.symbol in ("F_ce", "K", "B_c")}
+    used = [i for i in np.unique(pooled.segments.trial).tolist() if campaign.trials[i].point["pressure"] not in unknown]
+    ordered = sorted(used, key=lambda i: (campaign.trials[i].point["pressure"], campaign.samples[i].load, i))
+    if not ordered:
+        return []
+    whole = [(campaign.samples[i], slice(0, len(campaign.samples[i].t))) for i in ordered]
+    work = simulated.stretches(whole, 1 / campaign.rate, 1)
+    P = _thinned(work.P)
+    run = simulated.run(pooled.fit, P, COARSE * work.dt, work.load, work.mass, work.x, substeps=1)
+    found = []
+    for column, i in enumerate(ordered):
+        samples = campaign.samples[i]
+        rows = np.arange(0, len(samples.t), COARSE)
+        t, mine = samples.t[rows], P[: len(rows), column]
+        model = np.where(t >= _known_until(samples, pooled, campaign.rate), nan, run.x[: len(rows), column])
+        ok = samples.ok[rows] & (mine >= pooled.fit.knots[0]) & np.isfinite(model)
+        found.append(FreeRun(i, t, mine, samples.x[rows], model, ok, _way(campaign.trials[i])[rows]))
+    return found
+
+
+def rms(runs: Sequence[FreeRun]) -> float | None:
+    """Root mean square error over all samples that count [m]."""
+    count = sum(int(run.ok.sum()) for run in runs)
+    return sqrt(sum(run.squares[""][0] for run in runs) / count) if count else None
+
+
+def nrmse(runs: Sequence[FreeRun], phase: str = "") -> float | None:
+    """NRMSE of several trials together, of one of `PHASES` or of all; None where nothing moves."""
+    error, size = (sum(run.squares[phase][side] for run in runs) for side in (0, 1))
+    return sqrt(error / size) if size > 0 else None
+
+
+def check(campaign: Campaign, runs: Sequence[FreeRun]) -> Check | None:
+    """NRMSE over all trials, by direction, of reference trials, and the worst operating point."""
+    value, error = nrmse(runs), rms(runs)
+    if value is None or error is None:
+        return None
+    kinds = [f"{phase} {_percent(one)}" for phase in PHASES if (one := nrmse(runs, phase)) is not None]
+    reference = nrmse([run for run in runs if campaign.trials[run.number].reference])
+    if reference is not None:
+        kinds.append(f"reference trials {_percent(reference)}")
+    rows = [row for row in table(campaign, runs) if row["nrmse"] is not None]
+    worst = max(rows, key=lambda row: row["nrmse"])
+    cut = sum(not run.whole for run in runs)
+    text = (
+        f"free run of the fitted muscle with the measured pressure over {len(runs)} trials: NRMSE {_percent(value)} "
+        f"(fit {100 * (1 - value):.4g} %), {show(error, 'length', 2)} rms; {', '.join(kinds)}; worst "
+        f"{_percent(worst['nrmse'])} at {show(worst['pressure'], 'pressure', 4)}, {show(worst['load'], 'force', 4)}"
+    )
+    if cut:
+        text += f"; {cut} of them end where a coefficient is not known"
+    if value > AIM:
+        text += ": the fitted muscle does not follow its own trials"
+    return Check("free_run", value, "ratio", "doubt" if value > AIM else "note", text)
+
+
+def table(campaign: Campaign, runs: Sequence[FreeRun]) -> list[dict[str, Any]]:
+    """For each operating point pressure [Pa], load [N], trials, NRMSE as a whole and by phase, rms [m]."""
+    cells: dict[int, list[FreeRun]] = {}
+    for run in runs:
+        cells.setdefault(int(campaign.cells[run.number]), []).append(run)
+    return [
+        {
+            "pressure": campaign.trials[members[0].number].point["pressure"],
+            "load": campaign.samples[members[0].number].load,
+            "trials": len(members),
+            "nrmse": nrmse(members),
+            **{phase: nrmse(members, phase) for phase in PHASES},
+            "rms": rms(members),
+        }
+        for members in cells.values()
+    ]
+
+
+def _percent(value: float) -> str:
+    return f"{100 * value:.2g} %" if value < 0.995 else f"{100 * value:.0f} %"
+
+
+def _way(trial: TrialData) -> NDArray[np.intp]:
+    """1, -1 or 0 of each sample, by the command before it."""
+    way = np.zeros(len(trial.t), dtype=np.intp)
+    values = [c.value for c in trial.commands if c.output == "pressure" and c.t >= trial.t[0] - 1e-9]
+    for rows, before, value in zip(strokes(trial), [0.0, *values], values, strict=False):
+        way[rows] = np.sign(value - before)
+    return way
+
+
+def _known_until(samples: Samples, pooled: Pooled, rate: float) -> float:
+    """When the motion begins [s] that makes `BLIND` of it go where a coefficient is open that it asks for."""
+    solved = pooled.fit
+    low, high = solved.knots[0], solved.knots[-1]
+    grid = np.linspace(low, high, 256)
+    P = np.where(np.isfinite(samples.P), samples.P, low)
+    cell = np.clip(((P - low) / (high - low) * 255).round().astype(np.intp), 0, 255)
+    F_ce, K, B_c, B_r = (_identified(pooled, symbol, grid)[cell] & (P >= low) for symbol in SYMBOLS)
+    v = velocity(samples.t, samples.x, Gate().samples(rate)[1])
+    blind = samples.ok & (samples.x > Gate.lift) & ~(F_ce & K & np.where(v > 0, B_c, B_r))
+    travelled = np.cumsum(np.where(blind, np.abs(v) / rate, 0.0))
+    lost = np.flatnonzero(travelled > BLIND * float(np.max(samples.x[samples.ok], initial=0.0)))
+    if not len(lost):
+        return inf
+    seeing = np.flatnonzero(~blind[: lost[0]])
+    return float(samples.t[seeing[-1] + 1 if len(seeing) else 0])
+
+
+def _identified(pooled: Pooled, symbol: str, P: Array) -> NDArray[np.bool_]:
+    """Whether a coefficient is known at pressures P (n,) [Pa], by the scatter that is left to it there."""
+    solved = pooled.fit
+    k = len(solved.knots)
+    mine = slice(solved.index(symbol), solved.index(symbol) + k)
+    hats = spread(P[:, None], np.ones((len(P), 1)), solved.knots)
+    half = NORMAL * np.sqrt(np.maximum(0.0, np.sum(hats @ pooled.trust.covariance[mine, mine] * hats, axis=1)))
+    size = float(np.median(np.abs(solved.theta[mine])))
+    return np.asarray(half <= WIDE * np.maximum(np.abs(hats @ solved.theta[mine]), size))
+
+
+def _thinned(P: Array) -> Array:
+    """Every `COARSE`-th row, as the mean of the rows around it."""
+    sums = np.cumsum(np.vstack([np.zeros((1, P.shape[1])), P]), axis=0)
+    rows = np.arange(0, len(P), COARSE)
+    first, last = np.maximum(0, rows - COARSE // 2), np.minimum(len(P), rows + COARSE // 2 + 1)
+    return np.asarray((sums[last] - sums[first]) / (last - first)[:, None])
+
 
 FEWEST = 3
 """Fewest loads for one to be left out: two others tell F_ce from K."""
@@ -33,11 +216,7 @@ def checks(campaign: Campaign, pooled: Pooled) -> list[dict[str, Any]]:
     """Held-out loads, the other direction, friction by sign of the velocity; as `Analysis.facts` holds checks."""
     segments = pooled.segments
     size = float(np.max(np.abs(segments.force)))
-    found = [
-        _held_out(campaign, pooled, size),
-        _other_direction(pooled, size),
-        _friction(pooled, size),
-    ]
+    found = [_held_out(campaign, pooled, size), _other_direction(pooled, size), _friction(pooled, size)]
     return [asdict(check) for check in found if check is not None]
 
 

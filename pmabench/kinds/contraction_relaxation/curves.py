@@ -130,15 +130,7 @@ def curve(
     trials = tuple(dict.fromkeys(trial for e in estimates for trial in e.trials))
     terms = []
     for power, value in enumerate(found.terms):
-        scatter = 0.0 if found.scatter is None else float(found.scatter[power])
-        row = found.rows[power]
-        bias = None
-        if trust is not None:
-            combination = np.zeros(len(trust.bias))
-            combination[list(places)] = row
-            parts, bias = trust.parts(combination, scatter)
-        else:
-            parts = _independent(estimates, row, scatter)
+        parts, bias = _parts_of(found, power, estimates, trust, places)
         terms.append(
             Estimate(
                 symbol=known.symbol,
@@ -167,6 +159,18 @@ def curve(
         centre=normal[0] if normal else 0.0,
         scale=normal[1] if normal else 1.0,
     )
+
+
+def _parts_of(
+    found: Polynomial, power: int, estimates: Sequence[Estimate], trust: Trust | None, places: Sequence[int]
+) -> tuple[Parts, float | None]:
+    """The interval of one term in parts, and its bias where the trust of a fit tells one."""
+    scatter = 0.0 if found.scatter is None else float(found.scatter[power])
+    if trust is None:
+        return _independent(estimates, found.rows[power], scatter), None
+    combination = np.zeros(len(trust.bias))
+    combination[list(places)] = found.rows[power]
+    return trust.parts(combination, scatter)
 
 
 def _independent(estimates: Sequence[Estimate], row: Array, scatter: float) -> Parts:

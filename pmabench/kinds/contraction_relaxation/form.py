@@ -20,11 +20,11 @@ from pmabench.analysis.results import Estimate
 from pmabench.analysis.shared.calibration import Scales
 from pmabench.base.quantities import show
 from pmabench.kinds.contraction_relaxation.departures import Cause, Way, allowed, causes, order
+from pmabench.kinds.contraction_relaxation.drift import Weighed, weighed
 from pmabench.kinds.contraction_relaxation.intervals import Hiding, Trust
 from pmabench.kinds.contraction_relaxation.pooled import FLOOR, SYMBOLS, Fit, Solved, noise_covariance, prior_of, rms_of
 from pmabench.kinds.contraction_relaxation.segments import Segments
 from pmabench.kinds.contraction_relaxation.trials import Campaign
-from pmabench.kinds.contraction_relaxation.weights import Weighed, weighed
 from pmabench.store.records import Array
 
 MOST_RATIO = 1.2
@@ -246,10 +246,7 @@ def hiding(form: Form, scales: Scales, segments: Segments, fit: Solved, trust: T
 def _cell(weights: Weighed, scales: Scales, segments: Segments, fit: Solved) -> list[Hiding]:
     """The cell against the weights, as far as its calibration does not hold the difference: either may be right."""
     cell = np.where(segments.mass > 0, 0.0, 1.0)
-    kinds = (
-        (GAIN, weights.gain, scales.gains, segments.force * cell),
-        (ZERO, weights.offset, scales.offsets, cell),
-    )
+    kinds = ((GAIN, weights.gain, scales.gains, segments.force * cell), (ZERO, weights.offset, scales.offsets, cell))
     lines = []
     for name, found, known, column in kinds:
         if found is not None:

@@ -1,9 +1,13 @@
-"""How far the coefficients of a pooled fit can be trusted, by cause; knows no protocol.
+"""How far the coefficients of a pooled fit can be trusted, by cause, and the bootstrap over its trials.
 
 *Repeats*: covariance of least squares with the noise that was seen, checked by replays and widened
 where trials scatter more than that. *Method*: what replays of the fitted muscle come back with. *Calibration*: the fit
 once more with each channel off by its uncertainty. *Skew*: the same with the clock of each stream off. *Drift*: see
 `drift`. A `Source` each, which add up to the parts.
+
+A check of the repeats part, which is the limit of many draws, by what the draws themselves say. Of n trials n - 1 are
+drawn and weigh n / (n - 1), or a draw from two would scatter by a half too little (Rao and Wu 1988, J. Am. Stat. Assoc.
+83, 231).
 """
 
 from __future__ import annotations
@@ -19,8 +23,8 @@ from numpy.typing import NDArray
 from pmabench.analysis.results import Parts, Source
 from pmabench.analysis.shared import student
 from pmabench.analysis.shared.calibration import Scales
-from pmabench.analysis.shared.replay import Stretches
 from pmabench.analysis.shared.samples import Noise
+from pmabench.analysis.shared.simulated import Stretches
 from pmabench.kinds.contraction_relaxation.drift import Cause
 from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, Fit, Solved, rms_of
 from pmabench.kinds.contraction_relaxation.segments import Segments
@@ -34,7 +38,7 @@ NORMAL = 1.96
 CHANNELS = ("pressure", "displacement", "force")
 NO_NOISE = Noise()
 SCATTER = "noise, and scatter between trials"
-UNTOLD = "the record tells no uncertainty"
+NO_UNCERTAINTY = "the record tells no uncertainty"
 FEW = 10
 """With fewer repetitions than this in all, scatter is taken between all trials instead of within cells."""
 
@@ -74,7 +78,7 @@ class Trust:
     """What straight lines between the knots leave of a bend."""
     shifts: Mapping[str, Array]
     """Change of theta by each cause of calibration error at its 95 % bound."""
-    untold: tuple[str, ...]
+    unknown: tuple[str, ...]
     """Channels of whose calibration the record tells nothing."""
     skews: Array
     """Change of theta by the clock of each stream at its bound, shape (clocks, courses, p); (0, 0, p) for one."""
@@ -107,7 +111,7 @@ class Trust:
             Source("straight lines between pressures", "method", "B", abs(float(combination @ self.form))),
             *([Source("steps of the replays", "method", "B", extra_method)] if extra_method else ()),
             *(Source(f"calibration of {n}", "calibration", "B", half) for n, half in shifts.items()),
-            *(Source(f"calibration of {n}", "calibration", "B", None, UNTOLD) for n in self.untold),
+            *(Source(f"calibration of {n}", "calibration", "B", None, NO_UNCERTAINTY) for n in self.unknown),
             *(_drift(cause, combination) for cause in self.drifts),
             *(Source(one.name, one.part, "B", one.half(combination)) for one in self.hides if not one.seen),
             Source("regulator", "method", "B", 0.0, "the fit is driven by the pressure that was measured"),
@@ -205,31 +209,31 @@ def assess(
     if len(replays) > 1:
         seen = 0.5 * (analytic + (more * spread) ** 2)
     between, freedom, within = _between(segments, fit, cells)
+    excess, widen = _widened(segments, fit, between / np.maximum(seen, 1e-300))
     stretch = student.ppf(0.975, freedom) / NORMAL
-    ratio = between / np.maximum(seen, 1e-300)
-    excess = {symbol: _pooled(fit, symbol, ratio, segments) for symbol in (*SYMBOLS, "F_c")}
-    pooled = np.ones(len(fit.theta))
-    for symbol, ratio_of in excess.items():
-        pooled[fit.columns(symbol)] = ratio_of
-    widen = np.maximum(1.0, 0.5 * (pooled + ratio))
     scale = np.sqrt(seen / analytic * (1.0 + stretch**2 * (widen - 1.0)))
     return Trust(
         bias=bias,
         covariance=covariance * np.outer(scale, scale),
-        steps={
-            name: fit.scatter(segments, replace(NO_NOISE, **{name: size}))
-            for name, size in vars(steps).items()
-            if size > 0
-        },
+        steps={n: fit.scatter(segments, replace(NO_NOISE, **{n: size})) for n, size in vars(steps).items() if size > 0},
         mean_error=2.0 * spread / np.sqrt(max(1, len(replays))),
         form=fit.bends(segments, expected),
         shifts=_calibration(segments, fit, expected, scales),
-        untold=tuple(n for n in channels if not scales.offsets.get(n) and not scales.gains.get(n)),
+        unknown=tuple(n for n in channels if not scales.offsets.get(n) and not scales.gains.get(n)),
         skews=skews,
         drifts=drifts,
         excess=excess,
         within=within,
     )
+
+
+def _widened(segments: Segments, fit: Solved, ratio: Array) -> tuple[dict[str, float], Array]:
+    """By symbol how much more the cells scatter than the fit explains, and the factor on each variance."""
+    excess = {symbol: _pooled(fit, symbol, ratio, segments) for symbol in (*SYMBOLS, "F_c")}
+    pooled = np.ones(len(fit.theta))
+    for symbol, of_symbol in excess.items():
+        pooled[fit.columns(symbol)] = of_symbol
+    return excess, np.maximum(1.0, 0.5 * (pooled + ratio))
 
 
 def _covariance(fit: Solved, noise: Array) -> Array:
@@ -312,3 +316,46 @@ def _off(segments: Segments, fit: Solved, channel: str, gain: float, offset: flo
 def replay_fits(replay: Callable[[int], Segments], fit: Solved, expected: float, count: int) -> list[Array]:
     """Theta of the same fit to `count` replays; `replay(seed)` gives the segments of one."""
     return [fit.again(replay(seed), expected).theta for seed in range(count)]
+
+
+@dataclass(frozen=True, eq=False)
+class Draws:
+    """Theta of each draw, shape (count, p)."""
+
+    theta: Array
+    within: bool
+    """Drawn within cells; else among all trials, for hardly a cell is repeated."""
+
+    def half(self, combination: Array) -> float:
+        """Half the width between the percentiles 2.5 and 97.5 of a linear combination (p,)."""
+        low, high = np.percentile(self.theta @ combination, [2.5, 97.5])
+        return float(high - low) / 2
+
+
+def bootstrap(segments: Segments, fit: Solved, cells: NDArray[np.intp], count: int, within: bool) -> Draws:
+    """`count` fits to trials drawn with replacement: within their cells, or among all.
+
+    `cells` holds the cell of each trial number in `segments.trial`. The prior of the fit stays in every draw. The
+    draws are the same each time.
+    """
+    trials, rows = np.unique(segments.trial, return_inverse=True)
+    normal = np.array([design.T @ design for design in (fit.design[rows == i] for i in range(len(trials)))])
+    right = np.zeros((len(trials), fit.design.shape[1]))
+    np.add.at(right, rows, fit.design * segments.force[:, None])
+    prior = np.linalg.inv(fit.inverse) - normal.sum(axis=0)
+    groups = [np.flatnonzero(cells[trials] == cell) for cell in np.unique(cells[trials])]
+    groups = groups if within else [np.arange(len(trials))]
+    chance = np.random.default_rng(0)
+    drawn = np.empty((count, len(fit.theta)))
+    for draw in range(count):
+        weight = np.zeros(len(trials))
+        for group in groups:
+            n = len(group)
+            if n == 1:
+                weight[group] = 1.0
+            else:
+                np.add.at(weight, chance.choice(group, n - 1), n / (n - 1))
+        total = np.tensordot(weight, normal, 1) + prior
+        scale = np.sqrt(np.diag(total))
+        drawn[draw] = np.linalg.solve(total / np.outer(scale, scale), (weight @ right) / scale) / scale
+    return Draws(drawn, within)

@@ -6,9 +6,9 @@ import numpy as np
 
 from pmabench.analysis.trial import DRIFT, Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
+from pmabench.kinds.contraction_relaxation.exponentials import regress, steps_of
 from pmabench.kinds.contraction_relaxation.paper1_steps import STILL, Braid, read
 from pmabench.kinds.contraction_relaxation.segments import Gate, samples_of
-from pmabench.kinds.contraction_relaxation.steps import regress, steps_of
 from pmabench.store.records import RunData, TrialData
 
 

@@ -1,7 +1,7 @@
 """Paper 1's reduction of single steps: S and D over pressure, in both conventions of F_ce, each a method of its own.
 
 S = (F_ce - L) / x_max, D = tau S (paper 1 section 3); K is the paper's S, B_c and B_r its D. F_ce comes from the braid
-(eqs. 5-10), at x = 0 or at x_max: the plan says which of the two is told first. Beside them `measured-pressure`, which
+(eqs. 5-10), at x = 0 or at x_max: the plan names the first of the two. Next to them `measured-pressure`, which
 does not take the pressure for a step. D of relaxation carries the pressure *before* the release: a reduction only.
 """
 
@@ -24,8 +24,7 @@ from pmabench.base.quantities import show
 from pmabench.kinds.contraction_relaxation import PAPER_1_RESULTS
 from pmabench.kinds.contraction_relaxation import paper1_view as view
 from pmabench.kinds.contraction_relaxation.curves import compare_orders, curve, least
-from pmabench.kinds.contraction_relaxation.known_force import fit_known_force
-from pmabench.kinds.contraction_relaxation.paper1_steps import STILL, Braid, Step, read
+from pmabench.kinds.contraction_relaxation.paper1_steps import STILL, Braid, Step, fit_known_force, read
 from pmabench.kinds.contraction_relaxation.segments import moved
 from pmabench.kinds.contraction_relaxation.trials import Campaign, gather
 from pmabench.store.records import Array, RunData
@@ -56,11 +55,11 @@ class _Group:
 def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) -> Analysis:
     """K [N/m], B_c, B_r [N.s/m] at every pressure by two conventions of F_ce, polynomials, model against test.
 
-    Geometry, convention and orders stand in the plan's `reduction`; runs whose plan says otherwise are dropped.
+    Geometry, convention and orders are in the plan's `reduction`; runs whose plan says otherwise are dropped.
     """
-    settings = dict(_told(runs[0]) or {}) | dict(options or {})
+    settings = dict(_plan_of(runs[0]) or {}) | dict(options or {})
     braid, chosen, orders = _asked(runs[0], settings)
-    alike = [run for run in runs if _told(run) == _told(runs[0])]
+    alike = [run for run in runs if _plan_of(run) == _plan_of(runs[0])]
     dropped = [
         Dropped(trial.name, trial.point, "another geometry, convention or order than in the first run: reduce it apart")
         for run in runs
@@ -69,26 +68,12 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     ]
     campaign, unusable = gather(alike)
     dropped += unusable
-    steps: list[Step] = []
-    if campaign is not None:
-        for number, trial in enumerate(campaign.trials):
-            step = read(campaign.samples[number], trial)
-            if isinstance(step, Step) and step.pressure < LOWEST * (1 - 1e-9):
-                step = f"below {show(LOWEST, 'pressure')}, where paper 1's S and D do not hold"
-            if isinstance(step, str):
-                dropped.append(Dropped(trial.name, trial.point, step))
-            else:
-                steps.append(step)
+    steps, unreadable = _steps_of(campaign)
+    dropped += unreadable
     if campaign is None or not any(step.way > 0 for step in steps):
         fault = Finding("fault", "no contraction can be read: there is no S, and no D without it")
-        return Analysis.of(
-            KIND,
-            runs,
-            results=PAPER_1_RESULTS,
-            dropped=dropped,
-            findings=[fault],
-            facts={"options": settings, "trials_used": 0},
-        )
+        facts = {"options": settings, "trials_used": 0}
+        return Analysis.of(KIND, runs, results=PAPER_1_RESULTS, dropped=dropped, findings=[fault], facts=facts)
     up, down = (_grouped([s for s in steps if s.way == way]) for way in (1, -1))
     driven = _driven(campaign, up, braid)
     estimates: list[Estimate] = []
@@ -118,23 +103,33 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
             "trials": sum(len(run.trials) for run in runs),
             "trials_used": len(steps),
             "orders": compared_orders,
-            "steps": [
-                {
-                    "trial": campaign.name(s.trial),
-                    "from": 0.0 if s.way > 0 else s.pressure,
-                    "to": s.pressure if s.way > 0 else 0.0,
-                    "load": s.load,
-                    "x_max": s.stroke,
-                    "t_d": s.t_d,
-                    "tau": s.tau,
-                }
-                for s in steps
-            ],
+            "steps": [_as_fact(campaign, step) for step in steps],
         },
     )
 
 
-def _told(run: RunData) -> Any:
+def _steps_of(campaign: Campaign | None) -> tuple[list[Step], list[Dropped]]:
+    """The steps that can be read, and the trials whose step cannot."""
+    steps: list[Step] = []
+    dropped = []
+    for number, trial in enumerate(campaign.trials if campaign else ()):
+        step = read(campaign.samples[number], trial) if campaign else ""
+        if isinstance(step, Step) and step.pressure < LOWEST * (1 - 1e-9):
+            step = f"below {show(LOWEST, 'pressure')}, where paper 1's S and D do not hold"
+        if isinstance(step, Step):
+            steps.append(step)
+        else:
+            dropped.append(Dropped(trial.name, trial.point, step))
+    return steps, dropped
+
+
+def _as_fact(campaign: Campaign, step: Step) -> dict[str, Any]:
+    before, after = (0.0, step.pressure) if step.way > 0 else (step.pressure, 0.0)
+    found = {"load": step.load, "x_max": step.stroke, "t_d": step.t_d, "tau": step.tau}
+    return {"trial": campaign.name(step.trial), "from": before, "to": after, **found}
+
+
+def _plan_of(run: RunData) -> Any:
     return (run.plan.get("settings") or {}).get("reduction")
 
 

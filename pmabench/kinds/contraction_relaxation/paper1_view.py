@@ -1,4 +1,4 @@
-"""Paper 1's closed-form model against the test it was fitted to: accuracy at rest, residual over time, overlays."""
+"""Paper 1's closed form against the test it was fitted to: accuracy at rest, residual over time, overlays, figure."""
 
 from __future__ import annotations
 
@@ -9,11 +9,13 @@ from math import sqrt
 import numpy as np
 from scipy.optimize import brentq
 
-from pmabench.analysis.results import Curve, Estimate, Finding, Trace
+from pmabench.analysis.results import Analysis, Curve, Estimate, Finding, Trace
 from pmabench.base.quantities import show
 from pmabench.kinds.contraction_relaxation.curves import curve
 from pmabench.kinds.contraction_relaxation.paper1_steps import Braid, Step
 from pmabench.kinds.contraction_relaxation.trials import Campaign
+from pmabench.plotting.motion import overlays
+from pmabench.plotting.pictures import Picture
 from pmabench.store.records import Array
 
 MODEL = "closed form of paper 1"
@@ -41,12 +43,7 @@ def at_rest(braid: Braid, P: float, S: float, load: float, at: str) -> float:
 
 
 def compare(
-    campaign: Campaign,
-    steps: Sequence[Step],
-    curves: Sequence[Curve],
-    stiff: Sequence[Estimate],
-    braid: Braid,
-    at: str,
+    campaign: Campaign, steps: Sequence[Step], curves: Sequence[Curve], stiff: Sequence[Estimate], braid: Braid, at: str
 ) -> Compared:
     """Model x_max (1 - e^(-t/tau)) and x_max e^(-t/tau_r) with the polynomials of one method, beside each step.
 
@@ -178,3 +175,13 @@ def _ends(accuracies: Sequence[Estimate]) -> str:
     worst = min(accuracies, key=lambda e: e.value or 0.0)
     best = max(e.value or 0.0 for e in accuracies)
     return f"{100 * (worst.value or 0.0):.2f} ({show(worst.at['pressure'], 'pressure', 4)}) to {100 * best:.2f} %"
+
+
+CLOSED_FORM = "closed form of single steps with the polynomials of the first method, from the mean dead time on"
+
+
+def step_overlays(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
+    """Steps up and steps down apart: each has its own damping."""
+    ways = [[t for t in traces if t.name.startswith(f"step-{way}-")] for way in ("to", "from")]
+    titles = ("Contraction, measured and closed form", "Relaxation, measured and closed form")
+    return [p for mine, title in zip(ways, titles, strict=True) for p in overlays(mine, analysis, CLOSED_FORM, title)]

@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.analysis.shared.samples import Noise
-from pmabench.kinds.contraction_relaxation.segment_noise import ON_TIME, covariance
-from pmabench.kinds.contraction_relaxation.segments import Segments
+from pmabench.kinds.contraction_relaxation.segments import ON_TIME, Segments, covariance
 from pmabench.store.records import Array
 
 SYMBOLS = ("F_ce", "K", "B_c", "B_r")
@@ -227,16 +226,7 @@ def solve(segments: Segments, knots: Array, noise: float, halves: Array = NONE, 
     scale = np.sqrt(np.diag(normal))
     inverse = np.linalg.inv(normal / np.outer(scale, scale)) / np.outer(scale, scale)
     theta = inverse @ (design.T @ segments.force)
-    return Fit(
-        theta,
-        inverse,
-        design,
-        segments.force - design @ theta,
-        friction,
-        knots,
-        halves,
-        added,
-    )
+    return Fit(theta, inverse, design, segments.force - design @ theta, friction, knots, halves, added)
 
 
 def prior_of(segments: Segments, design: Array, knots: Array, noise: float) -> Array:
@@ -275,7 +265,7 @@ def expected_noise(segments: Segments, fit: Solved, noise: Noise) -> Array:
 
 
 def noise_covariance(segments: Segments, fit: Solved, noise: Noise, late: Noise = ON_TIME) -> tuple[Array, Array]:
-    """Of the residuals, as in `segment_noise`: from the noise of the cell or, where none measures, in M x''; of the
+    """Of the residuals, as in `segments`: from the noise of the cell or, where none measures, in M x''; of the
     pressure, by the slope of F_ce - K x; of the displacement, by K and in the velocity by B.
     """
     P = segments.pressure

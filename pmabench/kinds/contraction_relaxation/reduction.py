@@ -13,23 +13,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.analysis.results import Analysis, Curve, Dropped, Estimate, Finding, withhold
-from pmabench.analysis.shared import reference, replay, skew
+from pmabench.analysis.shared import simulated, skew
 from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.samples import NotUsable, Samples
+from pmabench.analysis.shared.trials import reference_findings
 from pmabench.base.quantities import show
-from pmabench.kinds.contraction_relaxation import RESULTS, drift, exponentials, form, free_run, joint_forms, view
-from pmabench.kinds.contraction_relaxation import polish as contraction_polish
+from pmabench.kinds.contraction_relaxation import RESULTS, drift, exponentials, form, output_error, view
+from pmabench.kinds.contraction_relaxation.bandwidth import regulator
+from pmabench.kinds.contraction_relaxation.checks import free_runs
 from pmabench.kinds.contraction_relaxation.curves import curve
 from pmabench.kinds.contraction_relaxation.intervals import Pooled, Trust, assess, replay_fits
+from pmabench.kinds.contraction_relaxation.joint import compare
 from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, Solved, first_knots, fit, rms_of
-from pmabench.kinds.contraction_relaxation.regulator_response import regulator
 from pmabench.kinds.contraction_relaxation.segments import Gate, Segments, cut, moved
 from pmabench.kinds.contraction_relaxation.trials import Campaign, gather, strokes
-from pmabench.kinds.contraction_relaxation.values import FEWEST, Told, values
+from pmabench.kinds.contraction_relaxation.values import FEWEST, METHOD, Solution, values
 from pmabench.store.records import Array, RunData
 
 KIND = "contraction-relaxation"
-METHOD = "measured-pressure"
 REPLAYS = 10
 """Replays of the fitted muscle, for the bias of the estimator and its scatter."""
 AFTER = 0.15
@@ -47,7 +48,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
 
     `options`: `speed` (gate of the segments [m/s]), `replays` (how many), `static` = {"intercept" [N], "slope"
     [N/Pa]}, F_ce of a static-load study, for the one-parameter regression of K; `forms` = ["K=line", ...], as
-    `forms` has them, for a joint fit with these forms over pressure beside it; `bootstrap`, how many draws over trials;
+    `joint` has them, for a fit with these forms over pressure next to it; `bootstrap`, how many draws over trials;
     `regulator`: dead time and lags from the command to the pressure [s]; `polish`: the same coefficients by output
     error beside them.
     """
@@ -58,21 +59,17 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         pooled = pool(campaign, options) if campaign is not None else None
     except NotUsable as why:
         reason = str(why)
+    facts = {"options": dict(options), "trials": sum(len(run.trials) for run in runs)}
     if campaign is None or pooled is None:
-        findings = [] if campaign is None and dropped else [Finding("fault", reason)]
-        if campaign is not None:
-            dropped += [Dropped(campaign.name(i), trial.point, reason) for i, trial in enumerate(campaign.trials)]
-        facts = {"options": dict(options), "trials": sum(len(run.trials) for run in runs), "trials_used": 0}
-        return Analysis.of(KIND, runs, results=RESULTS, dropped=dropped, findings=findings, facts=facts)
+        return _without_fit(runs, campaign, dropped, reason, {**facts, "trials_used": 0})
     estimates, curves = estimates_of(campaign, pooled)
-    joint = joint_forms.compare(campaign, pooled, options)
-    polished = contraction_polish.compare(campaign, pooled, estimates, options)
+    joint = compare(campaign, pooled, options)
+    polished = output_error.compare(campaign, pooled, estimates, options)
     stepwise = exponentials.compare(campaign, pooled.fit, estimates, options, set(pooled.segments.trial.tolist()))
     dropped += _unmoved(campaign, pooled)
-    draws = int(options.get("bootstrap", 0))
-    resampled = view.resampled(campaign, pooled, estimates, draws) if draws else None
+    resampled = view.resampled(campaign, pooled, estimates, int(options.get("bootstrap", 0)))
     response, described = regulator(campaign) if options.get("regulator") else ([], [])
-    runs_free = free_run.free_runs(campaign, pooled, estimates)
+    simulated = free_runs(campaign, pooled, estimates)
     every = (*estimates, *joint.estimates, *polished.estimates, *stepwise.estimates)
     reported = withheld(every, pooled.form)
     gone = {e.symbol for e in reported if e.withheld}
@@ -86,24 +83,32 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         findings=(
             *view.findings(campaign, pooled, estimates),
             *skew.findings(runs, campaign.channels, campaign.skew, every),
-            *([view.resampled_finding(resampled)] if resampled and resampled["half_widths"] else ()),
+            *([view.resampled_finding(resampled)] if resampled.get("half_widths") else ()),
             *joint.findings,
             *polished.findings,
             *stepwise.findings,
             *described,
-            *reference.findings(runs),
+            *reference_findings(runs),
         ),
-        traces=view.overlays(campaign, runs_free),
+        traces=view.overlays(campaign, simulated),
         facts={
-            "options": dict(options),
-            "trials": sum(len(run.trials) for run in runs),
-            **view.facts(campaign, pooled, runs_free),
-            "steps": stepwise.table,
+            **facts,
+            **view.facts(campaign, pooled, simulated),
+            **stepwise.facts,
             **({"joint": joint.facts} if joint.facts else {}),
             **({"output_error": polished.facts} if polished.facts else {}),
             **({"bootstrap": resampled} if resampled else {}),
         },
     )
+
+
+def _without_fit(
+    runs: Sequence[RunData], campaign: Campaign | None, dropped: list[Dropped], reason: str, facts: dict[str, Any]
+) -> Analysis:
+    findings = [] if campaign is None and dropped else [Finding("fault", reason)]
+    if campaign is not None:
+        dropped = [*dropped, *(Dropped(campaign.name(i), t.point, reason) for i, t in enumerate(campaign.trials))]
+    return Analysis.of(KIND, runs, results=RESULTS, dropped=dropped, findings=findings, facts=facts)
 
 
 def withheld(estimates: Sequence[Estimate], found: form.Form) -> list[Estimate]:
@@ -138,7 +143,7 @@ def pool(campaign: Campaign, options: Mapping[str, Any]) -> Pooled | None:
     if len(segments) < 2 * FEWEST:
         return None
     solved, noise = fit(segments, knots, campaign.noise)
-    work = replay.stretches(_moving(campaign, segments), 1 / campaign.rate, round(0.1 * campaign.rate))
+    work = simulated.stretches(_moving(campaign, segments), 1 / campaign.rate, round(0.1 * campaign.rate))
 
     def first(late: Segments) -> Array:
         """Theta of a fit from the first knots on: where more are put follows the clocks, too."""
@@ -148,11 +153,11 @@ def pool(campaign: Campaign, options: Mapping[str, Any]) -> Pooled | None:
 
     def trusted(other: Solved, rows: NDArray[np.bool_], seen: Array, again: Callable[[Segments], Array]) -> Trust:
         """How far a fit to these rows of the segments can be trusted; `seen` [N] is the noise of each."""
-        run = replay.run(other, work.P, work.dt, work.load, work.mass, work.x)
+        run = simulated.run(other, work.P, work.dt, work.load, work.mass, work.x)
         mine = segments.where(rows)
 
         def replayed(seed: int) -> Segments:
-            seen_again = segments_of(replay.measured(work, run, campaign.noise, campaign.cell, seed))
+            seen_again = segments_of(simulated.measured(work, run, campaign.noise, campaign.cell, seed))
             if len(seen_again) < 2 * FEWEST:
                 raise NotUsable("the fitted muscle does not move under the loads and pressures that moved the real one")
             return seen_again
@@ -204,8 +209,8 @@ def _moving(campaign: Campaign, segments: Segments) -> list[tuple[Samples, slice
 
 def estimates_of(campaign: Campaign, pooled: Pooled) -> tuple[list[Estimate], list[Curve]]:
     """The primary method's coefficients at the tested pressures, and curves through them."""
-    told = Told(campaign, pooled.segments, pooled.fit, pooled.fit.knots, pooled.trust, METHOD)
-    estimates = values(told)
+    solution = Solution(campaign, pooled.segments, pooled.fit, pooled.fit.knots, pooled.trust, METHOD)
+    estimates = values(solution)
     curves: list[Curve] = []
     for symbol in SYMBOLS:
         known = [e for e in estimates if e.symbol == symbol and e.value is not None]

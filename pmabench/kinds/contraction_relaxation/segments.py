@@ -1,7 +1,10 @@
-"""Cuts trials into short gated segments, the rows of the pooled fit; knows samples and loads, no coefficient.
+"""Trials cut into short gated segments, the rows of the pooled fit, and what white noise of the channels makes of them.
 
 A segment is a stretch of about 40 ms in which the muscle moves one way, faster than a gate, off its support, without a
 flagged sample. Averages over it stand for the equation of motion in weak form.
+
+Neighbours share samples: the displacement at the end of one segment is that at the begin of the next, with the other
+sign in the velocity, so that much of its noise cancels in a stretch; means that overlap go the same way.
 """
 
 from __future__ import annotations
@@ -15,7 +18,7 @@ from numpy.typing import NDArray
 from pmabench.analysis.shared.samples import Noise, Samples, noise_of
 from pmabench.store.records import Array, RunData, TrialData
 
-UNTOLD_MASS = 0.5
+ASSUMED_MASS = 0.5
 """Moving mass [kg] of a trial that names none; it counts only where no cell measures."""
 FEWEST_STILL = 8
 """Fewest samples at rest that tell of noise."""
@@ -116,7 +119,7 @@ def samples_of(run: RunData, trial: TrialData, number: int) -> Samples:
 
     P, x = channel("pressure"), channel("displacement")
     force = channel("force") if "force" in trial.channels else None
-    load, mass = trial.point.get("load", 0.0), trial.point.get("mass", UNTOLD_MASS)
+    load, mass = trial.point.get("load", 0.0), trial.point.get("mass", ASSUMED_MASS)
     return _finite(Samples(number, trial.t, P, x, force, trial.usable, load, mass))
 
 
@@ -281,3 +284,45 @@ def _step(column: Array) -> float:
     if np.count_nonzero(steps) + 1 < LEVELS:
         return 0.0
     return float(steps[steps > 1e-9 * (values[-1] - values[0])].min())
+
+
+ON_TIME = Noise()
+"""Samples that a device stamps by its own clock: how far that is off is no noise."""
+
+
+def covariance(
+    segments: Segments, slope: Array, K: Array, B: Array, noise: Noise, late: Noise = ON_TIME
+) -> tuple[Array, Array]:
+    """Variance of each row [N^2], shape (n,), and covariance of each with the next, shape (n - 1,).
+
+    `late` is the standard deviation of the time of single samples of each channel [s], which is noise while it moves.
+
+    A row is F_L + M x'' + K x + B x' - F_ce. `slope` is its change by the pressure [N/Pa], with K [N/m] and B [N.s/m]
+    at each segment, shape (n,).
+    """
+    s, dt = segments.v.shape[1], segments.dt
+    m = (segments.x.shape[1] - s) // 2
+    # shares of the samples from start - m - 1 on; the next segment begins s later
+    mean, speed, gained = (np.zeros(2 * s) for _ in range(3))
+    mean[1 : s + 2 * m + 1] = segments.weights
+    speed[2 * m + 1 : s + 2 * m + 1] += 1 / (2 * m * s * dt)
+    speed[1 : s + 1] -= 1 / (2 * m * s * dt)
+    for place, sign in ((s + 2 * m + 1, 1), (s + 1, -1), (2 * m, -1), (0, 1)):
+        gained[place] += sign / (2 * m * dt * (s + 1) * dt)
+    x = K[:, None] * mean + B[:, None] * speed + segments.mass[:, None] * gained
+    moving = np.hypot(noise.displacement, segments.v.mean(axis=1) * late.displacement)
+    pressing = slope * np.hypot(noise.pressure, _rate(segments.P, dt) * late.pressure)
+    pulling = np.hypot(noise.force, _rate(segments.F_mid, dt) * late.force)
+    force = np.where(segments.mass > 0, 0.0, pulling)
+    own = moving**2 * np.sum(x**2, axis=1)
+    own += (pressing**2 + force**2) * (mean @ mean)
+    shared = float(mean[s:] @ mean[:s])
+    after = moving[:-1] * moving[1:] * np.sum(x[:-1, s:] * x[1:, :s], axis=1)
+    after += (pressing[:-1] * pressing[1:] + force[:-1] * force[1:]) * shared
+    near = (np.diff(segments.trial) == 0) & (np.abs(np.diff(segments.t) - s * dt) < 0.5 * dt)
+    return np.asarray(own), np.where(near, after, 0.0)
+
+
+def _rate(values: Array, dt: float) -> Array:
+    """Change of a channel over each segment per second, shape (n,), of `values` (n, w)."""
+    return np.asarray((values[:, -1] - values[:, 0]) / (max(1, values.shape[1] - 1) * dt))

@@ -15,8 +15,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from pmabench.analysis.shared.replay import LEAST, Coefficients
 from pmabench.analysis.shared.samples import Noise
+from pmabench.analysis.shared.simulated import LEAST, Coefficients
 from pmabench.kinds.contraction_relaxation.segments import Segments
 from pmabench.store.records import Array
 

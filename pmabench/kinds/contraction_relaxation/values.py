@@ -1,21 +1,24 @@
-"""Coefficients of contraction runs at the tested pressures, out of a solved fit and its trust; fits nothing."""
+"""Coefficients at the tested pressures, out of a solved fit; what they say of quantities that other tests measure."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
-from pmabench.analysis.results import Estimate, Parts
+from pmabench.analysis.results import Analysis, Curve, Estimate, Finding, Parts
 from pmabench.analysis.shared import skew
-from pmabench.kinds.contraction_relaxation import free_run
+from pmabench.analysis.verdict.agreement import Offer, anywhere, at_pressures, everywhere, straight, weighted
+from pmabench.kinds.contraction_relaxation.checks import WIDE
 from pmabench.kinds.contraction_relaxation.intervals import Trust
 from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, Solved
 from pmabench.kinds.contraction_relaxation.segments import Segments
 from pmabench.kinds.contraction_relaxation.trials import Campaign
 from pmabench.store.records import Array
 
+METHOD = "measured-pressure"
 OPEN_FORCE = "not identifiable: K is not at this pressure, and F_ce and K x stand for one another"
 OPEN_FRICTION = "not identifiable: K is at no pressure"
 FEWEST = 3
@@ -25,8 +28,18 @@ NUMERICS = 2e-4
 QUANTITY = {"F_ce": ("N", "force"), "K": ("N/m", "stiffness"), "B_c": ("N.s/m", "damping"), "B_r": ("N.s/m", "damping")}
 
 
+@dataclass(frozen=True)
+class Further:
+    """Results of a method next to the primary one."""
+
+    estimates: tuple[Estimate, ...] = ()
+    curves: tuple[Curve, ...] = ()
+    findings: tuple[Finding, ...] = ()
+    facts: Mapping[str, Any] = field(default_factory=dict)
+
+
 @dataclass(frozen=True, eq=False)
-class Told:
+class Solution:
     """A fit and what can be told of it."""
 
     campaign: Campaign
@@ -39,17 +52,17 @@ class Told:
     note: str = ""
 
 
-def values(told: Told) -> list[Estimate]:
+def values(solution: Solution) -> list[Estimate]:
     """F_ce [N], K [N/m], B_c, B_r [N.s/m] at every tested pressure and F_c [N], or why there is none."""
     estimates: list[Estimate] = []
-    tested = told.campaign.tested
-    stiff = {P: _estimate(told, "K", P) for P in tested}
+    tested = solution.campaign.tested
+    stiff = {P: _estimate(solution, "K", P) for P in tested}
     for symbol in SYMBOLS:
-        found = [_estimate(told, symbol, P) for P in tested]
+        found = [_estimate(solution, symbol, P) for P in tested]
         if symbol == "F_ce":
             found = [_open(e, OPEN_FORCE) if stiff[e.at["pressure"]].value is None else e for e in found]
         estimates += found
-    friction = _friction(told)
+    friction = _friction(solution)
     estimates.append(friction if any(e.value is not None for e in stiff.values()) else _open(friction, OPEN_FRICTION))
     return estimates
 
@@ -61,10 +74,10 @@ def _open(estimate: Estimate, note: str) -> Estimate:
     return replace(estimate, value=None, parts=Parts(), bias=None, corrected=False, budget=(), note=note)
 
 
-def _estimate(told: Told, symbol: str, P: float) -> Estimate:
+def _estimate(solution: Solution, symbol: str, P: float) -> Estimate:
     """One coefficient at one pressure [Pa], or why there is none."""
-    solved, segments, campaign = told.fit, told.segments, told.campaign
-    others = told.knots[np.abs(told.knots - P) > 1e-6 * P]
+    solved, segments, campaign = solution.fit, solution.segments, solution.campaign
+    others = solution.knots[np.abs(solution.knots - P) > 1e-6 * P]
     near = np.abs(segments.pressure - P) <= 0.5 * float(np.min(np.abs(others - P)))
     if symbol in ("B_c", "B_r"):
         near &= (segments.way > 0) == (symbol == "B_c")
@@ -74,8 +87,8 @@ def _estimate(told: Told, symbol: str, P: float) -> Estimate:
         "symbol": symbol,
         "unit": unit,
         "quantity": quantity,
-        "method": told.method,
-        "note": told.note,
+        "method": solution.method,
+        "note": solution.note,
         "at": {"pressure": P},
         "n": len(numbers),
         "trials": tuple(campaign.name(int(number)) for number in numbers),
@@ -85,9 +98,9 @@ def _estimate(told: Told, symbol: str, P: float) -> Estimate:
         return Estimate(value=None, **base | {"note": f"not identifiable: no {moving} samples near this pressure"})
     combination = solved.row(symbol, P)
     value = float(combination @ solved.theta)
-    parts, bias, budget = told.trust.budget(combination, NUMERICS * abs(value))
-    size = float(np.median(np.abs(solved.values(symbol, told.knots))))
-    if (parts.repeats or 0.0) > free_run.WIDE * max(abs(value), size):
+    parts, bias, budget = solution.trust.budget(combination, NUMERICS * abs(value))
+    size = float(np.median(np.abs(solved.values(symbol, solution.knots))))
+    if (parts.repeats or 0.0) > WIDE * max(abs(value), size):
         note = f"not identifiable: the {moving} samples near this pressure leave it open"
         return Estimate(value=None, **base | {"note": note})
     found = Estimate(value=value - bias, parts=parts, bias=bias, corrected=True, budget=budget, **base)
@@ -99,23 +112,60 @@ def _settled(campaign: Campaign, estimate: Estimate) -> Estimate:
     return skew.settled(estimate, "the channels", campaign.skew)
 
 
-def _friction(told: Told) -> Estimate:
+def _friction(solution: Solution) -> Estimate:
     """F_c over the whole campaign."""
-    campaign, numbers = told.campaign, np.unique(told.segments.trial)
+    campaign, numbers = solution.campaign, np.unique(solution.segments.trial)
     base: dict[str, Any] = {
         "symbol": "F_c",
         "unit": "N",
         "quantity": "force",
-        "method": told.method,
-        "note": told.note,
+        "method": solution.method,
+        "note": solution.note,
         "n": len(numbers),
         "trials": tuple(campaign.name(int(number)) for number in numbers),
     }
-    if not told.fit.friction:
+    if not solution.fit.friction:
         note = "not identifiable: the samples move one way only, and F_ce carries the friction"
         return Estimate(value=None, **base | {"note": note})
-    combination = np.zeros(len(told.fit.theta))
-    combination[told.fit.columns("F_c")] = 1.0
-    parts, bias, budget = told.trust.budget(combination)
-    value = told.fit.coulomb - bias
+    combination = np.zeros(len(solution.fit.theta))
+    combination[solution.fit.columns("F_c")] = 1.0
+    parts, bias, budget = solution.trust.budget(combination)
+    value = solution.fit.coulomb - bias
     return _settled(campaign, Estimate(value=value, parts=parts, bias=bias, corrected=True, budget=budget, **base))
+
+
+ASKED = {METHOD: "", "joint": "joint fit", "output-error": "output-error fit"}
+"""Method -> its words; all but the first are there only where somebody asked for them."""
+
+
+def offers(analysis: Analysis) -> Iterator[Offer]:
+    """By the primary method and by those that were asked for; B is the mean of both directions, as others see it."""
+    reached: dict[int, float] = {}
+    unloaded = set[int]()
+    for step in analysis.facts.get("steps", ()):
+        P = round(step["pressure"])
+        if step["phase"] == "contract":
+            reached[P] = max(step["x_inf"], reached.get(P, 0.0))
+            unloaded |= {P} if step["load"] <= 0 else set()
+    for method, words in ASKED.items():
+        F_ce, K, B_c, B_r = (at_pressures(analysis, symbol, method) for symbol in ("F_ce", "K", "B_c", "B_r"))
+        B = {P: weighted([(one, 0.5), (B_r[P], 0.5)], "B") for P, one in B_c.items() if P in B_r}
+        x = {P: _without_load(one, K[P]) for P, one in F_ce.items() if P in K and round(P) in unloaded}
+        yield straight(F_ce, K, lambda P: reached.get(round(P), 0.0), words)
+        yield from (everywhere(symbol, known, words) for symbol, known in (("K", K), ("B", B), ("x", x)))
+        for e in analysis.estimates:
+            if (e.symbol, e.method, dict(e.at)) == ("F_c", method, {}) and e.value is not None:
+                yield anywhere("F_c", e, words)
+
+
+def _without_load(F_ce: Estimate, K: Estimate) -> Estimate:
+    """X = F_ce / K [m], where contractions without load are among the tests."""
+    stiffness, x = K.value or np.inf, (F_ce.value or 0.0) / (K.value or np.inf)
+    found = weighted([(F_ce, 1 / stiffness), (K, -x / stiffness)], "x")
+    return replace(found, value=x, unit="m", quantity="length")
+
+
+def by_paper_1(analysis: Analysis) -> Iterator[Offer]:
+    """K of the way that the protocol names, the first: its F_ce is geometry, and its B_r carries another pressure."""
+    first = next((e.method for e in analysis.estimates if e.symbol == "K"), "")
+    yield everywhere("K", at_pressures(analysis, "K", first), "paper 1's way")

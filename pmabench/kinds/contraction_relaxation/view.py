@@ -11,13 +11,11 @@ import numpy as np
 from pmabench.analysis.results import Estimate, Finding, Trace
 from pmabench.analysis.shared.calibration import Scales
 from pmabench.base.quantities import show
-from pmabench.kinds.contraction_relaxation import free_run
-from pmabench.kinds.contraction_relaxation.bootstrap import bootstrap
-from pmabench.kinds.contraction_relaxation.checks import checks
+from pmabench.kinds.contraction_relaxation import checks
+from pmabench.kinds.contraction_relaxation.checks import FreeRun
 from pmabench.kinds.contraction_relaxation.form import GAIN, ZERO
-from pmabench.kinds.contraction_relaxation.free_run import FreeRun
-from pmabench.kinds.contraction_relaxation.intervals import Pooled
-from pmabench.kinds.contraction_relaxation.segments import UNTOLD_MASS
+from pmabench.kinds.contraction_relaxation.intervals import Pooled, bootstrap
+from pmabench.kinds.contraction_relaxation.segments import ASSUMED_MASS
 from pmabench.kinds.contraction_relaxation.trials import Campaign
 
 MISFIT = 3.0
@@ -31,7 +29,7 @@ LONGEST_TRACE = 1500
 def facts(campaign: Campaign, pooled: Pooled, runs: Sequence[FreeRun]) -> dict[str, Any]:
     """Numbers behind the fit and its free runs, SI."""
     used = np.unique(pooled.segments.trial)
-    free = free_run.check(campaign, runs)
+    free = checks.check(campaign, runs)
     return {
         "trials_used": len(used),
         "cells": len(np.unique(campaign.cells)),
@@ -48,9 +46,9 @@ def facts(campaign: Campaign, pooled: Pooled, runs: Sequence[FreeRun]) -> dict[s
         "scatter_between_trials": {symbol: float(value) for symbol, value in pooled.trust.excess.items()},
         "load_cell": campaign.cell,
         "form": pooled.form.facts,
-        "free_run_rms": free_run.rms(runs),
-        "free_run": free_run.table(campaign, runs),
-        "checks": [*([asdict(free)] if free else ()), *checks(campaign, pooled)],
+        "free_run_rms": checks.rms(runs),
+        "free_run": checks.table(campaign, runs),
+        "checks": [*([asdict(free)] if free else ()), *checks.checks(campaign, pooled)],
     }
 
 
@@ -70,7 +68,7 @@ def findings(campaign: Campaign, pooled: Pooled, estimates: Sequence[Estimate]) 
     if not campaign.cell:
         text = "no load cell: F_L is the weight, and M x'' of the moving mass; both are taken as exact, M is not fitted"
         if any("mass" not in trial.point for trial in campaign.trials):
-            text += f"; where a trial names no moving mass, {show(UNTOLD_MASS, 'mass')} is taken"
+            text += f"; where a trial names no moving mass, {show(ASSUMED_MASS, 'mass')} is taken"
         lines.append(Finding("note", text))
     lack = Scales.of(campaign.runs).lack(campaign.channels)
     if lack:
@@ -123,6 +121,8 @@ def _of_the_weights(pooled: Pooled) -> list[Finding]:
 
 def resampled(campaign: Campaign, pooled: Pooled, estimates: Sequence[Estimate], count: int) -> dict[str, Any]:
     """Half widths by a bootstrap of `count` draws beside the repeats part of each estimate that has a pressure."""
+    if not count:
+        return {}
     draws = bootstrap(pooled.segments, pooled.fit, campaign.cells, count, pooled.trust.within)
     known = [e for e in estimates if e.value is not None and "pressure" in e.at]
     return {

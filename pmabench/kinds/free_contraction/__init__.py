@@ -1,7 +1,7 @@
 """The length of a muscle without load over pressure.
 
-- `reduction`; words and figures: `view`
-- protocol files: `protocol`; one trial on the display: `live`; figures: `figures`
+- `reduction`
+- protocol files: `protocol`; one trial on the display: `live`; words and figures: `figures`
 """
 
 from pmabench.base.imported import Commanded, Imported
@@ -40,9 +40,7 @@ KIND = Kind(
     word="free contraction",
     offers="pmabench.kinds.free_contraction.reduction:offers",
     methods=METHODS,
-    figures={
-        "free-contraction": "pmabench.kinds.free_contraction.figures:lengths",
-    },
+    figures={"free-contraction": "pmabench.kinds.free_contraction.figures:lengths"},
     imported=Imported(
         Commanded(
             "pressure",

@@ -1,25 +1,205 @@
-"""Figure of free contraction: length over pressure reached from both sides, the fitted sigmoid, paper 2's formula."""
+"""Words and the figure of free contraction: length over pressure from both sides, sigmoid, formula of paper 2."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.interpolate import PchipInterpolator
 
-from pmabench.analysis.results import Analysis, Trace
+from pmabench.analysis.model_fit import ModelFit
+from pmabench.analysis.results import Analysis, Finding, Trace
+from pmabench.base.quantities import show
+from pmabench.model.library import MODELS
 from pmabench.plotting.pictures import Picture, bound, has, label, numbers, panel, picture
 from pmabench.plotting.plots import BLUE, CROSSES, HALF, INK, RED, Panel, blank, few_ticks, grid
+from pmabench.store.records import Array
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from pmabench.kinds.free_contraction.reduction import Point
+
+CURVE = 121
+"""Points of a drawn curve."""
+DRIFTS = 0.002
+"""What it would still change by after a hold, as a share of the largest contraction, that is doubted."""
+CLEAR = 6.0
+"""A contraction without pressure counts where it is larger than so many standard deviations of its noise."""
+LEFT = 0.005
+"""Contraction left at rest without pressure, as a share of the largest one, that is doubted."""
+LARGEST = 0.35
+"""Contraction that paper 2 takes for the largest [1]."""
+BARELY = 1.01
+"""Measured pressures that are above the highest of a formula by no more than this factor count as that."""
+CM = 1e-2
+
+
+@dataclass(frozen=True, eq=False)
+class Curves:
+    """Points and curves [Pa, m]; shapes (n,) of the points, (CURVE,) of the curves; None where there is none."""
+
+    P: Array
+    L: Array
+    below: Array
+    above: Array
+    grid: Array
+    fit: Array | None
+    paper: Array | None
+    paper_at: Array | None
+    """Of paper 2 at the points."""
+
+
+def half_pressure(P: Array, x: Array) -> float | None:
+    """Where x first comes to half of its value at the highest pressure, by monotone cubics [Pa]; None if nowhere."""
+    if len(P) < 3 or not bool((np.diff(P) > 0).all()) or not x[-1] > 0:
+        return None
+    half = 0.5 * x[-1]
+    after = np.flatnonzero(x >= half)
+    if not len(after) or after[0] == 0:
+        return None
+    low, high = float(P[after[0] - 1]), float(P[after[0]])
+    curve = PchipInterpolator(P, x)
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if float(curve(middle)) < half else (low, middle)
+    return 0.5 * (low + high)
+
+
+def paper_length(P: Array, length: float) -> Array | None:
+    """Paper 2's length [m] at P [Pa] for a nominal length [m]; None where it does not hold."""
+    model = MODELS["sigmoid-length"]
+    known = {p.name: p for p in model.parameters}
+    nominal, most = known["nominal_length"], known["pressure"].high
+    if not nominal.low * (1 - 1e-9) <= length <= nominal.high * (1 + 1e-9) or P.max() > BARELY * most:
+        return None
+    L0 = min(max(length, nominal.low), nominal.high)
+    found = model.evaluate({"pressure": np.clip(P, 0.0, most), "nominal_length": L0})
+    return np.asarray(found["length"], dtype=np.float64)
+
+
+def curves(points: Sequence[Point], fit: ModelFit | None, length: float, *, compare: bool) -> Curves:
+    """All that the figure shows."""
+    P = np.array([point.pressure for point in points])
+    grid = np.linspace(max(float(P.min()), 0.0), float(P.max()), CURVE)
+    return Curves(
+        P=P,
+        L=length - np.array([point.x for point in points]),
+        below=length - np.array([point.reached(-1.0) for point in points]),
+        above=length - np.array([point.reached(1.0) for point in points]),
+        grid=grid,
+        fit=None
+        if fit is None or not fit.converged
+        else fit.band({"pressure": np.minimum(grid, float(fit.columns["pressure"].max()))})[0],
+        paper=paper_length(grid, length) if compare else None,
+        paper_at=paper_length(P, length) if compare else None,
+    )
+
+
+def of_points(points: Sequence[Point]) -> list[Finding]:
+    """What catches the eye in the lengths themselves."""
+    if not points:
+        return []
+    largest = max(abs(point.x) for point in points)
+    rests = [rest for point in points for rest in point.rests]
+    found = []
+    left = max(rests, key=lambda rest: abs(rest.start))
+    text = f"at rest without pressure it comes back to the nominal length within {show(abs(left.start), 'length', 2)}"
+    if abs(left.start) > max(LEFT * largest, CLEAR * left.noise):
+        text = (
+            f"{show(left.start, 'length', 2)} of contraction are left without pressure before trial {left.trial.name}"
+        )
+        found.append(
+            Finding("doubt", f"{text}: creep, friction, or a zero that is off; L counts from the nominal length")
+        )
+    else:
+        found.append(Finding("note", text))
+    worst = max(points, key=lambda point: abs(point.left.size) if point.left.seen else 0.0)
+    if worst.left.seen and abs(worst.left.size) > DRIFTS * largest:
+        text = f"at {show(worst.set, 'pressure')} the length would still change by {show(worst.left.size, 'length', 2)}"
+        found.append(Finding("doubt", f"{text} after the hold; hold longer"))
+    x = np.array([point.x for point in points])
+    if len(x) > 1 and x[-1] < -CLEAR * left.noise:
+        found.append(Finding("fault", "it grows longer under pressure: a sign is wrong, or it is an extensor"))
+    gaps = [(float(point.gaps.mean()), point.set) for point in points if len(point.gaps)]
+    if gaps:
+        gap, at = max(gaps, key=lambda pair: abs(pair[0]))
+        text = f"reached from above it is shorter than from below by up to {show(gap, 'length', 2)}"
+        found.append(Finding("note", f"hysteresis: {text}, at {show(at, 'pressure')}"))
+    return found
+
+
+def of_fit(fit: ModelFit | None, why: str, other: str) -> list[Finding]:
+    """How well the sigmoid does; `other` says why it is not the form of these lengths."""
+    if fit is None:
+        return [Finding("note", why)]
+    if not fit.converged:
+        return [Finding("doubt", "the sigmoid does not converge on these lengths: they have another form")]
+    off = float(np.max(np.abs(fit.computed - fit.measured)))
+    text = (
+        f"sigmoid with a to e of its own: rms {show(fit.residual_rms, 'length', 2)}, at most {show(off, 'length', 2)}"
+    )
+    pairs = [f.text for f in fit.findings if f.text.startswith("correlated")]
+    found = [Finding("note", text), *(Finding("note", f"a to e: {one}") for one in pairs)]
+    return [*found, Finding("doubt", other)] if other else found
+
+
+def of_paper(curve: Curves, length: float) -> list[Finding]:
+    """Paper 2's formula for this nominal length beside what was measured: the shape, not the millimetre."""
+    if curve.paper is None or curve.paper_at is None:
+        return [Finding("note", "paper 2's formula does not hold for this length or these pressures: not compared")]
+    off = curve.L - curve.paper_at
+    at = int(np.argmax(np.abs(off)))
+    where = show(float(curve.P[at]), "pressure", 3)
+    text = f"measured less paper 2's formula: up to {show(float(off[at]), 'length', 2)} at {where}"
+    found = [
+        Finding(
+            "note", f"{text}; rounding of its printed coefficients alone is worth {show(rounding(length), 'length', 2)}"
+        )
+    ]
+    mine = half_pressure(curve.P, length - curve.L)
+    theirs = half_pressure(curve.grid, length - curve.paper)
+    if mine is not None and theirs is not None:
+        text = f"half of the largest contraction is reached at {show(mine, 'pressure', 3)}"
+        found.append(Finding("note", f"{text}, by paper 2's formula at {show(theirs, 'pressure', 3)}"))
+    largest = float((length - curve.L).max()) / length
+    if largest > LARGEST:
+        found.append(Finding("doubt", f"it contracts by {largest:.1%}; paper 2 takes 35 % for the most"))
+    return found
+
+
+def rounding(length: float) -> float:
+    """Half a unit in the last printed digits of a, added up, at a nominal length [m]."""
+    L0 = length / CM
+    return 0.5e-4 * (L0 + L0**2 + L0**3) * CM
+
+
+def trace(curve: Curves, length: float) -> Trace:
+    """Points first, then the curves."""
+    n, blank = len(curve.P), np.full(CURVE, np.nan)
+    none = np.full(n, np.nan)
+    columns = {
+        "pressure": np.concatenate([curve.P, curve.grid]),
+        "length": np.concatenate([curve.L, blank]),
+        "below": np.concatenate([curve.below, blank]),
+        "above": np.concatenate([curve.above, blank]),
+        "fit": np.concatenate([none, blank if curve.fit is None else curve.fit]),
+        "model": np.concatenate([none, blank if curve.paper is None else curve.paper]),
+    }
+    return Trace(
+        name="free-contraction",
+        figure="free-contraction",
+        title="Length without load over pressure",
+        columns=columns,
+        quantities={"pressure": "pressure"} | dict.fromkeys(("length", "below", "above", "fit", "model"), "length"),
+        marks={"length": length},
+    )
+
+
 NAMES = {"pressure": "pressure", "length": "length", "below": "below", "above": "above", "fit": "fit", "model": "model"}
-STYLES = {
-    "below": ("^", "reached from below"),
-    "above": ("v", "reached from above"),
-    "length": ("o", "measured"),
-}
+STYLES = {"below": ("^", "reached from below"), "above": ("v", "reached from above"), "length": ("o", "measured")}
 LINES = {"fit": (RED, "-", "sigmoid, a to e fitted"), "model": (BLUE, (0, (4, 2)), "paper 2's formula")}
 
 

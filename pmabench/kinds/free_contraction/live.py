@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from pmabench.analysis.shared.rest import left
-from pmabench.analysis.shared.samples import NotUsable
+from pmabench.analysis.shared.samples import NotUsable, left
 from pmabench.analysis.trial import DRIFT, Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
 from pmabench.kinds.free_contraction.reduction import measure as rest_of

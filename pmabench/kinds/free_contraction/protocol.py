@@ -63,7 +63,7 @@ class FreeContraction(ProtocolHead):
         for point in points:
             c.within("pressure", point.values["pressure"], point.places["pressure"])
         if self.compare == "paper-2":
-            self._foreseen(c, [(point.values["pressure"], point.places["pressure"]) for point in points])
+            self._check_prediction(c, [(point.values["pressure"], point.places["pressure"]) for point in points])
         top = max(point.values["pressure"] for point in points)
         for point in points if not c.problems else ():
             if not c.trials:
@@ -79,7 +79,7 @@ class FreeContraction(ProtocolHead):
         length = c.mounted.specimen_file.nominal_length
         return c.plan("free-contraction", {"nominal_length": length, "compare": self.compare})
 
-    def _foreseen(self, c: Compilation, points: list[tuple[float, Location]]) -> None:
+    def _check_prediction(self, c: Compilation, points: list[tuple[float, Location]]) -> None:
         """Check that paper 2's formula holds for this length and these pressures, and that nothing would trip."""
         from pmabench.model.library import MODELS  # slow to import
 

@@ -1,6 +1,6 @@
 """Reduction of free contraction: length over pressure, the sigmoid a to e through it, paper 2's formula beside it.
 
-Knows the samples at rest of each trial; words and figure are in `view`.
+Knows the samples at rest of each trial; words and figure are in `figures`.
 """
 
 from __future__ import annotations
@@ -13,16 +13,25 @@ from typing import Any
 
 import numpy as np
 
-from pmabench.analysis.fitting.model_fit import ModelFit, fit_model
+from pmabench.analysis.model_fit import ModelFit, fit_model
 from pmabench.analysis.results import Analysis, Dropped, Estimate, Finding, Parts, withhold
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.form import Doubt, weighed
 from pmabench.analysis.shared.isometric_lines import spread
-from pmabench.analysis.shared.rest import Held, Left, left
-from pmabench.analysis.shared.samples import NotUsable, noise_of
-from pmabench.analysis.verdict.offers import Offer, Place, between
+from pmabench.analysis.shared.samples import Held, Left, NotUsable, left, noise_of
+from pmabench.analysis.verdict.agreement import Offer, Place, between
 from pmabench.base.quantities import show
-from pmabench.kinds.free_contraction import RESULTS, view
+from pmabench.kinds.free_contraction import RESULTS
+from pmabench.kinds.free_contraction.figures import (
+    BARELY,
+    CLEAR,
+    curves,
+    half_pressure,
+    of_fit,
+    of_paper,
+    of_points,
+    trace,
+)
 from pmabench.model.library import MODELS
 from pmabench.store.records import Array, RunData, TrialData
 
@@ -133,14 +142,14 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     other = "" if fit is None else _other_form(points, fit)
     shifted = {} if fit is None or other else _shifted(points, length)
     estimates += _coefficients(fit, why, other, shifted)
-    curve = view.curves(points, fit, length, compare=compare) if points else None
+    curve = curves(points, fit, length, compare=compare) if points else None
     findings = [
-        *view.of_points(points),
-        *(view.of_fit(fit, why, other) if points else []),
-        *(view.of_paper(curve, length) if curve is not None and compare else []),
+        *of_points(points),
+        *(of_fit(fit, why, other) if points else []),
+        *(of_paper(curve, length) if curve is not None and compare else []),
     ]
-    if estimates and (untold := scales.lack(CHANNELS)):
-        findings.append(Finding("note", untold))
+    if estimates and (missing := scales.lack(CHANNELS)):
+        findings.append(Finding("note", missing))
     return Analysis.of(
         KIND,
         runs,
@@ -148,7 +157,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         estimates=estimates,
         dropped=dropped,
         findings=findings,
-        traces=[] if curve is None else [view.trace(curve, length)],
+        traces=[] if curve is None else [trace(curve, length)],
         facts={
             "options": dict(options or {}),
             "nominal_length": length,
@@ -256,12 +265,12 @@ def _half(points: Sequence[Point], scales: Scales) -> Estimate:
     """The pressure at which half of the contraction at the highest pressure is reached."""
     P = np.array([point.pressure for point in points])
     names = tuple(rest.trial.name for point in points for rest in point.rests)
-    value = view.half_pressure(P, np.array([point.x for point in points]))
+    value = half_pressure(P, np.array([point.x for point in points]))
     n = min(len(point.repeats) for point in points)
     if value is None:
         note = "the contraction does not rise through half of its largest value once"
         return Estimate("P_half", None, "Pa", "pressure", FREE, n=n, note=note, trials=names)
-    each = [view.half_pressure(P, np.array([point.repeats[i] for point in points])) for i in range(n)]
+    each = [half_pressure(P, np.array([point.repeats[i] for point in points])) for i in range(n)]
     half = spread([one for one in each if one is not None])
     coarse = float(np.diff(P).max()) / 2
     note = sentences("" if half is not None else "no repeats part: one repeat only", "")
@@ -292,7 +301,7 @@ def _fit(points: Sequence[Point], length: float, off: Array | float = 0.0) -> tu
     if not np.isfinite(L).all() or not 0 < length <= 2:
         return None, "no fit: the plan tells no nominal length"
     most = next(p.high for p in model.parameters if p.name == "pressure")
-    if P.max() > view.BARELY * most:
+    if P.max() > BARELY * most:
         return None, f"no fit: the sigmoid holds up to {show(most, 'pressure')}"
     fixed = {p.name: p.value for p in model.parameters if p.name not in ("pressure", *UNKNOWN)}
     fixed["nominal_length"] = length
@@ -331,7 +340,7 @@ def _weighed(estimates: Sequence[Estimate], points: Sequence[Point], length: flo
         noise = max(rest.noise for rest in point.rests)
         doubts = (
             Doubt(MOTION, "method", share * still.most, still.seen, rests),
-            Doubt(ZERO, "drift", share * off, off > max(view.CLEAR * noise, friction), zero),
+            Doubt(ZERO, "drift", share * off, off > max(CLEAR * noise, friction), zero),
         )
         found.append(weighed(e, doubts, None if e.symbol == "P_half" else largest * share))
     return found
@@ -369,7 +378,7 @@ def _shifted(points: Sequence[Point], length: float) -> dict[str, ModelFit]:
     """The sigmoid through the lengths less what is left without pressure, and to which they would come; where seen."""
     starts = np.array([np.mean([rest.start for rest in point.rests]) for point in points])
     noise = max(rest.noise for point in points for rest in point.rests)
-    ways = {ZERO: -starts} if np.abs(starts).max() > view.CLEAR * noise else {}
+    ways = {ZERO: -starts} if np.abs(starts).max() > CLEAR * noise else {}
     if any(point.left.seen for point in points):
         ways[MOTION] = np.array([point.left.size for point in points])
     fits = {name: _fit(points, length, off)[0] for name, off in ways.items()}
@@ -385,7 +394,7 @@ def _coefficients(fit: ModelFit | None, why: str, other: str, shifted: Mapping[s
     found = []
     for name in UNKNOWN:
         quantity = quantities[name]
-        value, half, note = (None, None, why) if fit is None else fit.told(name, UNITS[quantity])
+        value, half, note = (None, None, why) if fit is None else fit.identified(name, UNITS[quantity])
         parts = Parts(repeats=half)
         n = 0 if fit is None else len(fit.measured)
         note = sentences(note, RESIDUALS if half is not None else "")

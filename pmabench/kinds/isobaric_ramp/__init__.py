@@ -1,6 +1,6 @@
 """Slow ramps of displacement at constant pressure: F over contraction, K, loop gap and work; the rubber at 0 kPa.
 
-- `reduction`, made of `cell` and `rubber`
+- `reduction`, made of `cell`
 - protocol files: `protocol`; one trial on the display: `live`; figures: `figures`
 """
 

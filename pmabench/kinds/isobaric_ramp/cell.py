@@ -22,7 +22,7 @@ from pmabench.store.records import Array, RunData, TrialData
 CURVE, RAW, LOCAL = "mean-curve", "mean-curve, turns left in", "mean-curve, local"
 GAP, MEAN_GAP, OPEN = "loop-gap", "loop-gap, mean over the stroke", "loop-gap, open loop"
 PLACES = 5
-"""Places along the stroke at which force and stiffness are told."""
+"""Places along the stroke at which force and stiffness are given."""
 WINDOW = 0.06
 """Half width of the cubic through the mean curve for force and slope at a place, as a share of the stroke."""
 BENT = 0.02
@@ -163,7 +163,7 @@ class Cell:
     def estimates(self, scales: Scales, dF_dP: float | None) -> list[Estimate]:
         """K and F_ce of the mean curve, its force and stiffness along the stroke, gap and work.
 
-        Calibration, to first order: forces ~ F (and x where they fall with it), K ~ F/x, work ~ F x; forces are told
+        Calibration, to first order: forces ~ F (and x where they fall with it), K ~ F/x, work ~ F x; forces are given
         for a pressure that may be off, too.
         """
         x, P = self.x, self.pressure
@@ -188,7 +188,7 @@ class Cell:
             parts = Parts(line.half_start, extra, part, skewed)
             found.append(self._estimate(symbol, line.start, kind, method, at or self.at, parts, sentences(note, alone)))
 
-        newton, stiffness, joule = ("N", "force"), ("N/m", "stiffness"), ("J", "work")
+        newton, stiffness = ("N", "force"), ("N/m", "stiffness")
         uneven = self._uneven(dF_dP)
         kinds = [(CURVE, lambda loop: loop.mean), (RAW, lambda loop: loop.raw_mean)]
         for method, curve in kinds if any(m.loop.turns is not None for m in self.members) else kinds[:1]:
@@ -215,11 +215,16 @@ class Cell:
             )  # fmt: skip
         K = -float(np.polyfit(x, self.curve, 1)[0])
         found += self._gap_lines(scales, abs(K), uneven, self._rising(dF_dP))
-        stroke = float(upper - lower)
+        return found + self._work(scales, abs(K), uneven, float(upper - lower))
+
+    def _work(self, scales: Scales, K: float, uneven: float, stroke: float) -> list[Estimate]:
+        """Gap and work at each speed, and the share of the work that comes back; `uneven` as `_uneven` gives it."""
+        newton, joule = ("N", "force"), ("J", "work")
+        found: list[Estimate] = []
         for speed in sorted({member.speed for member in self.members}):
             mine = [member for member in self.members if member.speed == speed]
             here = {**self.at, "speed": speed}
-            late = 2 * abs(K) * speed * self.skew
+            late = 2 * K * speed * self.skew
             work = {"force": 1, "displacement": 1}
             # between the two samples at a turn the force jumps by the gap, somewhere on the way between them
             corners = max(2 * abs(float(m.loop.middle_gap.mean())) * speed / m.run.rate for m in mine)

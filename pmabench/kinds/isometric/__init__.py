@@ -19,15 +19,9 @@ PULL = Kind(
     reduction="pmabench.kinds.isometric.reduction:reduce",
     word="recorded pull",
     offers="pmabench.kinds.isometric.reduction:offers",
-    figures={
-        "isometric": "pmabench.plotting.isometric:lines",
-    },
-    front={
-        "isometric": "pmabench.plotting.isometric:lines",
-    },
-    published={
-        "isometric": ("pressure", "force", "displacement"),
-    },
+    figures={"isometric": "pmabench.plotting.isometric:lines"},
+    front={"isometric": "pmabench.plotting.isometric:lines"},
+    published={"isometric": ("pressure", "force", "displacement")},
     imported=Imported(recording=True, follows="force", shown="pauses"),
 )
 KIND = Kind(
@@ -40,14 +34,8 @@ KIND = Kind(
     word="recorded isometric",
     offers="pmabench.kinds.isometric.reduction:offers",
     also=(PULL,),
-    figures={
-        "isometric": "pmabench.plotting.isometric:lines",
-    },
-    front={
-        "isometric": "pmabench.plotting.isometric:lines",
-    },
-    published={
-        "isometric": ("pressure", "force", "displacement"),
-    },
+    figures={"isometric": "pmabench.plotting.isometric:lines"},
+    front={"isometric": "pmabench.plotting.isometric:lines"},
+    published={"isometric": ("pressure", "force", "displacement")},
     imported=Imported(recording=True, follows="force", point=("contraction",), held=True, shown="held length"),
 )

@@ -27,8 +27,8 @@ from pmabench.analysis.shared.isometric_lines import (
     pool,
     tests_of,
 )
-from pmabench.analysis.shared.sessions import ONE_SESSION, session_of
-from pmabench.analysis.verdict.offers import SAME, Offer, Place, between
+from pmabench.analysis.shared.trials import ONE_SESSION, session_of
+from pmabench.analysis.verdict.agreement import SAME, Offer, Place, between
 from pmabench.base.quantities import show
 from pmabench.kinds.isometric import RESULTS
 from pmabench.store.records import RunData
@@ -65,10 +65,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     traces: list[Trace] = []
     cells: list[dict[str, Any]] = []
     for contraction, tests in sorted(groups.items()):
-        largest = max(float(test.F.max()) for test in tests)
-        also = [above + share * (largest - above) for share in (RANGE[-1:] if asked else RANGE)]
-        thresholds = [above, *asked, *also]
-        fits = {threshold: pooled for threshold in thresholds if (pooled := pool(tests, _over(threshold))) is not None}
+        fits = _fits(tests, above, asked)
         first = fits[above]
         at = {"contraction": contraction}
         lines = [(pooled.line.m, pooled.line.c) for pooled in fits.values()]
@@ -83,19 +80,8 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         curves.append(Curve("F", "line", (c, m), "pressure", (line.low, line.high), line.r2, line.rms, METHOD))
         by_phase = branches(tests, _over(above), phases)
         findings += _sentences(contraction, fits, above, by_phase)
-        cells.append(
-            {
-                "contraction": contraction,
-                "tests": len(tests),
-                "samples": line.n,
-                "r2": line.r2,
-                "residual_rms": line.rms,
-                "forces": forces_of(first, tests, [*lines, first.mean]),
-                "slopes_of_tests": {name: one.m for name, one in zip(first.names, first.each, strict=True)},
-                "slopes_of_phases": by_phase,
-                "slopes_above": {f"{threshold:g}": pooled.line.m for threshold, pooled in sorted(fits.items())},
-            }
-        )
+        forces = forces_of(first, tests, [*lines, first.mean])
+        cells.append({**_facts(contraction, tests, fits, above), "forces": forces, "slopes_of_phases": by_phase})
         traces.append(_trace(contraction, tests, line, above))
     if estimates:
         if lack := Scales.of([test.run for tests in groups.values() for test in tests]).lack(("force", "pressure")):
@@ -113,6 +99,28 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         traces=traces,
         facts={"rule": rule, "cells": cells, "flagged": flagged_counts(runs)},
     )
+
+
+def _fits(tests: Sequence[Test], above: float, asked: Sequence[float]) -> dict[float, Pooled]:
+    """The line above each threshold of force [N]: the rule's, those asked for, and shares of the largest force."""
+    largest = max(float(test.F.max()) for test in tests)
+    also = [above + share * (largest - above) for share in (RANGE[-1:] if asked else RANGE)]
+    fits = ((threshold, pool(tests, _over(threshold))) for threshold in (above, *asked, *also))
+    return {threshold: pooled for threshold, pooled in fits if pooled is not None}
+
+
+def _facts(contraction: float, tests: Sequence[Test], fits: Mapping[float, Pooled], above: float) -> dict[str, Any]:
+    """What is kept of the lines of one contraction."""
+    line, each = fits[above].line, zip(fits[above].names, fits[above].each, strict=True)
+    return {
+        "contraction": contraction,
+        "tests": len(tests),
+        "samples": line.n,
+        "r2": line.r2,
+        "residual_rms": line.rms,
+        "slopes_of_tests": {name: one.m for name, one in each},
+        "slopes_above": {f"{threshold:g}": pooled.line.m for threshold, pooled in sorted(fits.items())},
+    }
 
 
 def _of_choice(m: Estimate) -> Estimate:

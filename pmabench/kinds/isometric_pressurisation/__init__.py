@@ -1,8 +1,8 @@
 """Force over pressure at set contractions: slopes, S(eps), dead band, hysteresis, F_ce and K.
 
-- `reduction`, made of `curve`, `daerden` (S over contraction), `sections` (all contractions at one pressure) and
-  `blocked_force`; whether the tests have the form that is assumed: `form`; words and figures: `view`
-- protocol files: `protocol`; one trial on the display: `live`; figures: `figures`
+- `reduction`, made of `curve`, `daerden` (S over contraction), `sections` (all contractions at one pressure);
+  whether the tests have the form that is assumed: `form`
+- protocol files: `protocol`; one trial on the display: `live`; words and figures: `figures`
 """
 
 from pmabench.base.imported import Commanded, Imported
@@ -57,11 +57,7 @@ KIND = Kind(
     order=100,
     results=RESULTS,
     reduction="pmabench.kinds.isometric_pressurisation.reduction:reduce",
-    papers=(
-        "paper 2",
-        "paper 3",
-        "paper 4",
-    ),
+    papers=("paper 2", "paper 3", "paper 4"),
     protocol="pmabench.kinds.isometric_pressurisation.protocol:IsometricPressurisation",
     live="pmabench.kinds.isometric_pressurisation.live:measure",
     moves="force",
@@ -75,12 +71,8 @@ KIND = Kind(
         "isometric": "pmabench.plotting.isometric:lines",
         "section": "pmabench.kinds.isometric_pressurisation.figures:sections",
     },
-    front={
-        "isometric": "pmabench.plotting.isometric:lines",
-    },
-    published={
-        "isometric": ("pressure", "force", "displacement"),
-    },
+    front={"isometric": "pmabench.plotting.isometric:lines"},
+    published={"isometric": ("pressure", "force", "displacement")},
     imported=Imported(
         Commanded(
             "pressure",

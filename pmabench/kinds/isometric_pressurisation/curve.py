@@ -11,8 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pmabench.analysis.shared.isometric_lines import Mask, Test, as_test, ends
-from pmabench.analysis.shared.onset import SEEN, onset
-from pmabench.analysis.shared.samples import noise_of
+from pmabench.analysis.shared.samples import SEEN, noise_of, onset
 from pmabench.store.records import Array, RunData, TrialData
 
 PHASES = ("fill", "empty")

@@ -24,7 +24,7 @@ FLOOR = 2e-3
 """Floor of the error of a slope, as a share of the largest: nothing on a bench is known better."""
 NAMES = ("D_0", "theta_0", "alpha")
 OPEN = 0.25
-"""A parameter whose 95 % interval is wider than this share of its value is not told apart from the others."""
+"""A parameter whose 95 % interval is wider than this share of its value is not separable from the others."""
 FURTHEST = 3.0
 """Errors by which a slope may be off the curve."""
 STEP = 1e-6

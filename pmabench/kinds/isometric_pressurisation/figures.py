@@ -1,28 +1,292 @@
-"""Figure of S(eps): slopes of force over pressure at each contraction, and the fitted curve with its band."""
+"""Words and figures of isometric pressurisation; computes no estimate."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from math import degrees
+from typing import Any
 
 import numpy as np
 
-from pmabench.analysis.results import Analysis, Trace
+from pmabench.analysis.results import Analysis, Estimate, Finding, Trace
+from pmabench.analysis.shared.isometric_lines import Used, branches
+from pmabench.base.quantities import show
+from pmabench.kinds.isometric_pressurisation.curve import PHASES, REST, WITHIN
+from pmabench.kinds.isometric_pressurisation.daerden import ALPHAS, NAMES, Section
+from pmabench.kinds.isometric_pressurisation.sections import Across, Cell, Corrected
 from pmabench.plotting import plots
 from pmabench.plotting.pictures import Picture, bound, column, has, numbers, picture, unit_of
 from pmabench.plotting.plots import Points
 from pmabench.plotting.wording import shown
 
-NAMES = ("contraction", "slope", "half", "curve", "low", "high")
+LONGEST_TRACE = 1500
+CURVE = 60
+"""Points of a drawn curve."""
+MOVED = 0.01
+"""A change of the force by the moving of the driven end that is doubted, as a share of its span."""
+BENT = 0.05
+"""A distance from the line over contractions that is reported, as a share of the span of the forces."""
+NEAR = 0.01
+"""Contractions so near to 0 count as 0, as a share of the nominal length."""
+
+
+def of_cells(cells: Sequence[Cell]) -> list[Finding]:
+    """One line for each contraction: the straight part, its residual, both branches; doubts where there is none."""
+    found = []
+    for cell in cells:
+        where = f"contraction {show(cell.contraction, 'length', 4)}"
+        if cell.pooled is None or cell.low is None:
+            off = show(cell.off, "force", 3)
+            text = f"F(P) has no straight part: even its upper half leaves a line by {off}; no slope is told"
+            found.append(Finding("doubt", f"{where}: {text}"))
+            continue
+        line = cell.pooled.line
+        ends = f"{show(cell.low, 'pressure', 4)} to {show(line.high, 'pressure', 4)}"
+        gap = float(cell.mean.gaps(cell.low).mean())
+        text = f"straight from {ends} within {show(cell.off, 'force', 2)}"
+        text += f", residual {show(cell.pooled.rms, 'force', 2)} rms"
+        found.append(Finding("note", f"{where}: {text}; emptying minus filling {show(gap, 'force', 2)}"))
+        found += _moved(cell, where)
+    return found
+
+
+def _moved(cell: Cell, where: str) -> list[Finding]:
+    """Whether the driven end gave way while the force rose."""
+    moves = [float(np.ptp(x)) for test in cell.tests if len(x := test.x[np.isfinite(test.x)])]
+    span = float(np.nanmax(cell.mean.force) - np.nanmin(cell.mean.force))
+    off = cell.place - cell.contraction
+    said = []
+    if moves and max(moves) > 2e-4 and max(moves) > MOVED * max(abs(cell.contraction), 10e-3):
+        text = f"the driven end moved by up to {show(max(moves), 'length', 2)} while the force changed by"
+        said.append(Finding("doubt", f"{where}: {text} {show(span, 'force', 3)}; it is not isometric"))
+    if np.abs(off).max() > 5e-4:
+        text = f"it was measured {show(float(off[np.argmax(np.abs(off))]), 'length', 2)} off; what was measured counts"
+        said.append(Finding("note", f"{where}: {text}"))
+    return said
+
+
+def of_threshold(begun: Sequence[Estimate], given: Mapping[str, Any]) -> list[Finding]:
+    """The dead band: the pressure at which the force begins at the nominal length."""
+    known = [e for e in begun if e.value is not None]
+    if not known:
+        return []
+    at = min((e.at["contraction"] for e in known), key=abs)
+    if abs(at) > NEAR * float(given.get("nominal_length", 0.25)):
+        text = "the dead band of pressure is that at contraction 0, which is not among the tests"
+        return [Finding("note", text)]
+    found = []
+    for e in (e for e in known if e.at["contraction"] == at):
+        half = e.parts.combined
+        interval = f" +- {show(half, 'pressure', 2)}" if half is not None else ""
+        found.append(f"{show(e.value or 0.0, 'pressure', 4)}{interval} ({e.method})")
+    where = f"contraction {show(at, 'length', 3)}"
+    return [Finding("note", f"dead band: at {where} the force begins at {', '.join(found)}")]
+
+
+def of_sections(sections: Mapping[str, Section], given: Mapping[str, Any]) -> list[Finding]:
+    """S(eps): what was found, how well, and what cannot be told apart."""
+    if "nominal_length" not in given:
+        return [Finding("doubt", "S(eps) is not told: the specimen has no nominal length")]
+    if not sections:
+        text = "S(eps) is not told: fewer than three contractions with a slope, or slopes that no braid gives"
+        return [Finding("note", text)]
+    found = []
+    for method, one in sections.items():
+        largest = float(np.abs(one.slopes.S).max())
+        off = float(np.max(np.abs(one.slopes.S - one.at(one.slopes.eps)))) / largest
+        text = f"{method}: slopes within {off:.2%} of the curve"
+        if one.freedom > 0:
+            text += f", the curve known to +-{float(one.band(one.slopes.eps).max()) / largest:.2%} of its largest value"
+        found.append(Finding("note", f"{text}; condition number {one.condition:.0f}"))
+        if one.open and not one.other_form:
+            found.append(Finding("doubt", f"{method}: {_open(one)}"))
+        if one.other_form:
+            text = "slopes lie further from the curve than they scatter: S(eps) has another form here"
+            found.append(Finding("note" if one.free != NAMES else "doubt", f"{method}: {text}; no parameters are told"))
+    return found
+
+
+def _open(one: Section) -> str:
+    """Which parameters are open, and between which values."""
+    text = f"{', '.join(one.open)} cannot be told apart from these contractions"
+    if one.freedom < 1:
+        return f"{text}: as many parameters as slopes. Measure at more contractions"
+    sets = [
+        f"alpha {values[2]:.3g} with D_0 {show(float(values[0]), 'length', 3)}"
+        for values in sorted(one.as_good or [one.values], key=lambda values: float(values[2]))
+    ]
+    if len(sets) > 1:
+        text += f": {' and '.join(sets)} fit alike"
+    if min(abs(one.alpha - end) for end in ALPHAS) < 1e-3:
+        text += f"; alpha runs to the end of its range, {one.alpha:.3g}"
+    return f"{text}. Give inner_diameter or braid_angle in the specimen file, or measure a wider range"
+
+
+def of_across(found: Sequence[Across]) -> list[Finding]:
+    """Whether the three-element model holds over the contractions."""
+    if not found:
+        return [Finding("note", "F_ce and K are not told: fewer than three contractions pull at the same pressure")]
+    worst = max(found, key=lambda one: one.off / one.span if one.span else 0.0)
+    share = worst.off / worst.span if worst.span else 0.0
+    where = show(worst.pressure, "pressure")
+    text = f"F over contraction leaves a straight line by up to {show(worst.off, 'force', 2)} ({share:.1%}) at {where}"
+    if share <= BENT:
+        return [Finding("note", f"{text}: the three-element model holds over these contractions")]
+    low, high = min(worst.between), max(worst.between)
+    between = f"{show(low, 'stiffness', 3)} to {show(high, 'stiffness', 3)}"
+    text += f": -dF/dx between neighbours is {between}; F_ce and K are those of a straight line through that"
+    return [Finding("doubt", text)]
+
+
+def of_corrected(force: Corrected | None, given: Mapping[str, Any]) -> list[Finding]:
+    """How well paper 2's corrected force does with what the specimen tells."""
+    if force is None:
+        lacks = [name for name in ("inner_diameter", "braid_angle") if name not in given]
+        if not lacks:
+            return []
+        text = f"the corrected force of paper 2 is not compared: the specimen tells no {' and no '.join(lacks)}"
+        return [Finding("note", text)]
+    residual = f"residual {show(force.rms, 'force', 3)} rms with q(p), {show(force.rms_without_q, 'force', 3)} without"
+    found = f"p_0 {show(force.p_0, 'pressure', 4)}" if force.holds else "does not fit"
+    return [Finding("note", f"corrected force with D_0 and theta_0 of the specimen: {found}, {residual}")]
+
+
+def facts(cells: Sequence[Cell]) -> list[dict[str, Any]]:
+    """Per contraction: what the straight part is, and the slope of each branch."""
+    rows = []
+    for cell in cells:
+        low, pooled = cell.low, cell.pooled
+        slopes = {} if low is None else branches(cell.tests, _from(low), PHASES)
+        rows.append(
+            {
+                "contraction": cell.contraction,
+                "measured": float(cell.place.mean()),
+                "tests": len(cell.tests),
+                "straight_from": low,
+                "straight_to": None if pooled is None else pooled.line.high,
+                "within": WITHIN,
+                "off": cell.off,
+                "residual_rms": None if pooled is None else pooled.rms,
+                "samples": 0 if pooled is None else pooled.line.n,
+                "slopes_of_phases": slopes,
+            }
+        )
+    return rows
+
+
+def _from(low: float) -> Used:
+    return lambda test: test.P >= low
+
+
+def section_facts(one: Section) -> dict[str, Any]:
+    """The parameters as fitted, told apart or not [SI], the residual [N/Pa] and the condition number."""
+    values = {"D_0": one.D_0, "theta_0": one.theta_0, "alpha": one.alpha}
+    return {
+        **values,
+        "free": list(one.free),
+        "residual_rms": one.rms,
+        "condition": one.condition,
+        "open": list(one.open),
+    }
+
+
+def traces(cells: Sequence[Cell], sections: Mapping[str, Section], given: Mapping[str, Any]) -> list[Trace]:
+    """F over P at each contraction, S over eps, and both over time for the contraction nearest to 0."""
+    found = [_isometric(cell) for cell in cells]
+    if sections:
+        found.append(_section_trace(next(iter(sections.values())), cells, float(given["nominal_length"])))
+    if cells:
+        found.append(_over_time(min(cells, key=lambda cell: abs(cell.contraction))))
+    return found
+
+
+def _isometric(cell: Cell) -> Trace:
+    P, F, phase = (np.concatenate([getattr(test, name) for test in cell.tests]) for name in ("P", "F", "phase"))
+    stride = max(1, -(-len(P) // LONGEST_TRACE))
+    P, F, phase = P[::stride], F[::stride], phase[::stride]
+    marks = {"contraction": cell.contraction}
+    fitted = np.full(len(P), np.nan)
+    if cell.pooled is not None and cell.low is not None:
+        line = cell.pooled.line
+        fitted = np.where(cell.low <= P, line(P), np.nan)
+        marks |= {"m": line.m, "c": line.c, "low": cell.low, "high": line.high}
+    return Trace(
+        name=f"isometric-{cell.contraction * 1e3:g}mm",
+        figure="isometric",
+        title=f"Force over pressure at a contraction of {show(cell.contraction, 'length', 3)}, and its straight part",
+        columns={"pressure": P, "force": F, "fit": fitted, "branch": phase},
+        quantities={"pressure": "pressure", "force": "force", "fit": "force", "branch": "count"},
+        marks=marks,
+    )
+
+
+def _section_trace(one: Section, cells: Sequence[Cell], length: float) -> Trace:
+    """Measured slopes first, with their half widths; then the curve with its band."""
+    pooled = [cell.pooled for cell in cells if cell.pooled is not None]
+    eps = np.linspace(one.slopes.eps.min(), one.slopes.eps.max(), CURVE)
+    n, blank = len(one.slopes.S), np.full(CURVE, np.nan)
+    curve, band = one.at(eps), one.band(eps)
+    half = np.array([line.half("m") or np.nan for line in pooled])
+
+    def with_curve(points: Any, values: Any) -> Any:
+        return np.concatenate([points, values])
+
+    none = np.full(n, np.nan)
+    return Trace(
+        name="section",
+        figure="section",
+        title="S over contraction: slopes of force over pressure, and the curve of the modified Daerden model",
+        columns={
+            "contraction": with_curve(one.slopes.eps, eps),
+            "slope": with_curve(one.slopes.S, blank),
+            "half": with_curve(half, blank),
+            "curve": with_curve(none, curve),
+            "low": with_curve(none, curve - band),
+            "high": with_curve(none, curve + band),
+        },
+        quantities={"contraction": "ratio"}
+        | dict.fromkeys(("slope", "half", "curve", "low", "high"), "force per pressure"),
+        marks={
+            "D_0": one.D_0,
+            "theta_0": one.theta_0,
+            "alpha": one.alpha,
+            "condition": one.condition,
+            "length": length,
+        },
+    )
+
+
+def _over_time(cell: Cell) -> Trace:
+    """Pressure and force of the first test over time (paper 4)."""
+    test = cell.tests[0]
+    trial = test.trial
+    during = np.flatnonzero((trial.t >= test.t[0] - REST) & (trial.t <= test.t[-1] + REST))
+    during = during[:: max(1, -(-len(during) // LONGEST_TRACE))]
+    where = show(cell.contraction, "length", 3)
+    return Trace(
+        name=f"over-time-{cell.contraction * 1e3:g}mm",
+        figure="pressurisation",
+        title=f"Pressure and force over time at a contraction of {where}",
+        columns={
+            "t": trial.t[during] - trial.t[during[0]],
+            "pressure": trial.channels["pressure"][during],
+            "force": trial.channels["force"][during],
+        },
+        quantities={"t": "time", "pressure": "pressure", "force": "force"},
+        marks={"contraction": cell.contraction},
+    )
+
+
+COLUMNS = ("contraction", "slope", "half", "curve", "low", "high")
 
 
 def sections(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     """One figure for each trace with slopes first and the curve after them."""
-    return [_section(trace, analysis.simulated) for trace in traces if has(trace, *NAMES)]
+    return [_section(trace, analysis.simulated) for trace in traces if has(trace, *COLUMNS)]
 
 
 def _section(trace: Trace, simulated: bool) -> Picture:
-    eps, slope, half, curve, low, high = (column(trace, name) for name in NAMES)
+    eps, slope, half, curve, low, high = (column(trace, name) for name in COLUMNS)
     point, line = np.isfinite(slope), np.isfinite(curve)
     band = np.where(np.isfinite(high - low), 0.5 * (high - low), 0.0)
     half = np.where(np.isfinite(half), half, np.nan)

@@ -1,7 +1,7 @@
 """Isometric pressurisation: F(P) at each contraction, S(eps), dead band, hysteresis; F_ce and K as a cross-check.
 
 Lines at one contraction come from `isometric_lines` and `curve`, S(eps) from `daerden`, what several
-contractions say at one pressure from `sections`; words, figures in `view`.
+contractions say at one pressure from `sections`; words and figures in `figures`.
 """
 
 from __future__ import annotations
@@ -27,17 +27,20 @@ from pmabench.analysis.shared.isometric_lines import (
     spread,
     tests_of,
 )
-from pmabench.analysis.verdict.offers import Offer, at_pressures, everywhere, exactly, straight, values_of
+from pmabench.analysis.verdict.agreement import Offer, at_pressures, everywhere, exactly, straight, values_of
 from pmabench.base.quantities import show
-from pmabench.kinds.isometric_pressurisation import RESULTS, blocked_force, daerden, view
+from pmabench.kinds.isometric_pressurisation import RESULTS, daerden, figures
 from pmabench.kinds.isometric_pressurisation.curve import LEAST, PHASES, begins, mean_of, straight_from
 from pmabench.kinds.isometric_pressurisation.form import departures, late, scatter_of
 from pmabench.kinds.isometric_pressurisation.sections import (
     BEYOND,
+    BLOCKED,
     Across,
     Cell,
     Corrected,
     across,
+    blocked_estimates,
+    blocked_trace,
     corrected,
     given_of,
 )
@@ -77,15 +80,15 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     found = _found(groups, given, scales)
     estimates, cells = _weighed(found, groups, given, scales), found.cells
     findings = [
-        *view.of_threshold([e for e in estimates if e.symbol == "p_0" and e.method != CORRECTED], given),
-        *view.of_sections(found.sections, given),
-        *view.of_across(found.across),
-        *view.of_corrected(found.corrected, given),
-        *view.of_cells(cells),
+        *figures.of_threshold([e for e in estimates if e.symbol == "p_0" and e.method != CORRECTED], given),
+        *figures.of_sections(found.sections, given),
+        *figures.of_across(found.across),
+        *figures.of_corrected(found.corrected, given),
+        *figures.of_cells(cells),
         *skew.findings(runs, CHANNELS, skew.apart(runs, CHANNELS), estimates),
     ]
-    if estimates and (untold := scales.lack(CHANNELS)):
-        findings.append(Finding("note", untold))
+    if estimates and (missing := scales.lack(CHANNELS)):
+        findings.append(Finding("note", missing))
     if cells and not estimates:
         findings.append(Finding("fault", "no straight part of F(P) at any contraction"))
     return Analysis.of(
@@ -96,13 +99,13 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         curves=_curves(cells, estimates),
         dropped=dropped,
         findings=findings,
-        traces=[*view.traces(cells, found.sections, given), *blocked_force.trace(cells)],
+        traces=[*figures.traces(cells, found.sections, given), *blocked_trace(cells)],
         facts={
             "options": dict(options),
             "specimen": given,
             "tests": sum(len(cell.tests) for cell in cells),
-            "cells": view.facts(cells),
-            "sections": {name: view.section_facts(one) for name, one in found.sections.items()},
+            "cells": figures.facts(cells),
+            "sections": {name: figures.section_facts(one) for name, one in found.sections.items()},
         },
     )
 
@@ -132,7 +135,7 @@ def _found(groups: Groups, given: Mapping[str, Any], scales: Scales) -> _Found:
         estimates += [m, c, _width(cell, scales)]
     over = across(cells)
     sections, force = _sections(cells, given), _corrected(cells, given)
-    estimates += begun + _sides(cells) + blocked_force.estimates(cells, given, scales) + _three_elements(over, scales)
+    estimates += begun + _sides(cells) + blocked_estimates(cells, given, scales) + _three_elements(over, scales)
     estimates += _section_estimates(sections, scales) + _corrected_estimate(force, scales)
     return _Found(cells, over, sections, force, estimates)
 
@@ -422,9 +425,7 @@ def offers(analysis: Analysis) -> Iterator[Offer]:
     furthest = max((e.at["contraction"] for e in analysis.estimates if "contraction" in e.at), default=0.0)
     yield straight(F_ce, K, lambda P: furthest)
     yield everywhere("K", K)
-    yield exactly(
-        "F", {(e.at["pressure"], 0.0): e for e in values_of(analysis, "F_b", blocked_force.METHOD)}, "blocked"
-    )
+    yield exactly("F", {(e.at["pressure"], 0.0): e for e in values_of(analysis, "F_b", BLOCKED)}, "blocked")
     begun = [(e, e.value) for e in analysis.estimates if (e.symbol, e.method) == ("p_0", THRESHOLD) and e.value]
     pressures = [P for _, P in begun]
     if len(begun) > 1 and (np.diff(pressures) > 0).all():

@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.analysis.shared.oscillation import SEEN
-from pmabench.analysis.shared.rest import Held, left
-from pmabench.analysis.shared.samples import noise_of
+from pmabench.analysis.shared.samples import Held, left, noise_of
 from pmabench.store.records import Array
 
 SMOOTHED = 0.02

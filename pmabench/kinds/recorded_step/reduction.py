@@ -16,12 +16,9 @@ from pmabench.analysis.imported import flagged_counts, import_findings, measured
 from pmabench.analysis.results import Analysis, Estimate, Finding, Parts, Trace, withhold
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.form import Doubt, weighed
-from pmabench.analysis.shared.motion import nothing_moved
-from pmabench.analysis.shared.onset import LEAST, onset
-from pmabench.analysis.shared.rest import Held, left
-from pmabench.analysis.shared.samples import noise_of
+from pmabench.analysis.shared.samples import LEAST, Held, left, noise_of, nothing_moved, onset
 from pmabench.analysis.shared.student import mean_over, mean_with_half
-from pmabench.analysis.verdict.offers import Offer, everywhere, values_of
+from pmabench.analysis.verdict.agreement import Offer, everywhere, values_of
 from pmabench.base.quantities import show
 from pmabench.kinds.recorded_step import RESULTS
 from pmabench.kinds.recorded_step.motion import (

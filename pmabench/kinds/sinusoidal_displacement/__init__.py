@@ -1,7 +1,6 @@
 """A driven end moved as a sine at constant pressure: K, B, F_c, loops.
 
-- `reduction`, made of `fit`, `lines`, `mean_force`, `form` (whether the harmonics allow a straight line), `pressure`,
-  `work`; figures' columns: `traces`
+- `reduction`, made of `fit`, `mean_force`, `form` (whether the harmonics allow a straight line), `pressure`
 - protocol files: `protocol`; one trial on the display: `live`; figures: `figures`
 """
 
@@ -71,9 +70,7 @@ KIND = Kind(
         "bode": "pmabench.plotting.loops:bode",
         "sine-pressure": "pmabench.kinds.sinusoidal_displacement.figures:sine_pressure",
     },
-    published={
-        "loop": ("displacement", "force", "pressure"),
-    },
+    published={"loop": ("displacement", "force", "pressure")},
     imported=Imported(
         Commanded(
             "displacement",

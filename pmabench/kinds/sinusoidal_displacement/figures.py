@@ -1,12 +1,15 @@
-"""Figure of driven sines and the pressure that they make."""
+"""Figures of driven sines: loops next to the fitted muscle, Bode table, the pressure that they make."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
 from pmabench.analysis.results import Analysis, Trace
+from pmabench.analysis.shared.sine_loop import Sine, along
+from pmabench.base.quantities import show
+from pmabench.kinds.sinusoidal_displacement.fit import Muscle
 from pmabench.plotting import time_plots
 from pmabench.plotting.pictures import (
     Picture,
@@ -22,6 +25,67 @@ from pmabench.plotting.pictures import (
     spread,
 )
 from pmabench.plotting.wording import shown
+from pmabench.store.records import Array
+
+LONGEST_TRACE = 1500
+
+
+def traces_of(at: Mapping[str, float], sines: Mapping[float, Sequence[Sine]], muscle: Muscle | None) -> list[Trace]:
+    """One loop per frequency (the last cycle of its first trial), and the Bode table.
+
+    `sines` by frequency [Hz]; `muscle` is None where K, B and F_c are not all known: no model is drawn with the loops.
+    """
+    where = ", ".join(
+        show(at[name], quantity) for name, quantity in (("pressure", "pressure"), ("mean", "length")) if name in at
+    )
+    where += f" ± {show(at['amplitude'], 'length')}" if "amplitude" in at else ""
+    name = "-".join(f"{at[key]:g}" for key in at)
+    held = {key: at[key] for key in ("pressure",) if key in at}
+    traces = []
+    groups = sorted(sines.items())
+    for frequency, members in groups:
+        sine = members[0]
+        last = sine.t >= sine.t[-1] - 1 / frequency
+        stride = -(-int(last.sum()) // LONGEST_TRACE)
+        columns = {"displacement": sine.x, "force": sine.F}
+        if muscle is not None:
+            columns["model"] = along(sine, muscle.K, muscle.B, muscle.F_c)[1]
+        traces.append(
+            Trace(
+                f"loop-{name}-{frequency:g}",
+                "loop",
+                f"Loop at {frequency:g} Hz, {where}",
+                {name: values[last][::stride] for name, values in columns.items()},
+                {"displacement": "length", "force": "force", "model": "force"},
+                {"frequency": frequency, "width": sine.width, "area": sine.area} | held,
+            )
+        )
+
+    marks = {} if muscle is None else {"K": muscle.K, "B": muscle.B, "F_c": muscle.F_c}
+    columns = _bode(groups)
+    quantities = {name: quantity for name, (quantity, _) in BODE.items()}
+    return [*traces, Trace(f"bode-{name}", "bode", f"Force over displacement, {where}", columns, quantities, marks)]
+
+
+BODE: Mapping[str, tuple[str, Callable[[Sine], float]]] = {
+    "frequency": ("frequency", lambda sine: sine.frequency),
+    "gain": ("stiffness", lambda sine: abs(sine.ratio)),
+    "phase": ("angle", lambda sine: sine.phase),
+    "stiffness": ("stiffness", lambda sine: sine.stiffness),
+    "loss": ("force", lambda sine: sine.loss),
+    "speed": ("speed", lambda sine: sine.speed),
+    "width": ("force", lambda sine: sine.width),
+}
+"""Column of the Bode table -> its quantity, and its value of one driven sine."""
+
+
+def _bode(groups: Sequence[tuple[float, Sequence[Sine]]]) -> dict[str, Array]:
+    """Means over the sines of each frequency."""
+    return {
+        name: np.array([float(np.mean([of(member) for member in members])) for _, members in groups])
+        for name, (_, of) in BODE.items()
+    }
+
 
 SINES = 4
 """Most panels."""

@@ -14,11 +14,10 @@ import numpy as np
 
 from pmabench.analysis.results import Estimate, Finding, Parts
 from pmabench.analysis.shared.calibration import Scales, sentences
-from pmabench.analysis.shared.lines import Line, mean_half
+from pmabench.analysis.shared.lines import Line, mean_half, weighted_line
 from pmabench.analysis.shared.sine_loop import Sine, replay
 from pmabench.analysis.shared.skew import courses, settled
 from pmabench.base.quantities import show
-from pmabench.kinds.sinusoidal_displacement.lines import each_cycle, lines, turned
 from pmabench.store.records import Array, RunData, TrialData
 
 HARMONIC, WIDTH = "sine-harmonic", "loop-width"
@@ -30,6 +29,55 @@ CYCLES = "one trial: the repeats part is the scatter of its cycles, and repeated
 CYCLES_OF_EACH = CYCLES.replace("one trial", "one trial a frequency")
 NO_REPEATS = "no repeats part: one trial of one cycle"
 ALONE = "one frequency only: damping and friction cannot be told apart"
+
+
+@dataclass(frozen=True)
+class Point:
+    """One trial, or one cycle of it, as the lines want it."""
+
+    frequency: float
+    speed: float
+    stiffness: float
+    ratio: complex
+    loss: float
+    width: float
+
+
+def turned(sine: Sine, by: float) -> Point:
+    """The trial had the force come `by` [s] earlier; the width at mid stroke grows by twice what the loss does."""
+    ratio = sine.ratio * complex(np.exp(1j * sine.omega * by))
+    loss = -ratio.imag * sine.amplitude
+    width = sine.width + 2 * (loss - sine.loss)
+    return Point(sine.frequency, sine.speed, -ratio.real, ratio, loss, width)
+
+
+def each_cycle(sine: Sine) -> list[Point]:
+    """Each cycle of a trial as a point of the lines."""
+    rows = zip(sine.cycles.ratio, sine.cycles.size, sine.cycles.width, strict=True)
+    return [
+        Point(
+            sine.frequency,
+            sine.omega * float(size),
+            -float(ratio.real),
+            complex(ratio),
+            -float(ratio.imag) * float(size),
+            float(width),
+        )
+        for ratio, size, width in rows
+    ]
+
+
+def lines(points: Sequence[Sine] | Sequence[Point]) -> tuple[Line, Line, Line]:
+    """K over all trials, and the lines of loss and width over speed."""
+    frequency = np.array([point.frequency for point in points])
+    speed = np.array([point.speed for point in points])
+    K = np.array([point.stiffness for point in points])
+    size = np.array([abs(point.ratio) for point in points])
+    # Phase errors turn loss into stiffness: a K counts by the whole force beside it.
+    pooled = weighted_line(frequency, None, K, size)
+    loss = weighted_line(frequency, speed, np.array([point.loss for point in points]))
+    width = weighted_line(frequency, speed, np.array([point.width for point in points]))
+    return pooled, loss, width
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +168,7 @@ class Fitted:
     def estimates(self, at: Mapping[str, float], scales: Scales, slopes: Muscle | None) -> list[Estimate]:
         """K, B, F_c over all frequencies, then all of each frequency; `slopes` over pressure, None where not known.
 
-        Calibration, to first order: K, B ~ F/x; F_c, H ~ F; W ~ F x; a phase has no scale. All of them are told for a
+        Calibration, to first order: K, B ~ F/x; F_c, H ~ F; W ~ F x; a phase has no scale. All of them are given for a
         pressure that may be off, too, and so are off by their slope over pressure times that.
         """
         return [*self._pooled(at, scales, slopes), *self._single(at, scales, slopes)]

@@ -1,8 +1,13 @@
-"""F_ce from the mean force of driven sines of one pressure, mean and amplitude, with its interval.
+"""F_ce from the mean force of driven sines, and the work along them.
 
 Over a whole cycle friction and a damping that is the same both ways cancel, so that the mean force is F_ce - K x at the
 mean contraction x. Where B_c and B_r differ it rises by (B_r - B_c)/pi for each unit of the speed amplitude omega A,
 so that F_ce is where a line over that speed begins.
+
+    W_c = integral of F dx while x rises,  W_c + W = -integral of F dx while x falls,  eta = W_c / (W_c + W)
+
+with W the area of the loop. The pressure is held, so the air takes part in both; what it carries in and out is not
+measured, and eta is no efficiency of the drive. Knows measured trials of one pressure, mean and amplitude.
 """
 
 from __future__ import annotations
@@ -15,13 +20,16 @@ import numpy as np
 
 from pmabench.analysis.results import Estimate, Parts, withhold
 from pmabench.analysis.shared.calibration import Scales, sentences
-from pmabench.analysis.shared.lines import Line, weighted_line
-from pmabench.kinds.sinusoidal_displacement.fit import CYCLES_OF_EACH, Fitted, Member
+from pmabench.analysis.shared.lines import Line, mean_half, weighted_line
+from pmabench.analysis.shared.sine_loop import RECOVERED, Sine, moving
+from pmabench.analysis.shared.skew import settled
+from pmabench.kinds.sinusoidal_displacement.fit import BETWEEN, CYCLES, CYCLES_OF_EACH, NO_REPEATS, Fitted, Member
 from pmabench.kinds.sinusoidal_displacement.form import Form
+from pmabench.store.records import Array
 
-METHOD = "sine-mean"
+SINE_MEAN = "sine-mean"
 ALONE = "one frequency only: that B_c and B_r may differ is in the method part"
-UNTOLD = "no repeats part: no more trials than the line over speed needs"
+TOO_FEW = "no repeats part: no more trials than the line over speed needs"
 AT_MEAN = "at the mean contraction, at speed 0"
 NO_SLOPE = "as at the measured pressure: with one pressure nothing tells what F_ce there is at the set one"
 
@@ -44,7 +52,7 @@ def force_slopes(fits: Mapping[tuple[tuple[str, float], ...], Fitted]) -> dict[t
     return found
 
 
-def estimates(
+def mean_force_estimates(
     at: Mapping[str, float], fitted: Fitted, form: Form, scales: Scales, slope: float | None
 ) -> tuple[Estimate, Estimate]:
     """F_ce, and F at the mean contraction [N], at the set pressure of `at`; `slope` is dF_ce/dP [N/Pa], where known.
@@ -65,14 +73,14 @@ def estimates(
     if slope is not None:
         gains["pressure"], offsets["pressure"] = slope * wanted, slope
     one_each = len(members) == len({member.sine.frequency for member in members})
-    scatter = UNTOLD if half is None else CYCLES_OF_EACH if one_each else ""
+    scatter = TOO_FEW if half is None else CYCLES_OF_EACH if one_each else ""
     note = sentences(ALONE if fitted.alone else "", NO_SLOPE if slope is None else "", scatter)
     bent, reason = form.doubt_of_f_ce(line.start)
     parts = Parts(
         half, hypot(K_bias * mean, doubt, bent), scales.part(gains, offsets), fitted.skewed_stiffness * abs(mean)
     )
     names = tuple(member.name for member in members)
-    F_ce = Estimate("F_ce", line.start, "N", "force", METHOD, dict(at), parts, len(members), note=note, trials=names)
+    F_ce = Estimate("F_ce", line.start, "N", "force", SINE_MEAN, dict(at), parts, len(members), note=note, trials=names)
     F = line.start - (fitted.K.start - K_bias) * mean - form.h2
     there = Parts(
         line.half_start,
@@ -101,3 +109,69 @@ def _at_rest(member: Member, K: float, slope: float, wanted: float) -> float:
 def _sizes(members: Sequence[Member]) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
     """What an error of the mean force is a share of [N]."""
     return np.array([abs(member.sine.force) for member in members])
+
+
+LOOP_WORK = "loop-work"
+
+
+def work(sine: Sine) -> tuple[Array, Array]:
+    """Work given while contracting and taken up while expanding [J] in each cycle, shapes (cycles,).
+
+    The rate is that of the displacement's first five harmonics, so that noise is not counted as motion.
+    """
+    _, v = moving(sine)
+    cycle = np.floor((sine.t - sine.t[0]) * sine.frequency + 1e-6).astype(int)
+    rows = [cycle == c for c in range(int(cycle.max()) + 1)]
+    period = 1 / sine.frequency
+    given = [float(np.mean(sine.F[one] * np.maximum(v[one], 0.0))) * period for one in rows if one.any()]
+    taken = [float(np.mean(sine.F[one] * np.maximum(-v[one], 0.0))) * period for one in rows if one.any()]
+    return np.array(given), np.array(taken)
+
+
+def work_estimates(at: Mapping[str, float], members: Sequence[Member], scales: Scales, skew: float) -> list[Estimate]:
+    """W_c [J] and eta [1] at each frequency.
+
+    Calibration, to first order: W_c ~ F x; the gains of both cancel in eta. An offset of the force is worth the stroke
+    times that in W_c. Method: what W_c leaves of the loop's area by samples.
+    """
+    found = []
+    for frequency in sorted({member.sine.frequency for member in members}):
+        mine = [member for member in members if member.sine.frequency == frequency]
+        pairs = [work(member.sine) for member in mine]
+        given = [pair[0] for pair in pairs]
+        share = [pair[0] / pair[1] for pair in pairs]
+        area = float(np.mean([member.sine.area for member in mine]))
+        W_c, taken = (float(np.mean([pair[i].mean() for pair in pairs])) for i in (0, 1))
+        off = abs(taken - W_c - area)
+        stroke = 2 * float(np.mean([member.sine.amplitude for member in mine]))
+        sine = mine[0].sine
+        late = pi * sine.amplitude**2 * abs(sine.stiffness) * sine.omega * skew
+        eta = W_c / taken
+        one_each = CYCLES if len(mine) == 1 else ""
+        for symbol, unit, quantity, values, parts, note in (
+            (
+                "W_c", "J", "work", given,
+                Parts(None, off, scales.part({"force": W_c, "displacement": W_c}, {"force": stroke}), late / 2), "",
+            ),
+            (
+                "eta", "1", "ratio", share,
+                Parts(None, off / taken, scales.part({}, {"force": stroke * (1 - eta) / taken}), late / taken),
+                RECOVERED,
+            ),
+        ):  # fmt: skip
+            means = np.array([float(one.mean()) for one in values])
+            half = mean_half(means, values)
+            one = Estimate(
+                symbol,
+                float(means.mean()),
+                unit,
+                quantity,
+                LOOP_WORK,
+                {**at, "frequency": frequency},
+                Parts(half, parts.method, parts.calibration, parts.skew),
+                len(mine),
+                note=sentences(NO_REPEATS if half is None else one_each, note),
+                trials=tuple(member.name for member in mine),
+            )
+            found.append(settled(one, BETWEEN, skew))
+    return found

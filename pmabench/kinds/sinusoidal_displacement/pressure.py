@@ -27,7 +27,7 @@ ERROR, SET, MEASURED = "pressure error", "modelled with set pressure", "modelled
 SIDES = ("contracting", "expanding")
 POINTS = 41
 APART = 0.05
-"""Two pressures of the slowest sines are apart by at least this share, or no slope over pressure is told."""
+"""Two pressures of the slowest sines are apart by at least this share, or no slope over pressure is given."""
 SLOW = 1.5
 """Sines at up to so many times the lowest frequency of their pressure count as slow."""
 EXTREME = 3.0
@@ -127,7 +127,7 @@ class Static:
 
 
 @dataclass(frozen=True)
-class Told:
+class Found:
     """What came out."""
 
     estimates: list[Estimate]
@@ -135,13 +135,13 @@ class Told:
     traces: list[Trace]
 
 
-def pressure_and_force(members: Sequence[Member], muscles: Mapping[str, Muscle | None], scales: Scales) -> Told:
+def pressure_and_force(members: Sequence[Member], muscles: Mapping[str, Muscle | None], scales: Scales) -> Found:
     """Pressure error and rms error of the modelled force of each cell, by direction.
 
     `muscles`: by name of a trial, K, B and F_c that its harmonics gave; None where they do not tell all.
     """
     alongs = [along for member in members if (along := Along.of(member)) is not None]
-    found = Told([], [], [])
+    found = Found([], [], [])
     cells: dict[tuple[tuple[str, float], ...], list[Along]] = {}
     for along in alongs:
         at = along.member.trial.point

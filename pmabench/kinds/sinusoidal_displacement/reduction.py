@@ -17,13 +17,19 @@ from pmabench.analysis.shared import skew
 from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.samples import NotUsable
 from pmabench.analysis.shared.sine_loop import measure
-from pmabench.analysis.verdict.offers import Offer, exactly, values_of
+from pmabench.analysis.verdict.agreement import Offer, exactly, values_of
 from pmabench.base.quantities import show
-from pmabench.kinds.sinusoidal_displacement import RESULTS, mean_force, work
+from pmabench.kinds.sinusoidal_displacement import RESULTS
+from pmabench.kinds.sinusoidal_displacement.figures import traces_of
 from pmabench.kinds.sinusoidal_displacement.fit import HARMONIC, Fitted, Member, Muscle
 from pmabench.kinds.sinusoidal_displacement.form import Form, judged
+from pmabench.kinds.sinusoidal_displacement.mean_force import (
+    SINE_MEAN,
+    force_slopes,
+    mean_force_estimates,
+    work_estimates,
+)
 from pmabench.kinds.sinusoidal_displacement.pressure import pressure_and_force
-from pmabench.kinds.sinusoidal_displacement.traces import traces_of
 from pmabench.store.records import RunData
 
 KIND = "sinusoidal-displacement"
@@ -42,7 +48,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     force at the known frequency (three-parameter sine fit, IEEE 1057): K = -Re(F/x), and -Im(F/x) A = B omega A +
     4 F_c/pi, a line over the speed omega A. B is (B_c + B_r)/2 where the two directions differ. The width of the loop
     at mid stroke is 2 B omega A + 2 F_c: what is left at 0 Hz is true hysteresis, the rest is phase lag. F_ce is
-    what the mean force tells (`mean_force`). Where higher harmonics of the force contradict the form that a coefficient
+    what the mean force gives (`mean_force`). Where higher harmonics of the force contradict the form that a coefficient
     assumes, it is withheld (`form`).
 
     `options`: `discard` (cycles at the start; else the plan's setting, else 1), `time_skew` [s] (bound on the time
@@ -57,15 +63,14 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     traces: list[Trace] = []
     lines: list[dict[str, Any]] = []
     fits = {key: Fitted.of(group, _skew(group, options)) for key, group in sorted(_grouped(members, CELL).items())}
-    rising = mean_force.force_slopes(fits)
+    rising = force_slopes(fits)
     for key, fitted in fits.items():
         slopes = _over_pressure(key, fits)
         form = Form.of([member.sine for member in fitted.group], fitted.replayed.B)
         found = judged(fitted.estimates(dict(key), scales, slopes), form)
-        estimates += [*found, *mean_force.estimates(dict(key), fitted, form, scales, rising.get(key))]
-        estimates += work.estimates(dict(key), fitted.group, scales, fitted.skew)
-        findings += fitted.findings(dict(key))
-        findings += form.findings(dict(key))
+        estimates += [*found, *mean_force_estimates(dict(key), fitted, form, scales, rising.get(key))]
+        estimates += work_estimates(dict(key), fitted.group, scales, fitted.skew)
+        findings += [*fitted.findings(dict(key)), *form.findings(dict(key))]
         lines.append({"at": dict(key), **fitted.facts(), "h2/h1": form.h2 / form.h1, "h3/h1": form.h3 / form.h1})
         symbols = {e.symbol for e in found if e.method == HARMONIC and e.at == dict(key) and e.value is not None}
         traces += traces_of(dict(key), fitted.by_frequency, fitted.muscle if symbols >= {"K", "B", "F_c"} else None)
@@ -73,13 +78,13 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
             where = show(dict(key)["pressure"], "pressure") if "pressure" in dict(key) else "this pressure"
             text = "is not in the calibration parts: one pressure does not tell how K, B and F_c change over it"
             findings.append(Finding("note", f"at {where}: what an error of the pressure adds {text}"))
-    pressed = pressure_and_force(members, _muscles(fits), scales)
+    muscles = {member.name: fitted.muscle for fitted in fits.values() for member in fitted.group}
+    pressed = pressure_and_force(members, muscles, scales)
     estimates += pressed.estimates
     findings += pressed.findings
     traces += pressed.traces
     findings += skew.findings(runs, CHANNELS, max((fitted.skew for fitted in fits.values()), default=0.0), estimates)
-    scaled = ("force", "displacement", "pressure")[: 3 if len(fits) > 1 else 2]
-    if estimates and (lack := scales.lack(scaled)):
+    if estimates and (lack := scales.lack(("force", "displacement", "pressure")[: 3 if len(fits) > 1 else 2])):
         findings.append(Finding("note", lack))
     return Analysis.of(
         KIND,
@@ -96,11 +101,6 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
             "lines": lines,
         },
     )
-
-
-def _muscles(fits: Mapping[Key, Fitted]) -> dict[str, Muscle | None]:
-    """What the harmonics gave, by name of the trial."""
-    return {member.name: fitted.muscle for fitted in fits.values() for member in fitted.group}
 
 
 def _over_pressure(key: Key, fits: Mapping[Key, Fitted]) -> Muscle | None:
@@ -192,5 +192,5 @@ def offers(analysis: Analysis) -> Iterator[Offer]:
         for e in values_of(analysis, symbol, HARMONIC):
             yield exactly(symbol, {(e.at["pressure"], e.at.get("mean") if symbol == "K" else None): e})
     for symbol in ("F_ce", "F"):
-        for e in values_of(analysis, symbol, mean_force.METHOD):
+        for e in values_of(analysis, symbol, SINE_MEAN):
             yield exactly("F", {(e.at["pressure"], 0.0 if symbol == "F_ce" else e.at.get("mean")): e})

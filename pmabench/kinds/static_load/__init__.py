@@ -1,7 +1,7 @@
 """The pressures at which loads lift off and set down: F_ce over pressure.
 
-- `reduction`, made of `points` and `break_away` (lift and set-down carried to x = 0); words and figures: `view`
-- protocol files: `protocol`; one trial on the display: `live`; figures: `figures`
+- `reduction`, made of `points` (lift and set-down, carried to x = 0)
+- protocol files: `protocol`; one trial on the display: `live`; words and figures: `figures`
 """
 
 from pmabench.base.imported import Commanded, Imported
@@ -36,13 +36,10 @@ KIND = Kind(
     repeated_is="pressure at which the load is lifted",
     word="static load",
     offers="pmabench.kinds.static_load.reduction:offers",
-    after="pmabench.kinds.static_load.break_away:option_of",
+    after="pmabench.kinds.static_load.points:option_of",
     at_rest=True,
     methods=METHODS,
-    figures={
-        "static": "pmabench.kinds.static_load.figures:points",
-        "lift": "pmabench.kinds.static_load.figures:lifts",
-    },
+    figures={"static": "pmabench.kinds.static_load.figures:points", "lift": "pmabench.kinds.static_load.figures:lifts"},
     imported=Imported(
         Commanded("pressure", phases=(("rises", "lift"), ("any", "set-down"))),
         follows="displacement",

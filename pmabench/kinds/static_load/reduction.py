@@ -16,11 +16,10 @@ from numpy.typing import NDArray
 from pmabench.analysis.results import Analysis, Curve, Estimate, Finding, Parts
 from pmabench.analysis.shared import student
 from pmabench.analysis.shared.calibration import Scales, sentences
-from pmabench.analysis.verdict.offers import SAME, Offer, Place, anywhere, at_pressures, between
+from pmabench.analysis.verdict.agreement import SAME, Offer, Place, anywhere, at_pressures, between
 from pmabench.base.quantities import show
-from pmabench.kinds.static_load import RESULTS, view
-from pmabench.kinds.static_load.break_away import Stiffness, carried
-from pmabench.kinds.static_load.points import LIFT, MEAN, SET_DOWN, Points, points_of
+from pmabench.kinds.static_load import RESULTS, figures
+from pmabench.kinds.static_load.points import LIFT, MEAN, SET_DOWN, Points, Stiffness, carried, points_of
 from pmabench.store.records import Array, RunData
 
 KIND = "static-load"
@@ -65,7 +64,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     P on F_L, as it is P that carries the error.
 
     A load that was lifted hangs above its support when it breaks away again: with the option `stiffness` (K over
-    pressure from another test of the specimen, `break_away.option_of`) the mean is of pressures carried to x = 0; the
+    pressure from another test of the specimen, `points.option_of`) the mean is of pressures carried to x = 0; the
     sides by themselves are the paper's, as they were found.
     """
     points, dropped = points_of(runs)
@@ -90,19 +89,11 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         found, through = _of_line(of, method, line, lines.get(MEAN), friction, scales, uncorrected)
         estimates += found
         curves.append(through)
-        findings += view.line_findings(line) if method == MEAN else []
+        findings += figures.line_findings(line) if method == MEAN else []
     estimates += _half_differences(points, lines)
     if lines and (lack := scales.lack(["pressure"])):
         findings.append(Finding("note", lack))
-    if not lines:
-        findings.append(Finding("fault", "no line F_ce(P): fewer than two loads were found to lift or to set down"))
-    elif MEAN not in lines:
-        findings.append(Finding("doubt", "one direction only: F_ce is off by the friction of the muscle"))
-    if MEAN in lines and friction is not None:
-        text = f"lift and set-down lie {show(2 * friction, 'force', 3)} apart: friction of about half of that"
-        text += ", at which a muscle at rest begins to move; F_c of other tests is that of a muscle that moves"
-        findings.append(Finding("note", f"{text}, and is smaller or alike"))
-        findings.append(view.of_place(points, uncorrected, lines[MEAN]))
+    findings += _of_both_ways(points, lines, friction, uncorrected)
     return Analysis.of(
         KIND,
         runs,
@@ -111,16 +102,33 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         curves=curves,
         dropped=dropped,
         findings=findings,
-        traces=view.traces(runs, plain),
+        traces=figures.traces(runs, plain),
         facts={
             "options": dict(options or {}),
             "trials": sum(len(run.trials) for run in runs),
             "trials_used": len(points.names),
             "loads": len(np.unique(points.load)),
             "residual_rms": lines[MEAN].rms if MEAN in lines else None,
-            "table": view.table(plain),
+            "table": figures.table(plain),
         },
     )
+
+
+def _of_both_ways(
+    points: Points, lines: Mapping[str, Line], friction: float | None, uncorrected: Line | None
+) -> list[Finding]:
+    """What is missing of lift and set-down, and the friction that their difference shows."""
+    findings = []
+    if not lines:
+        findings.append(Finding("fault", "no line F_ce(P): fewer than two loads were found to lift or to set down"))
+    elif MEAN not in lines:
+        findings.append(Finding("doubt", "one direction only: F_ce is off by the friction of the muscle"))
+    if MEAN in lines and friction is not None:
+        text = f"lift and set-down lie {show(2 * friction, 'force', 3)} apart: friction of about half of that"
+        text += ", at which a muscle at rest begins to move; F_c of other tests is that of a muscle that moves"
+        findings.append(Finding("note", f"{text}, and is smaller or alike"))
+        findings.append(figures.of_place(points, uncorrected, lines[MEAN]))
+    return findings
 
 
 def _fit_side(points: Points, method: str) -> Line | None:
@@ -136,11 +144,7 @@ def _carried(runs: Sequence[RunData], points: Points, slope: float, stiffness: S
     lift, down, half, place = np.array([(one.lift, one.set_down, one.half, one.place) for one in moved]).T
     known = place[np.isfinite(place)]
     return replace(
-        points,
-        lift=lift,
-        set_down=down,
-        uncertain=float(half.mean()),
-        place=float(known.mean()) if len(known) else 0.0,
+        points, lift=lift, set_down=down, uncertain=float(half.mean()), place=float(known.mean()) if len(known) else 0.0
     )
 
 

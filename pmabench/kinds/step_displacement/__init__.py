@@ -41,9 +41,7 @@ KIND = Kind(
     word="step of displacement",
     offers="pmabench.kinds.step_displacement.reduction:offers",
     methods=METHODS,
-    figures={
-        "displacement-step": "pmabench.kinds.step_displacement.figures:steps",
-    },
+    figures={"displacement-step": "pmabench.kinds.step_displacement.figures:steps"},
     imported=Imported(
         Commanded(
             "displacement",

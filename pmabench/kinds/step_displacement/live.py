@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pmabench.analysis.shared.rest import left
-from pmabench.analysis.shared.samples import NotUsable
+from pmabench.analysis.shared.samples import NotUsable, left
 from pmabench.analysis.trial import DRIFT, Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
 from pmabench.kinds.step_displacement.relaxation import measure as steps_of

@@ -1,6 +1,6 @@
 """Reduction of steps of displacement at constant pressure: static and instantaneous stiffness, the way back to rest.
 
-Knows the samples. One trial is measured in `step_relaxation`.
+Knows the samples. One trial is measured in `relaxation`.
 """
 
 from __future__ import annotations
@@ -18,9 +18,8 @@ from pmabench.analysis.results import Analysis, Dropped, Estimate, Finding, Part
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.form import MOST_HIDDEN, Doubt, change_over, weighed
 from pmabench.analysis.shared.lines import mean_half
-from pmabench.analysis.shared.rest import Held, left
-from pmabench.analysis.shared.samples import NotUsable
-from pmabench.analysis.verdict.offers import Offer, exactly, values_of, weighted
+from pmabench.analysis.shared.samples import Held, NotUsable, left
+from pmabench.analysis.verdict.agreement import Offer, exactly, values_of, weighted
 from pmabench.base.quantities import show
 from pmabench.kinds.step_displacement import RESULTS
 from pmabench.kinds.step_displacement.relaxation import Relaxation, Steps, filter_of, measure
@@ -102,10 +101,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
 
 
 def _estimates(
-    at: Mapping[str, float],
-    group: Sequence[_Member],
-    of: Callable[[Steps], tuple[Relaxation, ...]],
-    scales: Scales,
+    at: Mapping[str, float], group: Sequence[_Member], of: Callable[[Steps], tuple[Relaxation, ...]], scales: Scales
 ) -> list[Estimate]:
     """All of one direction of one cell."""
     each = [of(member.steps) for member in group]

@@ -10,8 +10,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 from scipy.signal import lfilter
 
-from pmabench.analysis.shared.rest import Held
-from pmabench.analysis.shared.samples import UNUSABLE_SHARE, NotUsable, noise_of, on_time
+from pmabench.analysis.shared.samples import UNUSABLE_SHARE, Held, NotUsable, noise_of, on_time
 from pmabench.store.records import Array, Command, RunData, TrialData
 
 LAST = 0.2

@@ -1,8 +1,7 @@
 """Ultimate gain and period of the position loop: by a rising gain, a relay, or steps without a loop.
 
-- `reduction`, on `cell`: rising gain by `levels`; relay by `relay_gain`, `relay_levels`; steps without a loop by
-  `open_loop_gain`, `open_loop`, `open_loop_fit`; a campaign of contractions by `model_gain`; the ways against each
-  other in `ways`
+- `reduction`: rising gain by `levels`; relay by `relay_gain`, `relay_levels`; steps without a loop by `open_loop`,
+  `open_loop_fit`; a campaign of contractions by `model_gain`; the ways against each other in `ways`
 - protocol files: `protocol`; one trial on the display: `live`
 """
 
@@ -53,13 +52,8 @@ KIND = Kind(
         "tune by steps": "pmabench.kinds.ultimate_gain.reduction:of_open_loops",
         "tune by model": "pmabench.kinds.ultimate_gain.model_gain:by_model",
     },
-    figures={
-        "oscillation": "pmabench.plotting.loops:oscillations",
-        "growth": "pmabench.plotting.loops:oscillations",
-    },
-    front={
-        "growth": "pmabench.plotting.loops:growth_alone",
-    },
+    figures={"oscillation": "pmabench.plotting.loops:oscillations", "growth": "pmabench.plotting.loops:oscillations"},
+    front={"growth": "pmabench.plotting.loops:growth_alone"},
     imported=Imported(),
     loop=True,
 )

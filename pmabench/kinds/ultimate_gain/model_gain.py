@@ -15,7 +15,7 @@ import numpy as np
 from pmabench.analysis.results import Analysis, Estimate, Finding, Parts
 from pmabench.base.quantities import show
 from pmabench.kinds.ultimate_gain import RESULTS
-from pmabench.kinds.ultimate_gain.open_loop_gain import DAMPING
+from pmabench.kinds.ultimate_gain.open_loop import DAMPING
 from pmabench.model.curve import Curve
 from pmabench.model.loop import SPAN, Loop, loop_at, ultimate
 from pmabench.model.muscle import Muscle
@@ -25,11 +25,11 @@ METHOD = "model"
 SYMBOLS = ("F_ce", "K", "B_c", "B_r")
 RESPONSE = "regulator-response"
 FEWEST = 3
-"""Pressures below which slopes over pressure cannot be told."""
+"""Pressures below which slopes over pressure cannot be found."""
 LEAST = 0.1
 """Share of its last known value below which no coefficient is continued."""
 KINK = 0.03
-"""Share of k_g above which a kink is told."""
+"""Share of k_g above which a kink is reported."""
 NUDGE = 0.1
 """Share of a half width by which an estimate is moved to see what it is worth."""
 TOGETHER = ("calibration", "skew", "drift")

@@ -1,6 +1,6 @@
 """Reduction of ultimate-gain runs: K_u and T_u of each set-point, refused where the loop does not oscillate as a sine.
 
-Trials of steps without a loop are reduced in `open_loop_gain`, those with a relay in `relay_gain`; here are those with
+Trials of steps without a loop are reduced in `open_loop`, those with a relay in `relay_gain`; here are those with
 a rising gain, and what all say together.
 
 Per level of gain the mean ln of the ratio of successive swings; a line through the last levels, K_u where it is 0.
@@ -22,12 +22,12 @@ from pmabench.analysis.results import Analysis, Dropped, Estimate, Finding, Part
 from pmabench.analysis.shared import skew, student
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.base.quantities import show
-from pmabench.kinds.ultimate_gain import RESULTS, open_loop_gain, relay_gain
+from pmabench.kinds.ultimate_gain import RESULTS, open_loop, relay_gain
 from pmabench.kinds.ultimate_gain import ways as gain_ways
-from pmabench.kinds.ultimate_gain.cell import GainCell
 from pmabench.kinds.ultimate_gain.levels import TrialFound, examine
 from pmabench.kinds.ultimate_gain.open_loop import steps_of
 from pmabench.kinds.ultimate_gain.relay_levels import search_of
+from pmabench.kinds.ultimate_gain.ways import GainCell
 from pmabench.model.loop import Loop
 from pmabench.store.records import Array, RunData, TrialData
 
@@ -98,27 +98,12 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
             model = Loop(float(given["gain"]), float(given["dead_time"]), tuple(float(lag) for lag in given["lags"]))
             findings.append(tuning.plausibility(T_u.value, model, K_u.value))
 
-    for stepped in steps:
-        ways = stepped.estimates
-        estimates += ways
-        findings += open_loop_gain.findings(stepped)
-        dropped += stepped.dropped
-        traces += open_loop_gain.traces(stepped)
-        settle(ways[0], ways[1], stepped.loop, skew.apart(stepped.runs, CHANNELS))
-    for cell in cells:
-        K_u, T_u = _estimates(cell)
-        estimates += [K_u, T_u]
-        findings += _findings(cell, K_u, T_u)
-        dropped += cell.dropped
-        traces += _traces(cell, K_u)
-        settle(K_u, T_u, cell.loop, cell.skew)
-    for relay in relays:
-        ways = relay.estimates
-        estimates += ways
-        findings += relay_gain.findings(relay)
-        dropped += relay.dropped
-        traces += relay_gain.traces(relay)
-        settle(ways[0], ways[1], relay.loop, skew.apart(relay.runs, CHANNELS))
+    for found in [*map(_of_steps, steps), *map(_of_levels, cells), *map(_of_relay, relays)]:
+        estimates += found.estimates
+        findings += found.findings
+        traces += found.traces
+        dropped += found.dropped
+        settle(found.estimates[0], found.estimates[1], found.loop, found.apart)
     findings += gain_ways.findings(estimates, loops)
     return Analysis.of(
         KIND,
@@ -134,21 +119,49 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
             "cells": len(cells) + len(relays) + len(steps),
             "loops": loops,
             "tuning": settings,
-            "levels": [
-                {"trial": name_of(trial), **level.to_dict()}
-                for cell in cells
-                for trial, found in zip(cell.trials, cell.found, strict=True)
-                for level in found.levels
-            ],
+            "levels": [level for cell in cells for level in _level_facts(cell)],
             "relay": [level for relay in relays for level in relay_gain.facts(relay)],
-            "open_loop": [trial for stepped in steps for trial in open_loop_gain.facts(stepped)],
+            "open_loop": [trial for stepped in steps for trial in open_loop.facts(stepped)],
         },
     )
 
 
+@dataclass(frozen=True)
+class _Found:
+    """What one way says of one operating point; the first two estimates are K_u and T_u."""
+
+    estimates: Sequence[Estimate]
+    findings: Sequence[Finding]
+    traces: Sequence[Trace]
+    dropped: Sequence[Dropped]
+    loop: Loop | None
+    apart: float
+    """Time that the clocks of the channels may be apart [s]."""
+
+
+def _of_steps(cell: open_loop.StepsCell) -> _Found:
+    apart = skew.apart(cell.runs, CHANNELS)
+    return _Found(cell.estimates, open_loop.findings(cell), open_loop.traces(cell), cell.dropped, cell.loop, apart)
+
+
+def _of_levels(cell: _Cell) -> _Found:
+    K_u, T_u = _estimates(cell)
+    return _Found((K_u, T_u), _findings(cell, K_u, T_u), _traces(cell, K_u), cell.dropped, cell.loop, cell.skew)
+
+
+def _level_facts(cell: _Cell) -> list[dict[str, Any]]:
+    trials = zip(cell.trials, cell.found, strict=True)
+    return [{"trial": name_of(trial), **level.to_dict()} for trial, found in trials for level in found.levels]
+
+
+def _of_relay(cell: relay_gain.RelayCell) -> _Found:
+    apart = skew.apart(cell.runs, CHANNELS)
+    return _Found(cell.estimates, relay_gain.findings(cell), relay_gain.traces(cell), cell.dropped, cell.loop, apart)
+
+
 def _cells(
     runs: Sequence[RunData],
-) -> tuple[list[_Cell], list[relay_gain.RelayCell], list[open_loop_gain.StepsCell], list[Dropped]]:
+) -> tuple[list[_Cell], list[relay_gain.RelayCell], list[open_loop.StepsCell], list[Dropped]]:
     dropped: list[Dropped] = []
     stepped: list[tuple[RunData, TrialData]] = []
     relays: list[tuple[RunData, TrialData]] = []
@@ -170,7 +183,7 @@ def _cells(
             else:
                 rising.append((run, trial))
     cells = _Cell.all_of(rising, lambda run, trial: examine(run, trial, _search(trial) or {}))
-    return cells, relay_gain.cells(relays), open_loop_gain.cells(stepped), dropped
+    return cells, relay_gain.cells(relays), open_loop.cells(stepped), dropped
 
 
 def _search(trial: TrialData) -> Mapping[str, Any] | None:
@@ -331,4 +344,4 @@ def _command(trial: TrialData, found: TrialFound, mask: NDArray[np.bool_]) -> Ar
 def of_open_loops(runs: Sequence[RunData]) -> Analysis:
     """What steps without a loop give alone; what other trials of the runs say is in the findings."""
     reduced = reduce(runs)
-    return replace(reduced, estimates=tuple(e for e in reduced.estimates if e.method == open_loop_gain.METHOD))
+    return replace(reduced, estimates=tuple(e for e in reduced.estimates if e.method == open_loop.METHOD))

@@ -1,6 +1,6 @@
-"""K_u and T_u of relay tests, by set-point: the fitted loop first, the describing function beside it.
+"""K_u and T_u of relay tests, by set-point: the fitted loop first, then the describing function.
 
-Where friction shows, neither is told. Knows the trials' samples and what the relay wrote down; not how others search.
+Neither is reported where friction shows. Knows the trials' samples and what the relay wrote down.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from pmabench.analysis.shared import skew, student
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.form import Doubt, weighed
 from pmabench.base.quantities import show
-from pmabench.kinds.ultimate_gain.cell import GainCell
 from pmabench.kinds.ultimate_gain.relay_levels import RUBS, RelayFound, RelayLevel, examine, search_of
+from pmabench.kinds.ultimate_gain.ways import DESCRIBED, GainCell
 from pmabench.model.loop import Loop, ultimate
 from pmabench.store.records import RunData, TrialData
 
-FITTED, DESCRIBED = "relay-fit", "relay-describing-function"
+FITTED = "relay-fit"
 LONGEST_TRACE = 1500
 OF_FRICTION, OF_SHAPE, OF_SIZES = 2.0, 0.5, 1.3
 """What K_u and T_u may be off, over friction as a share of the amplitude, over the distance of the third harmonic, and
@@ -91,7 +91,7 @@ def _estimates(cell: RelayCell, method: str) -> list[Estimate]:
             between = float(student.ppf(0.975, len(best) - 1) * values.std(ddof=1) / sqrt(len(best)))
             repeats = max(between, repeats or 0.0)
         scaled = (pressure, "displacement") if symbol == "K_u" else ()
-        told = replace(
+        estimate = replace(
             empty,
             value=value,
             parts=Parts(
@@ -110,7 +110,9 @@ def _estimates(cell: RelayCell, method: str) -> list[Estimate]:
             ),
             trials=tuple(cell.trials[i].name for i, _ in best),
         )
-        found.append(weighed(told, _doubts([cell.found[i] for i, _ in best], value)) if method == FITTED else told)
+        found.append(
+            weighed(estimate, _doubts([cell.found[i] for i, _ in best], value)) if method == FITTED else estimate
+        )
     return found
 
 

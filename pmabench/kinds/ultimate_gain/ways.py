@@ -1,16 +1,70 @@
-"""What several ways to K_u and T_u, and several set-points, say about each other; estimates nothing."""
+"""Trials of ultimate-gain runs at one operating point, and what several ways to K_u and T_u say about each other."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Generic, Protocol, Self, TypeVar
 
 from pmabench.analysis import tuning
-from pmabench.analysis.results import Estimate, Finding
+from pmabench.analysis.results import Dropped, Estimate, Finding
+from pmabench.analysis.shared.trials import by_point
 from pmabench.base.quantities import show
-from pmabench.kinds.ultimate_gain import relay_gain
 from pmabench.model.loop import Loop
+from pmabench.store.records import RunData, TrialData
+
+
+class Examined(Protocol):
+    """What was found in one trial."""
+
+    @property
+    def refused(self) -> Sequence[str]:
+        """Why it gives no value; empty where it does."""
+
+
+Found = TypeVar("Found", bound=Examined)
+
+DESCRIBED = "relay-describing-function"
+
+
+@dataclass(frozen=True)
+class GainCell(Generic[Found]):
+    """The trials of one operating point `at` [SI], in the order that they came."""
+
+    at: Mapping[str, float]
+    runs: tuple[RunData, ...]
+    trials: tuple[TrialData, ...]
+    found: tuple[Found, ...]
+
+    @property
+    def good(self) -> list[int]:
+        """Indices of trials with a value."""
+        return [i for i, found in enumerate(self.found) if not found.refused]
+
+    @property
+    def dropped(self) -> list[Dropped]:
+        """Trials that give nothing, with the reason."""
+        return [
+            Dropped(trial.name, trial.point, "; ".join(found.refused))
+            for trial, found in zip(self.trials, self.found, strict=True)
+            if found.refused
+        ]
+
+    @classmethod
+    def all_of(
+        cls, members: Sequence[tuple[RunData, TrialData]], examine: Callable[[RunData, TrialData], Found]
+    ) -> list[Self]:
+        """The trials by operating point, each examined."""
+        return [
+            cls(
+                point,
+                tuple(run for run, _ in group),
+                tuple(trial for _, trial in group),
+                tuple(examine(run, trial) for run, trial in group),
+            )
+            for point, group in by_point(members)
+        ]
+
 
 APART = {"K_u": 0.25, "T_u": 0.1}
 """How far open-loop steps, relay and rising gain may be apart without friction; with it they are 30 % to 300 %."""
@@ -29,7 +83,7 @@ def findings(estimates: Sequence[Estimate], loops: Sequence[Mapping[str, Any]]) 
 def _spread(estimates: Sequence[Estimate]) -> list[Finding]:
     """How far the ways to K_u and T_u at one operating point are apart.
 
-    The describing function is told but not counted: without friction it is low in K_u by a fifth and more.
+    The describing function is reported but not counted: without friction it is low in K_u by a fifth and more.
     """
     lines = []
     for symbol in ("K_u", "T_u"):
@@ -42,7 +96,7 @@ def _spread(estimates: Sequence[Estimate]) -> list[Finding]:
                 continue
             where = show(found[0].at["setpoint"], "length") if "setpoint" in found[0].at else "one operating point"
             values = ", ".join(f"{show(e.value or 0.0, e.quantity, 4)} ({e.method})" for e in found)
-            exact = [e.value for e in found if e.value and e.method != relay_gain.DESCRIBED]
+            exact = [e.value for e in found if e.value and e.method != DESCRIBED]
             text = f"{symbol} at {where}: {values}"
             if len(exact) < 2:
                 lines.append(Finding("note", text))
@@ -60,7 +114,7 @@ def _against_loops(estimates: Sequence[Estimate], loops: Sequence[Mapping[str, A
     lines = []
     for entry in loops:
         lags = [complex(*lag) if isinstance(lag, list) else lag for lag in entry["lags"]]
-        here = [e for e in estimates if e.value and dict(e.at) == entry["at"] and e.method != relay_gain.DESCRIBED]
+        here = [e for e in estimates if e.value and dict(e.at) == entry["at"] and e.method != DESCRIBED]
         if not here:
             continue
         loop = Loop(entry["gain"], entry["dead_time"], tuple(lags))

@@ -277,7 +277,7 @@ def ultimate_gain(dead_time: Array, lag_regulator: Array, lag_muscle: Array, sam
             for L, *lags in zip(*(np.ravel(item).tolist() for item in inputs), strict=True)
         ]
     except ValueError:
-        refuse("dead_time", "it is too short to count beside the lags: two lags alone never oscillate")
+        refuse("dead_time", "it is too short to matter next to the lags: two lags alone never oscillate")
         raise
     shape = inputs[0].shape
     return {

@@ -74,7 +74,7 @@ def muscle_volume(contraction: Array, diameter: Array, length: Array, braid_angl
         Reference("rubber_force", "600", "N", 1.0, "by hand: 800 (-0.03) (-0.25) / 0.01", {"contraction": -0.03}),
     ),
     notes=(
-        "Eq. 8 already holds the factor eps that eq. 6 writes beside K: it is K(eps) eps.",
+        "Eq. 8 already holds the factor eps that eq. 6 writes next to K: it is K(eps) eps.",
         "A, B1 and B2 with eps as a fraction; in percent B1 and B2 are 100 times larger and A 100 times smaller.",
         "The force may come out below 0 at low pressure and high contraction: there a real muscle buckles.",
     ),

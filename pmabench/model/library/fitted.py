@@ -133,7 +133,7 @@ def polynomial_coefficients(
         Reference("damping", "1.663", "N.s/mm", N_MM, "by hand: 0.311 + 0.00338 400", {"pressure": 400 * KPA}),
         Reference("stiffness_jump", "0.000", "N/mm", N_MM, "by hand: 15.7 - 0.05 314"),
     ),
-    notes=("A jump at the join is told, not hidden: lines of two fits seldom meet exactly.",),
+    notes=("A jump at the join is an output of the model: lines of two fits seldom meet exactly.",),
 )  # fmt: skip
 def piecewise_coefficients(
     pressure: Array,

@@ -84,7 +84,7 @@ def load_force(load: Array, mass: Array, acceleration: Array) -> Values:
         Reference("weight", "545.44", "N", 1.0, "highest load printed in paper 0: 55.6 kg", {"mass": 55.6}),
         Reference("force", "66.86", "N", 1.0, "by hand: 58.86 + 8", {"acceleration": 1.0}),
     ),
-    notes=("As mass the whole stack counts: M beside B^2 / (4 K) decides whether a step is still first order.",),
+    notes=("As mass the whole stack counts: M compared with B^2 / (4 K) decides whether a step is still first order.",),
 )  # fmt: skip
 def load_hanging_mass(mass: Array, table: Array, acceleration: Array) -> Values:
     """F and F_L [N], M [kg] from m and m_0 [kg], x'' [m/s2]."""

@@ -194,7 +194,8 @@ def _judged(
     """Fields of `Content` that say what the results are worth; `failed`: why they are not accepted."""
     accept = list(dict.fromkeys(wording.clean(limit.short, 80) for run in runs for limit in limits_of(run)))
     findings = tables.findings_table(analyses)
-    findings["finding"] = [_named(text, names) for text in findings["finding"]]
+    for row in findings.rows:
+        row["finding"] = _named(row["finding"], names)
     shown, more = first_findings(findings)
     return {
         "verdict": verdict_of(analyses, runs, failed, accepted=bool(accept)),
@@ -202,14 +203,14 @@ def _judged(
         "accept": accept,
         "verdicts": shown,
         "more_findings": more,
-        "findings": findings.to_numpy().tolist(),
+        "findings": findings.cells(),
         "tiles": tiles_of(analyses),
     }
 
 
 def _about_runs(runs: Sequence[RunData], names: Mapping[str, str]) -> dict[str, Any]:
     """Fields of `Content` that the runs alone give."""
-    details = provenance.run_table(runs, names).to_dict("records")
+    details = provenance.run_table(runs, names).rows
     return {
         "specimens": provenance.specimens(runs),
         "benches": provenance.benches(runs),
@@ -302,16 +303,16 @@ def _tuning(analyses: Sequence[Analysis]) -> list[Grid]:
     """For each operating point a table of settings, and one of margins where a model is known."""
     frame = tables.tuning_table(analyses)
     found = []
-    for point in dict.fromkeys(str(point) for point in frame["operating point"]) if len(frame) else ():
-        rows = frame[frame["operating point"] == point].drop(columns="operating point")
+    for point in dict.fromkeys(frame["operating point"] if len(frame) else ()):
+        rows = frame.where(cell == point for cell in frame["operating point"]).without("operating point")
         settings = [
             c for c in rows.columns if c == "rule" or c.partition(" [")[0] in ("K_p", "T_i", "T_d", "K_i", "K_d")
         ]
         margins = ["rule", *(c for c in rows.columns if c not in settings)]
         where = f" at {point}" if point else ""
-        found.append(grid(rows[settings], f"Settings{where}"))
-        if len(margins) > 1 and (rows[margins[1:]] != "").any(axis=None):
-            found.append(grid(rows[margins], f"Margins with these settings{where}"))
+        found.append(grid(rows.select(settings), f"Settings{where}"))
+        if rows.select(margins[1:]).filled().columns:
+            found.append(grid(rows.select(margins), f"Margins with these settings{where}"))
     return found
 
 
@@ -326,8 +327,9 @@ def _methods(methods: Sequence[str]) -> list[tuple[str, str]]:
 
 def _dropped(analyses: Sequence[Analysis], names: Mapping[str, str]) -> Grid:
     frame = tables.dropped_table(analyses)
-    frame["trial"] = [_short(trial, names) for trial in frame["trial"]]
-    return grid(frame.rename(columns={"test": "method"})) if len(frame) else grid(frame)
+    for row in frame.rows:
+        row["trial"] = _short(row["trial"], names)
+    return grid(frame.renamed("test", "method")) if len(frame) else grid(frame)
 
 
 def _named(text: str, names: Mapping[str, str]) -> str:

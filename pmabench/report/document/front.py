@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import pandas as pd
-
 from pmabench.analysis.results import AGREEMENT, Analysis, Estimate
 from pmabench.plotting import wording
+from pmabench.plotting.frame import Frame
 from pmabench.plotting.wording import WITHHELD, rounded
 from pmabench.report.document import tables
 from pmabench.report.words import declared, is_headline
@@ -32,9 +31,9 @@ class Tile:
     reach: str
 
 
-def first_findings(findings: pd.DataFrame) -> tuple[list[tuple[str, str, str]], int]:
+def first_findings(findings: Frame) -> tuple[list[tuple[str, str, str]], int]:
     """The findings for the first page, gravest first, and how many more there are."""
-    rows = [(level, test, text) for level, test, text in findings.to_numpy().tolist()]
+    rows = [(level, test, text) for level, test, text in findings.cells()]
     grave = sum(level in ("fault", "doubt") for level, _, _ in rows)
     shown_there = min(len(rows), max(FRONT_FINDINGS, min(grave, MOST_FRONT_FINDINGS)))
     return rows[:shown_there], len(rows) - shown_there

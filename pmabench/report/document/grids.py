@@ -5,8 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-import pandas as pd
-
+from pmabench.plotting.frame import Frame
 from pmabench.plotting.wording import UNRESOLVED, WITHHELD
 
 MOST_ROWS = 600
@@ -59,19 +58,16 @@ class Grid:
         return sum(len(rows) for _, rows in self.groups) <= SHORT
 
 
-def grid(frame: pd.DataFrame, caption: str = "", *, group: bool | None = None) -> Grid:
+def grid(frame: Frame, caption: str = "", *, group: bool | None = None) -> Grid:
     """A frame of text as a table: columns of `a ± b` split, empty columns left out.
 
     Methods become headings of groups of rows with `group`, or where it is None and that makes few headings.
     """
     if len(frame) > MOST_ROWS:
         caption = f"{caption}; the first {MOST_ROWS} of {len(frame)}, all lie in the analysis folder".lstrip("; ")
-        frame = frame.head(MOST_ROWS)
-    if not frame.columns.is_unique:
-        heads = [str(c) for c in frame.columns]
-        frame = frame.set_axis([f"{c} ({heads[: n + 1].count(c)})" for n, c in enumerate(heads)], axis=1)
-    shown_columns = [c for c in frame.columns if len(frame) == 0 or any(str(v) != "" for v in frame[c])]
-    methods = frame["method"].nunique() if "method" in shown_columns else 0
+        frame = Frame(frame.rows[:MOST_ROWS], frame.columns)
+    shown_columns = frame.filled().columns if len(frame) else frame.columns
+    methods = len(set(frame["method"])) if "method" in shown_columns else 0
     few = methods == 1 or len(frame) >= FEWEST_IN_GROUP * methods
     grouped = methods > 0 and (few if group is None else group)
     columns = []
@@ -88,7 +84,7 @@ def grid(frame: pd.DataFrame, caption: str = "", *, group: bool | None = None) -
             align = "brief"
         columns.append(Column(str(name), align))
     groups: list[tuple[str, list[list[Cell]]]] = []
-    for record in frame.to_dict("records"):
+    for record in frame.rows:
         heading = str(record["method"]) if grouped else ""
         if not groups or groups[-1][0] != heading:
             groups.append((heading, []))

@@ -13,10 +13,9 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-import pandas as pd
-
 from pmabench import __version__
 from pmabench.analysis.results import AGREEMENT, Analysis
+from pmabench.plotting.frame import Frame
 from pmabench.plotting.wording import POINTS, clean, in_order, number, point_shown, shown
 from pmabench.report.words import described, kind_title
 from pmabench.store.folder import is_regular, sha256_of
@@ -125,7 +124,7 @@ def statuses(runs: Sequence[RunData]) -> str:
     return f"{len(runs)} run{'s' if len(runs) != 1 else ''}: {ended}" if runs else "the runs are not at hand"
 
 
-def protocol_table(runs: Sequence[RunData], names: Mapping[str, str]) -> pd.DataFrame:
+def protocol_table(runs: Sequence[RunData], names: Mapping[str, str]) -> Frame:
     """One row a run: what was tested, where, for how long; `names` are the short names of runs."""
     rows = []
     for run in runs:
@@ -143,7 +142,7 @@ def protocol_table(runs: Sequence[RunData], names: Mapping[str, str]) -> pd.Data
                 "status": clean(run.status, 40),
             }
         )
-    return pd.DataFrame(rows, dtype=object)
+    return Frame(rows)
 
 
 def _duration(value: Any) -> str:
@@ -168,7 +167,7 @@ def _points(run: RunData) -> str:
     return "; ".join(ranges) + (f"; {len(repeats)} repeats" if len(repeats) > 1 else "")
 
 
-def run_table(runs: Sequence[RunData], names: Mapping[str, str]) -> pd.DataFrame:
+def run_table(runs: Sequence[RunData], names: Mapping[str, str]) -> Frame:
     """Identity of every run: id, when, and the hashes that show whether it was changed."""
     rows = []
     for run in runs:
@@ -186,7 +185,7 @@ def run_table(runs: Sequence[RunData], names: Mapping[str, str]) -> pd.DataFrame
             row["imported file"] = text_of(imported.get("file"), 120)
             row["sha256 of that file"] = text_of(imported.get("sha256"), 64)
         rows.append(row)
-    return pd.DataFrame(rows, dtype=object).fillna("")
+    return Frame(rows)
 
 
 def _seal(run: RunData) -> str:
@@ -204,7 +203,7 @@ def versions(runs: Sequence[RunData]) -> list[str]:
 
 def calibration_table(
     runs: Sequence[RunData], names: Mapping[str, str], reduced: Mapping[tuple[str, str], str]
-) -> pd.DataFrame:
+) -> Frame:
     """Channel, calibration that it was recorded with and its expanded uncertainty, with the runs that used it.
 
     `reduced` says by run and channel what was taken in its place, where that is another.
@@ -221,8 +220,8 @@ def calibration_table(
             rows.setdefault(key, []).append(names.get(run.id, "?"))
     recorded = "recorded with" if reduced else "calibration"
     heads = ("channel", recorded, "offset, 95 %", "gain, 95 %", "sensor lag", "reduced here with")
-    frame = pd.DataFrame([{**dict(zip(heads, key, strict=True)), "runs": ", ".join(who)} for key, who in rows.items()])
-    return frame.loc[:, lambda f: (f != "").any()] if len(frame) else frame
+    frame = Frame([{**dict(zip(heads, key, strict=True)), "runs": ", ".join(who)} for key, who in rows.items()])
+    return frame.filled() if len(frame) else frame
 
 
 def methods_paragraph(analyses: Sequence[Analysis], runs: Sequence[RunData]) -> str:
@@ -235,7 +234,7 @@ def methods_paragraph(analyses: Sequence[Analysis], runs: Sequence[RunData]) -> 
     if any(a.simulated for a in analyses) or any(run.simulated for run in runs):
         alone = all(a.simulated for a in analyses) and all(run.simulated for run in runs)
         sentences.append(f"{'All' if alone else 'Some'} of the tests are simulated; no real muscle moved in them.")
-    for row in protocol_table(runs, {}).to_dict("records"):
+    for row in protocol_table(runs, {}).rows:
         points = f" at {row['operating points']}" if row["operating points"] else ""
         rate = f", sampled at {row['rate']}" if row["rate"] else ""
         sentences.append(f"{row['test']}, protocol “{row['protocol']}”{points}{rate}; {row['trials']} trials finished.")

@@ -8,10 +8,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-import pandas as pd
-
 from pmabench.analysis.results import Analysis, Estimate
 from pmabench.analysis.verdict.checks import NAMES, checks_of
+from pmabench.plotting.frame import Frame
 from pmabench.plotting.wording import clean, half_width, number, point_shown, point_text, rounded, shown, symbol_text
 from pmabench.report.document.tables import Table, half_of, is_number, least, mappings, note_text
 from pmabench.report.words import kind_title
@@ -47,7 +46,7 @@ def budget_table(analysis: Analysis) -> Table | None:
     caption = f"{kind_title(analysis.kind)}: uncertainty budgets"
     if open_sources:
         caption += f"; not assessed: {'; '.join(open_sources)}"
-    return Table(caption, pd.DataFrame(rows, dtype=object))
+    return Table(caption, Frame(rows))
 
 
 def _shares(e: Estimate) -> str:
@@ -79,7 +78,7 @@ def check_tables(analysis: Analysis) -> Iterator[Table]:
         if check.quantity == "ratio" and check.name in NAMES
     ]
     if rows:
-        yield Table("Checks other than the residual", pd.DataFrame(rows, dtype=object))
+        yield Table("Checks other than the residual", Frame(rows))
     free_runs = analysis.facts.get("free_run")
     runs = [row for entry in (free_runs if isinstance(free_runs, list | tuple) else ()) if (row := _run(entry))]
     if runs:
@@ -88,7 +87,7 @@ def check_tables(analysis: Analysis) -> Iterator[Table]:
             "‖x − x_model‖ / ‖x − mean x‖, the fit in % is 100 − NRMSE. Contracting and relaxing: the rms error "
             "of that part by the standard deviation of the whole trial. Small strokes make large shares"
         )
-        yield Table(caption, pd.DataFrame(runs, dtype=object).fillna(""))
+        yield Table(caption, Frame(runs))
 
 
 def _run(entry: Any) -> dict[str, str]:
@@ -170,7 +169,7 @@ def change_tables(analysis: Analysis) -> Iterator[Table]:
             "What the recalibration changed: as recorded, as reduced here, difference with the 95 % half width "
             "that the two calibrations leave it"
         )
-        yield Table(caption, pd.DataFrame(rows, dtype=object))
+        yield Table(caption, Frame(rows))
 
 
 def _row(entry: Mapping[str, Any]) -> dict[str, str]:
@@ -219,10 +218,10 @@ class Codes:
         """The text itself where it is brief, else its code."""
         return text if len(text) <= self.brief else self.codes.setdefault(text, f"{self.letter}{len(self.codes) + 1}")
 
-    def table(self) -> pd.DataFrame:
+    def table(self) -> Frame:
         """One row for each code."""
         rows = [{"code": code, self.head: text} for text, code in self.codes.items()]
-        return pd.DataFrame(rows, columns=["code", self.head], dtype=object)
+        return Frame(rows, columns=["code", self.head])
 
 
 class Parents:

@@ -1,4 +1,4 @@
-"""Tables of what analyses found, as pandas frames of text, cut where they are too wide for a page; no estimate.
+"""Tables of what analyses found, as frames of text, cut where they are too wide for a page; no estimate.
 
 Cells are text, rounded as their interval says; numbers for programs are in `csv_files`. Every header names its unit.
 """
@@ -10,11 +10,10 @@ from dataclasses import dataclass, replace
 from math import radians
 from typing import Any, TypeGuard
 
-import pandas as pd
-
 from pmabench.analysis.results import AGREEMENT, Analysis, Estimate
 from pmabench.base.kind import Result
 from pmabench.base.quantities import QUANTITIES
+from pmabench.plotting.frame import Frame
 from pmabench.plotting.wording import (
     POINTS,
     RAISED,
@@ -48,7 +47,7 @@ class Table:
     """A frame of text cells with a caption."""
 
     caption: str
-    frame: pd.DataFrame
+    frame: Frame
 
 
 def cell(estimate: Estimate) -> str:
@@ -75,14 +74,14 @@ def least(estimate: Estimate) -> float:
     return RESOLVED if estimate.quantity in QUANTITIES else 0.0
 
 
-def coefficient_table(analyses: Sequence[Analysis]) -> pd.DataFrame:
+def coefficient_table(analyses: Sequence[Analysis]) -> Frame:
     """F_ce, K, B_c, B_r, ... with their 95 % intervals: one row per method and pressure, rounded text."""
     chosen = [e for analysis in analyses for e in analysis.estimates if set(e.at) == {"pressure"} and not e.coordinate]
     methods = {e.method for e in chosen if e.symbol in COEFFICIENTS}
     return pivot_table([e for e in chosen if e.method in methods], declared(analyses))
 
 
-def primary_table(analyses: Sequence[Analysis]) -> tuple[pd.DataFrame, str]:
+def primary_table(analyses: Sequence[Analysis]) -> tuple[Frame, str]:
     """The coefficients of each test's primary method, which comes first in it: one row per operating point; text.
 
     Next to the pressure, the columns have what a coefficient was found at in several places (a mean, an amplitude); the
@@ -118,9 +117,7 @@ def method_tables(analyses: Sequence[Analysis]) -> list[Table]:
     return tables
 
 
-def _by_point(
-    estimates: Sequence[Estimate], results: Mapping[str, Result], column: Callable[[Estimate], str]
-) -> pd.DataFrame:
+def _by_point(estimates: Sequence[Estimate], results: Mapping[str, Result], column: Callable[[Estimate], str]) -> Frame:
     """One row per operating point, the columns in the order of `results`."""
     order = list(results)
     estimates = sorted(estimates, key=lambda e: order.index(e.symbol))
@@ -132,7 +129,7 @@ def _by_point(
         place = tuple(at.get(name, float("-inf")) for name in points)
         rows.setdefault(place, {heads[name]: number(at[name]) for name in at})[column(e)] = cell(e)
     columns = list(dict.fromkeys([*heads.values(), *(column(e) for e in estimates)]))
-    return pd.DataFrame([rows[place] for place in sorted(rows)], columns=columns, dtype=object).fillna("")
+    return Frame([rows[place] for place in sorted(rows)], columns=columns)
 
 
 def other_tables(analysis: Analysis) -> list[Table]:
@@ -178,7 +175,7 @@ def _column(e: Estimate) -> str:
     return shown(e.quantity, e.unit).label(symbol_text(e.symbol, e.coordinate))
 
 
-def pivot_table(estimates: Sequence[Estimate], results: Mapping[str, Result]) -> pd.DataFrame:
+def pivot_table(estimates: Sequence[Estimate], results: Mapping[str, Result]) -> Frame:
     """One row per method and operating point, one column per symbol in the order of `results`; text cells."""
     names = in_order((name for e in estimates for name in e.at), POINTS)
     columns = list(dict.fromkeys(_column(e) for s in results for e in estimates if e.symbol == s))
@@ -191,11 +188,11 @@ def pivot_table(estimates: Sequence[Estimate], results: Mapping[str, Result]) ->
             row[point_head(name)] = number(e.at[name] / point_shown(name)[1].scale) if name in e.at else ""
         row[_column(e)] = cell(e)
     heads = [point_head(name) for name in names]
-    frame = pd.DataFrame([rows[key] for key in sorted(rows)], columns=["method", *heads, *columns], dtype=object)
-    return frame.fillna("")
+    frame = Frame([rows[key] for key in sorted(rows)], columns=["method", *heads, *columns])
+    return frame
 
 
-def whole_table(estimates: Sequence[Estimate], results: Mapping[str, Result]) -> pd.DataFrame:
+def whole_table(estimates: Sequence[Estimate], results: Mapping[str, Result]) -> Frame:
     """Estimates without an operating point, a row each."""
     rows = [
         {
@@ -208,10 +205,10 @@ def whole_table(estimates: Sequence[Estimate], results: Mapping[str, Result]) ->
         }
         for e in estimates
     ]
-    return pd.DataFrame(rows, dtype=object)
+    return Frame(rows)
 
 
-def parts_table(analysis: Analysis, parents: Callable[[Estimate], tuple[str, str]] | None = None) -> pd.DataFrame:
+def parts_table(analysis: Analysis, parents: Callable[[Estimate], tuple[str, str]] | None = None) -> Frame:
     """Every estimate with the half widths of its 95 % interval by cause; text in the display units of the row.
 
     The column `skew` is there where streams have clocks of their own; `parents` gives the trials
@@ -247,10 +244,10 @@ def parts_table(analysis: Analysis, parents: Callable[[Estimate], tuple[str, str
                 "note": behind[1],
             }
         )
-    return pd.DataFrame(rows, dtype=object)
+    return Frame(rows)
 
 
-def curves_table(analyses: Sequence[Analysis]) -> pd.DataFrame:
+def curves_table(analyses: Sequence[Analysis]) -> Frame:
     """Regression coefficients of every curve in its own coordinate, with interval, domain, R2 and residual; text."""
     rows = []
     for curve in (c for analysis in analyses for c in analysis.curves if not c.normalised):
@@ -269,10 +266,10 @@ def curves_table(analyses: Sequence[Analysis]) -> pd.DataFrame:
     heads = in_order((head for row in rows for head in row), ("coefficient", "method", "at", "form"))
     tail = [head for head in heads if head.startswith("valid") or head in ("R²", "residual rms")]
     columns = [head for head in heads if head not in tail] + tail
-    return pd.DataFrame(rows, columns=columns, dtype=object).fillna("")
+    return Frame(rows, columns=columns)
 
 
-def polynomials_table(analyses: Sequence[Analysis]) -> pd.DataFrame:
+def polynomials_table(analyses: Sequence[Analysis]) -> Frame:
     """Terms of every polynomial in z = (coordinate - centre) / scale, powers from 0 up, one unit a row; text."""
     rows = []
     for curve in (c for analysis in analyses for c in analysis.curves if c.normalised and c.terms):
@@ -288,24 +285,24 @@ def polynomials_table(analyses: Sequence[Analysis]) -> pd.DataFrame:
         rows.append(row)
     heads = in_order((head for row in rows for head in row), ("coefficient", "method", "unit"))
     columns = [head for head in heads if head not in ("R²", "rms")] + ["R²", "rms"]
-    return pd.DataFrame(rows, columns=columns if rows else [], dtype=object).fillna("")
+    return Frame(rows, columns=columns if rows else [])
 
 
 def _r2(value: float) -> str:
     return f"{value:.5f}" if not 0.999995 <= value < 1 else ">\u202f0.99999"
 
 
-def dropped_table(analyses: Sequence[Analysis]) -> pd.DataFrame:
+def dropped_table(analyses: Sequence[Analysis]) -> Frame:
     """Trials that did not enter a fit, with their operating point and the reason; text."""
     rows = [
         {"test": kind_title(a.kind), "trial": clean(d.trial), "at": point_text(d.point), "reason": clean(d.reason)}
         for a in analyses
         for d in a.dropped
     ]
-    return pd.DataFrame(rows, columns=["test", "trial", "at", "reason"], dtype=object)
+    return Frame(rows, columns=["test", "trial", "at", "reason"])
 
 
-def findings_table(analyses: Sequence[Analysis]) -> pd.DataFrame:
+def findings_table(analyses: Sequence[Analysis]) -> Frame:
     """Findings of all analyses, faults first, then doubts, then what is said of the agreement of tests; text."""
     rank = {"fault": 0, "doubt": 1}
     found = [(rank.get(f.level, 2 if a.kind == AGREEMENT else 3), a, f) for a in analyses for f in a.findings]
@@ -313,10 +310,10 @@ def findings_table(analyses: Sequence[Analysis]) -> pd.DataFrame:
         {"level": clean(f.level), "test": kind_title(a.kind), "finding": clean(f.text)}
         for _, a, f in sorted(found, key=lambda entry: entry[0])
     ]
-    return pd.DataFrame(rows, columns=["level", "test", "finding"], dtype=object)
+    return Frame(rows, columns=["level", "test", "finding"])
 
 
-def tuning_table(analyses: Sequence[Analysis]) -> pd.DataFrame:
+def tuning_table(analyses: Sequence[Analysis]) -> Frame:
     """Controller settings of every rule, ideal and parallel form, with margins where a model is known; text."""
     rows = []
     for entry in (e for a in analyses for e in mappings(a.facts.get("tuning"))):
@@ -343,7 +340,7 @@ def tuning_table(analyses: Sequence[Analysis]) -> pd.DataFrame:
     heads = list(dict.fromkeys(head for row in rows for head in row))
     rank = {name: place for place, name in enumerate(wanted)}
     heads.sort(key=lambda head: rank.get(head, rank.get(head.partition(" [")[0], len(rank))))
-    return pd.DataFrame(rows, columns=heads, dtype=object).fillna("")
+    return Frame(rows, columns=heads)
 
 
 _MARGINS = (
@@ -385,14 +382,14 @@ def narrow(table: Table) -> list[Table]:
     if _width(table.frame, values) <= MOST:
         return [table]
     for key in (key for key in keys if key != "method"):
-        filled = table.frame[key] != ""
-        if filled.any() and not filled.all():
-            parts = [replace(table, frame=table.frame[rows]) for rows in (~filled, filled)]
+        filled = [cell != "" for cell in table.frame[key]]
+        if any(filled) and not all(filled):
+            parts = [replace(table, frame=table.frame.where(has == way for has in filled)) for way in (False, True)]
             return [one for part in parts for one in narrow(_part(part, keys, _used(part.frame, values), part.caption))]
-    if "method" in keys and table.frame["method"].nunique() > 1:
+    if "method" in keys and len(set(table.frame["method"])) > 1:
         groups: dict[tuple[str, ...], list[str]] = {}
         for method in dict.fromkeys(table.frame["method"]):
-            rows = table.frame[table.frame["method"] == method]
+            rows = table.frame.where(cell == method for cell in table.frame["method"])
             groups.setdefault(tuple(_used(rows, values)), []).append(str(method))
         if len(groups) > 1:
             return [
@@ -414,20 +411,20 @@ def narrow(table: Table) -> list[Table]:
     return [_part(table, keys, chunk, caption) for chunk, caption in zip(chunks, captions, strict=True)]
 
 
-def _columns(frame: pd.DataFrame) -> tuple[list[str], list[str]]:
+def _columns(frame: Frame) -> tuple[list[str], list[str]]:
     """Heads of method and operating point, and those of values."""
     heads = {"method", *(point_head(name) for name in POINTS)}
     return [c for c in frame.columns if c in heads], [c for c in frame.columns if c not in heads]
 
 
-def _used(frame: pd.DataFrame, values: Sequence[str]) -> list[str]:
+def _used(frame: Frame, values: Sequence[str]) -> list[str]:
     """Columns that have a cell."""
-    return [c for c in values if (frame[c] != "").any()]
+    return frame.select(values).filled().columns
 
 
-def _width(frame: pd.DataFrame, columns: Sequence[str]) -> float:
+def _width(frame: Frame, columns: Sequence[str]) -> float:
     """Width of columns together, counted in columns with intervals."""
-    return sum(1.0 if frame[c].astype(str).str.contains("±").any() else PLAIN for c in columns)
+    return sum(1.0 if any("±" in str(cell) for cell in frame[c]) else PLAIN for c in columns)
 
 
 def _symbol(head: str) -> str:
@@ -438,7 +435,8 @@ def _part(
     table: Table, keys: Sequence[str], values: Sequence[str], caption: str, methods: Sequence[str] | None = None
 ) -> Table:
     """Some columns of values with the rows that have any, and what of the operating point these rows have."""
-    frame = table.frame if methods is None else table.frame[table.frame["method"].isin(methods)]
-    frame = frame[(frame[list(values)] != "").any(axis=1)]
-    kept = [key for key in keys if (frame[key] != "").any()]
-    return Table(caption, frame[[*kept, *values]].reset_index(drop=True))
+    frame = table.frame.where(
+        (methods is None or row["method"] in methods) and any(row[value] != "" for value in values)
+        for row in table.frame.rows
+    )
+    return Table(caption, frame.select([*_used(frame, keys), *values]))

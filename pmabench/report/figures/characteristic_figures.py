@@ -10,9 +10,9 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 
 from pmabench.analysis.results import Analysis, Estimate, Trace
+from pmabench.plotting.frame import Frame
 from pmabench.plotting.pictures import Picture, bound, drawable, has, picture
 from pmabench.plotting.plots import FAINT, FULL, INK, PALETTE, Array, blank, few_ticks, grid
 from pmabench.plotting.wording import rounded, shown
@@ -140,7 +140,7 @@ def _ends(analyses: Sequence[Analysis]) -> list[Picture]:
     draw = bound(_draw_ends, left, right, nominal / mm.scale)
     simulated = any(a.simulated for a in analyses)
     title = "Blocked force and free contraction"
-    return [picture(draw, title, caption, alt, pd.DataFrame(rows), wide=True, simulated=simulated)]
+    return [picture(draw, title, caption, alt, Frame(rows), wide=True, simulated=simulated)]
 
 
 Side = tuple[Array, Array, Array, Array, Array]
@@ -221,8 +221,7 @@ def _family(analyses: Sequence[Analysis]) -> list[Picture]:
         f"Force over contraction at {', '.join(f'{P / 1e3:g}' for P in chosen)} kPa: forces fall from "
         f"{most:.4g} N with rising contraction" + (f"; the model is off by {rms:.2g} N rms." if off else ".")
     )
-    table = pd.DataFrame(rows).fillna("")
-    table = table[[head for head in table.columns if (table[head] != "").any()]]
+    table = Frame(rows).filled()
     draw = bound(_draw_family, levels, nominal)
     simulated = any(a.simulated for a in analyses)
     title = "Force, pressure and contraction"

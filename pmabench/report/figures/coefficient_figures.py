@@ -7,11 +7,11 @@ from math import floor, log10, nan
 from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 
 from pmabench.analysis.results import PUBLISHED, Analysis, Curve, Estimate, Trace
 from pmabench.base.kind import Result
 from pmabench.plotting import plots
+from pmabench.plotting.frame import Frame
 from pmabench.plotting.pictures import Picture, bound, column, has, numbers, picture, unit_of
 from pmabench.plotting.plots import FAINT, HALF, PALETTE, QUIET, RED, Array, Points, blank, few_ticks, grid
 from pmabench.plotting.wording import (
@@ -230,7 +230,7 @@ def _curve(
     return np.asarray(x / x_scale), np.asarray(y / scale), np.asarray(band / scale)
 
 
-def _table(estimates: Sequence[Estimate], over: str) -> pd.DataFrame:
+def _table(estimates: Sequence[Estimate], over: str) -> Frame:
     head, unit = point_shown(over)
     rows = [
         {
@@ -242,7 +242,7 @@ def _table(estimates: Sequence[Estimate], over: str) -> pd.DataFrame:
         }
         for e in estimates
     ]
-    return pd.DataFrame(rows, dtype=object).fillna("")
+    return Frame(rows)
 
 
 WORDS = {"length": "contraction", "force": "force"}

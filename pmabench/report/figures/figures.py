@@ -10,13 +10,13 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 
 from pmabench.analysis.results import Analysis, Estimate, Trace
 from pmabench.base.kind import load
 from pmabench.kinds import registry
 from pmabench.plotting import loops as loop_figures
 from pmabench.plotting import time_plots
+from pmabench.plotting.frame import Frame
 from pmabench.plotting.pictures import (
     Picture,
     bound,
@@ -190,14 +190,14 @@ def _energy(mine: Sequence[Estimate], rate: str, simulated: bool) -> Picture:
     return picture(draw, "Work per loop", caption, alt, _table(mine, rate), wide=True, simulated=simulated)
 
 
-def _table(mine: Sequence[Estimate], rate: str) -> pd.DataFrame:
+def _table(mine: Sequence[Estimate], rate: str) -> Frame:
     """One row per operating point."""
     rows: dict[tuple[tuple[str, float], ...], dict[str, str]] = {}
     names = in_order((name for e in mine for name in e.at), ("pressure",))
     for e in mine:
         row = rows.setdefault(tuple((n, e.at[n]) for n in names if n in e.at), {"at": point_text(e.at)})
         row[shown(e.quantity, e.unit).label(e.symbol)] = cell(e)
-    return pd.DataFrame([rows[key] for key in sorted(rows)]).fillna("")
+    return Frame([rows[key] for key in sorted(rows)])
 
 
 def drawing_of(series: Sequence[Series], x_label: str) -> Figure:

@@ -10,12 +10,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 
 from pmabench.analysis.results import PUBLISHED, Analysis, Estimate, PublishedPoints, Trace
 from pmabench.base.errors import InvalidFile, Problem
 from pmabench.base.quantities import QUANTITIES
 from pmabench.kinds import registry
+from pmabench.plotting.frame import Frame
 from pmabench.plotting.wording import clean, number, point_shown, rounded, shown
 from pmabench.report.document.provenance import get
 from pmabench.report.figures.coefficient_figures import OVER_PRESSURE
@@ -265,7 +265,7 @@ def _compared(
     return Comparison(name, over, label, places, len(within), mean, size)
 
 
-def comparison_table(compared: Sequence[Comparison]) -> pd.DataFrame:
+def comparison_table(compared: Sequence[Comparison]) -> Frame:
     """A row for each comparison; text."""
     rows = [
         {
@@ -279,4 +279,4 @@ def comparison_table(compared: Sequence[Comparison]) -> pd.DataFrame:
         }
         for c in compared
     ]
-    return pd.DataFrame(rows, dtype=object).fillna("")
+    return Frame(rows)

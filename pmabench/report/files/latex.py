@@ -5,8 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
-import pandas as pd
-
+from pmabench.plotting.frame import Frame
 from pmabench.plotting.svg import symbol_parts
 from pmabench.plotting.wording import clean
 
@@ -77,9 +76,9 @@ def typeset(text: object) -> str:
     return out
 
 
-def table(frame: pd.DataFrame, caption: str, label: str, *, texts: Sequence[str] = ()) -> str:
+def table(frame: Frame, caption: str, label: str, *, texts: Sequence[str] = ()) -> str:
     """A frame of text cells as one `table` with `tabular`; columns in `texts` are set left, the others right."""
-    columns = [str(c) for c in frame.columns]
+    columns = frame.columns
     lines = [
         r"\begin{table}",
         rf"\caption{{{typeset(caption)}}}",
@@ -88,7 +87,7 @@ def table(frame: pd.DataFrame, caption: str, label: str, *, texts: Sequence[str]
         r"\hline",
         " & ".join(typeset(c) for c in columns) + r" \\",
         r"\hline",
-        *(" & ".join(typeset(value) for value in row) + r" \\" for row in frame.itertuples(index=False, name=None)),
+        *(" & ".join(typeset(value) for value in row) + r" \\" for row in frame.cells()),
         r"\hline",
         r"\end{tabular}",
         r"\end{table}",

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pmabench.analysis.results import Estimate
-from pmabench.analysis.verdict.changes import Change
+from pmabench.analysis.verdict.comparison import Change
 from pmabench.plotting.wording import Shown, plain_unit, point_text, shown, symbol_text
 from pmabench.report.files.csv_files import csv_text
 from pmabench.report.terminal import print_grid

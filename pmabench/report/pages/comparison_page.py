@@ -7,12 +7,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import pandas as pd
-
 from pmabench.analysis.results import PUBLISHED, Analysis
 from pmabench.analysis.verdict import comparison
 from pmabench.analysis.verdict.comparison import Difference, Side, percent
 from pmabench.plotting import plots
+from pmabench.plotting.frame import Frame
 from pmabench.plotting.pictures import Picture, drawable, picture
 from pmabench.plotting.wording import clean, in_order, point_text, shown, spoken, symbol_text
 from pmabench.report.figures.coefficient_figures import over_pressure
@@ -109,7 +108,7 @@ def _scores(differences: Sequence[Difference], *, simulated: bool) -> Picture | 
         "E_n numbers of all differences",
         "Shaded: both values lie within their common 95 % interval. Arrows: further out than drawn.",
         alt,
-        pd.DataFrame(rows, dtype=object),
+        Frame(rows),
         wide=True,
         simulated=simulated,
     )
@@ -146,4 +145,4 @@ def rows_of(a: Side, b: Side, differences: Sequence[Difference]) -> Rows:
 def curve_rows(curves: Sequence[Comparison]) -> Rows:
     """A row for each curve compared with published points."""
     frame = comparison_table(curves)
-    return [str(head) for head in frame.columns], [[str(cell) for cell in row] for row in frame.itertuples(index=False)]
+    return frame.columns, frame.cells()

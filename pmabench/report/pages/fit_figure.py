@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pmabench.analysis.fitting.model_fit import ModelFit
+from pmabench.analysis.model_fit import ModelFit
 from pmabench.model.library import OutsideDomain
 from pmabench.plotting import plots
 from pmabench.plotting.plots import FAINT, FULL, MARKERS, PALETTE, blank, few_ticks, grid

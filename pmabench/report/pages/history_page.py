@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 
 from pmabench.analysis.results import Finding
 from pmabench.analysis.verdict.life import Past, References, Series, chosen
 from pmabench.base.quantities import in_words
 from pmabench.plotting import plots
+from pmabench.plotting.frame import Frame
 from pmabench.plotting.pictures import LARGEST, Picture, picture
 from pmabench.plotting.wording import clean, point_text, rounded, shown, symbol_text
 from pmabench.report.words import kind_title
@@ -85,7 +85,7 @@ def _over_cycles(one: Series, *, simulated: bool) -> Picture:
         f"{name[:1].upper()}{name[1:]} {over}",
         f"{kind_title(one.kind)}{f', {at}' if at else ''}; {interval_text}.",
         f"Plot of {name} {over}, {len(moments)} values. The numbers are in the table below.",
-        pd.DataFrame(rows, dtype=object),
+        Frame(rows),
         wide=False,
         simulated=simulated,
     )
@@ -130,7 +130,7 @@ def _control(one: References, *, simulated: bool) -> Picture:
         caption,
         f"Strokes of {len(strokes)} reference trials in order of time, from {strokes.min():.4g} to "
         f"{strokes.max():.4g} mm; {len(alarms)} are marked. The numbers are in the table below.",
-        pd.DataFrame(rows, dtype=object),
+        Frame(rows),
         wide=True,
         simulated=simulated,
     )

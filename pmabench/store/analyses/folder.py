@@ -24,6 +24,7 @@ from pmabench.base.text import clean
 from pmabench.store.analyses.results import SCHEMA, Analysis, Curve, Trace
 from pmabench.store.folder import plain
 from pmabench.store.json_files import read_json
+from pmabench.store.livestream import numbers
 
 ANALYSIS = "analysis.json"
 TRACES = "traces"
@@ -230,7 +231,8 @@ def _trace(folder: Path, t: Mapping[str, Any]) -> Trace:
         if file is None or file.metadata.num_rows > MOST_ROWS:
             raise ValueError(f"{t['file']} is a link or too long")
         table = file.read(wanted)
-        columns = {name: np.asarray(table.column(name).to_numpy(), dtype=np.float64) for name in wanted}
+        found = {name: table.column(name).combine_chunks() for name in wanted}
+        columns = {name: np.asarray(numbers(values), dtype=np.float64) for name, values in found.items()}
     except (OSError, pa.ArrowException) as error:
         raise ValueError(f"{t['file']} cannot be read: {error}") from error
     return Trace(

@@ -423,7 +423,7 @@ def form_pattern(form: str, comma: bool, used: set[str]) -> re.Pattern[str]:
         if name not in POINT_QUANTITY and name not in _SPECIAL:
             raise ValueError(f'unknown placeholder "{name}"{did_you_mean(name, [*POINT_QUANTITY, *_SPECIAL])}')
         if name in here:
-            raise ValueError(f'"{{{name}}}" stands twice')
+            raise ValueError(f'"{{{name}}}" is there twice')
         here.add(name)
         parts.append(f"(?P<{name}>{_SPECIAL.get(name, number)})")
     if stars > 2:

@@ -52,9 +52,9 @@ class Rig:
         """Let the fault meet only requests with these function codes."""
         plain = type(self.server).answer
 
-        def answer(pdu, connection, send):
+        def answer(pdu, connection):
             self.server.faults.set(kind if pdu[0] in functions else "clear", value)
-            plain(self.server, pdu, connection, send)
+            return plain(self.server, pdu, connection)
 
         self.server.answer = answer
 

@@ -1,4 +1,4 @@
-"""A model of the library fitted to measured rows: unknown inputs with intervals, residual, what cannot be told apart.
+"""A model of the library fitted to measured rows: unknown inputs with intervals, residual, what stays open.
 
 Least squares in scipy's trust region within the domains of the inputs, from several starts; intervals from the profile
 of the sum of squares (Bates and Watts 1988, chapter 6). Knows no file and no units; all values SI.
@@ -13,8 +13,17 @@ from typing import Any
 
 import numpy as np
 
-from pmabench.analysis.fitting.identifiability import Spread, spread_of, told_apart
-from pmabench.analysis.fitting.model_problem import FEW, End, Problem, acting, solve, starts_of
+from pmabench.analysis.model_problem import (
+    FEW,
+    End,
+    Problem,
+    Spread,
+    acting,
+    identifiability,
+    solve,
+    spread_of,
+    starts_of,
+)
 from pmabench.analysis.results import Finding
 from pmabench.analysis.shared import student
 from pmabench.model.library import Model
@@ -29,6 +38,10 @@ ALIKE = 0.5
 """Correlation of neighbouring residuals from which on rows do not count as independent."""
 
 
+Interval = tuple[float | None, float | None]
+"""Ends of a 95 % interval; one that is None is not reached within the domain."""
+
+
 @dataclass(frozen=True)
 class Unknown:
     """A fitted input [SI]."""
@@ -37,8 +50,7 @@ class Unknown:
     value: float
     standard_error: float | None
     """From the Jacobian; None where it is not identifiable."""
-    ci95: tuple[float | None, float | None] | None
-    """Ends of the 95 % interval; one that is None is not reached within the domain."""
+    ci95: Interval | None
     start: float
     note: str = ""
 
@@ -82,7 +94,7 @@ class ModelFit:
     """Of the intervals: `profile` or `jacobian`."""
     findings: tuple[Finding, ...] = ()
 
-    def told(self, name: str, unit: str) -> tuple[float | None, float | None, str]:
+    def identified(self, name: str, unit: str) -> tuple[float | None, float | None, str]:
         """Value and half width of an unknown [SI] with its note; both None, and why, where it is not identifiable."""
         (one,) = (unknown for unknown in self.unknowns if unknown.name == name)
         low, high = one.ci95 or (None, None)
@@ -118,50 +130,30 @@ def fit_model(
     unknown: Sequence[str],
     *,
     start: Mapping[str, float] | None = None,
-    seed: int = 0,
 ) -> ModelFit:
     """Fit the inputs `unknown` of `model` so that `output` follows `measured` (n,) at `columns` (n,) and `fixed`, SI.
 
     `start` replaces reference values as the first start. Raises ValueError where there are fewer rows than unknowns or
     the model holds at none of the starts.
     """
-    known = {p.name: p for p in model.parameters}
     problem = Problem(model, output, unknown, {**fixed, **columns}, measured)
     if len(measured) < len(unknown):
         rows = f"{len(measured)} row{'s' if len(measured) != 1 else ''}"
         raise ValueError(f"{rows} cannot give {len(unknown)} values; give some of them with --set")
-    first = np.array([float((start or {}).get(name, known[name].value)) for name in unknown])
-    first = np.clip(first, problem.low, problem.high)
-    begun = [at for at in starts_of(problem, first, seed) if np.isfinite(problem.residuals(at)).all()]
-    if not begun:
-        raise ValueError("the model holds at none of the start values; give better ones with --start")
-    ends: list[End] = []
-    for at in begun:
-        ends.append(solve(problem, at))
-        best = min(ends, key=lambda end: end[0])
-        if sum(_as_low(end, best) for end in ends) >= ENOUGH:
-            break
+    begin = {p.name: p.value for p in model.parameters} | dict(start or {})
+    first = np.clip([float(begin[name]) for name in unknown], problem.low, problem.high)
+    ends = _ends(problem, first)
+    best = min(ends, key=lambda end: end[0])
     tried = len(ends)
     freedom = len(measured) - len(unknown)
-    spread = spread_of(problem.slopes(best[1]), best[0] * problem.span**2, freedom)
-    method = "jacobian"
-    intervals: list[tuple[float | None, float | None] | None] = [_wald(v, s, freedom) for v, s in zip(
-        best[1], spread.errors, strict=True)]  # fmt: skip
     exact = sqrt(best[0] / len(measured)) < EXACT
-    if freedom > 0 and len(unknown) <= FEW and not exact:
-        method = "profile"
-        for _ in range(3):
-            profiled, better = _profiles(problem, best, spread, freedom)
-            if better is None:
-                intervals = profiled
-                break
-            best = min(solve(problem, better), best, key=lambda end: end[0])
-            ends = [best, *ends]
-            spread = spread_of(problem.slopes(best[1]), best[0] * problem.span**2, freedom)
+    method = "profile" if freedom > 0 and len(unknown) <= FEW and not exact else "jacobian"
+    spread, intervals, better = _intervals(problem, best, freedom, profiled=method == "profile")
+    ends = [*better, *ends]
+    best = ends[0] if better else best
     computed = problem.output_at(best[1])
-    agreeing = sum(_same(end, best, spread, problem.size) for end in ends[-tried:])
     at_end = [_at_end(problem, i, float(value)) for i, value in enumerate(best[1])]
-    findings = told_apart(unknown, spread, intervals, at_end)
+    findings = identifiability(unknown, spread, intervals, at_end)
     findings += _other_minima(unknown, ends, best, spread, problem, freedom)
     findings += _of_residuals(computed - measured, exact=exact, freedom=freedom)
     if not best[2]:
@@ -169,10 +161,7 @@ def fit_model(
     return ModelFit(
         model=model,
         output=output,
-        unknowns=tuple(
-            Unknown(name, float(best[1][i]), spread.errors[i], intervals[i], float(first[i]), at_end[i])
-            for i, name in enumerate(unknown)
-        ),
+        unknowns=tuple(map(Unknown, unknown, best[1].tolist(), spread.errors, intervals, first.tolist(), at_end)),
         follows=_follows(problem, best[1], spread, freedom),
         fixed={name: value for name, value in fixed.items() if name not in unknown},
         idle=_idle(problem, fixed, best[1]),
@@ -184,27 +173,55 @@ def fit_model(
         residual_rms=sqrt(best[0] / max(1, freedom)) * problem.span,
         freedom=freedom,
         starts=tried,
-        agreeing=agreeing,
+        agreeing=sum(_same(end, best, spread, problem.size) for end in ends[-tried:]),
         converged=best[2],
         method=method,
         findings=tuple(findings),
     )
 
 
-def _wald(value: float, error: float | None, freedom: int) -> tuple[float | None, float | None] | None:
+def _ends(problem: Problem, first: Array) -> list[End]:
+    """Where the fit ends from each start, until enough of them end as low; ValueError where none can begin."""
+    begun = [at for at in starts_of(problem, first) if np.isfinite(problem.residuals(at)).all()]
+    if not begun:
+        raise ValueError("the model holds at none of the start values; give better ones with --start")
+    ends: list[End] = []
+    for at in begun:
+        ends.append(solve(problem, at))
+        best = min(ends, key=lambda end: end[0])
+        if sum(_as_low(end, best) for end in ends) >= ENOUGH:
+            break
+    return ends
+
+
+def _intervals(
+    problem: Problem, best: End, freedom: int, *, profiled: bool
+) -> tuple[Spread, list[Interval | None], list[End]]:
+    """What the data say of each unknown, and better ends, the best first, that the profiles came upon."""
+    better: list[End] = []
+    for _ in range(3 if profiled else 0):
+        spread = spread_of(problem.slopes(best[1]), best[0] * problem.span**2, freedom)
+        intervals, point = _profiles(problem, best, spread, freedom)
+        if point is None:
+            return spread, intervals, better
+        best = min(solve(problem, point), best, key=lambda end: end[0])
+        better.insert(0, best)
+    spread = spread_of(problem.slopes(best[1]), best[0] * problem.span**2, freedom)
+    return spread, [_wald(v, s, freedom) for v, s in zip(best[1], spread.errors, strict=True)], better
+
+
+def _wald(value: float, error: float | None, freedom: int) -> Interval | None:
     if error is None or freedom < 1:
         return None
     half = float(student.ppf(0.975, freedom)) * error
     return float(value) - half, float(value) + half
 
 
-def _profiles(
-    problem: Problem, best: End, spread: Spread, freedom: int
-) -> tuple[list[tuple[float | None, float | None] | None], Array | None]:
+def _profiles(problem: Problem, best: End, spread: Spread, freedom: int) -> tuple[list[Interval | None], Array | None]:
     """Where the sum of squares, the others refitted, rises by t^2 s^2; or a point that is better than `best`."""
     limit = float(student.ppf(0.975, freedom))
     variance = best[0] / freedom
-    found: list[tuple[float | None, float | None] | None] = []
+    found: list[Interval | None] = []
     for i, error in enumerate(spread.errors):
         if error is None:
             found.append(None)

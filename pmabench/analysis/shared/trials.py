@@ -1,0 +1,212 @@
+"""Trials of one operating point together: its repeats, trials of reference and their drift, sessions; fits nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pmabench.analysis.results import POINT_QUANTITIES, Finding, Trace
+from pmabench.analysis.shared.student import mean_with_half
+from pmabench.base.quantities import show
+from pmabench.store.records import Array, RunData, TrialData
+
+Members = list[tuple[RunData, TrialData]]
+
+
+def by_point(members: Sequence[tuple[RunData, TrialData]]) -> list[tuple[dict[str, float], Members]]:
+    """Operating points [SI] in rising order, each with its runs and trials in the order that they came."""
+    groups: dict[tuple[tuple[str, float], ...], Members] = {}
+    for run, trial in members:
+        key = tuple(sorted((name, round(value, 9)) for name, value in trial.point.items()))
+        groups.setdefault(key, []).append((run, trial))
+    return [(dict(key), group) for key, group in sorted(groups.items())]
+
+
+ONE_SESSION = (
+    "all tests are of one session, as far as the record tells (its start, the day of a file, its folder): scatter "
+    "between sessions is in no interval; tests on another day would show it"
+)
+
+
+def session_of(run: RunData) -> str:
+    """The session that a run belongs to.
+
+    That is the session of the bench that the record names; of imports the day, where the file tells it, else the
+    folder; else the run by itself.
+    """
+    session, imported = run.manifest.get("session"), run.manifest.get("imported")
+    if isinstance(session, Mapping) and session.get("at"):
+        return str(session["at"])
+    if isinstance(imported, Mapping):
+        known = imported.get("started_known")
+        return str(run.manifest.get("started_utc", ""))[:10] if known else str(imported.get("folder", ""))
+    return run.id
+
+
+def by_session(values: Sequence[float] | Array, sessions: Sequence[str]) -> Array:
+    """The mean of each session; with one session the values themselves."""
+    names = list(dict.fromkeys(sessions))
+    if len(names) < 2:
+        return np.asarray(values, dtype=np.float64)
+    return np.array([np.mean([v for v, s in zip(values, sessions, strict=True) if s == name]) for name in names])
+
+
+def mean_over_sessions(values: Sequence[float] | Array, sessions: Sequence[str]) -> tuple[float, float | None]:
+    """Mean of the sessions' means and its 95 % half width by Student's t over sessions; over values where there is one.
+
+    None in place of the half width where there are fewer than two values.
+    """
+    return mean_with_half([float(value) for value in by_session(values, sessions)])
+
+
+DOUBTED = 0.02
+"""A stroke that differs by more from that of the first reference trial is doubted [1]."""
+
+
+@dataclass(frozen=True)
+class Compared:
+    """One reference trial compared with the first at the same point; strokes in m."""
+
+    trial: TrialData
+    first: float
+    stroke: float
+
+    @property
+    def off(self) -> float:
+        """Change since the first [1]."""
+        return self.stroke / self.first - 1.0
+
+
+def compared(runs: Sequence[RunData]) -> list[Compared]:
+    """Each finished reference trial after the first one of its point and specimen, in order of time.
+
+    Its stroke is the contraction from the rest before the first pressure command to the last fifth of the hold at
+    pressure [m].
+    """
+    first: dict[tuple[object, ...], float] = {}
+    found = []
+    for run, trial in _references(runs):
+        stroke = stroke_of(run, trial)
+        if stroke is None:
+            continue
+        point = tuple(sorted((name, round(value, 3)) for name, value in trial.point.items()))
+        key = (str(run.manifest.get("specimen")), point)
+        if key in first:
+            found.append(Compared(trial, first[key], stroke))
+        elif stroke > 0:
+            first[key] = stroke
+    return found
+
+
+def reference_findings(runs: Sequence[RunData]) -> list[Finding]:
+    """What the reference trials say, a line for each that was done again by a run that went on, and for the rest."""
+    again = [one for one in compared(runs) if one.trial.again]
+    planned = [one for one in compared(runs) if not one.trial.again]
+    lines = [
+        _finding(one, f"the reference trial, done again when the run went on ({one.trial.name}),") for one in again
+    ]
+    if planned:
+        widest = max(planned, key=lambda one: abs(one.off))
+        what = f"of {len(planned)} further reference trials the one that differs most ({widest.trial.name})"
+        lines.append(
+            _finding(widest, what if len(planned) > 1 else f"the second reference trial ({widest.trial.name})")
+        )
+    return lines
+
+
+def _finding(one: Compared, what: str) -> Finding:
+    values = f"came to {show(one.stroke, 'length', 4)} and the first to {show(one.first, 'length', 4)}: {one.off:+.2%}"
+    drifts = abs(one.off) > DOUBTED
+    return Finding("doubt" if drifts else "note", f"{what} {values}{'; the specimen is not what it was' * drifts}")
+
+
+def _references(runs: Sequence[RunData]) -> Iterator[tuple[RunData, TrialData]]:
+    for run in sorted(runs, key=lambda run: str(run.manifest.get("started_utc", ""))):
+        for trial in run.trials:
+            if trial.reference and trial.status == "finished" and "displacement" in trial.channels:
+                yield run, trial
+
+
+def stroke_of(run: RunData, trial: TrialData) -> float | None:
+    """Contraction at the end of the hold less that at rest [m]; None where either has no usable sample."""
+    if "displacement" not in trial.channels:
+        return None
+    times = sorted(c.t for c in trial.commands if c.output == "pressure" and c.phase != "precondition")
+    if len(times) < 2 or not len(trial.t):
+        return None
+    up, down = times[0], times[1]
+    x = trial.channels["displacement"]
+    rest = trial.usable & (trial.t < up) & np.isfinite(x)
+    held = trial.usable & (trial.t >= down - 0.2 * (down - up)) & (trial.t < down) & np.isfinite(x)
+    return float(x[held].mean() - x[rest].mean()) if rest.any() and held.any() else None
+
+
+FIGURE = "repeats"
+POINTS = 360
+MOST = 8
+"""Most repeats."""
+HIDDEN = frozenset(("side", "mass", "cycles"))
+"""Coordinates that need no word in the title."""
+
+Point = tuple[tuple[str, float], ...]
+
+
+def repeat_traces(channel: str, runs: Sequence[RunData]) -> list[Trace]:
+    """The repeats of the operating point that has most of them, of several the middle one; none without repeats.
+
+    `channel` is the one in which they differ over time; empty for kinds of test whose trials have no common course.
+
+    Columns `t` [s] since the trial's first command and `repeat 1` ... [m] or [N], in the order of recording.
+    """
+    groups: dict[Point, list[TrialData]] = {}
+    for run in sorted(runs, key=lambda run: str(run.manifest.get("started_utc", ""))):
+        for trial in run.trials:
+            usable = trial.status == "finished" and not trial.reference and not trial.again
+            if usable and channel in trial.channels and np.isfinite(trial.channels[channel][trial.usable]).sum() > 1:
+                point = tuple((name, float(f"{at:.6g}")) for name, at in sorted(trial.point.items()))
+                groups.setdefault(point, []).append(trial)
+    most = max((len(group) for group in groups.values()), default=0)
+    if most < 2:
+        return []
+    points = sorted(point for point, group in groups.items() if len(group) == most)
+    point = points[len(points) // 2]
+    chosen = groups[point][:MOST]
+    samples = [_values(trial, channel) for trial in chosen]
+    end = min(float(t[-1]) for t, _ in samples)
+    begin = max(float(t[0]) for t, _ in samples)
+    if not end > begin:
+        return []
+    grid = np.linspace(begin, end, POINTS)
+    columns = {f"repeat {n}": _means(grid, t, y) for n, (t, y) in enumerate(samples, 1)}
+    known = [(name, at) for name in POINT_QUANTITIES for samples, at in point if name == samples and name not in HIDDEN]
+    where = ", ".join(f"{name.replace('_', ' ')} {show(at, POINT_QUANTITIES[name], 4)}" for name, at in known)
+    quantity = "force" if channel == "force" else "length"
+    return [
+        Trace(
+            name=FIGURE,
+            figure=FIGURE,
+            title=f"{where or 'one operating point'}: {len(chosen)} repeats over each other",
+            columns={"t": grid, **columns},
+            quantities={"t": "time", **dict.fromkeys(columns, quantity)},
+            marks=dict(point),
+        )
+    ]
+
+
+def _values(trial: TrialData, channel: str) -> tuple[Array, Array]:
+    """Time since the first command [s] and the usable samples of a channel."""
+    use = trial.usable & np.isfinite(trial.channels[channel])
+    start = min((c.t for c in trial.commands if c.t >= trial.t[0] - 1e-9), default=float(trial.t[0]))
+    return trial.t[use] - start, trial.channels[channel][use]
+
+
+def _means(grid: Array, t: Array, y: Array) -> Array:
+    """Means of y about each point of an even grid, shape (n,): noise of single samples is no scatter of repeats."""
+    step = grid[1] - grid[0]
+    place = np.floor((t - grid[0]) / step + 0.5).astype(int)
+    inside = (place >= 0) & (place < len(grid))
+    count = np.bincount(place[inside], minlength=len(grid))
+    total = np.bincount(place[inside], y[inside], len(grid))
+    return np.where(count > 0, total / np.maximum(count, 1), np.interp(grid, t, y))
