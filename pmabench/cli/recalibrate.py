@@ -15,7 +15,7 @@ from pmabench.cli.common import Ui, common, fields, login_name, read_quantity
 
 if TYPE_CHECKING:
     from pmabench.analysis.results import Analysis
-    from pmabench.analysis.verdict.changes import Change
+    from pmabench.analysis.verdict.comparison import Change
     from pmabench.store.reader import NewScale, Recalibration
     from pmabench.store.records import RunData
 
