@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from pmabench.analysis.results import POINT_QUANTITIES, Analysis
 from pmabench.base.errors import UsageError
 from pmabench.base.quantities import QUANTITIES
+from pmabench.store.analyses.results import POINT_QUANTITIES, Analysis
 from pmabench.store.records import RunData, TrialData
 
 if TYPE_CHECKING:

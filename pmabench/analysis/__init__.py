@@ -1,6 +1,6 @@
 """What reductions share: results, intervals, verdicts; pure functions over loaded runs. Knows no kind of test.
 
-- `results`: the `Analysis`; `trial`: what one trial says by itself
+- what one trial says by itself: `trial`; a result is an `Analysis` of `store.analyses.results`
 - `imported`: what imports say besides their samples; `tuning`: controller settings
 - `many` works on many runs at once, here or on a Dask cluster
 - a library model fitted to a table: `model_fit`, made of `model_problem`

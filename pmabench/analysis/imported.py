@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from pmabench.analysis.results import Analysis, Dropped, Estimate, Finding, withhold
+from pmabench.store.analyses.results import Analysis, Dropped, Estimate, Finding, withhold
 from pmabench.store.records import Flag, RunData, TrialData
 
 LEVELS = ("fault", "doubt", "note")

@@ -24,9 +24,9 @@ from pmabench.analysis.model_problem import (
     spread_of,
     starts_of,
 )
-from pmabench.analysis.results import Finding
 from pmabench.analysis.shared import student
 from pmabench.model.library import Model
+from pmabench.store.analyses.results import Finding
 from pmabench.store.records import Array
 
 EXACT = 1e-7

@@ -15,8 +15,8 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.stats import qmc
 
-from pmabench.analysis.results import Finding
 from pmabench.model.library import Model, OutsideDomain, Parameter
+from pmabench.store.analyses.results import Finding
 from pmabench.store.records import Array
 
 RANK = 1e-6

@@ -16,9 +16,9 @@ from pmabench.cli.common import Ui, common, fields, read_quantity
 from pmabench.report.terminal import print_grid
 
 if TYPE_CHECKING:
-    from pmabench.analysis.results import Analysis, Estimate
     from pmabench.analysis.verdict.comparison import Comparison, Difference, Side
     from pmabench.report.figures.overlays import Comparison as Published
+    from pmabench.store.analyses.results import Analysis, Estimate
 
 _LIMIT = re.compile(r"\s*(E_n|difference)\s*(?:<=?|≤|=)\s*(.+?)\s*")
 
@@ -137,7 +137,7 @@ def _side(ui: Ui, name: str, text: str, *, fresh: bool) -> tuple[Side, list[Path
             raise invalid(path, "holds no analysis; give an analysis folder, a folder of them or a run")
         analyses = [read_analysis(folder) for folder in folders]
         runs = list(dict.fromkeys(run for folder in folders for run in runs_of(folder)))
-    from pmabench.analysis.results import AGREEMENT
+    from pmabench.store.analyses.results import AGREEMENT
 
     analyses = [analysis for analysis in analyses if analysis.kind != AGREEMENT]
     known = len({run for analysis in analyses for run in analysis.runs}) == len(runs)

@@ -15,8 +15,8 @@ from pmabench.files.shipped import find_file
 from pmabench.report.terminal import print_grid
 
 if TYPE_CHECKING:
-    from pmabench.analysis.results import Analysis, Finding
     from pmabench.analysis.verdict.life import Past, References, Series, Use
+    from pmabench.store.analyses.results import Analysis, Finding
     from pmabench.store.catalogue import Row
     from pmabench.store.records import RunData
 
@@ -64,7 +64,7 @@ def command(ui: Ui, specimen: str, folder: Path, output: Path | None) -> int | N
 
 
 def _note(text: str) -> Finding:
-    from pmabench.analysis.results import Finding
+    from pmabench.store.analyses.results import Finding
 
     return Finding("note", text)
 

@@ -14,7 +14,7 @@ from pmabench.base.errors import InvalidFile, UsageError, invalid
 from pmabench.cli.common import Ui, common
 
 if TYPE_CHECKING:
-    from pmabench.analysis.results import Analysis
+    from pmabench.store.analyses.results import Analysis
     from pmabench.store.records import RunData
 
 

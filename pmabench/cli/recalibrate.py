@@ -14,8 +14,8 @@ from pmabench.base.errors import UsageError
 from pmabench.cli.common import Ui, common, fields, login_name, read_quantity
 
 if TYPE_CHECKING:
-    from pmabench.analysis.results import Analysis
     from pmabench.analysis.verdict.comparison import Change
+    from pmabench.store.analyses.results import Analysis
     from pmabench.store.reader import NewScale, Recalibration
     from pmabench.store.records import RunData
 
@@ -168,7 +168,7 @@ def _described(before: Sequence[RunData], after: Sequence[RunData], anew: Recali
 
 def _marked(analysis: Analysis, channels: Sequence[dict[str, Any]]) -> Analysis:
     """The analysis, which says that its samples were not taken as they were recorded."""
-    from pmabench.analysis.results import Finding
+    from pmabench.store.analyses.results import Finding
 
     said = [Finding("note", f"recalibrated after the fact, {channel['sentence']}") for channel in channels]
     facts = {**analysis.facts, "recalibrated": [dict(channel) for channel in channels]}

@@ -13,9 +13,9 @@ from pmabench.base.errors import UsageError
 from pmabench.cli.common import Ui, common
 
 if TYPE_CHECKING:
-    from pmabench.analysis.results import Analysis
     from pmabench.report.document.kept_page import Page
     from pmabench.report.figures.overlays import Published
+    from pmabench.store.analyses.results import Analysis
     from pmabench.store.records import RunData
 
 

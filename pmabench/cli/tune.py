@@ -20,11 +20,11 @@ from pmabench.cli.common import Ui, common, read_quantity
 from pmabench.report.terminal import print_grid
 
 if TYPE_CHECKING:
-    from pmabench.analysis.results import Analysis, Estimate
     from pmabench.analysis.tuning import Gains
     from pmabench.base.kind import Kind
     from pmabench.model.loop import Loop
     from pmabench.model.rules.record import Rule
+    from pmabench.store.analyses.results import Analysis, Estimate
 
 
 @click.command(name="tune")
@@ -168,7 +168,7 @@ def _reduced(ui: Ui, runs: tuple[Path, ...]) -> Analysis:
 
 def _ultimate_text(gain: Estimate, period: Estimate) -> str:
     """Operating point, K_u and T_u with their intervals, and where they come from."""
-    from pmabench.analysis.results import POINT_QUANTITIES
+    from pmabench.store.analyses.results import POINT_QUANTITIES
 
     names = [name for name in POINT_QUANTITIES if name in gain.at]
     where = ", ".join(f"{name} {show(gain.at[name], POINT_QUANTITIES[name])}" for name in names)
@@ -181,7 +181,7 @@ def _ultimate_text(gain: Estimate, period: Estimate) -> str:
 
 
 def _gain(ui: Ui, text: str) -> Estimate:
-    from pmabench.analysis.results import Estimate
+    from pmabench.store.analyses.results import Estimate
 
     value, bare = _quantity("--ku", text, "gain", 1e-30)
     if not bare:
@@ -193,7 +193,7 @@ def _gain(ui: Ui, text: str) -> Estimate:
 
 
 def _time(ui: Ui, text: str) -> Estimate:
-    from pmabench.analysis.results import Estimate
+    from pmabench.store.analyses.results import Estimate
 
     value, bare = _quantity("--tu", text, "time", 1e-6)
     if bare:

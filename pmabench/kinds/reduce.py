@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import Any
 
 from pmabench.analysis.imported import without_doubtful
-from pmabench.analysis.results import POINT_QUANTITIES, Analysis, Estimate
 from pmabench.analysis.shared.samples import with_motion
 from pmabench.analysis.shared.trials import repeat_traces
 from pmabench.analysis.verdict.acceptance import Pairs, not_accepted
@@ -18,6 +17,7 @@ from pmabench.base.errors import did_you_mean, invalid
 from pmabench.base.kind import Result
 from pmabench.base.quantities import show
 from pmabench.kinds import registry
+from pmabench.store.analyses.results import POINT_QUANTITIES, Analysis, Estimate
 from pmabench.store.records import RunData
 
 MOST_REASONS = 3

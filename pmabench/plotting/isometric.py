@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from pmabench.analysis.results import Analysis, Trace
 from pmabench.plotting import plots
 from pmabench.plotting.pictures import (
     Picture,
@@ -19,6 +18,7 @@ from pmabench.plotting.pictures import (
     spread,
 )
 from pmabench.plotting.wording import shown
+from pmabench.store.analyses.results import Analysis, Trace
 
 PANELS = 9
 """Most panels."""

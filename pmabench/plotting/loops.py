@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pmabench.analysis.results import Analysis, Trace
 from pmabench.plotting import plots, time_plots
 from pmabench.plotting.pictures import Picture, bound, has, head, label, numbers, panel, picture, reach, spread, unit_of
 from pmabench.plotting.plots import Panel
 from pmabench.plotting.wording import clean, shown
+from pmabench.store.analyses.results import Analysis, Trace
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pmabench.analysis.results import Analysis, Trace
 from pmabench.plotting import time_plots
 from pmabench.plotting.pictures import (
     Picture,
@@ -42,6 +41,7 @@ from pmabench.plotting.plots import (
     grid,
     legend_above,
 )
+from pmabench.store.analyses.results import Analysis, Trace
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

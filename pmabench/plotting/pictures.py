@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from pmabench.analysis.results import Analysis, Estimate, Trace
 from pmabench.plotting import plots
 from pmabench.plotting.frame import Frame
 from pmabench.plotting.plots import Array, Panel
 from pmabench.plotting.svg import drawing, to_svg
 from pmabench.plotting.wording import COLUMNS, Shown, clean, shown
+from pmabench.store.analyses.results import Analysis, Estimate, Trace
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

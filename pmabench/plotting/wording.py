@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from decimal import Decimal
 from math import floor, isfinite, log10
 
-from pmabench.analysis.results import POINT_QUANTITIES
 from pmabench.base.quantities import QUANTITIES
 from pmabench.base.text import clean as clean
+from pmabench.store.analyses.results import POINT_QUANTITIES
 
 _LABELS = {
     "pressure": "P",

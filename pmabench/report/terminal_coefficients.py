@@ -6,12 +6,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from pmabench.analysis.results import AGREEMENT, Analysis, Estimate
 from pmabench.base.kind import Result
 from pmabench.plotting.wording import POINTS, clean, in_order, point_text, spoken, symbol_text
 from pmabench.report.document.tables import pivot_table, whole_table
 from pmabench.report.terminal import print_grid
 from pmabench.report.words import declared, kind_title
+from pmabench.store.analyses.results import AGREEMENT, Analysis, Estimate
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -6,10 +6,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from operator import attrgetter
 
-from pmabench.analysis.results import AGREEMENT, Analysis, Curve, Estimate
 from pmabench.base.kind import Result
 from pmabench.base.text import clean
 from pmabench.kinds import registry
+from pmabench.store.analyses.results import AGREEMENT, Analysis, Curve, Estimate
 
 
 def declared(analyses: Iterable[Analysis]) -> dict[str, Result]:

@@ -18,8 +18,8 @@ from pmabench.base.text import clean
 from pmabench.plotting.svg import symbol_parts
 
 if TYPE_CHECKING:
-    from pmabench.analysis.results import Finding
     from pmabench.plotting.pictures import Picture
+    from pmabench.store.analyses.results import Finding
 
 
 @contextmanager

@@ -14,11 +14,11 @@ from math import ceil
 import numpy as np
 from scipy.stats import beta
 
-from pmabench.analysis.results import Estimate
 from pmabench.kinds.contraction_relaxation.reduction import estimates_of, pool, reduce
 from pmabench.kinds.contraction_relaxation.trials import gather
 from pmabench.model.plant import Plant
 from pmabench.model.regulator import constant
+from pmabench.store.analyses.results import Estimate
 from pmabench.store.records import Array, Command, RunData, TrialData
 from tests.analysis.simulate import LOADS, RATE, UNITS, _run, rig
 from tests.analysis.test_contraction import SERRES

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pmabench.analysis.results import Analysis
 from pmabench.engine.laws.gain_steps import GainSteps
 from pmabench.engine.laws.relay import Relay
 from pmabench.kinds.arm_angle import reduction as arm_angle
@@ -19,6 +18,7 @@ from pmabench.kinds.recorded_sine import reduction as recorded_sine
 from pmabench.kinds.recorded_step import reduction as recorded_step
 from pmabench.kinds.step_displacement import reduction as step_displacement
 from pmabench.kinds.ultimate_gain import reduction as ultimate_gain
+from pmabench.store.analyses.results import Analysis
 from pmabench.store.records import ChannelInfo, Command, RunData, TrialData
 from tests.judge import arm, closed, displaced, free, held, loop, placed, rung, sines
 from tests.judge.record import Trial, Truth

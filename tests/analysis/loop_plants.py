@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 from scipy.optimize import brentq
 
-from pmabench.analysis.results import Analysis
 from pmabench.engine.laws.gain_steps import GainSteps
 from pmabench.engine.laws.relay import Relay
 from pmabench.kinds.ultimate_gain.reduction import reduce
 from pmabench.model.plant import Plant
 from pmabench.model.presets import Overrides, preset
 from pmabench.model.regulator import constant
+from pmabench.store.analyses.results import Analysis
 from pmabench.store.records import Command, TrialData
 from tests.analysis.loop_rig import TS, as_run, as_trial
 from tests.analysis.test_ultimate_gain import theory

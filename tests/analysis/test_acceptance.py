@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import pytest
 
-from pmabench.analysis.results import Analysis, Curve, Estimate, Parts, withhold
 from pmabench.analysis.verdict.acceptance import limits_of
 from pmabench.kinds.reduce import verdicts
 from pmabench.store.analyses.folder import read_analysis, write_analysis
+from pmabench.store.analyses.results import Analysis, Curve, Estimate, Parts, withhold
 from tests.analysis.loop_rig import as_run
 
 PLACE = "cr.yaml:7"

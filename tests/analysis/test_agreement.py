@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import pytest
 
-from pmabench.analysis.results import Analysis, Estimate, Parts
 from pmabench.kinds.reduce import compared, verdicts
 from pmabench.report.words import described
+from pmabench.store.analyses.results import Analysis, Estimate, Parts
 from tests.report.samples import render
 
 

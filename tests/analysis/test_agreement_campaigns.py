@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pmabench.analysis.results import Analysis
 from pmabench.kinds.reduce import reduce_runs, verdicts
+from pmabench.store.analyses.results import Analysis
 from pmabench.store.records import RunData
 from tests.analysis.driven_runs import recorded
 from tests.analysis.simulate import LOADS, contraction_run, rig, static_run

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pmabench.analysis.results import Analysis, Estimate, Parts, Trace
 from pmabench.kinds.reduce import compared
+from pmabench.store.analyses.results import Analysis, Estimate, Parts, Trace
 
 P, F_CE, K, B, RUBS = 3e5, 275.0, 6773.0, 1900.0, 6.0
 START = 10e-3

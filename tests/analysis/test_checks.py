@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pmabench.analysis.results import Analysis
 from pmabench.analysis.verdict.checks import (
     Check,
     Repeats,
@@ -20,6 +19,7 @@ from pmabench.analysis.verdict.checks import (
 )
 from pmabench.kinds.contraction_relaxation import reduction as contraction
 from pmabench.kinds.registry import all_kinds, kind_of
+from pmabench.store.analyses.results import Analysis
 from tests.analysis.loop_rig import as_run
 from tests.analysis.simulate import contraction_run, rig
 from tests.analysis.sine_rig import Muscle51

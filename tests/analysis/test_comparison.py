@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pmabench.analysis.results import PUBLISHED, Analysis, Curve, Estimate, Parts, Source
 from pmabench.analysis.verdict.comparison import Side, compare, named, not_accepted
 from pmabench.base.errors import UsageError
 from pmabench.cli.report_overlays import read_overlays
 from pmabench.kinds.contraction_relaxation import reduction as contraction
 from pmabench.kinds.contraction_relaxation.trials import gather
 from pmabench.report.figures.overlays import with_published
+from pmabench.store.analyses.results import PUBLISHED, Analysis, Curve, Estimate, Parts, Source
 from tests.analysis.coverage_study import CHANNELS, campaign
 from tests.analysis.simulate import contraction_run, rig
 

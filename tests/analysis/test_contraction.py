@@ -10,9 +10,9 @@ from functools import cache
 import numpy as np
 import pytest
 
-from pmabench.analysis.results import Analysis, Estimate
 from pmabench.kinds.contraction_relaxation.reduction import reduce
 from pmabench.model.curve import Curve
+from pmabench.store.analyses.results import Analysis, Estimate
 from pmabench.store.records import Flag, RunData, TrialData
 from tests.analysis.simulate import LOADS, PRESSURES, Rig, contraction_run, rig
 

@@ -11,8 +11,8 @@ from collections.abc import Iterable
 import numpy as np
 import pytest
 
-from pmabench.analysis.results import Analysis
 from pmabench.kinds.contraction_relaxation.reduction import reduce
+from pmabench.store.analyses.results import Analysis
 from tests.analysis.simulate import PRESSURES, contraction_run, rig
 from tests.analysis.test_contraction import PAPER0, SERRES, of
 

@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import pytest
 
-from pmabench.analysis.results import Analysis, Curve, Estimate
 from pmabench.base.kind import Result
 from pmabench.base.quantities import QUANTITIES
 from pmabench.kinds.reduce import results_of
 from pmabench.kinds.registry import all_kinds
 from pmabench.report.words import in_common
+from pmabench.store.analyses.results import Analysis, Curve, Estimate
 
 STIFF = Result("K", "stiffness", "stiffness", headline=True)
 K = Estimate("K", 6.5e3, "N/m", "stiffness", "m", {"pressure": 3e5})

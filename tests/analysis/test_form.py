@@ -12,7 +12,6 @@ from functools import cache
 import numpy as np
 import pytest
 
-from pmabench.analysis.results import Analysis
 from pmabench.kinds.contraction_relaxation.departures import causes, order
 from pmabench.kinds.contraction_relaxation.drift import weighed
 from pmabench.kinds.contraction_relaxation.intervals import Pooled
@@ -20,6 +19,7 @@ from pmabench.kinds.contraction_relaxation.reduction import pool, reduce
 from pmabench.kinds.contraction_relaxation.trials import Campaign, gather
 from pmabench.kinds.contraction_relaxation.view import findings
 from pmabench.kinds.reduce import verdicts
+from pmabench.store.analyses.results import Analysis
 from pmabench.store.records import Event, RunData, TrialData
 from tests.analysis.judged import as_run
 from tests.analysis.simulate import LOADS, PRESSURES, contraction_run, rig

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pmabench.analysis.results import Analysis, Estimate, Parts
 from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.student import mean_over
 from pmabench.base.kind import Result
@@ -22,6 +21,7 @@ from pmabench.kinds.reduce import compared
 from pmabench.kinds.sinusoidal_displacement import reduction as sine
 from pmabench.kinds.static_load import reduction as static_load
 from pmabench.kinds.ultimate_gain import reduction as ultimate_gain
+from pmabench.store.analyses.results import Analysis, Estimate, Parts
 from pmabench.store.reader import open_run
 from pmabench.store.records import RunData, TrialData
 from tests.analysis.loop_rig import as_run

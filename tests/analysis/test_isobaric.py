@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pmabench.analysis.results import Analysis
 from pmabench.analysis.shared.ramp_loop import turns_of
 from pmabench.kinds.isobaric_ramp.reduction import fit, reduce, rubber_force
+from pmabench.store.analyses.results import Analysis
 from pmabench.store.records import Flag, RunData
 from tests.analysis.driven_runs import recorded
 from tests.analysis.test_honesty import unexplained

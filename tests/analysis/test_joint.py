@@ -8,10 +8,10 @@ from functools import cache, partial
 import numpy as np
 import pytest
 
-from pmabench.analysis.results import Analysis
 from pmabench.base.errors import UsageError
 from pmabench.kinds.contraction_relaxation.joint import asked, order_of
 from pmabench.kinds.contraction_relaxation.reduction import reduce
+from pmabench.store.analyses.results import Analysis
 from pmabench.store.records import RunData
 from tests.analysis.coverage_study import hits, judged_by, table
 from tests.analysis.simulate import contraction_run, rig

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import pytest
 
-from pmabench.analysis.results import Analysis, Estimate, Parts
 from pmabench.analysis.verdict.life import (
     Past,
     References,
@@ -17,6 +16,7 @@ from pmabench.analysis.verdict.life import (
     series_of,
     use_of,
 )
+from pmabench.store.analyses.results import Analysis, Estimate, Parts
 from pmabench.store.records import Event
 
 

@@ -10,7 +10,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from pmabench.analysis.results import Analysis
+from pmabench.store.analyses.results import Analysis
 from tests.analysis.loop_plants import Case
 from tests.analysis.test_ultimate_gain import texts
 

@@ -11,13 +11,13 @@ import pytest
 from click.testing import CliRunner
 from scipy.optimize import brentq
 
-from pmabench.analysis.results import Analysis
 from pmabench.cli.main import main
 from pmabench.cli.prepare import prepare
 from pmabench.engine.operator import ConfirmedBeforehand
 from pmabench.engine.run import run_plan
 from pmabench.kinds.reduce import reduce_runs
 from pmabench.kinds.ultimate_gain.model_gain import by_model, kink
+from pmabench.store.analyses.results import Analysis
 from pmabench.store.reader import open_run
 from tests.analysis.test_open_loop import paper0
 from tests.analysis.test_ultimate_gain import theory

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from pmabench.analysis.results import Analysis, Estimate
 from pmabench.analysis.shared.samples import with_motion
 from pmabench.kinds.reduce import reduce_runs
+from pmabench.store.analyses.results import Analysis, Estimate
 from pmabench.store.reader import open_run
 from pmabench.store.records import RunData, TrialData
 from tests.display.recorded import Recorded

@@ -13,7 +13,6 @@ import pytest
 from click.testing import CliRunner
 from scipy.optimize import brentq
 
-from pmabench.analysis.results import Analysis
 from pmabench.analysis.trial import Quick
 from pmabench.cli.main import main
 from pmabench.cli.prepare import prepare
@@ -23,6 +22,7 @@ from pmabench.engine.run import run_plan
 from pmabench.kinds.ultimate_gain.open_loop import examine
 from pmabench.kinds.ultimate_gain.reduction import reduce
 from pmabench.model.loop import ultimate
+from pmabench.store.analyses.results import Analysis
 from pmabench.store.reader import open_run
 from pmabench.store.records import RunData
 from tests.analysis.test_ultimate_gain import texts, theory

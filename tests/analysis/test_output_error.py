@@ -17,7 +17,6 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import curve_fit
 
 import pmabench
-from pmabench.analysis.results import Analysis
 from pmabench.analysis.shared.samples import Noise, Samples
 from pmabench.cli.main import main
 from pmabench.kinds.contraction_relaxation import output_error
@@ -27,6 +26,7 @@ from pmabench.kinds.contraction_relaxation.reduction import pool, reduce
 from pmabench.kinds.contraction_relaxation.segments import Gate, cut
 from pmabench.kinds.contraction_relaxation.stretch import answers
 from pmabench.kinds.contraction_relaxation.trials import gather
+from pmabench.store.analyses.results import Analysis
 from pmabench.store.records import RunData, TrialData
 from tests.analysis.coverage_study import hits, judged_by, table
 from tests.analysis.simulate import contraction_run, rig

@@ -14,11 +14,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pmabench.analysis.results import Analysis, Curve, Estimate
 from pmabench.base.errors import InvalidFile, UsageError
 from pmabench.kinds.contraction_relaxation.curves import compare_orders, curve, least, normal_of
 from pmabench.kinds.contraction_relaxation.paper1 import DRIVEN, KIND, METHODS, reduce
 from pmabench.kinds.reduce import reduce_runs
+from pmabench.store.analyses.results import Analysis, Curve, Estimate
 from pmabench.store.records import Array, ChannelInfo, ClockInfo, Command, Flag, RunData, TrialData
 
 PRESSURES = np.array([1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 4.5, 5.0, 5.5, 6.0]) * 1e5

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pmabench.analysis.results import Analysis, Estimate
 from pmabench.engine.laws.position_loop import PositionLoop
 from pmabench.kinds.positioning.reduction import reduce
 from pmabench.kinds.positioning.response import Cycle, cycle_of, respond
 from pmabench.model.overrides import Overrides
 from pmabench.model.presets import Described, preset
+from pmabench.store.analyses.results import Analysis, Estimate
 from pmabench.store.records import Array, TrialData
 from tests.analysis.loop_rig import TS, Plant51, as_run, as_trial
 

@@ -1,7 +1,7 @@
 """What the record of a run has against its results is repeated by every analysis of it."""
 
-from pmabench.analysis.results import Analysis
 from pmabench.analysis.verdict.checks import with_record
+from pmabench.store.analyses.results import Analysis
 from pmabench.store.reader import open_run
 from tests.store.runs import closed
 

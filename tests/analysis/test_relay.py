@@ -9,11 +9,11 @@ from typing import Any
 
 import pytest
 
-from pmabench.analysis.results import Analysis
 from pmabench.engine.laws.relay import Relay
 from pmabench.kinds.ultimate_gain.reduction import reduce
 from pmabench.kinds.ultimate_gain.relay_levels import examine
 from pmabench.kinds.ultimate_gain.ways import findings as ways
+from pmabench.store.analyses.results import Analysis
 from pmabench.store.records import TrialData
 from tests.analysis.loop_plants import Case
 from tests.analysis.loop_rig import LinearPlant, Plant51, as_run, as_trial, close_loop

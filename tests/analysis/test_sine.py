@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pmabench.analysis.results import Analysis
 from pmabench.kinds.sinusoidal_displacement.reduction import reduce
 from pmabench.model.driven import Actuator, DrivenPlant
 from pmabench.model.presets import preset
 from pmabench.model.regulator import constant, sine
+from pmabench.store.analyses.results import Analysis
 from pmabench.store.records import ChannelInfo, Flag, TrialData
 from tests.analysis.loop_rig import as_run
 from tests.analysis.sine_rig import Muscle51, value

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from pmabench.analysis.results import Analysis
 from pmabench.kinds.reduce import verdicts
 from pmabench.kinds.sinusoidal_displacement.reduction import reduce
+from pmabench.store.analyses.results import Analysis
 from pmabench.store.records import TrialData
 from tests.analysis.driven_runs import recorded
 from tests.analysis.loop_rig import as_run

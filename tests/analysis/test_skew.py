@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pmabench.analysis.results import Analysis, Estimate
 from pmabench.kinds.contraction_relaxation import reduction as contraction
 from pmabench.kinds.sinusoidal_displacement import reduction as sine
 from pmabench.kinds.ultimate_gain.reduction import reduce as reduce_gain
+from pmabench.store.analyses.results import Analysis, Estimate
 from pmabench.store.records import ChannelInfo, ClockInfo, RunData, TrialData
 from tests.analysis.loop_rig import as_run
 from tests.analysis.simulate import contraction_run, rig

@@ -14,10 +14,10 @@ from functools import cache, partial
 import numpy as np
 import pytest
 
-from pmabench.analysis.results import Estimate
 from pmabench.kinds.contraction_relaxation.intervals import NORMAL, Pooled
 from pmabench.kinds.contraction_relaxation.reduction import estimates_of, pool
 from pmabench.kinds.contraction_relaxation.trials import gather
+from pmabench.store.analyses.results import Estimate
 from pmabench.store.records import Event, RunData, TrialData
 from tests.analysis.coverage_study import CHANNELS, WATCHED, campaign
 from tests.analysis.test_contraction import SERRES

@@ -8,9 +8,9 @@ from functools import cache
 import numpy as np
 import pytest
 
-from pmabench.analysis.results import Analysis
 from pmabench.kinds.reduce import reduce_runs
 from pmabench.kinds.static_load.reduction import reduce
+from pmabench.store.analyses.results import Analysis
 from pmabench.store.records import RunData, TrialData
 from tests.analysis.simulate import LOADS, contraction_run, rig, static_run
 

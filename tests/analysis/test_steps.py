@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pmabench.analysis.results import Estimate, Parts
 from pmabench.analysis.shared.samples import dead_times, onset
 from pmabench.kinds.contraction_relaxation.curves import curve, polynomial
 from pmabench.kinds.contraction_relaxation.exponentials import exponential, regress, stiffness
+from pmabench.store.analyses.results import Estimate, Parts
 
 T = np.arange(0, 10, 0.002)
 

@@ -7,11 +7,11 @@ from math import degrees
 
 import pytest
 
-from pmabench.analysis.results import Estimate, Parts
 from pmabench.analysis.tuning import facts, plausibility, rules_named, tune
 from pmabench.base.quantities import QUANTITIES
 from pmabench.model.loop import Loop, ultimate
 from pmabench.model.rules.record import all_rules
+from pmabench.store.analyses.results import Estimate, Parts
 
 
 def pair(

@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pmabench.analysis.results import Analysis, Estimate
 from pmabench.engine.laws.gain_steps import GainSteps
 from pmabench.kinds.ultimate_gain.reduction import reduce
 from pmabench.model.plant import Plant
 from pmabench.model.presets import Overrides, preset
 from pmabench.model.regulator import constant
+from pmabench.store.analyses.results import Analysis, Estimate
 from pmabench.store.records import TrialData
 from tests.analysis.loop_rig import TS, B_c_of, B_r_of, K_of, LinearPlant, Plant51, as_run, as_trial, close_loop
 

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pmabench.analysis.results import Analysis, Estimate
 from pmabench.kinds.validation.reduction import COMMANDED, MEASURED, reduce
 from pmabench.model.curve import Curve
 from pmabench.model.plant import Plant
 from pmabench.model.presets import Described, preset, tabulated_force
 from pmabench.model.regulator import constant
+from pmabench.store.analyses.results import Analysis, Estimate
 from pmabench.store.records import Command, RunData, TrialData
 from tests.analysis.loop_rig import as_run
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from pmabench.analysis.results import Analysis, Dropped, Estimate, Finding, Parts
 from pmabench.kinds.reduce import reduce_runs, verdicts
+from pmabench.store.analyses.results import Analysis, Dropped, Estimate, Finding, Parts
 from pmabench.store.records import RunData
 from tests.analysis.loop_rig import as_run
 from tests.analysis.sine_rig import Muscle51

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from pmabench.analysis.results import Analysis, Estimate, Parts, Trace
 from pmabench.cli.main import main
 from pmabench.store.analyses.folder import write_analysis
+from pmabench.store.analyses.results import Analysis, Estimate, Parts, Trace
 
 EVIL = '<script>alert(1)</script>"\x1b[31m=1+1'
 

@@ -8,11 +8,11 @@ from math import hypot
 import pytest
 from click.testing import CliRunner
 
-from pmabench.analysis.results import Analysis
 from pmabench.base.errors import InvalidFile
 from pmabench.cli.main import main
 from pmabench.report.document.content import content_of
 from pmabench.store.analyses.folder import read_analysis
+from pmabench.store.analyses.results import Analysis
 from pmabench.store.reader import NewScale, Recalibration, open_run, refound
 from tests.benchmarks.archive import write_run
 from tests.report.samples import render

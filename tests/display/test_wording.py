@@ -61,8 +61,8 @@ def test_what_an_event_says(kind, data, told, level):
 
 
 def test_every_coordinate_with_a_unit_is_shown_with_it():
-    from pmabench.analysis.results import POINT_QUANTITIES
     from pmabench.display.wording import POINT, point_text
+    from pmabench.store.analyses.results import POINT_QUANTITIES
 
     counts = {"cycles", "side"}
     assert {*POINT_QUANTITIES} - {*POINT} - counts == {"displacement"}  # a place in a trial, of no trial

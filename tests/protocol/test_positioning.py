@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 from scipy.optimize import brentq
 
-from pmabench.analysis.results import Analysis, Estimate
 from pmabench.base.errors import InvalidFile
 from pmabench.protocol.plan import Plan, Seek, Set
 from pmabench.store.analyses.folder import write_analysis
+from pmabench.store.analyses.results import Analysis, Estimate
 from tests.protocol.test_compile import ROOT, plan
 
 GAINS = "controller.gains"

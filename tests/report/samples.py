@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from pmabench.analysis.results import Analysis, Curve, Dropped, Estimate, Finding, Parts, Trace
 from pmabench.kinds.reduce import results_of
 from pmabench.report.document.content import content_of, page_of
+from pmabench.store.analyses.results import Analysis, Curve, Dropped, Estimate, Finding, Parts, Trace
 from pmabench.store.records import ChannelInfo, Event, RunData, TrialData
 
 PRESSURES = tuple(np.arange(150e3, 501e3, 50e3))

@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pmabench.analysis.results import Trace
 from pmabench.base.errors import InvalidFile
 from pmabench.store.analyses.folder import file_names, read_analysis, runs_of, write_analysis
+from pmabench.store.analyses.results import Trace
 
 from . import samples
 

@@ -4,8 +4,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from pmabench.analysis.results import Analysis, Estimate, Parts, Trace
 from pmabench.report.figures.characteristic_figures import characteristic
+from pmabench.store.analyses.results import Analysis, Estimate, Parts, Trace
 
 PRESSURES = (1e5, 2e5, 3e5, 4e5)
 K = 7000.0

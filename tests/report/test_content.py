@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pmabench.analysis.results import Analysis, Estimate, Finding, Parts, Source, Trace
 from pmabench.report.document.checklist import Issuer
 from pmabench.report.document.content import content_of
 from pmabench.report.document.deviations import deviations
@@ -14,6 +13,7 @@ from pmabench.report.document.front import verdict_of
 from pmabench.report.document.provenance import methods_paragraph
 from pmabench.report.document.special_tables import budget_table, trial_ranges
 from pmabench.report.figures import coefficient_figures
+from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Source, Trace
 from pmabench.store.notes import Note
 from pmabench.store.records import TrialData
 

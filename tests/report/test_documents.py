@@ -10,12 +10,12 @@ import openpyxl
 import pypdf
 import pytest
 
-from pmabench.analysis.results import Parts, Source
 from pmabench.base.errors import UsageError
 from pmabench.report.document.content import content_of
 from pmabench.report.document.deviations import Said
 from pmabench.report.document.pdf import packed, pdf_bytes, write_pdf
 from pmabench.report.document.workbook import workbook_bytes, write_workbook
+from pmabench.store.analyses.results import Parts, Source
 
 from . import samples
 from .test_run_notes import PNG

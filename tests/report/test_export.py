@@ -15,7 +15,6 @@ from click.testing import CliRunner
 from scipy.io import loadmat
 
 import pmabench
-from pmabench.analysis.results import Analysis
 from pmabench.base.errors import UsageError
 from pmabench.base.quantities import QUANTITIES
 from pmabench.cli.main import main
@@ -24,6 +23,7 @@ from pmabench.plotting.svg import GREEK
 from pmabench.report.files.export import FORMATS, export_results, export_run
 from pmabench.report.files.latex import typeset
 from pmabench.report.files.simulator_models import GRAVITY, control_model, mujoco_model, simulated
+from pmabench.store.analyses.results import Analysis
 from tests.store.runs import closed
 
 from . import samples

@@ -13,7 +13,6 @@ import pytest
 from click.testing import CliRunner
 from rich.console import Console
 
-from pmabench.analysis.results import Analysis, Dropped, Estimate, Finding, Parts, Trace
 from pmabench.cli.main import main
 from pmabench.notebook import Results
 from pmabench.plotting.wording import clean
@@ -25,6 +24,7 @@ from pmabench.report.files import latex
 from pmabench.report.files.export import export_results
 from pmabench.report.files.simulator_models import control_model, control_text
 from pmabench.report.terminal_coefficients import print_coefficients
+from pmabench.store.analyses.results import Analysis, Dropped, Estimate, Finding, Parts, Trace
 from pmabench.store.notes import Note, add_note
 from tests.store.runs import begin, record
 

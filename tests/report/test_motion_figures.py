@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from pmabench.analysis.results import Trace
 from pmabench.plotting.motion import over_pressure, residuals
+from pmabench.store.analyses.results import Trace
 
 
 def free_run(noise, name="a"):

@@ -9,7 +9,6 @@ import openpyxl
 import pytest
 from rich.console import Console
 
-from pmabench.analysis.results import Analysis, Estimate, Parts, withhold
 from pmabench.base.kind import Result
 from pmabench.report.document import tables
 from pmabench.report.document.content import content_of, page_of
@@ -19,6 +18,7 @@ from pmabench.report.files.csv_files import write_with_tables
 from pmabench.report.terminal_coefficients import print_coefficients
 from pmabench.report.words import declared, distinct
 from pmabench.store.analyses.folder import read_analysis, write_analysis
+from pmabench.store.analyses.results import Analysis, Estimate, Parts, withhold
 
 from . import samples
 

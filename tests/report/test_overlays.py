@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from pmabench.analysis.results import Analysis, Estimate, Trace
 from pmabench.base.errors import InvalidFile
 from pmabench.cli.main import main
 from pmabench.cli.report_overlays import read_overlays
 from pmabench.report.document.content import content_of
 from pmabench.report.figures.overlays import Published, comparison_table, matchable, with_published
 from pmabench.store.analyses.folder import write_analysis
+from pmabench.store.analyses.results import Analysis, Estimate, Trace
 from tests.report.samples import all_analyses, contraction, render, static_load, truth
 
 P = np.array([1e5, 2e5, 3e5, 4e5, 7e5])

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pmabench.analysis.results import Analysis, Trace
 from pmabench.analysis.shared.trials import repeat_traces
 from pmabench.report.figures.coefficient_figures import repeats
+from pmabench.store.analyses.results import Analysis, Trace
 from tests.report.samples import run
 
 KIND = "contraction-relaxation"

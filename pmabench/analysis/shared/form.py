@@ -12,8 +12,8 @@ from math import hypot, sqrt
 
 import numpy as np
 
-from pmabench.analysis.results import Estimate, Parts, Source, withhold
 from pmabench.analysis.shared import student
+from pmabench.store.analyses.results import Estimate, Parts, Source, withhold
 from pmabench.store.records import Array
 
 MOST_HIDDEN = 0.02

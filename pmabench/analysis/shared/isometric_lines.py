@@ -12,10 +12,10 @@ from math import sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from pmabench.analysis.results import Dropped, Estimate, Parts
 from pmabench.analysis.shared import student
 from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.trials import mean_over_sessions, session_of
+from pmabench.store.analyses.results import Dropped, Estimate, Parts
 from pmabench.store.records import Array, Command, RunData, TrialData
 
 METHOD = "isometric-line"

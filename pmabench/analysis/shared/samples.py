@@ -12,7 +12,7 @@ from math import pi, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from pmabench.analysis.results import Analysis, Finding
+from pmabench.store.analyses.results import Analysis, Finding
 from pmabench.store.records import Array, RunData, TrialData
 
 UNUSABLE_SHARE = 0.02

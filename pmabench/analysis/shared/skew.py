@@ -12,8 +12,8 @@ from itertools import combinations
 
 import numpy as np
 
-from pmabench.analysis.results import Estimate, Finding, Parts
 from pmabench.analysis.shared.calibration import sentences
+from pmabench.store.analyses.results import Estimate, Finding, Parts
 from pmabench.store.records import Array, RunData, TrialData
 
 WIDE = 0.25

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pmabench.analysis.results import POINT_QUANTITIES, Finding, Trace
 from pmabench.analysis.shared.student import mean_with_half
 from pmabench.base.quantities import show
+from pmabench.store.analyses.results import POINT_QUANTITIES, Finding, Trace
 from pmabench.store.records import Array, RunData, TrialData
 
 Members = list[tuple[RunData, TrialData]]

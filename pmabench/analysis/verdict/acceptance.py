@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from pmabench.analysis.results import Analysis, Curve, Estimate
 from pmabench.analysis.verdict.checks import NAMES, checks_of
 from pmabench.base.quantities import QUANTITIES, show
+from pmabench.store.analyses.results import Analysis, Curve, Estimate
 from pmabench.store.records import RunData
 
 MEASURES = {

@@ -13,10 +13,10 @@ from math import hypot, inf, isnan, nan
 
 import numpy as np
 
-from pmabench.analysis.results import Analysis, Estimate, Finding, Parts
 from pmabench.analysis.shared import student
 from pmabench.base.kind import Kind
 from pmabench.base.quantities import show
+from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts
 
 SAME = 1e-6
 """Contractions nearer to each other are one [m]."""

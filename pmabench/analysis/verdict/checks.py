@@ -17,12 +17,12 @@ from math import sqrt
 
 import numpy as np
 
-from pmabench.analysis.results import Analysis, Finding
 from pmabench.analysis.shared import student
 from pmabench.analysis.shared.samples import NotUsable
 from pmabench.base.kind import Kind
 from pmabench.base.quantities import QUANTITIES
 from pmabench.base.text import printable
+from pmabench.store.analyses.results import Analysis, Finding
 from pmabench.store.records import Array, RunData, TrialData
 
 LONGEST = 1000

@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 from math import hypot
 from typing import Any
 
-from pmabench.analysis.results import POINT_QUANTITIES, Analysis, Estimate, Finding, Parts
 from pmabench.base.errors import UsageError
 from pmabench.base.quantities import QUANTITIES, show
+from pmabench.store.analyses.results import POINT_QUANTITIES, Analysis, Estimate, Finding, Parts
 
 
 @dataclass(frozen=True)

@@ -16,11 +16,11 @@ from typing import Any
 
 import numpy as np
 
-from pmabench.analysis.results import POINT_QUANTITIES, Analysis, Estimate, Finding, Parts
 from pmabench.analysis.shared.trials import stroke_of
 from pmabench.analysis.verdict.comparison import Difference, named, percent
 from pmabench.base.kind import Result
 from pmabench.base.quantities import in_words, show
+from pmabench.store.analyses.results import POINT_QUANTITIES, Analysis, Estimate, Finding, Parts
 from pmabench.store.records import Event, RunData
 
 FACTOR = 2.66

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pmabench.analysis.results import Analysis, Trace
 from pmabench.base.quantities import show
 from pmabench.plotting.pictures import Picture, bound, column, has, how_many, label, numbers, panel, picture, spread
 from pmabench.plotting.plots import FULL, INK, PALETTE, QUIET, Panel, blank, few_ticks, grid
+from pmabench.store.analyses.results import Analysis, Trace
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -11,12 +11,12 @@ from dataclasses import replace
 import numpy as np
 from scipy.optimize import least_squares
 
-from pmabench.analysis.results import Estimate, withhold
 from pmabench.analysis.shared.form import Doubt, weighed
 from pmabench.analysis.shared.isometric_lines import spread
 from pmabench.analysis.shared.samples import Left
 from pmabench.base.quantities import show
 from pmabench.kinds.arm_angle.stairs import Loaded
+from pmabench.store.analyses.results import Estimate, withhold
 from pmabench.store.records import Array
 
 LATE = 0.25

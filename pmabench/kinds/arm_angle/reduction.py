@@ -13,7 +13,6 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 from pmabench.analysis.model_fit import ModelFit, fit_model
-from pmabench.analysis.results import Analysis, Estimate, Finding, Parts, withhold
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.form import weighed
 from pmabench.analysis.shared.isometric_lines import spread
@@ -21,6 +20,7 @@ from pmabench.base.quantities import show
 from pmabench.kinds.arm_angle import RESULTS, form, view
 from pmabench.kinds.arm_angle.stairs import Loaded, loads_of
 from pmabench.model.library import MODELS
+from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, withhold
 from pmabench.store.records import Array, RunData
 
 KIND = "arm-angle"

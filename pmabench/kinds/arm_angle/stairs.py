@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from pmabench.analysis.results import Dropped
 from pmabench.analysis.shared.samples import Held, Left, NotUsable, left, noise_of
 from pmabench.base.quantities import show
+from pmabench.store.analyses.results import Dropped
 from pmabench.store.records import Array, RunData, TrialData
 
 LAST = 0.2

@@ -9,10 +9,10 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 from pmabench.analysis.model_fit import ModelFit
-from pmabench.analysis.results import Finding, Trace
 from pmabench.base.quantities import show
 from pmabench.kinds.arm_angle.stairs import Loaded
 from pmabench.model.library import MODELS
+from pmabench.store.analyses.results import Finding, Trace
 from pmabench.store.records import Array
 
 if TYPE_CHECKING:

@@ -7,11 +7,11 @@ from math import degrees
 
 import numpy as np
 
-from pmabench.analysis.results import Analysis, Trace
 from pmabench.base.quantities import show
 from pmabench.plotting import plots
 from pmabench.plotting.pictures import Picture, bound, column, has, how_many, numbers, picture, spread, unit_of
 from pmabench.plotting.plots import Points
+from pmabench.store.analyses.results import Analysis, Trace
 
 NAMES = ("contraction", "volume", "half")
 PRESSURES = 4

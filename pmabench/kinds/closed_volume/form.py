@@ -13,11 +13,11 @@ from math import hypot, sqrt
 
 import numpy as np
 
-from pmabench.analysis.results import Estimate
 from pmabench.analysis.shared.form import Doubt
 from pmabench.analysis.shared.samples import left
 from pmabench.kinds.closed_volume.fit import fit_volume
 from pmabench.kinds.closed_volume.stroke import Gas, Stroke
+from pmabench.store.analyses.results import Estimate
 from pmabench.store.records import Array
 
 SURE = 5.0

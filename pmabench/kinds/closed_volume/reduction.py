@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from pmabench.analysis.results import Analysis, Dropped, Estimate, Finding, Parts, Trace, withhold
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.form import weighed
 from pmabench.analysis.shared.lines import mean_half
@@ -22,6 +21,7 @@ from pmabench.kinds.closed_volume import RESULTS
 from pmabench.kinds.closed_volume.fit import fit_volume, volume_at
 from pmabench.kinds.closed_volume.form import form_of
 from pmabench.kinds.closed_volume.stroke import Gas, Stroke, measure
+from pmabench.store.analyses.results import Analysis, Dropped, Estimate, Finding, Parts, Trace, withhold
 from pmabench.store.records import Array, RunData, TrialData
 
 KIND = "closed-volume"

@@ -18,7 +18,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pmabench.analysis.results import Estimate
 from pmabench.analysis.shared import simulated
 from pmabench.analysis.shared.samples import Samples
 from pmabench.analysis.verdict.checks import Check
@@ -27,6 +26,7 @@ from pmabench.kinds.contraction_relaxation.intervals import NORMAL, Pooled
 from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, prior_of, spread
 from pmabench.kinds.contraction_relaxation.segments import Gate, Segments, velocity
 from pmabench.kinds.contraction_relaxation.trials import Campaign, strokes
+from pmabench.store.analyses.results import Estimate
 from pmabench.store.records import Array, TrialData
 
 WIDE = 0.25

@@ -8,9 +8,9 @@ from math import hypot, log, sqrt
 
 import numpy as np
 
-from pmabench.analysis.results import Curve, Estimate, Parts
 from pmabench.analysis.shared import student
 from pmabench.kinds.contraction_relaxation.intervals import Trust
+from pmabench.store.analyses.results import Curve, Estimate, Parts
 from pmabench.store.records import Array
 
 TERMS = ("intercept", "slope", "quadratic")

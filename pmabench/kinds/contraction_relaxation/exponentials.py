@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from pmabench.analysis.results import Estimate, Finding, Parts
 from pmabench.analysis.shared import skew
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.samples import KINDS, Samples, dead_times
@@ -26,6 +25,7 @@ from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, Fit
 from pmabench.kinds.contraction_relaxation.segments import Gate
 from pmabench.kinds.contraction_relaxation.trials import Campaign
 from pmabench.kinds.contraction_relaxation.values import Further
+from pmabench.store.analyses.results import Estimate, Finding, Parts
 from pmabench.store.records import Array, TrialData
 
 LEAST_STEP = 0.2e-3

@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pmabench.analysis.results import Estimate
 from pmabench.analysis.shared.calibration import Scales
 from pmabench.base.quantities import show
 from pmabench.kinds.contraction_relaxation.departures import Cause, Way, allowed, causes, order
@@ -25,6 +24,7 @@ from pmabench.kinds.contraction_relaxation.intervals import Hiding, Trust
 from pmabench.kinds.contraction_relaxation.pooled import FLOOR, SYMBOLS, Fit, Solved, noise_covariance, prior_of, rms_of
 from pmabench.kinds.contraction_relaxation.segments import Segments
 from pmabench.kinds.contraction_relaxation.trials import Campaign
+from pmabench.store.analyses.results import Estimate
 from pmabench.store.records import Array
 
 MOST_RATIO = 1.2

@@ -20,7 +20,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from pmabench.analysis.results import Parts, Source
 from pmabench.analysis.shared import student
 from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.samples import Noise
@@ -28,6 +27,7 @@ from pmabench.analysis.shared.simulated import Stretches
 from pmabench.kinds.contraction_relaxation.drift import Cause
 from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, Fit, Solved, rms_of
 from pmabench.kinds.contraction_relaxation.segments import Segments
+from pmabench.store.analyses.results import Parts, Source
 from pmabench.store.records import Array
 
 if TYPE_CHECKING:

@@ -19,7 +19,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pmabench.analysis.results import Curve, Estimate, Finding
 from pmabench.analysis.shared.calibration import sentences
 from pmabench.base.errors import UsageError, did_you_mean
 from pmabench.base.quantities import show
@@ -41,6 +40,7 @@ from pmabench.kinds.contraction_relaxation.pooled import (
 from pmabench.kinds.contraction_relaxation.segments import Segments
 from pmabench.kinds.contraction_relaxation.trials import Campaign
 from pmabench.kinds.contraction_relaxation.values import QUANTITY, Further, Solution, values
+from pmabench.store.analyses.results import Curve, Estimate, Finding
 from pmabench.store.records import Array
 
 POLYGON = "polygon"

@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 
-from pmabench.analysis.results import Estimate, Finding
 from pmabench.analysis.shared.samples import Noise
 from pmabench.base.quantities import show
 from pmabench.kinds.contraction_relaxation.intervals import Pooled
@@ -35,6 +34,7 @@ from pmabench.kinds.contraction_relaxation.segments import Segments
 from pmabench.kinds.contraction_relaxation.stretch import Stretch, answers
 from pmabench.kinds.contraction_relaxation.trials import Campaign
 from pmabench.kinds.contraction_relaxation.values import Further, Solution, values
+from pmabench.store.analyses.results import Estimate, Finding
 from pmabench.store.records import Array
 
 MOST_STEPS = 25

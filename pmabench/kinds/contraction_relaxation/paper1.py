@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 
-from pmabench.analysis.results import Analysis, Curve, Dropped, Estimate, Finding, Parts
 from pmabench.analysis.shared import skew
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.samples import Samples
@@ -27,6 +26,7 @@ from pmabench.kinds.contraction_relaxation.curves import compare_orders, curve, 
 from pmabench.kinds.contraction_relaxation.paper1_steps import STILL, Braid, Step, fit_known_force, read
 from pmabench.kinds.contraction_relaxation.segments import moved
 from pmabench.kinds.contraction_relaxation.trials import Campaign, gather
+from pmabench.store.analyses.results import Analysis, Curve, Dropped, Estimate, Finding, Parts
 from pmabench.store.records import Array, RunData
 
 KIND = "contraction-relaxation-paper-1"

@@ -9,13 +9,13 @@ from math import sqrt
 import numpy as np
 from scipy.optimize import brentq
 
-from pmabench.analysis.results import Analysis, Curve, Estimate, Finding, Trace
 from pmabench.base.quantities import show
 from pmabench.kinds.contraction_relaxation.curves import curve
 from pmabench.kinds.contraction_relaxation.paper1_steps import Braid, Step
 from pmabench.kinds.contraction_relaxation.trials import Campaign
 from pmabench.plotting.motion import overlays
 from pmabench.plotting.pictures import Picture
+from pmabench.store.analyses.results import Analysis, Curve, Estimate, Finding, Trace
 from pmabench.store.records import Array
 
 MODEL = "closed form of paper 1"

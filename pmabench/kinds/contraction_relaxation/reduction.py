@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pmabench.analysis.results import Analysis, Curve, Dropped, Estimate, Finding, withhold
 from pmabench.analysis.shared import simulated, skew
 from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.samples import NotUsable, Samples
@@ -28,6 +27,7 @@ from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, Solved, first_
 from pmabench.kinds.contraction_relaxation.segments import Gate, Segments, cut, moved
 from pmabench.kinds.contraction_relaxation.trials import Campaign, gather, strokes
 from pmabench.kinds.contraction_relaxation.values import FEWEST, METHOD, Solution, values
+from pmabench.store.analyses.results import Analysis, Curve, Dropped, Estimate, Finding, withhold
 from pmabench.store.records import Array, RunData
 
 KIND = "contraction-relaxation"

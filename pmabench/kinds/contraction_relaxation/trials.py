@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pmabench.analysis.results import Dropped
 from pmabench.analysis.shared.samples import Noise, Samples
 from pmabench.analysis.shared.skew import STAMPED, apart
 from pmabench.kinds.contraction_relaxation.segments import Gate, noise_of_means, noise_seen, samples_of
+from pmabench.store.analyses.results import Dropped
 from pmabench.store.records import RunData, TrialData
 
 

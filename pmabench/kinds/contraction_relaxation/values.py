@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from pmabench.analysis.results import Analysis, Curve, Estimate, Finding, Parts
 from pmabench.analysis.shared import skew
 from pmabench.analysis.verdict.agreement import Offer, anywhere, at_pressures, everywhere, straight, weighted
 from pmabench.kinds.contraction_relaxation.checks import WIDE
@@ -16,6 +15,7 @@ from pmabench.kinds.contraction_relaxation.intervals import Trust
 from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, Solved
 from pmabench.kinds.contraction_relaxation.segments import Segments
 from pmabench.kinds.contraction_relaxation.trials import Campaign
+from pmabench.store.analyses.results import Analysis, Curve, Estimate, Finding, Parts
 from pmabench.store.records import Array
 
 METHOD = "measured-pressure"

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from pmabench.analysis.results import Estimate, Finding, Trace
 from pmabench.analysis.shared.calibration import Scales
 from pmabench.base.quantities import show
 from pmabench.kinds.contraction_relaxation import checks
@@ -17,6 +16,7 @@ from pmabench.kinds.contraction_relaxation.form import GAIN, ZERO
 from pmabench.kinds.contraction_relaxation.intervals import Pooled, bootstrap
 from pmabench.kinds.contraction_relaxation.segments import ASSUMED_MASS
 from pmabench.kinds.contraction_relaxation.trials import Campaign
+from pmabench.store.analyses.results import Estimate, Finding, Trace
 
 MISFIT = 3.0
 """A residual this many times larger than the channels' noise explains puts the model's form in doubt."""

@@ -10,11 +10,11 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 from pmabench.analysis.model_fit import ModelFit
-from pmabench.analysis.results import Analysis, Finding, Trace
 from pmabench.base.quantities import show
 from pmabench.model.library import MODELS
 from pmabench.plotting.pictures import Picture, bound, has, label, numbers, panel, picture
 from pmabench.plotting.plots import BLUE, CROSSES, HALF, INK, RED, Panel, blank, few_ticks, grid
+from pmabench.store.analyses.results import Analysis, Finding, Trace
 from pmabench.store.records import Array
 
 if TYPE_CHECKING:

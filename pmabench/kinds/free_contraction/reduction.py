@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 
 from pmabench.analysis.model_fit import ModelFit, fit_model
-from pmabench.analysis.results import Analysis, Dropped, Estimate, Finding, Parts, withhold
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.form import Doubt, weighed
 from pmabench.analysis.shared.isometric_lines import spread
@@ -33,6 +32,7 @@ from pmabench.kinds.free_contraction.figures import (
     trace,
 )
 from pmabench.model.library import MODELS
+from pmabench.store.analyses.results import Analysis, Dropped, Estimate, Finding, Parts, withhold
 from pmabench.store.records import Array, RunData, TrialData
 
 KIND = "free-contraction"

@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from pmabench.analysis.results import Estimate, Finding, Parts, Trace
 from pmabench.analysis.shared import skew
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.lines import PROPORTIONAL, Line, mean_half, weighted_line
 from pmabench.analysis.shared.ramp_loop import Loop
 from pmabench.analysis.shared.sine_loop import RECOVERED
 from pmabench.base.quantities import show
+from pmabench.store.analyses.results import Estimate, Finding, Parts, Trace
 from pmabench.store.records import Array, RunData, TrialData
 
 CURVE, RAW, LOCAL = "mean-curve", "mean-curve, turns left in", "mean-curve, local"

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pmabench.analysis.results import Analysis, Trace
 from pmabench.plotting import time_plots
 from pmabench.plotting.pictures import (
     Picture,
@@ -22,6 +21,7 @@ from pmabench.plotting.pictures import (
     spread,
 )
 from pmabench.plotting.wording import shown
+from pmabench.store.analyses.results import Analysis, Trace
 
 PANELS, SPEEDS = 6, 4
 """Most panels, and loops of a panel."""

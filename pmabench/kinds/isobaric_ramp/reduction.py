@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 from scipy.optimize import least_squares
 
-from pmabench.analysis.results import Analysis, Dropped, Estimate, Finding, Parts, Trace
 from pmabench.analysis.shared import skew
 from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.lines import mean_half
@@ -25,6 +24,7 @@ from pmabench.analysis.verdict.agreement import Offer, Place, at_pressures, betw
 from pmabench.base.quantities import show
 from pmabench.kinds.isobaric_ramp import RESULTS
 from pmabench.kinds.isobaric_ramp.cell import CURVE, GAP, LOCAL, Cell, Member
+from pmabench.store.analyses.results import Analysis, Dropped, Estimate, Finding, Parts, Trace
 from pmabench.store.records import Array, RunData
 
 METHOD = "rubber term"

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from pmabench.analysis.imported import flagged_counts, import_findings, rule_of, unusable_because
-from pmabench.analysis.results import Analysis, Curve, Estimate, Finding, Parts, Trace
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.isometric_lines import (
     FEWEST,
@@ -31,6 +30,7 @@ from pmabench.analysis.shared.trials import ONE_SESSION, session_of
 from pmabench.analysis.verdict.agreement import SAME, Offer, Place, between
 from pmabench.base.quantities import show
 from pmabench.kinds.isometric import RESULTS
+from pmabench.store.analyses.results import Analysis, Curve, Estimate, Finding, Parts, Trace
 from pmabench.store.records import RunData
 
 LONGEST_TRACE = 1500

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from pmabench.analysis.results import Analysis, Estimate, Finding, Trace
 from pmabench.analysis.shared.isometric_lines import Used, branches
 from pmabench.base.quantities import show
 from pmabench.kinds.isometric_pressurisation.curve import PHASES, REST, WITHIN
@@ -18,6 +17,7 @@ from pmabench.plotting import plots
 from pmabench.plotting.pictures import Picture, bound, column, has, numbers, picture, unit_of
 from pmabench.plotting.plots import Points
 from pmabench.plotting.wording import shown
+from pmabench.store.analyses.results import Analysis, Estimate, Finding, Trace
 
 LONGEST_TRACE = 1500
 CURVE = 60

@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from pmabench.analysis.results import Analysis, Curve, Estimate, Finding, Parts
 from pmabench.analysis.shared import skew
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.form import Doubt, weighed
@@ -44,6 +43,7 @@ from pmabench.kinds.isometric_pressurisation.sections import (
     corrected,
     given_of,
 )
+from pmabench.store.analyses.results import Analysis, Curve, Estimate, Finding, Parts
 from pmabench.store.records import Array, RunData
 
 KIND = "isometric-pressurisation"

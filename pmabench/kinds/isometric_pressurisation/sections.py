@@ -16,7 +16,6 @@ from math import hypot, sqrt
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from pmabench.analysis.results import Estimate, Parts, Trace
 from pmabench.analysis.shared import skew
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.form import Doubt
@@ -28,6 +27,7 @@ from pmabench.analysis.shared.trials import session_of
 from pmabench.base.quantities import show
 from pmabench.kinds.isometric_pressurisation.curve import Mean
 from pmabench.model.library.contractor import corrected_force
+from pmabench.store.analyses.results import Estimate, Parts, Trace
 from pmabench.store.records import Array
 
 GRID = 50e3

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pmabench.analysis.results import Analysis, Trace
 from pmabench.plotting.pictures import (
     Picture,
     bound,
@@ -36,6 +35,7 @@ from pmabench.plotting.plots import (
     grid,
     legend_above,
 )
+from pmabench.store.analyses.results import Analysis, Trace
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

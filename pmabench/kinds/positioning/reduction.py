@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from pmabench.analysis.results import Analysis, Dropped, Estimate, Finding, Parts, Trace
 from pmabench.analysis.shared import student
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.form import Doubt, weighed
@@ -21,6 +20,7 @@ from pmabench.base.quantities import show
 from pmabench.kinds.positioning import RESULTS
 from pmabench.kinds.positioning.response import Response, respond
 from pmabench.model.presets import Described
+from pmabench.store.analyses.results import Analysis, Dropped, Estimate, Finding, Parts, Trace
 from pmabench.store.records import Array, RunData, TrialData
 
 KIND = "positioning"

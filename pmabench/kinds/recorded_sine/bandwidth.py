@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pmabench.analysis.results import Estimate, Parts
 from pmabench.analysis.shared.calibration import sentences
 from pmabench.analysis.shared.form import change_over
 from pmabench.analysis.shared.lines import mean_half
+from pmabench.store.analyses.results import Estimate, Parts
 from pmabench.store.records import Array
 
 if TYPE_CHECKING:

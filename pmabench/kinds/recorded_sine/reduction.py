@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.analysis.imported import flagged_counts, import_findings, measured, unusable_because
-from pmabench.analysis.results import Analysis, Estimate, Finding, Parts, Trace
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.form import Doubt, weighed
 from pmabench.analysis.shared.lines import mean_half
@@ -23,6 +22,7 @@ from pmabench.base.quantities import show
 from pmabench.kinds.recorded_sine import RESULTS
 from pmabench.kinds.recorded_sine.bandwidth import bandwidth
 from pmabench.kinds.recorded_sine.form import changing, cut_off, other_shape
+from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace
 from pmabench.store.records import Array, Flag, RunData, TrialData
 
 KIND = "recorded-sine"

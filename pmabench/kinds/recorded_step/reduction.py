@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.analysis.imported import flagged_counts, import_findings, measured, unusable_because
-from pmabench.analysis.results import Analysis, Estimate, Finding, Parts, Trace, withhold
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.form import Doubt, weighed
 from pmabench.analysis.shared.samples import LEAST, Held, left, noise_of, nothing_moved, onset
@@ -33,6 +32,7 @@ from pmabench.kinds.recorded_step.motion import (
     free_swings,
     lagged_motions,
 )
+from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace, withhold
 from pmabench.store.records import Array, Flag, RunData, TrialData
 
 KIND = "recorded-step"

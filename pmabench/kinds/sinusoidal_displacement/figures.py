@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from pmabench.analysis.results import Analysis, Trace
 from pmabench.analysis.shared.sine_loop import Sine, along
 from pmabench.base.quantities import show
 from pmabench.kinds.sinusoidal_displacement.fit import Muscle
@@ -25,6 +24,7 @@ from pmabench.plotting.pictures import (
     spread,
 )
 from pmabench.plotting.wording import shown
+from pmabench.store.analyses.results import Analysis, Trace
 from pmabench.store.records import Array
 
 LONGEST_TRACE = 1500

@@ -12,12 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from pmabench.analysis.results import Estimate, Finding, Parts
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.lines import Line, mean_half, weighted_line
 from pmabench.analysis.shared.sine_loop import Sine, replay
 from pmabench.analysis.shared.skew import courses, settled
 from pmabench.base.quantities import show
+from pmabench.store.analyses.results import Estimate, Finding, Parts
 from pmabench.store.records import Array, RunData, TrialData
 
 HARMONIC, WIDTH = "sine-harmonic", "loop-width"

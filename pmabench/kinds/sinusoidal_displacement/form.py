@@ -15,10 +15,10 @@ from math import hypot, inf, pi
 
 import numpy as np
 
-from pmabench.analysis.results import Estimate, Finding, withhold
 from pmabench.analysis.shared.lines import weighted_line
 from pmabench.analysis.shared.sine_loop import Sine
 from pmabench.base.quantities import show
+from pmabench.store.analyses.results import Estimate, Finding, withhold
 
 CLEAR = 2.0
 """A harmonic counts as found where it is so many times the half width of its 95 % interval."""

@@ -18,13 +18,13 @@ from math import hypot, isfinite, nan, pi
 
 import numpy as np
 
-from pmabench.analysis.results import Estimate, Parts, withhold
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.lines import Line, mean_half, weighted_line
 from pmabench.analysis.shared.sine_loop import RECOVERED, Sine, moving
 from pmabench.analysis.shared.skew import settled
 from pmabench.kinds.sinusoidal_displacement.fit import BETWEEN, CYCLES, CYCLES_OF_EACH, NO_REPEATS, Fitted, Member
 from pmabench.kinds.sinusoidal_displacement.form import Form
+from pmabench.store.analyses.results import Estimate, Parts, withhold
 from pmabench.store.records import Array
 
 SINE_MEAN = "sine-mean"

@@ -13,7 +13,6 @@ from math import nan
 
 import numpy as np
 
-from pmabench.analysis.results import Estimate, Finding, Parts, Trace
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.lines import mean_half
 from pmabench.analysis.shared.ramp_loop import on_grid
@@ -21,6 +20,7 @@ from pmabench.analysis.shared.samples import noise_of
 from pmabench.analysis.shared.sine_loop import lagless, moving
 from pmabench.base.quantities import show
 from pmabench.kinds.sinusoidal_displacement.fit import CYCLES, NO_REPEATS, Member, Muscle
+from pmabench.store.analyses.results import Estimate, Finding, Parts, Trace
 from pmabench.store.records import Array
 
 ERROR, SET, MEASURED = "pressure error", "modelled with set pressure", "modelled with measured pressure"

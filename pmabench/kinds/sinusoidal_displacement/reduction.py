@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from pmabench.analysis.results import Analysis, Dropped, Estimate, Finding, Trace
 from pmabench.analysis.shared import skew
 from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.samples import NotUsable
@@ -30,6 +29,7 @@ from pmabench.kinds.sinusoidal_displacement.mean_force import (
     work_estimates,
 )
 from pmabench.kinds.sinusoidal_displacement.pressure import pressure_and_force
+from pmabench.store.analyses.results import Analysis, Dropped, Estimate, Finding, Trace
 from pmabench.store.records import RunData
 
 KIND = "sinusoidal-displacement"

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pmabench.analysis.results import Analysis, Finding, Trace
 from pmabench.base.quantities import show
 from pmabench.kinds.static_load.points import PHASES, Points, pressure_of
 from pmabench.plotting import plots, time_plots
@@ -26,6 +25,7 @@ from pmabench.plotting.pictures import (
 )
 from pmabench.plotting.plots import Panel
 from pmabench.plotting.wording import clean, shown
+from pmabench.store.analyses.results import Analysis, Finding, Trace
 from pmabench.store.records import RunData, TrialData
 
 if TYPE_CHECKING:

@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from pmabench.analysis.results import Dropped
 from pmabench.analysis.verdict.agreement import Offer
+from pmabench.store.analyses.results import Dropped
 from pmabench.store.records import Array, RunData, TrialData
 
 MEAN, LIFT, SET_DOWN = "static-mean", "static-lift", "static-set-down"

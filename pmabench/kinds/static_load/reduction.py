@@ -13,13 +13,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pmabench.analysis.results import Analysis, Curve, Estimate, Finding, Parts
 from pmabench.analysis.shared import student
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.verdict.agreement import SAME, Offer, Place, anywhere, at_pressures, between
 from pmabench.base.quantities import show
 from pmabench.kinds.static_load import RESULTS, figures
 from pmabench.kinds.static_load.points import LIFT, MEAN, SET_DOWN, Points, Stiffness, carried, points_of
+from pmabench.store.analyses.results import Analysis, Curve, Estimate, Finding, Parts
 from pmabench.store.records import Array, RunData
 
 KIND = "static-load"

@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pmabench.analysis.results import Analysis, Dropped, Estimate, Finding, Parts, Trace, withhold
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.form import MOST_HIDDEN, Doubt, change_over, weighed
 from pmabench.analysis.shared.lines import mean_half
@@ -23,6 +22,7 @@ from pmabench.analysis.verdict.agreement import Offer, exactly, values_of, weigh
 from pmabench.base.quantities import show
 from pmabench.kinds.step_displacement import RESULTS
 from pmabench.kinds.step_displacement.relaxation import Relaxation, Steps, filter_of, measure
+from pmabench.store.analyses.results import Analysis, Dropped, Estimate, Finding, Parts, Trace, withhold
 from pmabench.store.records import RunData, TrialData
 
 KIND = "step-displacement"

@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from pmabench.analysis.results import Analysis, Estimate, Finding, Parts
 from pmabench.base.quantities import show
 from pmabench.kinds.ultimate_gain import RESULTS
 from pmabench.kinds.ultimate_gain.open_loop import DAMPING
@@ -20,6 +19,7 @@ from pmabench.model.curve import Curve
 from pmabench.model.loop import SPAN, Loop, loop_at, ultimate
 from pmabench.model.muscle import Muscle
 from pmabench.model.regulator import Regulator
+from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts
 
 METHOD = "model"
 SYMBOLS = ("F_ce", "K", "B_c", "B_r")

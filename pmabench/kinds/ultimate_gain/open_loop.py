@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 
-from pmabench.analysis.results import Estimate, Finding, Parts, Trace
 from pmabench.analysis.shared import skew, student
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.form import Doubt, weighed
@@ -23,6 +22,7 @@ from pmabench.base.quantities import show
 from pmabench.kinds.ultimate_gain.open_loop_fit import Friction, Moved, Regulator, Step, fit
 from pmabench.kinds.ultimate_gain.ways import GainCell
 from pmabench.model.loop import Loop, Ultimate, ultimate
+from pmabench.store.analyses.results import Estimate, Finding, Parts, Trace
 from pmabench.store.records import Array, RunData, TrialData
 
 PHASE = "open-loop"

@@ -18,7 +18,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.analysis import tuning
-from pmabench.analysis.results import Analysis, Dropped, Estimate, Finding, Parts, Trace
 from pmabench.analysis.shared import skew, student
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.base.quantities import show
@@ -29,6 +28,7 @@ from pmabench.kinds.ultimate_gain.open_loop import steps_of
 from pmabench.kinds.ultimate_gain.relay_levels import search_of
 from pmabench.kinds.ultimate_gain.ways import GainCell
 from pmabench.model.loop import Loop
+from pmabench.store.analyses.results import Analysis, Dropped, Estimate, Finding, Parts, Trace
 from pmabench.store.records import Array, RunData, TrialData
 
 KIND = "ultimate-gain"

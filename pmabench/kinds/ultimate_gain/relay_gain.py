@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from pmabench.analysis.results import Estimate, Finding, Parts, Trace
 from pmabench.analysis.shared import skew, student
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.form import Doubt, weighed
@@ -20,6 +19,7 @@ from pmabench.base.quantities import show
 from pmabench.kinds.ultimate_gain.relay_levels import RUBS, RelayFound, RelayLevel, examine, search_of
 from pmabench.kinds.ultimate_gain.ways import DESCRIBED, GainCell
 from pmabench.model.loop import Loop, ultimate
+from pmabench.store.analyses.results import Estimate, Finding, Parts, Trace
 from pmabench.store.records import RunData, TrialData
 
 FITTED = "relay-fit"

@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 from typing import Any, Generic, Protocol, Self, TypeVar
 
 from pmabench.analysis import tuning
-from pmabench.analysis.results import Dropped, Estimate, Finding
 from pmabench.analysis.shared.trials import by_point
 from pmabench.base.quantities import show
 from pmabench.model.loop import Loop
+from pmabench.store.analyses.results import Dropped, Estimate, Finding
 from pmabench.store.records import RunData, TrialData
 
 

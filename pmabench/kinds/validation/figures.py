@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pmabench.analysis.results import Analysis, Trace
 from pmabench.plotting import time_plots
 from pmabench.plotting.pictures import (
     Picture,
@@ -22,6 +21,7 @@ from pmabench.plotting.pictures import (
     spread,
     unit_of,
 )
+from pmabench.store.analyses.results import Analysis, Trace
 
 MOST = 12
 """Most steps."""

@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pmabench.analysis.results import Analysis, Dropped, Estimate, Finding, Parts, Trace
 from pmabench.analysis.shared import student
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.simulated import from_commanded_pressure, from_measured_pressure, model_of
 from pmabench.base.quantities import show
 from pmabench.kinds.validation import RESULTS
 from pmabench.model.presets import Described
+from pmabench.store.analyses.results import Analysis, Dropped, Estimate, Finding, Parts, Trace
 from pmabench.store.records import Array, RunData, TrialData
 
 KIND = "validation"

@@ -9,9 +9,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from pmabench.analysis.results import Analysis, Estimate
 from pmabench.plotting.wording import clean
 from pmabench.report.document.provenance import get
+from pmabench.store.analyses.results import Analysis, Estimate
 from pmabench.store.records import RunData
 
 Answer = tuple[str, str, bool, str]

@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any
 
 from pmabench import __version__
-from pmabench.analysis.results import AGREEMENT, Analysis
 from pmabench.analysis.verdict.acceptance import limits_of
 from pmabench.kinds import registry
 from pmabench.kinds.reduce import verdicts
@@ -37,6 +36,7 @@ from pmabench.report.figures.characteristic_figures import characteristic
 from pmabench.report.figures.figures import front_pictures, kind_pictures
 from pmabench.report.words import described, distinct, kind_title
 from pmabench.report.writing import render, write_file
+from pmabench.store.analyses.results import AGREEMENT, Analysis
 from pmabench.store.folder import plain
 from pmabench.store.records import RunData
 

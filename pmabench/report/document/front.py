@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from pmabench.analysis.results import AGREEMENT, Analysis, Estimate
 from pmabench.plotting import wording
 from pmabench.plotting.frame import Frame
 from pmabench.plotting.wording import WITHHELD, rounded
 from pmabench.report.document import tables
 from pmabench.report.words import declared, is_headline
+from pmabench.store.analyses.results import AGREEMENT, Analysis, Estimate
 from pmabench.store.records import RunData
 
 TILES = 8

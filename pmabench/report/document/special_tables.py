@@ -8,12 +8,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from pmabench.analysis.results import Analysis, Estimate
 from pmabench.analysis.verdict.checks import NAMES, checks_of
 from pmabench.plotting.frame import Frame
 from pmabench.plotting.wording import clean, half_width, number, point_shown, point_text, rounded, shown, symbol_text
 from pmabench.report.document.tables import Table, half_of, is_number, least, mappings, note_text
 from pmabench.report.words import kind_title
+from pmabench.store.analyses.results import Analysis, Estimate
 
 NAMED_ALONE = 0.01
 """Sources with a smaller share of the variance are given as one sum."""

@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from math import radians
 from typing import Any, TypeGuard
 
-from pmabench.analysis.results import AGREEMENT, Analysis, Estimate
 from pmabench.base.kind import Result
 from pmabench.base.quantities import QUANTITIES
 from pmabench.plotting.frame import Frame
@@ -34,6 +33,7 @@ from pmabench.plotting.wording import (
     symbol_text,
 )
 from pmabench.report.words import declared, kind_title
+from pmabench.store.analyses.results import AGREEMENT, Analysis, Estimate
 
 LONGEST_JOINT = 60
 COEFFICIENTS = {"F_ce", "K", "B_c", "B_r", "B"}

@@ -13,7 +13,6 @@ from pathlib import Path
 from textwrap import wrap
 from typing import Any
 
-from pmabench.analysis.results import Analysis
 from pmabench.base.errors import UsageError
 from pmabench.plotting.wording import clean, shown
 from pmabench.report.document.content import Content
@@ -21,6 +20,7 @@ from pmabench.report.document.grids import Grid
 from pmabench.report.files.csv_files import coefficient_rows, curve_rows, estimate_rows, inert
 from pmabench.report.words import kind_title
 from pmabench.report.writing import write_file
+from pmabench.store.analyses.results import Analysis
 
 EPOCH = datetime(2000, 1, 1)
 """What the file says of when it was made: nothing, so that it can be compared."""

@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pmabench.analysis.results import Analysis, Estimate, Trace
 from pmabench.plotting.frame import Frame
 from pmabench.plotting.pictures import Picture, bound, drawable, has, picture
 from pmabench.plotting.plots import FAINT, FULL, INK, PALETTE, Array, blank, few_ticks, grid
 from pmabench.plotting.wording import rounded, shown
+from pmabench.store.analyses.results import Analysis, Estimate, Trace
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

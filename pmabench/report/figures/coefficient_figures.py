@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pmabench.analysis.results import PUBLISHED, Analysis, Curve, Estimate, Trace
 from pmabench.base.kind import Result
 from pmabench.plotting import plots
 from pmabench.plotting.frame import Frame
@@ -28,6 +27,7 @@ from pmabench.plotting.wording import (
 )
 from pmabench.report.document.tables import cell, least
 from pmabench.report.words import declared
+from pmabench.store.analyses.results import PUBLISHED, Analysis, Curve, Estimate, Trace
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pmabench.analysis.results import Analysis, Estimate, Trace
 from pmabench.base.kind import load
 from pmabench.kinds import registry
 from pmabench.plotting import loops as loop_figures
@@ -33,6 +32,7 @@ from pmabench.plotting.plots import FULL, MARKERS, PALETTE, Array, blank, few_ti
 from pmabench.plotting.wording import COLUMNS, clean, in_order, point_shown, point_text, shown
 from pmabench.report.document.tables import cell
 from pmabench.report.figures import characteristic_figures, coefficient_figures
+from pmabench.store.analyses.results import Analysis, Estimate, Trace
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

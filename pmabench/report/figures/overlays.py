@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 
-from pmabench.analysis.results import PUBLISHED, Analysis, Estimate, PublishedPoints, Trace
 from pmabench.base.errors import InvalidFile, Problem
 from pmabench.base.quantities import QUANTITIES
 from pmabench.kinds import registry
@@ -19,6 +18,7 @@ from pmabench.plotting.frame import Frame
 from pmabench.plotting.wording import clean, number, point_shown, rounded, shown
 from pmabench.report.document.provenance import get
 from pmabench.report.figures.coefficient_figures import OVER_PRESSURE
+from pmabench.store.analyses.results import PUBLISHED, Analysis, Estimate, PublishedPoints, Trace
 from pmabench.store.records import Array, RunData
 
 HEADS: tuple[tuple[str, str, tuple[str, ...]], ...] = (

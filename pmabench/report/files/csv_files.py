@@ -11,10 +11,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from pmabench.analysis.results import Analysis, Curve, Estimate
 from pmabench.plotting.wording import POINTS, WITHHELD, clean, in_order, plain_unit, point_shown, shown, symbol_text
 from pmabench.report.writing import writing
 from pmabench.store.analyses.folder import write_analysis
+from pmabench.store.analyses.results import Analysis, Curve, Estimate
 
 FORMULA = tuple("=+-@＝＋－＠")
 """A cell that begins with one of these is a formula to some spreadsheet; the wide ones are East Asian."""

@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from pmabench.analysis.results import POINT_QUANTITIES, Analysis
 from pmabench.base.errors import UsageError
 from pmabench.notebook import Results, Run, estimates_frame, headed, with_unit
 from pmabench.plotting.wording import clean
@@ -27,6 +26,7 @@ from pmabench.report.files.simulator_models import control_model, control_text, 
 from pmabench.report.words import kind_title
 from pmabench.report.writing import write_file, writing
 from pmabench.store.analyses.folder import file_names
+from pmabench.store.analyses.results import POINT_QUANTITIES, Analysis
 from pmabench.store.exported import NAME as RECORD
 from pmabench.store.exported import record_of
 from pmabench.store.folder import plain

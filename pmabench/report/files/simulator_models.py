@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 
 from pmabench import __version__
-from pmabench.analysis.results import Analysis, Trace
 from pmabench.base.errors import UsageError
 from pmabench.plotting.pictures import has
 from pmabench.plotting.wording import clean
+from pmabench.store.analyses.results import Analysis, Trace
 from pmabench.store.records import Array, RunData
 
 

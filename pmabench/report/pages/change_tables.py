@@ -7,12 +7,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pmabench.analysis.results import Estimate
 from pmabench.analysis.verdict.comparison import Change
 from pmabench.plotting.wording import Shown, plain_unit, point_text, shown, symbol_text
 from pmabench.report.files.csv_files import csv_text
 from pmabench.report.terminal import print_grid
 from pmabench.report.writing import write_file
+from pmabench.store.analyses.results import Estimate
 from pmabench.store.folder import plain
 
 if TYPE_CHECKING:

@@ -7,7 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pmabench.analysis.results import PUBLISHED, Analysis
 from pmabench.analysis.verdict import comparison
 from pmabench.analysis.verdict.comparison import Difference, Side, percent
 from pmabench.plotting import plots
@@ -18,6 +17,7 @@ from pmabench.report.figures.coefficient_figures import over_pressure
 from pmabench.report.figures.overlays import Comparison, comparison_table
 from pmabench.report.words import declared
 from pmabench.report.writing import Page, TextTable, write_page
+from pmabench.store.analyses.results import PUBLISHED, Analysis
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

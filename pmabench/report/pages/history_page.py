@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pmabench.analysis.results import Finding
 from pmabench.analysis.verdict.life import Past, References, Series, chosen
 from pmabench.base.quantities import in_words
 from pmabench.plotting import plots
@@ -17,6 +16,7 @@ from pmabench.plotting.pictures import LARGEST, Picture, picture
 from pmabench.plotting.wording import clean, point_text, rounded, shown, symbol_text
 from pmabench.report.words import kind_title
 from pmabench.report.writing import Page, TextTable, write_page
+from pmabench.store.analyses.results import Finding
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
