@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -15,6 +15,7 @@ from pmabench.cli.common import Ui, common, fields, login_name, read_quantity
 
 if TYPE_CHECKING:
     from pmabench.analysis.results import Analysis
+    from pmabench.analysis.verdict.comparison import Change
     from pmabench.store.reader import NewScale, Recalibration
     from pmabench.store.records import RunData
 
@@ -76,9 +77,7 @@ def command(
     who = {"at": now, "operator": operator or login_name(), "because": because.strip()}
     after = [_marked(analysis, channels) for analysis in analyse(changed)]
     found = changes(before, after)
-    for n, analysis in enumerate(after):
-        mine = [one.to_dict() for one in found if (one.kind, one.runs) == (analysis.kind, analysis.runs)]
-        after[n] = replace(analysis, facts={**analysis.facts, "recalibration": {**who, "changes": mine}})
+    after = [_with_changes(analysis, found, who) for analysis in after]
     first = next(run for run in recorded if Path(run.path).resolve() == given[0].resolve())
     folder = out or _free(campaign_folder(Path(first.path).resolve().parent) / "analyses" / f"{first.id}-recalibrated")
     if folder.exists():
@@ -182,3 +181,9 @@ def _free(folder: Path) -> Path:
         number += 1
         free = folder.with_name(f"{folder.name}-{number}")
     return free
+
+
+def _with_changes(analysis: Analysis, found: Sequence[Change], who: Mapping[str, str]) -> Analysis:
+    """The analysis with who asked for it, when and why, and the changes of its coefficients."""
+    mine = [one.to_dict() for one in found if (one.kind, one.runs) == (analysis.kind, analysis.runs)]
+    return replace(analysis, facts={**analysis.facts, "recalibration": {**who, "changes": mine}})

@@ -30,6 +30,8 @@ NARROWEST = 60
 """Curves are drawn from this width on."""
 FIXED = 58
 """Columns of a channel's line without its bar."""
+CLOSING = 12
+"""Lines of trials that stay on the terminal at the end."""
 TALLEST = 16
 """Most lines of the curves."""
 WANTED = (("pause", "will pause"), ("repeat", "will repeat this trial"))
@@ -339,6 +341,6 @@ def _footer(extra: Extra) -> Text | None:
     return Text(extra.footer, FAINT) if extra.footer else None
 
 
-def closing(state: RunState, width: int, most: int = 12) -> list[Text]:
+def closing(state: RunState, width: int) -> list[Text]:
     """The last trials, which stay on the terminal when the picture is closed."""
-    return fill(table := trial_table(state.lines, width, most, spare=1), width, len(table))
+    return fill(table := trial_table(state.lines, width, CLOSING, spare=1), width, len(table))

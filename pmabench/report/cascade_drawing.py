@@ -227,13 +227,13 @@ def come(tip: float, end: float, y: float) -> str:
     return f"M{px(end)} {px(y)}H{px(tip)}M{barb} {px(y - 0.6 * head)}L{px(tip)} {px(y)}L{barb} {px(y + 0.6 * head)}"
 
 
-def moments_of(result: Result, count: int = SNAPSHOTS) -> list[float]:
+def moments_of(result: Result) -> list[float]:
     """Times [s] for snapshots, chosen so that about the same motion lies between each and the next."""
     t = np.array(result.time)
     moved = np.abs(np.diff(np.array([link.displacement for link in result.muscles]), axis=1)).sum(axis=0)
     share = moved / (moved.sum() or 1.0) + 0.25 * np.diff(t) / (t[-1] - t[0])
     gone = np.concatenate(([0.0], np.cumsum(share)))
-    rows = np.searchsorted(gone, np.linspace(0, gone[-1], count) * (1 - 1e-12))
+    rows = np.searchsorted(gone, np.linspace(0, gone[-1], SNAPSHOTS) * (1 - 1e-12))
     return [float(t[row]) for row in np.unique(np.minimum(rows, len(t) - 1))]
 
 
