@@ -21,7 +21,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize_scalar
 
 from pmabench.analysis.shared.samples import UNUSABLE_SHARE, NotUsable, noise_of, on_time
 from pmabench.analysis.shared.sine_loop import lost_work
@@ -68,6 +67,8 @@ def turns_of(x: Array, gap: Array, lower: float, upper: float) -> Turns | None:
 
 def _found(x: Array, gap: Array, lower: float, upper: float, order: int) -> Turns | None:
     """The turns beside a gap of a power of `order` over the stroke."""
+    from scipy.optimize import minimize_scalar  # takes long to import, and most kinds have no ramps
+
     z = (2 * x - lower - upper) / (upper - lower)
     powers = [z**k for k in range(order + 1)]
 

@@ -8,15 +8,15 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import inf
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
 from pmabench.analysis.shared.samples import Noise, Samples
-from pmabench.model.pid import PID
-from pmabench.model.presets import Described
-from pmabench.model.regulator import constant
 from pmabench.store.records import Array, RunData, TrialData
+
+if TYPE_CHECKING:  # plants import scipy, which takes longer than a reduction that needs none
+    from pmabench.model.presets import Described
 
 SUBSTEPS = 2
 """Integration steps from sample to sample."""
@@ -195,6 +195,8 @@ class _Coefficients:
 
 def model_of(run: RunData) -> Described | None:
     """The model in a run's plan; None where it has none."""
+    from pmabench.model.presets import Described
+
     model = (run.plan.get("settings") or {}).get("model")
     return Described.of(model) if isinstance(model, Mapping) else None
 
@@ -235,6 +237,8 @@ def from_commanded_pressure(model: Described, trial: TrialData, origin: float = 
 
     It rests at `origin` [m] before.
     """
+    from pmabench.model.regulator import constant
+
     load, mass = load_of(trial)
     start = float(trial.t[0])
     plant = model.plant(load, mass)
@@ -259,6 +263,9 @@ def closed_loop(model: Described, trial: TrialData, law: Mapping[str, Any], peri
 
     `law` is what the law `pid` wrote down. Before, it rests without pressure at `origin` [m].
     """
+    from pmabench.model.pid import PID
+    from pmabench.model.regulator import constant
+
     load, mass = load_of(trial)
     begin, end = float(law["t0"]), float(law["t1"])
     controller = PID(
