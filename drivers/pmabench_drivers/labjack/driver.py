@@ -270,7 +270,7 @@ class LabJack(ModbusDevice):
                 raise self._error(f"register {address} holds {held} after {words} was written", "watchdog")
         self.put(r.WATCHDOG_CLEAR, r.u32(KEY), deadline, "watchdog")
         self.put(r.WATCHDOG_ENABLE, r.u32(1), deadline, "watchdog")
-        enabled, _advanced, held_time = r.from_u32(self.get(r.WATCHDOG_ENABLE, 6, deadline, "watchdog"))
+        enabled, _advanced, held_time, _delay = r.from_u32(self.get(r.WATCHDOG_ENABLE, 8, deadline, "watchdog"))
         if enabled != 1:
             raise self._error("does not say that it is on", "watchdog")
         return float(held_time)
@@ -288,7 +288,7 @@ class LabJack(ModbusDevice):
 
     def _watchdog_held(self, deadline: float) -> dict[str, float | str]:
         """What the device reports now: its time [s], 0 where it is off; and what it would do, as one text."""
-        enabled, advanced, seconds = r.from_u32(self.get(r.WATCHDOG_ENABLE, 6, deadline, "watchdog"))
+        enabled, advanced, seconds, _delay = r.from_u32(self.get(r.WATCHDOG_ENABLE, 8, deadline, "watchdog"))
         does = [f"61602={advanced:08x}"]
         for address, words in watchdog_settings(self._bench, int(seconds))[1:]:
             held = self.get(address, len(words), deadline, "watchdog")

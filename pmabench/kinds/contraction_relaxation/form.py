@@ -54,6 +54,9 @@ ALONE = 1e-6
 HARDLY = 0.01
 """A column of which less than this share is left is hardly distinguished from the coefficients: its size may be that of
 the columns' noise, and of bends between the knots."""
+INEXACT = 0.1
+"""Share of the effect of a known delay that its first and second order may miss. Another delay is not sized beyond what
+a known one may do at all: the two differ by such small terms only."""
 FEWEST_REPEATS = 10
 """Fewest repetitions in all that tell how much trials scatter by themselves."""
 MOST_NAMED = 3
@@ -291,7 +294,9 @@ def _sizes(
     left = power - np.sum((fit.design.T @ columns) * fit.change(columns), axis=0)
     seen = left > ALONE * np.maximum(power, 1e-300)
     columns, left = columns[:, seen], left[seen]
-    weights = _weights(columns, fit.design, may, float(own.mean()) + scatter)
+    noise = float(own.mean()) + scatter
+    weights = _weights(columns, fit.design, may, noise)
+    unaided = _weights(columns, fit.design, may[:, :0], noise)
     size = fit.residual @ weights
     variance = own @ weights**2 + 2 * (after @ (weights[1:] * weights[:-1]))
     _, trial = np.unique(segments.trial, return_inverse=True)
@@ -301,8 +306,9 @@ def _sizes(
     # noise that is larger than rest shows widens all; what the departure itself explains does not count
     more = (fit.residual @ fit.residual - size**2 * left) / (own.sum() + scatter * len(own) + np.sum(may**2))
     error = np.sqrt(np.maximum(variance, 1e-300) * np.maximum(1.0, more))
-    other = np.sqrt(np.sum((may.T @ weights) ** 2, axis=0))
     kept = [member for member, one in zip(members, seen, strict=True) if one]
+    missed = np.array([1.0 if way.quantity == "time" else INEXACT for _, way in kept])
+    other = np.sqrt(np.sum((may.T @ weights) ** 2 + (missed * (may.T @ unaided)) ** 2, axis=0))
     share = left / power[seen]
     return [Size(*member, *map(float, found)) for member, *found in zip(kept, size, error, other, share, strict=True)]
 
