@@ -11,7 +11,6 @@ from __future__ import annotations
 import json
 import os
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -25,17 +24,11 @@ from pmabench_drivers.mock.client import Link, MockClient, parse_address
 
 from pmabench.base.clock import RealClock
 from pmabench.bench.interface import DeviceRecord
+from tests.ports import free_port
 
 CLIENT = "pmabench_drivers.mock.client:MockClient"
 WITHIN = 20.0
 """How long something that must happen is waited for [s], on a machine that has much else to do."""
-
-
-def free_port() -> int:
-    """A port that nobody listens at now."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 def eventually(what: Callable[[], Any], within: float = WITHIN) -> Any:

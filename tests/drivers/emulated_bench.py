@@ -9,7 +9,7 @@ import sys
 from contextlib import contextmanager, suppress
 
 from pmabench.files.shipped import shipped_folder
-from tests.realtime import free_port
+from tests.ports import free_port
 
 
 def own_bench(tmp_path, name, *changes, session=False):

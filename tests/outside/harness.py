@@ -18,19 +18,16 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
+from tests.ports import free_port
+
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
 PATIENCE = 30.0
 """How long something that must happen is waited for [s], on a machine that has much else to do."""
+PORTS_TRIED = 5
+"""A port that was free may be another program's when the regulator opens it."""
 MARK = "PMABENCH_OUTSIDE_RUN"
 """In the environment of a run and of its guard: which of them it is."""
-
-
-def free_port() -> int:
-    """A port that nobody listens at now."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 def eventually(what: Callable[[], Any], within: float = PATIENCE, so: str = "it") -> Any:
@@ -67,13 +64,16 @@ class Regulator:
 
     def __init__(self, folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
-        self.port, self.other_port, control = free_port(), free_port(), free_port()
-        self.log = folder / f"regulator-{self.port}.jsonl"
-        command = [sys.executable, "-I", str(HERE / "regulator.py")]
-        command += ["--port", str(self.port), "--port", str(self.other_port), "--serial", str(self.port)]
-        command += ["--control", str(control), "--log", str(self.log)]
-        self._process = subprocess.Popen(command)
-        eventually(lambda: self.lines("serve"), so="the regulator serves")
+        for _ in range(PORTS_TRIED):
+            self.port, self.other_port, control = free_port(), free_port(), free_port()
+            self.log = folder / f"regulator-{self.port}.jsonl"
+            command = [sys.executable, "-I", str(HERE / "regulator.py")]
+            command += ["--port", str(self.port), "--port", str(self.other_port), "--serial", str(self.port)]
+            command += ["--control", str(control), "--log", str(self.log)]
+            self._process = subprocess.Popen(command)
+            eventually(lambda: self.lines("serve") or self._process.poll(), so="the regulator serves")
+            if self._process.poll() is None:
+                break
         self._link = socket.create_connection(("127.0.0.1", control), timeout=PATIENCE)
         self._answers = self._link.makefile()
 

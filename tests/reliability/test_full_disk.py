@@ -124,7 +124,7 @@ def filled_at(stack, place, name, instant):
     from pmabench.engine.run import run_plan
     from pmabench.protocol.plan import Hold, Record, Set
     from tests.engine.benches import mounted, plan
-    from tests.realtime import free_port
+    from tests.ports import free_port
 
     steps = (Record("t", True, 0), Set("h", "pressure", 2e5), Hold("h", 0.5), Set("h", "pressure", 1e5))
     test = plan(*steps, Hold("h", 0.2), Record("t", False, 0))

@@ -14,7 +14,7 @@ from pmabench.bench.compile import mount
 from tests.drivers.emulated_bench import ask, emulate
 from tests.drivers.wires.rigs import opened
 from tests.drivers.wires.test_options import SPECIMEN, bench
-from tests.realtime import free_port
+from tests.ports import free_port
 
 pytestmark = pytest.mark.realtime
 
