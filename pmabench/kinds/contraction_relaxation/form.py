@@ -54,6 +54,8 @@ ALONE = 1e-6
 HARDLY = 0.01
 """A column of which less than this share is left is hardly distinguished from the coefficients: its size may be that of
 the columns' noise, and of bends between the knots."""
+HICCUPS = 0.02
+"""Share of the rows of polled devices that answers may displace which came much later than usual: a busy computer."""
 INEXACT = 0.1
 """Share of the effect of a known delay that its first and second order may miss. Another delay is not sized beyond what
 a known one may do at all: the two differ by such small terms only."""
@@ -200,7 +202,8 @@ def examine(campaign: Campaign, segments: Segments, fit: Fit, trust: Trust, nois
     weights = weighed(campaign, order(campaign))
     sizes = [_with_weights(size, weights) for size in _sizes(segments, fit, known, own, after, scatter, may)]
     whole = own + np.sum(may**2, axis=1) + scatter + (NEAR * rms_of(segments.force)) ** 2
-    ratio, free, held_out = _ratio(segments, fit, whole, own, rms_of(noise))
+    late = HICCUPS if any(vars(campaign.late).values()) else 0.0
+    ratio, free, held_out = _ratio(segments, fit, whole, own, rms_of(noise), late)
     pairs = np.flatnonzero(_neighbours(segments))
     expected = after[pairs] + np.sum(may[pairs] * may[pairs + 1], axis=1) + scatter
     product = fit.residual[pairs] * fit.residual[pairs + 1] - expected
@@ -341,18 +344,20 @@ def _with_weights(size: Size, weights: Weighed) -> Size:
     )
 
 
-def _ratio(segments: Segments, fit: Fit, whole: Array, own: Array, expected: float) -> tuple[float, float, bool]:
+def _ratio(
+    segments: Segments, fit: Fit, whole: Array, own: Array, expected: float, late: float
+) -> tuple[float, float, bool]:
     """Rms of what trials are missed by that were left out, over what noise and the fit's own uncertainty make of it;
     degrees of freedom, and whether trials were left out.
 
     Every `FOLDS`-th trial is left out at a time. Only what the others predict as well as one segment is known counts;
     where that is little, the residual of the fit to all. `whole` (n,) [N^2] is the variance of a row, `own` that by
-    noise alone.
+    noise alone. `late` is the share of rows that a late answer of a device may have displaced.
     """
     prior = prior_of(segments, fit.design, fit.knots, expected)
     normal, right = fit.design.T @ fit.design + prior.T @ prior, fit.design.T @ segments.force
     trials, trial = np.unique(segments.trial, return_inverse=True)
-    squares, count = 0.0, 0
+    squares: list[Array] = []
     for fold in range(min(FOLDS, len(trials))):
         mine = trial % FOLDS == fold
         design, force = fit.design[mine], segments.force[mine]
@@ -360,12 +365,22 @@ def _ratio(segments: Segments, fit: Fit, whole: Array, own: Array, expected: flo
         miss = force - design @ (inverse @ (right - design.T @ force))
         lever = np.sum(design @ inverse * design, axis=1)
         sure = (lever >= 0) & (lever <= 1)
-        squares += float(np.sum((miss**2 / (whole[mine] + own[mine] * lever))[sure]))
-        count += int(sure.sum())
-    if count >= ENOUGH:
-        return sqrt(squares / count), count, True
+        squares.append((miss**2 / (whole[mine] + own[mine] * lever))[sure])
+    every = np.sort(np.concatenate(squares))
+    if len(every) >= ENOUGH:
+        return sqrt(_mean_without(every, late)), len(every), True
     free = max(1.0, len(own) - float(np.sum(fit.design @ fit.inverse * fit.design)))
     return sqrt(float(fit.residual @ fit.residual) / free / float(np.mean(whole))), free, False
+
+
+def _mean_without(squares: Array, share: float) -> float:
+    """Mean of rising squares without the largest `share` of them, scaled so that it is 1 for normal noise of size 1."""
+    kept = squares[: len(squares) - int(share * len(squares))]
+    if len(kept) == len(squares):
+        return float(squares.mean())
+    normal = NormalDist()
+    end = normal.inv_cdf(1 - share / 2)
+    return float(kept.mean()) / (1 - 2 * end * normal.pdf(end) / (1 - share))
 
 
 def _neighbours(segments: Segments) -> Array:
