@@ -23,6 +23,7 @@ import numpy as np
 
 from pmabench.model.curve import Array, Curve
 from pmabench.model.muscle import Friction
+from pmabench.model.overrides import Overrides
 
 N_PER_KPA, N_PER_MM = 1e-3, 1e3
 """[N/Pa], [N/m]; the latter also for N.s/mm."""
@@ -72,9 +73,9 @@ class Surface:
 class Stops:
     """Hysteresis that knows no rate: stops of given widths, whose weights add up to 1.
 
-    `widths` [m] or [Pa]; the force at its most is `height` + `per_pressure` P [N], [N/Pa]. With `extra` [1] it is
-    higher by this share in a muscle that has rested, and comes down to 1 / e of that each time it has gone `way` [m]:
-    the way of one full cycle.
+    `widths` [m] or [Pa], none for no hysteresis; the force at its most is `height` + `per_pressure` P [N], [N/Pa].
+    With `extra` [1] it is higher by this share in a muscle that has rested, and the share falls to 1 / e each time that
+    the muscle has gone `way` [m], the way of one full cycle.
     """
 
     widths: tuple[float, ...]
@@ -87,7 +88,7 @@ class Stops:
     def __post_init__(self) -> None:
         if len(self.widths) != len(self.weights) or not all(width > 0 for width in self.widths):
             raise ValueError(f"stops need widths above 0 and as many weights, not {self}")
-        if any(weight < 0 for weight in self.weights) or abs(sum(self.weights) - 1) > 1e-6:
+        if any(weight < 0 for weight in self.weights) or (self.weights and abs(sum(self.weights) - 1) > 1e-6):
             raise ValueError(f"the weights of stops are not negative and add up to 1, not {self.weights}")
         if not self.height >= 0 or not self.per_pressure >= 0 or not self.extra >= 0 or not self.way > 0:
             raise ValueError(f"stops need a height of at least 0 and a way above 0, not {self}")
@@ -99,7 +100,7 @@ class Stops:
     def scaled(self, factor: float) -> Stops:
         """All of the force times `factor` [1]."""
         if not factor >= 0:
-            raise ValueError(f"a factor on a hysteresis cannot be negative, not {factor:g}")
+            raise ValueError(f"a factor on a hysteresis cannot be negative, as {factor:g} is")
         return replace(self, height=factor * self.height, per_pressure=factor * self.per_pressure)
 
 
@@ -153,6 +154,26 @@ class RealMuscle:
     def damping(self, P: Array, v: Array) -> Array:
         """B_c where v > 0, else B_r [N.s/m]; P [Pa] and v [m/s] of one shape."""
         return np.where(v > 0, self.B_c.values(P), self.B_r.values(P))
+
+    def changed(self, change: Overrides) -> RealMuscle:
+        """The muscle with its departures from a straight one times the factors of `change`; ValueError as above."""
+
+        def factor(value: float | None) -> float:
+            return 1.0 if value is None else value
+
+        if change.F_s is not None or change.F_c is not None:
+            raise ValueError(f"F_s and F_c are not for the muscle {self.name}: its friction is its hysteresis")
+        over_x = self.over_x.scaled(factor(change.friction) * factor(change.hysteresis_x))
+        if change.first_cycle is not None:
+            over_x = replace(over_x, extra=change.first_cycle)
+        return replace(
+            self,
+            surface=replace(self.surface, bend=factor(change.bend) * self.surface.bend),
+            over_x=over_x,
+            over_P=self.over_P.scaled(factor(change.friction) * factor(change.hysteresis_p)),
+            creep=replace(self.creep, share=factor(change.creep) * self.creep.share),
+            B_r=self.B_c if change.b_relax else self.B_r,
+        )
 
 
 def reference() -> RealMuscle:
