@@ -157,10 +157,10 @@ class RealPlant:
         rows = []
         for moment in t.tolist():
             self.reach(moment)
-            x, P, F = self.reading()
-            rows.append((x, self.v, P, F))
+            place, pressure, force = self.reading()
+            rows.append((place, self.v, pressure, force))
         self.reach(until)
-        x, v, P, F = (np.array(column) for column in zip(*rows, strict=True))
+        x, v, P, F = np.array(rows).T
         return Motion(t, x, v, P, F, P_set, np.zeros(t.shape))
 
     def step(self, dt: float) -> None:
