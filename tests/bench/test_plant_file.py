@@ -43,7 +43,7 @@ def refused(folder: Path, text: str) -> list[str]:
     return [f"{problem.line}:{problem.column} {problem.message}" for problem in caught.value.problems]
 
 
-@pytest.mark.parametrize("name", ["paper0", "paper0-air", "serres2009", "daerden", "contractor-30"])
+@pytest.mark.parametrize("name", ["paper0", "paper0-air", "serres2009", "daerden", "contractor-30", "real"])
 def test_the_shipped_files_are_the_presets_to_the_last_bit(name):
     found = setup_of(read_plant(PLANTS / f"{name}.yaml").numbers)
     assert found == preset(name, "bench")
