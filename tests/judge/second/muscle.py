@@ -62,11 +62,11 @@ class Muscle:
     """Share of a contraction by which it grows from 1 to 10 s after it began, at a load of 200 N."""
 
     def static(self, x: Array, P: Array) -> Array:
-        """S [N] without hysteresis and creep; a muscle does not push."""
+        """S [N] without hysteresis and creep. The whole force never pushes: what moves it cuts that off at 0."""
         force = OUTWARD[0] + OUTWARD[1] * P - (STEEPER[0] + STEEPER[1] * P) * x
         if self.bend:
             force = force + self.bend * (geometric(x, P) - force)
-        return np.maximum(0.0, force)
+        return np.asarray(force)
 
     def tangent(self, x: Array, P: Array) -> Array:
         """K = -dS/dx [N/m]."""
@@ -78,7 +78,7 @@ class Muscle:
 
     def mean(self, x: Array, P: Array) -> Array:
         """Middle between long strokes of contraction and of relaxation [N], without creep."""
-        return np.maximum(0.0, self.static(x, P) - 0.5 * (ends()[0] + ends()[1]) * self.rubbed(P))
+        return np.asarray(self.static(x, P) - 0.5 * (ends()[0] + ends()[1]) * self.rubbed(P))
 
     def gap(self, P: Array) -> Array:
         """Force of a long slow relaxation less that of a contraction [N]."""
