@@ -73,28 +73,25 @@ class Asked:
     x: Array
 
 
-def slow_tests(muscle: Muscle = REAL, seed: int = 0, colour: float = 1.0) -> list[Record]:
-    """5 ramps, 5 pressurisations, 18 sines, 2 holds and 3 times steps of pressure, in this order."""
-    asked = [_ramp(muscle, 1e3 * P) for P in (170, 250, 340, 430, 520)]
-    asked += [_pressurised(muscle, 1e-3 * x) for x in (0, 6, 14, 24, 34)]
-    asked += [_sine(f, 1e3 * P, 1e-3 * x) for f in (0.15, 1.5) for P, x in (
+def session(muscle: Muscle = REAL, seed: int = 0, colour: float = 1.0) -> tuple[list[Record], list[Record]]:
+    """Slow tests of a muscle that has rested for long, and then three motions at random within what they reached.
+
+    The tests are 5 ramps, 5 pressurisations, 18 sines, 2 holds and 3 times steps of pressure, in this order.
+    """
+    tests = [_ramp(muscle, 1e3 * P) for P in (170, 250, 340, 430, 520)]
+    tests += [_pressurised(muscle, 1e-3 * x) for x in (0, 6, 14, 24, 34)]
+    tests += [_sine(f, 1e3 * P, 1e-3 * x) for f in (0.15, 1.5) for P, x in (
         (200, 5), (200, 9), (200, 13), (330, 6), (330, 15), (330, 24), (480, 6), (480, 19), (480, 32))]  # fmt: skip
-    asked += [_hold(1e3 * P, 1e-3 * x) for P, x in ((300, 18), (480, 20))]
-    asked += [_steps(1e-3 * x) for x in (4, 10, 16)]
-    return _recorded(muscle, asked, [seed, 1], colour)
+    tests += [_hold(1e3 * P, 1e-3 * x) for P, x in ((300, 18), (480, 20))]
+    tests += [_steps(1e-3 * x) for x in (4, 10, 16)]
+    motions = _motions(muscle, np.random.default_rng([seed, 2]))
+    records = _recorded(muscle, [*tests, *motions], [seed, 1], colour)
+    return records[: len(tests)], records[len(tests) :]
 
 
 def wander(muscle: Muscle = REAL, seed: int = 0, colour: float = 1.0, lasts: float = 40.0) -> list[Record]:
-    """Three records in which pressure and contraction go about at random, within what the slow tests reach."""
-    chance = np.random.default_rng([seed, 2])
-    tops = np.array([_farthest(muscle, P) for P in np.linspace(170e3, 520e3, 36)])
-    asked = []
-    for number in range(3):
-        P = 345e3 + 165e3 * np.sin(1.3 * _random(chance, 0.02, 0.25, lasts))
-        share = 0.5 + 0.5 * np.sin(1.3 * _random(chance, 0.02, 0.2, lasts))
-        x = 1e-3 + share * (0.75 * np.interp(P, np.linspace(170e3, 520e3, 36), tops) - 2e-3)
-        asked.append(Asked("random", {"record": float(number)}, P, x))
-    return _recorded(muscle, asked, [seed, 3], colour)
+    """Three motions at random of a muscle that has rested for long."""
+    return _recorded(muscle, _motions(muscle, np.random.default_rng([seed, 2]), lasts), [seed, 3], colour)
 
 
 def held(muscle: Muscle = REAL, seed: int = 0, colour: float = 1.0) -> list[Trial]:
@@ -225,6 +222,19 @@ def _steps(x: float) -> Asked:
     t = np.arange(0, 16.0, 1 / (SAMPLED * FINE))
     levels = np.array([350e3, 520e3, 280e3, 420e3])
     return Asked("step", {"displacement": x}, levels[np.minimum((t / 4).astype(int), 3)], np.full(len(t), x))
+
+
+def _motions(muscle: Muscle, chance: np.random.Generator, lasts: float = 40.0) -> list[Asked]:
+    """Pressure and contraction that go about at random."""
+    pressures = np.linspace(170e3, 520e3, 36)
+    tops = np.array([_farthest(muscle, P) for P in pressures])
+    asked = []
+    for number in range(3):
+        P = 345e3 + 165e3 * np.sin(1.3 * _random(chance, 0.02, 0.25, lasts))
+        share = 0.5 + 0.5 * np.sin(1.3 * _random(chance, 0.02, 0.2, lasts))
+        x = 1e-3 + share * (0.75 * np.interp(P, pressures, tops) - 2e-3)
+        asked.append(Asked("random", {"record": float(number)}, P, x))
+    return asked
 
 
 def _random(chance: np.random.Generator, low: float, high: float, lasts: float) -> Array:
