@@ -18,7 +18,8 @@ import pmabench.cli.main  # noqa: F401  (sets the number of BLAS threads before 
 settings.register_profile("same", derandomize=True, deadline=None, print_blob=True)
 settings.load_profile("same")
 
-os.environ["PMABENCH_STATE"] = tempfile.mkdtemp(prefix="pmabench-state-")
+_STATE = tempfile.TemporaryDirectory(prefix="pmabench-state-")
+os.environ["PMABENCH_STATE"] = _STATE.name
 
 
 @pytest.fixture(autouse=True)
@@ -122,6 +123,11 @@ def pytest_collection_modifyitems(config, items):
     config.hook.pytest_deselected(items=list(left_out))
     items[:] = [item for item in items if item not in left_out]
     items.sort(key=lambda item: LONGEST not in item.nodeid)  # the longest begin first, others fill the rest
+
+
+def pytest_unconfigure():
+    """What modules locked or latched while they were collected goes with the tests."""
+    _STATE.cleanup()
 
 
 def pytest_terminal_summary(terminalreporter, config):
