@@ -26,7 +26,7 @@ def call(tmp_path, monkeypatch):
 
 
 def test_every_driver_says_what_it_can(call, tmp_path):
-    done = call("devices", "list", "--json")
+    done = call("drivers", "list", "--json")
     drivers = {row["name"]: row for row in json.loads(done.stdout)["drivers"]}
     assert not any(row["problem"] for row in drivers.values())
     assert drivers["mock"]["verified"] == "a simulation"
@@ -36,7 +36,7 @@ def test_every_driver_says_what_it_can(call, tmp_path):
 
 
 def test_probe_and_monitor_command_nothing_and_leave_no_run(call, tmp_path):
-    probed = json.loads(call("devices", "probe", "mock", "--json").stdout)
+    probed = json.loads(call("bench", "probe", "mock", "--json").stdout)
     watched = json.loads(call("monitor", "mock", "--json").stdout)
     assert probed["devices"]["plant"]["simulated"] is True
     for row in probed["channels"]:
@@ -57,8 +57,8 @@ def test_monitor_prints_lines_where_there_is_no_terminal(call, tmp_path):
     [
         (["monitor", "mock", "--jog"], "--specimen"),
         (["monitor", "mock", "--jog", "--specimen", "mas-20-250-paper0"], "needs a terminal"),
-        (["devices", "probe", "mock", "--self-test"], "--specimen"),
-        (["devices", "probe", "mock", "--self-test", "--specimen", "mas-20-250-paper0"], "declares no self-test"),
+        (["bench", "probe", "mock", "--self-test"], "--specimen"),
+        (["bench", "probe", "mock", "--self-test", "--specimen", "mas-20-250-paper0"], "declares no self-test"),
         (["calibrate", "force", *ARGUMENTS, "--reference", "w", "--reference-uncertainty", "1 N", "--points", "0, 5"], "unit"),
         (["calibrate", "fource", *ARGUMENTS, "--reference", "w", "--reference-uncertainty", "1 N", "--points", "0 N, 5 N"], "cannot be calibrated"),
     ],
@@ -78,7 +78,7 @@ def test_self_test_table_and_exit_code(call, tmp_path):
         text.replace("include: mock.yaml", "include: benches/mock.yaml") + "devices: {plant: {options: {noise: 20}}}\n"
     )
     good = call(
-        "devices",
+        "bench",
         "probe",
         "mock-session",
         "--self-test",
@@ -89,7 +89,7 @@ def test_self_test_table_and_exit_code(call, tmp_path):
     )
     assert good.exit_code == 0
     assert {check["verdict"] for check in json.loads(good.stdout)["checks"]} == {"ok", "not measured"}
-    bad = call("devices", "probe", "bad.yaml", "--self-test", "--specimen", "mas-20-250-paper0", "--yes")
+    bad = call("bench", "probe", "bad.yaml", "--self-test", "--specimen", "mas-20-250-paper0", "--yes")
     assert bad.exit_code == 6
     assert "noise of pressure: look at shield and ground of the wire to plant.pressure" in " ".join(bad.stdout.split())
 
@@ -118,7 +118,7 @@ def test_a_calibration_is_a_new_file_that_a_bench_takes(call, tmp_path):
         "include: benches/mock.yaml\nname: mine\nlimits: {pressure: {command: 450 kPa, trip: 500 kPa, trip_low: null, action: vent}}\n"
         f"channels: {{pressure: {{device: plant, input: pressure, range: [0 count, 65535 count], calibration: {files[1].stem}}}}}\n"
     )
-    done = call("devices", "probe", "mine.yaml", "--json")
+    done = call("bench", "probe", "mine.yaml", "--json")
     assert done.exit_code == 0, done.stderr
     without = call(*arguments, given="")
     assert without.exit_code == 2
