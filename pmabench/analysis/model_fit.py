@@ -306,7 +306,7 @@ def _other_minima(
         if end[2] and best[0] < end[0] * (1 - 1e-6) and end[0] < best[0] * ratio and far:
             more = sqrt(end[0] / best[0])
             text = f"other values of {_list(far)} fit nearly as well (residual {more:.3g} times as large)"
-            return [Finding("doubt", f"{text}; data over a wider range would tell them apart")]
+            return [Finding("doubt", f"{text}; data over a wider range would separate them")]
     return []
 
 

@@ -204,7 +204,7 @@ def loop_of(K_u: float, T_u: float, dead_time: float, lags: Sequence[float]) -> 
 
 
 def measured_loops(analysis: Analysis) -> list[tuple[Estimate, Estimate, Loop | None]]:
-    """K_u, T_u and the identified loop (where there is one) at each operating point; of several ways the first told."""
+    """K_u, T_u and the identified loop, if there is one, at each operating point, by the first method with values."""
     loops = {
         _point(fact["at"]): Loop(
             fact["gain"],

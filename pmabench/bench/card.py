@@ -25,7 +25,7 @@ def failure_story(mounted: Mounted) -> list[tuple[str, str]]:
     if not mounted.bench.realtime:
         return [("Anything", "Nothing is pressurised: this bench is simulated in virtual time.")]
     return [
-        ("The program", "The guard, a process of its own, vents: at once after a crash, within 0.5 s after a freeze."),
+        ("The program", "The guard, a separate process, vents: at once after a crash, within 0.5 s after a freeze."),
         ("The computer", " ".join(_computer(mounted))),
         ("Electric power", " ".join(_power(mounted))),
         ("Compressed air", " ".join(_air(mounted))),

@@ -40,11 +40,11 @@ PRESSURE, FORCE, DISPLACEMENT = "pressure", "force", "displacement"
 SET, PLACE = "pressure_command", "displacement_command"
 OUT, MOVE = "set pressure", "set displacement"
 AIR, HOSE, PLATES, EXPECTED = "air", "hose", "plates", "expected"
-"""What a claim may depend on and is not a wire."""
+"""Things besides wires that a claim may depend on."""
 FLIPPED, WRONG, SCALE, STILL = "sign", "wire", "scale", "still"
 """What a broken claim looks like."""
 FOLLOWS, LEAD = "pressure follows its command", "pressure after its command"
-"""Rows that others look for."""
+"""Names of rows that other modules look for."""
 
 
 @dataclass(frozen=True)

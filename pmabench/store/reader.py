@@ -204,7 +204,7 @@ class RunFiles:
             expected = self.manifest["snapshots"][name]
         raw = read_file(self.path, name, most)
         if expected and hashlib.sha256(raw).hexdigest() != expected:
-            raise invalid(self.path / name, "was changed after it was written; `pmabench runs verify` tells more")
+            raise invalid(self.path / name, "was changed after it was written; `pmabench runs verify` says more")
         return raw
 
     def journal(self) -> Journal:

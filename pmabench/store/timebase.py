@@ -82,7 +82,7 @@ WINDOWS = 10
 
 
 def fit_clock(device_ns: Sequence[int], host_ns: Sequence[int]) -> ClockInfo:
-    """The clock of a device from pairs of its own time and the host's time of arrival [ns].
+    """The clock of a device from pairs of the device's time and the host's time of arrival [ns].
 
     A delay is never negative, so the line lies below all points and as close to them as it can: that of least mean
     delay, an edge of the lower convex hull (Moon, Skelly, Towsley: Estimation and removal of clock skew from network

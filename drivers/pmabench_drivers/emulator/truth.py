@@ -86,13 +86,13 @@ def moved(item: Wired, *, inputs: Mapping[str, str] | None = None, outputs: Mapp
 
 
 def _in(plugs: Mapping[str, Plug], was: str, now: str) -> Plug:
-    """A plug in another terminal: its sensor, and the digits of that terminal."""
+    """A plug in another terminal: the sensor moves, the resolution is that of the new terminal."""
     return replace(plugs[was], digits=plugs.get(now, plugs[was]).digits)
 
 
 @dataclass(frozen=True)
 class Errors:
-    """What one device shows and does wrongly: from what is right to what is shown or done [SI]."""
+    """Errors of one device: scales from the right value to what it shows, and to what it does [SI]."""
 
     shown: Mapping[str, Scale] = field(default_factory=dict)
     done: Mapping[str, Scale] = field(default_factory=dict)

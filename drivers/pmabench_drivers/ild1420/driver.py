@@ -144,7 +144,7 @@ class Ild1420(SerialStream):
             raise DeviceError(self._device.name, f'is "{name[:40]}" and no ILD1420')
         span = re.fullmatch(r"(\d+(?:\.\d+)?) *mm", fields.get("Measuring range", ""))
         if span is None or float(span[1]) != expected:
-            has = fields.get("Measuring range", "")[:20] or "of no range that it tells"
+            has = fields.get("Measuring range", "")[:20] or "without a range that it reports"
             raise DeviceError(self._device.name, f"is a sensor of {has}, and the bench file says {expected} mm")
         model = name[:60]
         return Identity(

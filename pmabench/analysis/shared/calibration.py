@@ -57,7 +57,7 @@ class Scales:
         kind = "uncertainty" if set(missing) <= set(offsets) else "gain uncertainty"
         whole = len(missing) == len({*gains, *offsets})
         named = ", ".join(missing[:-1]) + (" and " if missing[:-1] else "") + missing[-1]
-        return f"{'no' if whole else 'incomplete'} calibration part: the record tells no {kind} of {named}"
+        return f"{'no' if whole else 'incomplete'} calibration part: the record gives no {kind} of {named}"
 
     def _missing(self, gains: Iterable[str], offsets: Iterable[str]) -> list[str]:
         """Channels without a known uncertainty."""

@@ -28,8 +28,8 @@ class Line:
 def weighted_line(group: Array, s: Array | None, y: Array, size: Array | None = None) -> Line:
     """Weighted least squares of y = start + slope s (no slope where `s` is None); weights 1/(share of `size`)^2.
 
-    `group` tells repeats from each other. Intervals by Student's t, once from all points and once from the means of
-    the groups, the wider of the two: points of one frequency share what the line cannot follow there.
+    `group` says which values are repeats of each other. Intervals by Student's t, once from all points and once from
+    the means of the groups, the wider of the two: points of one frequency share what the line cannot follow there.
     """
     size = np.abs(y) if size is None else size
     floor = PROPORTIONAL * np.maximum(size, 1e-3 * size.max())

@@ -66,7 +66,7 @@ def turns_of(x: Array, gap: Array, lower: float, upper: float) -> Turns | None:
 
 
 def _found(x: Array, gap: Array, lower: float, upper: float, order: int) -> Turns | None:
-    """The turns beside a gap of a power of `order` over the stroke."""
+    """The turns where the gap of the open loop is a polynomial of `order` over the stroke; None where none show."""
     from scipy.optimize import minimize_scalar  # takes long to import, and most kinds have no ramps
 
     z = (2 * x - lower - upper) / (upper - lower)

@@ -90,7 +90,7 @@ def findings(
     none = [e for e in estimates if e.value is None and e.note.startswith(REFUSED)]
     if none:
         symbols = _and(list(dict.fromkeys(e.symbol for e in none)))
-        text = f"{symbols} not told: {_and(channels)} may be {milliseconds(skew)} apart in time"
+        text = f"{symbols} withheld: {_and(channels)} may be {milliseconds(skew)} apart in time"
         said.append(Finding("doubt", f"{text}; record them with one device, or with clocks that are known better"))
     pairs = {
         tuple(sorted((one, other)))

@@ -44,7 +44,7 @@ class Offer:
     bent: bool = False
     """Whether it changes over contraction, so that a value for a whole stroke is another quantity."""
     rubs: bool = False
-    """Whether friction may be in it, to a side that nothing tells: a muscle that is held came there from somewhere."""
+    """Whether friction may be in it, with an unknown sign: how a held muscle came to its length is not recorded."""
     why: str = ""
     """Why it may differ to that side: a sentence."""
     test: str = ""

@@ -85,7 +85,7 @@ FIRST = 0.01
 DRIFT = 0.02
 """Change from the first to the last trial that is doubted where it is beyond its interval [1]."""
 APART = 0.1
-"""Repeats tell a drift where they lie this far apart, as rms about their mean and share of the whole time [1]."""
+"""Repeats show a drift where they lie this far apart, as rms about their mean and share of the whole time [1]."""
 LEAST = 0.05
 """Values below this share of the largest are left out: a load that hardly moves scatters without bound."""
 FEWEST = 3
@@ -244,7 +244,7 @@ def first_repeat(r: Repeats) -> Check | None:
 def drift(r: Repeats) -> Check | None:
     """Straight line through the distances from the operating points' means over time, from first to last trial.
 
-    The slope is that of least squares within operating points (each has a mean of its own); None with too few repeats,
+    The slope is that of least squares within operating points (each with its own mean); None with too few repeats,
     or where they lie together in time.
     """
     within = r.t - r.means(r.t)

@@ -273,7 +273,7 @@ class Weights(Strict):
     carriage: Mass = 0.0
     """What moves with the stack: table, cable, rod."""
     act_as: Literal["mass", "force"] = "mass"
-    """`mass`: the stack moves with the muscle; `force`: a constant-force device that has no inertia of its own."""
+    """`mass`: the stack moves with the muscle; `force`: a constant-force device without inertia."""
     pulley: bool = False
     support: Length = 0.0
     catch_height: Length | None = None
@@ -319,7 +319,7 @@ class VerifiedFile(Strict):
     by: Annotated[str, Field(min_length=1, max_length=100)]
     date: datetime.date
     firmware: Annotated[str, Field(max_length=100)] = ""
-    """As the device tells it (`devices probe`); with another one the driver counts as not verified."""
+    """As the device reports it (`devices probe`); with another one the driver counts as not verified."""
 
 
 class DeviceFile(Strict):

@@ -1,7 +1,7 @@
 """LabVIEW measurement files (.lvm), read as text.
 
 The layout is that of National Instruments, "Specification for the LabVIEW Measurement File (.lvm)": a header of keys,
-then segments, each with a header of its own, a line of names and rows.
+then segments, each with its header, a line of names, and rows.
 """
 
 from __future__ import annotations

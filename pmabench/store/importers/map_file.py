@@ -366,7 +366,7 @@ class Trials(Strict):
 
 
 class TestFile(Strict):
-    """One of several tests in a file; each becomes a run with a clock of its own."""
+    """One of several tests in a file; each becomes a run with its own clock."""
 
     name: Short
     """What takes the place of {test} in the names of the columns; where the header is repeated any name."""

@@ -112,7 +112,7 @@ def _codes(channel: Checked, looked_at: Bools, command: bool) -> Iterator[tuple[
 
 
 def _hits(numbers: Array, looked_at: Bools) -> dict[float, Bools]:
-    """Code -> samples that read it, to seven digits, since other programs may have rounded it."""
+    """Places of each code among the samples, compared to seven digits, because other programs may have rounded it."""
     every = np.array(sorted({sign * code for code in CODES for sign in (1.0, -1.0)} - {1.0}))
     place = np.minimum(np.searchsorted(every, numbers - 1e-7 * np.abs(numbers)), len(every) - 1)
     rows = np.flatnonzero(looked_at & (np.abs(numbers - every[place]) <= 1e-7 * np.abs(every[place])))
