@@ -13,6 +13,7 @@ import click
 from pmabench.base.errors import InvalidFile, invalid
 from pmabench.base.text import printable
 from pmabench.cli.common import Ui, common, fields
+from pmabench.cli.names import RunFolder
 from pmabench.report.terminal import print_grid
 
 if TYPE_CHECKING:
@@ -73,7 +74,7 @@ def _resume(run: Path, row: Mapping[str, Any]) -> str:
 
 
 @command.command(name="show")
-@click.argument("run", type=click.Path(path_type=Path))
+@click.argument("run", type=RunFolder())
 @common
 def show_run(ui: Ui, run: Path) -> int | None:
     """One RUN in full: what, when, by whom, how it ended, its trials and channels."""
@@ -211,7 +212,7 @@ def _print_rest(data: RunData) -> None:
 
 
 @command.command(name="verify")
-@click.argument("runs", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.argument("runs", nargs=-1, required=True, type=RunFolder())
 @common
 def verify_runs(ui: Ui, runs: tuple[Path, ...]) -> int | None:
     """Check hashes, checksums, gaps and torn rows of RUNS, or of every run in a folder of runs.

@@ -124,9 +124,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         findings.append(Finding("note", text))
     findings += _over_frequency(first)
     if estimates:
-        text = (
-            "the method part holds the lateness of the pressure only; how far these differ from sines is stated above"
-        )
+        text = "no method part except for the lateness of the pressure; how far these differ from sines is stated above"
         findings.append(Finding("note", text))
     return Analysis.of(
         KIND,
