@@ -48,7 +48,7 @@ def measured(
     options: Mapping[str, Any],
     measure: Callable[[TrialData, tuple[float, float]], Measured | str],
 ) -> tuple[list[tuple[RunData, Measured]], list[Dropped], bool]:
-    """What `measure` makes of every trial and the lateness of its pressure, and the trials for which it gives a reason.
+    """The results of `measure` for every trial and the lateness of its pressure, and the trials that it refuses.
 
     The lateness [s] is that of `late_by`, or the option of that name; the last value says whether all runs give it.
     """

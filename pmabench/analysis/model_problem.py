@@ -195,7 +195,7 @@ class Problem:
 
 
 def _size(p: Parameter) -> float:
-    """What an input is measured by: its reference value, or what its quantity is like."""
+    """Typical size of an input: its reference value, or a usual value of its quantity."""
     value = abs(float(p.value))
     if value > 0:
         return value

@@ -48,7 +48,7 @@ def _device_of(mounted: Mounted, output: str) -> DeviceRecord | None:
 
 
 def _opens_unheard(mounted: Mounted) -> DeviceRecord | None:
-    """The device whose watchdog opens the dump valve, if there is one."""
+    """The device whose watchdog opens the dump valve when it hears nothing, if there is one."""
     device = _device_of(mounted, "dump_valve")
     return device if device is not None and device.watchdog else None
 

@@ -210,7 +210,7 @@ def prepare(name: str) -> None:
 
 
 def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
-    """The quantities of a trial and what its own samples say against it; none for kinds that say nothing live."""
+    """Quantities of a trial and doubts from its samples; none for kinds of test without live quantities."""
     kind = registry.find(run.kind)
     if kind is None or not kind.live:
         return [], []

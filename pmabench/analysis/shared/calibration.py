@@ -1,4 +1,4 @@
-"""What the uncertainties of the channels' scales do to a result, to first order; knows no test.
+"""Effect of the uncertainties of the channels' scales on a result, to first order; knows no test.
 
 A calibration gives two expanded uncertainties (95 %, k = 2), independent of each other: an offset, the same at every
 reading [SI of the channel], and a gain, a share of the reading: true value = (1 + gain) reading + offset.
@@ -66,5 +66,5 @@ class Scales:
 
 
 def sentences(*parts: str) -> str:
-    """What there is to say, in one note."""
+    """The sentences about the calibration parts, as one note."""
     return "; ".join(part for part in dict.fromkeys(parts) if part)

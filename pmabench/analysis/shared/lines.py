@@ -1,4 +1,4 @@
-"""Straight lines and means over repeated points, with intervals that do not pretend: knows no test kind."""
+"""Straight lines and means over repeated points, with honest intervals: knows no test kind."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pmabench.analysis.shared import student
 from pmabench.store.records import Array
 
 PROPORTIONAL = 2e-3
-"""Floor of a point's error as a share of its size: nothing on a bench is known better."""
+"""Least error of a point as a share of its size: nothing on a bench is known better."""
 
 
 @dataclass(frozen=True)

@@ -40,7 +40,7 @@ class Offer:
     words: str = ""
     """Of the method, where it is not the primary one."""
     side: int = 0
-    """1: what others measure is at most this, -1: at least this; 0: it is this."""
+    """1: an upper bound of what others measure, -1: a lower bound, 0: the value itself."""
     bent: bool = False
     """Whether it changes over contraction, so that a value for a whole stroke is another quantity."""
     rubs: bool = False
@@ -52,7 +52,7 @@ class Offer:
 
 
 def offers_of(analysis: Analysis, kind: Kind | None) -> list[Offer]:
-    """All that one analysis of a kind offers."""
+    """All offers of one analysis of a kind."""
     found = kind.part("offers")(analysis) if kind is not None and kind.offers else ()
     return [replace(offer, test=kind.word) for offer in found] if kind is not None else []
 

@@ -1,4 +1,4 @@
-"""What speaks for or against an analysis next to its residual: named numbers, and open questions of its runs.
+"""Checks of an analysis besides its residual: named numbers, and open questions of its runs.
 
 A check is plain data in `Analysis.facts["checks"]`, so that a report made from files has it too. Those of the trials
 themselves (spread of repeats, first repeat, drift) are made here for every kind that has a value per trial; those of

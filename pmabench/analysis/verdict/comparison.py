@@ -298,7 +298,7 @@ def _terms(analysis: Analysis) -> Iterator[Estimate]:
 
 
 def _pairs(left: Mapping[Series, object], right: Mapping[Series, object]) -> Iterator[tuple[Series, Series]]:
-    """Which series are held against each other: the same of both sides, else the same symbol of other tests."""
+    """Pairs of series to compare: the same of both sides, else the same symbol of other tests."""
     common = {series[0] for series in left} & {series[0] for series in right}
     for series in left:
         if series in right:
@@ -434,7 +434,7 @@ def _findings(a: Side, b: Side, differences: Sequence[Difference], missing: Sequ
 
 
 def _cautions(a: Side, b: Side, differences: Sequence[Difference]) -> Iterator[Finding]:
-    """What the E_n numbers do not know."""
+    """Sentences about what the E_n numbers do not take into account."""
     bare = [d for d in differences if d.half is None and not d.term]
     if bare and b.published:
         known = [d for d in bare if d.a.parts.combined is not None]

@@ -74,7 +74,7 @@ def chart(values: Sequence[float]) -> Chart | None:
 LOW, HIGH = 50e3, 100e3
 """Commanded pressures between which a cycle is counted [Pa]."""
 SYMBOLS = ("K", "F_ce", "m", "W", "H", "B_c", "B_r", "B", "F_c", "leak")
-"""What is followed over a life, in this order."""
+"""Symbols that are followed over a life, in this order."""
 SELF_TEST = "self-test"
 """Kind and method of what the self-test of a session found."""
 LEAK = Result("leak", "fall of the pressure behind the shut valve", "pressure rate", headline=True)
@@ -83,7 +83,7 @@ LEAK = Result("leak", "fall of the pressure behind the shut valve", "pressure ra
 
 @dataclass(frozen=True)
 class Use:
-    """What one run did to the specimen."""
+    """Use of the specimen in one run."""
 
     cycles: int = 0
     strokes: float = 0.0
@@ -236,7 +236,7 @@ def _leak(analysis: Analysis) -> Iterator[Estimate]:
 
 
 def leak_of(run: str, events: Sequence[Event], *, simulated: bool) -> Analysis | None:
-    """What the self-test of a session found behind the shut isolation valve, as a value to follow; None without it.
+    """Leak with the isolation valve shut, from the self-test of a session, as a value to follow; None without it.
 
     Fall of the pressure [Pa/s] of muscle, hoses and fittings together; the half width is that of noise alone.
     """

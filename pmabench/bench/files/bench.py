@@ -361,7 +361,7 @@ class OutputFile(Strict):
     resolution: Reading | None = None
     safe: Reading | None = None
     without_power: Literal["holds", "vents"] = "holds"
-    """What a regulator does when its own power fails; many hold the pressure."""
+    """What a regulator does when its power fails; many hold the pressure."""
 
 
 class ValveFile(Strict):
