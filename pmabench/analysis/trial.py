@@ -26,7 +26,7 @@ class Measured:
     """Differences smaller than this between repeats mean nothing [SI]."""
     assumed: bool = False
     pooled: bool = False
-    """Whether earlier trials are in it, so that it cannot be held against them."""
+    """Whether earlier trials are in it, so that it cannot be compared with them."""
 
 
 Found = tuple[list[Measured], list[str]]

@@ -124,7 +124,7 @@ def take(channels: Sequence[ChannelRecord], block: Any, times: list[int], values
 
 
 def number(channel: ChannelRecord, value: Any) -> float:
-    """A raw value as a number; NaN is none that is taken for good, and is marked as out of range above the driver."""
+    """A raw value as a number; NaN is accepted, since it is marked as out of range above the driver."""
     try:
         found = float(value)
     except (TypeError, ValueError):

@@ -52,7 +52,7 @@ class Trial:
     point: dict[str, float]
     repeat: int
     again: bool = False
-    """A reference trial that is done again because the run goes on after another."""
+    """A reference trial that is repeated because the run continues another one."""
     end: float | None = None
     seen: float = 0.0
     """Wall clock when its end was read [s]."""

@@ -81,7 +81,7 @@ class TrialLine:
     numbers: tuple[Number, ...]
     doubts: tuple[str, ...]
     again: bool = False
-    """A reference trial that was done again because the run goes on after another: none of the plan's."""
+    """A reference trial that was repeated because the run continues another one; no trial of the plan."""
 
     @property
     def number(self) -> int:

@@ -202,7 +202,7 @@ class Service:
     def _do(self, peer: _Peer, do: str, sent: float | None, given: dict[str, Any]) -> dict[str, Any]:
         act = getattr(self, f"do_{do}", None)
         if act is None and do not in PASSED_ON:
-            raise LimitRefused(f'"{do}" is not something that the guard does')
+            raise LimitRefused(f'the guard knows no request "{do}"')
         if do not in {"vent", "status"} and peer is not self._engine:
             if self._served:
                 raise LimitRefused("this guard has an engine already")

@@ -19,7 +19,7 @@ from pmabench.store import folder as files
 from pmabench.store.since import added, late_files
 
 ANALYSES, ANALYSIS = "analyses", "analysis.json"
-"""What lies in folders of the first name was made of runs and is none; the second is in each analysis folder."""
+"""Name of folders that hold analyses, in which no runs are looked for; file that each analysis folder has."""
 
 
 @dataclass(frozen=True)

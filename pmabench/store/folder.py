@@ -136,7 +136,7 @@ GUARD = "guard.json"
 LATE = ".late"
 """Added to the name of a run folder: the folder next to it for what comes after the seal, such as `guard.json`."""
 LARGEST = 1 << 26
-"""Bytes of a manifest, a seal or a head of notes; a larger file is none."""
+"""Most bytes of a manifest, a seal or a head of notes; a larger file is refused."""
 NOTES, NOTES_HEAD = "notes", "notes.json"
 """What is said of a run afterwards: next to the sealed part, with separate hashes."""
 

@@ -78,7 +78,7 @@ def _slopes(steps: Array, values: Array, left: NDArray[np.intp], right: NDArray[
 PRIOR_DRIFT = 100e-6
 """A quartz clock is not farther off than this [1]: what holds where the arrivals do not show drift better."""
 WINDOWS = 10
-"""Stretches of time whose shortest delays are held against the fit."""
+"""Stretches of time whose shortest delays are compared with the fit."""
 
 
 def fit_clock(device_ns: Sequence[int], host_ns: Sequence[int]) -> ClockInfo:

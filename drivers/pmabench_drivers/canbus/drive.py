@@ -160,7 +160,7 @@ class Drive(Node):
         state = self._reach({f.State.DISABLED}, deadline)
         self._control(0, deadline)
         if state is not f.State.DISABLED:
-            raise self.error(f"{message}; it does not let itself be acknowledged, so its cause is still there")
+            raise self.error(f"{message}; it cannot be acknowledged, so its cause is still there")
         return state
 
     def _stuck(self, state: f.State, goal: f.State) -> DeviceError:

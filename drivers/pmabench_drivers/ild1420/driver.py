@@ -85,7 +85,7 @@ class Ild1420(SerialStream):
             try:
                 number = self._numbering.place(counter)
             except CounterBroken:
-                self._failure = "its counter went on from elsewhere: it has been restarted or reset"
+                self._failure = "its counter has jumped: it was restarted or reset"
                 return
             if number is not None:
                 self._keep(number, code, now)

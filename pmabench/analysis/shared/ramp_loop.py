@@ -28,7 +28,7 @@ from pmabench.base.quantities import show
 from pmabench.store.records import Array, Command, Flag, RunData, TrialData
 
 BETTER = 0.5
-"""Share of the gap's rms about a constant that the turns must bring it below to be believed."""
+"""Turns are accepted where they bring the rms of the gap below this share of that about a constant."""
 WIDEST = 0.4
 """Largest w, as a share of the stroke."""
 

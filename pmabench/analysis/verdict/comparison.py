@@ -266,7 +266,7 @@ def _held(series: Iterable[Series]) -> str:
 
 
 def _point(at: Mapping[str, float]) -> Point:
-    """The operating point to six digits, for settings that were written twice; the moving mass is none."""
+    """The operating point to six digits, so that equal settings agree; the moving mass is left out."""
     return tuple(sorted((name, float(f"{value:.6g}")) for name, value in at.items() if name != "mass"))
 
 

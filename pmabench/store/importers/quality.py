@@ -41,7 +41,7 @@ MOVES = 20.0
 AS_LARGE = 0.25
 """Beyond the largest burst the signal comes back to within this share of the leap."""
 AROUND = 12
-"""Neighbours on either side that a spike is held against ..."""
+"""Neighbours on either side with which a spike is compared ..."""
 ALONE = 3
 """... without those nearer than this, since a spike may be three samples long."""
 SPIKE = 4.0
