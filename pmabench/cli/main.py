@@ -28,6 +28,7 @@ SECTIONS = {
         "monitor": ("monitor", "Every channel of a bench, live; --jog moves outputs by keys."),
         "calibrate": ("calibrate", "Calibrate a channel or the regulator by reference points, guided."),
         "run": ("run", "Execute a protocol on a bench and record it in a run folder."),
+        "continue": ("continue_", "How the last run ended; reset the bench, do the trials that are left."),
         "watch": ("watch", "Watch a run while it goes on; only reads its folder."),
         "vent": ("vent", "The safe state now; --reset clears a latch."),
         "note": ("note", "Append a note, a file or an exclusion to a recorded run."),
@@ -65,6 +66,7 @@ EXAMPLES: dict[str, str] = {
     "calibrate": 'force --bench bench.yaml --specimen specimen.yaml --reference "weights no. 12"'
     ' --reference-uncertainty "0.1 N" --points "0 N, 58.86 N, 107.91 N"',
     "run": "contraction-relaxation --bench mock --specimen mas-20-250-paper0 --yes",
+    "continue": "",
     "watch": "",
     "vent": "bench.yaml",
     "note": 'runs/2026... "room was cold"',
