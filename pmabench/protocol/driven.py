@@ -109,7 +109,7 @@ def arrive(pressure: float, place: float, settle: float, approach: float, back_f
 
 
 def leave(back_from: float, approach: float) -> list[Step]:
-    """Back to 0 and vented."""
+    """Add the steps back to 0 and vented."""
     back: Sequence[Step] = [Ramp("return", "displacement", back_from, 0.0, approach)] if approach > 0 else []
     return [*back, Set("vent", "pressure", 0.0), Hold("vent", VENT_HOLD)]
 

@@ -253,7 +253,7 @@ class AsciiLink:
         return reading
 
     def vent(self, value: float, deadline: float, tolerance: float, still: Still = always) -> Reading | None:
-        """The set-point that vents, and no hold of the valves; both are sent, whatever the first one's answer."""
+        """Send the set-point that vents, then end any hold of the valves; both, even if the first one fails."""
         text, lost = self._written(value), None
         with self._turn(deadline):
             if not still():

@@ -223,7 +223,7 @@ class CanBus(Driver):
             self._cycle.note(error)
 
     def _lead(self) -> None:
-        """Send every drive under way where it should be at the SYNC after this one; until then it interpolates."""
+        """Send every moving drive its position for the SYNC after this one; the drive interpolates until then."""
         for name, segment in list(self._following.items()):
             ahead = self._clock.now() + self._options.sync
             value, over = stepped(segment, ahead)

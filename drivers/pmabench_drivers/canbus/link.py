@@ -303,7 +303,7 @@ class Rows:
 
 
 class Signals:
-    """Takes frames and keeps what the channels' `inputs` show, and when it came."""
+    """The newest values of the channels' `inputs` from received frames, and when they came."""
 
     def __init__(self, options: Options, inputs: Sequence[str]) -> None:
         self._slowest = options.slowest

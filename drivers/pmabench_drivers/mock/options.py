@@ -86,7 +86,7 @@ class Faults:
 
 @dataclass(frozen=True)
 class SensorError:
-    """What is wrong with one channel input: the option `errors: {pressure: {factor: 1.02, offset: 500}}`."""
+    """Error of one channel input: the option `errors: {pressure: {factor: 1.02, offset: 500}}`."""
 
     factor: float = 1.0
     """What the reading is multiplied by: 1.02 reads 2 % too much, -1 has the wrong sign."""

@@ -196,9 +196,9 @@ class Line:
         self._ask(calls[function], (function, address, echo), deadline, what, still)
 
     def overrule(self, function: int, address: int, words: Sequence[int], deadline: float, what: str = "") -> None:
-        """Write, and once more if the device then holds something else.
+        """Write, and write again if the device then holds another value.
 
-        What another connection was sending when it was cut may be carried out after this one's first write.
+        A command that another connection was sending when it was cut may be carried out after the first write.
         """
         self.write(function, address, words, deadline, what)
         try:

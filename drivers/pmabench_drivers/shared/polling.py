@@ -99,7 +99,7 @@ class Cycle:
             raise failing[1]
 
     def start(self, rate: float) -> None:
-        """Begin at `rate` [Hz], in place of one that runs, which may still be in its last `tick`."""
+        """Start the thread at `rate` [Hz]; an earlier one is ended, and may still be in its last `tick`."""
         self.stop()
         self.missed = 0
         self._halt = threading.Event()
@@ -145,7 +145,7 @@ class Pace:
         self._window: list[float] = []
 
     def behind(self, taken: float, now: float) -> float:
-        """For a newest sample `taken` by its own clock that came `now` [s, bench time]: 0, or how much is wrong [s].
+        """How far samples are behind [s], 0 while all is well; the newest, `taken` by its clock [s], came `now` [s].
 
         Negative where samples come before their time.
         """

@@ -197,7 +197,7 @@ class Comparison:
 
     @property
     def score(self) -> float:
-        """|E_n| (ISO/IEC 17043); of what need only not be below or above, how far it is."""
+        """|E_n| (ISO/IEC 17043); for a bound only the part on the wrong side counts."""
         off = max(-self.side * self.value, 0.0) if self.side else abs(self.value)
         return off / self.half if self.half else (0.0 if off == 0 else inf)
 

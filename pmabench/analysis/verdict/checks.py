@@ -174,7 +174,7 @@ class Repeats:
 
 
 def trial_checks(kind: Kind, runs: Sequence[RunData]) -> list[Check]:
-    """Spread of repeats, first-repeat effect and drift over the run, of the kinds that have a value of each trial."""
+    """Checks of spread of repeats, first-repeat effect and drift, for kinds of test with one value for each trial."""
     if not kind.repeated:
         return []
     value_of = kind.part("repeated")

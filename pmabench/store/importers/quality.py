@@ -266,9 +266,9 @@ def _extremes(values: Array) -> tuple[Array, Array]:
 
 
 def spike_limit(values: Array, apart: Array) -> float:
-    """From which distance on a sample is a spike: far beyond scatter, resolution and 2 % of the channel's span.
+    """Distance from which on a sample counts as a spike: far beyond scatter, resolution and 2 % of the channel's span.
 
-    Spikes that come again and again would pass for scatter. They are known by the gap below them: the largest lie
+    Frequent spikes would pass for scatter. The gap below them shows them: the largest lie
     `SPIKE` times further out than all that follow.
     """
     most = max(6, int(MANY * len(apart)))

@@ -161,7 +161,7 @@ class TextReader:
             return self._none()
 
     def _ends_badly(self, fields: Sequence[str]) -> bool:
-        """Whether a row is whole but for its last field."""
+        """Whether only the last field of a row is incomplete."""
         texts = self.texts or {}
         try:
             for name in self.taken:
