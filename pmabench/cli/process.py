@@ -255,7 +255,7 @@ def apart(sources: Sequence[Path]) -> tuple[list[Path], list[Path]]:
 
 
 def since_lines(runs: Sequence[RunData]) -> list[str]:
-    """What came to runs after they were closed, a line each."""
+    """One line for everything that was added to runs after they were closed."""
     return [f"{run.id}: {sentence}" for run in runs for sentence in run.since.sentences]
 
 
