@@ -12,6 +12,7 @@ import click
 
 from pmabench.base.errors import InvalidFile, UsageError, invalid
 from pmabench.cli.common import Ui, common
+from pmabench.cli.names import RunFolder
 
 if TYPE_CHECKING:
     from pmabench.store.analyses.results import Analysis
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 
 
 @click.command(name="process")
-@click.argument("runs", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="RUN...|FOLDER...")
+@click.argument("runs", nargs=-1, required=True, type=RunFolder(), metavar="RUN...|FOLDER...")
 @click.option(
     "--out", type=click.Path(path_type=Path), help="Analysis folder; in analyses/ next to runs/ if not given."
 )

@@ -59,8 +59,26 @@ def command(
 
     With --resume RUN the files of that run are used again, and what is left of it is done in a new run.
     """
+    files = (protocol, bench, specimen)
+    return run_or_resume(ui, files, settings, resume, accept, out, operator, session, yes=yes)
+
+
+def run_or_resume(
+    ui: Ui,
+    files: tuple[str | None, str | None, str | None],
+    settings: list[tuple[str, str]],
+    resume: Path | None,
+    accept: tuple[str, ...],
+    out: Path | None,
+    operator: str,
+    session: dict[str, Any],
+    *,
+    yes: bool,
+) -> int:
+    """Run protocol, bench and specimen (`files`), or what is left of the run `resume`; show its end; its exit code."""
     from pmabench.cli.prepare import prepare
 
+    protocol, bench, specimen = files
     if resume is not None:
         from pmabench.engine.resume import sources
 

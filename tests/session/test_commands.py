@@ -22,7 +22,7 @@ def call(tmp_path, *arguments, given=None):
 
 
 def test_every_driver_says_what_it_can(tmp_path):
-    done = call(tmp_path, "devices", "list", "--json")
+    done = call(tmp_path, "drivers", "list", "--json")
     drivers = {row["name"]: row for row in json.loads(done.stdout)["drivers"]}
     assert not any(row["problem"] for row in drivers.values())
     assert drivers["mock"]["verified"] == "a simulation"
@@ -32,7 +32,7 @@ def test_every_driver_says_what_it_can(tmp_path):
 
 
 def test_probe_and_monitor_command_nothing_and_leave_no_run(tmp_path):
-    probed = json.loads(call(tmp_path, "devices", "probe", "mock", "--json").stdout)
+    probed = json.loads(call(tmp_path, "bench", "probe", "mock", "--json").stdout)
     watched = json.loads(call(tmp_path, "monitor", "mock", "--json").stdout)
     assert probed["devices"]["plant"]["simulated"] is True
     for row in probed["channels"]:
@@ -53,8 +53,8 @@ def test_monitor_prints_lines_where_there_is_no_terminal(tmp_path):
     [
         (["monitor", "mock", "--jog"], "--specimen"),
         (["monitor", "mock", "--jog", "--specimen", "mas-20-250-paper0"], "needs a terminal"),
-        (["devices", "probe", "mock", "--self-test"], "--specimen"),
-        (["devices", "probe", "mock", "--self-test", "--specimen", "mas-20-250-paper0"], "declares no self-test"),
+        (["bench", "probe", "mock", "--self-test"], "--specimen"),
+        (["bench", "probe", "mock", "--self-test", "--specimen", "mas-20-250-paper0"], "declares no self-test"),
         (["calibrate", "force", *ARGUMENTS, "--reference", "w", "--reference-uncertainty", "1 N", "--points", "0, 5"], "unit"),
         (["calibrate", "fource", *ARGUMENTS, "--reference", "w", "--reference-uncertainty", "1 N", "--points", "0 N, 5 N"], "cannot be calibrated"),
     ],
@@ -75,7 +75,7 @@ def test_self_test_table_and_exit_code(tmp_path):
     )
     good = call(
         tmp_path,
-        "devices",
+        "bench",
         "probe",
         "mock-session",
         "--self-test",
@@ -86,7 +86,7 @@ def test_self_test_table_and_exit_code(tmp_path):
     )
     assert good.returncode == 0
     assert {check["verdict"] for check in json.loads(good.stdout)["checks"]} == {"ok", "not measured"}
-    bad = call(tmp_path, "devices", "probe", "bad.yaml", "--self-test", "--specimen", "mas-20-250-paper0", "--yes")
+    bad = call(tmp_path, "bench", "probe", "bad.yaml", "--self-test", "--specimen", "mas-20-250-paper0", "--yes")
     assert bad.returncode == 6
     assert "noise of pressure: look at shield and ground of the wire to plant.pressure" in " ".join(bad.stdout.split())
 
@@ -115,7 +115,7 @@ def test_a_calibration_is_a_new_file_that_a_bench_takes(tmp_path):
         "include: benches/mock.yaml\nname: mine\nlimits: {pressure: {command: 450 kPa, trip: 500 kPa, trip_low: null, action: vent}}\n"
         f"channels: {{pressure: {{device: plant, input: pressure, range: [0 count, 65535 count], calibration: {files[1].stem}}}}}\n"
     )
-    done = call(tmp_path, "devices", "probe", "mine.yaml", "--json")
+    done = call(tmp_path, "bench", "probe", "mine.yaml", "--json")
     assert done.returncode == 0, done.stderr
     without = call(tmp_path, *arguments, given="")
     assert without.returncode == 2
