@@ -14,7 +14,18 @@ from math import sqrt
 import numpy as np
 
 from pmabench.analysis.surface.fit import Data, Sums, first_stiffness, misfit, muscle_of, solve, sums
-from pmabench.analysis.surface.muscle import ALWAYS, CREEP_P, CREEP_X, STOPS_P, STOPS_X, TERMS, Muscle
+from pmabench.analysis.surface.muscle import (
+    ALWAYS,
+    CREEP_P,
+    CREEP_X,
+    SLIDING,
+    STOPS_P,
+    STOPS_X,
+    STRAIGHT,
+    TERMS,
+    VISCOUS,
+    Muscle,
+)
 from pmabench.store.records import Array
 
 CLEAR = 0.10
@@ -65,6 +76,10 @@ class Choice:
     tried: tuple[Score, ...]
     undecided: tuple[tuple[str, str], ...]
     """Pairs of hysteresis and creep that do about equally well: first the one that was taken."""
+    plain: Score
+    """What the surface and damping alone would do."""
+    straight: Score
+    """What the straight form with damping and Coulomb friction would do."""
     folds: Array
     """Fold of each record."""
 
@@ -84,7 +99,10 @@ def choose(data: Data, passes: int = PASSES) -> Choice:
         muscle = muscle_of(known, data.frame, best.terms, solve(known, best.terms, every, best.smooth))
         if last < passes - 1 and CREEP_X in best.terms:
             known = sums(data, muscle.stiffness)
-    return Choice(data, known, muscle, best, tuple(tried), _undecided(known, folds, best), folds)
+    undecided = _undecided(known, folds, best)
+    form = (STRAIGHT, VISCOUS, SLIDING)
+    straight = scored(sums(data, muscle.stiffness, form), folds, form)
+    return Choice(data, known, muscle, best, tuple(tried), undecided, scored(known, folds, ALWAYS), straight, folds)
 
 
 def folds_of(data: Data) -> Array:
@@ -100,10 +118,11 @@ def scored(known: Sums, folds: Array, terms: Sequence[str]) -> Score:
     rows = np.array([known.n[folds == one].sum() for one in numbers])
     size = rows / rows.sum()
     used = [np.where(folds == one, 0.0, 1.0) for one in numbers]
+    ordered = tuple(term for term in known.places if term in terms)
     found = []
     for smooth in SMOOTH:
         each = np.array([misfit(known, solve(known, terms, one, smooth), 1.0 - one) ** 2 for one in used])
-        found.append(Score(tuple(t for t in TERMS if t in terms), float(np.sqrt(size @ each)), each, size, smooth))
+        found.append(Score(ordered, float(np.sqrt(size @ each)), each, size, smooth))
     return min(found, key=lambda score: score.rms)
 
 

@@ -20,8 +20,14 @@ STOPS_P = (1 / 60, 1 / 20, 1 / 6, 1 / 2)
 """Half widths of the stops on pressure over the highest pressure: 10 to 300 kPa of 600 kPa."""
 TIMES = (0.3, 0.95, 3.0, 9.5, 30.0, 95.0, 300.0)
 """Time constants of creep [s], two in a decade: their sum can follow a straight line over the logarithm of time."""
+FAST = 5.0
+"""Lags of less time [s] are counted from where they end, so that the surface is the muscle this long after a move:
+slow tests do not tell faster creep from stiffness.
+"""
 LAW = np.maximum(0.0, 1.0 - np.abs(np.arange(len(TIMES))[:, None] - np.array([0.0, 3.0, 6.0])) / 3.0)
 """Weights of the lags in each column of creep: straight lines over the logarithm of time between three of them."""
+STEP = 50e3
+"""Distance of the pressures between which the straight form has straight lines [Pa]."""
 INTERVALS_P = (0.0, 1 / 3, 2 / 3, 1.0)
 INTERVALS_X = (0.0, 1 / 13, 5 / 26, 5 / 13, 8 / 13, 1.0)
 """Knots over the range of x, closer near the longest muscle, where the force falls fastest."""
@@ -108,6 +114,12 @@ class Frame:
         """Derivative of the products over x [1/m]."""
         return _products(self.P.functions(P), self.x.functions(x, slope=True))
 
+    def straight(self, P: Array, x: Array) -> Array:
+        """A straight line over contraction whose height and slope are straight lines between pressures `STEP` apart."""
+        knots = np.linspace(self.P.low, self.P.high, max(2, round(self.P.span / STEP) + 1))
+        hats = np.column_stack([np.interp(P, knots, one) for one in np.eye(len(knots))])
+        return np.hstack([hats, -hats * x[:, None]])
+
     def bends(self) -> Array:
         """Integral of squared third derivatives along both axes, as a matrix of the surface's coefficients."""
         along_P, along_x = self.P.bends(), self.x.bends()
@@ -131,13 +143,15 @@ class Memory:
     """Each stop over its half width, -1 to 1."""
     stops_P: Array
     lag_x: Array
-    """Contraction behind each of `TIMES` [m], from the nominal length on."""
+    """Contraction behind each of `TIMES` [m], from the nominal length on; for those below `FAST` less contraction."""
     lag_P: Array
-    """Pressure behind each of `TIMES` [Pa]."""
+    """Pressure behind each of `TIMES` [Pa], in the same way."""
 
 
 def memory(records: Sequence[Record], frame: Frame) -> Memory:
     """Stops and lags along records; each that does not go on begins with a rested, vented muscle at nominal length.
+
+    A length that was set by hand was set long before.
 
     A stop of half width r: S <- min(r, max(-r, S + change of u)). A lag: T y' = u - y, exact for u straight between
     rows.
@@ -145,9 +159,13 @@ def memory(records: Sequence[Record], frame: Frame) -> Memory:
     parts: list[tuple[Array, ...]] = []
     for chain in chains(records):
         t, P, x = (np.concatenate([getattr(r, name) for r in chain]) for name in ("t", "P", "x"))
+        settled = float(x[0]) if chain[0].by_hand else 0.0
         start_P = np.maximum(-1.0, np.minimum(1.0, P[0] / frame.pressure_radii - 1.0))
         start_x = np.clip(x[0] / frame.radii, -1.0, 1.0)
-        parts.append((stops(x, frame.radii, start_x), stops(P, frame.pressure_radii, start_P), lags(t, x), lags(t, P)))
+        stopped = stops(x, frame.radii, start_x), stops(P, frame.pressure_radii, start_P)
+        fast = np.array(TIMES) < FAST
+        behind = [lags(t, u - start) + start - np.outer(u, fast) for u, start in ((x, settled), (P, 0.0))]
+        parts.append((*stopped, *behind))
     return Memory(*(np.concatenate(each) for each in zip(*parts, strict=True)))
 
 

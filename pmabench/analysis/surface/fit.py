@@ -16,7 +16,7 @@ from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
 from scipy.optimize import nnls
 
 from pmabench.analysis.surface.columns import Frame, Memory, memory
-from pmabench.analysis.surface.muscle import CREEP_X, SURFACE, TERMS, Muscle, Stiffness, columns_of
+from pmabench.analysis.surface.muscle import CREEP_X, FREE, STRAIGHT, SURFACE, TERMS, Muscle, Stiffness, columns_of
 from pmabench.analysis.surface.record import Record, Rows
 from pmabench.store.records import Array
 
@@ -98,15 +98,15 @@ class Sums:
     def part(self, terms: Collection[str]) -> NDArray[np.int64]:
         """Numbers of the columns of terms."""
         every = np.arange(self.H.shape[1])
-        return np.concatenate([every[self.places[term]] for term in TERMS if term in terms])
+        return np.concatenate([every[self.places[term]] for term in self.places if term in terms])
 
 
-def sums(data: Data, stiffness: Stiffness) -> Sums:
-    """The sums of all terms, with the stiffness [N/m] that creep of contraction acts through."""
+def sums(data: Data, stiffness: Stiffness, terms: Sequence[str] = TERMS) -> Sums:
+    """The sums of terms, with the stiffness [N/m] that creep of contraction acts through."""
     rows = data.rows
-    blocks = [columns_of(term, data.frame, rows, data.past, stiffness) for term in TERMS]
+    blocks = [columns_of(term, data.frame, rows, data.past, stiffness) for term in terms]
     ends = np.cumsum([0, *(block.shape[1] for block in blocks)])
-    places = {term: slice(first, last) for term, first, last in zip(TERMS, ends, ends[1:], strict=False)}
+    places = {term: slice(first, last) for term, first, last in zip(terms, ends, ends[1:], strict=False)}
     A = np.hstack(blocks)
     number = len(data.records)
     H, b, yy, n = (
@@ -129,10 +129,15 @@ def sums(data: Data, stiffness: Stiffness) -> Sums:
             b[i] -= known * mean * level
             yy[i] -= known * level * level
     penalty = np.zeros((ends[-1], ends[-1]))
-    surface = places[SURFACE]
-    bends = data.frame.bends()
-    diagonal = np.einsum("rii->i", H)
-    penalty[surface, surface] = bends * diagonal[surface].mean() / max(float(np.trace(bends)) / len(bends), 1e-300)
+    if surface := places.get(SURFACE):
+        bends = data.frame.bends()
+        diagonal = np.einsum("rii->i", H)[surface]
+        penalty[surface, surface] = bends * diagonal.mean() / max(float(np.trace(bends)) / len(bends), 1e-300)
+    if lines := places.get(STRAIGHT):
+        half = (lines.stop - lines.start) // 2
+        turns = np.kron(np.eye(2), np.diff(np.eye(half), n=2, axis=0))
+        diagonal = np.einsum("rii->i", H)[lines]
+        penalty[lines, lines] = turns.T @ (turns * 1e-3) * np.sqrt(np.outer(diagonal, diagonal))
     return Sums(H, b, yy, n, places, penalty)
 
 
@@ -143,7 +148,7 @@ def solve(sums: Sums, terms: Collection[str], used: Array, smooth: float) -> Arr
     b = used @ sums.b[:, part]
     size = np.sqrt(np.maximum(np.diag(H), 1e-300))
     H = H / np.outer(size, size) + RIDGE * np.eye(len(part))
-    free = np.isin(part, np.arange(sums.H.shape[1])[sums.places[SURFACE]])
+    free = np.isin(part, sums.part(FREE))
     found = np.zeros(sums.H.shape[1])
     found[part] = bounded(H, b / size, free) / size
     return found

@@ -12,7 +12,7 @@ from pmabench.analysis.surface.record import Record, Rows
 from pmabench.store.records import Array
 
 SURFACE, VISCOUS, SLIDING, STOPS_X, STOPS_P, CREEP_X, CREEP_P = TERMS = (
-    "surface",
+    "static surface",
     "viscous",
     "sliding friction",
     "hysteresis of contraction",
@@ -20,6 +20,10 @@ SURFACE, VISCOUS, SLIDING, STOPS_X, STOPS_P, CREEP_X, CREEP_P = TERMS = (
     "creep of contraction",
     "creep under pressure",
 )
+STRAIGHT = "straight lines"
+"""F_ce(P) - K(P) x in place of the surface, for comparison only."""
+FREE = (SURFACE, STRAIGHT)
+"""Terms whose weights may have either sign."""
 ALWAYS = (SURFACE, VISCOUS)
 """Terms that every muscle has; the data decide about the others."""
 
@@ -123,6 +127,8 @@ def columns_of(term: str, frame: Frame, record: Rows, past: Memory, stiffness: S
     over_P, over_x = frame.P.share(record.P), frame.x.share(record.x)
     if term == SURFACE:
         return frame.surface(record.P, record.x)
+    if term == STRAIGHT:
+        return frame.straight(record.P, record.x)
     if term == VISCOUS:
         both = np.column_stack([np.maximum(record.v, 0.0), np.minimum(record.v, 0.0)])
         return between(over_P, -both)
