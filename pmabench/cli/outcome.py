@@ -86,12 +86,10 @@ def _end(outcome: Outcome, bench: CompiledBench, kind: str, trials: int) -> list
     from pmabench.guard.station import Station
 
     mark = "SIMULATED  " if outcome.folder is not None and "_SIMULATED_" in outcome.folder.name else ""
-    minutes = (
-        f"{outcome.bench_seconds / 60:.0f} min" if outcome.bench_seconds >= 120 else f"{outcome.bench_seconds:.0f} s"
-    )
-    lines = [
-        f"{mark}{outcome.status.upper()}  {kind}: {trials} trial{'s' if trials != 1 else ''} planned, {minutes}{_vent_words(outcome)}"
-    ]
+    seconds = outcome.bench_seconds
+    length = f"{seconds / 60:.0f} min" if seconds >= 120 else f"{seconds:.0f} s"
+    planned = f"{trials} {'trial' if trials == 1 else 'trials'} planned"
+    lines = [f"{mark}{outcome.status.upper()}  {kind}: {planned}, {length}{_vent_words(outcome)}"]
     if outcome.why:
         lines += wrap(outcome.why, 80, initial_indent="   ", subsequent_indent="   ", max_lines=4, placeholder=" …")
     if outcome.trials_failed:
