@@ -21,6 +21,8 @@ from scipy.optimize import curve_fit
 
 Array = NDArray[np.float64]
 NORMAL = 1.96
+ITERATIONS = 6
+"""Of `mujoco.sysid`: from the fourth on the sum of squares fell by less than 1e-4 of itself."""
 
 
 @dataclass(frozen=True)
@@ -155,7 +157,7 @@ def optimized(residual: Callable[[Array], Array]) -> Fitted:
             return [residual(unknowns)], None, None
         return [np.column_stack([residual(one) for one in unknowns.T])], None, None
 
-    found, result = sysid.optimize(parameters(), several, optimizer="mujoco", verbose=False, max_iters=40)
+    found, result = sysid.optimize(parameters(), several, optimizer="mujoco", verbose=False, max_iters=ITERATIONS)
     unknowns = found.as_vector()
     left = residual(unknowns)
     covariance = left @ left / (len(left) - len(unknowns)) * np.linalg.pinv(result.jac.T @ result.jac)
