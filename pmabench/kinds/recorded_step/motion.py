@@ -22,7 +22,7 @@ EQUAL = 1e-6
 """Damping ratios closer to 1 than this count as 1 + EQUAL: there the two poles are one, and the sum of them is none."""
 
 FREQUENCY = (3.0, 400.0)
-DAMPING = (0.01, 3.0)
+DAMPING = (0.01, 20.0)
 """Bounds of natural frequency [rad/s] and damping ratio [1] of the motion; a fit at a bound found nothing."""
 FEWEST = 12
 """Samples of a stretch of free swinging."""
@@ -196,3 +196,68 @@ def _decaying(t: Array, at: Array, jumps: Array, before: NDArray[np.intp], pole:
     seen = index >= 0
     result[seen] = sums[index[seen]] * np.exp(pole * (t[seen] - starts[group[seen]]))
     return result
+
+
+FREE = 0.04
+"""The pressure may be so much earlier or later [s] than its stamps where that is fitted, too."""
+BOUND = 0.99
+"""A time found beyond this share of `FREE` is at its bound."""
+
+
+@dataclass(frozen=True)
+class Delayed:
+    """A driven motion whose delay behind the measured pressure was fitted with it; half widths of 95 % intervals."""
+
+    tau: float
+    """Time constant B/K = 2 D/w [s]."""
+    half_tau: float
+    delay: float
+    """Time of the motion behind the measured pressure [s]; below 0 where the pressure is stamped late."""
+    half_delay: float
+    rms: float
+    """[m]."""
+
+    @property
+    def bounded(self) -> bool:
+        """Whether the delay was found within its bounds."""
+        return abs(self.delay) < BOUND * FREE
+
+
+def fit_delayed(t: Array, P: Array, x: Array, start: Motion, w: float | None = None) -> Delayed:
+    """Least squares of the driven motion over natural frequency, damping ratio and delay behind the pressure.
+
+    t [s], P [Pa], x [m], shapes (n,). `w` is the natural frequency sqrt(K/M) [rad/s], where stiffness and moving mass
+    are known: behind a heavy damper a delay and the mass can hardly be distinguished otherwise. Half widths are from
+    the covariance, with the serial correlation of what is left.
+    """
+    changes = np.flatnonzero(np.diff(P)) + 1
+    jumps = np.diff(P)[changes - 1]
+    scale = max(float(np.ptp(x)), 1e-9)
+
+    def misfit(p: Array) -> Array:
+        frequency = w if w is not None else float(np.exp(p[2]))
+        driven = respond(t, t[changes] + FREE * p[0], jumps, frequency, float(np.exp(p[1])))
+        off = driven - driven.mean()
+        power = float(np.sum(off * off))
+        gain = float(np.sum(off * x)) / power if power > 0 else 0.0
+        return np.asarray((x.mean() + gain * off - x) / scale)
+
+    first = [-start.late / FREE, np.log(start.D * (1.0 if w is None else w / start.w)), np.log(start.w)]
+    low, high = [-1.0, np.log(DAMPING[0]), np.log(FREQUENCY[0])], [1.0, np.log(DAMPING[1]), np.log(FREQUENCY[1])]
+    free = 3 if w is None else 2
+    begin = np.clip(first[:free], np.array(low[:free]) + 1e-3, np.array(high[:free]) - 1e-3)
+    solved = least_squares(misfit, begin, bounds=(low[:free], high[:free]), x_scale=[0.1, 0.1, 0.1][:free], max_nfev=100)
+    rest = solved.fun
+    rho = min(0.95, max(0.0, float(rest[1:] @ rest[:-1]) / max(float(rest @ rest), 1e-30)))
+    variance = float(rest @ rest) / (len(rest) - free - 2) * (1 + rho) / (1 - rho)
+    covariance = np.linalg.pinv(solved.jac.T @ solved.jac) * variance
+    ratio = np.array([0.0, 1.0, -1.0][:free])
+    frequency = w if w is not None else float(np.exp(solved.x[2]))
+    tau = 2 * float(np.exp(solved.x[1])) / frequency
+    return Delayed(
+        tau,
+        2 * tau * sqrt(max(0.0, float(ratio @ covariance @ ratio))),
+        FREE * float(solved.x[0]),
+        2 * FREE * sqrt(max(0.0, float(covariance[0, 0]))),
+        float(np.sqrt(np.mean(rest**2))) * scale,
+    )
