@@ -21,6 +21,7 @@ from pmabench.base.quantities import show
 from pmabench.kinds.recorded_step import RESULTS
 from pmabench.kinds.recorded_step.ringing import ONCE, RINGING, ringing
 from pmabench.kinds.recorded_step.step import AFTER, SEEN, Step, measure
+from pmabench.kinds.recorded_step.times import TO_MOTION, check, times
 from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace
 from pmabench.store.records import RunData
 
@@ -62,7 +63,9 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     for key, group in sorted(groups.items()):
         at = dict(zip(("from", "pressure", "load", "mass"), key, strict=False))
         estimates += _at(at, group, options, () if read_off else (-UNTOLD, UNTOLD))
-        findings += _sentences(at, [step for _, step in group])
+        here = [step for _, step in group]
+        findings += _sentences(at, here)
+        findings += [one for e in estimates if e.coordinate == TO_MOTION and e.at == at for one in check(at, here, e)]
     if len(commanded) < len(steps):
         text = f"{len(steps) - len(commanded)} steps were found in the measured pressure: they tell no dead time"
         findings.append(Finding("note", text))
@@ -131,7 +134,9 @@ def _at(
     if not moved:
         why = f"the displacement moves by {show(steps[0].stroke, 'length', 2)} only: the load rests on its support"
         unmoved = [Estimate("dP/dx", None, "Pa/m", "gain", STEP, at, note=why, n=len(steps), trials=parents)]
+    driven = times(at, moved, None, max(apart, default=0.0)) if moved else []
     return [
+        *driven,
         *(
             []
             if any(s.found for s in steps)

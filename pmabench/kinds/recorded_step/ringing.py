@@ -58,7 +58,7 @@ def ringing(
             held = bool(why)
         if why:
             break
-        near = step.t[step.near], step.P[step.near], step.x[step.near]
+        near = step.driven
         possible = [*step.motions, *(fit_motion(*near, late) for late in apart), *lagged_motions(*near, step.best)]
         for symbol, values in (
             ("K", [mass * motion.w**2 for motion in possible]),

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pmabench.analysis.imported import unusable_because
 from pmabench.analysis.shared.samples import LEAST, noise_of, nothing_moved, onset
 from pmabench.base.quantities import show
-from pmabench.kinds.recorded_step.motion import Motion, fit_motion
+from pmabench.kinds.recorded_step.motion import Motion, fit_motion, from_rest
 from pmabench.store.records import Array, Flag, TrialData
 
 BEFORE, AFTER = 0.5, 0.8
@@ -43,6 +43,10 @@ class Step:
     """Command to pressure [s]: both in the middle of the samples that they lie between, the lateness taken off."""
     dead_half: float
     """Half of those intervals together [s]."""
+    stamped: float
+    """Command to pressure by their stamps [s]."""
+    onset_half: float
+    """Half of the interval that the onset lies in [s]."""
     rise: float
     """From onset to 63 % of the change of pressure [s]."""
     rise_half: float
@@ -58,6 +62,12 @@ class Step:
     def near(self) -> NDArray[np.bool_]:
         """Samples that the fit of the motion uses."""
         return np.asarray((self.t >= -BEFORE) & (self.t <= AFTER))
+
+    @property
+    def driven(self) -> tuple[Array, Array, Array]:
+        """Time [s], pressure [Pa] and contraction [m] that the fit of the motion uses."""
+        near, rest = self.near, float(np.median(self.P[(self.t >= -BEFORE) & (self.t < 0)]))
+        return self.t[near], from_rest(self.P[near], rest), self.x[near]
 
     @property
     def best(self) -> Motion:
@@ -110,12 +120,15 @@ def measure(trial: TrialData, late: tuple[float, float]) -> Step | str:
     begins, doubt = _onset(t, rise, int(begun[0]), within)
     near = (t >= -BEFORE) & (t <= AFTER)
     shifts = np.linspace(*late, SHIFTS if late[1] > late[0] else 1)
-    motions = tuple(fit_motion(t[near], P[near], x[near], float(shift)) for shift in shifts)
+    driving = from_rest(P[near], float(np.median(P[before])))
+    motions = tuple(fit_motion(t[near], driving, x[near], float(shift)) for shift in shifts)
     dead = begins + within / 2 - (late[0] + late[1]) / 2
     dead_half = doubt + within / 2 + (late[1] - late[0]) / 2
     crossed = t[max(0, most[0] - 1) : most[0] + 1]
     rise_half = doubt + float(np.ptp(crossed)) / 2
-    return Step(trial, t, P, x, size, stroke, dead, dead_half, float(crossed.mean()) - begins, rise_half, motions)
+    rise_time = float(crossed.mean()) - begins
+    halves = (doubt + within / 2, rise_time, rise_half)
+    return Step(trial, t, P, x, size, stroke, dead, dead_half, begins + within / 2, *halves, motions)
 
 
 def _onset(t: Array, rise: Array, first: int, within: float) -> tuple[float, float]:
