@@ -25,7 +25,8 @@ if TYPE_CHECKING:
 ROWS = 25
 """Rows of the table for people."""
 EXAMPLE = (
-    '\b\npmabench cascade simulate paper1 --out chain\npmabench cascade replay chain --pace --at "2 s" --out again'
+    "\b\npmabench model cascade simulate paper1 --out chain\n"
+    'pmabench model cascade replay chain --pace --at "2 s" --out again'
 )
 
 

@@ -12,6 +12,7 @@ SHIPPED = {
     "bench": "fixtures/benches",
     "truth": "fixtures/truths",
     "specimen": "fixtures/specimens",
+    "plant": "fixtures/plants",
     "campaign": "fixtures/campaigns",
     "map": "fixtures/maps",
     "cascade": "fixtures/cascades",

@@ -319,7 +319,7 @@ class VerifiedFile(Strict):
     by: Annotated[str, Field(min_length=1, max_length=100)]
     date: datetime.date
     firmware: Annotated[str, Field(max_length=100)] = ""
-    """As the device tells it (`devices probe`); with another one the driver counts as not verified."""
+    """As the device tells it (`bench probe`); with another one the driver counts as not verified."""
 
 
 class DeviceFile(Strict):

@@ -43,7 +43,8 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     pressure, gives K = M w^2 and B = 2 D w M. It rings where its damping ratio is below a half and two extremes or more
     are seen: else the mass shows in the fast pole B/M alone, which a few ms between the channels hide. The pressure may
     be older than its time stamp (`late_by` of the map) and lag behind the sensor: K and B are given as the range over
-    that, and withheld where it is wider than 15 % either way.
+    that, and withheld where it is wider than 15 % either way. Lags of sensors (`sensor_lag`, first order) are taken
+    off, a fifth of them being left open.
 
     Repeats are trials with the same load and commanded pressures before and after. `options`: `mass` [kg] and `late_by`
     [[least, most] in s] instead of what the record says.

@@ -59,7 +59,12 @@ def ringing(
         if why:
             break
         near = step.driven
-        possible = [*step.motions, *(fit_motion(*near, late) for late in apart), *lagged_motions(*near, step.best)]
+        possible = [
+            *step.motions,
+            *step.slower,
+            *(fit_motion(*near, late) for late in apart),
+            *lagged_motions(*near, step.best),
+        ]
         for symbol, values in (
             ("K", [mass * motion.w**2 for motion in possible]),
             ("B", [2 * motion.D * motion.w * mass for motion in possible]),

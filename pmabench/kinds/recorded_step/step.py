@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.analysis.imported import unusable_because
-from pmabench.analysis.shared.samples import LEAST, noise_of, nothing_moved, onset
+from pmabench.analysis.shared.samples import LAG_KNOWN, LEAST, lags_of, noise_of, nothing_moved, onset
 from pmabench.base.quantities import show
-from pmabench.kinds.recorded_step.motion import Motion, fit_motion, from_rest
-from pmabench.store.records import Array, Flag, TrialData
+from pmabench.kinds.recorded_step.motion import Motion, before_sensor, behind, fit_motion, from_rest
+from pmabench.store.records import Array, Flag, RunData, TrialData
 
 BEFORE, AFTER = 0.5, 0.8
 """Samples so long before and after the command [s] enter the fit of the motion."""
@@ -35,6 +35,7 @@ class Step:
     t: Array
     P: Array
     x: Array
+    """Pressure and contraction, each behind the lag of the other's sensor, too: so neither lags behind the other."""
     size: float
     """Change of measured pressure [Pa]."""
     stroke: float
@@ -52,11 +53,10 @@ class Step:
     rise_half: float
     """Half the times between the samples that the onset, and the 63 %, lie between [s]."""
     motions: tuple[Motion, ...]
-
-    @property
-    def noise(self) -> float:
-        """Of the displacement at rest before the step [m]."""
-        return noise_of(self.x[self.t < 0])
+    slower: tuple[Motion, ...]
+    """The best of them were the lags of the sensors as small and as large as they may be; none without lags."""
+    noise: float
+    """Of the displacement at rest before the step, as recorded [m]."""
 
     @property
     def near(self) -> NDArray[np.bool_]:
@@ -85,7 +85,7 @@ class Step:
         return any(command.data.get("found") for command in self.trial.commands)
 
 
-def measure(trial: TrialData, late: tuple[float, float]) -> Step | str:
+def measure(run: RunData, trial: TrialData, late: tuple[float, float]) -> Step | str:
     """One step from its samples, or the reason why it cannot be measured."""
     missing = [name for name in ("pressure", "displacement") if name not in trial.channels]
     command = next((c for c in trial.commands if c.kind == "set" and c.output == "pressure"), None)
@@ -101,7 +101,10 @@ def measure(trial: TrialData, late: tuple[float, float]) -> Step | str:
         return "its clock jumps"
     good = trial.usable
     t = trial.t[good] - command.t
-    P, x = trial.channels["pressure"][good], trial.channels["displacement"][good]
+    read, x = trial.channels["pressure"][good], trial.channels["displacement"][good]
+    lags = lags_of(run, trial)
+    over = _blurred(t, read, lags["pressure"])
+    P = before_sensor(t, read, lags["pressure"], over) if over else read
     within = command.data.get("within", 0.0)
     before, after = (t >= -BEFORE) & (t < -within), t > 0
     if np.count_nonzero(before) < FEWEST or np.count_nonzero(after) < FEWEST or t[-1] < AFTER:
@@ -118,17 +121,46 @@ def measure(trial: TrialData, late: tuple[float, float]) -> Step | str:
     if not len(begun) or not len(most) or begun[0] == 0:
         return "no onset of the pressure is seen"
     begins, doubt = _onset(t, rise, int(begun[0]), within)
-    near = (t >= -BEFORE) & (t <= AFTER)
-    shifts = np.linspace(*late, SHIFTS if late[1] > late[0] else 1)
-    driving = from_rest(P[near], float(np.median(P[before])))
-    motions = tuple(fit_motion(t[near], driving, x[near], float(shift)) for shift in shifts)
+    unsure = over / 2 + LAG_KNOWN * lags["pressure"]
     dead = begins + within / 2 - (late[0] + late[1]) / 2
-    dead_half = doubt + within / 2 + (late[1] - late[0]) / 2
+    dead_half = doubt + within / 2 + (late[1] - late[0]) / 2 + unsure
     crossed = t[max(0, most[0] - 1) : most[0] + 1]
-    rise_half = doubt + float(np.ptp(crossed)) / 2
-    rise_time = float(crossed.mean()) - begins
-    halves = (doubt + within / 2, rise_time, rise_half)
-    return Step(trial, t, P, x, size, stroke, dead, dead_half, begins + within / 2, *halves, motions)
+    rise_half = doubt + float(np.ptp(crossed)) / 2 + unsure
+    motions, slower = _motions(t, read, x, late, (lags["displacement"], lags["pressure"]))
+    alike = behind(t, read, lags["displacement"]), behind(t, x, lags["pressure"])
+    return Step(
+        trial, t, *alike, size, stroke, dead, dead_half, begins + within / 2, doubt + within / 2 + unsure,
+        float(crossed.mean()) - begins, rise_half, motions, slower, noise_of(x[t < 0]),
+    )  # fmt: skip
+
+
+def _motions(
+    t: Array, P: Array, x: Array, late: tuple[float, float], lags: tuple[float, float]
+) -> tuple[tuple[Motion, ...], tuple[Motion, ...]]:
+    """Motions over the lateness of the pressure, and the best with each sensor's lag as small and large as it may be.
+
+    `lags` [s] are those of displacement and pressure: pressure is put behind the first, contraction behind the second.
+    """
+    near = (t >= -BEFORE) & (t <= AFTER)
+
+    def fitted(late: float, lags: tuple[float, float]) -> Motion:
+        driving = from_rest(behind(t, P, lags[0])[near], float(np.median(P[near & (t < 0)])))
+        return fit_motion(t[near], driving, behind(t, x, lags[1])[near], late)
+
+    motions = tuple(fitted(float(shift), lags) for shift in np.linspace(*late, SHIFTS if late[1] > late[0] else 1))
+    best = min(motions, key=lambda motion: motion.rms)
+    others = [(lags[0] * (1 + by), lags[1]) for by in (-LAG_KNOWN, LAG_KNOWN) if lags[0]]
+    others += [(lags[0], lags[1] * (1 + by)) for by in (-LAG_KNOWN, LAG_KNOWN) if lags[1]]
+    return motions, tuple(fitted(best.late, one) for one in others)
+
+
+def _blurred(t: Array, P: Array, lag: float) -> float:
+    """Time over which the pressure is averaged where the lag of its sensor is taken off [s]; 0 without one.
+
+    Half the lag, so that noise grows little, and never less than a channel that is polled keeps its value for.
+    """
+    changes = np.diff(t[:-1][np.diff(P) != 0])
+    return max(lag / 2, 2 * float(np.median(changes)) if len(changes) else 0.0) if lag else 0.0
 
 
 def _onset(t: Array, rise: Array, first: int, within: float) -> tuple[float, float]:

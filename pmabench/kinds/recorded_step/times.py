@@ -6,6 +6,7 @@ Knows measured steps of one load and one pair of pressures.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from math import hypot, sqrt
 
 import numpy as np
@@ -16,7 +17,7 @@ from pmabench.base.quantities import show
 from pmabench.kinds.recorded_step.motion import Delayed, fit_delayed
 from pmabench.kinds.recorded_step.ringing import ILL_FITTED, ONCE
 from pmabench.kinds.recorded_step.step import SEEN, Step
-from pmabench.store.analyses.results import Estimate, Finding, Parts, withhold
+from pmabench.store.analyses.results import Estimate, Finding, Parts
 from pmabench.store.records import Array
 
 DRIVEN = "driven-delay"
@@ -53,21 +54,20 @@ def times(at: Mapping[str, float], steps: Sequence[Step], stiffness: float | Non
     symbol = "tau_c" if rises else "tau_r"
     B_K = Estimate(symbol, tau, "s", "time", DRIVEN, at, parts, len(steps), note=sentences(where, once), trials=names)
     if why := _why_not(steps, found):
-        B_K = withhold(B_K, why)
+        B_K = replace(B_K, value=None, parts=Parts(), note=why)
     commanded = [(step, one) for step, one in zip(steps, found, strict=True) if not step.found]
     if not commanded or B_K.value is None:
         return [B_K]
     dead, of_dead = mean_with_half([step.stamped + one.delay for step, one in commanded])
     half = hypot(max(one.half_delay for _, one in commanded), max(step.onset_half for step, _ in commanded)) + late
-    t_d = Estimate(
-        "t_d", dead, "s", "time", DRIVEN, at, Parts(of_dead, half, 0.0), len(commanded),
-        note="" if of_dead is not None else ONCE, trials=tuple(step.name for step, _ in commanded), coordinate=TO_MOTION,
-    )  # fmt: skip
+    names, note = tuple(step.name for step, _ in commanded), "" if of_dead is not None else ONCE
+    parts = Parts(of_dead, half, 0.0)
+    t_d = Estimate("t_d", dead, "s", "time", DRIVEN, at, parts, len(names), note=note, trials=names)
+    t_d = replace(t_d, coordinate=TO_MOTION)
     if half > LONGEST:
         text = f"a delay of {show(dead, 'time', 2)} and the lag of the mass cannot be distinguished"
-        t_d = withhold(
-            t_d, f"{text} (+- {show(half, 'time', 2)}): steps at two known loads give K, and with it that lag"
-        )
+        text = f"{text} (+- {show(half, 'time', 2)}): steps at two known loads give K, and with it that lag"
+        t_d = replace(t_d, value=None, parts=Parts(), note=text)
     return [B_K, t_d]
 
 
@@ -79,8 +79,8 @@ def _why_not(steps: Sequence[Step], found: Sequence[Delayed]) -> str:
             return f"the driven motion misses {share:.0%} of the stroke (trial {step.name}): friction, or a stop"
         if not one.bounded:
             return (
-                f"the motion is {show(one.delay, 'time', 2)} behind the measured pressure (trial {step.name}), as far as "
-                "was looked: see to the clocks of both channels"
+                f"the motion is {show(one.delay, 'time', 2)} +- {show(one.half_delay, 'time', 2)} behind the measured "
+                f"pressure (trial {step.name}), as far as was looked: see to the clocks of both channels"
             )
     return ""
 
