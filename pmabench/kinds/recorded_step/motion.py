@@ -56,6 +56,11 @@ class Motion:
     """[m]."""
     model: Array
 
+    @property
+    def decay(self) -> float:
+        """Rate at which the slowest part of the motion dies [1/s]."""
+        return self.w * (self.D - sqrt(max(0.0, self.D**2 - 1))) if self.D > 1 else self.D * self.w
+
 
 def fit_motion(t: Array, P: Array, x: Array, late: float) -> Motion:
     """Least squares of the driven motion over natural frequency and damping; gain and offset follow linearly.

@@ -19,6 +19,7 @@ from pmabench.analysis.shared.student import mean_over, mean_with_half
 from pmabench.analysis.verdict.agreement import Offer, everywhere, values_of
 from pmabench.base.quantities import show
 from pmabench.kinds.recorded_step import RESULTS
+from pmabench.kinds.recorded_step.loads import SECANT, Pair, of_loads, rests_of, secant
 from pmabench.kinds.recorded_step.ringing import ONCE, RINGING, ringing
 from pmabench.kinds.recorded_step.step import AFTER, SEEN, Step, measure
 from pmabench.kinds.recorded_step.times import TO_MOTION, check, times
@@ -59,20 +60,25 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         groups.setdefault((*key, *_load(step)) if loads else key, []).append((run, step))
     commanded = [step for _, step in steps if not step.found]
     late = 0.0 if read_off else UNTOLD
+    pairs: dict[Pair, list[tuple[RunData, Step]]] = {}
+    for key, group in groups.items():
+        pairs.setdefault((key[0], key[1]), []).extend(group)
     estimates: list[Estimate] = [_dead_time(commanded, late)] if commanded else []
     findings: list[Finding] = []
     for key, group in sorted(groups.items()):
         at = dict(zip(("from", "pressure", "load", "mass"), key, strict=False))
-        estimates += _at(at, group, options, () if read_off else (-UNTOLD, UNTOLD))
+        K = secant(key[:2], rests_of([step for _, step in pairs[key[0], key[1]]]), Scales({}, {}))
+        estimates += _at(at, group, options, () if read_off else (-UNTOLD, UNTOLD), None if K is None else K.value)
         here = [step for _, step in group]
         findings += _sentences(at, here)
         findings += [one for e in estimates if e.coordinate == TO_MOTION and e.at == at for one in check(at, here, e)]
+    estimates += of_loads(pairs, estimates)
     if len(commanded) < len(steps):
         text = f"{len(steps) - len(commanded)} steps were found in the measured pressure: they tell no dead time"
         findings.append(Finding("note", text))
     if steps and not read_off:
         findings.append(Finding("doubt", f"{UNKNOWN}: K and B assume at most {show(UNTOLD, 'time')}"))
-    if any(e.symbol == "K" and e.value is not None for e in estimates):
+    if any(e.method == RINGING and e.value is not None for e in estimates):
         text = "K and B rest on the moving mass alone, taken as exact; the load hangs and F_ce(P) is not known here"
         findings.append(Finding("doubt", text))
     return Analysis.of(
@@ -113,9 +119,13 @@ def _dead_time(steps: Sequence[Step], late: float) -> Estimate:
 
 
 def _at(
-    at: Mapping[str, float], group: Sequence[tuple[RunData, Step]], options: Mapping[str, Any], apart: Sequence[float]
-) -> list[Estimate]:
-    """All estimates at one pair of commanded pressures; `apart` [s] are further times between pressure and position."""
+    at: Mapping[str, float], group: Sequence[tuple[RunData, Step]], options: Mapping[str, Any], apart: Sequence[float],
+    stiffness: float | None,
+) -> list[Estimate]:  # fmt: skip
+    """All estimates at one pair of commanded pressures; `apart` [s] are further times between pressure and position.
+
+    `stiffness` [N/m] is that of two loads, where they were stepped.
+    """
     steps = [step for _, step in group]
     parents = tuple(step.name for step in steps)
     scales = Scales.of([run for run, _ in group])
@@ -135,7 +145,7 @@ def _at(
     if not moved:
         why = f"the displacement moves by {show(steps[0].stroke, 'length', 2)} only: the load rests on its support"
         unmoved = [Estimate("dP/dx", None, "Pa/m", "gain", STEP, at, note=why, n=len(steps), trials=parents)]
-    driven = times(at, moved, None, max(apart, default=0.0)) if moved else []
+    driven = times(at, moved, stiffness, max(apart, default=0.0)) if moved else []
     return [
         *driven,
         *(
@@ -181,7 +191,7 @@ def _unsettled(steps: Sequence[Step]) -> list[Doubt]:
     for name, side in (("before the step", -1), ("after the step", 1)):
         holds = []
         for step in steps:
-            swung = SWUNG / (step.best.D * step.best.w)
+            swung = SWUNG / step.best.decay
             rows = step.t < 0 if side < 0 else step.t > min(max(AFTER, swung), step.t[-1] - 1.0)
             t, x = step.t[rows], step.x[rows] * np.sign(step.stroke)
             holds.append(Held.of(t, x, max(float(t[0]), float(t[-1]) - 1.0)))
@@ -244,6 +254,8 @@ def _trace(step: Step, *, by_load: bool) -> Trace:
 
 
 def offers(analysis: Analysis) -> Iterator[Offer]:
-    """K and B where the motion rings, at the pressure that the step ends at; each step for itself."""
+    """K and B where the motion rings, K of two loads, at the pressure that the step ends at; each step for itself."""
+    for e in values_of(analysis, "K", SECANT):
+        yield everywhere("K", {e.at["pressure"]: e}, "secant between loads")
     for symbol in ("K", "B"):
         yield from (everywhere(symbol, {e.at["pressure"]: e}) for e in values_of(analysis, symbol, RINGING))
