@@ -237,7 +237,7 @@ HEAVIEST = 200.0
 """Greatest damping ratio where the delay is fitted, too: that of a mass that does not show."""
 FASTEST = 5e-3
 """A mass whose pole M/B is faster than this [s] may hide behind a delay."""
-WIDE = 2.5
+WIDE = 3.0
 """Standard deviations of the 95 % interval, where the correlation of what is left is found from the same samples."""
 REMAINS = 0.3
 """Share of what the second column changes that is added to the half widths."""
