@@ -1,4 +1,4 @@
-"""Texts of others made plain: nothing in them is obeyed by a terminal, a page or a spreadsheet's reader."""
+"""Texts from outside made harmless: no terminal, page or spreadsheet obeys anything in them."""
 
 from __future__ import annotations
 

@@ -91,14 +91,14 @@ class Faults:
 
 @dataclass(frozen=True)
 class SensorError:
-    """What is wrong with one channel input: the option `errors: {pressure: {factor: 1.02, offset: 500}}`."""
+    """Error of one channel input: the option `errors: {pressure: {factor: 1.02, offset: 500}}`."""
 
     factor: float = 1.0
     """What the reading is multiplied by: 1.02 reads 2 % too much, -1 has the wrong sign."""
     offset: float = 0.0
     """What is added to it then [SI unit of the channel]."""
     reads: str = ""
-    """The input whose raw values it gives instead of its own: swapped plugs. That input needs a channel, too."""
+    """The channel shows that input instead, as if two plugs were swapped. That input needs a channel, too."""
     end: str = ""
     """`low` or `high`: the channel stays at that end of its range: a broken wire, a short."""
     at: float = 0.0
@@ -196,7 +196,7 @@ def _check_plant(device: str, options: Options, overrides: Mapping[str, Any]) ->
     if law == "three-element" and options.numbers is not None and options.numbers.get("flow") is not None:
         law = AIRY
     if law == "daerden" and options.free_end != "actuator":
-        way = "is for a driven free end; write free_end: actuator beside it"
+        way = "is for a driven free end; write free_end: actuator, too"
         raise DeviceError(device, f"option plant: {options.plant} {way}")
     if law == "contractor" and options.free_end == "weights" and options.numbers is not None:
         length = float(options.numbers["length"])
