@@ -217,7 +217,7 @@ def _harmonics(t: Array, y: Array, frequency: float) -> tuple[Array, Array]:
 
 
 def without_lag(t: Array, y: Array, frequency: float, lag: float) -> Array:
-    """What a sensor with a first-order `lag` [s] was given, y + lag y', where it read `y`; its noise stays as it is."""
+    """The input of a sensor with a first-order `lag` [s] that reads `y`: y + lag y'. Its noise stays as it is."""
     return y + lag * _harmonics(t, y, frequency)[1] if lag else y
 
 

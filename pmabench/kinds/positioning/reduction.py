@@ -288,7 +288,7 @@ def _findings(runs: Sequence[RunData], cells: Sequence[Sequence[Hold]]) -> list[
         friction = model.muscle.friction
         text = f"simulated with: {model.source}, friction {friction.F_s:g} N at rest and {friction.F_c:g} N moving"
         if model.regulator.dead_time == 0 and model.regulator.lag == 0:
-            text += "; its regulator is told to be exact, so that the simulated loop is quicker than a real one"
+            text += "; its regulator is given as exact, so that the simulated loop is quicker than a real one"
         lines.append(Finding("note", text))
     return lines
 

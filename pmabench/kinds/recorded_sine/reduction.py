@@ -128,7 +128,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         findings.append(Finding("note", text))
     findings += _over_frequency(first)
     if estimates:
-        text = "no method part but for lateness and lag of the channels: how far these are no sines is told beside them"
+        text = "no method part but for lateness and lag of the channels; how far these differ from sines is stated above"
         findings.append(Finding("note", text))
     return Analysis.of(
         KIND,
@@ -321,7 +321,7 @@ def _over_frequency(sines: Sequence[Sine]) -> list[Finding]:
         left = [sine.left[name] for sine in sines]
         if left and max(left) > NO_SINE:
             text = f"{name} is no pure sine: {min(left):.0%} to {max(left):.0%} is left by the first harmonic"
-            lines.append(Finding("note", f"{text}, which alone is told"))
+            lines.append(Finding("note", f"{text}, and only the harmonic is reported"))
     if len(sines) < 3:
         return lines
     omega = np.array([s.omega for s in sines])
@@ -336,7 +336,7 @@ def _over_frequency(sines: Sequence[Sine]) -> list[Finding]:
     if most > 0:
         text = (
             f"the pressure may be up to {show(most, 'time', 2)} older than its stamps, worth "
-            f"{omega.max() * most:.2f} rad at the highest frequency: no damping is told from these phases"
+            f"{omega.max() * most:.2f} rad at the highest frequency: no damping is derived from these phases"
         )
         lines.append(Finding("doubt", text))
     return lines
