@@ -185,7 +185,7 @@ def _moves(members: Sequence[Hold], setpoint: float) -> Doubt:
 
 def _steady(e: Estimate, moves: Doubt) -> Estimate:
     """The steady-state error with what `moves` in the window. Where that is seen and may be more than the error itself,
-    a bound and no value: not even the sign of a steady error is known. What moves less than a cycle that counts is rest.
+    a bound and no value: not even the sign of a steady error is known. What moves less than cycles that count is rest.
     """
     found = weighed(e, [moves], 1.0)
     if found.value is None or not moves.seen or moves.half <= max(SMALLEST, abs(found.value)):
