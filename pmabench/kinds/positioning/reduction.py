@@ -191,9 +191,9 @@ def _steady(e: Estimate, moves: Doubt) -> Estimate:
     if found.value is None or not moves.seen or moves.half <= max(SMALLEST, abs(found.value)):
         return found
     half = hypot(*(part or 0.0 for part in vars(found.parts).values()))
-    most = show(abs(found.value) + half, "ratio", 3)
-    note = f"not more than {most} of the set-point either way: {moves.reason}"
-    return replace(found, value=None, parts=Parts(), budget=(), note=sentences(note, e.note))
+    most = abs(found.value) + half
+    note = f"not more than {show(most, 'ratio', 3)} of the set-point either way: {moves.reason}"
+    return replace(found, value=None, parts=Parts(), budget=(), note=sentences(note, e.note), bound=most)
 
 
 def _half(symbol: str, shifted: Sequence[tuple[Response, Response]], setpoint: float) -> float | None:
