@@ -46,9 +46,9 @@ def late_by(run: RunData, channel: str) -> tuple[float, float] | None:
 def measured(
     runs: Sequence[RunData],
     options: Mapping[str, Any],
-    measure: Callable[[TrialData, tuple[float, float]], Measured | str],
+    measure: Callable[[RunData, TrialData, tuple[float, float]], Measured | str],
 ) -> tuple[list[tuple[RunData, Measured]], list[Dropped], bool]:
-    """The results of `measure` for every trial and the lateness of its pressure, and the trials that it refuses.
+    """The results of `measure` for every trial with the lateness of its pressure, and the trials that it refuses.
 
     The lateness [s] is that of `late_by`, or the option of that name; the last value says whether all runs give it.
     """
@@ -59,7 +59,7 @@ def measured(
         late = tuple(options["late_by"]) if "late_by" in options else late_by(run, "pressure")
         stated = stated and late is not None
         for trial in run.trials:
-            one = measure(trial, late or (0.0, 0.0))
+            one = measure(run, trial, late or (0.0, 0.0))
             if isinstance(one, str):
                 dropped.append(Dropped(trial.name, trial.point, one))
             else:

@@ -60,6 +60,15 @@ def noise_of(y: Array) -> float:
     return float((np.median(third) / 0.6745 or np.sqrt(np.mean(third**2))) / np.sqrt(20.0))
 
 
+LAG_KNOWN = 0.2
+"""Share to which the time constant of a sensor counts as known: data sheets give typical values, and one digit."""
+
+
+def lags_of(run: RunData, trial: TrialData) -> dict[str, float]:
+    """Channel of the trial -> declared time constant of its sensor [s], 0 where none is declared."""
+    return {name: run.channels[name].sensor_lag if name in run.channels else 0.0 for name in trial.channels}
+
+
 def on_time(run: RunData, trial: TrialData, name: str) -> Array:
     """A channel without the lag of its sensor, which along a ramp shows what was there one lag ago; NaN if missing."""
     if name not in trial.channels:
