@@ -79,7 +79,11 @@ class Kind:
     options: tuple[str, ...] = ()
     """Options of its reduction that a user can give."""
     parts: dict[str, str] = field(default_factory=dict)
-    """What some commands look up, as "module:name": `check options`, `tune by steps`, `tune by model`."""
+    """What some commands look up, as "module:name": `check options`, `tune by steps`, `tune by model`.
+
+    `slow rows`: (run, trial, rate) -> rows of pressure, contraction and force for a form of all tests, or why there are
+    none. `form of all tests`: this kind is such a form, whose reduction takes the runs of all others with slow rows.
+    """
     methods: dict[str, str] = field(default_factory=dict)
     """Method of its reduction -> what it does, in a sentence or two."""
     imported: Imported | None = None

@@ -17,7 +17,7 @@ from pmabench.files.shipped import shipped_folder
 
 HEAD = 2000
 """Characters at the start of a file in which its schema and its name are looked for."""
-TAIL = re.compile("[0-9a-f]{4}")
+TAIL = re.compile("[0-9a-f]{4}(-[a-z]+)?")
 """The end of the name of a run, which tells it from others of the same minute."""
 MOST = 50
 """Runs that are proposed, the newest first."""

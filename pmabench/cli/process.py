@@ -36,9 +36,10 @@ MOST_SINCE = 2
     "--form",
     "forms",
     multiple=True,
-    metavar="SYMBOL=FORM",
-    help="Contraction runs: F_ce, K, B_c or B_r over pressure as constant, line, polynomial or polygon, in a joint fit"
-    " next to the straight lines between pressures.",
+    metavar="FORM",
+    help="`surface`: all slow tests together as one muscle with hysteresis and creep. SYMBOL=FORM, contraction runs:"
+    " F_ce, K, B_c or B_r over pressure as constant, line, polynomial or polygon, in a joint fit next to the straight"
+    " lines between pressures.",
 )
 @click.option(
     "--bootstrap",
@@ -76,8 +77,15 @@ def command(
     changed since the last time are not computed again. A run that cannot be used is named at the end; the others go on.
     """
     from pmabench.kinds import registry
+    from pmabench.kinds.reduce import FORM
     from pmabench.store.catalogue import ANALYSES, holds_runs
 
+    together = [form for form in forms if form in registry.with_part(FORM)]
+    if together:
+        if len(forms) > 1 or bootstrap or polish or regulator or each or any(holds_runs(path) for path in runs):
+            what = f"--form {together[0]} takes all runs that are named into one muscle, and no other option"
+            raise UsageError(f"{what}: name run folders, for instance with /*")
+        return _process_together(ui, runs, out, {}, together[0])
     asked = registry.options_for(
         {"forms": list(forms), "bootstrap": bootstrap, "regulator": regulator, "polish": polish}
     )
@@ -98,24 +106,28 @@ def command(
 
 
 def _process_together(
-    ui: Ui, runs: Sequence[Path], out: Path | None, asked: Mapping[str, Mapping[str, object]]
+    ui: Ui, runs: Sequence[Path], out: Path | None, asked: Mapping[str, Mapping[str, object]], form: str = ""
 ) -> int | None:
-    """One analysis for each kind of test of each specimen in `runs`; `asked` are options by kind of test."""
-    from pmabench.kinds.reduce import verdicts
+    """One analysis for each kind of test of each specimen in `runs`; `asked` are options by kind of test.
+
+    With a `form` of all tests one analysis for each specimen, in a folder next to those of the tests.
+    """
+    from pmabench.kinds.reduce import reduce_together, verdicts
     from pmabench.plotting.wording import clean
     from pmabench.report.glance import glance
     from pmabench.store.analyses.made_from import key_of
 
     given = without_analyses(ui, runs)
-    key = key_of(chains(given), asked)  # before the runs are read: what is added meanwhile is a change
+    key = "" if form else key_of(chains(given), asked)  # before the runs are read: what is added meanwhile is a change
     loaded = load_runs(given)
     if asked and not any(run.kind in asked for run in loaded):
         raise UsageError(
             "--form, --bootstrap, --polish and --regulator are for runs of kind "
             f"{', '.join(asked)}; none of these is one"
         )
-    analyses = analyse(loaded, asked)
-    folders = write(analyses, loaded, out or place_of(given[0]), key, asked)
+    analyses = reduce_together(form, loaded) if form else analyse(loaded, asked)
+    place = place_of(given[0])
+    folders = write(analyses, loaded, out or (place.with_name(f"{place.name}-{form}") if form else place), key, asked)
     failed = verdicts(loaded, analyses)
     data: dict[str, Any] = {
         "schema": "pmabench.process/1",

@@ -112,6 +112,8 @@ def _joined(parts: Sequence[str]) -> list[str]:
 def _spark(members: Sequence[Estimate], over: str) -> list[str]:
     """How K goes over the operating points, else the first coefficient that is known at three of them."""
     courses: dict[str, list[Estimate]] = {}
+    if any(len(e.at) > 1 for e in members):
+        return []
     for e in sorted((e for e in members if e.value is not None), key=lambda e: e.at[over]):
         courses.setdefault(e.symbol, []).append(e)
     usable = {symbol: course for symbol, course in courses.items() if len({e.at[over] for e in course}) > 2}

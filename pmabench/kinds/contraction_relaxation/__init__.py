@@ -120,7 +120,10 @@ KIND = Kind(
     offers="pmabench.kinds.contraction_relaxation.values:offers",
     methods=METHODS,
     options=("forms", "bootstrap", "regulator", "polish"),
-    parts={"check options": "pmabench.kinds.contraction_relaxation.joint:check"},
+    parts={
+        "check options": "pmabench.kinds.contraction_relaxation.joint:check",
+        "slow rows": "pmabench.analysis.surface.trials:hanging",
+    },
     also=(PAPER_1,),
     figures={"overlay": "pmabench.plotting.motion:motions"},
     front={"overlay": "pmabench.plotting.motion:overlays"},

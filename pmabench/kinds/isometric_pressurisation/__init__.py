@@ -73,6 +73,7 @@ KIND = Kind(
     },
     front={"isometric": "pmabench.plotting.isometric:lines"},
     published={"isometric": ("pressure", "force", "displacement")},
+    parts={"slow rows": "pmabench.analysis.surface.trials:driven"},
     imported=Imported(
         Commanded(
             "pressure",

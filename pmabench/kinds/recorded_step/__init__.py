@@ -36,5 +36,6 @@ KIND = Kind(
     front={
         "overlay": "pmabench.plotting.motion:overlays",
     },
+    parts={"slow rows": "pmabench.analysis.surface.trials:hanging"},
     imported=Imported(recording=True, follows="displacement", timed=True, shown="steps"),
 )

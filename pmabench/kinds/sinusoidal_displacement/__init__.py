@@ -71,6 +71,7 @@ KIND = Kind(
         "sine-pressure": "pmabench.kinds.sinusoidal_displacement.figures:sine_pressure",
     },
     published={"loop": ("displacement", "force", "pressure")},
+    parts={"slow rows": "pmabench.analysis.surface.trials:driven"},
     imported=Imported(
         Commanded(
             "displacement",
