@@ -48,11 +48,7 @@ def measured(
     options: Mapping[str, Any],
     measure: Callable[[RunData, TrialData, tuple[float, float]], Measured | str],
 ) -> tuple[list[tuple[RunData, Measured]], list[Dropped], bool]:
-<<<<<<< HEAD
-    """The results of `measure` for every trial with the lateness of its pressure, and the trials that it refuses.
-=======
     """The results of `measure` for every trial with its run and the lateness of its pressure; the trials it refuses.
->>>>>>> main
 
     The lateness [s] is that of `late_by`, or the option of that name; the last value says whether all runs give it.
     """

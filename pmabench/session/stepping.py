@@ -166,11 +166,7 @@ class Stepping:
             self._refuse()
 
     def hanging(self) -> Check | None:
-<<<<<<< HEAD
-        """Lift the smallest load at the highest pressure, if the one before stayed down: a known weight for it."""
-=======
         """Lift the smallest load at the highest pressure, if the one before stayed down: a weight for the cell."""
->>>>>>> main
         weights, acquisition = self._mounted.bench_file.weights, self._executor.acquisition
         tried = {claim.row: claim.good for claim in self.wiring.claims(self.stages)}
         if weights is None or not weights.hanger or FORCE not in acquisition.latest or tried.get("load cell"):

@@ -128,13 +128,9 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         findings.append(Finding("note", text))
     findings += _over_frequency(first)
     if estimates:
-<<<<<<< HEAD
-        text = "no method part except for lateness and lag of the channels; how far these differ from sines is above"
-=======
         text = (
             "no method part but for lateness and lag of the channels; how far these differ from sines is stated above"
         )
->>>>>>> main
         findings.append(Finding("note", text))
     return Analysis.of(
         KIND,
