@@ -16,7 +16,7 @@ from pmabench.base.system import ENGINE, ordinary, real_time
 from pmabench.cli.common import Ui, common, plan_options, rewrite, session_options
 from pmabench.cli.names import RunFolder
 from pmabench.cli.operator import AtDisplay, Confirmed, InLines
-from pmabench.cli.outcome import print_checks, progress_line, show_next, show_outcome
+from pmabench.cli.outcome import print_checks, progress_line, show_end, show_next
 from pmabench.engine.operator import AtTerminal, ConfirmedBeforehand, Nobody
 
 if TYPE_CHECKING:
@@ -101,8 +101,7 @@ def run_or_resume(
     outcome = execute(
         ui, prepared, out or Path("runs"), operator_name=operator, yes=yes, continues=continues, session=session
     )
-    show_outcome(ui, outcome)
-    show_next(ui, outcome, prepared.mounted.bench, trials=True)
+    show_end(ui, outcome, prepared.mounted.bench, prepared.plan.kind, len(prepared.plan.trials))
     return outcome.exit_code
 
 
