@@ -69,7 +69,11 @@ def test_shipped_files_name_their_schema_and_satisfy_it(kind):
         jsonschema.validate(document.data, schema)
 
 
-JUDGES = {"tests/judge": "tests.judge", "tests/store/foreign": "tests.store.foreign"}
+JUDGES = {
+    "tests/judge": "tests.judge",
+    "tests/judge/second": "tests.judge.second",
+    "tests/store/foreign": "tests.store.foreign",
+}
 """Folder of what makes data with a known truth -> its modules; its own tests may import more."""
 
 

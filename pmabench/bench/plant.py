@@ -24,13 +24,13 @@ SYMBOLS = {"F_ce": "force", "K": "stiffness", "B_c": "damping", "B_r": "damping"
 """Coefficient -> quantity."""
 LEAST = {"F_ce": 0.0, "K": 1.0, "B_c": 1.0, "B_r": 1.0, "tau_r": 1e-4}
 MOST = {"F_ce": 1e6, "K": 1e6, "B_c": 1e7, "B_r": 1e7, "tau_r": 100.0}
-"""What each must lie between at all pressures of the plant [SI]."""
+"""Range in which each coefficient must lie at all pressures of the plant [SI]."""
 JUMP = 0.02
 """Most that a coefficient may jump at a break, of its highest value."""
 PAPER_2 = 5e5
 """Up to which its contractors were measured [Pa]."""
 AT_REST = 1.0
-"""Most force that is taken for none, without pressure [N]."""
+"""Forces up to this count as none, without pressure [N]."""
 
 Piece = list[float]
 
@@ -103,7 +103,7 @@ def plant_numbers(document: Document) -> dict[str, Any]:
 
 
 def _beyond_the_law(document: Document, file: DaerdenFile) -> Iterator[Problem]:
-    """Where a driven muscle would be where its law says nothing."""
+    """Problems where the muscle may be driven beyond the range of its law."""
     if file.reach[0] < -0.9 * file.B2:
         pole = f"must stay above {-0.9 * file.B2:.4g}, short of the pole of the rubber term at -B2"
         yield document.problem(("reach", 0), f"{file.reach[0]:.4g} {pole}")
@@ -114,7 +114,7 @@ def _beyond_the_law(document: Document, file: DaerdenFile) -> Iterator[Problem]:
 
 
 def _beyond_paper_2(document: Document, file: ContractorFile) -> Iterator[Problem]:
-    """Where a contractor's formulas say nothing (paper 2 eqs. 8-9)."""
+    """Problems where a contractor's formulas do not hold (paper 2 eqs. 8-9)."""
     if file.highest_pressure > PAPER_2 * (1 + 1e-9):
         known_range = f"paper 2's contractors are known up to {show(PAPER_2, 'pressure')}"
         yield document.problem(
@@ -335,7 +335,7 @@ def _jumps(curve: dict[str, Any]) -> Iterator[tuple[float, float, float]]:
 
 
 def _way_out(curve: dict[str, Any], highest: float) -> str:
-    """How a force that is negative at low pressure is written."""
+    """Advice how to write a force that would be negative at low pressure."""
     if "points" in curve:
         return "a muscle cannot push: give 0 N there"
     piece, pressure = curve["pieces"][0], curve["pressure"]

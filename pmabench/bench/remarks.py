@@ -151,6 +151,7 @@ SIMULATED: dict[str, Simulated] = {
     "contractor-30": Simulated(0.3, 0.02, "MOCK-CONTRACTOR"),
     "contractor-40": Simulated(0.4, 0.02, "MOCK-CONTRACTOR-40"),
     "arm-30": Simulated(0.3, 0.02, "MOCK-ARM"),
+    "real": Simulated(0.25, 0.02, "MOCK-REAL"),
 }
 """The muscles that a bench file can name.
 

@@ -32,7 +32,7 @@ EXAMPLE = (
 
 @click.group(name="cascade", epilog=EXAMPLE)
 def command() -> None:
-    """Muscles end to end, each with pressure steps of its own: simulate, draw, play again."""
+    """Muscles end to end, each with its pressure steps: simulate, draw, play again."""
 
 
 def _output_options(function: Callable[..., Any]) -> Callable[..., Any]:

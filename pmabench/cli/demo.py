@@ -17,8 +17,10 @@ from pmabench.cli.common import Ui, common, say
 def command(ui: Ui, out: Path, seed: int) -> int | None:
     """Characterise a simulated muscle: run every shipped kind of protocol, fit, and write the report."""
     from pmabench.cli.campaign import run_campaign, severity
-    from pmabench.cli.process import analyse, chains, load_runs, print_analyses, write
+    from pmabench.cli.process import analyse, chains, load_runs, print_analyses, verdict_of_all, write
+    from pmabench.kinds.reduce import verdicts
     from pmabench.report.document.content import content_of, write_page
+    from pmabench.report.glance import glance
     from pmabench.store.analyses.made_from import key_of
 
     started = time.monotonic()
@@ -47,10 +49,13 @@ def command(ui: Ui, out: Path, seed: int) -> int | None:
     }
 
     def human() -> None:
-        print_analyses(ui, analyses)
+        if ui.verbose:
+            print_analyses(ui, analyses)
+        click.echo("\n".join(glance(analyses, verdict_of_all(analyses, runs, verdicts(runs, analyses)), ())))
         seconds = sum(outcome.bench_seconds for outcome in outcomes)
         ui.note(f"{seconds / 60:.0f} min at the simulated bench, {recorded:,} rows, in {elapsed:.1f} s")
-        click.echo(str(report))
+        click.echo(f"report  {report}")
+        click.echo("next    pmabench init our-lab    the same for a bench of your own")
 
     ui.result(data, human, [str(report)])
     return None

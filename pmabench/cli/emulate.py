@@ -36,6 +36,7 @@ PRESETS = (
     "dmsp-40-305",
     *(f"contractor-{cm}" for cm in (15, 20, 25, 30, 40)),
     "arm-30",
+    "real",
 )
 NOT_PROVEN = "scales not proven: wiring and scales are taken from the bench file itself, so its errors cancel out"
 

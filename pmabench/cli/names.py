@@ -4,6 +4,8 @@ beyond its first lines, so that Tab answers as fast as --help.
 
 from __future__ import annotations
 
+import re
+import shlex
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -15,6 +17,8 @@ from pmabench.files.shipped import shipped_folder
 
 HEAD = 2000
 """Characters at the start of a file in which its schema and its name are looked for."""
+TAIL = re.compile("[0-9a-f]{4}(-[a-z]+)?")
+"""The end of the name of a run, which tells it from others of the same minute."""
 MOST = 50
 """Runs that are proposed, the newest first."""
 
@@ -41,9 +45,29 @@ class RunFolder(click.Path):
     def __init__(self, **options: Any) -> None:
         super().__init__(path_type=Path, **options)
 
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """A path, or the last four signs of a name, which no other folder there has: `runs/3efe`, `3efe`."""
+        path = Path(value)
+        if TAIL.fullmatch(path.name) and not path.exists():
+            places = [path.parent] if len(path.parts) > 1 else [Path(), Path("runs"), Path("analyses")]
+            found = [one for place in places for one in place.glob(f"*_{path.name}") if one.is_dir()]
+            if len(found) > 1:
+                self.fail(f'"{value}" is the end of several names: {", ".join(map(str, found))}', param, ctx)
+            value = found[0] if found else value
+        return super().convert(value, param, ctx)
+
     def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
         """The newest runs and analyses here, else any folder."""
         return complete_runs(ctx, param, incomplete)
+
+
+def short(folder: Path) -> str:
+    """A run or analysis as it is shortest typed here: `runs/3efe`, where no other folder there ends so."""
+    path = folder.resolve()
+    path = path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path
+    tail = path.name.rpartition("_")[2]
+    alone = TAIL.fullmatch(tail) and len([one for one in folder.parent.glob(f"*_{tail}") if one.is_dir()]) == 1
+    return shlex.quote(str(path.with_name(tail) if alone else path))
 
 
 def complete_runs(_ctx: click.Context, _param: click.Parameter, incomplete: str) -> list[CompletionItem]:

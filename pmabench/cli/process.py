@@ -12,11 +12,16 @@ import click
 
 from pmabench.base.errors import InvalidFile, UsageError, invalid
 from pmabench.cli.common import Ui, common
-from pmabench.cli.names import RunFolder
+from pmabench.cli.names import RunFolder, short
 
 if TYPE_CHECKING:
+    from pmabench.report.document.front import Verdict
     from pmabench.store.analyses.results import Analysis
     from pmabench.store.records import RunData
+
+
+MOST_SINCE = 2
+"""Lines about what came to runs after they were closed; with -v all."""
 
 
 @click.command(name="process")
@@ -109,6 +114,7 @@ def _process_together(
     """
     from pmabench.kinds.reduce import reduce_together, verdicts
     from pmabench.plotting.wording import clean
+    from pmabench.report.glance import glance
     from pmabench.store.analyses.made_from import key_of
 
     given = without_analyses(ui, runs)
@@ -138,13 +144,20 @@ def _process_together(
     }
 
     def human() -> None:
-        print_analyses(ui, analyses)
-        for line in since_lines(loaded):
-            click.echo(line)
-        for entry in data["excluded"]:
-            click.echo(clean("{run}: trial {trial} is left out by {operator}: {because}".format(**entry)))
-        click.echo("\n".join(str(path) for path in folders))
-        click.echo("\n".join(verdict_lines(analyses, loaded, failed)))
+        since = [
+            *since_lines(loaded),
+            *(clean("{run}: trial {trial} is left out by {operator}: {because}".format(**e)) for e in data["excluded"]),
+        ]
+        if ui.verbose:
+            print_analyses(ui, analyses)
+            click.echo("".join(f"{line}\n" for line in since), nl=False)
+            click.echo("\n".join(str(path) for path in folders))
+            click.echo("\n".join(verdict_lines(analyses, loaded, failed)))
+            return
+        place = short(folders[0].parent)
+        more = [f"{len(since) - MOST_SINCE} more: -v"] if len(since) > MOST_SINCE else []
+        lines = [*glance(analyses, verdict_of_all(analyses, loaded, failed), failed), *since[:MOST_SINCE], *more]
+        click.echo("\n".join([*lines, f"analysis  {place}", f"next      pmabench report {place} -o report.html"]))
 
     ui.result(
         data, human, [*(clean(f"NOT ACCEPTED: {verdict}") for verdict in failed), *(str(path) for path in folders)]
@@ -156,12 +169,19 @@ def verdict_lines(analyses: Sequence[Analysis], runs: Sequence[RunData], failed:
     """The verdict as the first page of the report has it, then each reason why results are not accepted."""
     from pmabench.analysis.verdict.acceptance import limits_of
     from pmabench.plotting.wording import clean
-    from pmabench.report.document.front import verdict_of
 
     limits = list(dict.fromkeys(limit.short for run in runs for limit in limits_of(run)))
-    verdict = verdict_of(analyses, runs, failed, accepted=bool(limits))
+    verdict = verdict_of_all(analyses, runs, failed)
     kept = f" ({', '.join(limits)})" if limits and not failed else ""
     return [clean(f"{verdict.word}{kept}: {verdict.text}"), *(clean(f"NOT ACCEPTED: {text}") for text in failed)]
+
+
+def verdict_of_all(analyses: Sequence[Analysis], runs: Sequence[RunData], failed: Sequence[str]) -> Verdict:
+    """The verdict of the report's first page; `failed` are the reasons why results are not accepted."""
+    from pmabench.analysis.verdict.acceptance import limits_of
+    from pmabench.report.document.front import verdict_of
+
+    return verdict_of(analyses, runs, failed, accepted=any(limits_of(run) for run in runs))
 
 
 def campaign_folder(folder: Path) -> Path:
@@ -247,7 +267,7 @@ def apart(sources: Sequence[Path]) -> tuple[list[Path], list[Path]]:
 
 
 def since_lines(runs: Sequence[RunData]) -> list[str]:
-    """What came to runs after they were closed, a line each."""
+    """One line for everything that was added to runs after they were closed."""
     return [f"{run.id}: {sentence}" for run in runs for sentence in run.since.sentences]
 
 

@@ -14,6 +14,7 @@ import click
 from pmabench.base.errors import RecordError, UsageError
 from pmabench.base.system import ENGINE, ordinary, real_time
 from pmabench.cli.common import Ui, common, plan_options, rewrite, session_options
+from pmabench.cli.names import RunFolder
 from pmabench.cli.operator import AtDisplay, Confirmed, InLines
 from pmabench.cli.outcome import print_checks, progress_line, show_next, show_outcome
 from pmabench.engine.operator import AtTerminal, ConfirmedBeforehand, Nobody
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
 @click.option("--out", default=None, type=click.Path(path_type=Path), help="Where run folders go.  [default: runs]")
 @click.option("--operator", default="", help="Who is at the bench; the login name if not given.")
 @click.option("--yes", is_flag=True, help="Every prompt counts as answered; the record says so.")
-@click.option("--resume", type=click.Path(path_type=Path, exists=True), help="Go on after the last trial of this run.")
+@click.option("--resume", type=RunFolder(exists=True), help="Go on after the last trial of this run.")
 @click.option(
     "--accept-changed",
     "accept",

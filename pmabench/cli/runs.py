@@ -68,7 +68,7 @@ def list_runs(ui: Ui, folder: Path) -> int | None:
 
 
 def _resume(run: Path, row: Mapping[str, Any]) -> str:
-    """The command that goes on with what is left of a run that ended too early; empty where there is none to give."""
+    """The command that continues a run that ended early; empty where it cannot be continued."""
     left = row["trials_planned"] - row["trials_finished"] - row["trials_before"]
     return f"pmabench run --resume {quote(str(run))}" if row["status"] in ENDED_EARLY and left > 0 else ""
 

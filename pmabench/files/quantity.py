@@ -163,7 +163,7 @@ def parse_plates(value: object) -> tuple[int, float]:
 
 @dataclass(frozen=True)
 class _Of:
-    """What a quantity is in a model: how its text is read, and how its schema describes it."""
+    """A quantity as a field of a pydantic model: reads its text, and describes it in the JSON Schema."""
 
     quantity: str
 

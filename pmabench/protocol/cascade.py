@@ -23,7 +23,7 @@ from pmabench.model.presets import MUSCLES, Setup, changed, preset, setup_of
 
 G = 9.81
 CARRIAGE, FORCE_MASS = 2.0, 0.5
-"""What moves besides the weights, and with a load that is a force [kg]."""
+"""Mass that moves besides the weights, and with a load that is a force [kg]."""
 MOST_MUSCLES, MOST_VALUES, LONGEST = 100, 2_000_000, 3600.0
 FEWEST_ROWS = 10
 HIGHEST = 600e3
@@ -58,7 +58,7 @@ def _shape(low: float, high: float, quantity: str) -> AfterValidator:
 
 
 class PressureStep(Strict):
-    """From `at` on, counted from the muscle's delay, its pressure is commanded `to` this."""
+    """One step of a muscle: from the time `at`, counted from the end of its delay, the pressure `to` is commanded."""
 
     at: Time
     to: Pressure
@@ -108,7 +108,7 @@ class ChainMuscle:
     radius: float
     braid_angle: float
     assumed: tuple[str, ...]
-    """What of its shape the file does not say."""
+    """Names of the parts of its shape that the file does not give."""
     setup: Setup | None
     """The plant; None for the printed model."""
     load: tuple[float, float]

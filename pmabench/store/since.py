@@ -29,7 +29,7 @@ from pmabench.store import notes
 from pmabench.store.folder import is_regular, kind_of, open_inside, open_regular, read_file
 
 LONGEST = 1_000_000
-"""Bytes of a guard's account; a longer one is none."""
+"""Most bytes of a guard's account; a longer file is ignored."""
 NAMED = 3
 """So many names are in a sentence."""
 

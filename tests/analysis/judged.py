@@ -1,4 +1,4 @@
-"""Campaigns of the independent simulator `tests.judge` as runs of the project, with the limits of its protocol."""
+"""Campaigns of the independent simulators `tests.judge` as runs of the project, with the limits of its protocol."""
 
 from __future__ import annotations
 
@@ -11,7 +11,10 @@ import numpy as np
 
 from pmabench.files.document import read_document
 from pmabench.store.records import ChannelInfo, ClockInfo, Command, RunData, TrialData
-from tests.judge.campaign import RATE, Trial
+from tests.judge import campaign as first
+from tests.judge.second import campaign as second
+
+Trial = first.Trial | second.Trial
 
 PROTOCOL = Path(__file__).resolve().parents[2] / "protocols" / "contraction-relaxation.yaml"
 CHANNELS = {"pressure": ("pressure", "Pa"), "displacement": ("length", "m"), "force": ("force", "N")}
@@ -37,7 +40,7 @@ def as_run(trials: Sequence[Trial], name: str = "judged") -> RunData:
         plan={"accept": accepted()}, events=(), channels={
             channel: ChannelInfo(channel, quantity, unit, 1.0, 0.0, -np.inf, np.inf)
             for channel, (quantity, unit) in CHANNELS.items()
-        }, rate=RATE, trials=tuple(_trial(name, number, trial) for number, trial in enumerate(trials)),
+        }, rate=_rate(trials), trials=tuple(_trial(name, number, trial) for number, trial in enumerate(trials)),
     )  # fmt: skip
 
 
@@ -56,6 +59,10 @@ def polled(run: RunData, scatter: float, seed: int) -> RunData:
         channels={name: replace(channel, stream=name) for name, channel in run.channels.items()},
         clocks={name: ClockInfo(uncertainty=scatter / 2, how="stamped by the computer") for name in run.channels},
     )
+
+
+def _rate(trials: Sequence[Trial]) -> float:
+    return round(1.0 / float(np.mean(np.diff(trials[0].t))), 3)
 
 
 def _trial(run: str, number: int, trial: Trial) -> TrialData:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -213,7 +214,7 @@ class Value:
 
 
 def judged(kind: str, cause: str, size: float, seed: int) -> tuple[list[Value], list[str]]:
-    """Values with an interval that the truth knows, and those that are withheld with the reason."""
+    """Values with an interval that the truth knows, and those that are withheld with the reason; a bound is 0 +- it."""
     one = KINDS[kind]
     right = one.truth(cause, size)
     values, withheld = [], []
@@ -231,6 +232,9 @@ def judged(kind: str, cause: str, size: float, seed: int) -> tuple[list[Value], 
             withheld.append(f"{name}: {e.note}")
         near = [span for (symbol, of, at), span in right.items()
                 if (symbol, of) == (e.symbol, coordinate) and abs(at - (place or 0.0)) < 1e-3 * max(1e-3, abs(at))]  # fmt: skip
+        bound = re.match(r"not more than ([\d.]+) % of the set-point", e.note)
+        if bound and near:
+            values.append(Value(name, 0.0, *near[0], float(bound[1]) / 100))
         if e.value is not None and e.parts.combined is not None and near:
             values.append(Value(name, e.value, *near[0], e.parts.combined))
     return values, withheld

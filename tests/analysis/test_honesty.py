@@ -333,7 +333,7 @@ def test_scales_tell_what_they_do_not_know():
     scales = Scales.of([half])
     assert scales.part({"force": 100.0, "displacement": 100.0}) == pytest.approx(1.0)
     assert scales.lack(("force", "displacement")) == (
-        "incomplete calibration part: the record tells no gain uncertainty of displacement"
+        "incomplete calibration part: the record gives no gain uncertainty of displacement"
     )
     assert Scales.of([half, run]).part({"force": 1.0}) is None
     assert Scales.of([half]).part({}) == 0.0

@@ -86,7 +86,7 @@ def test_calibration_is_the_offset_of_the_pressure():
     assert line.terms[0].parts.calibration == pytest.approx(1.5e3 * 1.08e-3, rel=0.01)
     assert line.terms[1].parts.calibration is None
     assert any(
-        "no calibration part: the record tells no gain uncertainty of pressure" in f.text for f in analysis.findings
+        "no calibration part: the record gives no gain uncertainty of pressure" in f.text for f in analysis.findings
     )
 
 

@@ -10,6 +10,7 @@ from click.shell_completion import ShellComplete
 from click.testing import CliRunner
 
 from pmabench.cli.main import COMMANDS, EXAMPLES, FORMER, SECTIONS, main
+from pmabench.cli.names import RunFolder, short
 
 ROOT = Path(__file__).resolve().parents[2]
 MOST_NAMES = 28
@@ -76,3 +77,19 @@ def test_list_names_files_of_this_folder_and_shipped_ones(tmp_path, monkeypatch)
     assert (rows["mock"]["title"], rows["mock"]["from"]) == ("mock bench, weights, MAS-20-250 of paper 0", "shipped")
     told = CliRunner().invoke(main, ["list", "-q"]).stdout.splitlines()
     assert {"mock", "contraction-relaxation", "demo", "paper0", "mas-20-250-paper0", "aarl-10mm"} <= set(told)
+
+
+def test_a_run_is_found_by_the_end_of_its_name_where_no_other_ends_so(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name in ("runs/20261123-1702_M_3efe", "runs/20261123-1703_M_aaaa", "analyses/20261123-1704_M_aaaa"):
+        (tmp_path / name).mkdir(parents=True)
+    folder = RunFolder()
+    one = Path("runs/20261123-1702_M_3efe")
+    assert [folder.convert(typed, None, None) for typed in ("3efe", "runs/3efe", str(one))] == [one] * 3
+    assert folder.convert("runs/aaaa", None, None) == Path("runs/20261123-1703_M_aaaa")
+    assert folder.convert("ffff", None, None) == Path("ffff")
+    with pytest.raises(click.BadParameter, match="the end of several names"):
+        folder.convert("aaaa", None, None)
+    assert short(tmp_path / one) == "runs/3efe"
+    (tmp_path / "runs" / "20261123-1705_M_3efe").mkdir()
+    assert short(tmp_path / one) == str(one)

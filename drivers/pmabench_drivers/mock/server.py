@@ -303,7 +303,7 @@ def _listen(device: DeviceRecord, address: str) -> socket.socket:
 
 
 def _let_go() -> None:
-    """Hold nothing of the one who started this: no terminal, no pipe."""
+    """Let go of the terminal and pipes of the program that started this one."""
     empty = os.open(os.devnull, os.O_RDWR)
     for descriptor in (0, 1, 2):
         os.dup2(empty, descriptor)

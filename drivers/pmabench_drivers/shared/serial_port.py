@@ -101,7 +101,7 @@ def open_port(device: str, address: str, **settings: Any) -> Any:
 
 
 def received(port: Any) -> bytes:
-    """What comes within the port's time-out, and all that waits then."""
+    """The bytes that arrive within the port's time-out, and all that are waiting then."""
     data = bytes(port.read(1))
     return data + bytes(port.read(min(port.in_waiting, MOST)))
 

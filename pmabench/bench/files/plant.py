@@ -165,7 +165,7 @@ class FlowFile(Strict):
 
 
 class HysteresisFile(Strict):
-    """A loop that knows no rate: half its gap, and the contraction over which a turn fades to 1/e."""
+    """A hysteresis loop, the same at all rates: half its gap, and the contraction in which a turn fades to 1/e."""
 
     height: Annotated[Force, _within(0, 1e4, "force")]
     width: Annotated[Ratio, _within(1e-5, 0.5, "ratio")]

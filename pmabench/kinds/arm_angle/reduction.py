@@ -173,7 +173,7 @@ def flat_from(P: Array, angle: Array) -> float | None:
 
 
 def _fitted(one: Loaded) -> Fitted:
-    """Paper 2's form at one load, with coefficients of its own."""
+    """Paper 2's form at one load, with coefficients fitted to it."""
     if len(one.pressure) <= len(UNKNOWN):
         return Fitted(one, None, None, f"no fit: {len(one.pressure)} pressures for {len(UNKNOWN)} coefficients")
     if one.pressure[-1] > view.BARELY * view.HIGHEST:

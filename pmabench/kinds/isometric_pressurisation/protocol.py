@@ -1,4 +1,4 @@
-"""Isometric pressurisation: the driven end stands still, the pressure goes slowly up and down (papers 2, 3, 4).
+"""Isometric pressurisation: the driven end is held, the pressure goes slowly up and down (papers 2, 3, 4).
 
 Paper 3's fixed-position test gives S(eps) and the rubber's force, papers 2 and 4 the pressure at which force begins.
 """

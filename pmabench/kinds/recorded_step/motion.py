@@ -1,4 +1,4 @@
-"""A second-order motion under a pressure that is held between its changes: its answer, exactly, and its fit.
+"""A second-order motion under a pressure that is constant between its changes: its answer, exactly, and its fit.
 
 The answer to a change is the unit step response of w^2 / (s^2 + 2 D w s + w^2), so the answer at a time is the sum
 over all changes before it. Of each pole p that sum is one decaying number, Z(t) = sum of dP_j exp(p (t - t_j)), which
@@ -60,12 +60,13 @@ class Motion:
 def fit_motion(t: Array, P: Array, x: Array, late: float) -> Motion:
     """Least squares of the driven motion over natural frequency and damping; gain and offset follow linearly.
 
-    The measured pressure is held between its changes, as a polled channel reads, and moved `late` [s] ahead. The
-    response is the sum of the exact step responses of all changes, at the stamps as they are: no resampling.
+    The measured pressure jumps in the middle between two samples that differ, which delays neither a channel that
+    changes at each sample nor one that is polled, and is moved `late` [s] ahead. The response is the sum of the exact
+    step responses of all changes: no resampling.
     """
     changes = np.flatnonzero(np.diff(P)) + 1
     jumps = np.diff(P)[changes - 1]
-    at = t[changes] - late
+    at = 0.5 * (t[changes - 1] + t[changes]) - late
 
     def answer(p: Array) -> tuple[Array, float]:
         driven = respond(t, at, jumps, float(np.exp(p[0])), float(np.exp(p[1])))
@@ -89,16 +90,36 @@ def fit_motion(t: Array, P: Array, x: Array, late: float) -> Motion:
 
 def lagged_motions(t: Array, P: Array, x: Array, known: Motion) -> list[Motion]:
     """Motions of a pressure that lags behind the measured one by `LAGS`, those that fit no worse than `known`."""
-    found = []
-    for lag in LAGS:
-        share = 1.0 - np.exp(-np.diff(t) / lag)
-        driving = np.empty(len(P))
-        driving[0] = P[0]
-        for k, part in enumerate(share):
-            driving[k + 1] = driving[k] + part * (P[k] - driving[k])
-        found.append(fit_motion(t, driving, x, known.late))
+    found = [fit_motion(t, behind(t, P, lag), x, known.late) for lag in LAGS]
     least = min(motion.rms for motion in [known, *found])
     return [motion for motion in found if motion.rms <= AS_GOOD * least]
+
+
+def behind(t: Array, y: Array, lag: float) -> Array:
+    """What a sensor with a first-order `lag` [s] reads of `y` at times `t` [s], shape (n,); at rest before, and exact
+    for straight lines between the samples.
+    """
+    if lag <= 0:
+        return y
+    length = np.diff(t) / lag
+    keep = np.exp(-length)
+    new = 1.0 - (1.0 - keep) / length
+    read = np.empty(len(y))
+    read[0] = y[0]
+    for k, (kept, share) in enumerate(zip(keep, new, strict=True)):
+        read[k + 1] = kept * read[k] + (1.0 - kept - share) * y[k] + share * y[k + 1]
+    return read
+
+
+def before_sensor(t: Array, y: Array, lag: float, over: float) -> Array:
+    """What a sensor with a first-order `lag` [s] was given where it read `y`, shape (n,), as means `over` a time [s].
+
+    The input is y + lag y', so its mean over a time is that of y and lag times the change of y over that time.
+    """
+    until, since = np.minimum(t + over / 2, t[-1]), np.maximum(t - over / 2, t[0])
+    area = np.concatenate(([0.0], np.cumsum(0.5 * (y[1:] + y[:-1]) * np.diff(t))))
+    change = lag * (np.interp(until, t, y) - np.interp(since, t, y))
+    return np.asarray((np.interp(until, t, area) - np.interp(since, t, area) + change) / (until - since))
 
 
 def extremes(x: Array, end: float, noise: float) -> int:

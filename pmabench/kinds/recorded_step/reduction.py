@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pmabench.analysis.imported import flagged_counts, import_findings, measured, unusable_because
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.form import Doubt, weighed
-from pmabench.analysis.shared.samples import LEAST, Held, left, noise_of, nothing_moved, onset
+from pmabench.analysis.shared.samples import LAG_KNOWN, LEAST, Held, lags_of, left, noise_of, nothing_moved, onset
 from pmabench.analysis.shared.student import mean_over, mean_with_half
 from pmabench.analysis.verdict.agreement import Offer, everywhere, values_of
 from pmabench.base.quantities import show
@@ -27,6 +27,8 @@ from pmabench.kinds.recorded_step.motion import (
     SHOWN,
     Motion,
     Swing,
+    before_sensor,
+    behind,
     extremes,
     fit_motion,
     free_swings,
@@ -72,6 +74,7 @@ class Step:
     t: Array
     P: Array
     x: Array
+    """Pressure and contraction, each behind the lag of the other's sensor, too: so neither lags behind the other."""
     size: float
     """Change of measured pressure [Pa]."""
     stroke: float
@@ -85,11 +88,10 @@ class Step:
     rise_half: float
     """Half the times between the samples that the onset, and the 63 %, lie between [s]."""
     motions: tuple[Motion, ...]
-
-    @property
-    def noise(self) -> float:
-        """Of the displacement at rest before the step [m]."""
-        return noise_of(self.x[self.t < 0])
+    slower: tuple[Motion, ...]
+    """The best of them were the lags of the sensors as small and as large as they may be; none without lags."""
+    noise: float
+    """Of the displacement at rest before the step, as recorded [m]."""
 
     @property
     def near(self) -> NDArray[np.bool_]:
@@ -120,7 +122,8 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     pressure, gives K = M w^2 and B = 2 D w M. It rings where its damping ratio is below a half and two extremes or more
     are seen: else the mass shows in the fast pole B/M alone, which a few ms between the channels hide. The pressure may
     be older than its time stamp (`late_by` of the map) and lag behind the sensor: K and B are given as the range over
-    that, and withheld where it is wider than 15 % either way.
+    that, and withheld where it is wider than 15 % either way. Lags of sensors (`sensor_lag`, first order) are taken
+    off, a fifth of them being left open.
 
     Repeats are trials with the same load and commanded pressures before and after. `options`: `mass` [kg] and `late_by`
     [[least, most] in s] instead of what the record says.
@@ -167,7 +170,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     )
 
 
-def measure(trial: TrialData, late: tuple[float, float]) -> Step | str:
+def measure(run: RunData, trial: TrialData, late: tuple[float, float]) -> Step | str:
     """One step from its samples, or the reason why it cannot be measured."""
     missing = [name for name in ("pressure", "displacement") if name not in trial.channels]
     command = next((c for c in trial.commands if c.kind == "set" and c.output == "pressure"), None)
@@ -183,7 +186,10 @@ def measure(trial: TrialData, late: tuple[float, float]) -> Step | str:
         return "its clock jumps"
     good = trial.usable
     t = trial.t[good] - command.t
-    P, x = trial.channels["pressure"][good], trial.channels["displacement"][good]
+    read, x = trial.channels["pressure"][good], trial.channels["displacement"][good]
+    lags = lags_of(run, trial)
+    over = _blurred(t, read, lags["pressure"])
+    P = before_sensor(t, read, lags["pressure"], over) if over else read
     within = command.data.get("within", 0.0)
     before, after = (t >= -BEFORE) & (t < -within), t > 0
     if np.count_nonzero(before) < FEWEST or np.count_nonzero(after) < FEWEST or t[-1] < AFTER:
@@ -200,14 +206,45 @@ def measure(trial: TrialData, late: tuple[float, float]) -> Step | str:
     if not len(begun) or not len(most) or begun[0] == 0:
         return "no onset of the pressure is seen"
     begins, doubt = _onset(t, rise, int(begun[0]), within)
-    near = (t >= -BEFORE) & (t <= AFTER)
-    shifts = np.linspace(*late, SHIFTS if late[1] > late[0] else 1)
-    motions = tuple(fit_motion(t[near], P[near], x[near], float(shift)) for shift in shifts)
+    unsure = over / 2 + LAG_KNOWN * lags["pressure"]
     dead = begins + within / 2 - (late[0] + late[1]) / 2
-    dead_half = doubt + within / 2 + (late[1] - late[0]) / 2
+    dead_half = doubt + within / 2 + (late[1] - late[0]) / 2 + unsure
     crossed = t[max(0, most[0] - 1) : most[0] + 1]
-    rise_half = doubt + float(np.ptp(crossed)) / 2
-    return Step(trial, t, P, x, size, stroke, dead, dead_half, float(crossed.mean()) - begins, rise_half, motions)
+    rise_half = doubt + float(np.ptp(crossed)) / 2 + unsure
+    motions, slower = _motions(t, read, x, late, (lags["displacement"], lags["pressure"]))
+    alike = behind(t, read, lags["displacement"]), behind(t, x, lags["pressure"])
+    return Step(
+        trial, t, *alike, size, stroke, dead, dead_half, float(crossed.mean()) - begins, rise_half, motions, slower,
+        noise_of(x[t < 0]),
+    )  # fmt: skip
+
+
+def _motions(
+    t: Array, P: Array, x: Array, late: tuple[float, float], lags: tuple[float, float]
+) -> tuple[tuple[Motion, ...], tuple[Motion, ...]]:
+    """Motions over the lateness of the pressure, and the best with each sensor's lag as small and large as it may be.
+
+    `lags` [s] are those of displacement and pressure: pressure is put behind the first, contraction behind the second.
+    """
+    near = (t >= -BEFORE) & (t <= AFTER)
+
+    def fitted(late: float, lags: tuple[float, float]) -> Motion:
+        return fit_motion(t[near], behind(t, P, lags[0])[near], behind(t, x, lags[1])[near], late)
+
+    motions = tuple(fitted(float(shift), lags) for shift in np.linspace(*late, SHIFTS if late[1] > late[0] else 1))
+    best = min(motions, key=lambda motion: motion.rms)
+    others = [(lags[0] * (1 + by), lags[1]) for by in (-LAG_KNOWN, LAG_KNOWN) if lags[0]]
+    others += [(lags[0], lags[1] * (1 + by)) for by in (-LAG_KNOWN, LAG_KNOWN) if lags[1]]
+    return motions, tuple(fitted(best.late, one) for one in others)
+
+
+def _blurred(t: Array, P: Array, lag: float) -> float:
+    """Time over which the pressure is averaged where the lag of its sensor is taken off [s]; 0 without one.
+
+    Half the lag, so that noise grows little, and never less than a channel that is polled keeps its value for.
+    """
+    changes = np.diff(t[:-1][np.diff(P) != 0])
+    return max(lag / 2, 2 * float(np.median(changes)) if len(changes) else 0.0) if lag else 0.0
 
 
 def _onset(t: Array, rise: Array, first: int, within: float) -> tuple[float, float]:
@@ -343,7 +380,12 @@ def _muscle(
         if why:
             break
         near = step.t[step.near], step.P[step.near], step.x[step.near]
-        possible = [*step.motions, *(fit_motion(*near, late) for late in apart), *lagged_motions(*near, step.best)]
+        possible = [
+            *step.motions,
+            *step.slower,
+            *(fit_motion(*near, late) for late in apart),
+            *lagged_motions(*near, step.best),
+        ]
         for symbol, values in (
             ("K", [mass * motion.w**2 for motion in possible]),
             ("B", [2 * motion.D * motion.w * mass for motion in possible]),

@@ -251,9 +251,9 @@ class Finding:
 
 
 AGREEMENT = "agreement"
-"""Kind of the analysis that compares tests and is none itself."""
+"""Kind of the analysis that compares several tests; it belongs to none of them."""
 PUBLISHED = "published"
-"""Kind of an analysis that holds other people's values and is none itself."""
+"""Kind of an analysis that holds published values; no test of ours is behind it."""
 
 
 @dataclass(frozen=True)
