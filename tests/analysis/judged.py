@@ -13,6 +13,7 @@ from pmabench.files.document import read_document
 from pmabench.store.records import ChannelInfo, ClockInfo, Command, RunData, TrialData
 from tests.judge import campaign as first
 from tests.judge.second import campaign as second
+from tests.judge.second.driven import AWAY, LEAD, SAMPLED, Record
 
 Trial = first.Trial | second.Trial
 
@@ -79,3 +80,40 @@ def _trial(run: str, number: int, trial: Trial) -> TrialData:
     point = {"load": trial.load, "mass": trial.mass, "pressure": trial.target}
     flags = np.zeros(len(trial.t), dtype=np.uint16)
     return TrialData(run, number, point, 0, False, "finished", trial.t, channels, flags, commands, {})
+
+
+SLOW = {
+    "isobaric-ramp": "isobaric-ramp",
+    "isometric-pressurisation": "isometric-pressurisation",
+    "step": "isometric-pressurisation",
+    "sine": "sinusoidal-displacement",
+    "hold": "sinusoidal-displacement",
+    "random": "sinusoidal-displacement",
+}
+"""Test of the second muscle with a driven end -> the kind of test of the project that records the like."""
+
+
+def as_slow_runs(records: Sequence[Record]) -> list[RunData]:
+    """Tests with a driven end as runs, one a kind, whose trials follow each other as they were done."""
+    runs: dict[str, list[tuple[float, Record]]] = {}
+    begin = 0.0
+    for record in records:
+        runs.setdefault(SLOW[record.kind], []).append((begin, record))
+        begin += float(record.t[-1]) + LEAD + AWAY
+    channels = {name: ChannelInfo(name, quantity, unit, 1.0, 0.0, -np.inf, np.inf)
+                for name, (quantity, unit) in CHANNELS.items()}  # fmt: skip
+
+    def trial(run: str, number: int, begin: float, one: Record) -> TrialData:
+        values = {name: getattr(one, name) for name in CHANNELS}
+        values |= {"pressure_command": one.command, "displacement_command": one.way}
+        point = {"contraction" if name == "displacement" else name: value for name, value in one.point.items()}
+        flags = np.zeros(len(one.t), dtype=np.uint16)
+        return TrialData(run, number, point, 0, False, "finished", begin + one.t, values, flags, (), {})
+
+    return [
+        RunData(
+            id=kind, path="", kind=kind, status="finished", simulated=True, manifest={}, plan={}, events=(),
+            channels=channels, rate=SAMPLED, trials=tuple(trial(kind, n, *one) for n, one in enumerate(mine)),
+        )
+        for kind, mine in runs.items()
+    ]  # fmt: skip

@@ -139,7 +139,8 @@ def test_broken_runs_of_every_kind_are_strict_json_without_a_warning(runs, fault
     for run in runs:
         if fault in BROKEN:
             trials = [tuple(BROKEN[fault](trial) for trial in run.trials)]
-            trials.append((BROKEN[fault](run.trials[0]), *run.trials[1:]))
+            if len(run.trials) > 1:
+                trials.append((BROKEN[fault](run.trials[0]), *run.trials[1:]))
         else:
             trials = [run.trials[:1] if fault == "one trial" else ()]
         for some in trials:
