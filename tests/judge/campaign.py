@@ -7,15 +7,15 @@ no pressure, and the weight on its support, where the cell reads 0.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from scipy.signal import lfilter
 
 from tests.judge.motion import GRAVITY, RATE, Motion, Steps, hang, pressure
-from tests.judge.muscle import Array, Muscle, Range
+from tests.judge.muscle import CREEP_DECADES, Array, Muscle, Range
+from tests.judge.record import lagged
 
 MASSES = (6.0, 11.0, 16.0, 21.0, 26.0, 31.0, 36.0, 41.0)
 """[kg]"""
@@ -37,10 +37,46 @@ FULL = {
     "force-lag": 10e-3,
     "pressure-late": 10e-3,
     "bend": 0.20,
+    "slip": 3e-3,
+    "force-late": 12e-3,
+    "pressure-lag": 12e-3,
+    "position-lag": 8e-3,
+    "tube": 20e-3,
+    "hysteresis": 30.0,
+    "several": 1.0,
+    "gain": 0.03,
+    "mass": 0.05,
 }
-"""Cause -> its full size: N over the campaign; m; m; share of a contraction; s; s; share of K."""
-CAUSES = tuple(cause for cause in FULL if cause != "clean")
+"""Cause -> its full size [SI], in the order of `campaign`; shares have no unit."""
+CAUSES = ("cell-drift", "slip-0.8", "slip-3", "creep", "force-lag", "pressure-late", "bend")
 SIZES = (1.0, 0.5, 0.25, 0.125)
+"""Shares of the full sizes of `CAUSES`, from what any look at the record shows to what hides in the noise."""
+SEVERAL = {"bend": 0.07, "hysteresis": 20.0, "creep": 0.04 * CREEP_DECADES}
+"""What the cause `several` puts into the muscle at once."""
+AMOUNTS = {
+    "clean": (0.0,),
+    "cell-drift": (5.0, 10.0, 20.0),
+    "slip": (0.3e-3, 1e-3, 3e-3),
+    "force-late": (4e-3, 8e-3, 12e-3),
+    "force-lag": (4e-3, 8e-3, 12e-3),
+    "pressure-late": (4e-3, 8e-3, 12e-3),
+    "pressure-lag": (4e-3, 8e-3, 12e-3),
+    "position-lag": (3e-3, 5e-3, 8e-3),
+    "tube": (5e-3, 10e-3, 20e-3),
+    "bend": (0.04, 0.07, 0.10),
+    "hysteresis": (10.0, 20.0, 30.0),
+    "creep": tuple(share * CREEP_DECADES for share in (0.02, 0.04, 0.06)),
+    "several": (0.5, 0.75, 1.0),
+    "gain": (0.01, 0.02, 0.03),
+    "mass": (0.02, 0.035, 0.05),
+}
+"""Causes that a diagnosis has to tell apart, each at amounts [SI] that it must find."""
+CASES = tuple((cause, amount / (FULL[cause] or 1.0)) for cause, amounts in AMOUNTS.items() for amount in amounts)
+"""The same as arguments of `campaign`."""
+
+
+LAGGED = {"force-lag": "force", "pressure-lag": "pressure", "position-lag": "displacement"}
+"""Cause -> the channel whose sensor has a filter."""
 
 
 @dataclass(frozen=True)
@@ -75,9 +111,10 @@ STARTS = np.concatenate(([0.0], np.cumsum(DURATION + PAUSES)[:-1]))
 
 
 def muscle_of(cause: str, size: float) -> Muscle:
-    """The muscle of a campaign; only two of the causes are in it, the others are in the bench."""
-    amount = size * FULL[cause]
-    return Muscle(bend=amount if cause == "bend" else 0.0, creep=amount if cause == "creep" else 0.0)
+    """The muscle of a campaign: bend, creep and hysteresis are in it, the other causes are in the bench."""
+    if cause == "several":
+        return Muscle(**{name: size * amount for name, amount in SEVERAL.items()})
+    return Muscle(**{cause: size * FULL[cause]}) if cause in SEVERAL else Muscle()
 
 
 def truth(cause: str, size: float) -> dict[str, Callable[[Array], Range]]:
@@ -86,9 +123,9 @@ def truth(cause: str, size: float) -> dict[str, Callable[[Array], Range]]:
 
 
 @lru_cache(maxsize=32)
-def _motion(muscle: Muscle, slack: float) -> Motion:
+def _motion(muscle: Muscle, slack: float, tube: float) -> Motion:
     masses = np.array([mass for mass, _ in PLAN])
-    return hang(muscle, masses, [commands(P) for _, P in PLAN], DURATION, PAUSES, slack=slack)
+    return hang(muscle, masses, [commands(P) for _, P in PLAN], DURATION, PAUSES, slack=slack, tube=tube)
 
 
 def campaign(cause: str, size: float, seed: int) -> list[Trial]:
@@ -97,51 +134,92 @@ def campaign(cause: str, size: float, seed: int) -> list[Trial]:
     cell-drift
         The zero of the cell goes evenly with time, up with even seeds and down with odd ones; at rest the cell reads
         what it drifted.
-    slip-0.8, slip-3
+    slip-0.8, slip-3, slip
         Before one trial, drawn from the 4th to the 22nd, a mount gives way. With even seeds that of the muscle: its
         fixed end is nearer to the load, which stays on its support. At rest the record shows nothing; from then on
         each contraction is shorter. With odd seeds that of the displacement sensor: it reads that much less, at rest
-        too.
+        too. `slip` goes the other way with half of the seeds of each.
     creep
         The muscle yields under load by up to this share of its contraction, in 0.2 to 60 s, and recovers at rest.
-    force-lag
-        The cell has a filter of first order with this time constant.
-    pressure-late
-        The pressure is recorded that much later than the rest.
+    force-lag, pressure-lag, position-lag
+        The sensor has a filter of first order with this time constant.
+    force-late, pressure-late
+        The stream is recorded that much later than the rest.
+    tube
+        The pressure in the muscle follows the one that is recorded, with this time constant.
     bend
         The spring is no straight line: steeper by this share without contraction, flatter by it at 60 mm.
+    hysteresis
+        The strands of the braid slide on each other after some motion: half of the gap between both ways at 500 kPa.
+    several
+        Bend, hysteresis and creep at once (`SEVERAL`).
+    gain
+        The cell reads too much or too little by this share, up with even seeds and down with odd ones.
+    mass
+        One weight, drawn, is heavier or lighter by this share than what is written on it and recorded.
     """
     amount = size * FULL[cause]
     chance = np.random.default_rng([seed, *cause.encode(), round(1000 * size)])
-    muscle = muscle_of(cause, size)
+    sign = 1 - 2 * (seed % 2)
+    muscle, tube = muscle_of(cause, size), amount if cause == "tube" else 0.0
     slips = int(chance.integers(3, 22)) if cause.startswith("slip") else len(PLAN)
-    of_sensor = seed % 2 == 1
-    sound = _motion(muscle, 0.0)
-    slipped = _motion(muscle, amount) if slips < len(PLAN) and not of_sensor else sound
-    late = amount if cause == "pressure-late" else 0.0
+    away = amount * (1 - 2 * (seed // 2 % 2)) if cause == "slip" else amount
+    sound = _motion(muscle, 0.0, tube)
+    slipped = _motion(muscle, away, tube) if slips < len(PLAN) and sign > 0 else sound
+    mislabelled = chance.choice(MASSES) if cause == "mass" else None
     t = np.arange(round(DURATION * RATE) + 1) / RATE
     trials = []
     for number, ((mass, target), start) in enumerate(zip(PLAN, STARTS.tolist(), strict=True)):
         done = slipped if number >= slips else sound
-        x, force = done.x[number], done.force[number]
-        if number >= slips and of_sensor:
-            x = x - amount
-        if cause == "cell-drift":
-            force = force + (1 - 2 * (seed % 2)) * amount * (start + t) / (STARTS[-1] + DURATION)
-        if cause == "force-lag":
-            force = lagged(force, amount)
         steps = commands(target)
-        clean = {"pressure": pressure(steps, t - late), "displacement": x, "force": force}
+        clean = {"pressure": pressure(steps, t), "displacement": done.x[number], "force": done.force[number]}
+        if number >= slips and sign < 0:
+            clean["displacement"] = clean["displacement"] - away
+        clean = _in_the_bench(cause, amount, sign, clean, steps, t, (start + t) / (STARTS[-1] + DURATION))
         read = {name: one + NOISE[name] * chance.standard_normal(len(t)) for name, one in clean.items()}
         asked = tuple((start + at, value) for at, value in steps)
-        trials.append(Trial(mass, mass * GRAVITY, target, asked, start + t, **read))
+        named = mass / (1 + sign * amount) if mass == mislabelled else mass
+        trials.append(Trial(named, named * GRAVITY, target, asked, start + t, **read))
     return trials
 
 
-def lagged(values: Array, constant: float) -> Array:
-    """Samples after a filter of first order with a time constant [s]; exact for straight lines between samples."""
-    a = 1.0 / (RATE * constant)
-    keep = float(np.exp(-a))
-    b1 = 1.0 - (1.0 - keep) / a
-    b0 = 1.0 - keep - b1
-    return np.asarray(lfilter([b1, b0], [1.0, -keep], values - values[0]) + values[0])
+def _in_the_bench(
+    cause: str, amount: float, sign: int, clean: dict[str, Array], steps: Steps, t: Array, done: Array
+) -> dict[str, Array]:
+    """What sensors make of the channels of a trial; `done` is the share of the campaign at times `t` [s]."""
+    if cause == "cell-drift":
+        return clean | {"force": clean["force"] + sign * amount * done}
+    if cause == "gain":
+        return clean | {"force": clean["force"] * (1 + sign * amount)}
+    if cause == "pressure-late":
+        return clean | {"pressure": pressure(steps, t - amount)}
+    if cause == "force-late":
+        return clean | {"force": np.interp(t - amount, t, clean["force"])}
+    if cause in LAGGED:
+        return clean | {LAGGED[cause]: lagged(clean[LAGGED[cause]], amount, RATE)}
+    return clean
+
+
+@dataclass(frozen=True)
+class Weighed:
+    """Readings of the cell against known weights: arrays, one value a reading."""
+
+    t: Array
+    """[s] from the start of the campaign."""
+    weight: Array
+    """What the cell should read, by what is written on the weights [N]; 0 where they lie on their support."""
+    read: Array
+    """[N]"""
+
+
+def weighed(trials: Sequence[Trial], seed: int, held: float = 0.5, lying: float = 0.1) -> Weighed:
+    """Readings at rest before each trial and at the end of each held pressure, with a scatter of both [N].
+
+    A pulley's friction takes up some of a weight that hangs, and nothing of one that lies.
+    """
+    chance = np.random.default_rng(seed)
+    rest, plateau = slice(0, 100), slice(round((BASELINE + CONTRACT - 1.0) * RATE), round((BASELINE + CONTRACT) * RATE))
+    rows = [(trial.t[part].mean(), weight, trial.force[part].mean() + scatter * chance.standard_normal())
+            for trial in trials
+            for part, weight, scatter in ((rest, 0.0, lying), (plateau, trial.load, held))]  # fmt: skip
+    return Weighed(*np.array(rows).T)

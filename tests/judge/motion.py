@@ -15,6 +15,7 @@ import numpy as np
 from tests.judge.muscle import (
     CREEP_TIMES,
     FRICTION,
+    SLIDES,
     STROKE,
     Array,
     Muscle,
@@ -23,6 +24,7 @@ from tests.judge.muscle import (
     pull,
     stiffness,
 )
+from tests.judge.record import lagged
 
 GRAVITY = 9.81
 RATE = 500.0
@@ -63,39 +65,46 @@ def pressure(steps: Steps, t: Array) -> Array:
 
 def hang(
     muscle: Muscle, masses: Array, commands: Sequence[Steps], duration: float, pauses: Array, *,
-    slack: float = 0.0, fine: int = FINE,
+    slack: float = 0.0, tube: float = 0.0, fine: int = FINE,
 ) -> Motion:  # fmt: skip
     """The motion of trials with `masses` [kg] one after the other, with `pauses` [s] after each at no pressure.
 
-    `slack` [m] is how far the fixed end of the muscle is nearer to the load's support than it should be.
+    `slack` [m] is how far the fixed end of the muscle is nearer to the load's support than it should be; `tube` [s] is
+    the time constant by which the muscle's pressure follows that of the regulator.
     """
     t = np.arange(round(duration * RATE) * fine + 1) / (RATE * fine)
-    P = np.array([pressure(steps, t) for steps in commands]).T
-    crept = np.zeros((len(CREEP_TIMES), len(masses)))
-    if not muscle.creep:
-        return _advance(muscle, masses, P, crept, slack, fine)[0]
-    for _ in range(2):  # what is left of one trial's creep changes the next a little, and that the one after next less
-        motion, ended = _advance(muscle, masses, P, crept, slack, fine)
-        crept = np.zeros_like(ended)
-        for number, pause in enumerate(pauses[:-1]):
-            crept[:, number + 1] = ended[:, number] * np.exp(-pause / CREEP_TIMES)
+    P = np.array([lagged(pressure(steps, t), tube, RATE * fine) for steps in commands]).T
+    crept, strained = (np.zeros((len(of), len(masses))) for of in (CREEP_TIMES, SLIDES))
+    # what is left of one trial's creep and strain changes the next a little, and that the one after next less
+    for _ in range(2 if muscle.creep or muscle.hysteresis else 1):
+        motion, crept, strained = _advance(muscle, masses, P, crept, strained, slack, fine)
+        crept, strained = np.roll(crept, 1, axis=1), np.roll(strained, 1, axis=1)
+        crept[:, 1:] *= np.exp(-pauses[:-1] / CREEP_TIMES[:, None])
+        crept[:, 0] = strained[:, 0] = 0.0
     return motion
 
 
-def _advance(muscle: Muscle, masses: Array, P: Array, crept: Array, slack: float, fine: int) -> tuple[Motion, Array]:
-    """Motion from rest on the support, and the creep at the end."""
+def _advance(
+    muscle: Muscle, masses: Array, P: Array, crept: Array, strained: Array, slack: float, fine: int
+) -> tuple[Motion, Array, Array]:
+    """Motion from rest on the support, and the creep and the strain of the braid at the end."""
     h = 1.0 / (RATE * fine)
     weight = masses * GRAVITY
+    slides = SLIDES[:, None]
+    gap = muscle.gap(P)
+    rubbed = np.zeros_like(masses)
     force, K, up, down = pull(P), stiffness(P), damping_up(P), damping_down(P)
     x, v = np.zeros_like(masses), np.zeros_like(masses)
     share = muscle.creep / len(CREEP_TIMES)
     follow = -np.expm1(-h / CREEP_TIMES)[:, None]
-    crept = crept.copy()
+    crept, strained = crept.copy(), strained.copy()
     offset = slack - crept.sum(axis=0)
     places, forces = np.empty(((len(P) - 1) // fine + 1, len(x))), np.empty(((len(P) - 1) // fine + 1, len(x)))
     for n in range(len(P)):
         u = x + offset
-        elastic = force[n] - K[n] * u * (1 + muscle.bend * (1 - u / STROKE))
+        if muscle.hysteresis:
+            rubbed = gap[n] * np.mean(strained / slides, axis=0)
+        elastic = force[n] - K[n] * u * (1 + muscle.bend * (1 - u / STROKE)) - rubbed
         excess = elastic - weight
         start = np.where(excess > FRICTION, 1.0, np.where((excess < -FRICTION) & (x > 0), -1.0, 0.0))
         way = np.where(v != 0, np.sign(v), start)
@@ -109,7 +118,10 @@ def _advance(muscle: Muscle, masses: Array, P: Array, crept: Array, slack: float
         ahead = u + 0.5 * h * v
         bent = 1 + muscle.bend * (1 - ahead / STROKE)
         k0, k1 = K[n] * bent, K[n + 1] * bent
+        if muscle.hysteresis:
+            rubbed = gap[n] * np.mean(np.clip(strained + 0.5 * h * v, -slides, slides) / slides, axis=0)
         push = 0.5 * (force[n] + force[n + 1] - (k0 + k1) * u - k1 * 0.5 * h * v - b0 * v) - weight - FRICTION * way
+        push = push - rubbed
         after = (masses * v / h + push) / (masses / h + 0.5 * b1 + 0.25 * h * k1)
         after = np.where(after * way > 0, after, 0.0)
         there = x + 0.5 * h * (v + after)
@@ -118,5 +130,7 @@ def _advance(muscle: Muscle, masses: Array, P: Array, crept: Array, slack: float
         if share:
             crept += follow * (share * 0.5 * (x + there) - crept)
             offset = slack - crept.sum(axis=0)
+        if muscle.hysteresis:
+            strained = np.clip(strained + there - x, -slides, slides)
         x = there
-    return Motion(places.T.copy(), forces.T.copy()), crept
+    return Motion(places.T.copy(), forces.T.copy()), crept, strained

@@ -24,6 +24,12 @@ STROKE = 60e-3
 """Contraction [m] over which a bent muscle is softened: about what the paper reports at 550 kPa."""
 CREEP_TIMES = np.geomspace(0.2, 60.0, 8)
 """Times of the chain that creeps [s], three in a decade: together nearly a logarithm of time."""
+CREEP_DECADES = float(len(CREEP_TIMES) * np.log10(CREEP_TIMES[1] / CREEP_TIMES[0]))
+"""Decades of time over which the chain creeps: its whole amount over these is its amount in a decade."""
+SLIDES = np.geomspace(0.12e-3, 6.5e-3, 10)
+"""Motions [m] after which the strands of the braid slide on each other, an equal share of them after each."""
+BRAIDED = 500e3
+"""Pressure [Pa] at which the hysteresis of the braid has the force that it is named after."""
 
 
 def filled(P: Array) -> Array:
@@ -53,12 +59,22 @@ def damping_down(P: Array) -> Array:
 
 @dataclass(frozen=True)
 class Muscle:
-    """F = F_ce(P) - K(P) u (1 + bend (1 - u/60 mm)) - B(P, direction) x' - F_c sign x', u = contraction - creep."""
+    """F = F_ce(P) - K(P) u (1 + bend (1 - u/60 mm)) - B(P, direction) x' - F_c sign x' - H(P) s, u = contraction - creep.
+
+    s is the mean over the strands of the braid of how far each is strained, from -1 to 1 where it slides; H(P) is
+    proportional to the pressure.
+    """
 
     bend: float = 0.0
     """By which share K is greater than its line at no contraction; it is as much smaller at 60 mm."""
     creep: float = 0.0
     """Share of a contraction that is added to it when the pull is held for ever."""
+    hysteresis: float = 0.0
+    """H [N] at 500 kPa: half the gap between relaxing and contracting that is left at any low speed."""
+
+    def gap(self, P: Array) -> Array:
+        """H [N] at pressures [Pa]."""
+        return self.hysteresis * np.maximum(P, 0.0) / BRAIDED
 
     def truth(self, light: float, heavy: float, hold: float) -> dict[str, Callable[[Array], Range]]:
         """Symbol -> right values over pressure, of a test with loads from `light` to `heavy` [N], held for `hold` [s].
@@ -74,6 +90,12 @@ class Muscle:
         Creep: K is greatest before it creeps, and least after the longest hold of the test. A K between the two holds
         at a time scale of the test, any other at none. F_ce, B and F_c have nothing to do with creep: it vanishes with
         the contraction, and is no friction.
+
+        Hysteresis: F_c is what slides at once, or that and the braid when all of it slides. The other values do not
+        change: after a long stroke the braid adds a constant.
+
+        `K_0` is the slope without contraction, before any creep: what remains where bend and creep have columns of
+        their own in a fit.
         """
 
         def exactly(line: Callable[[Array], Array]) -> Callable[[Array], Range]:
@@ -87,11 +109,14 @@ class Muscle:
                 stiffness(P) * (1 + self.bend * (1 - high)),
             )
 
-        def friction(P: Array) -> Array:
-            return np.full_like(P, FRICTION)
+        def friction(P: Array) -> Range:
+            return np.full_like(P, FRICTION), np.full_like(P, FRICTION + self.hysteresis)
 
-        lines = {"F_ce": pull, "B_c": damping_up, "B_r": damping_down, "F_c": friction}
-        return {"K": of_K, **{symbol: exactly(line) for symbol, line in lines.items()}}
+        def steepest(P: Array) -> Array:
+            return stiffness(P) * (1 + self.bend)
+
+        lines = {"F_ce": pull, "B_c": damping_up, "B_r": damping_down, "K_0": steepest}
+        return {"K": of_K, "F_c": friction, **{symbol: exactly(line) for symbol, line in lines.items()}}
 
     def _rest(self, P: Array, load: float) -> Array:
         """Contraction at which it carries a load without friction [m]; root of a quadratic where it is bent."""

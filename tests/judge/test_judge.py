@@ -7,20 +7,32 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from tests.judge.campaign import (
+    CASES,
     CAUSES,
     FULL,
+    MASSES,
     NOISE,
     PLAN,
     PRESSURES,
     RELAX,
     campaign,
     commands,
-    lagged,
     muscle_of,
     truth,
+    weighed,
 )
 from tests.judge.motion import DEAD_TIME, FILLING, GRAVITY, RATE, hang, pressure
-from tests.judge.muscle import FRICTION, Muscle, damping_down, damping_up, pull, stiffness
+from tests.judge.muscle import (
+    CREEP_DECADES,
+    CREEP_TIMES,
+    FRICTION,
+    Muscle,
+    damping_down,
+    damping_up,
+    pull,
+    stiffness,
+)
+from tests.judge.record import lagged
 
 
 def test_the_lines_are_those_that_were_printed():
@@ -36,7 +48,11 @@ def test_the_pressure_follows_its_commands_after_the_dead_time():
     assert pressure(((0.2, 300e3),), t) == pytest.approx([0.0, 0.0, 300e3 * (1 - np.exp(-1)), 300e3])
 
 
-@pytest.mark.parametrize("muscle", [Muscle(), Muscle(bend=0.2), Muscle(creep=0.1)], ids=["straight", "bent", "creeps"])
+@pytest.mark.parametrize(
+    "muscle",
+    [Muscle(), Muscle(bend=0.2), Muscle(creep=0.1), Muscle(hysteresis=30.0)],
+    ids=["straight", "bent", "creeps", "rubs"],
+)
 def test_half_the_step_changes_less_than_the_noise(muscle):
     masses, steps = np.array([6.0, 41.0]), [commands(500e3), commands(350e3)]
     once, twice = (hang(muscle, masses, steps, 3.0, np.array([10.0, 10.0]), fine=fine) for fine in (2, 4))
@@ -92,7 +108,67 @@ def test_a_late_pressure_and_a_lagged_force_are_late_by_their_time():
     at = np.interp(late.pressure[rows], clean.pressure[:800], clean.t[:800])
     assert np.mean(clean.t[rows] - at) == pytest.approx(FULL["pressure-late"], abs=1e-3)
     ramp = np.arange(200) / RATE
-    assert (ramp - lagged(ramp, 10e-3))[-1] == pytest.approx(10e-3, rel=1e-6)
+    assert (ramp - lagged(ramp, 10e-3, RATE))[-1] == pytest.approx(10e-3, rel=1e-6)
+
+
+def test_each_lagged_and_late_stream_is_late_by_its_time():
+    """Areas between the streams of a rise and of a fall: a filter and a delay of the same time lose the same."""
+    for cause, channel in (
+        ("force-late", "force"), ("pressure-lag", "pressure"), ("position-lag", "displacement"), ("tube", "displacement")
+    ):  # fmt: skip
+        clean, late = (getattr(campaign(one, 1.0, 1)[4], channel) for one in ("clean", cause))
+        rise = slice(0, 2500) if cause != "force-late" else slice(0, 200)
+        lost = float(np.sum(clean[rise] - late[rise])) / RATE
+        noise = 5 * NOISE[channel] * np.sqrt(2 * 2500) / RATE
+        assert lost == pytest.approx(FULL[cause] * float(clean[rise][-20:].mean()), rel=0.06, abs=noise), cause
+
+
+def test_gain_and_a_wrong_mass_show_in_the_weighings_and_nowhere_else():
+    for cause, seed in (("gain", 2), ("gain", 3), ("mass", 2), ("mass", 3)):
+        sign, trials = 1 - 2 * (seed % 2), campaign(cause, 1.0, seed)
+        clean = campaign("clean", 1.0, 2)
+        readings = weighed(trials, seed, held=0.0, lying=0.0)
+        lying = readings.weight == 0
+        assert readings.read[lying] == pytest.approx(0.0, abs=0.15)
+        if cause == "gain":
+            assert readings.read[~lying] == pytest.approx(readings.weight[~lying] * (1 + sign * 0.03), abs=0.15)
+            continue
+        wrong = [i for i, trial in enumerate(trials) if trial.mass not in MASSES]
+        assert len(wrong) == 3
+        assert readings.read[~lying][wrong] == pytest.approx(
+            readings.weight[~lying][wrong] * (1 + sign * 0.05), abs=0.15
+        )
+        off = [float(a.force[2000:2500].mean() - b.force[2000:2500].mean()) for a, b in zip(trials, clean, strict=True)]
+        assert off == pytest.approx([0.0] * 24, abs=0.15)
+
+
+def test_hysteresis_holds_a_weight_where_friction_and_braid_hold_it():
+    """On the way up at 350 kPa, and on the way down from 500 kPa at 300 kPa."""
+    trials = campaign("hysteresis", 1.0, 1)
+    assert Muscle(hysteresis=30.0).gap(np.array([250e3, 500e3])) == pytest.approx([15.0, 30.0])
+    for trial, P, rest, way in ((trials[7], 350e3, slice(2000, 2500), 1), (trials[8], 300e3, slice(3900, 4100), -1)):
+        x, force = float(np.mean(trial.displacement[rest])), float(np.mean(trial.force[rest]))
+        assert force == pytest.approx(trial.load, abs=0.1)
+        unbalanced = float(pull(np.array([P]))[0] - stiffness(np.array([P]))[0] * x) - trial.load
+        held = FRICTION + 30.0 * P / 500e3
+        assert 0.9 * held < way * unbalanced < held + 0.5
+
+
+def test_creep_a_decade_is_what_its_amount_says():
+    muscle = Muscle(creep=0.04 * CREEP_DECADES)
+    crept = [muscle.creep * float(np.mean(-np.expm1(-t / CREEP_TIMES))) for t in (0.8, 8.0)]
+    assert crept[1] - crept[0] == pytest.approx(0.04, rel=0.05)
+
+
+def test_every_case_of_a_diagnosis_can_be_simulated():
+    assert len(CASES) == 43
+    assert {cause for cause, _ in CASES} < set(FULL)
+    for cause, size in (("slip", 1.0), ("several", 1.0)):
+        moved = [trial.displacement[2000:2500].mean() for trial in campaign(cause, size, 2)]
+        assert min(moved) > 1e-3
+    # with seeds 0 and 2 the mount of the muscle gives way to either side
+    ends = [campaign("slip", 1.0, seed)[-1].displacement[2000:2500].mean() for seed in (0, 2)]
+    assert ends[1] - ends[0] == pytest.approx(6e-3, abs=4e-5)
 
 
 def test_creep_goes_on_under_load_and_leaves_with_it():
