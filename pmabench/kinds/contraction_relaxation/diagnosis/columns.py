@@ -110,7 +110,7 @@ def bend(followed: Followed, segments: Segments, fit: Solved) -> Array:
     return np.column_stack((bent, bent * segments.pressure / TYPICAL))
 
 
-def bend_of_K(followed: Followed, segments: Segments, fit: Solved) -> Array:
+def bend_as_stiffness(followed: Followed, segments: Segments, fit: Solved) -> Array:
     """K falls over the contractions that were tested by its own size at each pressure; shape (n, 1)."""
     x, middle, reach = _middle(segments)
     return (fit.values("K", segments.pressure) * x * (x - 2 * middle) / (2 * reach))[:, None]
@@ -140,7 +140,7 @@ def creep(followed: Followed, segments: Segments, fit: Solved) -> Array:
 
 
 OF_MUSCLE: Mapping[str, Mapping[str, Callable[[Followed, Segments, Solved], Array]]] = {
-    "bend": {"as K": bend_of_K, "line": bend},
+    "bend": {"as K": bend_as_stiffness, "line": bend},
     "hysteresis": {"": hysteresis},
     "creep": {"even": creep, "by decade": creep_parts},
 }

@@ -29,11 +29,11 @@ class Explanation:
     """One cause with its sizes."""
 
     kind: str
-    """`drift`, `slip`, `late`, `lag`, `bend`, `hysteresis` or `creep`."""
+    """`drift`, `gain`, `slip`, `late`, `lag`, `bend`, `hysteresis` or `creep`."""
     which: str = ""
     """Channel that is late or lagged, number of the first trial after a slip, or variant."""
     sizes: tuple[float, ...] = ()
-    """[SI]: N over the campaign, m, s; of the muscle one for each column of `columns`."""
+    """[SI]: N over the campaign, share, m, s; of the muscle one for each column of `columns`."""
 
     @property
     def of_muscle(self) -> bool:
@@ -71,6 +71,8 @@ def in_samples(campaign: Campaign, explanations: Sequence[Explanation]) -> Campa
             size = one.sizes[0]
             if one.kind == "drift" and each.force is not None:
                 each = replace(each, force=each.force - size * course[i])
+            elif one.kind == "gain" and each.force is not None:
+                each = replace(each, force=each.force / (1 + size))
             elif one.kind == "slip" and place[i] >= place[int(one.which)]:
                 each = replace(each, x=each.x + size)
             elif one.kind == "late":

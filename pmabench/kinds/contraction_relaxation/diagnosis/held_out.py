@@ -64,9 +64,7 @@ class Test:
         own, after = _noise(campaign, segments, fit)
         own = np.maximum(own, (FLOOR * rms_of(segments.force)) ** 2)
         may = allowed(campaign, segments, fit)
-        return cls(
-            campaign, segments, fit, expected, own, after, may, _scatter(campaign, segments, fit.residual, own)
-        )
+        return cls(campaign, segments, fit, expected, own, after, may, _scatter(campaign, segments, fit.residual, own))
 
     @cached_property
     def whole(self) -> Array:

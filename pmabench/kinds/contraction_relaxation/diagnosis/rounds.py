@@ -45,8 +45,6 @@ TIMES = ("late", "lag")
 """Explanations whose size is a time of a stream."""
 STEPS = (5e-3, 1.5e-3)
 """Steps of the search for a time [s]; from a size that is known on, the last alone."""
-FARTHEST = 8.0
-"""So many steps the search goes at most by one parabola."""
 WORTH = 0.9
 """An explanation that by first order leaves more than this share of the excess is not tried in whole."""
 ALL_OF_MUSCLE = (
@@ -97,6 +95,8 @@ class Search:
     cut: Callable[[Sequence[Samples]], Segments]
     knots: Array
     """That a fit begins with [Pa]."""
+    drifts: bool = True
+    """Whether the cell may have drifted: not where weights show it, and it is taken off already."""
 
     def fitted(self, explanations: tuple[Explanation, ...], begin: State | None = None) -> State:
         """Explanations corrected, from the sizes of `begin` on, with knots where the rest asks for them."""
@@ -105,14 +105,14 @@ class Search:
         if begin is None:
             campaign = in_samples(self.campaign, explanations)
             return State(explanations, Test.of(campaign, segments, solved, rms_of(noise)), solved)
-        return self._state(explanations, solved, rms_of(noise))
+        return self.state(explanations, solved, rms_of(noise))
 
     @cached_property
     def followed(self) -> columns.Followed:
         """What follows the contraction as it was recorded."""
         return columns.Followed.of(self.campaign)
 
-    def _state(
+    def state(
         self, explanations: tuple[Explanation, ...], solved: Fit, expected: float, *, timed: bool = True
     ) -> State:
         """Explanations sized together with the coefficients at the knots of `solved`, and corrected.
@@ -129,7 +129,7 @@ class Search:
             if linear:
                 campaign, segments = self._corrected(explanations)
                 raw = solve(segments, solved.knots, expected, solved.halves, solved.added)
-                forces = [self._columns(explanations[i], campaign, segments, straight) for i in linear]
+                forces = [self.columns(explanations[i], campaign, segments, straight) for i in linear]
                 sizes = sizes_of(raw, np.hstack(forces))
                 explanations = _sized(explanations, linear, sizes)
                 left = off_forces(self.followed, segments, straight, explanations)
@@ -143,47 +143,54 @@ class Search:
         campaign = in_samples(self.campaign, explanations)
         return campaign, self.cut(campaign.samples)
 
-    def _columns(self, one: Explanation, campaign: Campaign, segments: Segments, fit: Solved) -> Array:
+    def columns(self, one: Explanation, campaign: Campaign, segments: Segments, fit: Solved) -> Array:
+        """See `columns_of`."""
         return columns_of(one, campaign, self.followed, segments, fit)
 
-    def _timed(self, explanations: tuple[Explanation, ...], place: int, fit: Fit, noise: float) -> tuple[Explanation, ...]:
+    def _timed(
+        self, explanations: tuple[Explanation, ...], place: int, fit: Fit, noise: float
+    ) -> tuple[Explanation, ...]:
         """The explanations with the size of one of them, a time, where the squares of the residual are least."""
 
         def at(size: float) -> tuple[Explanation, ...]:
             return _with(explanations, place, (size,))
 
+        known: dict[float, float] = {}
+
         def squares(size: float) -> float:
-            return float(np.mean(self.left(at(size), fit, noise)[1] ** 2))
+            size = min(max(size, -MOST_LATE), MOST_LATE)
+            if size not in known:
+                known[size] = float(np.mean(self.left(at(size), fit, noise)[1] ** 2))
+            return known[size]
 
         best = explanations[place].sizes[0]
-        least = squares(best)
         for step in STEPS if best == 0 else STEPS[-1:]:
-            before, after = squares(best - step), squares(best + step)
-            curved = before + after - 2 * least
-            to = 0.5 * step * (before - after) / curved if curved > 0 else np.copysign(np.inf, before - after)
-            to = min(max(best + min(max(to, -FARTHEST * step), FARTHEST * step), -MOST_LATE), MOST_LATE)
-            best, least = min((squares(to), to), (least, best), (before, best - step), (after, best + step))[::-1]
+            way = step if squares(best + step) < squares(best - step) else -step
+            while squares(best + way) < squares(best) and abs(best + way) < MOST_LATE:
+                best += way
+            before, now, after = (squares(best + by) for by in (-step, 0.0, step))
+            curved = before + after - 2 * now
+            squares(best + 0.5 * step * (before - after) / curved if curved > 0 else best)
+            best = min(known, key=squares)
         return at(best)
 
-    def left(self, explanations: tuple[Explanation, ...], fit: Fit, noise: float) -> tuple[Segments, Array, Fit]:
-        """Segments of the corrected samples, the residual that the properties of the muscle leave, and the fit without
-        these; their sizes found anew.
-        """
+    def left(self, explanations: tuple[Explanation, ...], fit: Fit, noise: float) -> tuple[Segments, Array]:
+        """Corrected segments and the residual of the fit to them; sizes of properties of the muscle are found anew."""
         campaign, segments = self._corrected(explanations)
         raw = solve(segments, fit.knots, noise, fit.halves, fit.added)
-        mine = [self._columns(one, campaign, segments, fit) for one in explanations if one.of_muscle]
+        mine = [self.columns(one, campaign, segments, fit) for one in explanations if one.of_muscle]
         if not mine:
-            return segments, raw.residual, raw
+            return segments, raw.residual
         forces = np.hstack(mine)
-        unexplained = forces - raw.design @ raw.change(forces)
-        return segments, raw.residual - unexplained @ sizes_of(raw, forces), raw
+        off = forces @ sizes_of(raw, forces)
+        return segments.pulled(-off), raw.residual - (off - raw.design @ raw.change(off[:, None])[:, 0])
 
     def others(self, now: State) -> list[State]:
         """`now` with one more explanation each, the best of every family that it has none of, the best first."""
         known = {one.family for one in now.explanations}
         tried = [one for one in self._possible(now) if one.family not in known]
         test = now.test
-        groups = [self._columns(one, test.campaign, test.segments, test.fit) for one in tried]
+        groups = [self.columns(one, test.campaign, test.segments, test.fit) for one in tried]
         tried = [replace(one, sizes=(0.0,) * each.shape[1]) for one, each in zip(tried, groups, strict=True)]
         first = test.with_columns(groups) if groups else []
         best: dict[str, State] = {}
@@ -199,11 +206,11 @@ class Search:
         explanations, test = (*now.explanations, one), now.test
         if one.kind in TIMES:
             explanations = self._timed(explanations, len(now.explanations), test.fit, test.expected)
-        return self._state(explanations, test.fit, test.expected, timed=False)
+        return self.state(explanations, test.fit, test.expected, timed=False)
 
     def _possible(self, now: State) -> Iterator[Explanation]:
         cell = self.campaign.cell
-        if cell:
+        if cell and self.drifts:
             yield Explanation("drift")
         for place in columns.slip_places(now.test.campaign, now.test.segments):
             yield Explanation("slip", str(place))
@@ -217,11 +224,11 @@ class Search:
         known = {one.family for one in now.explanations}
         test = now.test
         more = [
-            replace(one, sizes=(0.0,) * self._columns(one, test.campaign, test.segments, test.fit).shape[1])
+            replace(one, sizes=(0.0,) * self.columns(one, test.campaign, test.segments, test.fit).shape[1])
             for one in ALL_OF_MUSCLE
             if one.family not in known
         ]
-        return self._state((*now.explanations, *more), test.fit, test.expected, timed=False)
+        return self.state((*now.explanations, *more), test.fit, test.expected, timed=False)
 
 
 def _promising(tried: Sequence[Explanation], ratios: Sequence[float], now: State) -> list[Explanation]:
@@ -316,7 +323,7 @@ def _without_needless(search: Search, before: State, now: State) -> Rounds:
     given, found = before.explanations, []
     for one in now.explanations[len(given) :]:
         rest = tuple(other for other in now.explanations if other is not one)
-        without = search._state(rest, now.test.fit, now.test.expected)
+        without = search.state(rest, now.test.fit, now.test.expected)
         if not without.test.doubted and not now.test.doubted:
             return _without_needless(search, before, search.fitted(rest, without))
         found.append(_rivals(without, now, one, search.others(without)))
