@@ -7,9 +7,12 @@ are compared with what the fit leaves over. See docs/uncertainty.md, "Is the for
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 from pmabench.analysis.shared import skew
 from pmabench.kinds.contraction_relaxation.drift import zero_drifts
@@ -20,11 +23,11 @@ from pmabench.store.records import Array
 
 MOST_PLACES = 40
 """Most trials before which a slip is looked for."""
-GRID = 0.02
+GRID = 0.004
 """Period at which hysteresis and creep follow the contraction [s]."""
 RADII = (0.3e-3, 1e-3, 3e-3, 8e-3)
 """Contraction over which a stop gives way [m]: those of a braid lie between."""
-TIMES = ((0.5, 1.58), (5.0, 15.8), (50.0, 158.0))
+TIMES = ((0.16, 0.5), (1.6, 5.0), (16.0, 50.0))
 """Time constants of creep [s], two a decade."""
 TYPICAL = 350e3
 """Pressure [Pa] by which what grows with pressure is scaled."""
@@ -121,7 +124,7 @@ def hysteresis(followed: Followed, segments: Segments, fit: Solved) -> Array:
     pressure; shape (n, 8). What F_c holds of it is taken off.
     """
     found = []
-    for stop in followed.at(followed.stops, segments).T:
+    for stop in followed.stops(segments).T:
         for column in (stop, stop * segments.pressure / TYPICAL):
             found.append(-(column - float(np.mean(column * segments.way)) * segments.way))
     return np.column_stack(found)
@@ -130,7 +133,7 @@ def hysteresis(followed: Followed, segments: Segments, fit: Solved) -> Array:
 def creep_parts(followed: Followed, segments: Segments, fit: Solved) -> Array:
     """The muscle goes on contracting by its whole contraction in a decade of time, of `TIMES` each; shape (n, 3)."""
     K = fit.values("K", segments.pressure)
-    slow = 0.5 * K[:, None] * followed.at(followed.slow, segments)
+    slow = 0.5 * K[:, None] * followed.slow(segments)
     return np.asarray(slow[:, 0::2] + slow[:, 1::2])
 
 
@@ -192,14 +195,18 @@ class Followed:
 
     begins: Array
     """Of the trials [s], shape (trials,)."""
-    stops: Array
-    """Frictions by their size, from -1 to 1, at every `GRID`; shape (rows, radii, trials)."""
-    slow: Array
-    """First-order lags of the contraction [m], shape (rows, times, trials)."""
+    sums: Array
+    """Integrals over time at every `GRID`, shape (rows, radii + times, trials): of frictions by their size, from -1 to 1
+    [s], and of first-order lags of the contraction [m.s].
+    """
+    known: dict[bytes, Array] = field(default_factory=dict)
+    """Means over segments that were asked for before, by the times of these."""
 
     @classmethod
     def of(cls, campaign: Campaign) -> Followed:
-        """From rest at the begin of the campaign on: what a trial leaves of slow lags decays until the next one."""
+        """From rest at the begin of the campaign on: what a trial leaves of slow lags decays until the next one, and a
+        braid that was strained stays so.
+        """
         begins = np.array([samples.t[0] for samples in campaign.samples])
         lasts = np.array([samples.t[-1] for samples in campaign.samples]) - begins
         grid = np.arange(0.0, float(lasts.max()) + 2 * GRID, GRID)
@@ -208,29 +215,61 @@ class Followed:
             usable = samples.ok if samples.ok.any() else np.ones(len(samples.t), bool)
             x[:, column] = np.interp(grid, samples.t[usable] - begins[column], samples.x[usable])
         x -= x[0]
-        radii, times = np.array(RADII)[:, None], np.array(TIMES).ravel()[:, None]
-        stops, slow = np.zeros((len(grid), len(RADII), x.shape[1])), np.zeros((len(grid), len(times), x.shape[1]))
-        follows = -np.expm1(-GRID / times)
-        for row in range(1, len(grid)):
-            stops[row] = np.clip(stops[row - 1] + (x[row] - x[row - 1]) / radii, -1.0, 1.0)
-            slow[row] = slow[row - 1] + (x[row] - slow[row - 1]) * follows
-        kept = np.zeros(len(times))
-        for i, after in _followers(campaign):
-            slow[:, :, i] += kept * np.exp(-grid[:, None] / times.T)
+        times = np.array(TIMES).ravel()
+        slow = np.stack([lagged(x, time / GRID) for time in times], axis=1)
+        stops, kept = _strained(x, np.zeros((len(RADII), x.shape[1]))), np.zeros(len(times))
+        ends = np.zeros((len(RADII), x.shape[1]))
+        last = stops[-1]
+        for (i, pause), (after, _) in pairwise([*_followers(campaign), (-1, 0.0)]):
+            slow[:, :, i] += kept * np.exp(-grid[:, None] / times)
             end = slow[min(len(grid) - 1, round(float(lasts[i]) / GRID)), :, i]
-            kept = end * np.exp(-after / times[:, 0])
-        return cls(begins, stops, slow)
+            kept = end * np.exp(-pause / times)
+            if after >= 0 and np.isfinite(pause):
+                ends[:, after] = last[:, i]
+        return cls(begins, np.cumsum(np.concatenate((_strained(x, ends), slow), axis=1), axis=0) * GRID)
 
-    def at(self, values: Array, segments: Segments) -> Array:
-        """`stops` or `slow` at the middle of each segment, shape (n, k)."""
-        middle = segments.t + 0.5 * segments.v.shape[1] * segments.dt
-        found = np.empty((len(segments), values.shape[1]))
-        grid = GRID * np.arange(len(values))
-        for i in np.unique(segments.trial):
-            mine = segments.trial == i
-            for place in range(values.shape[1]):
-                found[mine, place] = np.interp(middle[mine] - self.begins[i], grid, values[:, place, i])
-        return found
+    def stops(self, segments: Segments) -> Array:
+        """Mean over each segment of a friction that needs some contraction after each turn, of `RADII`; shape (n, k)."""
+        return self._means(segments)[:, : len(RADII)]
+
+    def slow(self, segments: Segments) -> Array:
+        """Mean over each segment of the contraction behind a first-order lag [m], of `TIMES`; shape (n, k)."""
+        return self._means(segments)[:, len(RADII) :]
+
+    def _means(self, segments: Segments) -> Array:
+        key = segments.t.tobytes() + segments.trial.tobytes()
+        if key not in self.known:
+            length = segments.v.shape[1] * segments.dt
+            row = (segments.t - self.begins[segments.trial] - 0.5 * GRID) / GRID
+            ends = self._at(row + length / GRID, segments.trial) - self._at(row, segments.trial)
+            self.known[key] = ends / length
+        return self.known[key]
+
+    def _at(self, row: Array, trial: NDArray[np.intp]) -> Array:
+        """The integrals between rows, shape (n, k)."""
+        left = np.clip(row.astype(np.intp), 0, len(self.sums) - 2)
+        share = np.clip(row - left, 0.0, 1.0)[:, None]
+        return np.asarray((1 - share) * self.sums[left, :, trial] + share * self.sums[left + 1, :, trial])
+
+
+def _strained(x: Array, begin: Array) -> Array:
+    """Frictions of all `RADII` by their size while contractions x (rows, trials) [m] go on, from those at the begin on,
+    shape (radii, trials), both from -1 to 1; shape (rows, radii, trials).
+    """
+    found = np.empty((len(x), *begin.shape))
+    steps = np.diff(x, axis=0, prepend=x[:1])[:, None, :] / np.array(RADII)[:, None]
+    now = begin
+    for row, step in enumerate(steps):
+        now = np.minimum(np.maximum(now + step, -1.0), 1.0)
+        found[row] = now
+    return found
+
+
+def lagged(values: Array, constant: float) -> Array:
+    """Rows of `values` (n, ...) after a filter of first order, its time constant in rows; exact for straight lines."""
+    keep = float(np.exp(-1 / constant))
+    now = 1 - (1 - keep) * constant
+    return np.asarray(lfilter([now, 1 - keep - now], [1.0, -keep], values - values[:1], axis=0) + values[:1])
 
 
 def _followers(campaign: Campaign) -> Iterator[tuple[int, float]]:

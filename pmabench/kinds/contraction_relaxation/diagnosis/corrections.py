@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.signal import lfilter
 
 from pmabench.analysis.shared.samples import Samples
 from pmabench.kinds.contraction_relaxation.diagnosis import columns
@@ -47,8 +46,9 @@ class Explanation:
 
 
 def columns_of(
-    one: Explanation, campaign: Campaign, followed: columns.Followed, segments: Segments, fit: Solved
-) -> Array:
+    one: Explanation, campaign: Campaign, followed: columns.Followed, segments: Segments, fit: Solved,
+    others: Sequence[Explanation] = (),
+) -> Array:  # fmt: skip
     """Change of F_L by each size, at first order [N per SI], shape (n, sizes)."""
     if one.kind == "drift":
         return columns.drift(campaign, segments)[:, None]
@@ -56,6 +56,18 @@ def columns_of(
         return columns.slip(campaign, segments, fit, int(one.which))[:, None]
     if one.kind in ("late", "lag"):
         return columns.late(segments, fit, campaign.cell)[one.which][0][:, None]
+    return _of_muscle(one, followed, segments, fit, others)
+
+
+def _of_muscle(
+    one: Explanation, followed: columns.Followed, segments: Segments, fit: Solved, others: Sequence[Explanation]
+) -> Array:
+    """Columns of a property of the muscle: what creeps is not strained, and does not bend the force."""
+    creeps = [other for other in others if other.kind == "creep"] if one.kind == "bend" else []
+    for other in creeps:
+        forces = columns.OF_MUSCLE["creep"][other.which](followed, segments, fit) @ np.array(other.sizes)
+        crept = forces / np.maximum(fit.values("K", segments.pressure), 1e-300)
+        segments = replace(segments, x=segments.x - crept[:, None])
     return columns.OF_MUSCLE[one.kind][one.which](followed, segments, fit)
 
 
@@ -88,30 +100,23 @@ def _filtered(samples: Samples, channel: str, constant: float, rate: float) -> S
     chosen = [name for name in CHANNELS if (name == channel) != (constant > 0)]
     own = {"pressure": "P", "displacement": "x", "force": "force"}
     values = {own[name]: getattr(samples, own[name]) for name in chosen}
-    return replace(samples, **{n: lagged(v, abs(constant) * rate) for n, v in values.items() if v is not None})
+    return replace(samples, **{n: _behind(v, abs(constant) * rate) for n, v in values.items() if v is not None})
 
 
-def lagged(values: Array, constant: float) -> Array:
-    """Samples after a filter of first order, its time constant in samples; exact for straight lines between them."""
-    if constant < 1e-3:
-        return values
+def _behind(values: Array, constant: float) -> Array:
+    """Samples behind a filter with a time constant in samples, gaps bridged."""
     known = np.isfinite(values)
-    if not known.any():
+    if constant < 1e-3 or not known.any():
         return values
     rows = np.arange(len(values))
     whole = values if known.all() else np.interp(rows, rows[known], values[known])
-    keep = float(np.exp(-1 / constant))
-    b1 = 1 - (1 - keep) * constant
-    found = lfilter([b1, 1 - keep - b1], [1.0, -keep], whole - whole[0]) + whole[0]
-    return np.where(known, found, np.nan)
+    return np.where(known, columns.lagged(whole, constant), np.nan)
 
 
 def off_forces(
     followed: columns.Followed, segments: Segments, fit: Solved, explanations: Sequence[Explanation]
 ) -> Segments:
     """The segments without the forces that the muscle has beyond the straight form; `fit` is of the straight part."""
-    for one in explanations:
-        if one.of_muscle:
-            forces = columns.OF_MUSCLE[one.kind][one.which](followed, segments, fit)
-            segments = segments.pulled(-forces @ np.array(one.sizes))
-    return segments
+    mine = [one for one in explanations if one.of_muscle]
+    forces = [_of_muscle(one, followed, segments, fit, mine) @ np.array(one.sizes) for one in mine]
+    return segments.pulled(-np.sum(forces, axis=0)) if mine else segments

@@ -50,7 +50,7 @@ WORTH = 0.9
 ALL_OF_MUSCLE = (
     Explanation("bend", "as K"),
     Explanation("hysteresis"),
-    Explanation("creep", "even"),
+    Explanation("creep", "by decade"),
 )
 
 
@@ -129,7 +129,7 @@ class Search:
             if linear:
                 campaign, segments = self._corrected(explanations)
                 raw = solve(segments, solved.knots, expected, solved.halves, solved.added)
-                forces = [self.columns(explanations[i], campaign, segments, straight) for i in linear]
+                forces = [self.columns(explanations[i], campaign, segments, straight, explanations) for i in linear]
                 sizes = sizes_of(raw, np.hstack(forces))
                 explanations = _sized(explanations, linear, sizes)
                 left = off_forces(self.followed, segments, straight, explanations)
@@ -143,9 +143,11 @@ class Search:
         campaign = in_samples(self.campaign, explanations)
         return campaign, self.cut(campaign.samples)
 
-    def columns(self, one: Explanation, campaign: Campaign, segments: Segments, fit: Solved) -> Array:
+    def columns(
+        self, one: Explanation, campaign: Campaign, segments: Segments, fit: Solved, others: Sequence[Explanation] = ()
+    ) -> Array:
         """See `columns_of`."""
-        return columns_of(one, campaign, self.followed, segments, fit)
+        return columns_of(one, campaign, self.followed, segments, fit, others)
 
     def _timed(
         self, explanations: tuple[Explanation, ...], place: int, fit: Fit, noise: float
@@ -172,13 +174,15 @@ class Search:
             curved = before + after - 2 * now
             squares(best + 0.5 * step * (before - after) / curved if curved > 0 else best)
             best = min(known, key=squares)
+            if squares(best) > WORTH * squares(0.0):
+                break
         return at(best)
 
     def left(self, explanations: tuple[Explanation, ...], fit: Fit, noise: float) -> tuple[Segments, Array]:
         """Corrected segments and the residual of the fit to them; sizes of properties of the muscle are found anew."""
         campaign, segments = self._corrected(explanations)
         raw = solve(segments, fit.knots, noise, fit.halves, fit.added)
-        mine = [self.columns(one, campaign, segments, fit) for one in explanations if one.of_muscle]
+        mine = [self.columns(one, campaign, segments, fit, explanations) for one in explanations if one.of_muscle]
         if not mine:
             return segments, raw.residual
         forces = np.hstack(mine)
@@ -190,13 +194,16 @@ class Search:
         known = {one.family for one in now.explanations}
         tried = [one for one in self._possible(now) if one.family not in known]
         test = now.test
-        groups = [self.columns(one, test.campaign, test.segments, test.fit) for one in tried]
+        groups = [self.columns(one, test.campaign, test.segments, test.fit, now.explanations) for one in tried]
         tried = [replace(one, sizes=(0.0,) * each.shape[1]) for one, each in zip(tried, groups, strict=True)]
         first = test.with_columns(groups) if groups else []
         best: dict[str, State] = {}
         for one in _promising(tried, first, now):
             if one.kind == "lag":
-                one = replace(one, sizes=best[one.family].last.sizes)
+                late = best[one.family]
+                if late.excess > WORTH * now.excess:
+                    continue
+                one = replace(one, sizes=late.last.sizes)
             state = self._added(now, one)
             if one.family not in best or state.excess < best[one.family].excess:
                 best[one.family] = state

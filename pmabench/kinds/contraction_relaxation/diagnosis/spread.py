@@ -111,7 +111,7 @@ class Spread:
         """Columns of all explanations but of times, shape (n, sizes)."""
         test = self.state.test
         found = [
-            self.search.columns(one, test.campaign, test.segments, self.state.straight)
+            self.search.columns(one, test.campaign, test.segments, self.state.straight, self.state.explanations)
             for one in self.state.explanations
             if one.kind not in TIMES
         ]

@@ -96,9 +96,7 @@ def _weights(one: Explanation, fit: Solved, highest: float) -> Array:
         return np.tile([1.0, highest / TYPICAL], len(one.sizes) // 2)
     if one.kind == "bend" and len(one.sizes) == 2:
         return np.array([1.0, highest / TYPICAL]) / float(fit.values("K", np.array([highest]))[0])
-    if one.kind == "creep" and len(one.sizes) == 3:
-        return np.array([0.5, 0.5, 0.0])  # tests that are shorter hardly show the slowest
-    return np.ones(len(one.sizes))
+    return np.full(len(one.sizes), 1 / len(one.sizes))
 
 
 def _text(one: Explanation, size: float, error: float, highest: float, trial: str) -> str:
