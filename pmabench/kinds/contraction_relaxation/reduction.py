@@ -22,8 +22,7 @@ from pmabench.kinds.contraction_relaxation import RESULTS, drift, exponentials, 
 from pmabench.kinds.contraction_relaxation.bandwidth import regulator
 from pmabench.kinds.contraction_relaxation.checks import free_runs
 from pmabench.kinds.contraction_relaxation.curves import curve
-from pmabench.kinds.contraction_relaxation.diagnosis.corrections import off_forces
-from pmabench.kinds.contraction_relaxation.diagnosis.examination import described, diagnosed
+from pmabench.kinds.contraction_relaxation.diagnosis.examination import examined
 from pmabench.kinds.contraction_relaxation.diagnosis.hiding import hidden, of_the_cell
 from pmabench.kinds.contraction_relaxation.diagnosis.verdict import Diagnosis
 from pmabench.kinds.contraction_relaxation.intervals import Pooled, Trust, assess, replay_fits
@@ -179,15 +178,11 @@ def pool(recorded: Campaign, options: Mapping[str, Any]) -> Pooled | None:
     as_recorded = segments_of(recorded.samples)
     if len(as_recorded) < 2 * FEWEST:
         return None
-    search, weights, rounds = diagnosed(recorded, knots, segments_of)
-    test = rounds.after.test
+    found = examined(recorded, knots, segments_of, as_recorded)
+    diagnosis, spread, test = found.diagnosis, found.spread, found.diagnosis.reported.test
     campaign, segments, solved = test.campaign, test.segments, test.fit
     noise = np.maximum(FLOOR * rms_of(segments.force), expected_noise(segments, solved, campaign.noise))
     work = simulated.stretches(_moving(campaign, segments), 1 / campaign.rate, round(0.1 * campaign.rate))
-
-    def corrected(samples: Sequence[Samples]) -> Segments:
-        """Segments of samples, which are those of the corrected campaign moved in time, as `segments` are."""
-        return off_forces(search.followed, segments_of(samples), rounds.after.straight, rounds.after.explanations)
 
     def first(late: Segments) -> Array:
         """Theta of a fit from the first knots on: where more are put follows the clocks, too."""
@@ -207,17 +202,16 @@ def pool(recorded: Campaign, options: Mapping[str, Any]) -> Pooled | None:
             return seen_again
 
         replays = replay_fits(replayed, other, rms_of(seen), int(options.get("replays", REPLAYS)))
-        skews = _skews(campaign, corrected, again, other)
+        skews = _skews(campaign, lambda late: found.corrected(segments_of(late)), again, other)
         drifts = drift.causes(campaign.runs, campaign.trials, campaign.channels, mine, other, rms_of(seen))
         scales = Scales.of(campaign.runs)
         return assess(mine, other, seen, campaign.cells, replays, scales, skews, campaign.noise, campaign.steps, drifts)
 
     every = np.ones(len(segments), bool)
-    diagnosis, spread = described(search, weights, rounds, as_recorded)
     alone = trusted(solved, every, noise, first)
     if spread is not None:
         alone = replace(alone, correction=spread.of(solved, every, test.expected))
-    diagnosis = replace(diagnosis, hidden=hidden(test, search.followed, diagnosis.weighed, alone))
+    diagnosis = replace(diagnosis, hidden=hidden(test, found.search.followed, diagnosis.weighed, alone))
 
     def with_hidden(other: Solved, rows: NDArray[np.bool_], trust: Trust) -> Trust:
         mine, scales = segments.where(rows), Scales.of(campaign.runs)

@@ -7,7 +7,7 @@ Knows no muscle.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from math import inf, log, sqrt
 
@@ -27,12 +27,13 @@ LYING = 0.1
 """Before a trial the load lies on a support where the cell reads less than this share of it."""
 FEWEST = 6
 """Fewest readings for a straight line over them."""
-LEAST = 2e-4
+LEAST = 5e-5
 """Least scatter of a reading, as a share of the typical weight: smaller differences change nothing."""
 BEYOND = 0.99865
 """Probability of a normal value below three standard deviations."""
 TERM = 9.0
 """So much a further term lowers the sum of squares, in units of the scatter, to be taken: three standard deviations."""
+NOTHING: Mapping[str, float] = {}
 FEWEST_LOADS = 3
 """Fewest weights of which one can be told to be wrong."""
 
@@ -79,8 +80,11 @@ def readings(campaign: Campaign) -> Readings:
     return Readings(ends[known], np.concatenate((0 * loads, loads))[known], read[known])
 
 
-def weighed(readings: Readings) -> Weighed:
-    """The cell against the weights: of {constants}, drift, gain and one wrong weight, what the readings ask for."""
+def weighed(readings: Readings, known: Mapping[str, float] = NOTHING) -> Weighed:
+    """The cell against the weights: of {constants}, drift, gain and one wrong weight, what the readings ask for.
+
+    `known` holds the drift [N] and gain [1] that the record allows: smaller ones are lines of the budget already.
+    """
     weight = readings.weight
     loads = np.unique(np.round(weight[weight > 0], 3))
     error = _errors(readings)
@@ -108,12 +112,16 @@ def weighed(readings: Readings) -> Weighed:
     )
     sizes = [(float(a), float(s)) if s > 0 else None for a, s in zip(solved, errors, strict=True)]
     names = ["offset", "rest", *terms, *(["wrong"] if load is not None else [])]
-    known = dict(zip(names, sizes, strict=True))
-    wrong = known.get("wrong")
+    sized = dict(zip(names, sizes, strict=True))
+    wrong = sized.get("wrong")
     lying = bool((weight[rows] == 0).any())
-    found = tuple(Explanation(name, "", (size[0],)) for name in chosen if lying and (size := known[name]) is not None)
+    found = tuple(
+        Explanation(name, "", (size[0],))
+        for name in chosen
+        if lying and (size := sized[name]) is not None and abs(size[0]) > known.get(name, 0.0) + 3 * size[1]
+    )
     return Weighed(
-        known["drift"], known.get("gain"), known["offset"],
+        sized["drift"], sized.get("gain"), sized["offset"],
         (load, *wrong) if load is not None and wrong is not None else None, found,
     )  # fmt: skip
 

@@ -196,8 +196,8 @@ class Followed:
     begins: Array
     """Of the trials [s], shape (trials,)."""
     sums: Array
-    """Integrals over time at every `GRID`, shape (rows, radii + times, trials): of frictions by their size, from -1 to 1
-    [s], and of first-order lags of the contraction [m.s].
+    """Integrals over time at every `GRID` of frictions by their size, from -1 to 1 [s], and of first-order lags of the
+    contraction [m.s]; shape (rows, radii + times, trials).
     """
     known: dict[bytes, Array] = field(default_factory=dict)
     """Means over segments that were asked for before, by the times of these."""
@@ -229,11 +229,11 @@ class Followed:
         return cls(begins, np.cumsum(np.concatenate((_strained(x, ends), slow), axis=1), axis=0) * GRID)
 
     def stops(self, segments: Segments) -> Array:
-        """Mean over each segment of a friction that needs some contraction after each turn, of `RADII`; shape (n, k)."""
+        """Mean over each segment of a friction that needs one of `RADII` after each turn, shape (n, radii)."""
         return self._means(segments)[:, : len(RADII)]
 
     def slow(self, segments: Segments) -> Array:
-        """Mean over each segment of the contraction behind a first-order lag [m], of `TIMES`; shape (n, k)."""
+        """Mean over each segment of the contraction behind a lag of each of `TIMES` [m], shape (n, times)."""
         return self._means(segments)[:, len(RADII) :]
 
     def _means(self, segments: Segments) -> Array:

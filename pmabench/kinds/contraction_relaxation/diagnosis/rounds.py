@@ -45,6 +45,8 @@ TIMES = ("late", "lag")
 """Explanations whose size is a time of a stream."""
 STEPS = (5e-3, 1.5e-3)
 """Steps of the search for a time [s]; from a size that is known on, the last alone."""
+AGAINST = 0.3
+"""Share of the largest part of a creep that another may go against it, by noise and by time constants between ours."""
 WORTH = 0.9
 """An explanation that by first order leaves more than this share of the excess is not tried in whole."""
 ALL_OF_MUSCLE = (
@@ -200,11 +202,13 @@ class Search:
         best: dict[str, State] = {}
         for one in _promising(tried, first, now):
             if one.kind == "lag":
-                late = best[one.family]
-                if late.excess > WORTH * now.excess:
+                late = best.get(one.family)
+                if late is None or late.excess > WORTH * now.excess:
                     continue
                 one = replace(one, sizes=late.last.sizes)
             state = self._added(now, one)
+            if not plausible(state.last):
+                continue
             if one.family not in best or state.excess < best[one.family].excess:
                 best[one.family] = state
         return sorted(best.values(), key=lambda state: state.test.ratio)
@@ -249,6 +253,15 @@ def _promising(tried: Sequence[Explanation], ratios: Sequence[float], now: State
         if one.kind in ("late", "lag") or ratio**2 - 1 < WORTH * now.excess:
             found.append(one)
     return found
+
+
+def plausible(one: Explanation) -> bool:
+    """Whether a muscle can be so: it creeps the way that it went, and hysteresis takes work away."""
+    if one.kind == "creep":
+        return min(one.sizes) > -AGAINST * max(one.sizes)
+    if one.kind == "hysteresis":
+        return sum(one.sizes) > 0
+    return True
 
 
 def sizes_of(solved: Fit, forces: Array) -> Array:
@@ -303,14 +316,14 @@ def explained(search: Search, before: State) -> Rounds:
         best = tried[0] if tried else now
         if now.excess - best.excess < EXPLAINS * now.excess:
             together = search.all_of_muscle(now)
-            if together.excess < 0.5 * best.excess:
+            if together.excess < 0.5 * best.excess and all(plausible(one) for one in together.explanations):
                 best = together
         if now.excess - best.excess < (FURTHER if number else 0.0) * now.excess:
             break
         now = search.fitted(best.explanations, best)
     if now.test.doubted and now is not before:
         together = search.all_of_muscle(now)
-        if together.excess < (1 - FURTHER) * now.excess:
+        if together.excess < (1 - FURTHER) * now.excess and all(plausible(one) for one in together.explanations):
             now = search.fitted(together.explanations, together)
     given = len(before.explanations)
     if len(now.explanations) == given + 1 and tried:
