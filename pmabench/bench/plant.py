@@ -15,7 +15,7 @@ from typing import Any
 
 from pmabench.base.errors import InvalidFile, Problem, did_you_mean
 from pmabench.base.quantities import show
-from pmabench.bench.files.plant import LAWS, ContractorFile, DaerdenFile, PlantFile, Polynomial, Table
+from pmabench.bench.files.plant import LAWS, ContractorFile, DaerdenFile, PlantFile, Polynomial, RealFile, Table
 from pmabench.bench.interface import OutputRecord
 from pmabench.files.document import Document, Location, check_schema, document_text, read_document, validate
 from pmabench.files.quantity import unit_factor
@@ -91,6 +91,8 @@ def plant_numbers(document: Document) -> dict[str, Any]:
             raise InvalidFile(wrong)
         muscle = {name: getattr(file, name) for name in ("radius", "braid_angle", "threshold")}
         return {**numbers, **muscle, "reach": list(file.reach)}
+    if isinstance(file, RealFile):
+        return {**numbers, **_real_numbers(document, file)}
     compilation = _Curves(document, file.highest_pressure)
     given = {symbol: coefficient for symbol in SYMBOLS if (coefficient := getattr(file, symbol)) is not None}
     curves = {symbol: compilation.curve(symbol, coefficient) for symbol, coefficient in given.items()}
@@ -100,6 +102,50 @@ def plant_numbers(document: Document) -> dict[str, Any]:
     air = file.flow.model_dump() if file.flow is not None else None
     braid = {"diameter": file.diameter or 0.0, "braid_angle": file.braid_angle or 0.0}
     return {**numbers, "stop": file.stop, **curves, "friction": friction, **braid, "flow": air}
+
+
+def _real_numbers(document: Document, file: RealFile) -> dict[str, Any]:
+    """Surface, damping, stops and creep; height 0 and no stops where none are given."""
+    compilation = _Curves(document, file.highest_pressure)
+    curves = {symbol: compilation.curve(symbol, getattr(file, symbol)) for symbol in ("B_c", "B_r")}
+    wrong = [*compilation.problems, *_too_soft(document, file)]
+    if wrong:
+        raise InvalidFile(wrong)
+    none = {"widths": [], "weights": [], "height": 0.0}
+    over_x = none
+    if file.hysteresis is not None:
+        over_x = file.hysteresis.model_dump()
+        over_x["extra"] = over_x.pop("first_cycle")
+    return {
+        "reach": list(file.reach),
+        "surface": file.surface.model_dump(),
+        **curves,
+        "over_x": over_x,
+        "over_P": none if file.pressure_hysteresis is None else file.pressure_hysteresis.model_dump(),
+        "creep": {"share": 0.0, "times": []} if file.creep is None else file.creep.model_dump(),
+    }
+
+
+def _too_soft(document: Document, file: RealFile) -> Iterator[Problem]:
+    """Where the force without history would rise with the contraction, or be there without pressure.
+
+    Stiffness is a straight line over P and, where it bends, a sum of one exponential and a constant over eps: its least
+    value is in a corner of the range.
+    """
+    surface, highest = file.surface, file.highest_pressure
+    line = (1 - exp(-surface.s * surface.span)) / surface.span
+    for P in (0.0, highest):
+        for eps in file.reach:
+            slope = line + surface.bend * (surface.s * exp(-surface.s * eps) - line)
+            K = ((surface.A + surface.A_P * P) * slope - surface.C * P) / file.length
+            if not K >= (0.0 if P == 0 else LEAST["K"]) - 1e-9:
+                there = f"at {show(P, 'pressure')} and {eps:.3g} of the length"
+                yield document.problem(("surface",), f"the stiffness is {show(K, 'stiffness', 4)} {there}, below zero")
+                return
+    rest = surface.A + surface.E
+    if rest > AT_REST:
+        text = f"pulls with {show(rest, 'force', 4)} without pressure and contraction; A + E must not be above zero"
+        yield document.problem(("surface",), text)
 
 
 def _beyond_the_law(document: Document, file: DaerdenFile) -> Iterator[Problem]:

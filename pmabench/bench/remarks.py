@@ -164,7 +164,7 @@ TOO_WIDE = 2.0
 
 
 def mistaken(c: Compilation, devices: Sequence[DeviceRecord]) -> Iterator[str]:
-    """A simulated muscle that is not the specimen, and calibrations that do not fit the range of their channel."""
+    """Warn if a simulated muscle is not the specimen, or a calibration does not fit the range of its channel."""
     for device in devices:
         if "plant" in device.options and c.length:
             yield from _other_muscle(c, device.name, device.options["plant"])

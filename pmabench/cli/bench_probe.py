@@ -75,7 +75,7 @@ def probe(
 
 
 def _read_once(bench: str) -> tuple[str, dict[str, dict[str, Any]], list[dict[str, Any]]]:
-    """Name of the bench, who answers by device, and a row for each channel with the mean and noise of half a second."""
+    """Name of the bench, identity of each device, and a row per channel with its mean and noise over half a second."""
     from pmabench.bench.compile import mount_alone
     from pmabench.engine.untried import doubt
     from pmabench.session.listening import listen

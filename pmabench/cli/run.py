@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     type=click.Choice(["bench", "calibration", "specimen", "protocol"]),
     help="With --resume: go on although this is not what it was.",
 )
+@click.option("--report", is_flag=True, help="Process the run when it is finished, and write its report.")
 @session_options
 @common
 def command(
@@ -55,13 +56,14 @@ def command(
     session: dict[str, Any],
     *,
     yes: bool,
+    report: bool,
 ) -> int | None:
     """Execute PROTOCOL on a bench with a specimen and record it.
 
     With --resume RUN the files of that run are used again, and what is left of it is done in a new run.
     """
     files = (protocol, bench, specimen)
-    return run_or_resume(ui, files, settings, resume, accept, out, operator, session, yes=yes)
+    return run_or_resume(ui, files, settings, resume, accept, out, operator, session, yes=yes, report=report)
 
 
 def run_or_resume(
@@ -75,6 +77,7 @@ def run_or_resume(
     session: dict[str, Any],
     *,
     yes: bool,
+    report: bool = False,
 ) -> int:
     """Run protocol, bench and specimen (`files`), or what is left of the run `resume`; show its end; its exit code."""
     from pmabench.cli.prepare import prepare
@@ -102,7 +105,20 @@ def run_or_resume(
         ui, prepared, out or Path("runs"), operator_name=operator, yes=yes, continues=continues, session=session
     )
     show_end(ui, outcome, prepared.mounted.bench, prepared.plan.kind, len(prepared.plan.trials))
+    if report and outcome.status == "finished" and outcome.folder is not None:
+        return _reported(ui, outcome.folder) or outcome.exit_code
     return outcome.exit_code
+
+
+def _reported(ui: Ui, folder: Path) -> int:
+    """Process a run and write its report next to `runs`; 6 where its results are not accepted."""
+    from pmabench.cli.characterise import characterise
+    from pmabench.cli.process import campaign_folder, place_of
+
+    found = characterise([folder], place_of(folder), campaign_folder(folder.resolve().parent) / f"{folder.name}.html")
+    if not ui.json:
+        click.echo(str(found.report) if ui.quiet else "\n".join(["", *found.lines()]))
+    return 6 if found.failed else 0
 
 
 def execute(

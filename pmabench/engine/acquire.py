@@ -144,7 +144,7 @@ class Acquisition:
             self._recording = on
 
     def begin_controlled_stop(self) -> None:
-        """From now on only limits that vent at once act: the run is stopping already, so the others change nothing."""
+        """From now on act only on limits that vent at once: the others would stop a run that is stopping already."""
         with self._lock:
             self._watch = Watch(
                 [limit for limit in self._bench.trips if limit.action == "vent"], self._bench.channels, self.commanded

@@ -78,9 +78,9 @@ class Links:
         """When a device whose line was closed is opened again [s, clock]."""
 
     def open(self, records: list[DeviceRecord], first: Callable[[str], list[Act]], *, forgiving: bool) -> None:
-        """Open the devices side by side, and make the calls that `first` names as soon as each is open.
+        """Open the devices in parallel, and make the calls that `first` names on each as soon as it is open.
 
-        `forgiving`: those that cannot be opened are left out. Otherwise a failure closes those already open.
+        With `forgiving`, devices that cannot be opened are left out; otherwise a failure closes those already open.
         """
         opening: dict[str, Call] = {}
         passed = (Exception,) if forgiving else ()

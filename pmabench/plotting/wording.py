@@ -191,6 +191,7 @@ PLAIN = (1e-3, 1e6)
 RESOLVED = 1e-9
 """Less than this of the unit that people read is rounding of the computer and no measurement."""
 UNRESOLVED = "below resolution"
+AT_MOST = "≤ "
 WITHHELD = "withheld"
 RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 

@@ -92,8 +92,8 @@ def _verdict(verdict: Verdict, members: Sequence[Estimate], over: str) -> str:
                 widest[name] = max(widest.get(name, 0.0), half / abs(e.value))
         unit = point_shown(over)[1]
         places = [e.at[over] / unit.scale for e in members]
-        known = ", ".join(f"{name} to {100 * share:.2g} %" for name, share in widest.items())
-        text = f"{known}, from {number(min(places))} to {number(max(places))} {unit.unit}"
+        known = ", ".join(f"{100 * share:.2g} % ({name})" for name, share in widest.items())
+        text = f"within {known}, {number(min(places))} to {number(max(places))} {unit.unit}"
     word = f"{verdict.word.upper()}  "
     return word + shorten(text, WIDTH - len(word), placeholder=" …")
 

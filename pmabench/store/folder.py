@@ -71,7 +71,7 @@ def open_regular(path: Path) -> BufferedReader:
 
 
 def open_inside(folder: Path, name: str) -> BufferedReader:
-    """The file `name` (`/` between folders) of a run folder; raises OSError as `open_regular`, and for a way out."""
+    """Open the file `name` (`/` between folders) of a run folder; OSError as `open_regular`, or if it lies outside."""
     place = folder
     parts = name.split("/")
     if not {"", ".", ".."}.isdisjoint(parts):

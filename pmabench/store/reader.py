@@ -413,7 +413,7 @@ class Recalibration:
 
 
 def refound(trials: Sequence[TrialData], lines: Mapping[str, Line]) -> tuple[TrialData, ...]:
-    """The trials with what searches found of a channel (its value where a load lifted off) on the new scale."""
+    """The trials, with the values that their searches found (such as where a load lifted off) on the new scale."""
 
     def one(name: str, value: Any) -> Any:
         number = isinstance(value, int | float) and not isinstance(value, bool)

@@ -133,7 +133,7 @@ def as_sealed(folder: Path) -> bool:
 
 
 def odd(path: Path) -> str:
-    """A sentence that says what a path is which should be a regular file."""
+    """What a path is that should be a regular file, as the rest of a sentence about it."""
     return f"is {kind_of(path.lstat().st_mode)}, which no run contains"
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -232,9 +231,8 @@ def judged(kind: str, cause: str, size: float, seed: int) -> tuple[list[Value], 
             withheld.append(f"{name}: {e.note}")
         near = [span for (symbol, of, at), span in right.items()
                 if (symbol, of) == (e.symbol, coordinate) and abs(at - (place or 0.0)) < 1e-3 * max(1e-3, abs(at))]  # fmt: skip
-        bound = re.match(r"not more than ([\d.]+) % of the set-point", e.note)
-        if bound and near:
-            values.append(Value(name, 0.0, *near[0], float(bound[1]) / 100))
+        if e.bound is not None and near:
+            values.append(Value(name, 0.0, *near[0], e.bound))
         if e.value is not None and e.parts.combined is not None and near:
             values.append(Value(name, e.value, *near[0], e.parts.combined))
     return values, withheld

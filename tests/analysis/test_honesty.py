@@ -104,15 +104,10 @@ CASES: dict[str, Callable[[Path], Analysis]] = {
 
 
 @pytest.mark.parametrize("name", list(CASES))
-def test_every_missing_part_has_its_reason(name: str, tmp_path: Path):
+def test_every_missing_part_has_its_reason_and_no_interval_goes_below_0_or_is_of_no_width(name: str, tmp_path: Path):
     analysis = CASES[name](tmp_path)
     assert any(e.value is not None for e in analysis.estimates) or name == "contraction, one cell"
     assert unexplained(analysis) == []
-
-
-@pytest.mark.parametrize("name", list(CASES))
-def test_no_interval_goes_below_0_or_is_of_no_width(name: str, tmp_path: Path):
-    analysis = CASES[name](tmp_path)
     for e in analysis.estimates:
         ci = e.ci95
         if ci is None:

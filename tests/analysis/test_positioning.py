@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections import deque
 from functools import cache
 from math import exp, pi, sqrt
@@ -16,6 +15,7 @@ from pmabench.kinds.positioning.reduction import reduce
 from pmabench.kinds.positioning.response import Cycle, cycle_of, respond
 from pmabench.model.overrides import Overrides
 from pmabench.model.presets import Described, preset
+from pmabench.report.document.tables import cell
 from pmabench.store.analyses.results import Analysis, Estimate
 from pmabench.store.records import Array, TrialData
 from tests.analysis.judged_forms import placed_of
@@ -275,18 +275,21 @@ def test_a_loop_that_still_moves_has_a_bound_and_no_steady_state_error(cause: st
     found = [e for e in placed_of(cause, size, 1).estimates if e.symbol == "e_ss"]
     assert [(e.value, e.withheld) for e in found] == [(None, False)] * len(placed.SETPOINTS)
     for e in found:
-        bound = re.match(r"not more than ([\d.]+) % of the set-point either way: it moves in the window", e.note)
-        assert bound is not None
-        assert placed.OFFSET <= float(bound[1]) / 100 <= most
+        assert e.bound is not None
+        assert placed.OFFSET <= e.bound <= most
+        assert e.note.startswith(
+            f"not more than {100 * e.bound:.3g} % of the set-point either way: it moves in the win"
+        )
+        assert cell(e) == f"≤ {100 * e.bound:.3g}"
 
 
 def test_a_loop_that_hunts_has_a_bound_and_no_steady_state_error() -> None:
     """Its mean over 60 s is off by no more than half of a cut cycle: 0.5 x 0.30 mm x 2.4 s / 40 s of 30 mm."""
     e = value(reduced(held(28.8, 0.29, 0.03)), "e_ss")
-    bound = re.match(r"not more than ([\d.]+) % of the set-point either way: it swings in the window", e.note)
     assert e.value is None
-    assert bound is not None
-    assert 0.03 <= float(bound[1]) <= 0.06
+    assert e.bound is not None
+    assert 0.03e-2 <= e.bound <= 0.06e-2
+    assert "of the set-point either way: it swings in the window" in e.note
 
 
 def test_a_loop_at_rest_has_its_error_as_a_value() -> None:

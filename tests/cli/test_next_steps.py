@@ -159,3 +159,16 @@ def test_an_interrupted_run_names_how_to_go_on(tmp_path, monkeypatch):
     assert "continue" not in again.output
     processed = CliRunner().invoke(main, shlex.split(again.stdout.splitlines()[-1].removeprefix("next    pmabench ")))
     assert "analysis  analyses/" in processed.output
+
+
+def test_run_with_report_ends_with_results_and_a_page(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    words = ["run", "contraction-relaxation", "--bench", "mock", *SPECIMEN, *SHORT, "--report"]
+    done = CliRunner().invoke(main, words)
+    end = done.stdout.splitlines()
+    (page,) = tmp_path.glob("2*.html")
+    assert page.stat().st_size > 20_000
+    assert end[-1] == f"report  {page}"
+    assert any("K [N/mm]" in line for line in end)
+    assert done.exit_code == 6  # one load and one pressure leave K open
+    assert "NOT ACCEPTED" in done.stdout

@@ -8,6 +8,8 @@ import pytest
 
 from pmabench.model.curve import Curve
 from pmabench.model.driven import Actuator
+from pmabench.model.overrides import Overrides
+from pmabench.model.presets import preset
 from pmabench.model.real.driven import RealDrivenPlant
 from pmabench.model.real.muscle import Creep, Stops, reference
 from pmabench.model.regulator import Regulator, Wave, constant, ramp, sine
@@ -188,6 +190,55 @@ def test_a_muscle_without_history_is_straight_lines_over_pressure():
         F = held.advance(4.0, np.array([0.0, 1.0, 2.0, 4.0])).F
         expected = SURFACE[kPa][0][0] - secant * np.array([0.0, 10.0, 20.0, 40.0])
         assert F == pytest.approx(expected, abs=0.1)
+
+
+OFF = {"hysteresis_x": 0.0, "hysteresis_p": 0.0, "creep": 0.0, "bend": 0.0}
+
+
+def held_and_moved(off):
+    """Forces [N] at 300 kPa: at 20 mm from below at once and after 100 s, and from above."""
+    setup = preset("real", "ideal", Overrides(**off))
+    plant = setup.driven(FAST)
+    plant.command(constant(0.0, 300e3))
+    plant.move((*constant(1.0, 20e-3), *constant(101.0, 50e-3), *constant(101.5, 20e-3)))
+    return plant.advance(102.0, np.array([1.01, 100.9, 102.0])).F
+
+
+def test_each_departure_is_switched_off_singly():
+    """At 300 kPa and 20 mm, by hand: F_s 361.0 N, H 20 N, H_P 18 N, K 11.91 N/mm times what has crept by 0.01 s."""
+    straight = 756.8 - 20 * (756.8 - 148.2) / 40
+    crept = 0.004 * 20.0 * sum(1 - math.exp(-0.01 / T) for T in (0.5, 1.58, 5.0, 15.8, 50.0, 158.0)) * 11.91
+    whole = held_and_moved({})
+    assert whole[0] == pytest.approx(361.0 - 20 - 18 + crept, abs=0.1)
+    without_x, without_P, without_creep, without_bend = (held_and_moved({name: 0.0}) for name in OFF)
+    assert without_x[0] - whole[0] == pytest.approx(20.0, abs=0.01)
+    assert without_P[0] - whole[0] == pytest.approx(18.0, abs=0.01)
+    assert without_creep[1] - without_creep[0] == pytest.approx(0.0, abs=0.001)
+    assert without_creep[2] - without_creep[0] == pytest.approx(40.0, abs=0.01)
+    assert without_bend[0] - whole[0] == pytest.approx(straight - 361.0, abs=0.2)
+    assert whole[1] - whole[0] > 3.0
+    assert held_and_moved(OFF) == pytest.approx([straight] * 3, abs=0.1)
+    assert held_and_moved({"friction": 0.0})[0] == pytest.approx(361.0 + crept, abs=0.1)
+
+
+def test_the_first_cycle_is_wider_and_fades_with_the_way_gone():
+    """1.6 H after a rest, and 1 + 0.6 / e of it after 80 mm."""
+    first = held_and_moved({"creep": 0.0, "hysteresis_p": 0.0, "first_cycle": 0.6})
+    bare = held_and_moved({"creep": 0.0, "hysteresis_p": 0.0, "hysteresis_x": 0.0})
+    assert bare[0] - first[0] == pytest.approx(20.0 * (1 + 0.6 * math.exp(-20 / 80)), abs=0.01)
+    assert first[2] - bare[2] == pytest.approx(20.0 * (1 + 0.6 / math.e), abs=0.01)
+
+
+@pytest.mark.parametrize("change", [{"F_c": 3.0}, {"hysteresis_x": -1.0}, {"creep": 60.0}, {"hysteresis": 3.0}])
+def test_changes_that_it_cannot_take_are_refused(change):
+    with pytest.raises(ValueError, match=r"real|negative|less than 1"):
+        preset("real", "bench", Overrides(**change))
+
+
+@pytest.mark.parametrize("name", OFF)
+def test_other_plants_have_no_such_departure(name):
+    with pytest.raises(ValueError, match="it is for the plant real"):
+        preset("paper0", "bench", Overrides(**{name: 0.0}))
 
 
 def test_a_snapshot_brings_stops_and_creep_back():

@@ -197,7 +197,7 @@ class AsciiLink:
     # -- life -----------------------------------------------------------------------------------------------------
 
     def open(self, deadline: float) -> Identity:
-        """Open the port, learn who answers and how its line is made, and compare unit and set-point source."""
+        """Open the port, read identity and line layout; refuse another unit or set-point source than the bench's."""
         self._open_port()
         with self._turn(deadline):
             about = self._about(deadline)

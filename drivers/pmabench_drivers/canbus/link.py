@@ -325,7 +325,7 @@ class Signals:
         self._begun = monotonic()
 
     def take(self, frame: Frame) -> None:
-        """A frame of the bus; one of another length than the DBC file says is passed over."""
+        """Decode a frame; one whose length differs from the DBC file is ignored."""
         for name, message, signal in self._by_frame.get((frame.identifier, frame.extended), ()):
             if len(frame.data) == message.length:
                 value = signal.value(frame.data)

@@ -33,7 +33,7 @@ COMMANDS = ("pressure_command", "displacement_command")
 
 
 def wired(devices: Iterable[DeviceRecord], truth: Truth | None) -> list[Wired]:
-    """The devices of a bench as `truth` says; None: as the bench says.
+    """The devices of a bench as `truth` describes them; as the bench does if it is None.
 
     Of the bench's records only names, addresses and the time of the watchdog are used where there is a truth.
     """

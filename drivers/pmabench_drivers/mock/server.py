@@ -159,7 +159,7 @@ class Server:
             self._drop(connection)
 
     def _hear(self, connection: _Connection, question: dict[str, Any]) -> None:
-        """Answer one question, unless a fault of the link or its own lateness forbids it."""
+        """Answer one request, unless a fault of the link is set or the request is past its time."""
         asker, payload, now = connection.asker, b"", time.monotonic()
         control = asker.role == "control" or question.get("role") == "control"
         if not control and self._due("lost"):

@@ -185,7 +185,7 @@ class Stepped(Driver):
 
     @abstractmethod
     def _begin_steps(self) -> None:
-        """Let a thread call `_step`, where none does so far; an error where the device is not open."""
+        """Start the thread that calls `_step`, unless it runs; an error if the device is not open."""
 
     @abstractmethod
     def _refuse_value(self, output: str, value: float) -> None:

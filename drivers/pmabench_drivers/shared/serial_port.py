@@ -158,7 +158,7 @@ class SerialStream(Driver):
 
     @abstractmethod
     def _greet(self) -> Identity:
-        """Quiet it, see that it is the right device, and set it."""
+        """Stop what the device is sending, check that it is the right device, and configure it."""
 
     @abstractmethod
     def _quiet(self) -> None:

@@ -68,7 +68,7 @@ class Limit:
 
 
 def limits_of(run: RunData) -> list[Limit]:
-    """The limits in a run's plan; of plans from before there were several kinds, the widest intervals."""
+    """The limits in a run's plan; an older plan names only the widest interval of each quantity."""
     limits = run.plan.get("accept")
     if not isinstance(limits, Mapping):
         return []

@@ -63,7 +63,7 @@ class LimitFile(Strict):
 
 
 def one_of(model: Strict, kinds: dict[str, tuple[str, ...]], optional: set[tuple[str, str]]) -> str:
-    """The one kind of an entry, all of whose keys are given and no others; ValueError in words where it is not so."""
+    """Which kind an entry is; ValueError where that is not clear, a key is missing or one does not belong to it."""
     given = {ALIASES.get(name, name) for name in model.model_fields_set if getattr(model, name) is not None}
     found = [kind for kind in kinds if kind in given]
     if len(found) != 1:

@@ -1,8 +1,4 @@
-"""Files for simulated benches: a plant, the faults that an emulator shows, and the truth of a rig.
-
-A plant is your own muscle with its regulator and the noise of the sensors. Which faults there are the emulator knows. A
-truth file says what is really wired to which terminal and by which data-sheet scale.
-"""
+"""Plant files: a muscle of one's own with its regulator and the noise of the sensors, by one of four laws."""
 
 from __future__ import annotations
 
@@ -12,15 +8,15 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 
 from pmabench.base.quantities import show
-from pmabench.bench.files.specimen import Name, Reading, Text
+from pmabench.bench.files.specimen import Reading, Text
 from pmabench.files.document import Strict
 from pmabench.files.quantity import (
     Angle,
     Conductance,
     Force,
+    ForcePerPressure,
     Frequency,
     Length,
-    Load,
     Pressure,
     Rate,
     Ratio,
@@ -256,118 +252,103 @@ class ContractorFile(PlantFile):
     """From where to where it may be driven, as share of the length."""
 
 
-AnyPlant = Annotated[ThreeElementFile | DaerdenFile | ContractorFile, Field(discriminator="law")]
-LAWS: dict[str, type[ThreeElementFile | DaerdenFile | ContractorFile]] = {
-    "three-element": ThreeElementFile,
-    "daerden": DaerdenFile,
-    "contractor": ContractorFile,
-}
-"""Name of the law -> its file."""
+Weights = Annotated[list[Annotated[float, Field(ge=0, le=1)]], Field(min_length=1, max_length=20)]
+"""Of the stops of a hysteresis; together 1."""
 
 
-class Event(Strict):
-    """One thing that happens: a fault of a device, a fault of the plant, or another load on the free end."""
+def _whole(widths: list[float], weights: list[float]) -> None:
+    if len(widths) != len(weights):
+        raise ValueError(f'{len(widths)} "widths" and {len(weights)} "weights": each stop needs one of both')
+    if abs(sum(weights) - 1) > 1e-6:
+        raise ValueError(f'"weights" add up to {sum(weights):.4g}; they must add up to 1')
 
-    after: Time = 0.0
-    """Since it is served."""
-    device: Annotated[str, Field(max_length=60)] | None = None
-    fault: Annotated[str, Field(max_length=60)] | None = None
-    value: str | int | float | None = None
-    """How much, with its unit where it has one; what is usual for the fault where not given."""
-    count: Annotated[int, Field(ge=1, le=1_000_000)] | None = None
-    """So many answers or samples; until it is cleared where not given."""
-    lasts: Annotated[Time, Field(gt=0)] | None = Field(default=None, alias="for")
-    plant: Annotated[str, Field(max_length=60)] | None = None
-    load: Load | None = None
+
+class SurfaceFile(Strict):
+    """F_s = (A + A_P P) exp(-s eps) + (C eps + D) P + E, eps = x / length: the force without any history."""
+
+    A: Force
+    A_P: ForcePerPressure
+    s: Annotated[float, Field(gt=0, le=1000)]
+    """How steeply it falls at small contraction, for instance 33.4."""
+    C: ForcePerPressure
+    D: ForcePerPressure
+    E: Force
+    bend: Annotated[float, Field(ge=0, le=2)] = 1.0
+    """1 as written; 0 puts a straight line over eps in place of exp(-s eps)."""
+    span: Annotated[Ratio, _within(0.001, 0.5, "ratio")] = 0.16
+    """Contraction at which that line meets the exponential again."""
+
+
+class StopsOverLengthFile(Strict):
+    """Hysteresis over contraction, at most `height` + `per_pressure` P to each side."""
+
+    height: Annotated[Force, _within(0, 1e4, "force")]
+    per_pressure: ForcePerPressure = 0.0
+    widths: Annotated[list[Annotated[Length, _within(1e-7, 1, "length")]], Field(min_length=1, max_length=20)]
+    """Contraction after a turn at which each stop slides again is twice its width."""
+    weights: Weights
+    first_cycle: Annotated[Ratio, _within(0, 10, "ratio")] = 0.0
+    """Share by which it is higher after a rest."""
+    way: Annotated[Length, _within(1e-4, 10, "length")] = 0.08
+    """Way gone after which 1/e of that share is left: there and back."""
 
     @model_validator(mode="after")
-    def _one(self) -> Event:
-        given = [self.device is not None or self.fault is not None, self.plant is not None, self.load is not None]
-        if sum(given) != 1 or (self.device is None) != (self.fault is None):
-            raise ValueError('either "device" with its "fault", or "plant", or "load" is expected')
-        if self.device is None and (self.value is not None or self.count is not None):
-            raise ValueError('"value" and "count" belong to the fault of a device')
-        if self.load is not None and self.lasts is not None:
-            raise ValueError('a load stays until another one comes; leave "for" out')
+    def _weighted(self) -> StopsOverLengthFile:
+        if self.per_pressure < 0:
+            raise ValueError('"per_pressure" cannot be below zero')
+        _whole(self.widths, self.weights)
         return self
 
 
-class FaultsFile(Strict):
-    """What goes wrong while a bench is emulated."""
+class StopsOverPressureFile(Strict):
+    """Hysteresis over pressure, at most `height` to each side."""
 
-    schema_: Annotated[Literal["pmabench.faults/1"], Field(alias="schema")]
-    faults: Annotated[list[Event], Field(min_length=1, max_length=1000)]
+    height: Annotated[Force, _within(0, 1e4, "force")]
+    widths: Annotated[list[Annotated[Pressure, _within(1, 1e6, "pressure")]], Field(min_length=1, max_length=20)]
+    weights: Weights
 
-
-Line = tuple[tuple[Reading, Reading], tuple[Reading, Reading]]
-"""Two points of a straight line."""
-Terminal = Annotated[str, Field(min_length=1, max_length=80)]
-Source = Annotated[str, Field(min_length=1, max_length=400)]
-"""The data sheet or page that the numbers are from."""
-
-
-class SensorFile(Strict):
-    """What is measured at one terminal: the sensor from signal to quantity, the device from digits to signal."""
-
-    measures: Literal[
-        "pressure", "displacement", "force", "supply", "angle", "pressure_command", "displacement_command"
-    ]
-    sensor: Line
-    device: Line | None = None
-    """Where the device gives something else than the signal, for instance counts for volts."""
-    source: Source
+    @model_validator(mode="after")
+    def _weighted(self) -> StopsOverPressureFile:
+        _whole(self.widths, self.weights)
+        return self
 
 
-class ActuatorFile(Strict):
-    """What a set-point moves: the actuator from its signal to the quantity, the device from digits to signal."""
+class CreepFile(Strict):
+    """A length that creeps after the contraction, `share` of it with each time constant."""
 
-    drives: Literal["pressure", "displacement"]
-    actuator: Line
-    device: Line | None = None
-    step: Reading | None = None
-    """Smallest step of the device."""
-    range: tuple[Reading, Reading] | None = None
-    """Between which ends a drive can move."""
-    source: Source
+    share: Annotated[Ratio, _within(0, 0.2, "ratio")]
+    times: Annotated[list[Annotated[Time, _within(1e-3, 1e6, "time")]], Field(min_length=1, max_length=20)]
 
-
-class ValveTruth(Strict):
-    """A valve on a digital output."""
-
-    valve: Literal["dump_valve"]
-    energised: Literal["closed", "open"]
-    """Where it is with current."""
-    source: Source
+    @model_validator(mode="after")
+    def _less_than_all(self) -> CreepFile:
+        if self.share * len(self.times) > 0.5:
+            raise ValueError(
+                f'"share" of {self.share:.3g} for each of {len(self.times)} times is more than half in all'
+            )
+        return self
 
 
-class ContactTruth(Strict):
-    """A contact on a digital input."""
+class RealFile(PlantFile):
+    """A muscle with bent force, hysteresis over contraction and pressure, and creep; what is not given is not there."""
 
-    contact: Name
-    """A contact whose name has "stop" in it is the emergency stop."""
-    released: Literal["high", "low"]
-    """The level as long as nobody has pressed it."""
-    source: Source
-
-
-class DeviceTruth(Strict):
-    """One device: which it is, how it is set up, and what is wired to it by terminal."""
-
-    driver: str
-    """The kind of device, by the name of its driver."""
-    options: dict[str, Any] = {}
-    """How the device is set up, as its driver calls it; where it listens is the bench file's."""
-    inputs: dict[Terminal, SensorFile] = {}
-    outputs: dict[Terminal, ActuatorFile] = {}
-    valves: dict[Terminal, ValveTruth] = {}
-    contacts: dict[Terminal, ContactTruth] = {}
+    law: Literal["real"]
+    reach: tuple[Annotated[Ratio, _within(-0.1, 0, "ratio")], Annotated[Ratio, _within(0.001, 0.5, "ratio")]]
+    """From where to where it may be driven, as share of the length; a free end goes from 0 to the second."""
+    surface: SurfaceFile
+    B_c: Coefficient
+    """Damping while it contracts."""
+    B_r: Coefficient
+    """Damping while it relaxes."""
+    hysteresis: StopsOverLengthFile | None = None
+    pressure_hysteresis: StopsOverPressureFile | None = None
+    creep: CreepFile | None = None
 
 
-class TruthFile(Strict):
-    """What a rig really is, written from data sheets and not from the bench file that is to be proven."""
-
-    schema_: Annotated[Literal["pmabench.truth/1"], Field(alias="schema")]
-    name: Annotated[str, Field(min_length=1, max_length=80)]
-    note: Text = ""
-    devices: Annotated[dict[Name, DeviceTruth], Field(min_length=1)]
-    """By the names that the bench file gives them."""
+AnyPlant = Annotated[ThreeElementFile | DaerdenFile | ContractorFile | RealFile, Field(discriminator="law")]
+LAWS: dict[str, type[ThreeElementFile | DaerdenFile | ContractorFile | RealFile]] = {
+    "three-element": ThreeElementFile,
+    "daerden": DaerdenFile,
+    "contractor": ContractorFile,
+    "real": RealFile,
+}
+"""Name of the law -> its file."""

@@ -18,7 +18,7 @@ from pmabench.analysis.shared.form import Doubt, weighed
 from pmabench.analysis.shared.simulated import closed_loop, model_of
 from pmabench.base.quantities import show
 from pmabench.kinds.positioning import RESULTS
-from pmabench.kinds.positioning.response import Response, respond
+from pmabench.kinds.positioning.response import SMALLEST, Response, respond
 from pmabench.model.presets import Described
 from pmabench.store.analyses.results import Analysis, Dropped, Estimate, Finding, Parts, Trace
 from pmabench.store.records import Array, RunData, TrialData
@@ -185,15 +185,15 @@ def _moves(members: Sequence[Hold], setpoint: float) -> Doubt:
 
 def _steady(e: Estimate, moves: Doubt) -> Estimate:
     """The steady-state error with what `moves` in the window. Where that is seen and may be more than the error itself,
-    a bound and no value: not even the sign of a steady error is known.
+    a bound and no value: not even the sign of a steady error is known. What moves less than cycles that count is rest.
     """
     found = weighed(e, [moves], 1.0)
-    if found.value is None or not moves.seen or moves.half <= abs(found.value):
+    if found.value is None or not moves.seen or moves.half <= max(SMALLEST, abs(found.value)):
         return found
     half = hypot(*(part or 0.0 for part in vars(found.parts).values()))
-    most = show(abs(found.value) + half, "ratio", 3)
-    note = f"not more than {most} of the set-point either way: {moves.reason}"
-    return replace(found, value=None, parts=Parts(), budget=(), note=sentences(note, e.note))
+    most = abs(found.value) + half
+    note = f"not more than {show(most, 'ratio', 3)} of the set-point either way: {moves.reason}"
+    return replace(found, value=None, parts=Parts(), budget=(), note=sentences(note, e.note), bound=most)
 
 
 def _half(symbol: str, shifted: Sequence[tuple[Response, Response]], setpoint: float) -> float | None:

@@ -22,7 +22,7 @@ EQUAL = 1e-6
 """Damping ratios closer to 1 than this count as 1 + EQUAL: there the two poles are one, and the sum of them is none."""
 
 FREQUENCY = (3.0, 400.0)
-DAMPING = (0.01, 3.0)
+DAMPING = (0.01, 20.0)
 """Bounds of natural frequency [rad/s] and damping ratio [1] of the motion; a fit at a bound found nothing."""
 FEWEST = 12
 """Samples of a stretch of free swinging."""
@@ -56,6 +56,11 @@ class Motion:
     """[m]."""
     model: Array
 
+    @property
+    def decay(self) -> float:
+        """Rate at which the slowest part of the motion dies [1/s]."""
+        return self.w * (self.D - sqrt(max(0.0, self.D**2 - 1))) if self.D > 1 else self.D * self.w
+
 
 def fit_motion(t: Array, P: Array, x: Array, late: float) -> Motion:
     """Least squares of the driven motion over natural frequency and damping; gain and offset follow linearly.
@@ -86,6 +91,11 @@ def fit_motion(t: Array, P: Array, x: Array, late: float) -> Motion:
     rms = float(np.sqrt(np.mean((model - x) ** 2)))
     w, D = (float(value) for value in np.exp(solved.x))
     return Motion(late, w, D, g, rms, model)
+
+
+def from_rest(P: Array, rest: float) -> Array:
+    """A pressure [Pa] whose first sample is that at rest: its noise would be a step of the motion from there on."""
+    return np.concatenate([[rest], P[1:]])
 
 
 def lagged_motions(t: Array, P: Array, x: Array, known: Motion) -> list[Motion]:

@@ -29,7 +29,7 @@ from pmabench.model.regulator import Regulated, Regulator, Trace, Wave
 
 BEND = 1e-6
 """Change of speed times step, at which a step is as long as it may be [m]."""
-SHORTEST, LOOK, LONGEST = 2.5e-4, 2e-3, 0.25
+SHORTEST, LOOK, LONGEST = 2.5e-4, 2e-3, 1.0
 """Least step, longest while the pressure changes, longest of all [s]."""
 SETTLED_PRESSURE = 1e-3
 """Worth less than 1 nm of contraction [Pa]."""
@@ -157,10 +157,10 @@ class RealPlant:
         rows = []
         for moment in t.tolist():
             self.reach(moment)
-            x, P, F = self.reading()
-            rows.append((x, self.v, P, F))
+            place, pressure, force = self.reading()
+            rows.append((place, self.v, pressure, force))
         self.reach(until)
-        x, v, P, F = (np.array(column) for column in zip(*rows, strict=True))
+        x, v, P, F = np.array(rows).T
         return Motion(t, x, v, P, F, P_set, np.zeros(t.shape))
 
     def step(self, dt: float) -> None:

@@ -296,7 +296,7 @@ def _some(values: Array) -> Array:
 
 
 def _resolution(values: Array) -> float:
-    """The smallest distance of two readings of different size, of the first that there are."""
+    """The smallest difference between two different readings among the first `ENOUGH`; 0 if all are equal."""
     marks = np.unique(values[:ENOUGH])
     return float(np.diff(marks).min()) if len(marks) > 1 else 0.0
 

@@ -307,7 +307,7 @@ def _pieces(file: IO[bytes], digest: Any, most: int | None) -> Iterator[bytes]:
 
 
 class _Rows:
-    """Gathers the answers of the child, its times turned into seconds, test by test."""
+    """Gathers the child's answers test by test, with times in seconds."""
 
     def __init__(self, path: Path, stamps: Stamps | None) -> None:
         self.path, self.stamps = path, stamps

@@ -377,7 +377,7 @@ def _sampling(guess: Guess) -> None:
 
 
 def _names(guess: Guess) -> None:
-    """Dates, numbers of tests and points in the names of the files, or of their folders: whichever contain more."""
+    """Use the dates, test numbers and points in the names of the files or of their folders, whichever contain more."""
     found = (found_in(guess.files, of) for of in ("file", "folder"))
     best = max(found, key=lambda names: (len(names[0]), names[1] == "file"))
     keys, guess.form_of, forms, guess.form_units, guess.form_comma = best

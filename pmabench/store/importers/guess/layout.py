@@ -49,7 +49,7 @@ def looks_like_time(text: str) -> bool:
 
 
 def written(texts: Sequence[str]) -> Written | None:
-    """How a column of texts writes its time; None where its texts are no times."""
+    """The form in which a column of texts gives its times; None if they are no times."""
     some = [text.strip() for text in texts if text.strip()]
     if not some or sum(map(looks_like_time, some)) < ENOUGH * len(some):
         return None
@@ -64,7 +64,7 @@ def written(texts: Sequence[str]) -> Written | None:
 
 
 def _order(texts: Sequence[str]) -> str:
-    """The order of day and month, where a number above 12 or a point shows it; empty where it is open."""
+    """The order of day and month, if a number above 12 or a point shows it; else empty."""
     pairs = [(int(m[1]), int(m[2])) for text in texts if (m := _SLASHED.match(text))]
     if not pairs:
         return "year first"
