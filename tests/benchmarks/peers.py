@@ -2,9 +2,9 @@
 
     F = F_ce(P) - K(P) x - B(P) x' - F_c sign(x')
 
-For the first two F_ce and K are polygons over pressure, B a straight line for each direction; in MuJoCo it is an actuator whose gain
-and bias are straight lines in length and velocity, so that coefficients are straight lines over pressure and B has one
-value for both directions. Intervals are what each program says: 1.96 standard errors. Imports nothing of pmabench.
+For the first two F_ce and K are polygons over pressure, B a straight line for each direction; in MuJoCo it is an actuator
+whose gain and bias are straight lines in length and velocity, so that coefficients are straight lines over pressure and B
+has one value for both directions. Intervals are what each program says: 1.96 standard errors. Imports nothing of pmabench.
 """
 
 from __future__ import annotations
