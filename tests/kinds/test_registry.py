@@ -17,6 +17,7 @@ DEFAULTS = {
     ("pmabench/cli/init.py", "contraction-relaxation"),
     ("pmabench/bench/plant.py", "surface"),
     ("pmabench/model/presets.py", "surface"),
+    ("pmabench/model/library/real.py", "surface"),
 }
 """Words that name a kind of test, too: the shipped protocol where `init` begins, a part of the plant of a muscle."""
 
