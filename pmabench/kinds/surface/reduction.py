@@ -115,7 +115,7 @@ def sentences(choice: Choice) -> list[Finding]:
 
 
 def _share(score: Score, full: float) -> str:
-    return f"{show(score.rms, 'force', 2)} rms ({100 * score.rms / full:.2g} % of {show(full, 'force', 3)})"
+    return f"{show(score.rms, 'force', 2)} rms ({100 * score.rms / full:.2g} % of {show(full, 'force', 4)})"
 
 
 def facts(choice: Choice) -> dict[str, Any]:
