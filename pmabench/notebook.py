@@ -1,4 +1,4 @@
-"""The Python face for notebooks: runs and results as pandas tables, SI, each column with its unit in the head.
+"""The Python interface for notebooks: runs and results as pandas tables, SI, each column with its unit in the head.
 
 Reached as `pmabench.open_run`, `pmabench.process` and `pmabench.open_analysis`. Computes nothing itself, and never
 writes into a run.

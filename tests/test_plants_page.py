@@ -101,6 +101,20 @@ def test_a_few_trials_bring_its_coefficients_back_and_the_run_keeps_the_file(fol
     assert_within(estimates(), 1e-3, 1)
 
 
+def test_the_muscle_with_hysteresis_and_creep_is_what_its_commands_show(folder):
+    """Sine of 10 mm about 17 mm at 300 kPa, by hand: 2 H 0.85 and (B_c + B_r) 2 pi 0.1 Hz 10 mm, less 5 ms of lag."""
+    for name, printed in (("real", "1264.6 N"), ("real-loop", "51.00 N"), ("real-creep", "41.635 mm")):
+        assert printed in call(f"pmabench model show {name}")
+    lifted = json.loads(call(command("model simulate real"), "--json"))["columns"]
+    assert max(lifted[3]["values"]) * 1e3 == pytest.approx(39.2, abs=0.1)
+    driven = next(line for line in COMMANDS if "--drive" in line)
+    columns = {c["name"]: c["values"] for c in json.loads(call(driven, "--json"))["columns"]}
+    speed = 2 * math.pi * 0.1 * 10
+    K = (0.334 * (244.7 - 0.1115 * 300) * math.exp(-0.334 * 17 / 2.5) + 0.083 * 300) / 2.5
+    gap = 2 * 20 * 0.85 + (1.6 + 1.15) * speed - K * 2 * 5e-3 * speed
+    assert columns["force"][5] - columns["force"][10] == pytest.approx(gap, abs=0.1)
+
+
 @pytest.mark.slow
 def test_the_page_as_it_stands_brings_its_coefficients_back(folder):
     for line in COMMANDS:

@@ -5,5 +5,6 @@
 - `many` works on many runs at once, here or on a Dask cluster
 - a library model fitted to a table: `model_fit`, made of `model_problem`
 - what speaks for or against a result, and results next to each other: `verdict`
+- a muscle with hysteresis and creep, from all its slow tests: `surface`
 - parts of reductions: `shared`
 """

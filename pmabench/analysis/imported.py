@@ -1,4 +1,4 @@
-"""What runs made of old files say beside their samples: the rule written beforehand, time skew, what was found wrong.
+"""What runs made of old files hold besides their samples: the rule written beforehand, time skew, what was found wrong.
 
 Knows the manifest of imports; no reduction.
 """
@@ -38,7 +38,7 @@ def rule_of(runs: Sequence[RunData], options: Mapping[str, Any]) -> tuple[dict[s
 
 
 def late_by(run: RunData, channel: str) -> tuple[float, float] | None:
-    """How much older a channel's values are than their time stamps, least and most [s]; None where it is not told."""
+    """How much older a channel's values are than their time stamps, least and most [s]; None where it is not known."""
     late = (import_of(run).get("late_by") or {}).get(channel)
     return None if late is None else (float(late[0]), float(late[1]))
 
@@ -46,11 +46,11 @@ def late_by(run: RunData, channel: str) -> tuple[float, float] | None:
 def measured(
     runs: Sequence[RunData],
     options: Mapping[str, Any],
-    measure: Callable[[TrialData, tuple[float, float]], Measured | str],
+    measure: Callable[[RunData, TrialData, tuple[float, float]], Measured | str],
 ) -> tuple[list[tuple[RunData, Measured]], list[Dropped], bool]:
-    """What `measure` makes of every trial and the lateness of its pressure, and the trials for which it gives a reason.
+    """The results of `measure` for every trial with its run and the lateness of its pressure; the trials it refuses.
 
-    The lateness [s] is that of `late_by`, or the option of that name; the last value says whether all runs tell it.
+    The lateness [s] is that of `late_by`, or the option of that name; the last value says whether all runs give it.
     """
     found: list[tuple[RunData, Measured]] = []
     dropped: list[Dropped] = []
@@ -59,7 +59,7 @@ def measured(
         late = tuple(options["late_by"]) if "late_by" in options else late_by(run, "pressure")
         stated = stated and late is not None
         for trial in run.trials:
-            one = measure(trial, late or (0.0, 0.0))
+            one = measure(run, trial, late or (0.0, 0.0))
             if isinstance(one, str):
                 dropped.append(Dropped(trial.name, trial.point, one))
             else:

@@ -30,7 +30,7 @@ from pmabench.store.analyses.results import Finding
 from pmabench.store.records import Array
 
 EXACT = 1e-7
-"""Residual rms as a share of the output's span below which data are the model's own."""
+"""Residual rms, as a share of the output's span, below which the data were computed by the model itself."""
 ENOUGH = 4
 """Starts that ended as low as the best, after which no more are tried."""
 SAME = 1e-6
@@ -67,7 +67,7 @@ class Follows:
 
 @dataclass(frozen=True)
 class ModelFit:
-    """What a fit gave."""
+    """Result of a fit."""
 
     model: Model
     output: str
@@ -76,7 +76,7 @@ class ModelFit:
     fixed: Mapping[str, Any]
     """Inputs that were given or stayed at their reference values."""
     idle: tuple[str, ...]
-    """Those of them that change nothing here."""
+    """Names of the fixed inputs that do not change the output here."""
     columns: Mapping[str, Array]
     measured: Array
     computed: Array
@@ -181,7 +181,7 @@ def fit_model(
 
 
 def _ends(problem: Problem, first: Array) -> list[End]:
-    """Where the fit ends from each start, until enough of them end as low; ValueError where none can begin."""
+    """The end of the fit from each start, until enough ends are as low as the best; ValueError where none can begin."""
     begun = [at for at in starts_of(problem, first) if np.isfinite(problem.residuals(at)).all()]
     if not begun:
         raise ValueError("the model holds at none of the start values; give better ones with --start")
@@ -197,7 +197,7 @@ def _ends(problem: Problem, first: Array) -> list[End]:
 def _intervals(
     problem: Problem, best: End, freedom: int, *, profiled: bool
 ) -> tuple[Spread, list[Interval | None], list[End]]:
-    """What the data say of each unknown, and better ends, the best first, that the profiles came upon."""
+    """The interval of each unknown, and better ends that the profiles found, the best first."""
     better: list[End] = []
     for _ in range(3 if profiled else 0):
         spread = spread_of(problem.slopes(best[1]), best[0] * problem.span**2, freedom)
@@ -306,7 +306,7 @@ def _other_minima(
         if end[2] and best[0] < end[0] * (1 - 1e-6) and end[0] < best[0] * ratio and far:
             more = sqrt(end[0] / best[0])
             text = f"other values of {_list(far)} fit nearly as well (residual {more:.3g} times as large)"
-            return [Finding("doubt", f"{text}; data over a wider range would tell them apart")]
+            return [Finding("doubt", f"{text}; data over a wider range would separate them")]
     return []
 
 
@@ -335,7 +335,7 @@ def _idle(problem: Problem, fixed: Mapping[str, Any], at: Array) -> tuple[str, .
 
 
 def _follows(problem: Problem, at: Array, spread: Spread, freedom: int) -> tuple[Follows, ...]:
-    """Outputs that the unknowns settle for all rows alike."""
+    """Outputs that are one number for all rows and follow from the unknowns."""
     found = []
     for output in problem.model.outputs:
         other = Problem(problem.model, output.name, problem.names, problem.inputs, None)

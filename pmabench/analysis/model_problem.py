@@ -40,7 +40,7 @@ class Spread:
     condition: float
     """Of the Jacobian with columns of length 1."""
     tied: tuple[tuple[int, ...], ...]
-    """Unknowns of which only combinations are told, a tuple for each combination that is not."""
+    """Unknowns that the data determine in combination only: for each combination left open, their places."""
 
 
 def spread_of(slopes: Array, squares: float, freedom: int) -> Spread:
@@ -83,11 +83,11 @@ def identifiability(
         if len(group) == 1:
             found.append(Finding("doubt", f"{members} is not identifiable: it changes nothing at these rows"))
         else:
-            text = f"{members} are not identifiable separately: these rows tell only a combination of them"
+            text = f"{members} are not identifiable separately: these rows determine only a combination of them"
             found.append(Finding("doubt", f"{text}; give one of them with --set"))
     for name, interval, place in zip(names, intervals, at_end, strict=True):
         if place:
-            text = f"{name} ended {place}: the data pull it further, or do not tell it"
+            text = f"{name} ended {place}: the data pull it further, or do not determine it"
             found.append(Finding("doubt", text))
         elif interval is not None and None in interval:
             side = "either side" if interval == (None, None) else "below" if interval[0] is None else "above"
@@ -195,7 +195,7 @@ class Problem:
 
 
 def _size(p: Parameter) -> float:
-    """What an input is measured by: its reference value, or what its quantity is like."""
+    """Typical size of an input: its reference value, or a usual value of its quantity."""
     value = abs(float(p.value))
     if value > 0:
         return value

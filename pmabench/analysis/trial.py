@@ -1,4 +1,4 @@
-"""What one trial says by itself, and what its specimen's file predicts of it; judges nothing, fits nothing."""
+"""Quantities of a single trial, and their prediction from the specimen file; judges nothing, fits nothing."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ class Measured:
     value: float | None
     expected: float | None = None
     tolerance: float = 0.0
-    """What friction may take away from the prediction [SI]."""
+    """Largest difference from the prediction that friction can make [SI]."""
     noise: float = 0.0
     """Differences smaller than this between repeats mean nothing [SI]."""
     assumed: bool = False
     pooled: bool = False
-    """Whether earlier trials are in it, so that it cannot be held against them."""
+    """Whether earlier trials are in it, so that it cannot be compared with them."""
 
 
 Found = tuple[list[Measured], list[str]]
-"""Quantities, and what the samples themselves say against the trial."""
+"""Quantities of a trial, and doubts from its samples."""
 
 
 @dataclass
 class Quick:
-    """What is remembered: load [N] and final contraction [m] of each trial, by pressure [Pa]."""
+    """Kept between trials: load [N] and final contraction [m] of each trial, by pressure [Pa]."""
 
     ends: dict[float, dict[int, tuple[float, float]]] = field(default_factory=dict)
 

@@ -24,7 +24,7 @@ FOLLOWING: dict[str, tuple[tuple[str, str], tuple[str, str]]] = {
 
 @dataclass(frozen=True)
 class Gains:
-    """What one rule says: the ideal form K_p, T_i, T_d, and the parallel form K_i = K_p/T_i, K_d = K_p T_d."""
+    """Settings of one rule: the ideal form K_p, T_i, T_d, and the parallel form K_i = K_p/T_i, K_d = K_p T_d."""
 
     rule: Rule
     K_p: Estimate
@@ -39,7 +39,7 @@ class Gains:
 
     @property
     def estimates(self) -> tuple[Estimate, ...]:
-        """Those that the rule's form has."""
+        """Estimates of the settings that the rule's form has."""
         return tuple(e for e in (self.K_p, self.T_i, self.T_d, self.K_i, self.K_d) if e is not None)
 
     def to_dict(self) -> dict[str, Any]:
@@ -204,7 +204,7 @@ def loop_of(K_u: float, T_u: float, dead_time: float, lags: Sequence[float]) -> 
 
 
 def measured_loops(analysis: Analysis) -> list[tuple[Estimate, Estimate, Loop | None]]:
-    """K_u, T_u and the identified loop (where there is one) at each operating point; of several ways the first told."""
+    """K_u, T_u and the identified loop, if there is one, at each operating point, by the first method with values."""
     loops = {
         _point(fact["at"]): Loop(
             fact["gain"],

@@ -1,4 +1,4 @@
-"""Two clocks with one face: bench seconds that pass by themselves, or that pass when waited for."""
+"""Two clocks with the same methods: real time, and virtual time that passes only when it is waited for."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ class Imported:
     """What a kind of test, or of recording, needs of a file of another program."""
 
     commanded: Commanded | None = None
-    """None: what a search or a loop did leaves no trace that could be read."""
+    """None: what a search or a loop commanded cannot be read off a file."""
     recording: bool = False
     """Recorded for this reduction alone: commands and operating points are those that the map's cut gives."""
     follows: str = ""

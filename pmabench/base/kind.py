@@ -67,7 +67,7 @@ class Kind:
     after: str = ""
     """`module:options`: offers of the specimen's other tests -> options of this reduction, which is done after them."""
     at_rest: bool = False
-    """Whether its F_ce is the one that limits against static load mean."""
+    """Whether its F_ce is what limits against static load compare with."""
     instead: str = ""
     """The advice to run it where other tests contradict each other on F_ce, F or K."""
     figures: dict[str, str] = field(default_factory=dict)
@@ -75,11 +75,15 @@ class Kind:
     front: dict[str, str] = field(default_factory=dict)
     """Kind of trace of which one may be drawn on the first page -> `module:function`, as in `figures`."""
     published: dict[str, tuple[str, str, str]] = field(default_factory=dict)
-    """Kind of trace over which published points can be drawn -> its axes, and what is the same in all of it."""
+    """Kind of trace over which published points can be drawn -> its axes, and the marks that all its points share."""
     options: tuple[str, ...] = ()
     """Options of its reduction that a user can give."""
     parts: dict[str, str] = field(default_factory=dict)
-    """What some commands look up, as "module:name": `check options`, `tune by steps`, `tune by model`."""
+    """What some commands look up, as "module:name": `check options`, `tune by steps`, `tune by model`.
+
+    `slow rows`: (run, trial, rate) -> rows of pressure, contraction and force for a form of all tests, or why there are
+    none. `form of all tests`: this kind is such a form, whose reduction takes the runs of all others with slow rows.
+    """
     methods: dict[str, str] = field(default_factory=dict)
     """Method of its reduction -> what it does, in a sentence or two."""
     imported: Imported | None = None

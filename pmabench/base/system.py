@@ -11,7 +11,7 @@ GUARD, ENGINE = 20, 10
 
 
 def real_time(priority: int) -> str:
-    """Let this thread, and what it starts from now on, go before all ordinary programs; why not, or an empty text."""
+    """Give this thread and those that it starts priority over ordinary programs; why that failed, or an empty text."""
     if not hasattr(os, "sched_setscheduler"):
         return "this system has no real-time priority"
     try:
@@ -74,7 +74,7 @@ def limit_memory(size: int) -> None:
 
 
 def end_after_cpu(seconds: float) -> None:
-    """End this process once it has used so many more seconds of CPU, whatever it is doing then; 0: no longer."""
+    """End this process once it has used so many more seconds of CPU, whatever it is doing; 0 takes the limit away."""
     if sys.platform != "win32":
         import signal
 

@@ -59,7 +59,7 @@ def restore(fd: int, before: Attributes | None) -> None:
 
 
 def _taken_back(fd: int) -> bool:
-    """Whether others have the terminal: a shell, which has set it as it wants it."""
+    """Whether another program, such as a shell, has taken the terminal and set it for itself."""
     try:
         return os.tcgetpgrp(fd) not in (0, os.getpgrp())
     except (OSError, AttributeError):

@@ -25,7 +25,7 @@ def failure_story(mounted: Mounted) -> list[tuple[str, str]]:
     if not mounted.bench.realtime:
         return [("Anything", "Nothing is pressurised: this bench is simulated in virtual time.")]
     return [
-        ("The program", "The guard, a process of its own, vents: at once after a crash, within 0.5 s after a freeze."),
+        ("The program", "The guard, a separate process, vents: at once after a crash, within 0.5 s after a freeze."),
         ("The computer", " ".join(_computer(mounted))),
         ("Electric power", " ".join(_power(mounted))),
         ("Compressed air", " ".join(_air(mounted))),
@@ -48,7 +48,7 @@ def _device_of(mounted: Mounted, output: str) -> DeviceRecord | None:
 
 
 def _opens_unheard(mounted: Mounted) -> DeviceRecord | None:
-    """The device whose watchdog opens the dump valve, if there is one."""
+    """The device whose watchdog opens the dump valve when it hears nothing, if there is one."""
     device = _device_of(mounted, "dump_valve")
     return device if device is not None and device.watchdog else None
 

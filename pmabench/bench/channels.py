@@ -19,7 +19,7 @@ from pmabench.files.document import Location, document_text, read_document, vali
 from pmabench.files.quantity import unit_factor
 
 MOST = 1e100
-"""Largest number that is believed; its square can still be reckoned with."""
+"""Largest number that is accepted; its square is still finite."""
 
 
 @dataclass(frozen=True)
@@ -177,7 +177,7 @@ def _folders(c: Compilation, location: Location) -> list[Path]:
 SET_POINTS = ("pressure", "displacement")
 """The outputs that take values, by name; every other name is a valve's and needs `energised`."""
 LEAST_ROOM = 1e-3
-"""A driven end stays below the specimen's contraction limit by the channel's uncertainty, at least by so much [1]."""
+"""Margin of a driven end below the specimen's contraction limit: the channel's uncertainty, at least so much [1]."""
 
 
 def outputs(c: Compilation) -> dict[str, OutputRecord]:

@@ -16,7 +16,7 @@ from pmabench.files.quantity import unit_factor
 
 
 class Compilation:
-    """What the parts of the compiler share. Raises `InvalidFile` where a file does not satisfy its model."""
+    """A bench being compiled: files, records and problems so far; `InvalidFile` where a file does not fit its model."""
 
     def __init__(self, bench: Document, specimen: Document | None, today: datetime.date) -> None:
         self.bench_document, self.specimen_document, self.today = bench, specimen, today
@@ -32,7 +32,7 @@ class Compilation:
         self.outputs: dict[str, OutputRecord] = {}
         self.valves: dict[str, ValveRecord] = {}
         self.driver_lacks: list[str] = []
-        """What of devices' options may surprise; each line goes on after "this bench has"."""
+        """Warnings about devices' options; each line goes on after "this bench has"."""
         files: dict[type[Strict], Any] = {SpecimenFile: any_specimen()}
         if specimen is not None:
             self.texts["specimen.yaml"] = document_text(specimen)

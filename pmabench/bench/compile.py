@@ -27,7 +27,7 @@ from pmabench.bench.session import Session, lacks_session, session
 from pmabench.files.document import Document, Location, read_document
 
 OPEN = "??"
-"""As a value: nobody has said it yet. The guesses of `import --guess` have the same mark."""
+"""A value that is still to be filled in; `import --guess` writes the same mark."""
 
 
 def unfilled(bench: Path, documents: Sequence[Document]) -> list[Problem]:
@@ -179,6 +179,6 @@ def _verified(file: DeviceFile) -> str:
 
 
 def _left_safe(valve: ValveRecord, actions: tuple[SafeAction, ...]) -> ValveRecord:
-    """The valve with the position in which the safe state leaves it."""
+    """The record of a valve, with the position in which the safe state leaves it."""
     last = [action.do for action in actions if action.target == valve.name and action.do in {"open", "close"}]
     return replace(valve, safe="closed" if last and last[-1] == "close" else "open")

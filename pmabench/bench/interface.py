@@ -199,7 +199,7 @@ class DeviceRecord:
     valves: tuple[ValveRecord, ...] = ()
     interlocks: tuple[InterlockRecord, ...] = ()
     watchdog: float = 0.0
-    """The device vents by itself when it hears nothing for so long [s]; 0: it has no such thing."""
+    """The device vents by itself when it hears nothing for so long [s]; 0: it has no watchdog."""
     verified: str = ""
     """What its driver was tried on: `hardware (who, date, firmware)`, `emulator only`, or in other words."""
     verified_firmware: str = ""
@@ -207,7 +207,7 @@ class DeviceRecord:
     fastest: float = 0.0
     """Highest rate at which it samples with these options [Hz]; 0: its driver does not say."""
     fastest_from: str = ""
-    """Where that is written, as `path:line:column`."""
+    """Where the options that set it are written, as `path:line:column`."""
 
     @property
     def guarded(self) -> bool:
@@ -305,7 +305,7 @@ class Plug:
     sensor: Scale
     """Signal to SI."""
     digits: Scale = field(default_factory=Scale)
-    """What the device gives or takes to the signal."""
+    """Scale from what the device gives or takes to the signal."""
     unit: str = ""
     """Of the signal: only plugs with the same one fit into each other's terminals."""
     low: float = 0.0
@@ -313,7 +313,7 @@ class Plug:
 
     @property
     def scale(self) -> Scale:
-        """What the device gives or takes to SI."""
+        """Scale from what the device gives or takes to SI."""
         return Scale(self.sensor.slope * self.digits.slope, float(self.sensor.to_si(self.digits.offset)))
 
 
@@ -340,7 +340,7 @@ COMPUTER = "computer"
 EMULATED = "emulated "
 """How the model name of an emulator begins: what it records is never taken for a real muscle."""
 UNPROVEN = f"{EMULATED}unproven "
-"""How it begins where the emulator took its wiring and scales from the bench file, so that an error cancels out."""
+"""How the model name begins where the emulator took wiring and scales from the bench file: errors cancel out."""
 
 
 @dataclass(frozen=True)
@@ -402,7 +402,7 @@ class Block:
 
 @runtime_checkable
 class Device(Protocol):
-    """What every driver can do."""
+    """The interface of every driver."""
 
     def open(self) -> Identity:
         """Connect and identify; nothing moves and nothing is commanded."""

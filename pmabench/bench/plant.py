@@ -15,7 +15,7 @@ from typing import Any
 
 from pmabench.base.errors import InvalidFile, Problem, did_you_mean
 from pmabench.base.quantities import show
-from pmabench.bench.files.plant import LAWS, ContractorFile, DaerdenFile, PlantFile, Polynomial, Table
+from pmabench.bench.files.plant import LAWS, ContractorFile, DaerdenFile, PlantFile, Polynomial, RealFile, Table
 from pmabench.bench.interface import OutputRecord
 from pmabench.files.document import Document, Location, check_schema, document_text, read_document, validate
 from pmabench.files.quantity import unit_factor
@@ -24,13 +24,13 @@ SYMBOLS = {"F_ce": "force", "K": "stiffness", "B_c": "damping", "B_r": "damping"
 """Coefficient -> quantity."""
 LEAST = {"F_ce": 0.0, "K": 1.0, "B_c": 1.0, "B_r": 1.0, "tau_r": 1e-4}
 MOST = {"F_ce": 1e6, "K": 1e6, "B_c": 1e7, "B_r": 1e7, "tau_r": 100.0}
-"""What each must lie between at all pressures of the plant [SI]."""
+"""Range in which each coefficient must lie at all pressures of the plant [SI]."""
 JUMP = 0.02
 """Most that a coefficient may jump at a break, of its highest value."""
 PAPER_2 = 5e5
 """Up to which its contractors were measured [Pa]."""
 AT_REST = 1.0
-"""Most force that is taken for none, without pressure [N]."""
+"""Forces up to this count as none, without pressure [N]."""
 
 Piece = list[float]
 
@@ -91,6 +91,8 @@ def plant_numbers(document: Document) -> dict[str, Any]:
             raise InvalidFile(wrong)
         muscle = {name: getattr(file, name) for name in ("radius", "braid_angle", "threshold")}
         return {**numbers, **muscle, "reach": list(file.reach)}
+    if isinstance(file, RealFile):
+        return {**numbers, **_real_numbers(document, file)}
     compilation = _Curves(document, file.highest_pressure)
     given = {symbol: coefficient for symbol in SYMBOLS if (coefficient := getattr(file, symbol)) is not None}
     curves = {symbol: compilation.curve(symbol, coefficient) for symbol, coefficient in given.items()}
@@ -102,8 +104,52 @@ def plant_numbers(document: Document) -> dict[str, Any]:
     return {**numbers, "stop": file.stop, **curves, "friction": friction, **braid, "flow": air}
 
 
+def _real_numbers(document: Document, file: RealFile) -> dict[str, Any]:
+    """Surface, damping, stops and creep; height 0 and no stops where none are given."""
+    compilation = _Curves(document, file.highest_pressure)
+    curves = {symbol: compilation.curve(symbol, getattr(file, symbol)) for symbol in ("B_c", "B_r")}
+    wrong = [*compilation.problems, *_too_soft(document, file)]
+    if wrong:
+        raise InvalidFile(wrong)
+    none = {"widths": [], "weights": [], "height": 0.0}
+    over_x = none
+    if file.hysteresis is not None:
+        over_x = file.hysteresis.model_dump()
+        over_x["extra"] = over_x.pop("first_cycle")
+    return {
+        "reach": list(file.reach),
+        "surface": file.surface.model_dump(),
+        **curves,
+        "over_x": over_x,
+        "over_P": none if file.pressure_hysteresis is None else file.pressure_hysteresis.model_dump(),
+        "creep": {"share": 0.0, "times": []} if file.creep is None else file.creep.model_dump(),
+    }
+
+
+def _too_soft(document: Document, file: RealFile) -> Iterator[Problem]:
+    """Where the force without history would rise with the contraction, or be there without pressure.
+
+    Stiffness is a straight line over P and, where it bends, a sum of one exponential and a constant over eps: its least
+    value is in a corner of the range.
+    """
+    surface, highest = file.surface, file.highest_pressure
+    line = (1 - exp(-surface.s * surface.span)) / surface.span
+    for P in (0.0, highest):
+        for eps in file.reach:
+            slope = line + surface.bend * (surface.s * exp(-surface.s * eps) - line)
+            K = ((surface.A + surface.A_P * P) * slope - surface.C * P) / file.length
+            if not K >= (0.0 if P == 0 else LEAST["K"]) - 1e-9:
+                there = f"at {show(P, 'pressure')} and {eps:.3g} of the length"
+                yield document.problem(("surface",), f"the stiffness is {show(K, 'stiffness', 4)} {there}, below zero")
+                return
+    rest = surface.A + surface.E
+    if rest > AT_REST:
+        text = f"pulls with {show(rest, 'force', 4)} without pressure and contraction; A + E must not be above zero"
+        yield document.problem(("surface",), text)
+
+
 def _beyond_the_law(document: Document, file: DaerdenFile) -> Iterator[Problem]:
-    """Where a driven muscle would be where its law says nothing."""
+    """Problems where the muscle may be driven beyond the range of its law."""
     if file.reach[0] < -0.9 * file.B2:
         pole = f"must stay above {-0.9 * file.B2:.4g}, short of the pole of the rubber term at -B2"
         yield document.problem(("reach", 0), f"{file.reach[0]:.4g} {pole}")
@@ -114,7 +160,7 @@ def _beyond_the_law(document: Document, file: DaerdenFile) -> Iterator[Problem]:
 
 
 def _beyond_paper_2(document: Document, file: ContractorFile) -> Iterator[Problem]:
-    """Where a contractor's formulas say nothing (paper 2 eqs. 8-9)."""
+    """Problems where a contractor's formulas do not hold (paper 2 eqs. 8-9)."""
     if file.highest_pressure > PAPER_2 * (1 + 1e-9):
         known_range = f"paper 2's contractors are known up to {show(PAPER_2, 'pressure')}"
         yield document.problem(
@@ -335,7 +381,7 @@ def _jumps(curve: dict[str, Any]) -> Iterator[tuple[float, float, float]]:
 
 
 def _way_out(curve: dict[str, Any], highest: float) -> str:
-    """How a force that is negative at low pressure is written."""
+    """Advice how to write a force that would be negative at low pressure."""
     if "points" in curve:
         return "a muscle cannot push: give 0 N there"
     piece, pressure = curve["pieces"][0], curve["pressure"]

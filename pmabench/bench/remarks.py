@@ -151,6 +151,7 @@ SIMULATED: dict[str, Simulated] = {
     "contractor-30": Simulated(0.3, 0.02, "MOCK-CONTRACTOR"),
     "contractor-40": Simulated(0.4, 0.02, "MOCK-CONTRACTOR-40"),
     "arm-30": Simulated(0.3, 0.02, "MOCK-ARM"),
+    "real": Simulated(0.25, 0.02, "MOCK-REAL"),
 }
 """The muscles that a bench file can name.
 
@@ -163,7 +164,7 @@ TOO_WIDE = 2.0
 
 
 def mistaken(c: Compilation, devices: Sequence[DeviceRecord]) -> Iterator[str]:
-    """A simulated muscle that is not the specimen, and calibrations that do not fit the range of their channel."""
+    """Warn if a simulated muscle is not the specimen, or a calibration does not fit the range of its channel."""
     for device in devices:
         if "plant" in device.options and c.length:
             yield from _other_muscle(c, device.name, device.options["plant"])

@@ -140,7 +140,7 @@ def _beyond(c: Compilation, channel: ChannelRecord, value: float) -> float:
 
 
 def _extrapolation(c: Compilation, channel: ChannelRecord, value: float) -> float:
-    """What a value beyond the points is known less well than one between them [SI].
+    """Additional uncertainty of a value beyond the calibrated points [SI].
 
     A line that is off by no more than U at both ends of its points is off by U (1 + 2 d) at a share d beyond them.
     """

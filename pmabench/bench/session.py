@@ -145,7 +145,7 @@ class Session:
     valid: float = 12 * 3600.0
 
     def shortened(self) -> tuple[str, ...]:
-        """What is less than the papers and good practice ask for, in words."""
+        """In words: which parts are shorter than the papers and good practice ask for."""
         found = []
         if self.warm_up is None:
             found.append("no warm-up")

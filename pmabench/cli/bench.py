@@ -1,4 +1,4 @@
-"""`pmabench bench card`: one page about a bench, to hang at the rig; nothing touches a device."""
+"""`pmabench bench`: its card to hang at the rig, and what its devices answer (`bench_probe`, `bench_values`)."""
 
 from __future__ import annotations
 
@@ -8,18 +8,28 @@ from pathlib import Path
 
 import click
 
+from pmabench.cli.bench_probe import probe
+from pmabench.cli.bench_values import read, set_
 from pmabench.cli.common import Ui, common
+from pmabench.cli.names import BENCH, SPECIMEN
 from pmabench.files.shipped import find_file
 
 
 @click.group(name="bench")
 def command() -> None:
-    """What a bench file says, for people at the rig."""
+    """A bench: its card for people at the rig; ask its devices, read one channel, set one output."""
+
+
+command.add_command(probe)
+command.add_command(read)
+command.add_command(set_)
 
 
 @command.command(name="card")
-@click.argument("bench")
-@click.option("--specimen", help="Specimen file, or the name of a shipped one: its limits are counted in.")
+@click.argument("bench", type=BENCH)
+@click.option(
+    "--specimen", type=SPECIMEN, help="Specimen file, or the name of a shipped one: its limits are counted in."
+)
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path, dir_okay=False), help="The HTML file.")
 @common
 def card(ui: Ui, bench: str, specimen: str | None, output: Path) -> int | None:

@@ -13,6 +13,7 @@ import click
 from pmabench.base.errors import UsageError
 from pmabench.base.quantities import CHANNEL_QUANTITY
 from pmabench.cli.common import Ui, common, read_quantity, say
+from pmabench.cli.names import BENCH, SPECIMEN
 from pmabench.cli.operator import AtLines
 from pmabench.cli.outcome import outcome_json, print_outcome, progress_line
 from pmabench.engine.operator import ConfirmedBeforehand, Nobody
@@ -26,9 +27,12 @@ if TYPE_CHECKING:
 
 @click.command(name="calibrate")
 @click.argument("channel")
-@click.option("--bench", required=True, help="Bench file, or the name of a shipped one.")
+@click.option("--bench", type=BENCH, required=True, help="Bench file, or the name of a shipped one.")
 @click.option(
-    "--specimen", required=True, help="Specimen file, or the name of a shipped one: its limits hold here too."
+    "--specimen",
+    type=SPECIMEN,
+    required=True,
+    help="Specimen file, or the name of a shipped one: its limits hold here too.",
 )
 @click.option("--reference", required=True, metavar="TEXT", help="What it is compared with, and its certificate.")
 @click.option("--reference-uncertainty", required=True, metavar="QUANTITY", help="Of the reference, k = 2: 0.5 N.")

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pmabench.cli.common import Ui, common, say, session_options
+from pmabench.cli.names import CAMPAIGN
 from pmabench.cli.outcome import outcome_json, show_next
 from pmabench.files.shipped import find_file
 
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
 
 
 @click.command(name="campaign")
-@click.argument("file")
+@click.argument("file", type=CAMPAIGN)
 @click.option("--out", default="runs", show_default=True, type=click.Path(path_type=Path), help="Where run folders go.")
 @click.option("--operator", default="", help="Who is at the bench; the login name if not given.")
 @click.option("--yes", is_flag=True, help="Every prompt counts as answered; the record says so.")

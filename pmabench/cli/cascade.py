@@ -25,13 +25,14 @@ if TYPE_CHECKING:
 ROWS = 25
 """Rows of the table for people."""
 EXAMPLE = (
-    '\b\npmabench cascade simulate paper1 --out chain\npmabench cascade replay chain --pace --at "2 s" --out again'
+    "\b\npmabench model cascade simulate paper1 --out chain\n"
+    'pmabench model cascade replay chain --pace --at "2 s" --out again'
 )
 
 
 @click.group(name="cascade", epilog=EXAMPLE)
 def command() -> None:
-    """Muscles end to end, each with pressure steps of its own: simulate, draw, play again."""
+    """Muscles end to end, each with its pressure steps: simulate, draw, play again."""
 
 
 def _output_options(function: Callable[..., Any]) -> Callable[..., Any]:

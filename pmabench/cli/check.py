@@ -8,14 +8,16 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from pmabench.base.errors import UsageError
+from pmabench.base.errors import RecordError, UsageError
 from pmabench.base.quantities import CHANNEL_QUANTITY, in_words, show
 from pmabench.cli.common import Ui, common, fields, plan_options
 from pmabench.engine.operator import ConfirmedBeforehand
+from pmabench.protocol.idle import Idle, foreseen, without
 from pmabench.report.terminal import print_grid
 
 if TYPE_CHECKING:
     from pmabench.bench.compile import Mounted
+    from pmabench.cli.prepare import Prepared
     from pmabench.protocol.plan import Plan
 
 
@@ -23,7 +25,9 @@ if TYPE_CHECKING:
 @plan_options()
 @click.option("--plan", "show_plan", is_flag=True, help="Print every step.")
 @click.option("--out", default="runs", type=click.Path(path_type=Path), help="Where the run would go, for the disk.")
-@click.option("--simulate", is_flag=True, help="Run the plan on a simulated bench and show the peaks.")
+@click.option("--simulate", is_flag=True, help="Run the plan on the bench with a simulated muscle; show the peaks.")
+@click.option("--drop-idle", is_flag=True, help="Write the protocol without trials that cannot lift; with -o.")
+@click.option("-o", "--output", type=click.Path(path_type=Path, dir_okay=False), help="The file for --drop-idle.")
 @common
 def command(
     ui: Ui,
@@ -33,6 +37,8 @@ def command(
     settings: list[tuple[str, str]],
     out: Path,
     *,
+    output: Path | None,
+    drop_idle: bool,
     show_plan: bool,
     simulate: bool,
 ) -> int | None:
@@ -45,6 +51,14 @@ def command(
     summary["disk"] = too_little(summary["bytes"], out)
     if summary["disk"]:
         warnings = [*warnings, f"too little room on the disk, `run` refuses: {summary['disk']}"]
+    expected = mounted.specimen_file.expected
+    idle = foreseen(plan, expected) if expected is not None else None
+    summary["idle"] = None if idle is None else {"trials": idle.idle, "doubtful": idle.doubtful, "first": idle.first}
+    if drop_idle != (output is not None):
+        raise UsageError("--drop-idle and -o FILE belong together")
+    if output is not None:
+        _write_without(prepared, idle, output, settings)
+        summary["written"] = str(output)
     peaks = _simulate(plan, mounted) if simulate else None
     if peaks is not None:
         summary["simulated"] = peaks
@@ -53,6 +67,8 @@ def command(
 
     def human() -> None:
         _print(ui, plan, summary, peaks, warnings)
+        for line in _idle_lines(plan, idle, output):
+            click.echo(line)
         if show_plan:
             _print_steps(plan)
 
@@ -114,10 +130,20 @@ def _plants(mounted: Mounted) -> dict[str, str]:
 def _simulate(plan: Plan, mounted: Mounted) -> dict[str, Any]:
     from pmabench.engine.run import run_plan
 
+    muscle = ""
+    left_out: tuple[str, ...] = ()
     if mounted.bench.realtime:
-        raise UsageError('--simulate needs a bench with "time: virtual", for instance --bench mock')
+        from pmabench.bench.dry_run import dry_run, options_of, wants
+
+        expected = mounted.specimen_file.expected
+        if expected is None:
+            raise UsageError(f"--simulate: {wants(mounted)}")
+        dry = dry_run(mounted, options_of(expected, mounted), f"as expected in the specimen file: {expected.source}")
+        mounted, muscle, left_out = dry.mounted, dry.muscle, dry.left_out
     outcome = run_plan(plan, mounted, ConfirmedBeforehand(), out=None)
     return {
+        "muscle": muscle,
+        "left_out": left_out,
         **fields(outcome, "status", "exit_code", "why"),
         "duration": outcome.bench_seconds,
         "measured": {name: {"lowest": low, "highest": high} for name, (low, high) in outcome.extremes.items()},
@@ -161,12 +187,44 @@ def _print(ui: Ui, plan: Plan, summary: dict[str, Any], peaks: dict[str, Any] | 
     if peaks is not None:
         ending = "" if peaks["status"] == "finished" else f": {peaks['why']}"
         console.print(f"simulated: {peaks['status']}{ending}, {in_words(peaks['duration'])}")
+        if peaks["muscle"]:
+            console.print(f"  this bench with a simulated muscle, {peaks['muscle']}")
+        for sentence in peaks["left_out"]:
+            console.print(f"  {sentence}")
         for name, span in peaks["measured"].items():
             quantity = CHANNEL_QUANTITY[name]
             console.print(
                 f"  {name:18} {show(span['lowest'], quantity, 4):>12} to {show(span['highest'], quantity, 4)}"
             )
     console.print("nothing was sent to a bench")
+
+
+def _idle_lines(plan: Plan, idle: Idle | None, written: Path | None) -> list[str]:
+    """What is said of trials that cannot move, and what to type."""
+    if idle is None or not idle.all:
+        return []
+    count = f"!  {len(idle.idle)} of {len(plan.trials)} trials are not expected to lift their load"
+    doubtful = f", {len(idle.doubtful)} more may not" if idle.doubtful else ""
+    first = [f"   {idle.first}"] if idle.first else []
+    if written is not None:
+        return [count + doubtful, *first, f"   {written} has the sweep without them"]
+    return [count + doubtful, *first, "   the same command with --drop-idle -o FILE writes the protocol without them"]
+
+
+def _write_without(prepared: Prepared, idle: Idle | None, path: Path, settings: list[tuple[str, str]]) -> None:
+    from pmabench.bench.dry_run import wants
+    from pmabench.kinds.compile import read_protocol
+
+    if idle is None:
+        raise UsageError(f"--drop-idle: {wants(prepared.mounted)}")
+    if path.exists():
+        raise UsageError(f"{path} is there already; give the name of a new file")
+    document, model = read_protocol(Path(prepared.sources["protocol"]), settings)
+    text = without(document, model.sweep, prepared.protocol_text, idle.all)
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise RecordError(f"{path} cannot be written: {error.strerror}") from error
 
 
 def _print_steps(plan: Plan) -> None:

@@ -18,6 +18,7 @@ import click
 
 from pmabench.base.errors import InvalidFile, PmaError, RecordError, UsageError
 from pmabench.base.text import Spelled, raw, spelled
+from pmabench.cli.names import BENCH, PROTOCOL, SPECIMEN
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -191,9 +192,11 @@ def plan_options(*, required: bool = True) -> Callable[[Callable[..., Any]], Cal
 
     options = (
         click.option("--set", "settings", multiple=True, callback=split, metavar="NAME=VALUE", help="Change a value."),
-        click.option("--specimen", required=required, help="Specimen file, or the name of a shipped one."),
-        click.option("--bench", required=required, help="Bench file, or the name of a shipped one."),
-        click.argument("protocol", required=required),
+        click.option(
+            "--specimen", type=SPECIMEN, required=required, help="Specimen file, or the name of a shipped one."
+        ),
+        click.option("--bench", type=BENCH, required=required, help="Bench file, or the name of a shipped one."),
+        click.argument("protocol", type=PROTOCOL, required=required),
     )
 
     def add(function: Callable[..., Any]) -> Callable[..., Any]:

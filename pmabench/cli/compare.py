@@ -13,6 +13,7 @@ import click
 
 from pmabench.base.errors import InvalidFile, UsageError, invalid
 from pmabench.cli.common import Ui, common, fields, read_quantity
+from pmabench.cli.names import complete_runs
 from pmabench.report.terminal import print_grid
 
 if TYPE_CHECKING:
@@ -24,8 +25,8 @@ _LIMIT = re.compile(r"\s*(E_n|difference)\s*(?:<=?|≤|=)\s*(.+?)\s*")
 
 
 @click.command(name="compare")
-@click.argument("a")
-@click.argument("b", required=False)
+@click.argument("a", shell_complete=complete_runs)
+@click.argument("b", required=False, shell_complete=complete_runs)
 @click.option("--method", "methods", multiple=True, help="Of both; given twice: that of A, then that of B.")
 @click.option("--at", "places", multiple=True, metavar="PRESSURE", help="At this pressure; between points by a line.")
 @click.option("--accept", "accepted", multiple=True, metavar='"E_n<=1"', help='Exit 6 beyond; also "difference<=2 %".')

@@ -17,9 +17,8 @@ from pmabench.cli.common import Ui, common, say
 def command(ui: Ui, out: Path, seed: int) -> int | None:
     """Characterise a simulated muscle: run every shipped kind of protocol, fit, and write the report."""
     from pmabench.cli.campaign import run_campaign, severity
-    from pmabench.cli.process import analyse, chains, load_runs, print_analyses, write
-    from pmabench.report.document.content import content_of, write_page
-    from pmabench.store.analyses.made_from import key_of
+    from pmabench.cli.characterise import characterise
+    from pmabench.cli.process import print_analyses
 
     started = time.monotonic()
     outcomes = run_campaign(ui, "demo", out / "runs", operator_name="demo", yes=True, seed=seed)
@@ -29,28 +28,27 @@ def command(ui: Ui, out: Path, seed: int) -> int | None:
         return worst
     recorded = sum(outcome.rows for outcome in outcomes)
     recorded_in = [outcome.folder for outcome in outcomes if outcome.folder is not None]
-    key = key_of(chains(recorded_in), {})
-    runs = load_runs(recorded_in)
-    analyses = analyse(runs)
-    folders = write(analyses, runs, out / "analyses" / runs[0].id, key)
-    content = content_of(analyses, runs, title="Characterisation of a simulated MAS-20-250")
-    report = write_page(content, out / "report.html")
+    place = out / "analyses" / recorded_in[0].name
+    title = "Characterisation of a simulated MAS-20-250"
+    found = characterise(recorded_in, place, out / "report.html", title)
     elapsed = time.monotonic() - started
     data = {
         "schema": "pmabench.demo/1",
         "runs": [str(outcome.folder) for outcome in outcomes],
-        "folders": [str(folder) for folder in folders],
-        "report": str(report),
+        "folders": [str(folder) for folder in found.folders],
+        "report": str(found.report),
         "rows": recorded,
         "seconds": round(elapsed, 3),
-        "analyses": [analysis.to_dict() for analysis in analyses],
+        "analyses": [analysis.to_dict() for analysis in found.analyses],
     }
 
     def human() -> None:
-        print_analyses(ui, analyses)
+        if ui.verbose:
+            print_analyses(ui, found.analyses)
+        click.echo("\n".join(found.lines()))
         seconds = sum(outcome.bench_seconds for outcome in outcomes)
         ui.note(f"{seconds / 60:.0f} min at the simulated bench, {recorded:,} rows, in {elapsed:.1f} s")
-        click.echo(str(report))
+        click.echo("next    pmabench init our-lab    the same for a bench of your own")
 
-    ui.result(data, human, [str(report)])
+    ui.result(data, human, [str(found.report)])
     return None

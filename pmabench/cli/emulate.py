@@ -21,6 +21,7 @@ import click
 
 from pmabench.base.errors import InvalidFile, Problem, RecordError, UsageError, did_you_mean
 from pmabench.cli.common import Ui, common
+from pmabench.cli.names import BENCH
 from pmabench.files.shipped import find_file
 
 if TYPE_CHECKING:
@@ -35,12 +36,13 @@ PRESETS = (
     "dmsp-40-305",
     *(f"contractor-{cm}" for cm in (15, 20, 25, 30, 40)),
     "arm-30",
+    "real",
 )
 NOT_PROVEN = "scales not proven: wiring and scales are taken from the bench file itself, so its errors cancel out"
 
 
 @click.command(name="emulate")
-@click.argument("bench")
+@click.argument("bench", type=BENCH)
 @click.option("--plant", default="paper0", help=f"The muscle: {', '.join(PRESETS)}, or the path of a plant file.")
 @click.option(
     "--preset", type=click.Choice(["bench", "ideal"]), default="bench", help="bench: lag, friction, noise; or ideal."

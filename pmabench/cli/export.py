@@ -8,6 +8,7 @@ import click
 
 from pmabench.base.errors import UsageError
 from pmabench.cli.common import Ui, common
+from pmabench.cli.names import RunFolder
 
 FORMATS = ("csv", "parquet", "mat", "latex", "json", "python-control", "mujoco")
 SAMPLES = ("csv", "parquet", "mat")
@@ -15,7 +16,7 @@ SAMPLES = ("csv", "parquet", "mat")
 
 
 @click.command(name="export")
-@click.argument("sources", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="RUN-OR-ANALYSIS...")
+@click.argument("sources", nargs=-1, required=True, type=RunFolder(), metavar="RUN-OR-ANALYSIS...")
 @click.option("--format", "form", required=True, type=click.Choice(FORMATS), help="Kind of file.")
 @click.option(
     "-o", "--output", required=True, type=click.Path(path_type=Path), help="Folder for csv and parquet, else the file."

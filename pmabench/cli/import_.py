@@ -185,7 +185,7 @@ def _span(text: str) -> tuple[str, Span]:
 
 def _show(found: Guess) -> None:
     """Layout, columns with their course, and what is doubtful."""
-    from pmabench.display.plot import sparkline
+    from pmabench.base.text import sparkline
 
     click.echo(printable(f"{found.files[0]}{f' and {len(found.files) - 1} more' if len(found.files) > 1 else ''}"))
     for key in ("file", "sampling", "trials", "name_tells"):

@@ -16,6 +16,7 @@ import click
 
 from pmabench.base.errors import InvalidFile, RecordError, UsageError, invalid
 from pmabench.cli.common import Ui, common
+from pmabench.cli.names import BENCH, PROTOCOL, SPECIMEN
 from pmabench.files.shipped import shipped_folder
 
 if TYPE_CHECKING:
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
 
 SCHEMAS = "schemas"
 ROLES = ("protocol", "bench", "specimen")
-SPECIMEN = """\
+BLANK_SPECIMEN = """\
 # yaml-language-server: $schema=schemas/specimen.schema.json
 # `check` refuses this file until every ?? is what is true of your muscle.
 schema: pmabench.specimen/1
@@ -51,9 +52,9 @@ expanded_uncertainty: ??                       # k = 2, with a unit
 
 @click.command(name="init")
 @click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
-@click.option("--bench", default="mock", help="Bench to begin with: the name of a shipped one, or a file.")
-@click.option("--specimen", default="mas-20-250-paper0", help="Specimen to begin with, as above.")
-@click.option("--protocol", default="contraction-relaxation", help="Protocol to begin with, as above.")
+@click.option("--bench", type=BENCH, default="mock", help="Bench to begin with: the name of a shipped one, or a file.")
+@click.option("--specimen", type=SPECIMEN, default="mas-20-250-paper0", help="Specimen to begin with, as above.")
+@click.option("--protocol", type=PROTOCOL, default="contraction-relaxation", help="Protocol to begin with, as above.")
 @common
 def command(ui: Ui, folder: Path, bench: str, specimen: str, protocol: str) -> int | None:
     """Write a lab folder: bench, specimen and protocol with all that they need, and a README. DIR must be empty."""
@@ -81,7 +82,7 @@ def _files(prepared: Prepared) -> Iterator[tuple[str, str]]:
     own = not _simulated(prepared)
     for role, path in paths.items():
         if own and role == "specimen" and _shipped(role, path):
-            yield f"{role}.yaml", SPECIMEN
+            yield f"{role}.yaml", BLANK_SPECIMEN
             continue
         yield f"{role}.yaml", _text(path)
         yield from _included(path)
@@ -201,6 +202,6 @@ pmabench report runs/* -o report.html
 ```
 
 Before air is on: `pmabench check` names what the bench lacks, `pmabench bench card bench.yaml -o card.html` is the page
-to hang at the rig, `pmabench devices probe bench.yaml` asks the devices who they are. Keep this folder under version
+to hang at the rig, `pmabench bench probe bench.yaml` asks the devices who they are. Keep this folder under version
 control, all but `runs/` and `analyses/`. pmabench is not a safety function.
 """

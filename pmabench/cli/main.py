@@ -10,41 +10,92 @@ from typing import Any
 import click
 
 from pmabench import __version__
-from pmabench.cli.common import output_lost, prepare_streams
+from pmabench.cli.common import output_lost, prepare_streams, say
 
 for _threads in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(
         _threads, "1"
     )  # small matrices: threads cost time, and sums in another order change last digits
 
-COMMANDS = {
-    "demo": ("demo", "Characterise a simulated muscle from protocol to report."),
-    "init": ("init", "Write a lab folder to begin with: bench, specimen, protocol, README."),
-    "check": ("check", "Check protocol, bench and specimen; show the plan. Nothing touches a device."),
-    "run": ("run", "Execute a protocol on a bench and record it in a run folder."),
-    "watch": ("watch", "Watch a run while it goes on; only reads its folder."),
-    "emulate": ("emulate", "Serve a bench's Modbus and serial devices with a simulated muscle behind them."),
-    "campaign": ("campaign", "Run several protocols on one specimen, in order."),
-    "vent": ("vent", "The safe state now, whatever the owner of the bench does; --reset clears a latch."),
-    "monitor": ("monitor", "Every channel of a bench, live; --jog moves outputs by keys within the set-up pressure."),
-    "devices": ("devices", "Drivers that are installed; what the devices of a bench answer; the self-test of a bench."),
-    "calibrate": ("calibrate", "Calibrate a channel or the regulator by reference points, guided; a new file."),
-    "import": ("import_", "Make runs of files that other programs recorded, by a column map."),
-    "process": ("process", "Fit the coefficients of one or more runs, with their uncertainty."),
-    "recalibrate": ("recalibrate", "The same raw samples with other calibrations; what changes in each coefficient."),
-    "report": ("report", "Write the characterisation report as one HTML file."),
-    "export": ("export", "Runs or coefficients as CSV, Parquet, MATLAB, LaTeX, JSON or a python-control model."),
-    "compare": ("compare", "Two analyses, methods or benches, coefficient by coefficient, with E_n numbers."),
-    "history": ("history", "One specimen over its life: coefficients, cycles and time at pressure."),
-    "tune": ("tune", "Controller settings from an ultimate gain and period."),
-    "model": ("model", "Models of muscles, regulators, loads and compositions: list, show, evaluate, simulate, fit."),
-    "cascade": ("cascade", "Muscles end to end with pressures of their own: simulate, draw, play again."),
-    "bench": ("bench", "Write the card of a bench: one page to hang at the rig."),
-    "runs": ("runs", "List, show and verify recorded runs."),
-    "note": ("note", "Append a note, a file or an exclusion to a recorded run."),
-    "schema": ("schema", "Print the JSON Schema of a kind of file."),
+SECTIONS = {
+    "Start": {
+        "demo": ("demo", "Characterise a simulated muscle from protocol to report."),
+        "init": ("init", "Write a lab folder to begin with: bench, specimen, protocol."),
+        "check": ("check", "Check protocol, bench and specimen; show the plan; move nothing."),
+        "emulate": ("emulate", "Serve the devices of a bench with a simulated muscle behind them."),
+    },
+    "At the bench": {
+        "monitor": ("monitor", "Every channel of a bench, live; --jog moves outputs by keys."),
+        "calibrate": ("calibrate", "Calibrate a channel or the regulator by reference points, guided."),
+        "run": ("run", "Execute a protocol on a bench and record it in a run folder."),
+        "continue": ("continue_", "How the last run ended; reset the bench, do the trials that are left."),
+        "watch": ("watch", "Watch a run while it goes on; only reads its folder."),
+        "vent": ("vent", "The safe state now; --reset clears a latch."),
+        "note": ("note", "Append a note, a file or an exclusion to a recorded run."),
+        "campaign": ("campaign", "Run several protocols on one specimen, in order."),
+    },
+    "Results": {
+        "process": ("process", "Fit the coefficients of one or more runs, with their uncertainty."),
+        "report": ("report", "Write the characterisation report as one HTML file."),
+        "compare": ("compare", "Two analyses, methods or benches, coefficient by coefficient."),
+        "history": ("history", "One specimen over its life: coefficients, cycles, time at pressure."),
+        "tune": ("tune", "Controller settings from an ultimate gain and period."),
+        "export": ("export", "Runs or coefficients as CSV, Parquet, MATLAB, LaTeX, JSON, models."),
+    },
+    "Records": {
+        "import": ("import_", "Make runs of files of other programs, by a column map."),
+        "recalibrate": ("recalibrate", "The same raw samples with other calibrations, and what changes."),
+        "runs": ("runs", "List, show and verify recorded runs."),
+        "list": ("list_", "Benches, protocols, specimens and other files by name."),
+    },
+    "Behind it": {
+        "bench": ("bench", "A bench's card to hang at the rig; probe, read and set its devices."),
+        "drivers": ("drivers", "Drivers that are installed; try one against its emulator."),
+        "model": ("model", "Models: list, show, evaluate, simulate, fit, cascade."),
+        "schema": ("schema", "Print the JSON Schema of a kind of file."),
+    },
 }
-"""Command -> its module in this package and the line that `--help` shows."""
+"""Section of `--help` -> command -> its module in this package and its line."""
+COMMANDS = {name: entry for section in SECTIONS.values() for name, entry in section.items()}
+EXAMPLES: dict[str, str] = {
+    "demo": "--out demo-run",
+    "init": "our-lab --bench mock",
+    "check": "contraction-relaxation --bench mock --specimen mas-20-250-paper0 --simulate",
+    "emulate": "wires",
+    "monitor": "our-lab/bench.yaml",
+    "calibrate": 'force --bench bench.yaml --specimen specimen.yaml --reference "weights no. 12"'
+    ' --reference-uncertainty "0.1 N" --points "0 N, 58.86 N, 107.91 N"',
+    "run": "contraction-relaxation --bench mock --specimen mas-20-250-paper0 --yes",
+    "continue": "",
+    "watch": "",
+    "vent": "bench.yaml",
+    "note": 'runs/2026... "room was cold"',
+    "campaign": "real-muscle --yes",
+    "process": "runs/2026...",
+    "report": "runs/2026... -o report.html",
+    "compare": "analyses/A analyses/B",
+    "history": "SERIAL -o history.html",
+    "tune": '--ku "7.1 bar/cm" --tu "9 s"',
+    "export": "runs/2026... --format csv -o samples",
+    "import": "old.csv --guess",
+    "recalibrate": "runs/2026... --calibration P-0300.yaml",
+    "runs": "list",
+    "list": "benches",
+    "bench": "card bench.yaml -o card.html",
+    "drivers": "list",
+    "model": 'eval tondu-lopez --set "pressure=300 kPa"',
+    "schema": "bench",
+}
+"""Command -> what somebody types after it; the end of its `--help`."""
+FORMER = {
+    ("devices", "list"): ("drivers", "list"),
+    ("devices", "conformance"): ("drivers", "conformance"),
+    ("devices", "probe"): ("bench", "probe"),
+    ("devices", "read"): ("bench", "read"),
+    ("devices", "set"): ("bench", "set"),
+    ("cascade",): ("model", "cascade"),
+}
+"""Names until version 0.2 -> those of now; they work for two releases."""
 
 
 class Commands(click.Group):
@@ -59,12 +110,14 @@ class Commands(click.Group):
         if cmd_name not in COMMANDS:
             return None
         command: click.Command = import_module(f"pmabench.cli.{COMMANDS[cmd_name][0]}").command
+        command.epilog = command.epilog or f"\b\nExample:\n  pmabench {cmd_name} {EXAMPLES[cmd_name]}".rstrip()
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Print the table of commands."""
-        with formatter.section("Commands"):
-            formatter.write_dl([(name, line) for name, (_, line) in COMMANDS.items()])
+        for title, commands in SECTIONS.items():
+            with formatter.section(title):
+                formatter.write_dl([(name, line) for name, (_, line) in commands.items()])
 
     def main(self, *args: Any, **kwargs: Any) -> Any:
         """Run a command; a full disk or closed pipe behind the output ends it with a sentence."""
@@ -77,7 +130,12 @@ class Commands(click.Group):
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """A wrong name gets the nearest right one."""
+        """A former name is called by that of now, and says so; a wrong one gets the nearest right one."""
+        for former, now in FORMER.items():
+            if tuple(args[: len(former)]) == former:
+                say(f'"{" ".join(former)}" is called "{" ".join(now)}" now')
+                args = [*now, *args[len(former) :]]
+                break
         if args and args[0] not in COMMANDS:
             from pmabench.base.errors import did_you_mean
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pmabench.base.errors import UsageError
+from pmabench.cli.cascade import command as cascade
 from pmabench.cli.common import Ui, common, fields
 from pmabench.cli.model_fit import fit
 from pmabench.cli.model_inputs import (
@@ -47,6 +48,7 @@ def command() -> None:
 
 command.add_command(simulate)
 command.add_command(fit)
+command.add_command(cascade)
 
 
 @command.command(name="list")

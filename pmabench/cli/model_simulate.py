@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from pmabench.model.overrides import Overrides
     from pmabench.model.plant import Plant
     from pmabench.model.presets import Setup
+    from pmabench.model.real.free import RealPlant
     from pmabench.model.regulator import Wave
 
 MOST_ROWS = 20_000
@@ -51,6 +52,7 @@ CHANGES = {
     "friction": "count", "F_s": "force", "F_c": "force", "hysteresis": "force", "regulator_lag": "time",
     "natural_frequency": "frequency", "damping_ratio": "count",
     "dead_time": "time", "vent_ratio": "count", "dead_band": "pressure", "leak": "rate",
+    "hysteresis_x": "count", "hysteresis_p": "count", "creep": "count", "bend": "count", "first_cycle": "count",
 }  # fmt: skip
 """What --set takes, as in the options of the mock bench."""
 
@@ -83,9 +85,9 @@ def simulate(
     *,
     as_csv: bool,
 ) -> int | None:
-    """Simulate PLANT (paper0, serres2009; daerden with --drive; or the path of a plant file) from rest: true values.
+    """Simulate PLANT (paper0, serres2009, real; daerden with --drive; or the path of a plant file) from rest.
 
-    Values in time, without sensors.
+    True values in time, without sensors.
     """
     problems: list[str] = []
     seconds = _parsed(problems, "--for", _quantity, duration, "time", 1e-3, LONGEST)
@@ -140,7 +142,7 @@ def _simulated(
 
     setup = _setup(plant, kind, changes, waves)
     times: Array = np.arange(int(seconds / spacing * (1 + 1e-9)) + 1, dtype=np.float64) * spacing
-    bench: Plant | DrivenPlant
+    bench: Plant | RealPlant | DrivenPlant
     if driven is None:
         bench = setup.free(force=weight[0], mass=weight[1])
     else:

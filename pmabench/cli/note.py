@@ -7,10 +7,11 @@ from pathlib import Path
 import click
 
 from pmabench.cli.common import Ui, common, login_name
+from pmabench.cli.names import RunFolder
 
 
 @click.command(name="note")
-@click.argument("run", type=click.Path(path_type=Path))
+@click.argument("run", type=RunFolder())
 @click.argument("text", default="")
 @click.option("--attach", multiple=True, type=click.Path(path_type=Path), metavar="FILE", help="A copy is kept.")
 @click.option(

@@ -9,11 +9,13 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from textwrap import shorten, wrap
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from pmabench.cli.common import Ui, fields, rewrite, say
+from pmabench.cli.names import short
 from pmabench.files.shipped import shipped_folder
 from pmabench.report.terminal import print_grid
 
@@ -65,6 +67,46 @@ def show_outcome(ui: Ui, outcome: Outcome) -> None:
         say(f"{outcome.status}: {outcome.why}{_vent_words(outcome)}")
     folder = () if outcome.folder is None else (str(outcome.folder),)
     ui.result(outcome_json(outcome), lambda: print_outcome(outcome), folder)
+
+
+def show_end(ui: Ui, outcome: Outcome, bench: CompiledBench, kind: str, trials: int) -> None:
+    """The result of a run of `trials` trials: how it ended and what to type next; the same as JSON, or its folder.
+
+    With --json and --quiet what comes next is on stderr.
+    """
+    if ui.json or ui.quiet:
+        show_outcome(ui, outcome)
+        show_next(ui, outcome, bench, trials=True)
+        return
+    ui.result(outcome_json(outcome), lambda: click.echo("\n".join(_end(outcome, bench, kind, trials))))
+
+
+def _end(outcome: Outcome, bench: CompiledBench, kind: str, trials: int) -> list[str]:
+    """At most 25 lines of 80 columns: status, trials, vent, cause, record, next."""
+    from pmabench.guard.station import Station
+
+    mark = "SIMULATED  " if outcome.folder is not None and "_SIMULATED_" in outcome.folder.name else ""
+    seconds = outcome.bench_seconds
+    length = f"{seconds / 60:.0f} min" if seconds >= 120 else f"{seconds:.0f} s"
+    planned = f"{trials} {'trial' if trials == 1 else 'trials'} planned"
+    lines = [f"{mark}{outcome.status.upper()}  {kind}: {planned}, {length}{_vent_words(outcome)}"]
+    if outcome.why:
+        lines += wrap(outcome.why, 80, initial_indent="   ", subsequent_indent="   ", max_lines=4, placeholder=" …")
+    if outcome.trials_failed:
+        numbers = ", ".join(str(index + 1) for index in outcome.trials_failed)
+        lines.append(shorten(f"   trials that failed: {numbers}", 80, placeholder=" …"))
+    if outcome.vent is not None and not outcome.vent.confirmed:
+        lines += [f"   {action}" for action in outcome.vent.actions[:8]]
+        lines.append("   nobody knows that the pressure is gone: stay away, shut the supply by hand,")
+        lines.append("   then  pmabench vent")
+    if bench.realtime and Station(bench.name).latched():
+        lines.append("   the bench is now tripped, and nothing runs on it: look at it first")
+    if outcome.folder is not None:
+        place = short(outcome.folder)
+        lines.append(f"record  {place}   {outcome.rows:,} rows")
+        again = "pmabench continue" if outcome.folder.parent.name == "runs" else f"pmabench continue {place}"
+        lines.append(f"next    pmabench process {place}" if outcome.status in FINISHED else f"next    {again}")
+    return lines
 
 
 def print_outcome(outcome: Outcome) -> None:

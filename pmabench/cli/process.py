@@ -12,14 +12,20 @@ import click
 
 from pmabench.base.errors import InvalidFile, UsageError, invalid
 from pmabench.cli.common import Ui, common
+from pmabench.cli.names import RunFolder, short
 
 if TYPE_CHECKING:
+    from pmabench.report.document.front import Verdict
     from pmabench.store.analyses.results import Analysis
     from pmabench.store.records import RunData
 
 
+MOST_SINCE = 2
+"""Lines about what came to runs after they were closed; with -v all."""
+
+
 @click.command(name="process")
-@click.argument("runs", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="RUN...|FOLDER...")
+@click.argument("runs", nargs=-1, required=True, type=RunFolder(), metavar="RUN...|FOLDER...")
 @click.option(
     "--out", type=click.Path(path_type=Path), help="Analysis folder; in analyses/ next to runs/ if not given."
 )
@@ -30,9 +36,10 @@ if TYPE_CHECKING:
     "--form",
     "forms",
     multiple=True,
-    metavar="SYMBOL=FORM",
-    help="Contraction runs: F_ce, K, B_c or B_r over pressure as constant, line, polynomial or polygon, in a joint fit"
-    " next to the straight lines between pressures.",
+    metavar="FORM",
+    help="`surface`: all slow tests together as one muscle with hysteresis and creep. SYMBOL=FORM, contraction runs:"
+    " F_ce, K, B_c or B_r over pressure as constant, line, polynomial or polygon, in a joint fit next to the straight"
+    " lines between pressures.",
 )
 @click.option(
     "--bootstrap",
@@ -70,8 +77,15 @@ def command(
     changed since the last time are not computed again. A run that cannot be used is named at the end; the others go on.
     """
     from pmabench.kinds import registry
+    from pmabench.kinds.reduce import FORM
     from pmabench.store.catalogue import ANALYSES, holds_runs
 
+    together = [form for form in forms if form in registry.with_part(FORM)]
+    if together:
+        if len(forms) > 1 or bootstrap or polish or regulator or each or any(holds_runs(path) for path in runs):
+            what = f"--form {together[0]} takes all runs that are named into one muscle, and no other option"
+            raise UsageError(f"{what}: name run folders, for instance with /*")
+        return _process_together(ui, runs, out, {}, together[0])
     asked = registry.options_for(
         {"forms": list(forms), "bootstrap": bootstrap, "regulator": regulator, "polish": polish}
     )
@@ -92,23 +106,28 @@ def command(
 
 
 def _process_together(
-    ui: Ui, runs: Sequence[Path], out: Path | None, asked: Mapping[str, Mapping[str, object]]
+    ui: Ui, runs: Sequence[Path], out: Path | None, asked: Mapping[str, Mapping[str, object]], form: str = ""
 ) -> int | None:
-    """One analysis for each kind of test of each specimen in `runs`; `asked` are options by kind of test."""
-    from pmabench.kinds.reduce import verdicts
+    """One analysis for each kind of test of each specimen in `runs`; `asked` are options by kind of test.
+
+    With a `form` of all tests one analysis for each specimen, in a folder next to those of the tests.
+    """
+    from pmabench.kinds.reduce import reduce_together, verdicts
     from pmabench.plotting.wording import clean
+    from pmabench.report.glance import glance
     from pmabench.store.analyses.made_from import key_of
 
     given = without_analyses(ui, runs)
-    key = key_of(chains(given), asked)  # before the runs are read: what is added meanwhile is a change
+    key = "" if form else key_of(chains(given), asked)  # before the runs are read: what is added meanwhile is a change
     loaded = load_runs(given)
     if asked and not any(run.kind in asked for run in loaded):
         raise UsageError(
             "--form, --bootstrap, --polish and --regulator are for runs of kind "
             f"{', '.join(asked)}; none of these is one"
         )
-    analyses = analyse(loaded, asked)
-    folders = write(analyses, loaded, out or place_of(given[0]), key, asked)
+    analyses = reduce_together(form, loaded) if form else analyse(loaded, asked)
+    place = place_of(given[0])
+    folders = write(analyses, loaded, out or (place.with_name(f"{place.name}-{form}") if form else place), key, asked)
     failed = verdicts(loaded, analyses)
     data: dict[str, Any] = {
         "schema": "pmabench.process/1",
@@ -125,13 +144,20 @@ def _process_together(
     }
 
     def human() -> None:
-        print_analyses(ui, analyses)
-        for line in since_lines(loaded):
-            click.echo(line)
-        for entry in data["excluded"]:
-            click.echo(clean("{run}: trial {trial} is left out by {operator}: {because}".format(**entry)))
-        click.echo("\n".join(str(path) for path in folders))
-        click.echo("\n".join(verdict_lines(analyses, loaded, failed)))
+        since = [
+            *since_lines(loaded),
+            *(clean("{run}: trial {trial} is left out by {operator}: {because}".format(**e)) for e in data["excluded"]),
+        ]
+        if ui.verbose:
+            print_analyses(ui, analyses)
+            click.echo("".join(f"{line}\n" for line in since), nl=False)
+            click.echo("\n".join(str(path) for path in folders))
+            click.echo("\n".join(verdict_lines(analyses, loaded, failed)))
+            return
+        place = short(folders[0].parent)
+        more = [f"{len(since) - MOST_SINCE} more: -v"] if len(since) > MOST_SINCE else []
+        lines = [*glance(analyses, verdict_of_all(analyses, loaded, failed), failed), *since[:MOST_SINCE], *more]
+        click.echo("\n".join([*lines, f"analysis  {place}", f"next      pmabench report {place} -o report.html"]))
 
     ui.result(
         data, human, [*(clean(f"NOT ACCEPTED: {verdict}") for verdict in failed), *(str(path) for path in folders)]
@@ -143,12 +169,19 @@ def verdict_lines(analyses: Sequence[Analysis], runs: Sequence[RunData], failed:
     """The verdict as the first page of the report has it, then each reason why results are not accepted."""
     from pmabench.analysis.verdict.acceptance import limits_of
     from pmabench.plotting.wording import clean
-    from pmabench.report.document.front import verdict_of
 
     limits = list(dict.fromkeys(limit.short for run in runs for limit in limits_of(run)))
-    verdict = verdict_of(analyses, runs, failed, accepted=bool(limits))
+    verdict = verdict_of_all(analyses, runs, failed)
     kept = f" ({', '.join(limits)})" if limits and not failed else ""
     return [clean(f"{verdict.word}{kept}: {verdict.text}"), *(clean(f"NOT ACCEPTED: {text}") for text in failed)]
+
+
+def verdict_of_all(analyses: Sequence[Analysis], runs: Sequence[RunData], failed: Sequence[str]) -> Verdict:
+    """The verdict of the report's first page; `failed` are the reasons why results are not accepted."""
+    from pmabench.analysis.verdict.acceptance import limits_of
+    from pmabench.report.document.front import verdict_of
+
+    return verdict_of(analyses, runs, failed, accepted=any(limits_of(run) for run in runs))
 
 
 def campaign_folder(folder: Path) -> Path:
@@ -234,7 +267,7 @@ def apart(sources: Sequence[Path]) -> tuple[list[Path], list[Path]]:
 
 
 def since_lines(runs: Sequence[RunData]) -> list[str]:
-    """What came to runs after they were closed, a line each."""
+    """One line for everything that was added to runs after they were closed."""
     return [f"{run.id}: {sentence}" for run in runs for sentence in run.since.sentences]
 
 

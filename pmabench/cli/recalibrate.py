@@ -12,6 +12,7 @@ import click
 
 from pmabench.base.errors import UsageError
 from pmabench.cli.common import Ui, common, fields, login_name, read_quantity
+from pmabench.cli.names import RunFolder
 
 if TYPE_CHECKING:
     from pmabench.analysis.verdict.comparison import Change
@@ -24,7 +25,7 @@ SCALE = ("calibration", "slope", "offset", "offset_uncertainty", "gain_uncertain
 
 
 @click.command(name="recalibrate")
-@click.argument("runs", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="RUN...")
+@click.argument("runs", nargs=-1, required=True, type=RunFolder(), metavar="RUN...")
 @click.option(
     "--calibration",
     "calibrations",

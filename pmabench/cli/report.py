@@ -11,6 +11,7 @@ import click
 
 from pmabench.base.errors import UsageError
 from pmabench.cli.common import Ui, common
+from pmabench.cli.names import RunFolder
 
 if TYPE_CHECKING:
     from pmabench.report.document.kept_page import Page
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 
 
 @click.command(name="report")
-@click.argument("sources", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="RUN-OR-ANALYSIS...")
+@click.argument("sources", nargs=-1, required=True, type=RunFolder(), metavar="RUN-OR-ANALYSIS...")
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path, dir_okay=False), help="The HTML file.")
 @click.option(
     "--pdf", type=click.Path(path_type=Path, dir_okay=False), help="Also as a tagged PDF; needs the extra pdf."

@@ -14,8 +14,9 @@ import click
 from pmabench.base.errors import RecordError, UsageError
 from pmabench.base.system import ENGINE, ordinary, real_time
 from pmabench.cli.common import Ui, common, plan_options, rewrite, session_options
+from pmabench.cli.names import RunFolder
 from pmabench.cli.operator import AtDisplay, Confirmed, InLines
-from pmabench.cli.outcome import print_checks, progress_line, show_next, show_outcome
+from pmabench.cli.outcome import print_checks, progress_line, show_end, show_next
 from pmabench.engine.operator import AtTerminal, ConfirmedBeforehand, Nobody
 
 if TYPE_CHECKING:
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
 @click.option("--out", default=None, type=click.Path(path_type=Path), help="Where run folders go.  [default: runs]")
 @click.option("--operator", default="", help="Who is at the bench; the login name if not given.")
 @click.option("--yes", is_flag=True, help="Every prompt counts as answered; the record says so.")
-@click.option("--resume", type=click.Path(path_type=Path, exists=True), help="Go on after the last trial of this run.")
+@click.option("--resume", type=RunFolder(exists=True), help="Go on after the last trial of this run.")
 @click.option(
     "--accept-changed",
     "accept",
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
     type=click.Choice(["bench", "calibration", "specimen", "protocol"]),
     help="With --resume: go on although this is not what it was.",
 )
+@click.option("--report", is_flag=True, help="Process the run when it is finished, and write its report.")
 @session_options
 @common
 def command(
@@ -54,13 +56,33 @@ def command(
     session: dict[str, Any],
     *,
     yes: bool,
+    report: bool,
 ) -> int | None:
     """Execute PROTOCOL on a bench with a specimen and record it.
 
     With --resume RUN the files of that run are used again, and what is left of it is done in a new run.
     """
+    files = (protocol, bench, specimen)
+    return run_or_resume(ui, files, settings, resume, accept, out, operator, session, yes=yes, report=report)
+
+
+def run_or_resume(
+    ui: Ui,
+    files: tuple[str | None, str | None, str | None],
+    settings: list[tuple[str, str]],
+    resume: Path | None,
+    accept: tuple[str, ...],
+    out: Path | None,
+    operator: str,
+    session: dict[str, Any],
+    *,
+    yes: bool,
+    report: bool = False,
+) -> int:
+    """Run protocol, bench and specimen (`files`), or what is left of the run `resume`; show its end; its exit code."""
     from pmabench.cli.prepare import prepare
 
+    protocol, bench, specimen = files
     if resume is not None:
         from pmabench.engine.resume import sources
 
@@ -82,9 +104,21 @@ def command(
     outcome = execute(
         ui, prepared, out or Path("runs"), operator_name=operator, yes=yes, continues=continues, session=session
     )
-    show_outcome(ui, outcome)
-    show_next(ui, outcome, prepared.mounted.bench, trials=True)
+    show_end(ui, outcome, prepared.mounted.bench, prepared.plan.kind, len(prepared.plan.trials))
+    if report and outcome.status == "finished" and outcome.folder is not None:
+        return _reported(ui, outcome.folder) or outcome.exit_code
     return outcome.exit_code
+
+
+def _reported(ui: Ui, folder: Path) -> int:
+    """Process a run and write its report next to `runs`; 6 where its results are not accepted."""
+    from pmabench.cli.characterise import characterise
+    from pmabench.cli.process import campaign_folder, place_of
+
+    found = characterise([folder], place_of(folder), campaign_folder(folder.resolve().parent) / f"{folder.name}.html")
+    if not ui.json:
+        click.echo(str(found.report) if ui.quiet else "\n".join(["", *found.lines()]))
+    return 6 if found.failed else 0
 
 
 def execute(

@@ -13,6 +13,7 @@ import click
 from pmabench.base.errors import InvalidFile, invalid
 from pmabench.base.text import printable
 from pmabench.cli.common import Ui, common, fields
+from pmabench.cli.names import RunFolder
 from pmabench.report.terminal import print_grid
 
 if TYPE_CHECKING:
@@ -67,13 +68,13 @@ def list_runs(ui: Ui, folder: Path) -> int | None:
 
 
 def _resume(run: Path, row: Mapping[str, Any]) -> str:
-    """The command that goes on with what is left of a run that ended too early; empty where there is none to give."""
+    """The command that continues a run that ended early; empty where it cannot be continued."""
     left = row["trials_planned"] - row["trials_finished"] - row["trials_before"]
     return f"pmabench run --resume {quote(str(run))}" if row["status"] in ENDED_EARLY and left > 0 else ""
 
 
 @command.command(name="show")
-@click.argument("run", type=click.Path(path_type=Path))
+@click.argument("run", type=RunFolder())
 @common
 def show_run(ui: Ui, run: Path) -> int | None:
     """One RUN in full: what, when, by whom, how it ended, its trials and channels."""
@@ -81,12 +82,12 @@ def show_run(ui: Ui, run: Path) -> int | None:
     from pmabench.store.reader import open_run
 
     data = open_run(run)
-    going_on = _going_on(run, data)
-    ui.result(plain(_summary(data, going_on)), lambda: _print_run(data, going_on))
+    after = going_on(run, data)
+    ui.result(plain(_summary(data, after)), lambda: _print_run(data, after))
     return None
 
 
-def _summary(data: RunData, going_on: Mapping[str, str]) -> dict[str, Any]:
+def _summary(data: RunData, after: Mapping[str, str]) -> dict[str, Any]:
     """The run as data for programs."""
     from pmabench.store.timebase import sampling
 
@@ -105,11 +106,11 @@ def _summary(data: RunData, going_on: Mapping[str, str]) -> dict[str, Any]:
         "clocks": {name: {**vars(clock), "offset": clock.offset} for name, clock in data.clocks.items()},
         "notes": [note.as_data() for note in data.notes],
         "since": data.since.as_data(),
-        **going_on,
+        **after,
     }
 
 
-def _print_run(data: RunData, going_on: Mapping[str, str]) -> None:
+def _print_run(data: RunData, after: Mapping[str, str]) -> None:
     from pmabench.analysis.verdict.checks import unresolved_of
     from pmabench.display.wording import point_text
 
@@ -131,7 +132,7 @@ def _print_run(data: RunData, going_on: Mapping[str, str]) -> None:
         click.echo(f"  trial {t.number:<6} {t.status:12} {point_text(t.point)}{reference}")
     for channel in data.channels.values():
         click.echo(f"  {channel.name:18} [{channel.unit}]  calibration {channel.calibration or 'none'}")
-    result = _vented(data)
+    result = vented(data)
     if result:
         click.echo(f"  {'vent':12} {result}")
     _print_rest(data)
@@ -139,10 +140,10 @@ def _print_run(data: RunData, going_on: Mapping[str, str]) -> None:
         click.echo(printable(f"  {'not answered':12} {entry['what']}: {entry['question']}"))
     for sentence in data.since.sentences:
         click.echo(f"  {'since then':12} {sentence}")
-    if going_on["continued_by"]:
-        click.echo(f"  {'continued':12} by {going_on['continued_by']}")
-    elif going_on["resume"]:
-        click.echo(f"  {'to go on':12} {going_on['resume']}")
+    if after["continued_by"]:
+        click.echo(f"  {'continued':12} by {after['continued_by']}")
+    elif after["resume"]:
+        click.echo(f"  {'to go on':12} {after['resume']}")
 
 
 def _print_sampling(data: RunData) -> None:
@@ -156,7 +157,7 @@ def _print_sampling(data: RunData) -> None:
         click.echo(f"  {'samples':12} {taken.rate:.6g} Hz; every {every} with {spread} rms, longest {most}; {counted}")
 
 
-def _vented(data: RunData) -> str:
+def vented(data: RunData) -> str:
     """The result of the vent: of its event, or where a full disk took that, of the seal."""
     events = [event.data for event in data.events if event.kind == "vent"]
     end = data.manifest.get("end")
@@ -165,7 +166,7 @@ def _vented(data: RunData) -> str:
     return str(vent.get("result") or "")
 
 
-def _going_on(run: Path, data: RunData) -> dict[str, str]:
+def going_on(run: Path, data: RunData) -> dict[str, str]:
     """The run that continues this one, and the command that would; both empty where nothing is left to do."""
     from pmabench.store.chain import goes_on
 
@@ -211,7 +212,7 @@ def _print_rest(data: RunData) -> None:
 
 
 @command.command(name="verify")
-@click.argument("runs", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.argument("runs", nargs=-1, required=True, type=RunFolder())
 @common
 def verify_runs(ui: Ui, runs: tuple[Path, ...]) -> int | None:
     """Check hashes, checksums, gaps and torn rows of RUNS, or of every run in a folder of runs.

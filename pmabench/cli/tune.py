@@ -17,6 +17,7 @@ from pmabench.base.errors import UsageError, invalid
 from pmabench.base.kind import load
 from pmabench.base.quantities import QUANTITIES, show
 from pmabench.cli.common import Ui, common, read_quantity
+from pmabench.cli.names import RunFolder
 from pmabench.report.terminal import print_grid
 
 if TYPE_CHECKING:
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
 
 
 @click.command(name="tune")
-@click.argument("runs", nargs=-1, type=click.Path(path_type=Path))
+@click.argument("runs", nargs=-1, type=RunFolder())
 @click.option("--steps", is_flag=True, help="From open-loop steps in RUNS of kind ultimate-gain.")
 @click.option("--model", is_flag=True, help="From the muscle and regulator fitted to RUNS of contraction-relaxation.")
 @click.option("--ku", help='Ultimate gain, for instance "7.1 bar/cm"; a bare number has no unit.')

@@ -16,6 +16,7 @@ import click
 
 from pmabench.base.errors import LimitRefused, PmaError, UsageError, did_you_mean
 from pmabench.cli.common import Ui, common, login_name
+from pmabench.cli.names import BENCH
 from pmabench.guard.station import Station, stations
 from pmabench.guard.wire import Messages, encode, keys
 
@@ -38,7 +39,7 @@ class Vented:
 
 
 @click.command(name="vent")
-@click.argument("bench", required=False)
+@click.argument("bench", type=BENCH, required=False)
 @click.option("--reset", is_flag=True, help="Clear the latch of a tripped bench after a confirmed vent.")
 @click.option("--operator", default="", help="Who resets it; with --reset.")
 @click.option("--because", default="", help="Why it may be used again; with --reset.")

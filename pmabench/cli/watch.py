@@ -10,13 +10,14 @@ import click
 
 from pmabench.base.errors import invalid
 from pmabench.cli.common import Ui, common, fields
+from pmabench.cli.names import RunFolder
 
 if TYPE_CHECKING:
     from pmabench.display.state import RunState
 
 
 @click.command(name="watch")
-@click.argument("run", default="runs", type=click.Path(path_type=Path))
+@click.argument("run", default="runs", type=RunFolder())
 @click.option("--plain", is_flag=True, help="One line per event and trial; so it is where the output is no terminal.")
 @click.option("--wait", is_flag=True, help="Wait for a run that is not there yet.")
 @common

@@ -184,7 +184,7 @@ class _Pair:
         self._ended = 0
 
     def ended(self) -> None:
-        """One direction has ended: the other one does too."""
+        """Called when one direction has ended: shuts down both; closes them when both have ended."""
         for end in (self.near, self.far):
             with suppress(OSError):
                 end.shutdown(socket.SHUT_RDWR)

@@ -69,7 +69,7 @@ class NotChecked(Exception):
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of a call."""
+    """Value or error of a call, and how long it took."""
 
     what: str
     value: Any

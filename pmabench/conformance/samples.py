@@ -73,7 +73,7 @@ class Recording:
     """The blocks, and what was in them when they came."""
 
     def take(self, block: Any, now: float) -> None:
-        """Add a block that came at `now`; raises Failed where it is none that pmabench could record."""
+        """Add a block that came at `now`; raises Failed where pmabench could not record it."""
         self.values = self.values or {channel.name: [] for channel in self.channels}
         first = len(self.times)
         take(self.channels, block, self.times, self.values)
@@ -107,7 +107,7 @@ def _copy(block: Block) -> tuple[list[int], dict[str, list[float]]]:
 
 
 def take(channels: Sequence[ChannelRecord], block: Any, times: list[int], values: Mapping[str, list[float]]) -> None:
-    """Add a block to what came before; raises Failed where it is none that pmabench could record."""
+    """Add a block to earlier ones; raises Failed where pmabench could not record it."""
     if not isinstance(block, Block):
         raise Failed(f"collect() gave {type(block).__name__}; a Block is expected")
     count = len(block.time)
@@ -124,7 +124,7 @@ def take(channels: Sequence[ChannelRecord], block: Any, times: list[int], values
 
 
 def number(channel: ChannelRecord, value: Any) -> float:
-    """A raw value as a number; NaN is none that is taken for good, and is marked as out of range above the driver."""
+    """A raw value as a number; NaN is accepted, since it is marked as out of range above the driver."""
     try:
         found = float(value)
     except (TypeError, ValueError):

@@ -91,7 +91,7 @@ def subjects(driver: str, bench: Path | None = None) -> list[Subject]:
 
 
 def subject(driver: str, bench: Path | None = None, device: str | None = None) -> Subject:
-    """The one of them with most to try, or called `device`; raises UsageError where there is none."""
+    """The device with most to try, or the one called `device`; raises UsageError where there is none."""
     found = [one for one in subjects(driver, bench) if device in {None, one.record.name}]
     if found:
         return max(found, key=lambda one: _size(one.record))

@@ -1,7 +1,7 @@
 """What plant and device really do, asked without the driver that is tried: the emulator, or the simulation itself.
 
-Three sources with one face. An emulated device has the plant of its emulator behind it; a driver that is a simulation
-has `simulation()`, and one whose simulation is another process has `control(do)`. Knows no wire.
+Three sources with the same methods. An emulated device has the plant of its emulator behind it; a driver that is a
+simulation has `simulation()`, and one whose simulation is another process has `control(do)`. Knows no wire.
 """
 
 from __future__ import annotations

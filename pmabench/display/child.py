@@ -166,7 +166,7 @@ class Display:
         return self._count
 
     def withdraw(self) -> None:
-        """Take the question away."""
+        """Remove the question from the display."""
         self._asked, self._sent = None, False
         self._push()
 

@@ -45,7 +45,7 @@ ORPHANED = (
     "pmabench vent {bench} --reset --operator NAME --because TEXT",
     "pmabench run --resume {folder}",
 )
-"""What is left to do; the last line where the run has trials."""
+"""What the user can do now; the last line only where the run has trials."""
 PRESSED = {
     "r": "repeat this trial",
     "p": "pause at low pressure, or go on",
@@ -184,7 +184,7 @@ class Console:
         self._note: str | None = None
         self._over = False
         self._orphaned = False
-        """The run has gone without a word."""
+        """The run has ended without a message."""
         self._quiet = False
 
     def run(self, *, quiet: bool = False) -> RunState:
@@ -243,7 +243,7 @@ class Console:
             print(line.encode(encoding, "replace").decode(encoding), file=self._stream, flush=True)
 
     def _close(self, width: int) -> None:
-        """What stays on the terminal: the last trials and, where the run itself does not say so, how it ended."""
+        """Print what stays on the terminal: the last trials and, unless the run prints it, how it ended."""
         lines = closing(self.state, width)
         if self._link is None:
             lines = [*lines, Text(last_line(self.state))]

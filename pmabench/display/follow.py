@@ -59,7 +59,7 @@ class JournalTail:
         self._path = folder / files.EVENTS
         self._offset = self._lines = self._crc = 0
         self.fault = ""
-        """Why nothing more is believed."""
+        """Why the rest of the file is not used."""
         self.written = 0.0
         """When the file last changed [s, wall clock]."""
 
@@ -111,7 +111,7 @@ class StreamTail:
         self.behind = False
         """Whether there was more to read than one call takes."""
         self.fault = ""
-        """What was wrong with the first bytes that did not make a whole batch."""
+        """Why the first bytes that made no whole batch could not be read."""
         self.written = 0.0
         """When the file last changed [s, wall clock]."""
 

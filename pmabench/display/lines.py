@@ -25,7 +25,7 @@ def point_columns(lines: Sequence[TrialLine]) -> list[str]:
 
 
 def number_text(number: Number) -> str:
-    """The value in the unit of the heading, four digits; a star where it leans on the specimen file."""
+    """The value in the unit of the heading, four digits; a star where it depends on the specimen file."""
     if number.value is None:
         return "-"
     shown = number.value / quantity(number.quantity).scale

@@ -1,9 +1,6 @@
-"""Curves as text: braille with 2 x 4 dots a character, or one line of block signs; knows numbers, no units."""
+"""Curves as text: braille with 2 x 4 dots a character; knows numbers, no units."""
 
 from __future__ import annotations
-
-from collections.abc import Sequence
-from math import isfinite
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,21 +44,3 @@ def _draw(grid: NDArray[np.bool_], x: NDArray[np.int64], row: NDArray[np.int64])
             top, bottom = min(top, before[1]), max(bottom, before[1])
         grid[top : bottom + 1, column] = True
         before = int(column), int(end)
-
-
-LEVELS = "▁▂▃▄▅▆▇█"
-NONE = " "
-
-
-def sparkline(values: Sequence[float], width: int = 60) -> str:
-    """`values` in order as `width` signs or fewer, lowest to highest; each sign is the middle of its part."""
-    if not values:
-        return ""
-    count = min(width, len(values))
-    parts = [values[k * len(values) // count : (k + 1) * len(values) // count] for k in range(count)]
-    middles = [sorted(good)[len(good) // 2] if (good := [v for v in part if isfinite(v)]) else None for part in parts]
-    known = [v for v in middles if v is not None]
-    low, span = (min(known), max(known) - min(known)) if known else (0.0, 0.0)
-    return "".join(
-        NONE if v is None else LEVELS[min(7, int((v - low) / span * 8))] if span > 0 else LEVELS[0] for v in middles
-    )

@@ -41,7 +41,7 @@ class Progress:
         self._aside: float | None = None
         """Since when the plan has not moved on [s]: in a pause, or in a trial that is none of it."""
         self._leapt = 0.0
-        """Duration of what the pointer went over [s], less what it went back."""
+        """Duration of the steps that were skipped [s], less those that were repeated."""
         self._first: float | None = None
         self._skip(before)
 
@@ -108,7 +108,7 @@ class Progress:
         return min(1.0, self._behind(t) / self.length) if self.length > 0 else 0.0
 
     def _behind(self, t: float) -> float:
-        """Duration of what is done by the plan [s]; the step under way counts no more than its own."""
+        """Planned duration of the steps that are done [s]; the step under way counts at most its planned duration."""
         after = range(self._at + self._begun, len(self._steps))
         ends = next((i for i in after if self._steps[i].kind in _WITH_EVENT), len(self._steps))
         now = t if self._aside is None else self._aside

@@ -1,4 +1,4 @@
-"""What is known of a run at this moment: follows its folder and folds events and samples into plain values.
+"""The state of a run at this moment, as plain values from the events and samples in its folder.
 
 Draws nothing. Samples are kept for the curves and for the trials that still need their line, no longer.
 """
@@ -52,7 +52,7 @@ class Trial:
     point: dict[str, float]
     repeat: int
     again: bool = False
-    """A reference trial that is done again because the run goes on after another."""
+    """A reference trial that is repeated because the run continues another one."""
     end: float | None = None
     seen: float = 0.0
     """Wall clock when its end was read [s]."""
@@ -161,7 +161,7 @@ class RunState:
         return self.channels.setdefault(name, Channel(name, quantity, ends[0] or 0.0, ends[1] or 0.0))
 
     def _take(self, event: Event) -> None:
-        """Update the state by one event."""
+        """Update the state with one event."""
         self._t = max(self._t, event.t)
         data, kind = event.data, event.kind
         if self.progress is not None:

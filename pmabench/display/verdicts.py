@@ -81,7 +81,7 @@ class TrialLine:
     numbers: tuple[Number, ...]
     doubts: tuple[str, ...]
     again: bool = False
-    """A reference trial that was done again because the run goes on after another: none of the plan's."""
+    """A reference trial that was repeated because the run continues another one; no trial of the plan."""
 
     @property
     def number(self) -> int:
@@ -210,7 +210,7 @@ def prepare(name: str) -> None:
 
 
 def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
-    """The quantities of a trial and what its own samples say against it; none for kinds that say nothing live."""
+    """Quantities of a trial and doubts from its samples; none for kinds of test without live quantities."""
     kind = registry.find(run.kind)
     if kind is None or not kind.live:
         return [], []

@@ -96,7 +96,7 @@ _IN_LOG = {
     "goes-on": ("goes on", "", "info"),
     "controlled-stop": ("controlled stop", "", "info"),
 }
-"""Kind of event -> words, the entry of its data behind them, and how bad it is."""
+"""Kind of event -> words, the entry of its data that follows them, and the level."""
 
 
 def event_text(event: Event) -> tuple[str, str] | None:

@@ -111,7 +111,7 @@ class Acquisition:
         return self._ranges.extremes
 
     def supervise(self) -> None:
-        """From now on a thread looks at the samples whenever nobody else does: an executor that hangs hides nothing."""
+        """Start a thread that checks the samples whenever the executor does not: limits act although it hangs."""
         self._supervisor = threading.Thread(target=self._supervise, name="pmabench-watch", daemon=True)
         self._supervisor.start()
 
@@ -127,7 +127,7 @@ class Acquisition:
 
     @property
     def goes_back(self) -> bool:
-        """Whether time can be taken back to any sample: virtual time, and one stream that gives all channels."""
+        """Whether bench time can be set back to a sample: only virtual time with all channels in one stream can."""
         return not self._realtime and len(self._sources) == 1
 
     @property
@@ -144,7 +144,7 @@ class Acquisition:
             self._recording = on
 
     def begin_controlled_stop(self) -> None:
-        """From now on only limits that vent at once end anything: the others are why it stops, or do not matter."""
+        """From now on act only on limits that vent at once: the others would stop a run that is stopping already."""
         with self._lock:
             self._watch = Watch(
                 [limit for limit in self._bench.trips if limit.action == "vent"], self._bench.channels, self.commanded
@@ -227,7 +227,7 @@ class Acquisition:
             self._raise_trip()
 
     def _raise_trip(self) -> None:
-        """A crossing that another thread has found ends the run here too."""
+        """Raise the trip that another thread has found."""
         if self._tripped is not None and self._watch is not None:
             raise self._tripped
 
@@ -376,7 +376,7 @@ class Acquisition:
             self._hand_over(source, source.pieces(time_ns, raw, flags, self._arrival(host)))
 
     def _arrival(self, host: int) -> int | None:
-        """When the newest sample was here [ns, bench time]: noted by the driver, else now; virtual time needs none."""
+        """Arrival of the newest sample [ns, bench time]: as the driver noted it, else now; None in virtual time."""
         if not self._realtime:
             return None
         return host if host >= 0 else round(self.clock.now() * 1e9)

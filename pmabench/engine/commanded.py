@@ -1,4 +1,4 @@
-"""What each output is commanded to at any time: for limits that compare what is measured with what was asked for."""
+"""The commanded value of each output at any time: for limits that compare what is measured with what was asked for."""
 
 from __future__ import annotations
 

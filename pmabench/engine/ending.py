@@ -68,7 +68,7 @@ class Signals:
         return self.pending == [signal.SIGINT]
 
     def shut(self) -> None:
-        """From now on signals are only counted."""
+        """From now on signals are counted and end nothing."""
         self._shut = True
 
 

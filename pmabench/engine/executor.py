@@ -79,7 +79,7 @@ class Executor:
     attempts: dict[int, int] = field(default_factory=dict)
     """How often each trial was begun, also in the runs that this one continues."""
     again: TrialRecord | None = None
-    """The reference trial that is done again because the run goes on after another one; no trial of the plan."""
+    """The reference trial that is repeated because this run continues another one; no trial of the plan."""
     failed: list[int] = field(default_factory=list)
     """Trials that failed."""
     unloaded: bool = False

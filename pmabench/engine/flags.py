@@ -15,15 +15,15 @@ Array = NDArray[np.float64]
 Flags = NDArray[np.uint16]
 
 APART = 1.5
-"""A sample is apart from the one before when it is so many periods later [1] ..."""
+"""A sample that comes more than so many periods after the one before is late or follows a missing one [1] ..."""
 LATE_ONLY = 1.75
-"""... and up to here only late: it would have to be early if another one were missing."""
+"""... up to here it is only late: with one missing before it, it would have come early."""
 CARRIED = 0.25
-"""Lateness from which on a sample makes the step to the next one shorter [periods]; less is the clock's own."""
+"""A sample later than this shortens the step to the next one [periods]; less is jitter of the clock."""
 MISSING = 0.75
-"""So many periods beyond what the steps should be make a lost sample, and not a late one [1]."""
+"""A sample counts as missing, not late, where steps are longer than they should be by so many periods [1]."""
 WAITING = 12
-"""No more samples wait for the next one: polls that are made up come a few at once, or not at all."""
+"""At most so many samples wait for later ones to decide their flag: made-up polls come a few at once or never."""
 
 
 class Spacing:
@@ -43,7 +43,7 @@ class Spacing:
 
     @property
     def open(self) -> int:
-        """Of how many of the newest samples the next one decides the flag."""
+        """How many of the newest samples still wait for the next one to decide their flag."""
         return len(self._open)
 
     def look(self, time_ns: Sequence[int] | NDArray[np.int64]) -> tuple[list[int], list[int]]:
@@ -83,11 +83,11 @@ class Spacing:
         return True
 
     def settle(self) -> list[int]:
-        """The flags of the samples that are open, where no other one follows."""
+        """The flags of the samples that still wait, at the end of the recording."""
         return self._decide(1.0)
 
     def _decide(self, step: float) -> list[int]:
-        """The flags of the samples that are open, by the `step` [periods] to the one after them."""
+        """The flags of the samples that wait, decided by the `step` [periods] to the next sample."""
         late, self._open = self._open, []
         if not late:
             return []

@@ -37,7 +37,7 @@ class LoadVerdict:
         return abs(self.measured - self.expected) <= self.tolerance
 
     def __str__(self) -> str:
-        """In a sentence that names plates and cell."""
+        """One sentence with the weight of the plates and the reading of the cell."""
         reads = f"the load cell reads {self.measured:.2f} N for a load at rest of {self.expected:.2f} N"
         if self.ok:
             return f"{reads}, within {self.tolerance:.2f} N"
@@ -64,7 +64,7 @@ class LoadCheck:
         self._kept = {}
 
     def watch(self) -> Stop | None:
-        """To be given to the acquisition while it waits; stops nothing."""
+        """Stop rule for the acquisition while it waits: looks at the samples and never stops."""
         if self._pending is None:
             return None
         self._kept = {}

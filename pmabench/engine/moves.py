@@ -45,7 +45,7 @@ class Moves:
         return self.clock.now() + abs(target - origin) / rate
 
     def valve(self, name: str, *, safe: bool) -> float:
-        """One valve into its safe state, or as in a run; returns the bench time [s]."""
+        """Switch a valve to its safe state, or to its state in a run; returns the bench time [s]."""
         self._guard.valve(name, safe=safe)
         self.acquisition.switched(name, safe=safe)
         return self.clock.now()

@@ -67,7 +67,7 @@ class AtTerminal(_WithoutKeys):
 
 
 class Nobody(_WithoutKeys):
-    """Neither a terminal nor `--yes`."""
+    """No operator: neither a terminal nor `--yes`."""
 
     def ask(self, text: str, measured: Mapping[str, float], wait: Callable[[], None]) -> str:
         """Refused."""

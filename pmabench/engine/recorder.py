@@ -47,7 +47,7 @@ class NoRecord:
 
 
 class Forgiving:
-    """A recorder in front of another one, whose failure is noted once and stops nothing."""
+    """Passes everything to another recorder; when that fails, notes it once and goes on without it."""
 
     def __init__(self, recorder: Recorder) -> None:
         self._recorder = recorder

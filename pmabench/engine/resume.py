@@ -1,4 +1,4 @@
-"""Going on after a run that ended before its plan did: what is left to do, and whether it is still the same test."""
+"""Continues a plan whose run ended early: the steps left, and whether bench, specimen, protocol are as before."""
 
 from __future__ import annotations
 

@@ -155,7 +155,7 @@ def run_plan(
 
 @contextmanager
 def _no_long_collection() -> Iterator[None]:
-    """What is there now is garbage-collected once, and left alone until the run is over.
+    """Collect garbage once now, and keep the collector from pausing the run later.
 
     A collection of everything stops all threads: 0.37 s were measured on a busy computer, longer than the guard
     allows an engine to be silent.

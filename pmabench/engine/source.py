@@ -26,7 +26,7 @@ class Piece(NamedTuple):
 
 
 class Source:
-    """A stream, what was seen of it, and the samples that were not handed to the recorder yet."""
+    """A stream with its clock offset, and the samples that were not handed to the recorder yet."""
 
     def __init__(self, name: str, stream: Stream, channels: Sequence[ChannelRecord], recorded: Sequence[str]) -> None:
         self.name = name
@@ -40,7 +40,7 @@ class Source:
         """When it came [s]."""
         self.scales = [(channel, channel.scale.slope, channel.scale.offset) for channel in channels]
         self._ahead = inf
-        """What bench time is ahead of the device's clock [s]: the least seen, which the shortest way gives."""
+        """Bench time minus device time [s]: the least seen, from the sample with the shortest delay."""
         self._rows: list[tuple[int, Mapping[str, Sequence[float]], int, int | None]] = []
         """Single samples: time [ns], raw columns of length 1, flags, arrival [ns].
 
@@ -48,13 +48,13 @@ class Source:
         """
 
     def ahead(self, newest: int, arrived: float) -> float:
-        """What the device's clock lacks to bench time [s], after a sample of `newest` [ns] has `arrived` [s]."""
+        """Bench time minus device time [s], after a sample of `newest` [ns] has `arrived` [s]."""
         passed = newest - self.last if self.last is not None else 0
         self._ahead = min(self._ahead + DRIFT * passed * 1e-9, arrived - newest * 1e-9)
         return self._ahead
 
     def flag(self, flags: Sequence[int]) -> None:
-        """Give the samples that wait, the newest last, the flags that the next one has decided."""
+        """Set the flags of the samples that wait (the newest last), now that the next one has decided them."""
         for place, flag in enumerate(flags, len(self._rows) - len(flags)):
             if flag and place >= 0:  # what came before the recording began is not kept
                 time_ns, columns, before, arrival = self._rows[place]

@@ -1,4 +1,4 @@
-"""Drivers that nobody has tried on hardware: said and asked once before the first such run of a bench, and recorded."""
+"""Drivers that nobody has tried on hardware: the operator is asked once for each bench, and the run records it."""
 
 from __future__ import annotations
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import types
 from collections.abc import Iterator, Mapping
+from functools import lru_cache
 from pathlib import Path
 from stat import S_ISDIR, S_ISREG
 from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
@@ -19,6 +20,8 @@ from pmabench.base.errors import InvalidFile, Problem, did_you_mean, invalid
 MAX_BYTES = 1_000_000
 MAX_NODES = 100_000
 MAX_DEPTH = 40
+OFTEN = 50_000
+"""Texts of up to so many characters are kept as they were read: calibrations and benches are read several times."""
 
 _TAGS = {"str", "int", "float", "bool", "null", "seq", "map", "timestamp", "merge", "value"}
 
@@ -33,6 +36,15 @@ class Strict(BaseModel):
 
 
 Place = tuple[str, int, int]
+
+
+@lru_cache(maxsize=64)
+def _composed(text: str) -> Node | None:
+    """The nodes of a text, which nobody changes."""
+    yaml = YAML(typ="safe", pure=True)
+    yaml.allow_duplicate_keys = False
+    node: Node | None = yaml.compose(text)
+    return node
 
 
 class Document:
@@ -125,10 +137,8 @@ class Document:
                 del table[known]
 
     def _read(self, text: str) -> dict[str, Any]:
-        yaml = YAML(typ="safe", pure=True)
-        yaml.allow_duplicate_keys = False
         try:
-            node = yaml.compose(text)
+            node = _composed(text) if len(text) <= OFTEN else _composed.__wrapped__(text)
         except MarkedYAMLError as error:
             mark = error.problem_mark or error.context_mark
             line, column = (mark.line + 1, mark.column + 1) if mark else (0, 0)

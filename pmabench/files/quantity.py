@@ -56,6 +56,30 @@ _QUANTITIES = {
 }
 """Quantity -> SI unit as the units library writes it, example for messages."""
 
+USUAL: dict[str, dict[str, float]] = {
+    "pressure": {"Pa": 1.0, "hPa": 100.0, "kPa": 1e3, "MPa": 1e6, "mbar": 100.0, "bar": 1e5},
+    "pressure rate": {"kPa/s": 1e3},
+    "length": {"um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0},
+    "speed": {"mm/s": 1e-3, "m/s": 1.0},
+    "acceleration": {"m/s2": 1.0},
+    "force": {"N": 1.0, "kN": 1e3},
+    "mass": {"g": 1e-3, "kg": 1.0},
+    "time": {"ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0},
+    "frequency": {"Hz": 1.0},
+    "rate": {"Hz": 1.0},
+    "gain": {"kPa/mm": 1e6},
+    "voltage": {"mV": 1e-3, "V": 1.0},
+    "current": {"mA": 1e-3, "A": 1.0},
+    "stiffness": {"N/mm": 1e3},
+    "damping": {"N.s/mm": 1e3},
+    "force per pressure": {"N/kPa": 1e-3},
+    "volume": {"cm3": 1.0000000000000002e-06},
+    "conductance": {"g/s/bar": 1e-8},
+    "temperature": {"K": 1.0},
+    "angle": {"deg": 0.017453292519943295},
+}
+"""Quantity -> unit -> factor, as the units library has them, which takes a quarter of a second to be loaded."""
+
 
 @lru_cache(maxsize=1)
 def _units() -> UnitRegistry[Any]:
@@ -67,6 +91,12 @@ def _units() -> UnitRegistry[Any]:
 @lru_cache(maxsize=512)
 def unit_factor(unit: str, quantity: str) -> float:
     """How many SI units one `unit` of `quantity` is; raises ValueError with a hint where it is none."""
+    usual = USUAL.get(quantity, {}).get(unit)
+    return library_factor(unit, quantity) if usual is None else usual
+
+
+def library_factor(unit: str, quantity: str) -> float:
+    """The same by the units library."""
     if unit == "%":
         if quantity != "ratio":
             raise ValueError(f'"%" is allowed only where a ratio is expected, here a {quantity}, {_hint(quantity)}')
@@ -163,7 +193,7 @@ def parse_plates(value: object) -> tuple[int, float]:
 
 @dataclass(frozen=True)
 class _Of:
-    """What a quantity is in a model: how its text is read, and how its schema describes it."""
+    """A quantity as a field of a pydantic model: reads its text, and describes it in the JSON Schema."""
 
     quantity: str
 

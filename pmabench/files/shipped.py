@@ -12,6 +12,7 @@ SHIPPED = {
     "bench": "fixtures/benches",
     "truth": "fixtures/truths",
     "specimen": "fixtures/specimens",
+    "plant": "fixtures/plants",
     "campaign": "fixtures/campaigns",
     "map": "fixtures/maps",
     "cascade": "fixtures/cascades",
@@ -26,7 +27,7 @@ def shipped_folder(kind: str) -> Path:
 
 
 def find_file(kind: str, name: str) -> Path:
-    """The file at the path `name`, or the shipped one called so; `InvalidFile` where there is neither."""
+    """The file at the path `name`, or the shipped file of that name; `InvalidFile` where there is neither."""
     path = Path(name)
     if not name:
         raise invalid('""', f"names no {kind}; give a file or the name of a shipped one")

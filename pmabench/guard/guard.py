@@ -35,7 +35,7 @@ from pmabench.guard.supervision import Supervision
 __all__ = ["Guard", "Measure", "State", "Vent"]
 
 Measure = Callable[[], Mapping[str, float]]
-"""Lets a little bench time pass and returns the latest measured values [SI]."""
+"""Lets a little bench time pass; returns the latest measured values [SI]."""
 
 
 class State(Enum):
@@ -71,11 +71,11 @@ class Guard:
         ends = [(c.name, c.low) for device in bench.devices for c in device.channels]
         ends += [(trip.channel, trip.low) for trip in bench.trips if trip.kind == "range" and trip.low is not None]
         self._floors = {name: end for name, end in sorted(ends) if end < 0}
-        """End of a channel's range or low trip limit below zero [SI]: no more is no reading, confirms nothing."""
+        """Lower end of a channel's range, or low trip limit, below zero [SI]: a reading beyond it confirms nothing."""
         self._safe: SafeState | None = None
         self._tripped = False
         self.run = self.why = ""
-        """For which run folder it is armed, and what began the safe state."""
+        """Name of the run folder for which it is armed, and what began the safe state."""
         self._courses: dict[str, course.Course] = {}
         """Where each output was sent last [SI over s]."""
         self._closed: dict[str, bool] = {}
@@ -90,12 +90,12 @@ class Guard:
         self.links.open(records, self._first_of, forgiving=self._forgiving)
 
     def _confirms(self, record: DeviceRecord) -> bool:
-        """Whether a device that only measures is opened too: a forgiving guard has nobody else to confirm a vent by."""
+        """Whether a device that only measures is opened too: without an engine the guard needs it to confirm a vent."""
         wanted = {action.target for action in self.bench.safe_state if action.do == "confirm"}
         return self._forgiving and any(channel.name in wanted for channel in record.channels)
 
     def _first_of(self, name: str) -> list[Act]:
-        """What a forgiving guard sends at once to a device that has just been opened: how the safe state begins."""
+        """First commands of the safe state for a device that was just opened, when the guard is to vent only."""
         begins = takewhile(lambda action: action.do in AT_ONCE, self.bench.safe_state if self._forgiving else ())
         targets = [(action, self._target(action)) for action in begins]
         return [self._action(action, target) for action, target in targets if target and target.device == name]

@@ -71,16 +71,16 @@ class Links:
         self._owners: dict[str, Direct | Owner] = {}
         self._fed: dict[str, Call] = {}
         self._able: dict[tuple[str, type[Any]], Any] = {}
-        """What each device was found to be able to do: asking takes longer than most commands."""
+        """Capabilities of each device, kept because asking takes longer than most commands."""
         self.sampling: dict[str, float] = {}
         """At what rate devices sample [Hz]."""
         self._back: dict[str, float] = {}
         """When a device whose line was closed is opened again [s, clock]."""
 
     def open(self, records: list[DeviceRecord], first: Callable[[str], list[Act]], *, forgiving: bool) -> None:
-        """Open the devices side by side, and make the calls that `first` names as soon as each is open.
+        """Open the devices in parallel, and make the calls that `first` names on each as soon as it is open.
 
-        `forgiving`: those that cannot be opened are left out. Otherwise a failure closes those already open.
+        With `forgiving`, devices that cannot be opened are left out; otherwise a failure closes those already open.
         """
         opening: dict[str, Call] = {}
         passed = (Exception,) if forgiving else ()
@@ -125,7 +125,7 @@ class Links:
         return True
 
     def open_again(self) -> None:
-        """Open the devices whose watchdog has had its time; what fails is tried again a little later."""
+        """Open the devices again whose watchdog must have run out by now; what fails is tried again a little later."""
         for record in self._bench.devices:
             if self._back.get(record.name, inf) <= self._clock.now() and record.name not in self.devices:
                 self._back[record.name] = self._clock.now() + OPENS_AGAIN

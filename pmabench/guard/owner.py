@@ -25,7 +25,7 @@ class Call:
         self.error: Exception | None = None
 
     def run(self) -> None:
-        """Make the call; what it raises is kept."""
+        """Make the call, and keep its result or what it raises."""
         try:
             self.result = self._act()
         except Exception as error:  # belongs to whoever asked for the call
@@ -33,7 +33,7 @@ class Call:
         self.done.set()
 
     def get(self, device: str) -> Any:
-        """What came of it; raises what it raised, as DeviceError of `device` where it is none of our own."""
+        """The result of the call; raises what it raised, foreign errors as a DeviceError of `device`."""
         if self.error is None:
             return self.result
         if isinstance(self.error, PmaError):
@@ -58,7 +58,7 @@ class Direct:
         return call.get(self.name)
 
     def call(self, act: Callable[[], Any], within: float = PATIENCE) -> Any:
-        """Make the call; what came of it."""
+        """Make the call and return its result."""
         return self.submit(act).get(self.name)
 
 
@@ -81,7 +81,7 @@ class Owner:
             self._calls.get().run()
 
     def submit(self, act: Callable[[], Any]) -> Call:
-        """Have the call made after those before it."""
+        """Queue the call behind earlier ones."""
         call = Call(act)
         call.behind = self._hangs
         self._calls.put(call)

@@ -55,7 +55,7 @@ PASSED_ON: Mapping[str, Callable[..., Any]] = {
     "stream": lambda guard, name, rate: guard.links.stream(name, rate),
     "place": lambda guard, force, mass: guard.place(Load(force, mass)),
 }
-"""Requests that are a call of the guard and no more; its result is the answer's `value`."""
+"""Requests that only call a method of the guard; its result is the answer's `value`."""
 STALE = 0.5
 """A command that was sent longer ago [s] is not carried out: whoever sent it to a stopped guard gave up."""
 
@@ -124,7 +124,7 @@ class Service:
         self._pulse.over = True
 
     def turn(self) -> None:
-        """Hear who has something to say, then do what is due."""
+        """Handle messages that have arrived, then do what is due."""
         try:
             heard = self._selector.select(TICK)
             self._refuse_lost_time()  # before any message: what was sent before the pause is no sign of life
@@ -202,7 +202,7 @@ class Service:
     def _do(self, peer: _Peer, do: str, sent: float | None, given: dict[str, Any]) -> dict[str, Any]:
         act = getattr(self, f"do_{do}", None)
         if act is None and do not in PASSED_ON:
-            raise LimitRefused(f'"{do}" is not something that the guard does')
+            raise LimitRefused(f'the guard knows no request "{do}"')
         if do not in {"vent", "status"} and peer is not self._engine:
             if self._served:
                 raise LimitRefused("this guard has an engine already")
@@ -272,12 +272,12 @@ class Service:
         }
 
     def _believed(self, seen: dict[str, float]) -> dict[str, float]:
-        """Of what the engine says that it has measured: numbers, of channels that the guard cannot read itself."""
+        """Values measured by the engine that are used: numbers, of channels that the guard cannot read itself."""
         own = {c.name for d in self.guard.bench.devices if d.name in self.guard.devices for c in d.channels}
         return {name: float(value) for name, value in seen.items() if name not in own}
 
     def do_safe(self, peer: _Peer, *, tripped: bool, hurry: bool, why: str) -> None:
-        """The engine ends the run."""
+        """The engine ends the run: begin the safe state."""
         self._end("engine", why, tripped=tripped, hurry=hurry)
 
     def do_vent(self, peer: _Peer, who: str) -> dict[str, Any]:
@@ -287,11 +287,11 @@ class Service:
         return {"commanded": True}
 
     def do_status(self, peer: _Peer) -> dict[str, Any]:
-        """What goes on."""
+        """Answer with the state of the guard."""
         return {"run": self.guard.run}
 
     def do_bye(self, peer: _Peer) -> None:
-        """The engine is done."""
+        """The engine has finished and says goodbye."""
         if self.guard.state in ACTIVE:
             self._end("lost", "the engine left an armed bench")
         self._engine = None

@@ -1,4 +1,4 @@
-"""The engine's side of a guard in another process: the same face as `Guard`, over a loopback socket."""
+"""The engine's side of a guard in another process: the same methods as `Guard`, over a loopback socket."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ class RemoteStream:
 
 
 class RemoteGuard:
-    """Starts the guard process of a bench and speaks for the engine. Any thread may call it."""
+    """Starts the guard process of a bench and sends it the engine's requests. Any thread may call it."""
 
     def __init__(self, bench: CompiledBench, clock: RealClock) -> None:
         self.bench = bench
@@ -121,7 +121,7 @@ class RemoteGuard:
         self.devices = {name: RemoteStream(self, name) for name in answer["streams"]}
 
     def ask(self, do: str, within: float = ANSWERS_WITHIN, **data: Any) -> tuple[dict[str, Any], bytes]:
-        """One request; raises what the guard says, and what ended the run if that was not the engine."""
+        """Send one request; raises the error that the guard reports, or what ended the run other than the engine."""
         with self._lock:
             if self._link is None:
                 raise DeviceError("guard", "is not there any more")
@@ -146,7 +146,7 @@ class RemoteGuard:
         self.ask("arm", within=OPENS_WITHIN, run=run)
 
     def beat(self) -> None:
-        """The engine lives, though nothing is collected or commanded now."""
+        """Sign of life while nothing is collected or commanded."""
         with suppress(PmaError):
             self.ask("status")
 

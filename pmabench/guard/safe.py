@@ -89,7 +89,7 @@ class SafeState:
         return bool(self.failed) or self.unmoved
 
     def hurry(self) -> None:
-        """Wait no longer: every command that is left goes out now; only confirmations are still waited for."""
+        """Skip the waits: send every command that is left now, and wait for confirmations only."""
         todo = [replace(a, do="set") if a.do == "ramp" else a for a in self._todo if a.do != "hold"]
         self._todo = sorted(todo, key=lambda action: action.do == "confirm")
 
@@ -147,7 +147,7 @@ class SafeState:
         return False
 
     def _gather(self, now: float) -> None:
-        """Note what came of the commands under way; what fails or has no effect goes over the second way."""
+        """Note the results of the commands under way; one without success is repeated over the second way."""
         self._sent = [again for sent in self._sent if (again := self._follow_up(sent, now)) is not None]
 
     def _follow_up(self, sent: _Sent, now: float) -> _Sent | None:

@@ -1,4 +1,4 @@
-"""What outlives a process of a real bench: its lock, its latch, where its guard listens, and its compiled bench.
+"""State of a real bench that outlives a process: its lock, its latch, where its guard listens, its compiled bench.
 
 One folder per bench, below `PMABENCH_STATE` or the user's state folder; standard library only, so that `vent` is fast.
 A device is locked as well as the bench: two bench files with one device are refused, whatever they are called (S14).
@@ -71,7 +71,7 @@ class Station:
         """Places and serial numbers of the devices that are locked for this bench."""
 
     def take(self) -> None:
-        """Be the only one who commands this bench until this process ends; raises DeviceError where another one is."""
+        """Lock the bench for this process until it ends; raises DeviceError where another process has it."""
         before = root() / (re.sub(r"[^A-Za-z0-9._-]+", "-", self.name).strip("-.") or "bench")
         if before.is_dir() and not self.folder.exists() and Station("", before).read("bench").get("name") == self.name:
             before.rename(self.folder)  # its folder up to version 0.1, with its latch
@@ -82,7 +82,7 @@ class Station:
             raise DeviceError(self.name, f"this bench is in use by {who}; one program commands a bench at a time")
 
     def take_device(self, where: str) -> None:
-        """Be the only one who uses the device at a place, or with a serial number, until this process ends.
+        """Lock the device at a place, or with a serial number, for this process until it ends.
 
         Raises DeviceError where another bench uses it now, or where one that has it is latched.
         """

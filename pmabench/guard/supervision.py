@@ -27,7 +27,7 @@ WITHIN = 1.0
 AGAIN = 0.03
 """A difference counts when it is still there so much later [s]: some devices show a new value only then."""
 LAG = 0.3
-"""A device that follows a ramp or a sine may be so much behind, or have got points so much ahead [s]."""
+"""A device on a ramp or a sine may be so late, or hold set-points that are so early [s]."""
 ELSEWHERE = "it restarted, or something else commands it"
 
 
@@ -59,7 +59,7 @@ class Supervision:
                 self._held[name] = dict(self._links.call(name, device.held))
 
     def look(self, now: float) -> None:
-        """Ask on, at `now` [s]; raises LimitRefused for what changed, DeviceError for a device that does not answer."""
+        """Ask the next questions, at `now` [s]; raises LimitRefused for a change, DeviceError for a silent device."""
         for record in self._bench.devices:
             name = record.name
             questions = self._questions(record) if name in self._links.devices else []

@@ -5,5 +5,6 @@
 - the free end is moved: `isobaric_ramp`, `step_displacement`, `sinusoidal_displacement`, `closed_volume`
 - at rest: `isometric_pressurisation`, `free_contraction`, `arm_angle`
 - in closed loop: `ultimate_gain`, `positioning`
+- all slow tests of a muscle together: `surface`
 - files of other programs: `isometric`, `recorded_step`, `recorded_sine`
 """

@@ -13,8 +13,8 @@ from pmabench.analysis.verdict.acceptance import Pairs, not_accepted
 from pmabench.analysis.verdict.agreement import KIND as AGREEMENT
 from pmabench.analysis.verdict.agreement import Offer, against_static, agreement, offers_of
 from pmabench.analysis.verdict.checks import with_checks, with_record
-from pmabench.base.errors import did_you_mean, invalid
-from pmabench.base.kind import Result
+from pmabench.base.errors import UsageError, did_you_mean, invalid
+from pmabench.base.kind import Result, load
 from pmabench.base.quantities import show
 from pmabench.kinds import registry
 from pmabench.store.analyses.results import POINT_QUANTITIES, Analysis, Estimate
@@ -61,6 +61,26 @@ def reduce_runs(runs: Sequence[RunData], options: Mapping[str, Mapping[str, Any]
         difference = compared(analyses)
         found += analyses if difference is None else [*analyses, difference]
     return found
+
+
+SLOW_ROWS, FORM = "slow rows", "form of all tests"
+"""Parts of kinds: what makes rows of a trial, and what is fitted to those of all kinds together."""
+
+
+def reduce_together(form: str, runs: Sequence[RunData]) -> list[Analysis]:
+    """One analysis for each specimen, of all its runs whose kind has slow rows; `form` names the kind that fits them.
+
+    Real and simulated runs are never mixed. Raises UsageError where none of the runs has such rows.
+    """
+    rows = {name: load(kind.parts[SLOW_ROWS]) for name, kind in registry.with_part(SLOW_ROWS).items()}
+    specimens: dict[tuple[str, bool], list[RunData]] = {}
+    for run in runs:
+        if run.kind in rows:
+            specimens.setdefault((specimen_of(run), run.simulated), []).append(run)
+    if not specimens:
+        kinds = ", ".join(dict.fromkeys(run.kind for run in runs))
+        raise UsageError(f"--form {form} takes runs of kind {', '.join(rows)}; these are of kind {kinds}")
+    return [_reduced(form, members, {"rows": rows}) for members in specimens.values()]
 
 
 def _of_specimen(kinds: Mapping[str, Sequence[RunData]], options: Mapping[str, Mapping[str, Any]]) -> list[Analysis]:
@@ -110,6 +130,8 @@ def verdicts(runs: Sequence[RunData], analyses: Sequence[Analysis]) -> list[str]
         failed += _withheld(analysis)
         if all(e.value is None and not e.withheld for e in analysis.estimates):
             failed.append(f"{analysis.kind}: nothing came out: {_why_nothing(analysis)}")
+            continue
+        if analysis.kind in registry.with_part(FORM):  # limits of a protocol are for its own reduction
             continue
         failed += not_accepted(runs, analysis, _named, _static_of(analysis, analyses, tested))
     return failed

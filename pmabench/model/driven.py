@@ -30,7 +30,6 @@ from pmabench.model.regulator import Regulated, Regulator, Wave, to_nanosecond
 
 STILL = 1e-6
 PARTS = ("supply", "wanted", "_drive", "_branch", "_chamber")
-"""What of the plant changes in place."""
 
 
 @dataclass(frozen=True)
@@ -129,6 +128,9 @@ class DrivenPlant:
     [207.27]
     """
 
+    parts: tuple[str, ...] = PARTS
+    """What of the plant changes in place."""
+
     def __init__(
         self,
         muscle: DrivenMuscle,
@@ -182,7 +184,7 @@ class DrivenPlant:
         self.__dict__.update(self._copies())
 
     def _copies(self) -> dict[str, Any]:
-        return {name: copy.copy(getattr(self, name)) for name in PARTS}
+        return {name: copy.copy(getattr(self, name)) for name in self.parts}
 
     def reading(self) -> tuple[float, float, float]:
         """Contraction [m], gauge pressure [Pa] and force at the fixed end [N] at this moment."""
@@ -229,7 +231,7 @@ class DrivenPlant:
         moves = np.abs(v) > STILL
         F = self.muscle.pull(P, x) - self.muscle.damping(P, v) * v - self.muscle.friction.F_c * np.sign(v) * moves
         if self._branch is not None:
-            F += self._branch.forces(path, t, x)
+            F += self._branch.along(path, t, x)
         return x, v, P, np.maximum(F, 0.0)
 
     def _hold(self, t: float, x: float) -> None:

@@ -1,13 +1,17 @@
 """Hysteresis that knows no rate, along a path whose turns are found in closed form; knows no muscle.
 
-Dahl 1968 with exponent 1: after a turn at (x_0, F_0) the force goes to -height while x grows and to +height while it
-falls, and the difference fades to 1/e over `width`. Between two turns it is a function of x alone, so the samples are
-the same however the time is cut into stretches.
+`Memory` finds the turns; what is remembered between them is up to its kinds: `Branch` here, stops in
+`pmabench.model.real.stops`.
+
+`Branch` is Dahl 1968 with exponent 1: after a turn at (x_0, F_0) the force goes to -height while x grows and to +height
+while it falls, and the difference fades to 1/e over `width`. Between two turns it is a function of x alone, so the
+samples are the same however the time is cut into stretches.
 """
 
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
@@ -43,56 +47,51 @@ class Hysteresis:
             raise ValueError(f"a hysteresis needs a height of at least 0 and a width above 0, not {self}")
 
 
-class Branch:
-    """The branch that a muscle is on, from `start` [s] on at x [m] in the middle of the loop.
+class Memory(ABC):
+    """What a path leaves behind: between two of its turns a function of the place alone.
 
-    Time only goes forward. A copy made with `copy.copy` is independent.
+    `x` is the path's value at `start` [s]. Time only goes forward. A copy made with `copy.copy` is independent, as long
+    as a kind replaces its state at a turn and never changes it in place.
     """
 
-    def __init__(self, hysteresis: Hysteresis, x: float, start: float) -> None:
-        self.hysteresis = hysteresis
+    def __init__(self, x: float, start: float) -> None:
         self._time = start
-        self._x, self._force = x, 0.0
         self._trace = Trace(start, x)
         self._turns = np.empty(0)
         self._known = start
 
-    def __copy__(self) -> Branch:
-        made = object.__new__(Branch)
-        made.__dict__.update(self.__dict__)
-        return made
+    @abstractmethod
+    def at(self, x: Array) -> Array:
+        """The value at places x between the last turn and the next one."""
 
-    def forces(self, path: Regulated, t: Array, x: Array) -> Array:
-        """F_h [N] at rising times t [s], where `path` is at x [m]; every piece of `path` since the last call counts."""
-        F = np.empty(t.shape)
+    @abstractmethod
+    def turn(self, x: float) -> None:
+        """From place x on the path goes the other way."""
+
+    def along(self, path: Regulated, t: Array, x: Array) -> Array:
+        """The values at rising times t [s], where `path` is at x; every piece of `path` since the last call counts."""
+        result = np.empty(t.shape)
         last, done = float(t[-1]), 0
         while True:
             trace, end = path.piece(self._time)
             if trace != self._trace:
+                self.turn(self._trace.value(trace.start))
                 self._trace, self._known = trace, trace.start
                 self._turns = np.empty(0)
-                self._turn(trace.start)
+                self.turn(trace.value(trace.start))  # where a regulator without lag jumps
             until = min(end, last)
-            for turn in self._turns_before(until):
-                count = int(np.searchsorted(t, turn))
-                F[done:count] = self._at(x[done:count])
+            for moment in self._turns_before(until):
+                count = int(np.searchsorted(t, moment))
+                result[done:count] = self.at(x[done:count])
                 done = max(done, count)
-                self._turn(turn)
+                self.turn(trace.value(moment))
             self._time = until
             if end > last:
-                F[done:] = self._at(x[done:])
-                return F
+                result[done:] = self.at(x[done:])
+                return result
             count = int(np.searchsorted(t, end))
-            F[done:count] = self._at(x[done:count])
+            result[done:count] = self.at(x[done:count])
             done = max(done, count)
-
-    def _at(self, x: Array) -> Array:
-        return branch(x, self._x, self._force, self.hysteresis.height, self.hysteresis.width)
-
-    def _turn(self, t: float) -> None:
-        """From t [s] on the piece goes the other way."""
-        x = self._trace.value(t)
-        self._x, self._force = x, float(self._at(np.array(x)))
 
     def _turns_before(self, until: float) -> list[float]:
         """The turns of the piece that are due before `until` [s], each returned once."""
@@ -105,8 +104,27 @@ class Branch:
         return [float(turn) for turn in due]
 
 
+class Branch(Memory):
+    """F_h [N] of the branch that a muscle is on, from `start` [s] on at x [m] in the middle of the loop."""
+
+    def __init__(self, hysteresis: Hysteresis, x: float, start: float) -> None:
+        super().__init__(x, start)
+        self.hysteresis = hysteresis
+        self._x, self._force = x, 0.0
+
+    def at(self, x: Array) -> Array:
+        """F_h [N] at x [m]."""
+        return branch(x, self._x, self._force, self.hysteresis.height, self.hysteresis.width)
+
+    def turn(self, x: float) -> None:
+        """A new branch begins at x [m]."""
+        self._x, self._force = x, float(self.at(np.array(x)))
+
+
 def turns(trace: Trace, begin: float, end: float) -> Array:
     """When, between `begin` and `end` [s], the rate of a piece changes its sign; `end` may be infinite without sine."""
+    if trace.modes:
+        return _turns_of_modes(trace, begin, end)
     if trace.omega == 0:
         share = trace.decay / (trace.lag * trace.slope) if trace.slope else 0.0
         moment = trace.start + trace.lag * math.log(share) if share > 1 else -math.inf
@@ -116,7 +134,24 @@ def turns(trace: Trace, begin: float, end: float) -> Array:
     if trace.decay and begin < faded:
         early = min(end, faded)
         grid = np.union1d(grid, np.linspace(begin, early, int(4 * (early - begin) / trace.lag) + 2))
-    rates = trace.rates(grid)
+    return _changes(trace, grid)
+
+
+def _turns_of_modes(trace: Trace, begin: float, end: float) -> Array:
+    """The same for a piece with what fades of second order; after it has faded only a sine turns."""
+    slowest, fastest = min(-mode[0] for mode in trace.modes), max(mode[1] for mode in trace.modes)
+    faded = trace.start + FADED / slowest
+    spacing = min(0.25 / slowest, 2 * math.pi / (PER_PERIOD * max(fastest, trace.omega, 1e-9)))
+    early = min(end, faded)
+    grid = np.linspace(begin, early, int((early - begin) / spacing) + 2) if begin < early else np.empty(0)
+    if trace.omega and math.isfinite(end):
+        grid = np.union1d(grid, np.linspace(begin, end, PERIODS * PER_PERIOD + 1))
+    return _changes(trace, grid)
+
+
+def _changes(trace: Trace, grid: Array) -> Array:
+    """When the rate of a piece changes its sign, looked at on a grid of times [s] first."""
+    rates = trace.rates(grid) if grid.size else np.empty(0)
     change = np.flatnonzero((rates[1:] > 0) != (rates[:-1] > 0))
     return _zeros(trace, grid[change], grid[change + 1], rates[change], rates[change + 1])
 

@@ -39,6 +39,16 @@ class Overrides:
     """Air that it lets out by the pressure that is too much [kg/(s Pa)]; with both 0 the motion does not matter."""
     polytropic: float | None = None
     """Exponent of the air: 1 where heat comes in at once, 1.4 where none does; `daerden`, `paper0-air`."""
+    hysteresis_x: float | None = None
+    """Factor on the hysteresis over contraction [1]; plant `real`, as the next four."""
+    hysteresis_p: float | None = None
+    """Factor on the hysteresis over pressure [1]."""
+    creep: float | None = None
+    """Factor on the creep [1]."""
+    bend: float | None = None
+    """Factor on the bend of the force over contraction [1]; 0 makes it straight."""
+    first_cycle: float | None = None
+    """Share by which the hysteresis over contraction is higher in the first cycle [1]; 0.6 is usual, 0 the preset's."""
     follow_lag: float | None = None
     """First-order lag of the displacement actuator [s]."""
     fce_eval: str | None = None

@@ -27,6 +27,9 @@ from pmabench.model.motion import Noise
 from pmabench.model.muscle import Friction, Muscle
 from pmabench.model.overrides import Overrides
 from pmabench.model.plant import Plant
+from pmabench.model.real.driven import RealDrivenPlant
+from pmabench.model.real.free import RealPlant
+from pmabench.model.real.muscle import Creep, RealMuscle, Stops, Surface, reference
 from pmabench.model.regulator import Regulator
 
 ARM_STIFFNESS, ARM_DAMPING = 5e3, 1e3
@@ -99,7 +102,7 @@ class ArmPlant(Plant):
 if TYPE_CHECKING:
     from pmabench.model.published_muscles import ContractorMuscle, DaerdenMuscle
 
-    AnyMuscle: TypeAlias = Muscle | DaerdenMuscle | ContractorMuscle | Arm
+    AnyMuscle: TypeAlias = Muscle | DaerdenMuscle | ContractorMuscle | Arm | RealMuscle
 
 N_PER_MM = 1e3
 
@@ -157,7 +160,9 @@ CONTRACTORS = {f"contractor-{cm}": cm / 100 for cm in (15, 20, 25, 30, 40)}
 """Those of paper 2 with their lengths [m] (`pmabench.model.published_muscles`)."""
 ARM = "arm-30"
 """That of four contractors of paper 2 (`pmabench.model.presets`)."""
-PLANTS = (*MUSCLES, "daerden", *CONTRACTORS, ARM)
+REAL = "real"
+"""That with bent force, hysteresis and creep (`pmabench.model.real.muscle`)."""
+PLANTS = (*MUSCLES, "daerden", *CONTRACTORS, ARM, REAL)
 """All of them; `daerden` is the muscle of paper 3, for a driven end only (`pmabench.model.published_muscles`)."""
 DAERDEN_HEIGHT, DAERDEN_WIDTH = 30.0, 0.006
 """Its hysteresis: half the gap [N], contraction over which a turn fades to 1/e [1]; paper 3 shows a gap of 60 N."""
@@ -173,6 +178,9 @@ BENCH_SECOND = 2.5, 0.9
 """Natural frequency [Hz] and damping ratio of a regulator of second order that does 90 % of a step in 0.22 s."""
 BENCH_FOLLOW_LAG = 0.005
 DEAD_TIME = 0.04
+REAL_REGULATOR = Regulator(dead_time=0.02, lag=BENCH_LAG, vent_ratio=1.5)
+REAL_DEPARTURES = ("hysteresis_x", "hysteresis_p", "creep", "bend", "first_cycle")
+"""Overrides for the muscle with bent force, hysteresis and creep only."""
 KINDS = ("ideal", "bench")
 
 
@@ -190,7 +198,7 @@ class Setup:
     air: Air | None = None
     """Where the regulator has to move it; None where the pressure does not depend on the motion."""
 
-    def free(self, force: float = 0.0, mass: float = 0.5, start: float = 0.0) -> Plant:
+    def free(self, force: float = 0.0, mass: float = 0.5, start: float = 0.0) -> Plant | RealPlant:
         """The plant with a load F_L = `force` [N] of moving mass `mass` [kg] on its free end, from `start` [s] on.
 
         Raises
@@ -200,6 +208,8 @@ class Setup:
         """
         if isinstance(self.muscle, Arm):
             return ArmPlant(self.muscle, self.regulator, force=force, mass=mass, start=start)
+        if isinstance(self.muscle, RealMuscle):
+            return RealPlant(self.muscle, self.regulator, force=force, mass=mass, start=start)
         muscle = self.muscle if isinstance(self.muscle, Muscle) else self.muscle.free()
         if self.air is not None:
             return AirPlant(muscle, self.regulator, self.air, force=force, mass=mass, start=start)
@@ -221,6 +231,8 @@ class Setup:
         if not isinstance(self.muscle, Muscle):
             low, high = (share * self.muscle.length for share in self.muscle.reach)
             actuator = replace(actuator, low=max(actuator.low, low), high=min(actuator.high, high))
+        if isinstance(self.muscle, RealMuscle):
+            return RealDrivenPlant(self.muscle, self.regulator, actuator, position=position, start=start)
         air = (self.air, self.muscle.volume) if self.air and hasattr(self.muscle, "volume") else None
         return DrivenPlant(
             self.muscle, self.regulator, actuator, hysteresis=self.hysteresis, air=air, position=position, start=start
@@ -254,6 +266,8 @@ def preset(plant: str, kind: str = "bench", overrides: Overrides | None = None) 
         return changed(Setup(muscle, regulator, BENCH_NOISE, BENCH_FOLLOW_LAG, air=air), kind, overrides)
     if plant == ARM:
         return changed(Setup(Arm(friction=ARM_FRICTION), regulator, ARM_NOISE, BENCH_FOLLOW_LAG), kind, overrides)
+    if plant == REAL:
+        return changed(Setup(reference(), REAL_REGULATOR, BENCH_NOISE, BENCH_FOLLOW_LAG), kind, overrides)
     # these need the library of models, which needs this module
     if plant in CONTRACTORS:
         from pmabench.model.published_muscles import ContractorMuscle
@@ -312,6 +326,13 @@ class _Chosen:
 
 def _muscle(muscle: AnyMuscle, change: Overrides, share: float, *, real: bool) -> AnyMuscle:
     """The muscle with its friction times `share` and changed; ValueError for what it does not have."""
+    if change.b_relax not in {None, "b_contract"}:
+        raise ValueError(f'b_relax can only be "b_contract", not "{change.b_relax}"')
+    if isinstance(muscle, RealMuscle):
+        return muscle.changed(change)
+    for name in REAL_DEPARTURES:
+        if getattr(change, name) is not None:
+            raise ValueError(f"{name} is not for the muscle {muscle.name}; it is for the plant real")
     if isinstance(muscle, Muscle):
         return _rubbed(muscle, change, share, real=real)
     if isinstance(muscle, Arm):
@@ -359,8 +380,6 @@ def _air(air: Air, chosen: _Chosen) -> Air | None:
 def _rubbed(muscle: Muscle, change: Overrides, share: float, *, real: bool) -> Muscle:
     """The muscle with the friction and the damping that are asked for."""
     friction = _friction(muscle.friction, change, share, real=real)
-    if change.b_relax not in {None, "b_contract"}:
-        raise ValueError(f'b_relax can only be "b_contract", not "{change.b_relax}"')
     if change.b_relax:
         return replace(muscle, friction=friction, B_r=muscle.B_c, tau_r=None)
     return replace(muscle, friction=friction)
@@ -465,6 +484,8 @@ def setup_of(numbers: Mapping[str, Any]) -> Setup:
         return _daerden(numbers, regulator, noise, lag)
     if numbers["law"] == "contractor":
         return _contractor(numbers, regulator, noise, lag)
+    if numbers["law"] == "real":
+        return Setup(_real(numbers), regulator, noise, lag)
     curves = {symbol: _curve(numbers[symbol]) for symbol in ("F_ce", "K", "B_c", "B_r", "tau_r") if symbol in numbers}
     muscle = Muscle(
         name=str(numbers["name"]),
@@ -504,6 +525,25 @@ def _daerden(numbers: Mapping[str, Any], regulator: Regulator, noise: Noise, lag
         loop = numbers["hysteresis"]
         hysteresis = Hysteresis(float(loop["height"]), float(loop["width"]) * muscle.length)
     return Setup(muscle, regulator, noise, lag, hysteresis, _air_of(numbers["flow"], regulator))
+
+
+def _real(numbers: Mapping[str, Any]) -> RealMuscle:
+    low, high = numbers["reach"]
+    over_x, over_P = (
+        Stops(**{**stops, "widths": tuple(stops["widths"]), "weights": tuple(stops["weights"])})
+        for stops in (numbers["over_x"], numbers["over_P"])
+    )
+    return RealMuscle(
+        name=str(numbers["name"]),
+        length=float(numbers["length"]),
+        surface=Surface(**numbers["surface"]),
+        B_c=_curve(numbers["B_c"]),
+        B_r=_curve(numbers["B_r"]),
+        over_x=over_x,
+        over_P=over_P,
+        creep=Creep(numbers["creep"]["share"], tuple(numbers["creep"]["times"])),
+        reach=(float(low), float(high)),
+    )
 
 
 def _air_of(flow: Mapping[str, Any] | None, regulator: Regulator) -> Air | None:

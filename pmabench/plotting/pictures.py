@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 TABLE_ROWS = 24
 """Rows of a panel in the table of numbers below its figure."""
 LARGEST = 1e30
-"""Size of a number from which on it is no measurement and breaks a drawing."""
+"""Numbers from this size on are no measurements and would break a drawing."""
 NOTHING = 1e-9
 """Share of the largest number of a column below which another one is 0."""
 DRAWN = 700

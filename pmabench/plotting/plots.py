@@ -34,7 +34,7 @@ OPEN: dict[str, Any] = {"markerfacecolor": "white", "markersize": 3.6}
 
 @dataclass(frozen=True)
 class Points:
-    """Values with what their intervals reach below and above them (NaN: none), and a curve through them."""
+    """Values with the lengths of their intervals below and above (NaN: none), and a curve through them."""
 
     label: str
     x: Array

@@ -41,7 +41,7 @@ SPOKEN: dict[str, str] = {
     "from": "pressure before",
     "tip_mass": "load",
 }
-"""Coordinates whose word is not their name."""
+"""Coordinates whose spoken word differs from their name."""
 
 COLUMNS: dict[str, str] = {
     "t": "time",
@@ -79,7 +79,7 @@ _FACTORS = {"Pa": ("kPa", 1e3), "m": ("mm", 1e-3)}
 
 @dataclass(frozen=True)
 class Shown:
-    """The unit that people read, and how much SI one of it is."""
+    """A unit that people read, and its size in SI."""
 
     unit: str
     scale: float
@@ -191,6 +191,7 @@ PLAIN = (1e-3, 1e6)
 RESOLVED = 1e-9
 """Less than this of the unit that people read is rounding of the computer and no measurement."""
 UNRESOLVED = "below resolution"
+AT_MOST = "≤ "
 WITHHELD = "withheld"
 RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 

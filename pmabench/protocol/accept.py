@@ -1,4 +1,4 @@
-"""The `accept` section of a protocol: which results a person wants to be sure of; knows no analysis.
+"""The `accept` section of a protocol: limits that results must keep to be accepted; knows no analysis.
 
 A limit is judged by `process`, which ends with exit code 6 where one is not kept.
 """

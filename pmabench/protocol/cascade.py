@@ -6,7 +6,7 @@ import math
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, cast
 
 from pydantic import AfterValidator, BeforeValidator, Field, WithJsonSchema
 
@@ -19,11 +19,12 @@ from pmabench.model.cascade import Member, PlantMuscle, PrintedMuscle, Step
 from pmabench.model.library.coefficients import DMSP_ANGLE, DMSP_LENGTH, DMSP_PRESSURE, DMSP_RADIUS
 from pmabench.model.muscle import Muscle
 from pmabench.model.overrides import Overrides
+from pmabench.model.plant import Plant
 from pmabench.model.presets import MUSCLES, Setup, changed, preset, setup_of
 
 G = 9.81
 CARRIAGE, FORCE_MASS = 2.0, 0.5
-"""What moves besides the weights, and with a load that is a force [kg]."""
+"""Mass that moves besides the weights, and with a load that is a force [kg]."""
 MOST_MUSCLES, MOST_VALUES, LONGEST = 100, 2_000_000, 3600.0
 FEWEST_ROWS = 10
 HIGHEST = 600e3
@@ -58,7 +59,7 @@ def _shape(low: float, high: float, quantity: str) -> AfterValidator:
 
 
 class PressureStep(Strict):
-    """From `at` on, counted from the muscle's delay, its pressure is commanded `to` this."""
+    """One step of a muscle: from the time `at`, counted from the end of its delay, the pressure `to` is commanded."""
 
     at: Time
     to: Pressure
@@ -108,7 +109,7 @@ class ChainMuscle:
     radius: float
     braid_angle: float
     assumed: tuple[str, ...]
-    """What of its shape the file does not say."""
+    """Names of the parts of its shape that the file does not give."""
     setup: Setup | None
     """The plant; None for the printed model."""
     load: tuple[float, float]
@@ -118,7 +119,8 @@ class ChainMuscle:
         """The muscle at rest, ready to be simulated."""
         if self.setup is None:
             return PrintedMuscle(self.steps, self.load[0], self.fce_eval)
-        return PlantMuscle(self.setup.free(*self.load), self.steps)
+        plant = cast("Plant", self.setup.free(*self.load))  # the others were refused when the file was read
+        return PlantMuscle(plant, self.steps)
 
 
 @dataclass(frozen=True)
@@ -252,7 +254,7 @@ class _Reading:
             return None
         setup = changed(setup_of(numbers), kind)
         if not isinstance(setup.muscle, Muscle):
-            self.fault("is for a driven end only; a chain needs F_ce and K over pressure", *at, "plant")
+            self.fault("has no F_ce and K over pressure, which a chain needs", *at, "plant")
             return None
         return _Law(f"{numbers['name']}, {kind}", setup, setup.muscle.length, float(numbers["highest_pressure"]))
 

@@ -37,7 +37,7 @@ class Precondition(Strict):
 
 
 class Prepare(Strict):
-    """What comes before the first trial."""
+    """Preparation before the first trial."""
 
     precondition: Precondition | None = None
 
@@ -153,7 +153,7 @@ class Compilation:
         return None if weights is None else Stack(weights.hanger, weights.plates)
 
     def put_on(self, point: dict[str, float], demands: str = "vented", own: float = 0.0, also: str = "") -> None:
-        """Ask for the load of a point where it is not on already, and for what hands must see to `also`.
+        """Ask the operator for the load of a point unless it is on already, and for what else hands must do (`also`).
 
         `own` [N] of it is the muscle's own weight.
         """
@@ -165,7 +165,7 @@ class Compilation:
         self.steps.append(Ask("load", f"{text} {also}".strip(), demands, load))
 
     def load_text(self, load: tuple[float, float]) -> str:
-        """What the operator is asked to do for a load."""
+        """Text of the request to the operator for a load."""
         weights = self.mounted.bench_file.weights
         if weights is None:
             return f"Put {load[0]:.2f} N on the free end."

@@ -25,7 +25,7 @@ VENT_HOLD = 3.0
 
 @dataclass(frozen=True)
 class Believed:
-    """Expected coefficients of the specimen at one pressure: F_ce [N], K [N/m], B_c and B_r [N.s/m], F_c [N]."""
+    """Expected coefficients of a specimen at one pressure: F_ce [N], K [N/m], B_c and B_r [N.s/m], F_c [N]."""
 
     F_ce: float
     K: float
@@ -97,7 +97,7 @@ def bearable(c: Compilation, pressure: float, path: Iterable[tuple[float, float]
 
 
 def arrive(pressure: float, place: float, settle: float, approach: float, back_from: float | None) -> list[Step]:
-    """Back to 0 from where the last pressure left off, then the new pressure, and on to `place` [m]."""
+    """The steps back to 0, to the new pressure, and then to `place` [m]."""
     back: Sequence[Step] = [] if back_from is None else [Ramp("return", "displacement", back_from, 0.0, approach)]
     return [
         *back,
@@ -109,7 +109,7 @@ def arrive(pressure: float, place: float, settle: float, approach: float, back_f
 
 
 def leave(back_from: float, approach: float) -> list[Step]:
-    """Back to 0 and vented."""
+    """The steps back to 0, and to no pressure."""
     back: Sequence[Step] = [Ramp("return", "displacement", back_from, 0.0, approach)] if approach > 0 else []
     return [*back, Set("vent", "pressure", 0.0), Hold("vent", VENT_HOLD)]
 

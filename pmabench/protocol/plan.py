@@ -9,7 +9,8 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
 from typing import Any, ClassVar
 
 HANDS_OUT = 3.0
@@ -229,13 +230,17 @@ class Plan:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data; steps as objects with their kind under `step`."""
-        data = asdict(self)
+        data = asdict(replace(self, steps=()))
         data["schema"] = "pmabench.plan/1"
         data["steps"] = [{"step": step.kind, **asdict(step)} for step in self.steps]
         return data
 
     def to_json(self) -> str:
         """The plan as it is kept with the run."""
+        return self._json
+
+    @cached_property
+    def _json(self) -> str:
         return json.dumps(self.to_dict(), indent=1, sort_keys=True)
 
     @property

@@ -1,4 +1,4 @@
-"""The model that a run is held against: of the specimen file, of a preset, of a plant file or of an analysis folder.
+"""The model that a run is compared with: of the specimen file, of a preset, of a plant file or of an analysis folder.
 
 It is put into the plan as plain numbers, so that a run does not depend on a file that changes later.
 """

@@ -18,7 +18,7 @@ from pmabench.files.quantity import Frequency, Length, Pressure, Speed
 
 MOST_POINTS = 20_000
 USUAL_POINTS = 60
-"""A range of more values than this is looked at: it may be a step in the wrong unit."""
+"""A range of more values than this gets a warning: its step may be in the wrong unit."""
 
 Axes = TypeVar("Axes", bound=Strict)
 

@@ -7,5 +7,5 @@
 - `files`: analyses as files, for us and for other programs
 - `many`: reports over thousands of runs
 - `words`: names of symbols, tests and methods
-- on a terminal: `terminal_coefficients`, `terminal`
+- on a terminal: `glance`, `terminal_coefficients`, `terminal`
 """

@@ -110,7 +110,7 @@ def csv_text(found: Result) -> str:
 def read_result(path: Path) -> Result:
     """Read a result from its JSON file or its folder. Raises InvalidFile."""
     file = path / "cascade.json" if path.is_dir() else path
-    missing = "there is no result here; pmabench cascade simulate FILE --out FOLDER writes one"
+    missing = "there is no result here; pmabench model cascade simulate FILE --out FOLDER writes one"
     found = read_model(Result, file, SCHEMA, "result of a cascade", MOST_BYTES, missing)
     lengths = {len(getattr(found, name)) for name in TOTALS}
     lengths |= {len(getattr(link, name)) for link in found.muscles for name in EACH}

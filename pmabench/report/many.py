@@ -1,4 +1,4 @@
-"""Many runs, each on its own, and one table over all of them: what did not change is taken from the last time.
+"""Many runs, each processed separately, with one table over all; unchanged runs keep their last results.
 
 Each is loaded, reduced and written from plain data to plain data, never with an exception, in whatever process does it.
 Nothing that reduces is imported here, so that a second pass over an archive costs no more than looking at it. The table
@@ -123,7 +123,7 @@ def _code(entry: Mapping[str, Any]) -> set[int]:
 NAME = "all-runs"
 SCHEMA = "pmabench.process-many/1"
 KEPT_TABLE = f".{NAME}.made-from.json"
-"""Says of which results the table is, so that it is not written again."""
+"""File that names the results behind the table, so that an unchanged table is not written again."""
 FIRST = {"run": "", "started": "", "specimen": "", "kind": "", "simulated": False, "method": ""}
 LAST = {"trials": 0, "not accepted": "", "analysis": ""}
 """Columns before and after the numbers."""
@@ -228,7 +228,7 @@ def _write_parquet(rows: Sequence[Mapping[str, Any]], numbers: Mapping[str, tupl
 
 
 ESTIMATE = ("symbol", "coordinate", "at", "value", "unit", "quantity", "ci95", "n", "method")
-"""What is kept of an estimate."""
+"""Fields of an estimate that are kept."""
 WITHOUT_TRIALS = ("session", "self-test", "calibration", "setup")
 """Kinds of runs that have no trials: what they found is in their events."""
 

@@ -24,9 +24,9 @@ def print_coefficients(analyses: Sequence[Analysis], console: Console) -> None:
     for analysis in (a for a in analyses if a.estimates or a.kind != AGREEMENT):
         mark = "SIMULATED  " if analysis.simulated else ""
         console.print(Text(f"{mark}{kind_title(analysis.kind)}", style="bold"))
-        shown_estimates, compared = _without_comparison(analysis)
+        shown_estimates, compared = without_comparison(analysis)
         results = declared([analysis])
-        groups = _for_terminal(shown_estimates, results)
+        groups = for_terminal(shown_estimates, results)
         for names, (members, constant) in groups.items():
             frame = pivot_table(members, results) if names else whole_table(members, results).without("quantity")
             over = in_order(members[0].at, POINTS)
@@ -37,7 +37,7 @@ def print_coefficients(analyses: Sequence[Analysis], console: Console) -> None:
                 mine = [e for e in members if clean(e.method) == method]
                 body = frame.where(cell == method for cell in frame["method"]).without("method").filled()
                 print_grid(console, body.columns, body.cells(), ("symbol", "unit"), len(names) or 1)
-                for reason in _reasons(mine):
+                for reason in reasons(mine):
                     console.print(Text(f"  {reason}"))
         shown_symbols = {e.symbol for members, _ in groups.values() for e in members}
         more = [
@@ -51,7 +51,7 @@ def print_coefficients(analyses: Sequence[Analysis], console: Console) -> None:
         console.print()
 
 
-def _without_comparison(analysis: Analysis) -> tuple[list[Estimate], list[str]]:
+def without_comparison(analysis: Analysis) -> tuple[list[Estimate], list[str]]:
     """Estimates without those whose symbol an earlier method gives at the same kind of point; names of such methods."""
     first: dict[tuple[str, str, tuple[str, ...]], str] = {}
     kept, compared = [], []
@@ -63,7 +63,7 @@ def _without_comparison(analysis: Analysis) -> tuple[list[Estimate], list[str]]:
     return kept, list(dict.fromkeys(compared))
 
 
-def _reasons(estimates: Sequence[Estimate]) -> list[str]:
+def reasons(estimates: Sequence[Estimate]) -> list[str]:
     """Why values or intervals are missing, the symbols with one reason together."""
     found: dict[str, list[str]] = {}
     for e in estimates:
@@ -73,7 +73,7 @@ def _reasons(estimates: Sequence[Estimate]) -> list[str]:
     return [f"{', '.join(dict.fromkeys(symbols))}: {reason}" for reason, symbols in found.items()]
 
 
-def _for_terminal(
+def for_terminal(
     estimates: Sequence[Estimate], results: Mapping[str, Result]
 ) -> dict[tuple[str, ...], tuple[list[Estimate], dict[str, float]]]:
     """The estimates for the terminal by kind of operating point: headlines and what is withheld; what is constant."""

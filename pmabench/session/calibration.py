@@ -35,7 +35,7 @@ TRAVEL = 0.1
 """Speed of a driven free end between points, of its highest."""
 
 Read = Callable[[str, float, Callable[[], None]], float]
-"""Gives the reading of the reference [SI] for a text, the value that is meant to be there, and a way to pass time."""
+"""Asks for the reading of the reference [SI]: takes a question, the nominal value, a function that lets time pass."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class Request:
 
 @dataclass(frozen=True)
 class Calibrated:
-    """What came of it; `fit` is None where the run ended early."""
+    """Result of a calibration; `fit` is None where the run ended early."""
 
     outcome: Outcome
     fit: Fit | None
@@ -124,7 +124,10 @@ def order(points: Sequence[float], cycles: int) -> list[tuple[float, str, int]]:
 
 
 def check(mounted: Mounted, request: Request) -> tuple[ChannelRecord | None, OutputRecord | None]:
-    """The channel (None for the regulator) and the output that goes to the points (None: hands do)."""
+    """Refuse (UsageError) a calibration that this bench cannot do; else its channel and output.
+
+    The channel is None for the regulator, the output None where an operator brings the quantity to the points.
+    """
     bench = mounted.bench
     channels = {channel.name: channel for channel in bench.channels}
     outputs = {output.name: output for output in bench.outputs}
@@ -235,7 +238,7 @@ class _Work:
         self._executor.acquisition.pass_time(0.1)
 
     def _go(self, target: float) -> float:
-        """Bring the quantity to `target` [SI]; what is meant to be there then."""
+        """Bring the quantity to `target` [SI]; the nominal value then, as far as the output can resolve it."""
         if self._at == target:
             return self._commanded if self._output is not None else target
         self._at = target
@@ -264,7 +267,7 @@ class _Work:
 
 
 def _raw_unit(mounted: Mounted) -> str:
-    """What the regulator's command is given in."""
+    """Unit of the regulator's command, as in its scale."""
     return str(mounted.bench_file.set_points["pressure"].scale[0][0][1])
 
 

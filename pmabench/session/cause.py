@@ -53,7 +53,7 @@ UNDECIDED = {
     STILL: "something does not answer",
     WRONG: "a wire, a range or a calibration is wrong",
 }
-"""How it begins where several could be at fault."""
+"""First words of a cause where several wires could be at fault."""
 REFERENCES = {
     "scale of force": (
         ("load cell", "force as expected"),
@@ -73,7 +73,7 @@ REFERENCES = {
 
 @dataclass(frozen=True)
 class Cause:
-    """What explains broken claims: wires and swapped pairs. With several of them nothing decides; none: no one does."""
+    """Wires and swapped pairs that would explain all broken claims; several: any of them; none: no single one does."""
 
     wires: tuple[str, ...]
     swaps: tuple[tuple[str, str], ...]
@@ -110,7 +110,7 @@ def _pairs(wiring: Wiring) -> Iterator[tuple[str, str]]:
 
 
 def _swapped(wiring: Wiring, stages: Sequence[Stage], broken: Sequence[Claim], pair: tuple[str, str]) -> bool | None:
-    """Whether exchanging two readings keeps all: True by evidence from both, False if that is weak, else None."""
+    """Whether all claims hold with two readings exchanged: True; False if the evidence is weak; None if they do not."""
     concerned = [name for name in pair if any(name in claim.wires for claim in broken)]
     crossed = wiring.claims(stages, pair)
     if not concerned or not all(claim.good for claim in crossed):
@@ -156,7 +156,7 @@ def _named(wiring: Wiring, wire: str) -> str:
 
 
 def table(wiring: Wiring, stages: Sequence[Stage]) -> list[Check]:
-    """A line of each row of claims: broken first, or seen last; the first broken one has the cause."""
+    """One line for each row of claims: its broken claim, else the last one; the first broken line names the cause."""
     rows: dict[str, Claim] = {}
     for claim in wiring.claims(stages):
         if claim.row not in rows or rows[claim.row].good:

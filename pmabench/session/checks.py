@@ -31,7 +31,7 @@ class SelfTestFailed(VerdictFailed):
 
 
 def judged(name: str, value: str, limit: str, *, good: bool, hint: str) -> Check:
-    """A check that is good or not."""
+    """A check with its verdict."""
     return Check(name, value, limit, OK if good else FAILED, "" if good else hint)
 
 

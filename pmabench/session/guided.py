@@ -21,7 +21,7 @@ def guided_plan(mounted: Mounted, kind: str, name: str, settings: Mapping[str, A
 
 
 def load_text(mounted: Mounted, mass: float) -> str:
-    """What is asked for a load of `mass` [kg]."""
+    """The request to the operator for a load of `mass` [kg]."""
     weights = mounted.bench_file.weights
     if mass == 0 or weights is None:
         return "Take every weight off the free end; nothing may pull at the load cell."
@@ -31,6 +31,6 @@ def load_text(mounted: Mounted, mass: float) -> str:
 
 
 def moving_mass(mounted: Mounted, mass: float) -> float:
-    """What moves with a load of `mass` [kg]."""
+    """Moving mass with a load of `mass`: load, carriage and muscle [kg]."""
     bench = mounted.bench
     return mass + bench.carriage if bench.hanging and mass + bench.carriage > 0 else FORCE_MASS

@@ -28,7 +28,7 @@ KEYS = "+ - pressure   ] [ actuator   > < step   0 no pressure   z tare   v vent
 
 
 def highest(bench: CompiledBench, output: OutputRecord) -> float:
-    """The most that an output may be sent to by hand [SI]."""
+    """Highest value that an output may be sent to by hand [SI]."""
     return min(output.high, bench.setup_pressure) if output.name == "pressure" else output.high
 
 

@@ -49,7 +49,7 @@ class Reading:
 
 
 def listen(acquisition: Acquisition, seconds: float, until: Stop = lambda _block: None) -> Mapping[str, Series]:
-    """What every channel gives over the next `seconds` [s], or until a block ends it; silent channels are left out."""
+    """Samples of every channel over the next `seconds` [s]; silent channels are left out."""
     kept: dict[str, list[tuple[Array, Array]]] = {}
 
     def keep(block: Samples) -> int | None:

@@ -201,7 +201,7 @@ def refuse_backwards(executor: Executor, rest: float) -> None:
 
 
 def _interlocks(mounted: Mounted) -> Iterator[Check]:
-    """Arming has refused a bench with an open one; the table says which there are."""
+    """A line for the interlocks: all are closed, since arming refuses a bench with an open one."""
     names = [interlock.name for device in mounted.bench.devices for interlock in device.interlocks]
     if names:
         yield Check("interlocks", f"{', '.join(names)} closed", "all closed")
@@ -210,7 +210,7 @@ def _interlocks(mounted: Mounted) -> Iterator[Check]:
 
 
 def _relief(mounted: Mounted) -> Check:
-    """The compiler has refused one that opens too late; it is not tried here."""
+    """A line for the relief valve: it is not tried here; a bench file with one that opens too late is refused."""
     opens, never = mounted.bench_file.air.relief_valve, mounted.specimen_file.limits.pressure.never_above
     if opens == "none":
         return Check("relief valve", "", "", NOT_MEASURED, "none on this bench")

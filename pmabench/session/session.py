@@ -79,7 +79,7 @@ def _hold(
     progress: Callable[[Progress], None],
     begun: Callable[[Path], None],
 ) -> dict[str, Any]:
-    """The run itself; what it found, to be kept."""
+    """Execute the run of the session; its results, to be kept for later runs."""
     declared = mounted.session
     assert declared is not None  # noqa: S101  (looked at before)
     skipped = {"warm-up": skip_warm_up} if skip_warm_up and declared.warm_up is not None else {}

@@ -55,7 +55,7 @@ class Stepping:
         self._supply = np.inf
 
     def ended(self, means: Mapping[str, float], tripped: str = "") -> None:
-        """A hold that was ended before its time, with what was read then [SI]; `tripped`: by a channel's limit."""
+        """Note a hold that ended early, with its means so far [SI]; `tripped`: the channel whose limit ended it."""
         self.stages.append(replace(self._now, means=means, settled=False, tripped=tripped))
 
     def table(self) -> list[Check]:
@@ -160,13 +160,13 @@ class Stepping:
         checks += self._response()
 
     def _refuse_lost(self) -> None:
-        """Go no higher where the pressure is not what it should be; what else is wrong is better known at the top."""
+        """Stop where the pressure is wrong; other faults are judged at the highest step, where they show best."""
         broken = [claim for claim in self.wiring.claims(self.stages) if not claim.good]
         if any(name in claim.wires for claim in broken for name in (PRESSURE, SET)):
             self._refuse()
 
     def hanging(self) -> Check | None:
-        """The least load at the highest pressure, where the one before did not hang: the known weight of the cell."""
+        """Lift the smallest load at the highest pressure, if the one before stayed down: a weight for the cell."""
         weights, acquisition = self._mounted.bench_file.weights, self._executor.acquisition
         tried = {claim.row: claim.good for claim in self.wiring.claims(self.stages)}
         if weights is None or not weights.hanger or FORCE not in acquisition.latest or tried.get("load cell"):

@@ -15,9 +15,9 @@ from pmabench.bench.files.specimen import ExpectedFile
 from pmabench.protocol.driven import believed
 
 SHARE = 0.02
-"""Reading at rest that is believed where the bench file has no limit for the zero, of the range."""
+"""Largest reading at rest that is accepted where the bench file has no limit for the zero, of the range."""
 PRELOAD = 0.04
-"""Force without pressure that is believed where hands cannot take the load off, of the range."""
+"""Largest force without pressure that is accepted where the load cannot be taken off, of the range."""
 RESTS = (-4e-3, 8e-3)
 """Where an unpressurised free end may be [m]: friction keeps a muscle up to 5 mm short; the rest is for the zero."""
 MOVED = 0.5e-3
@@ -40,11 +40,11 @@ PRESSURE, FORCE, DISPLACEMENT = "pressure", "force", "displacement"
 SET, PLACE = "pressure_command", "displacement_command"
 OUT, MOVE = "set pressure", "set displacement"
 AIR, HOSE, PLATES, EXPECTED = "air", "hose", "plates", "expected"
-"""What a claim may depend on and is not a wire."""
+"""Things besides wires that a claim may depend on."""
 FLIPPED, WRONG, SCALE, STILL = "sign", "wire", "scale", "still"
 """What a broken claim looks like."""
 FOLLOWS, LEAD = "pressure follows its command", "pressure after its command"
-"""Rows that others look for."""
+"""Names of rows that other modules look for."""
 
 
 @dataclass(frozen=True)

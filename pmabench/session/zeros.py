@@ -28,7 +28,7 @@ STEADY_WITHIN = 30.0
 
 @dataclass(frozen=True)
 class ZeroTaken:
-    """What a channel read at its zero [SI], on the scale of its calibration."""
+    """Reading of a channel at its zero [SI], on the scale of its calibration."""
 
     value: float
     noise: float

@@ -19,7 +19,7 @@ from pmabench.store import folder as files
 from pmabench.store.since import added, late_files
 
 ANALYSES, ANALYSIS = "analyses", "analysis.json"
-"""What lies in folders of the first name was made of runs and is none; the second is in each analysis folder."""
+"""Name of folders that hold analyses, in which no runs are looked for; file that each analysis folder has."""
 
 
 @dataclass(frozen=True)
@@ -293,7 +293,7 @@ def _row(kept: dict[str, Any]) -> Row:
 
 
 def _store(path: Path, fresh: Mapping[str, tuple[str, Row]], gone: set[str]) -> None:
-    """Keep rows for the next time; a cache that cannot be used is made anew, or left out."""
+    """Store rows in the cache; a damaged cache is replaced, and one that cannot be written is left out."""
     for _attempt in range(2):
         try:
             with closing(_open(path, "rwc")) as base, base:

@@ -30,7 +30,7 @@ def continued(folder: Path) -> dict[str, Any]:
 
 
 def goes_on(folder: Path) -> Path | None:
-    """The newest run next to `folder` that continues it, or continues one that does; None where there is none."""
+    """The newest run in the folder's parent that continues it, directly or through others; None where there is none."""
     links: dict[str, Path] = {}
     for other in sorted(folder.resolve().parent.iterdir()):
         with suppress(InvalidFile, OSError):

@@ -71,7 +71,7 @@ def open_regular(path: Path) -> BufferedReader:
 
 
 def open_inside(folder: Path, name: str) -> BufferedReader:
-    """The file `name` (`/` between folders) of a run folder; raises OSError as `open_regular`, and for a way out."""
+    """Open the file `name` (`/` between folders) of a run folder; OSError as `open_regular`, or if it lies outside."""
     place = folder
     parts = name.split("/")
     if not {"", ".", ".."}.isdisjoint(parts):
@@ -136,9 +136,9 @@ GUARD = "guard.json"
 LATE = ".late"
 """Added to the name of a run folder: the folder next to it for what comes after the seal, such as `guard.json`."""
 LARGEST = 1 << 26
-"""Bytes of a manifest, a seal or a head of notes; a larger file is none."""
+"""Most bytes of a manifest, a seal or a head of notes; a larger file is refused."""
 NOTES, NOTES_HEAD = "notes", "notes.json"
-"""What is said of a run afterwards: next to the sealed part, with hashes of its own."""
+"""What is said of a run afterwards: next to the sealed part, with separate hashes."""
 
 STATUSES = ("finished", "failed", "aborted", "tripped", "error")
 """How a run can end by its own account; `interrupted` is what readers say of one whose writer died."""
@@ -282,7 +282,7 @@ def cannot_write(path: Path, error: BaseException) -> RecordError:
 
 
 def reason_of(error: BaseException) -> str:
-    """Why something could not be written, as the operating system says it; Arrow puts words of its own before that."""
+    """Why something could not be written, as the operating system says it; Arrow puts other words before that."""
     reason = str(getattr(error, "strerror", None) or error or type(error).__name__)
     number = getattr(error, "errno", None)
     return os.strerror(number) if number and "[errno" in reason else reason

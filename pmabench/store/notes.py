@@ -195,7 +195,7 @@ def read_notes(run: Path) -> tuple[Note, ...]:
     notes, faults, _last = _look(run)
     if faults:
         name, what = faults[0]
-        raise invalid(run / name, f"{what}; `pmabench runs verify` tells more")
+        raise invalid(run / name, f"{what}; `pmabench runs verify` says more")
     return notes
 
 
@@ -274,7 +274,7 @@ def _head(run: Path, chain: Sequence[str]) -> list[tuple[str, str]]:
     except (InvalidFile, KeyError, TypeError, ValueError) as error:
         return [(files.NOTES_HEAD, error.problems[0].message if isinstance(error, InvalidFile) else "is damaged")]
     if count > len(chain) - 1:
-        return [(files.NOTES_HEAD, f"tells of {count} notes; there are {len(chain) - 1}: notes were removed")]
+        return [(files.NOTES_HEAD, f"counts {count} notes; there are {len(chain) - 1}: notes were removed")]
     if len(chain) - 1 > count + 1 or last != chain[count]:
         return [(files.NOTES_HEAD, "does not fit the notes: notes or the manifest were changed")]
     return []

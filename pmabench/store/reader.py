@@ -191,7 +191,7 @@ class RunFiles:
         self.seal = read_seal(path)
 
     def has(self, name: str) -> bool:
-        """Whether the file is part of the run: sealed, or there where the run is not closed."""
+        """Whether the file is part of the run: in its seal, or present while the run is not closed."""
         return name in self.seal["files"] if self.seal is not None else is_regular(self.path / name)
 
     def read(self, name: str) -> bytes:
@@ -204,7 +204,7 @@ class RunFiles:
             expected = self.manifest["snapshots"][name]
         raw = read_file(self.path, name, most)
         if expected and hashlib.sha256(raw).hexdigest() != expected:
-            raise invalid(self.path / name, "was changed after it was written; `pmabench runs verify` tells more")
+            raise invalid(self.path / name, "was changed after it was written; `pmabench runs verify` says more")
         return raw
 
     def journal(self) -> Journal:
@@ -413,7 +413,7 @@ class Recalibration:
 
 
 def refound(trials: Sequence[TrialData], lines: Mapping[str, Line]) -> tuple[TrialData, ...]:
-    """The trials with what searches found of a channel (its value where a load lifted off) on the new scale."""
+    """The trials, with the values that their searches found (such as where a load lifted off) on the new scale."""
 
     def one(name: str, value: Any) -> Any:
         number = isinstance(value, int | float) and not isinstance(value, bool)

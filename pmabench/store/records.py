@@ -100,7 +100,7 @@ class TrialData:
     attempt: int = 1
     """From 1; more where the trial was begun again."""
     again: bool = False
-    """A reference trial done again by a run that goes on after another: compared with the first, in no fit."""
+    """A reference trial repeated by a run that continues another one: compared with the first, used in no fit."""
 
     @property
     def number(self) -> int:

@@ -163,7 +163,7 @@ def free_for_events(folder: Path) -> None:
 
 
 def write_into_room(path: Path, content: bytes) -> None:
-    """As `write_whole`, in the room that was kept for `path`, where there is some. Raises OSError."""
+    """As `write_whole`, in the disk space that was reserved for `path`, if any was. Raises OSError."""
     part = files.part_of(path)
     if not files.is_regular(part):
         files.write_whole(path, content)
@@ -270,7 +270,7 @@ def _part_of_the_run(folder: Path) -> Iterator[tuple[str, Path]]:
 
 
 def _tidy(folder: Path) -> None:
-    """Delete what was begun and never became whole; the room for the seal stays. Raises OSError."""
+    """Delete files that were begun and not completed; the space reserved for the seal stays. Raises OSError."""
     free_for_events(folder)
     room = files.part_of(folder / files.SEAL)
     for place in (folder, folder / files.STREAMS):

@@ -29,7 +29,7 @@ from pmabench.store import notes
 from pmabench.store.folder import is_regular, kind_of, open_inside, open_regular, read_file
 
 LONGEST = 1_000_000
-"""Bytes of a guard's account; a longer one is none."""
+"""Most bytes of a guard's account; a longer file is ignored."""
 NAMED = 3
 """So many names are in a sentence."""
 
@@ -133,7 +133,7 @@ def as_sealed(folder: Path) -> bool:
 
 
 def odd(path: Path) -> str:
-    """A sentence that says what a path is which should be a regular file."""
+    """What a path is that should be a regular file, as the rest of a sentence about it."""
     return f"is {kind_of(path.lstat().st_mode)}, which no run contains"
 
 

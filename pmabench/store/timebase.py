@@ -78,11 +78,11 @@ def _slopes(steps: Array, values: Array, left: NDArray[np.intp], right: NDArray[
 PRIOR_DRIFT = 100e-6
 """A quartz clock is not farther off than this [1]: what holds where the arrivals do not show drift better."""
 WINDOWS = 10
-"""Stretches of time whose shortest delays are held against the fit."""
+"""Stretches of time whose shortest delays are compared with the fit."""
 
 
 def fit_clock(device_ns: Sequence[int], host_ns: Sequence[int]) -> ClockInfo:
-    """The clock of a device from pairs of its own time and the host's time of arrival [ns].
+    """The clock of a device from pairs of the device's time and the host's time of arrival [ns].
 
     A delay is never negative, so the line lies below all points and as close to them as it can: that of least mean
     delay, an edge of the lower convex hull (Moon, Skelly, Towsley: Estimation and removal of clock skew from network

@@ -1,4 +1,4 @@
-"""Campaigns of the independent simulator `tests.judge` as runs of the project, with the limits of its protocol."""
+"""Campaigns of the independent simulators `tests.judge` as runs of the project, with the limits of its protocol."""
 
 from __future__ import annotations
 
@@ -11,7 +11,11 @@ import numpy as np
 
 from pmabench.files.document import read_document
 from pmabench.store.records import ChannelInfo, ClockInfo, Command, RunData, TrialData
-from tests.judge.campaign import RATE, Trial
+from tests.judge import campaign as first
+from tests.judge.second import campaign as second
+from tests.judge.second.driven import AWAY, LEAD, SAMPLED, Record
+
+Trial = first.Trial | second.Trial
 
 PROTOCOL = Path(__file__).resolve().parents[2] / "protocols" / "contraction-relaxation.yaml"
 CHANNELS = {"pressure": ("pressure", "Pa"), "displacement": ("length", "m"), "force": ("force", "N")}
@@ -37,7 +41,7 @@ def as_run(trials: Sequence[Trial], name: str = "judged") -> RunData:
         plan={"accept": accepted()}, events=(), channels={
             channel: ChannelInfo(channel, quantity, unit, 1.0, 0.0, -np.inf, np.inf)
             for channel, (quantity, unit) in CHANNELS.items()
-        }, rate=RATE, trials=tuple(_trial(name, number, trial) for number, trial in enumerate(trials)),
+        }, rate=_rate(trials), trials=tuple(_trial(name, number, trial) for number, trial in enumerate(trials)),
     )  # fmt: skip
 
 
@@ -58,6 +62,10 @@ def polled(run: RunData, scatter: float, seed: int) -> RunData:
     )
 
 
+def _rate(trials: Sequence[Trial]) -> float:
+    return round(1.0 / float(np.mean(np.diff(trials[0].t))), 3)
+
+
 def _trial(run: str, number: int, trial: Trial) -> TrialData:
     values = [0.0, *(value for _, value in trial.commands)]
     phases = ["contract", *["relax"] * (len(trial.commands) - 2), "vent"]
@@ -72,3 +80,40 @@ def _trial(run: str, number: int, trial: Trial) -> TrialData:
     point = {"load": trial.load, "mass": trial.mass, "pressure": trial.target}
     flags = np.zeros(len(trial.t), dtype=np.uint16)
     return TrialData(run, number, point, 0, False, "finished", trial.t, channels, flags, commands, {})
+
+
+SLOW = {
+    "isobaric-ramp": "isobaric-ramp",
+    "isometric-pressurisation": "isometric-pressurisation",
+    "step": "isometric-pressurisation",
+    "sine": "sinusoidal-displacement",
+    "hold": "sinusoidal-displacement",
+    "random": "sinusoidal-displacement",
+}
+"""Test of the second muscle with a driven end -> the kind of test of the project that records the like."""
+
+
+def as_slow_runs(records: Sequence[Record]) -> list[RunData]:
+    """Tests with a driven end as runs, one a kind, whose trials follow each other as they were done."""
+    runs: dict[str, list[tuple[float, Record]]] = {}
+    begin = 0.0
+    for record in records:
+        runs.setdefault(SLOW[record.kind], []).append((begin, record))
+        begin += float(record.t[-1]) + LEAD + AWAY
+    channels = {name: ChannelInfo(name, quantity, unit, 1.0, 0.0, -np.inf, np.inf)
+                for name, (quantity, unit) in CHANNELS.items()}  # fmt: skip
+
+    def trial(run: str, number: int, begin: float, one: Record) -> TrialData:
+        values = {name: getattr(one, name) for name in CHANNELS}
+        values |= {"pressure_command": one.command, "displacement_command": one.way}
+        point = {"contraction" if name == "displacement" else name: value for name, value in one.point.items()}
+        flags = np.zeros(len(one.t), dtype=np.uint16)
+        return TrialData(run, number, point, 0, False, "finished", begin + one.t, values, flags, (), {})
+
+    return [
+        RunData(
+            id=kind, path="", kind=kind, status="finished", simulated=True, manifest={}, plan={}, events=(),
+            channels=channels, rate=SAMPLED, trials=tuple(trial(kind, n, *one) for n, one in enumerate(mine)),
+        )
+        for kind, mine in runs.items()
+    ]  # fmt: skip

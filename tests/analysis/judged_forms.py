@@ -213,7 +213,7 @@ class Value:
 
 
 def judged(kind: str, cause: str, size: float, seed: int) -> tuple[list[Value], list[str]]:
-    """Values with an interval that the truth knows, and those that are withheld with the reason."""
+    """Values with an interval that the truth knows, and those that are withheld with the reason; a bound is 0 +- it."""
     one = KINDS[kind]
     right = one.truth(cause, size)
     values, withheld = [], []
@@ -231,6 +231,8 @@ def judged(kind: str, cause: str, size: float, seed: int) -> tuple[list[Value], 
             withheld.append(f"{name}: {e.note}")
         near = [span for (symbol, of, at), span in right.items()
                 if (symbol, of) == (e.symbol, coordinate) and abs(at - (place or 0.0)) < 1e-3 * max(1e-3, abs(at))]  # fmt: skip
+        if e.bound is not None and near:
+            values.append(Value(name, 0.0, *near[0], e.bound))
         if e.value is not None and e.parts.combined is not None and near:
             values.append(Value(name, e.value, *near[0], e.parts.combined))
     return values, withheld

@@ -134,13 +134,13 @@ def test_static_load_is_a_line_between_its_points_and_nothing_outside():
     (told,) = against_static(entry, F_ce=370.0, P=2.5e5)
     assert "370 N against 400 N of static load: 30 N below" in told
     (told,) = against_static(entry, P=5e5)
-    assert told.startswith("F_ce against static load: the two tests tell F_ce at no pressure in common")
+    assert told.startswith("F_ce against static load: the two tests give F_ce at no pressure in common")
 
 
 @pytest.mark.parametrize("missing", [{"static": []}, {"specimen": "s2"}])
 def test_a_static_test_that_is_not_there_is_said(missing):
     (told,) = against_static({"measure": "of_static", "limit": 0.5}, **missing)
-    assert told.startswith("F_ce against static load: no static-load test of this specimen beside it")
+    assert told.startswith("F_ce against static load: no static-load test of this specimen to compare with")
     assert "accepted +-50 % (cr.yaml:7)" in told
 
 

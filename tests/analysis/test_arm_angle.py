@@ -264,5 +264,5 @@ def test_loads_that_paper_2_does_not_cover_are_measured_without_it():
     assert plan.commands()["pressure"] == (0.0, 2e5)
     asked = [step.text for step in plan.steps if step.kind == "ask"]
     assert asked
-    assert all("the other muscles stands at 60 kPa" in text for text in asked)
+    assert all("the other muscles is at 60 kPa" in text for text in asked)
     assert "dump valve must empty them" in plan.hazards[0]

@@ -90,7 +90,7 @@ def test_a_bootstrap_over_two_repeats_scatters_as_it_should():
     none = np.zeros(800)
     numbers = np.arange(800)
     segments = Segments(numbers, none, none, *5 * [empty], pairs.ravel(), none, np.empty(0), 0.002)
-    draws = bootstrap(segments, fit, numbers // 2, 2000, within=True)
+    draws = bootstrap(segments, fit, numbers // 2, 700, within=True)
     expected = np.sqrt(np.sum((pairs[:, 0] - pairs[:, 1]) ** 2) / 2 * 2) / 800
     assert np.std(draws.theta) == pytest.approx(expected, rel=0.06)
     assert draws.half(np.ones(1)) == pytest.approx(1.96 * expected, rel=0.08)

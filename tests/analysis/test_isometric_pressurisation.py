@@ -124,8 +124,8 @@ def test_what_cannot_be_told_apart_has_no_value_and_is_said_in_words():
     analysis = reduce([run_of(daerden, (0.0, 0.01, 0.02, 0.03, 0.04), noise=3.0, repeats=3)])
     (found,) = values(analysis, "D_0", SECTION).values()
     assert found.value is None
-    assert "not told apart" in found.note
-    assert "cannot be told apart" in texts(analysis, "doubt")
+    assert "not determined separately" in found.note
+    assert "cannot be determined separately" in texts(analysis, "doubt")
     assert "braid_angle in the specimen file" in texts(analysis, "doubt")
     (known,) = values(analysis, "theta_0", f"{SECTION}, D_0 of the specimen").values()
     assert known.value == pytest.approx(THETA0, rel=0.02)

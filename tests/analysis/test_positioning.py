@@ -15,9 +15,12 @@ from pmabench.kinds.positioning.reduction import reduce
 from pmabench.kinds.positioning.response import Cycle, cycle_of, respond
 from pmabench.model.overrides import Overrides
 from pmabench.model.presets import Described, preset
+from pmabench.report.document.tables import cell
 from pmabench.store.analyses.results import Analysis, Estimate
 from pmabench.store.records import Array, TrialData
+from tests.analysis.judged_forms import placed_of
 from tests.analysis.loop_rig import TS, Plant51, as_run, as_trial
+from tests.judge import placed
 
 T = np.arange(0, 40, TS)
 WINDOW = (10.0, 40.0)
@@ -236,7 +239,7 @@ def test_a_loop_that_lost_its_signal_is_dropped_with_the_reason() -> None:
 
 
 def test_repeats_give_an_interval_and_one_run_says_why_it_has_none() -> None:
-    trial = held(28.8, 0.29, 0.03)
+    trial = held(28.8, 0.29, 0.03, False)
     again = TrialData(**{**trial.__dict__, "index": 1, "channels": {
         **trial.channels, "displacement": trial.channels["displacement"] - 10e-6}})  # fmt: skip
     one, two = value(reduced(trial), "e_ss"), value(reduced(trial, again), "e_ss")
@@ -250,11 +253,13 @@ def test_repeats_give_an_interval_and_one_run_says_why_it_has_none() -> None:
 
 def test_the_scale_of_the_displacement_counts() -> None:
     """With a gain that may be 1 % off the true position is: e_ss by (1 + e) 1 %, the cycle by 1 % of itself."""
-    trial = held(28.8, 0.29, 0.03)
-    run = as_run("positioning", [trial], {"window": [20.0, 60.0]}, gain_uncertainty=0.01)
-    found = reduce([run])
-    assert value(found, "e_ss").parts.calibration == pytest.approx(0.01, rel=1e-3)
-    cycle = value(found, "x_pp")
+    settings = {"window": [20.0, 60.0]}
+    steady, hunting = (
+        reduce([as_run("positioning", [held(28.8, 0.29, 0.03, friction)], settings, gain_uncertainty=0.01)])
+        for friction in (False, True)
+    )
+    assert value(steady, "e_ss").parts.calibration == pytest.approx(0.01, rel=1e-3)
+    cycle = value(hunting, "x_pp")
     assert cycle.value is not None
     assert cycle.parts.calibration == pytest.approx(0.01 * cycle.value, rel=1e-3)
 
@@ -262,3 +267,31 @@ def test_the_scale_of_the_displacement_counts() -> None:
 def test_a_cycle_is_what_it_says() -> None:
     assert Cycle(1e-3, 1.0, 3, 0.5).sticks
     assert not Cycle(1e-3, 1.0, 3, 0.1).sticks
+
+
+@pytest.mark.parametrize(("cause", "size", "most"), [("tail", 1.0, 0.02), ("drift", 0.25, 0.022)])
+def test_a_loop_that_still_moves_has_a_bound_and_no_steady_state_error(cause: str, size: float, most: float) -> None:
+    """A value was printed with an interval of up to 22 times its size; the true error is 0.2 %."""
+    found = [e for e in placed_of(cause, size, 1).estimates if e.symbol == "e_ss"]
+    assert [(e.value, e.withheld) for e in found] == [(None, False)] * len(placed.SETPOINTS)
+    for e in found:
+        assert e.bound is not None
+        assert placed.OFFSET <= e.bound <= most
+        assert e.note.startswith(
+            f"not more than {100 * e.bound:.3g} % of the set-point either way: it moves in the win"
+        )
+        assert cell(e) == f"≤ {100 * e.bound:.3g}"
+
+
+def test_a_loop_that_hunts_has_a_bound_and_no_steady_state_error() -> None:
+    """Its mean over 60 s is off by no more than half of a cut cycle: 0.5 x 0.30 mm x 2.4 s / 40 s of 30 mm."""
+    e = value(reduced(held(28.8, 0.29, 0.03)), "e_ss")
+    assert e.value is None
+    assert e.bound is not None
+    assert 0.03e-2 <= e.bound <= 0.06e-2
+    assert "of the set-point either way: it swings in the window" in e.note
+
+
+def test_a_loop_at_rest_has_its_error_as_a_value() -> None:
+    found = [e for e in placed_of("clean", 0.0, 1).estimates if e.symbol == "e_ss"]
+    assert [number(e) for e in found] == pytest.approx([placed.OFFSET] * 2, abs=3 * placed.SCATTER)

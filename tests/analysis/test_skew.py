@@ -78,7 +78,7 @@ def test_2_ms_at_3_hz_and_a_tangent_of_a_tenth_are_38_percent_and_refused(way: i
         K_found = of(found, "K", "sine-harmonic")
         assert K_found.ci95 is not None
         assert K_found.ci95[0] < K < K_found.ci95[1]
-        assert any(f.level == "doubt" and "not told: displacement and force" in f.text for f in found.findings)
+        assert any(f.level == "doubt" and "withheld: displacement and force" in f.text for f in found.findings)
 
 
 @pytest.mark.parametrize("skew", [-0.3e-3, 0.3e-3])
@@ -211,7 +211,7 @@ def test_a_skew_of_100_ms_leaves_no_damping_where_the_pressure_changes() -> None
         e = told(found)[symbol, "", ("pressure", 300e3)]
         assert e.value is None
         assert "may be 100 ms apart" in e.note
-    assert any("not told: pressure, displacement and force may be 100 ms apart" in f.text for f in found.findings)
+    assert any("withheld: pressure, displacement and force may be 100 ms apart" in f.text for f in found.findings)
 
 
 def test_a_run_of_steps_on_two_clocks_gives_what_one_clock_gives(tmp_path: Path) -> None:

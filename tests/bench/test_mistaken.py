@@ -22,6 +22,8 @@ SPECIMEN = {
     "mock-daerden": "daerden-20-200",
     "mock-dmsp": "dmsp-40-305",
     "mock-arm": "arm-30",
+    "mock-real": "dmsp-20-250-real",
+    "mock-realtime": "mas-20-250-paper0",
     "mock-serres2009": "mas-20-250-serres2009",
 }
 """Beginning of a bench's name -> its specimen, by docs/simulated-bench.md; of all others `mas-20-250-paper0`."""

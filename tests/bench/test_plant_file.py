@@ -17,6 +17,7 @@ from pmabench.base.errors import InvalidFile
 from pmabench.bench.compile import mount
 from pmabench.bench.interface import device_from
 from pmabench.bench.plant import read_plant
+from pmabench.model.driven import Actuator
 from pmabench.model.presets import changed, preset, setup_of
 from pmabench.model.regulator import constant
 from tests.bench.benches import BENCHES, ROOT, SPECIMEN
@@ -43,7 +44,7 @@ def refused(folder: Path, text: str) -> list[str]:
     return [f"{problem.line}:{problem.column} {problem.message}" for problem in caught.value.problems]
 
 
-@pytest.mark.parametrize("name", ["paper0", "paper0-air", "serres2009", "daerden", "contractor-30"])
+@pytest.mark.parametrize("name", ["paper0", "paper0-air", "serres2009", "daerden", "contractor-30", "real"])
 def test_the_shipped_files_are_the_presets_to_the_last_bit(name):
     found = setup_of(read_plant(PLANTS / f"{name}.yaml").numbers)
     assert found == preset(name, "bench")
@@ -237,6 +238,41 @@ def test_a_contractor_of_ones_own_pulls_as_paper_2_has_it(tmp_path):
     )
     assert muscle.pull(np.array([3e5]), np.array([0.03]))[0] == pytest.approx(force)
     assert muscle.pull(np.array([4e4]), np.array([0.03]))[0] == 0.0
+
+
+REAL = (PLANTS / "real.yaml").read_text()
+
+
+@pytest.mark.parametrize(
+    ("key", "line", "sentence"),
+    [
+        ("hysteresis", "hysteresis: {height: 5 N, widths: [1 mm, 2 mm], weights: [1.0]}", 'each stop needs one of both'),
+        ("hysteresis", "hysteresis: {height: 5 N, widths: [1 mm], weights: [0.9]}", "they must add up to 1"),
+        ("hysteresis", "hysteresis: {height: 5 N, per_pressure: -1 N/kPa, widths: [1 mm], weights: [1]}", "below zero"),
+        ("pressure_hysteresis", "pressure_hysteresis: {height: 5 N, widths: [1 mm], weights: [1]}", '"mm" is no unit of'),
+        ("creep", "creep: {share: 10 %, times: [1 s, 2 s, 3 s, 4 s, 5 s, 6 s]}", "more than half in all"),
+        # K at 600 kPa and 28 %: [33.4 (244.7 - 66.9) e^-9.35 + 600 C] / 250 mm, below 0 for C > 0
+        ("surface", "surface: {A: 244.7 N, A_P: -0.1115 N/kPa, s: 33.4, C: 8.3 N/kPa, D: 2.65 N/kPa, E: -249.4 N}",
+         "the stiffness is -19.92"),
+        ("surface", "surface: {A: 244.7 N, A_P: -0.1115 N/kPa, s: 33.4, C: -8.3 N/kPa, D: 2.65 N/kPa, E: 0 N}",
+         "pulls with 244.7 N without pressure"),
+        ("reach", "reach: [1 %, 28 %]", "1 % is outside -10 % to 0 %"),
+        ("B_c", "B_c: 0 N.s/mm", "at least 0.001"),
+    ],
+)  # fmt: skip
+def test_what_no_muscle_with_hysteresis_and_creep_is_has_a_sentence_at_its_place(tmp_path, key, line, sentence):
+    found = refused(tmp_path, re.sub(rf"(?m)^{key}: .*$", line, REAL))
+    number = line_of(REAL, f"{key}:")
+    assert any(sentence in problem and problem.startswith(f"{number}:") for problem in found), found
+
+
+def test_what_a_file_leaves_out_is_not_there(tmp_path):
+    """Held at 20 mm and 300 kPa it pulls with F_s, by hand 361.0 N, whichever way it came."""
+    bare = re.sub(r"(?m)^(hysteresis|pressure_hysteresis|creep|noise): .*\n", "", REAL)
+    plant = changed(setup(tmp_path, bare), "ideal").driven(Actuator())
+    plant.command(constant(0.0, 3e5))
+    plant.move((*constant(0.0, 30e-3), *constant(10.0, 20e-3)))
+    assert plant.advance(60.0, np.array([60.0])).F[0] == pytest.approx(361.0, abs=0.1)
 
 
 def test_all_problems_come_at_once(tmp_path):

@@ -48,7 +48,7 @@ def lab(tmp_path_factory):
     aged = by_bench.pop("aged")
     (before,) = by_bench.values()
     return {"folder": lab, "before": before, "aged": aged, "line": line,
-            "ok": call("process", before), "refused": call("process", aged, code=6)}  # fmt: skip
+            "ok": call("process", before), "refused": call("process", aged, "-v", code=6)}  # fmt: skip
 
 
 def test_process_refuses_it_with_value_limit_and_line(lab):

@@ -33,7 +33,7 @@ SHIPPED = ROOT / "fixtures" / "cascades"
 
 
 def call(*args, code=0):
-    result = CliRunner().invoke(main, ["cascade", *map(str, args)])
+    result = CliRunner().invoke(main, ["model", "cascade", *map(str, args)])
     assert result.exit_code == code, result.output
     return result
 
@@ -416,7 +416,7 @@ def test_a_place_that_takes_no_files_is_exit_7(tmp_path):
 
 def test_the_commands_of_the_papers_rows_work(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    rows = re.findall(r"`pmabench cascade ([^`]*)`", (ROOT / "docs" / "papers.md").read_text())
+    rows = re.findall(r"`pmabench model cascade ([^`]*)`", (ROOT / "docs" / "papers.md").read_text())
     assert len(rows) >= 4
     for command in rows:
         if "--pace" not in command:
@@ -427,7 +427,7 @@ def test_the_commands_of_the_papers_rows_work(tmp_path, monkeypatch):
 def test_the_commands_and_the_file_of_the_page_work(tmp_path, monkeypatch):
     page = (ROOT / "docs" / "cascade.md").read_text()
     monkeypatch.chdir(tmp_path)
-    commands = re.findall(r"^pmabench cascade (.*)$", page, re.MULTILINE)
+    commands = re.findall(r"^pmabench model cascade (.*)$", page, re.MULTILINE)
     assert len(commands) == 4
     for command in commands:
         call(*shlex.split(command.partition(">")[0], comments=True))

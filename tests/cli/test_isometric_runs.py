@@ -105,6 +105,6 @@ def test_slopes_that_are_accepted_or_not(tmp_path):
         tmp_path / "runs", *small,
     )  # fmt: skip
     (run,) = (tmp_path / "runs").glob("2*")
-    output = call("process", run, code=6).output
+    output = call("process", run, "-v", code=6).output
     assert "K at pressure 500 kPa: interval" in output
     assert "K at pressure 300 kPa" in output

@@ -89,6 +89,57 @@ def test_after_a_takeover_the_bench_is_tripped_and_the_lines_lead_on(lab):
     assert "--resume" not in done.stderr
 
 
+@pytest.mark.realtime
+def test_continue_resets_the_bench_and_does_the_trials_that_are_left(lab):
+    """The engine is killed, so the guard vents and trips the bench; one command leads back, and refuses without a person."""
+    command = [
+        sys.executable,
+        "-m",
+        "pmabench",
+        "run",
+        "contraction-relaxation",
+        "--bench",
+        "rig.yaml",
+        *SPECIMEN,
+        *SHORT,
+    ]
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as run:
+        eventually(lambda: any("trial-begin" in path.read_text() for path in Path("runs").glob("*/events.jsonl")), 60.0)
+        run.kill()
+    eventually(lambda: any("the program ended" in path.read_text() or "safe" in path.read_text()
+                           for path in (lab / "state").rglob("*") if path.is_file()), 30.0)  # fmt: skip
+    refused = pmabench("continue")
+    assert refused.returncode == 5
+    assert "its bench is tripped" in refused.stderr
+    assert "--reset --operator NAME --because TEXT" in refused.stderr
+    done = pmabench("continue", "--operator", "Ann", "--because", "looked at it", "--yes", "--json")
+    assert done.returncode == 0, done.stdout
+    assert json.loads(done.stdout)["status"] == "finished"
+    after = pmabench("continue")
+    assert "pmabench process runs/" in after.stdout
+    assert after.returncode == 0
+
+
+def test_continue_says_what_happened_and_asks_first(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    empty = CliRunner().invoke(main, ["continue"])
+    assert (empty.exit_code, "no run in this folder" in empty.stderr) == (3, True)
+    monkeypatch.setattr("pmabench.cli.run._somebody", lambda _mounted: True)
+    words = ["run", "contraction-relaxation", "--bench", "mock", *SPECIMEN[:2], *SHORT]
+    CliRunner().invoke(main, words, input="")
+    (folder,) = Path("runs").iterdir()
+    told = CliRunner().invoke(main, ["continue"])
+    assert told.exit_code == 0
+    assert told.stderr.splitlines()[0].startswith("ABORTED  contraction-relaxation, ")
+    assert "0 of 1 trials are done" in told.stderr
+    assert f"not done; later:  pmabench run --resume {folder}" in told.stderr
+    assert len(list(Path("runs").glob("2*"))) == 1
+    again = CliRunner().invoke(main, ["continue", "--yes"])
+    assert again.exit_code == 0, again.output
+    first = CliRunner().invoke(main, ["continue", str(folder)])
+    assert "next    pmabench continue runs/" in first.stdout
+
+
 def test_an_interrupted_run_names_how_to_go_on(tmp_path, monkeypatch):
     """In virtual time: the operator's terminal ends at the first prompt; no bench is tripped by that."""
     monkeypatch.chdir(tmp_path)
@@ -97,8 +148,27 @@ def test_an_interrupted_run_names_how_to_go_on(tmp_path, monkeypatch):
     told = CliRunner().invoke(main, words, input="")
     (folder,) = Path("runs").iterdir()
     assert told.exit_code == 130
-    assert f"pmabench run --resume {folder}" in told.stderr
-    assert "--reset" not in told.stderr
+    end = told.stdout.splitlines()
+    assert "SIMULATED  ABORTED  contraction-relaxation: 1 trial planned" in told.stdout
+    assert end[-1] == "next    pmabench continue"
+    assert f"record  runs/{folder.name[-4:]} " in end[-2]
+    assert all(len(line) <= 80 for line in end[1:])
+    assert "tripped" not in told.output
     again = CliRunner().invoke(main, ["run", "--resume", str(folder), "--yes"])
     assert again.exit_code == 0, again.output
-    assert "--resume" not in again.output
+    assert "continue" not in again.output
+    processed = CliRunner().invoke(main, shlex.split(again.stdout.splitlines()[-1].removeprefix("next    pmabench ")))
+    assert "analysis  analyses/" in processed.output
+
+
+def test_run_with_report_ends_with_results_and_a_page(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    words = ["run", "contraction-relaxation", "--bench", "mock", *SPECIMEN, *SHORT, "--report"]
+    done = CliRunner().invoke(main, words)
+    end = done.stdout.splitlines()
+    (page,) = tmp_path.glob("2*.html")
+    assert page.stat().st_size > 20_000
+    assert end[-1] == f"report  {page}"
+    assert any("K [N/mm]" in line for line in end)
+    assert done.exit_code == 6  # one load and one pressure leave K open
+    assert "NOT ACCEPTED" in done.stdout

@@ -1,6 +1,7 @@
 """`process` ends with 6 and a sentence where nothing came out, with and without an `accept` in the protocol."""
 
 import json
+import shlex
 from pathlib import Path
 
 from click.testing import CliRunner
@@ -21,7 +22,7 @@ def test_a_file_of_which_nothing_enters_a_fit_exits_6(tmp_path):
     files = [OLD / "isometric" / "rewritten" / name, OLD / "isometric" / name]
     told = call("import", *files, "--map", OLD / "isometric.yaml", "--out", tmp_path, "--json").stdout
     rewritten, good = (entry["run"] for entry in json.loads(told)["runs"])
-    result = call("process", rewritten, "--out", tmp_path / "a", code=6)
+    result = call("process", rewritten, "--out", tmp_path / "a", "-v", code=6)
     (line,) = [line for line in result.output.splitlines() if line.startswith("NOT ACCEPTED")]
     assert "isometric: nothing came out" in line
     assert "no whole counts" in line
@@ -29,5 +30,12 @@ def test_a_file_of_which_nothing_enters_a_fit_exits_6(tmp_path):
     assert last == line
     assert verdict.startswith("No result: no coefficient came out; 1 reason")
     assert (tmp_path / "a" / "isometric" / "analysis.json").exists()
-    last = call("process", good, "--out", tmp_path / "b").output.splitlines()[-1]
-    assert last.partition(":")[0] in ("No doubt", "Usable with care")
+    brief = call("process", rewritten, "--out", tmp_path / "a", code=6).output.splitlines()
+    assert brief[1].startswith("NO RESULT")
+    assert any(told.startswith("!  not accepted: isometric: nothing came out") for told in brief)
+    told = call("process", good, "--out", tmp_path / "b").output.splitlines()
+    assert told[1].startswith(("NO DOUBT", "USABLE WITH CARE"))
+    command = told[-1].partition("pmabench ")[2].replace("report.html", str(tmp_path / "report.html"))
+    assert told[-1].startswith("next ")
+    call(*shlex.split(command))
+    assert (tmp_path / "report.html").stat().st_size > 10_000

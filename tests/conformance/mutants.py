@@ -5,6 +5,7 @@ needs and which check finds it is in its row; `NOT_SEEN` has those that cannot b
 """
 
 from dataclasses import replace
+from functools import cache
 from importlib import import_module
 
 from pmabench.bench.registry import driver_class, drivers
@@ -38,8 +39,9 @@ NOT_SEEN = {
 """Faults that cannot be seen from outside, and why."""
 
 
+@cache
 def tried(driver):
-    """The device that a driver is tried as."""
+    """The device that a driver is tried as; to find it, every shipped bench that names the driver is compiled."""
     if driver == EXAMPLE:
         return subject(EXAMPLE_DRIVER, EXAMPLE_FOLDER / "bench.yaml")
     return subject(driver)

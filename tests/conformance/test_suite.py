@@ -34,7 +34,7 @@ def test_a_package_of_somebody_else_is_found_by_its_name_when_it_is_installed(tm
 
     def typed(*arguments):
         return subprocess.run(
-            [sys.executable, "-m", "pmabench", "devices", *arguments],
+            [sys.executable, "-m", "pmabench", "drivers", *arguments],
             env=environment, capture_output=True, text=True, timeout=120, cwd=tmp_path,
         )  # fmt: skip
 
@@ -49,9 +49,9 @@ def test_a_package_of_somebody_else_is_found_by_its_name_when_it_is_installed(tm
 
 def test_the_exit_code_says_that_a_check_failed():
     bench = str(EXAMPLE / "bench.yaml")
-    done = CliRunner().invoke(main, ["devices", "conformance", "modbus", "--bench", bench])
+    done = CliRunner().invoke(main, ["drivers", "conformance", "modbus", "--bench", bench])
     assert (done.exit_code, "no device of the driver modbus" in done.stderr) == (2, True)
-    done = CliRunner().invoke(main, ["devices", "conformance", "nothing"])
+    done = CliRunner().invoke(main, ["drivers", "conformance", "nothing"])
     assert (done.exit_code, "module:Class" in done.stderr) == (2, True)
 
 
@@ -64,14 +64,14 @@ def test_who_answers_is_asked_without_a_bench_file():
         address = emulator.devices[record.name].address
 
         def probed(*more):
-            return CliRunner().invoke(main, ["devices", "probe", "--driver", DRIVER, "--address", address, *more])
+            return CliRunner().invoke(main, ["bench", "probe", "--driver", DRIVER, "--address", address, *more])
 
         told = json.loads(probed("--option", "rate=100 Hz", "--json").stdout)["devices"]["device"]
         assert (told["model"], told["simulated"], told["verified"]) == ("emulated EX-2", True, "emulator only")
         assert not emulator.log.of("set")
         wrong = probed("--option", "rat=100 Hz")
         assert (wrong.exit_code, 'did you mean "rate"?' in wrong.stderr) == (4, True)
-        both = CliRunner().invoke(main, ["devices", "probe", "mock", "--driver", "modbus"])
+        both = CliRunner().invoke(main, ["bench", "probe", "mock", "--driver", "modbus"])
         assert (both.exit_code, "--driver and --address" in both.stderr) == (2, True)
     finally:
         emulator.close()

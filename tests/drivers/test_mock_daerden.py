@@ -89,6 +89,10 @@ def test_it_needs_a_driven_end(free_end):
         ("dmsp-40-305", {"conductance_fill": 1e-7}),
         ("contractor-30", {"F_c": 3.0}),
         ("serres2009", {"fce_eval": "x0"}),
+        ("serres2009", {"creep": 0.0}),
+        ("daerden", {"hysteresis_x": 0.0}),
+        ("real", {"F_c": 3.0}),
+        ("real", {"hysteresis": 3.0}),
     ],
 )
 def test_an_option_that_a_plant_has_no_use_for_is_told_at_its_place(plant, option):

@@ -1,10 +1,20 @@
 """Quantities are NUMBER UNIT and nothing else; what other programs guess is refused."""
 
+import subprocess
+import sys
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pmabench.files.quantity import parse_mass_or_force, parse_plates, parse_quantity
+from pmabench.files.quantity import (
+    USUAL,
+    library_factor,
+    parse_mass_or_force,
+    parse_plates,
+    parse_quantity,
+    unit_factor,
+)
 
 
 @pytest.mark.parametrize(
@@ -73,3 +83,18 @@ def test_no_text_does_anything_but_parse_or_refuse(text):
     except ValueError:
         return
     assert abs(value) < float("inf")
+
+
+@pytest.mark.parametrize(("quantity", "unit"), [(quantity, unit) for quantity, of in USUAL.items() for unit in of])
+def test_the_usual_units_are_those_of_the_units_library(quantity, unit):
+    assert USUAL[quantity][unit] == library_factor(unit, quantity) == unit_factor(unit, quantity)
+
+
+def test_the_shipped_bench_is_read_without_the_units_library():
+    """It takes a quarter of a second to be loaded, in every process."""
+    code = (
+        "import sys; from pmabench.bench.compile import mount_alone; from pmabench.files.shipped import shipped_folder"
+    )
+    code += "; mount_alone(shipped_folder('bench') / 'wires.yaml'); print('pint' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "False"

@@ -225,6 +225,7 @@ def test_a_bench_that_does_what_it_was_told_is_left_alone(monkeypatch):
             until = time.monotonic() + 0.8
             while time.monotonic() < until:
                 assert "error" not in serving.ask(link, "status")
+                time.sleep(0.01)
         assert serving.guard.state is State.RUNNING
         assert len(serving.rig.values("held")) > 5
 

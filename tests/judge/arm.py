@@ -5,12 +5,17 @@ The angle is a sigmoid of the pressure; friction holds it back by half a gap on 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from tests.judge.record import Array, Ramp, Trial, Truth, lagged
 
 LOADS = {0.0: (1.32, -1.30, 1.30e5, 2.9), 0.15: (1.21, -1.20, 1.38e5, 2.75), 0.35: (1.02, -1.04, 1.46e5, 2.6)}
 """Load [kg] -> a, b [rad], c [Pa], d of angle = a + b / (1 + (P/c)^d)."""
+Terms = tuple[float, float, float, float]
+POWERS = {"a": (1.32, -0.75, 0.1), "b": (-1.30, 0.70, -0.1), "c": (1.30e5, 0.45e5, 0.0), "d": (2.9, -0.9, 0.2)}
+"""The same as powers of the load, from 0 on, for campaigns with more loads."""
 PRELOAD, PRESSURES = 40e3, tuple(1e3 * P for P in (70, 100, 130, 160, 190, 230, 280, 340, 410, 490))
 REPEATS, RATE = 3, 50.0
 RAMP, HOLD = 80e3, 3.0
@@ -31,9 +36,15 @@ CAUSES = tuple(cause for cause in FULL if cause != "clean")
 NEAR = np.radians(1.0)
 
 
-def angle(P: Array, load: float, other: float = 0.0) -> Array:
+def by_powers(load: float) -> Terms:
+    """a, b, c, d at a load [kg]."""
+    a, b, c, d = (sum(value * load**n for n, value in enumerate(POWERS[name])) for name in "abcd")
+    return a, b, c, d
+
+
+def angle(P: Array, terms: Terms, other: float = 0.0) -> Array:
     """Angle without friction [rad] at P [Pa]; `other` is the height of a wave that makes it another curve."""
-    a, b, c, d = LOADS[load]
+    a, b, c, d = terms
     over = np.maximum(P, 0.0)
     return np.asarray(a + b / (1 + (over / c) ** d) + other * np.sin(2 * np.pi * over / PRESSURES[-1]))
 
@@ -46,12 +57,12 @@ def truth(cause: str, size: float) -> Truth:
     fine = np.linspace(PRELOAD, PRESSURES[-1], 200001)
     right: Truth = {}
     for load in LOADS:
-        low, top = (float(angle(np.array(P), load, other)) * more for P in (PRELOAD, PRESSURES[-1]))
+        low, top = (float(angle(np.array(P), LOADS[load], other)) * more for P in (PRELOAD, PRESSURES[-1]))
         right["alpha_0", "", load] = (low - GAP / 2, low)
         right["alpha_H", "", load] = (GAP, GAP)
-        curve = angle(fine, load, other) * more
+        curve = angle(fine, LOADS[load], other) * more
         if other:
-            top = max(float(angle(np.array(P), load, other)) for P in PRESSURES)
+            top = max(float(angle(np.array(P), LOADS[load], other)) for P in PRESSURES)
         else:
             flat = float(fine[int(np.argmax(curve >= top - NEAR))])
             right["P_flat", "", load] = (flat, flat)
@@ -72,8 +83,10 @@ def _behind(target: Array) -> Array:
     return state
 
 
-def campaign(cause: str, size: float, seed: int) -> list[Trial]:
+def campaign(cause: str, size: float, seed: int, loads: Mapping[float, Terms] = LOADS) -> list[Trial]:
     """The trials of a campaign with a cause at `size` times its full size; chance is drawn from the seed.
+
+    `loads` [kg] with their a, b [rad], c [Pa], d.
 
     creep
         The arm goes on bending by this share, with a time constant of 4 s.
@@ -97,11 +110,11 @@ def campaign(cause: str, size: float, seed: int) -> list[Trial]:
     t = np.arange(round(at[-1] * RATE) + 1) / RATE
     P = np.interp(t, at, values)
     trials, since = [], 0.0
-    for load in LOADS:
+    for load, terms in loads.items():
         slips = int(chance.integers(REPEATS)) if cause == "slip" else -1
         slipped = 0.0
         for repeat in range(REPEATS):
-            target = angle(P, load, amount if cause == "other-curve" else 0.0)
+            target = angle(P, terms, amount if cause == "other-curve" else 0.0)
             read = target - GAP / 2 * -_behind(target)
             if cause == "creep":
                 read = read + amount * lagged(target, CREEP_TIME, RATE)

@@ -77,7 +77,8 @@ def _moved(t: Array, P: Array, start: float, friction: float, bend: float) -> Ar
         if v == 0.0 and abs(free) <= friction:
             continue
         way = np.sign(v) if v else np.sign(free)
-        after = (v + h / MASS * (free - friction * way)) / (1 + h * B / MASS)
+        damped = 0.5 * h * B / MASS
+        after = ((1 - damped) * v + h / MASS * (free - friction * way)) / (1 + damped)
         v = 0.0 if friction and after * way < 0 else after
         x += h * v
     return found

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from tests.judge import rung
 from tests.judge.campaign import (
     CASES,
     CAUSES,
@@ -204,3 +205,17 @@ def test_the_same_seed_gives_the_same_campaign_and_another_seed_another():
     assert len(PLAN) == 24
     assert commands(350e3)[-1][1] == 0.0
     assert commands(350e3)[2][0] - commands(350e3)[1][0] == pytest.approx(RELAX)
+
+
+def test_the_hanging_mass_rings_as_its_transfer_function_does():
+    """S / (M s^2 + B s + K) answers a step behind a dead time and a lag, by partial fractions."""
+    t = np.arange(4001) / (rung.RATE * rung.FINE)
+    moved = rung._moved(t, rung._pressure(t, rung.LOW, rung.HIGH), 0.0, 0.0, 0.0)
+    poles = np.array([*np.roots([rung.MASS, rung.B, rung.K]), -1 / rung.LAG])
+    parts = [1 / (pole * np.prod(pole - poles[poles != pole])) for pole in poles]
+    late = np.maximum(t - rung.DEAD, 0.0)
+    swings = sum(part * np.exp(pole * late) for part, pole in zip(parts, poles, strict=True))
+    scale = rung.S * (rung.HIGH - rung.LOW) / (rung.MASS * rung.LAG)
+    exact = scale * (np.real(swings) - np.real(1 / np.prod(poles)))
+    assert exact[-1] == pytest.approx(rung.WAY, rel=0.01)
+    assert np.abs(moved - exact).max() < 0.2 * rung.NOISE["displacement"]

@@ -36,7 +36,7 @@ def test_it_is_the_integral_along_the_path(name, lag):
     made, t = path(*COMMANDS[name], lag=lag), np.linspace(0.0, 6.0, 40_001)
     x = copy.copy(made).values(t)[0]
     expected = hysteresis_path(x, LOOP.height, LOOP.width)
-    F = Branch(LOOP, 0.0, 0.0).forces(made, t, x)
+    F = Branch(LOOP, 0.0, 0.0).along(made, t, x)
     assert np.abs(F).max() > 15
     np.testing.assert_allclose(F, expected, atol=0.25)
 
@@ -46,13 +46,13 @@ def test_it_is_the_integral_along_the_path(name, lag):
 def test_samples_are_the_same_however_the_time_is_cut(name, lag):
     t = np.arange(1, 3001) / 500
     whole_path = path(*COMMANDS[name], lag=lag)
-    whole = Branch(LOOP, 0.0, 0.0).forces(whole_path, t, copy.copy(whole_path).values(t)[0])
+    whole = Branch(LOOP, 0.0, 0.0).along(whole_path, t, copy.copy(whole_path).values(t)[0])
     rng = np.random.default_rng(1)
     cuts = np.unique(np.concatenate(([0, 3000], rng.integers(0, 3000, 400))))
     made, branch, parts = path(*COMMANDS[name], lag=lag), Branch(LOOP, 0.0, 0.0), []
     for first, last in itertools.pairwise(cuts):
         before = copy.copy(made)
-        parts.append(branch.forces(before, t[first:last], made.values(t[first:last])[0]))
+        parts.append(branch.along(before, t[first:last], made.values(t[first:last])[0]))
     np.testing.assert_allclose(np.concatenate(parts), whole, atol=1e-9)
 
 
@@ -60,7 +60,7 @@ def test_two_samples_see_all_that_lay_between():
     """From rest 30 periods later: the loop is steady, though nothing was looked at inside."""
     made = path(sine(0.0, 0.0, 3e-3, 1.0, 30))
     t = np.array([0.0, 30.0])
-    F = Branch(LOOP, 0.0, 0.0).forces(made, t, copy.copy(made).values(t)[0])
+    F = Branch(LOOP, 0.0, 0.0).along(made, t, copy.copy(made).values(t)[0])
     turn = 30.0 * math.tanh(6e-3 / (2 * 1.2e-3))
     assert F[1] == pytest.approx(-30.0 + (turn + 30.0) * math.exp(-3e-3 / 1.2e-3), abs=1e-6)
 

@@ -34,6 +34,10 @@ BENCH_OF = {
     "step-displacement": "mock-daerden",
     "closed-volume": "mock-daerden-closed",
     "isobaric-ramp-paper3": "mock-daerden-ideal",
+    "real-muscle-ramps": "mock-actuator",
+    "real-muscle-pressurisation": "mock-actuator",
+    "real-muscle-sines": "mock-actuator",
+    "real-muscle-holds": "mock-actuator",
 }
 
 

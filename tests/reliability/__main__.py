@@ -1,6 +1,7 @@
 """Runs the parts of the reliability harness with many cases and writes what came of them into docs/reliability.md.
 
-`python -m tests.reliability [PART ...]`; all parts where none is named. Rows of parts that are not run stay.
+`python -m tests.reliability [PART ...]`; all parts where none is named. Rows of parts that are not run this time stay; a
+part that was never run has a row that says so.
 """
 
 import os
@@ -23,12 +24,14 @@ HEAD = """\
 # What was tried to break it
 
 Each row is written by `make reliability PART=name` from what was run; `make reliability` runs all of them. The numbers
-are cases and those of them that failed. Every commit runs the same tests with fewer cases.
-[tests/reliability/README.md](../tests/reliability/README.md) says what a part is and how to add one.
+are cases and those of them that failed. Every commit runs the same tests with fewer cases. A part that says "not run
+yet" was never run with its many cases, only with the few of every commit.
+`tests/reliability/README.md` says what a part is and how to add one.
 
 | part | promise | what | cases | failures | seconds | date | commit |
 | --- | --- | --- | --- | --- | --- | --- | --- |
 """
+NOT_RUN = "not run yet"
 
 
 def main(names: list[str]) -> int:
@@ -45,15 +48,27 @@ def main(names: list[str]) -> int:
         rows[name] = row
         failed |= bad
         print(row, flush=True)
-        PAGE.write_text(HEAD + "".join(f"{rows[part.name]}\n" for part in PARTS if part.name in rows), "utf-8")
+        PAGE.write_text(page(rows), "utf-8")
     return 1 if failed else 0
 
 
+def page(rows: dict[str, str]) -> str:
+    """The page: a row for every part, in their order."""
+    return HEAD + "".join(f"{rows.get(part.name) or _cells(part, NOT_RUN, '', '', '', '')}\n" for part in PARTS)
+
+
+def _cells(part: Part, *found: str) -> str:
+    """One row: what the part is, then cases, failures, seconds, date and commit."""
+    return f"| {' | '.join((part.name, part.promise, part.what, *found))} |"
+
+
 def _rows() -> dict[str, str]:
-    """Rows that are in the page."""
+    """Rows of the page by the names of their parts, but for those that say that a part was not run."""
     text = PAGE.read_text("utf-8") if PAGE.is_file() else ""
     return {
-        found[1]: found[0] for found in re.finditer(r"^\| ([a-z-]+) \|.*\|$", text, re.MULTILINE) if found[1] != "part"
+        found[1]: found[0]
+        for found in re.finditer(r"^\| ([a-z-]+) \|.*\|$", text, re.MULTILINE)
+        if found[1] != "part" and NOT_RUN not in found[0]
     }
 
 
@@ -83,8 +98,7 @@ def _run(part: Part) -> tuple[str, bool]:
     cases, failures = count["cases"], max(count["failures"], int(code not in (0, 5)))
     tried = str(cases) if not missed else f"{cases}; {'; '.join(missed)}"
     date = datetime.now(UTC).date().isoformat()
-    cells = (part.name, part.promise, part.what, tried, str(failures), f"{seconds:.0f}", date, commit)
-    return f"| {' | '.join(cells)} |", failures > 0
+    return _cells(part, tried, str(failures), f"{seconds:.0f}", date, commit), failures > 0
 
 
 def _count(report: Path) -> tuple[Counter[str], list[str]]:

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.reliability.__main__ import PAGE, _rows, page
 from tests.reliability.bugs import BUGS
 from tests.reliability.parts import PARTS
 
@@ -32,3 +33,17 @@ def test_a_part_names_tests_that_exist(part):
 def test_names_of_parts_are_used_once():
     assert len({part.name for part in PARTS}) == len(PARTS)
     assert len({bug.name for bug in BUGS}) == len(BUGS)
+
+
+def test_the_page_has_a_row_for_every_part_and_says_which_were_not_run():
+    text = PAGE.read_text("utf-8")
+    assert text == page(_rows()), "docs/reliability.md is written by `make reliability PART=...`"
+    shown = [line.split(" | ")[0].removeprefix("| ") for line in text.splitlines() if line.startswith("| ")]
+    assert shown[2:] == [part.name for part in PARTS]
+
+
+def test_a_part_that_was_not_run_is_said_to_be_so():
+    done = PARTS[0].name
+    lines = page({done: f"| {done} | run |"}).splitlines()
+    assert f"| {done} | run |" in lines
+    assert sum("| not run yet |" in line for line in lines) == len(PARTS) - 1

@@ -1,28 +1,32 @@
 """`devices`, `monitor`, `calibrate` as they are typed."""
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 
+from pmabench.cli.main import main
 from tests.engine.benches import ROOT
 
 ARGUMENTS = ["--bench", "mock", "--specimen", "mas-20-250-paper0"]
 
 
-def call(tmp_path, *arguments, given=None):
-    done = subprocess.run(
-        [str(Path(sys.executable).parent / "pmabench"), *arguments],
-        cwd=tmp_path, capture_output=True, text=True, input=given, timeout=120,
-    )  # fmt: skip
-    assert "Traceback" not in done.stderr
-    return done
+@pytest.fixture
+def call(tmp_path, monkeypatch):
+    """Execute a command in the test's folder, without a terminal."""
+    monkeypatch.chdir(tmp_path)
+
+    def execute(*arguments, given=None):
+        done = CliRunner().invoke(main, arguments, input=given)
+        assert done.exception is None or isinstance(done.exception, SystemExit), done.exception
+        return done
+
+    return execute
 
 
-def test_every_driver_says_what_it_can(tmp_path):
-    done = call(tmp_path, "devices", "list", "--json")
+def test_every_driver_says_what_it_can(call, tmp_path):
+    done = call("drivers", "list", "--json")
     drivers = {row["name"]: row for row in json.loads(done.stdout)["drivers"]}
     assert not any(row["problem"] for row in drivers.values())
     assert drivers["mock"]["verified"] == "a simulation"
@@ -31,9 +35,9 @@ def test_every_driver_says_what_it_can(tmp_path):
     assert drivers["modbus"]["verified"] == "emulator only"
 
 
-def test_probe_and_monitor_command_nothing_and_leave_no_run(tmp_path):
-    probed = json.loads(call(tmp_path, "devices", "probe", "mock", "--json").stdout)
-    watched = json.loads(call(tmp_path, "monitor", "mock", "--json").stdout)
+def test_probe_and_monitor_command_nothing_and_leave_no_run(call, tmp_path):
+    probed = json.loads(call("bench", "probe", "mock", "--json").stdout)
+    watched = json.loads(call("monitor", "mock", "--json").stdout)
     assert probed["devices"]["plant"]["simulated"] is True
     for row in probed["channels"]:
         assert row["value"] == pytest.approx(watched["channels"][row["channel"]]["value"], abs=500)
@@ -42,9 +46,9 @@ def test_probe_and_monitor_command_nothing_and_leave_no_run(tmp_path):
     assert not list(tmp_path.glob("runs"))
 
 
-def test_monitor_prints_lines_where_there_is_no_terminal(tmp_path):
-    done = call(tmp_path, "monitor", "mock", "--seconds", "0.1")
-    assert done.returncode == 0
+def test_monitor_prints_lines_where_there_is_no_terminal(call, tmp_path):
+    done = call("monitor", "mock", "--seconds", "0.1")
+    assert done.exit_code == 0
     assert done.stdout.count("pressure ") == 1
 
 
@@ -53,20 +57,20 @@ def test_monitor_prints_lines_where_there_is_no_terminal(tmp_path):
     [
         (["monitor", "mock", "--jog"], "--specimen"),
         (["monitor", "mock", "--jog", "--specimen", "mas-20-250-paper0"], "needs a terminal"),
-        (["devices", "probe", "mock", "--self-test"], "--specimen"),
-        (["devices", "probe", "mock", "--self-test", "--specimen", "mas-20-250-paper0"], "declares no self-test"),
+        (["bench", "probe", "mock", "--self-test"], "--specimen"),
+        (["bench", "probe", "mock", "--self-test", "--specimen", "mas-20-250-paper0"], "declares no self-test"),
         (["calibrate", "force", *ARGUMENTS, "--reference", "w", "--reference-uncertainty", "1 N", "--points", "0, 5"], "unit"),
         (["calibrate", "fource", *ARGUMENTS, "--reference", "w", "--reference-uncertainty", "1 N", "--points", "0 N, 5 N"], "cannot be calibrated"),
     ],
 )  # fmt: skip
-def test_wrong_use_is_a_sentence(tmp_path, arguments, said):
-    done = call(tmp_path, *arguments)
-    assert done.returncode == 2
+def test_wrong_use_is_a_sentence(call, tmp_path, arguments, said):
+    done = call(*arguments)
+    assert done.exit_code == 2
     assert said in done.stderr
     assert not list(tmp_path.glob("runs"))
 
 
-def test_self_test_table_and_exit_code(tmp_path):
+def test_self_test_table_and_exit_code(call, tmp_path):
     bench = tmp_path / "bad.yaml"
     text = (ROOT / "fixtures" / "benches" / "mock-session.yaml").read_text()
     (tmp_path / "benches").symlink_to(ROOT / "fixtures" / "benches")
@@ -74,8 +78,7 @@ def test_self_test_table_and_exit_code(tmp_path):
         text.replace("include: mock.yaml", "include: benches/mock.yaml") + "devices: {plant: {options: {noise: 20}}}\n"
     )
     good = call(
-        tmp_path,
-        "devices",
+        "bench",
         "probe",
         "mock-session",
         "--self-test",
@@ -84,14 +87,14 @@ def test_self_test_table_and_exit_code(tmp_path):
         "--yes",
         "--json",
     )
-    assert good.returncode == 0
+    assert good.exit_code == 0
     assert {check["verdict"] for check in json.loads(good.stdout)["checks"]} == {"ok", "not measured"}
-    bad = call(tmp_path, "devices", "probe", "bad.yaml", "--self-test", "--specimen", "mas-20-250-paper0", "--yes")
-    assert bad.returncode == 6
+    bad = call("bench", "probe", "bad.yaml", "--self-test", "--specimen", "mas-20-250-paper0", "--yes")
+    assert bad.exit_code == 6
     assert "noise of pressure: look at shield and ground of the wire to plant.pressure" in " ".join(bad.stdout.split())
 
 
-def test_a_calibration_is_a_new_file_that_a_bench_takes(tmp_path):
+def test_a_calibration_is_a_new_file_that_a_bench_takes(call, tmp_path):
     arguments = [
         "calibrate",
         "pressure",
@@ -103,7 +106,7 @@ def test_a_calibration_is_a_new_file_that_a_bench_takes(tmp_path):
         "--points",
         "0 kPa, 300 kPa, 600 kPa",
     ]
-    first, second = (call(tmp_path, *arguments, "--yes", "--json") for _ in range(2))
+    first, second = (call(*arguments, "--yes", "--json") for _ in range(2))
     assert "650 kPa" in first.stderr
     assert "not between the points" in first.stderr
     files = [Path(json.loads(done.stdout)["file"]) for done in (first, second)]
@@ -115,21 +118,21 @@ def test_a_calibration_is_a_new_file_that_a_bench_takes(tmp_path):
         "include: benches/mock.yaml\nname: mine\nlimits: {pressure: {command: 450 kPa, trip: 500 kPa, trip_low: null, action: vent}}\n"
         f"channels: {{pressure: {{device: plant, input: pressure, range: [0 count, 65535 count], calibration: {files[1].stem}}}}}\n"
     )
-    done = call(tmp_path, "devices", "probe", "mine.yaml", "--json")
-    assert done.returncode == 0, done.stderr
-    without = call(tmp_path, *arguments, given="")
-    assert without.returncode == 2
+    done = call("bench", "probe", "mine.yaml", "--json")
+    assert done.exit_code == 0, done.stderr
+    without = call(*arguments, given="")
+    assert without.exit_code == 2
     assert "no terminal" in without.stdout + without.stderr
     assert len(list((tmp_path / "calibrations").iterdir())) == 2
 
 
-def test_process_leaves_guided_runs_out_with_a_note(tmp_path):
-    call(tmp_path, "calibrate", "pressure", *ARGUMENTS, "--reference", "g", "--reference-uncertainty", "1 kPa", "--points", "0 kPa, 300 kPa", "--yes")  # fmt: skip
+def test_process_leaves_guided_runs_out_with_a_note(call, tmp_path):
+    call("calibrate", "pressure", *ARGUMENTS, "--reference", "g", "--reference-uncertainty", "1 kPa", "--points", "0 kPa, 300 kPa", "--yes")  # fmt: skip
     (guided,) = tmp_path.glob("runs/*")
-    done = call(tmp_path, "process", str(guided))
-    assert done.returncode == 3
+    done = call("process", str(guided))
+    assert done.exit_code == 3
     assert "is a run of kind calibration and no run with trials" in done.stderr
-    call(tmp_path, "run", "static-load", *ARGUMENTS, "--yes", "--set", "sweep.repeat.count=1")
-    done = call(tmp_path, "process", *(str(path) for path in sorted(tmp_path.glob("runs/*"))))
-    assert done.returncode == 0, done.stderr
+    call("run", "static-load", *ARGUMENTS, "--yes", "--set", "sweep.repeat.count=1")
+    done = call("process", *(str(path) for path in sorted(tmp_path.glob("runs/*"))))
+    assert done.exit_code == 0, done.stderr
     assert "is a run of kind calibration, skipped" in done.stderr

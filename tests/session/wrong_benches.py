@@ -1,8 +1,11 @@
 """Bench files that are wrong in one place, made from the right ones of five rigs."""
 
+import json
 import shutil
 from collections.abc import Callable
+from copy import deepcopy
 from dataclasses import dataclass
+from functools import cache
 from itertools import combinations
 
 from ruamel.yaml import YAML
@@ -49,13 +52,18 @@ class Fault:
 
 def plain(path):
     """A YAML file as plain data."""
-    return YAML(typ="safe", pure=True).load(path.read_text())
+    return deepcopy(_loaded(path.read_text()))
+
+
+@cache
+def _loaded(text):
+    """A shipped file is read for each of its faults."""
+    return YAML(typ="safe", pure=True).load(text)
 
 
 def write(path, data):
-    """Plain data as YAML."""
-    with path.open("w") as file:
-        YAML(typ="safe", pure=True).dump(data, file)
+    """Plain data as JSON, which is YAML, and written ten times as fast."""
+    path.write_text(json.dumps(data, default=str))
 
 
 def quantity_of(name):

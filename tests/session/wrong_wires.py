@@ -53,7 +53,7 @@ class Rig:
         return (BY_DRIVER if any(said.startswith(f"{device}.") for device in devices) else FOUND), said
 
     def probe(self, path, load=0.0):
-        """`pmabench devices probe --self-test` of a file: exit code and all that it said; `load` [N] is on before.
+        """`pmabench bench probe --self-test` of a file: exit code and all that it said; `load` [N] is on before.
 
         Again where a machine that has too much else to do has ended it.
         """
@@ -71,7 +71,7 @@ class Rig:
             sys.executable,
             "-m",
             "pmabench",
-            "devices",
+            "bench",
             "probe",
             str(path),
             "--self-test",

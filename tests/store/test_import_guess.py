@@ -8,8 +8,8 @@ import pytest
 from click.testing import CliRunner
 
 from pmabench.base.errors import InvalidFile
+from pmabench.base.text import sparkline
 from pmabench.cli.main import main
-from pmabench.display.plot import sparkline
 from pmabench.files.document import read_document
 from pmabench.store.importers import apart
 from pmabench.store.importers.guess.columns import lattice, unit_in

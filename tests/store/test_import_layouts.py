@@ -103,8 +103,8 @@ def comma_comma(t, p, f):
 
 
 REFUSED = {
-    "comma twice": ("t,P,F\n" + rows(comma_comma, ",").replace("|", ","), "parts? columns and decimals at once"),
-    "comma twice, no names": (rows(comma_comma, ",").replace("|", ","), "parts? columns and decimals at once"),
+    "comma twice": ("t,P,F\n" + rows(comma_comma, ",").replace("|", ","), "separates? columns and decimals at once"),
+    "comma twice, no names": (rows(comma_comma, ",").replace("|", ","), "separates? columns and decimals at once"),
     "decimals or thousands": (
         "t;P (kPa);F (N)\n" + rows(lambda t, p, f: f"{t + 1:.3f};{p + 100:.3f};{f + 100:.3f}", ","),
         "not answered: .*1,000",

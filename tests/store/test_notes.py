@@ -160,11 +160,11 @@ def _of_another_run(folder):
 @pytest.mark.parametrize(
     ("harm", "says"),
     [
-        (_remove_last, "notes.json: tells of 3 notes; there are 2: notes were removed"),
+        (_remove_last, "notes.json: counts 3 notes; there are 2: notes were removed"),
         (_remove_first, "notes/0002: comes where note 0001 should be: a note was removed or renamed"),
         (_close_up, "notes/0001/note.json: does not follow the note before it: notes were changed or moved"),
         (_swap, "notes/0001/note.json: does not follow the note before it: notes were changed or moved"),
-        (_remove_all, "notes.json: tells of 3 notes; there are 0: notes were removed"),
+        (_remove_all, "notes.json: counts 3 notes; there are 0: notes were removed"),
         (_remove_head, "notes.json: is missing; there are 3 notes"),
         (_old_head, "notes.json: does not fit the notes: notes or the manifest were changed"),
         (_remove_picture, "notes/0002/photo-of-the-rig.JPG: is missing"),
@@ -174,7 +174,7 @@ def _of_another_run(folder):
 def test_removed_and_moved_notes_are_found(noted, harm, says):
     folder = harm(noted) or noted
     assert [str(finding) for finding in verify(folder)] == [says]
-    with pytest.raises(InvalidFile, match="`pmabench runs verify` tells more"):
+    with pytest.raises(InvalidFile, match="`pmabench runs verify` says more"):
         open_run(folder)
     with pytest.raises(InvalidFile):
         add_note(folder, "on top of that")

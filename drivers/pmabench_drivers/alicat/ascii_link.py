@@ -9,8 +9,8 @@ fixed width; `*` marks what is in a line only at times::
     A D03 038 Gauge Press Setpt          s decimal     7/2 010 02 PSIG
     A D04 702 *Status                    string          3 HLD
 
-Answers carry no number. After one that did not come in time the next line may be that one, late: nothing is believed
-until the device was asked for its firmware, whose answer looks like no other. Answers come in the order of the
+Answers carry no number. After an answer that did not come in time the next line may be that late answer: no line is
+used until the device was asked for its firmware, whose answer looks like no other. Answers come in the order of the
 questions, so what follows that one is new. Set-points do not wait for this; what the device holds is asked afterwards.
 Hold-closed (HC) is never sent: it traps the pressure.
 """
@@ -197,7 +197,7 @@ class AsciiLink:
     # -- life -----------------------------------------------------------------------------------------------------
 
     def open(self, deadline: float) -> Identity:
-        """Open the port, learn who answers and how its line is made, and compare unit and set-point source."""
+        """Open the port, read identity and line layout; refuse another unit or set-point source than the bench's."""
         self._open_port()
         with self._turn(deadline):
             about = self._about(deadline)
@@ -253,7 +253,7 @@ class AsciiLink:
         return reading
 
     def vent(self, value: float, deadline: float, tolerance: float, still: Still = always) -> Reading | None:
-        """The set-point that vents, and no hold of the valves; both are sent, whatever the first one's answer."""
+        """Send the set-point that vents, then end any hold of the valves; both, even if the first one fails."""
         text, lost = self._written(value), None
         with self._turn(deadline):
             if not still():

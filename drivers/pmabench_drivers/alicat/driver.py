@@ -41,7 +41,7 @@ class AlicatController(Controlled):
         self._inputs = [channel.input for channel in device.channels]
         self._link: Link | None = None
         self._reading: Reading | None = None
-        """What the answer to a step said in this turn of the thread."""
+        """Reading in the answer to a step, in this turn of the thread."""
 
     # -- life -----------------------------------------------------------------------------------------------------
 

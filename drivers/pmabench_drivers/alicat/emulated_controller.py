@@ -1,4 +1,4 @@
-"""What an emulated Alicat controller does, whoever asks over which protocol; knows no wire."""
+"""State and behaviour of an emulated Alicat controller, the same for ASCII and Modbus; knows no wire."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ GASES = (
     *("Star29", "P-5"),
 )
 PER_SECOND = {3: 1e3, 4: 1.0, 5: 1 / 60, 6: 1 / 3600, 7: 1 / 86400}
-"""Unit of time of a ramp -> how many of it are a second, the other way round."""
+"""Code of the unit of time of a ramp -> how often that unit fits into a second."""
 STATUS_FAULTS = {"held": "HLD", "sensor": "ADC", "limit": "OPL"}
 """Fault of the control socket -> the status that it puts on."""
 FILLS = 101325.0 / 60 / 0.1
@@ -33,7 +33,7 @@ FILLS = 101325.0 / 60 / 0.1
 
 
 class Controller:
-    """What the device does, whoever asks over which protocol; pressures in its own unit."""
+    """The emulated device; pressures in its own unit."""
 
     def __init__(self, device: DeviceRecord, options: Options, plant: RealPlant, log: CommandLog) -> None:
         self.device, self.options, self._plant, self._log = device, options, plant, log
@@ -88,7 +88,7 @@ class Controller:
                 self._regulate()
 
     def advance(self) -> None:
-        """What goes on by itself: its own ramp, and a flow that fills."""
+        """Bring it to the present: its own ramp, and a flow that fills the muscle."""
         with self._lock:
             now = monotonic()
             passed, self._at = now - self._at, now

@@ -112,7 +112,7 @@ class ModbusLink:
             self._refuse_other_set_point(value, deadline, tolerance, lost)
 
     def vent(self, value: float, deadline: float, tolerance: float, still: Still = always) -> None:
-        """The set-point that vents, then exhaust (one valve: no hold); both are sent, whatever comes of the first."""
+        """Send the set-point that vents, then exhaust (with one valve: no hold); both, even if the first one fails."""
         words, setting = self._words(value), EXHAUST if self._options.valves > 1 else CANCEL
         with self._turn(deadline):
             if not still():

@@ -1,7 +1,7 @@
 """One CiA 402 drive: it is brought to operation step by step, sent to positions, led along a sine, stopped.
 
 Commands go by SDO, so that each is answered; only the targets of a cyclic motion go by PDO, one at each SYNC.
-Positions and speeds are the drive's own counts.
+Positions and speeds are in counts of the drive.
 """
 
 from __future__ import annotations
@@ -160,7 +160,7 @@ class Drive(Node):
         state = self._reach({f.State.DISABLED}, deadline)
         self._control(0, deadline)
         if state is not f.State.DISABLED:
-            raise self.error(f"{message}; it does not let itself be acknowledged, so its cause is still there")
+            raise self.error(f"{message}; it cannot be acknowledged, so its cause is still there")
         return state
 
     def _stuck(self, state: f.State, goal: f.State) -> DeviceError:
@@ -171,7 +171,7 @@ class Drive(Node):
         self.objects.write(f.CONTROLWORD, 0, "H", word, deadline)
 
     def _use(self, mode: int, deadline: float) -> None:
-        """Change the mode of operation, where it is another one."""
+        """Change the mode of operation, unless it is set already."""
         shown = self.objects.read(f.MODE_SHOWN, 0, "b", deadline)
         if shown == mode:
             return
@@ -260,7 +260,7 @@ class Drive(Node):
         return (wanted & 0xFFFF) * 1e-3
 
     def disarm(self, deadline: float) -> None:
-        """Wait for no heartbeat any more; it stays in its state."""
+        """Let the drive monitor no heartbeat any more; it stays in its state."""
         self.objects.set(f.CONSUMER, 1, "I", 0, deadline)
 
     def waits_for(self, producer: int, deadline: float) -> float:

@@ -71,7 +71,7 @@ class CanBus(Driver):
         return 1 / read_options(device, Reader()).sync
 
     def _reading(self, name: str) -> Callable[[], float]:
-        """What gives the newest value of an input."""
+        """A function that returns the newest value of an input."""
         node_name, _, what = name.partition(".")
         node = self._nodes.get(node_name)
         if node is None:
@@ -154,7 +154,7 @@ class CanBus(Driver):
         self._signals.take(frame)
 
     def _row(self, time: int, host: int) -> None:
-        """Everything has answered to a SYNC."""
+        """Take a sample: all nodes have answered to the SYNC of `time`, the first one at `host` [ns, bench time]."""
         if not self._every:
             return
         self._count += 1
@@ -223,7 +223,7 @@ class CanBus(Driver):
             self._cycle.note(error)
 
     def _lead(self) -> None:
-        """Send every drive under way where it should be at the SYNC after this one; until then it interpolates."""
+        """Send every moving drive its position for the SYNC after this one; the drive interpolates until then."""
         for name, segment in list(self._following.items()):
             ahead = self._clock.now() + self._options.sync
             value, over = stepped(segment, ahead)

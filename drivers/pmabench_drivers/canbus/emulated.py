@@ -109,10 +109,10 @@ class Hub:
             self._forget(link)
 
     def _take(self, frame: Frame) -> None:
-        """A frame has come from an adapter."""
+        """Called for each frame from an adapter; a kind of hub hands it to its nodes."""
 
     def _turn(self, now: float) -> None:
-        """Time passes [s, monotonic]."""
+        """Called every `TICK` with the time `now` [s, monotonic]; a kind of hub lets its nodes act."""
 
     # -- adapters -----------------------------------------------------------------------------------------------------
 

@@ -159,7 +159,7 @@ class EmulatedNode:
     # -- what a kind of node does -------------------------------------------------------------------------------------
 
     def synchronised(self) -> None:
-        """SYNC has come, and what was received before it is in force."""
+        """Called at each SYNC, after the PDOs received before it were applied."""
 
     def lost_heartbeat(self) -> None:
         """The heartbeat that it waits for is missing."""
@@ -242,7 +242,7 @@ class EmulatedNode:
             self._receive(identifier, data)
 
     def turn(self, now: float) -> None:
-        """Time passes [s, monotonic]."""
+        """Do what is due at `now` [s, monotonic]: boot, heartbeats, lost heartbeats, event-driven PDOs."""
         self.now = now
         if self.state == f.BOOT:
             if now >= self._boots:

@@ -69,7 +69,7 @@ EMERGENCIES = (
     (0x8611, 0xFFFF, "following error: it cannot be where it should"),
     (0x8000, 0xF000, "monitoring"),
     (0x9000, 0xF000, "an external error"),
-    (0xF000, 0xF000, "something of its maker's"),
+    (0xF000, 0xF000, "a code of its maker"),
 )
 """Error code, mask, what it is about (CiA 301, CiA 402)."""
 CONTROLWORD, STATUSWORD, MODE, MODE_SHOWN = 0x6040, 0x6041, 0x6060, 0x6061

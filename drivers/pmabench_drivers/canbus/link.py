@@ -245,7 +245,7 @@ class Link(Listening):
 
 
 class Rows:
-    """Waits for the PDOs `wanted` after each SYNC, and calls `done(time, host)` [ns] when the last one has come.
+    """Waits after each SYNC for all PDOs in `wanted`, and then calls `done(time, host)` [ns].
 
     All nodes sample at the SYNC: after it was sent and before the first answer (`host`); `time` is the middle.
     Where the first answer took longer than `slowest` [ns], when they sampled is not known well enough: a gap.
@@ -303,7 +303,7 @@ class Rows:
 
 
 class Signals:
-    """Takes frames and keeps what the channels' `inputs` show, and when it came."""
+    """The newest values of the channels' `inputs` from received frames, and when they came."""
 
     def __init__(self, options: Options, inputs: Sequence[str]) -> None:
         self._slowest = options.slowest
@@ -325,7 +325,7 @@ class Signals:
         self._begun = monotonic()
 
     def take(self, frame: Frame) -> None:
-        """A frame of the bus; one of another length than the DBC file says is passed over."""
+        """Decode a frame; one whose length differs from the DBC file is ignored."""
         for name, message, signal in self._by_frame.get((frame.identifier, frame.extended), ()):
             if len(frame.data) == message.length:
                 value = signal.value(frame.data)

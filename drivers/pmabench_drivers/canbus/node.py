@@ -332,7 +332,7 @@ class Transducer(Node):
         if step is None:
             step = self.objects.read_if_there(MEASURING_STEP, 0, "I", deadline)
         if not step:
-            raise self.error("does not tell its measuring step (objects 6005h:1 and 6501h)")
+            raise self.error("does not report its measuring step (objects 6005h:1 and 6501h)")
         self._step = step * 1e-3
         self._speed_step = (self.objects.read_if_there(STEPS, 2, "I", deadline) or 0) * 0.01
         entries = self._mapping(f.TPDO_MAPPING, deadline)

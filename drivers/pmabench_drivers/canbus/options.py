@@ -233,7 +233,7 @@ def read_options(device: DeviceRecord, reader: Reader) -> Options:
         _messages(given, reader),
     )
     if not options.nodes and not options.messages and not reader.problems:
-        reader.fault(here, '"nodes" or "dbc" is needed: a bus without either has nothing to tell')
+        reader.fault(here, '"nodes" or "dbc" is needed: a bus without either measures nothing')
     _names(device, options, reader)
     return options
 

@@ -128,7 +128,7 @@ class Dataq(SerialStream):
             self._failure = f"sends more scans than {self._rate:g} a second"
 
     def _begin_again(self) -> None:
-        """Bytes were lost and nothing shows where a scan begins: stop, and start when the echo has come."""
+        """Stop after lost bytes, since nothing shows where a scan begins; start again after the echo of the stop."""
         now = monotonic()
         self.lost += 1
         self._losses = [moment for moment in self._losses if now - moment < WITHIN] + [now]
@@ -157,7 +157,7 @@ class Dataq(SerialStream):
         raise DeviceError(self._device.name, 'did not answer "stop": is it in its CDC mode?')
 
     def _ask(self, command: str) -> str:
-        """What is behind the echo of a command."""
+        """Send a command; the answer without the echo of the command."""
         port = self._opened()
         port.drain()
         port.send(command.encode("ascii") + END)
@@ -177,6 +177,6 @@ class Dataq(SerialStream):
             raise DeviceError(self._device.name, f'is "{maker[:20]} {model[:30]}", and the bench file says {expected}')
         firmware, serial, dividend = self._ask("info 2"), self._ask("info 6"), self._ask("info 9")
         if not dividend.isdecimal() or not 1_000_000 <= int(dividend) <= 1_000_000_000:
-            raise DeviceError(self._device.name, f'tells "{dividend[:20]}" as what its rate divides')
+            raise DeviceError(self._device.name, f'reports "{dividend[:20]}" as the clock that its rate divides')
         self._dividend = int(dividend)
         return Identity("DATAQ", model, serial[:40], firmware[:40], simulated=model.startswith(EMULATED))

@@ -154,14 +154,14 @@ class Emulator:
         return Kind("ends what went wrong") if fault == "clear" else self.devices[device].faults.known(fault)
 
     def _happen(self, name: str, event: str, value: float) -> None:
-        """What happens to a device once; ValueError where it cannot."""
+        """Let an event happen to a device; ValueError where it cannot happen now."""
         takes = bool(self.kind(name, event).takes)
         if getattr(self.devices[name], EVENTS[event])(*([value] if takes else [])) is False:
             missing = "has no set-point" if event == "setpoint" else "has no armed watchdog"
             raise ValueError(f'"{event}" cannot happen now: {name} {missing}')
 
     def act(self, wanted: Mapping[str, Any]) -> dict[str, Any]:
-        """What the control socket takes, in SI; ValueError for what cannot be done."""
+        """Carry out one request of the control socket, in SI; ValueError for what cannot be done."""
         if "load" in wanted:
             force, mass = float(wanted["load"]["force"]), float(wanted["load"]["mass"])
             self.plant.load(force, mass)

@@ -21,7 +21,7 @@ from typing import Any
 from pmabench.base.errors import did_you_mean
 
 Tap = Callable[[str, bytes], None]
-"""Takes what one device `received` and `sent`."""
+"""Takes the word `received` or `sent`, and the bytes."""
 EVENTS = {
     "watchdog": "expire_watchdog",
     "watchdog-off": "switch_off_watchdog",
@@ -53,7 +53,7 @@ class CommandLog:
             self._write(entry)
 
     def tap(self, device: str, **more: Any) -> Tap:
-        """What writes down the exchanges of a device."""
+        """A function that writes the exchanges of a device to the log."""
 
         def note(kind: str, data: bytes) -> None:
             if self._file is not None and data:
@@ -161,12 +161,12 @@ class Faults:
             self._fault = fault
 
     def peek(self) -> Fault:
-        """The fault of the moment, which is not counted."""
+        """The present fault, without counting a request."""
         with self._lock:
             return self._fault
 
     def next(self) -> Fault:
-        """The fault that this request meets."""
+        """The present fault; counts one request."""
         with self._lock:
             fault = self._fault
             if fault.kind == "lost" and self._chance.random() >= fault.value:
@@ -177,7 +177,7 @@ class Faults:
 
 
 class Outgoing:
-    """The sending end of one connection: what really leaves of each answer."""
+    """The sending end of one connection: turns each answer into what the fault lets through."""
 
     def __init__(self, garbage: bytes = GARBAGE) -> None:
         self._garbage = garbage

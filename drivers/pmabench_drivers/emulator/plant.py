@@ -1,6 +1,6 @@
 """The plant of the mock in real time, for several wires at once, and what is wired to the terminals of one device.
 
-Knows registers no more than texts.
+Knows no protocol.
 """
 
 from __future__ import annotations
@@ -43,18 +43,18 @@ CHANNELS = {
     "supply": ("supply", "pressure"),
     "pressure_command": ("pressure_set", "pressure"),
 }
-DRIVEN = {"displacement_command": ("displacement_set", "length")}
-"""What there is besides where an actuator drives the free end."""
-BENT = {"angle": (ANGLE, "angle")}
-"""What there is besides of an arm."""
 """Channel of a bench -> the mock's input and the quantity."""
+DRIVEN = {"displacement_command": ("displacement_set", "length")}
+"""Further channels where an actuator drives the free end."""
+BENT = {"angle": (ANGLE, "angle")}
+"""Further channels of an arm."""
 
 
 class _Mock(MockBench):
     """The mock; after a long rest it takes only the last samples."""
 
     def rest(self) -> None:
-        """Bring the plant to where samples are kept from, in case nobody has looked at it for long."""
+        """Advance the plant to the oldest sample that is kept, in case nobody has asked for long."""
         if self._opened is not None:
             self._opened.skip(self._now() - KEPT)
 
@@ -128,7 +128,7 @@ class RealPlant:
                 self._mock.rest()
 
     def seen(self, errors: Errors | None = None, *, proven: bool = True) -> RealPlant:
-        """The same plant as one more device sees it; `proven`: its scales do not come from the bench under test."""
+        """The same plant as another device sees it; `proven`: its scales do not come from the bench under test."""
         return _Seen(self, errors or Errors(), proven=proven)
 
     def model(self, name: str) -> str:
@@ -293,7 +293,7 @@ class Wiring:
                 self.give(terminal, raw if reached is None else reached)
 
     def give(self, terminal: str, raw: float) -> None:
-        """A terminal gives this from now on [raw], whoever wants it."""
+        """Set what a terminal puts out from now on [raw], without an entry in the log."""
         output = self.outputs.get(terminal)
         if output is not None and output.quantity == "pressure":
             self._plant.command(float(output.scale.to_si(raw)))
@@ -307,7 +307,7 @@ class Wiring:
                 self.drive(terminal, on=on)
 
     def drive(self, terminal: str, *, on: bool) -> None:
-        """A terminal energises its valve or not, whoever wants it."""
+        """Energise the valve at a terminal or not, without an entry in the log."""
         valve = self.valves.get(terminal)
         if valve is not None:
             self._plant.switch(on=on == (valve.energised == "closed"))

@@ -59,7 +59,7 @@ def accepted(listener: socket.socket) -> Iterator[socket.socket]:
 
 
 def hang_up(*ends: socket.socket | None) -> None:
-    """Close sockets under whoever waits for them; harmless when repeated."""
+    """Shut down and close sockets, also while another thread waits for them; harmless when repeated."""
     for end in filter(None, ends):
         with contextlib.suppress(OSError):
             end.shutdown(socket.SHUT_RDWR)

@@ -23,7 +23,7 @@ PLACES = ("server", "stream_port")
 KINDS = {
     "scale": "the reading (or what is done) is so many times the right one; 2",
     "range": "the sensor has so many times its range, which begins where it did; 2",
-    "sign": "the sign is the other one; a valve or contact works the other way round",
+    "sign": "the sign is reversed; a valve or contact works the other way round",
     "offset": "the reading (or what is done) is so much too high; 12 mm, 60 kPa, 120 N, 0.2 rad",
     "swap": "two plugs are exchanged, or one is in another terminal",
 }
@@ -33,7 +33,7 @@ COMMANDS = ("pressure_command", "displacement_command")
 
 
 def wired(devices: Iterable[DeviceRecord], truth: Truth | None) -> list[Wired]:
-    """The devices of a bench as `truth` says; None: as the bench says.
+    """The devices of a bench as `truth` describes them; as the bench does if it is None.
 
     Of the bench's records only names, addresses and the time of the watchdog are used where there is a truth.
     """
@@ -86,13 +86,13 @@ def moved(item: Wired, *, inputs: Mapping[str, str] | None = None, outputs: Mapp
 
 
 def _in(plugs: Mapping[str, Plug], was: str, now: str) -> Plug:
-    """A plug in another terminal: its sensor, and the digits of that terminal."""
+    """A plug in another terminal: the sensor moves, the resolution is that of the new terminal."""
     return replace(plugs[was], digits=plugs.get(now, plugs[was]).digits)
 
 
 @dataclass(frozen=True)
 class Errors:
-    """What one device shows and does wrongly: from what is right to what is shown or done [SI]."""
+    """Errors of one device: scales from the right value to what it shows, and to what it does [SI]."""
 
     shown: Mapping[str, Scale] = field(default_factory=dict)
     done: Mapping[str, Scale] = field(default_factory=dict)
@@ -193,7 +193,7 @@ def _after(first: Scale | None, then: Scale) -> Scale:
 
 def _error(rig: Sequence[Wired], end: _End, kind: str, value: str) -> tuple[Scale, str]:
     if kind == "sign":
-        return Scale(-1.0), "has the other sign"
+        return Scale(-1.0), "has the reversed sign"
     try:
         number = float(value) if value else OFFSETS.get(end.quantity, 1.0) if kind == "offset" else 2.0
     except ValueError:

@@ -148,7 +148,7 @@ class Motion:
         return abs(self.place() - self._way.at(now))
 
     def rests(self, now: float) -> bool:
-        """Whether it has come to where it was sent."""
+        """Whether it has reached its target."""
         return self._way.at(now) == self._way.target
 
     def velocity(self, now: float) -> float:

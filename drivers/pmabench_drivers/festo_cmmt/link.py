@@ -56,7 +56,7 @@ class DriveLink(NamedLine):
         words, size = self._fetch(number, until)
         register = Register(what, "holding", t.DATA, "uint16" if kind == "int8" else kind, low_word_first=True)
         if size == 0:
-            raise DeviceError(self._device, f"does not tell it (mailbox state {t.FAILED})", what)
+            raise DeviceError(self._device, f"does not give its value (mailbox state {t.FAILED})", what)
         if size != (1 if kind == "int8" else 2 * register.count):
             raise DeviceError(self._device, f"has {size} bytes, where {kind} was expected", what)
         value = decode(register, words)
@@ -78,7 +78,7 @@ class DriveLink(NamedLine):
                 if state == t.FAILED:
                     return [], 0
                 if monotonic() > until - LOOK:
-                    raise DeviceError(self._device, f"does not tell it (mailbox state {state})", what)
+                    raise DeviceError(self._device, f"does not give its value (mailbox state {state})", what)
                 sleep(LOOK)
             [size] = self.read("holding", t.LENGTH, 1, until, what)
             if not 0 < size <= t.LONGEST_TEXT:

@@ -157,7 +157,7 @@ class Path:
         self._segment, self._off = segment, 0.0
 
     def end(self) -> None:
-        """No more of a segment."""
+        """Forget the segment under way."""
         self._segment = None
 
     def now(self) -> float:

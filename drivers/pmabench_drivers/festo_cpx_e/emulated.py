@@ -144,7 +144,7 @@ class EmulatedTerminal:
         self._words[address] = word
 
     def _show(self, address: int) -> int:
-        """What was written, a cycle later."""
+        """The value of a register as the module shows it: one cycle after it was written."""
         before, after, at = self._shown[address]
         return after if monotonic() >= at else before
 

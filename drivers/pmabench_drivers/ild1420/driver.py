@@ -85,7 +85,7 @@ class Ild1420(SerialStream):
             try:
                 number = self._numbering.place(counter)
             except CounterBroken:
-                self._failure = "its counter went on from elsewhere: it has been restarted or reset"
+                self._failure = "its counter has jumped: it was restarted or reset"
                 return
             if number is not None:
                 self._keep(number, code, now)
@@ -144,7 +144,7 @@ class Ild1420(SerialStream):
             raise DeviceError(self._device.name, f'is "{name[:40]}" and no ILD1420')
         span = re.fullmatch(r"(\d+(?:\.\d+)?) *mm", fields.get("Measuring range", ""))
         if span is None or float(span[1]) != expected:
-            has = fields.get("Measuring range", "")[:20] or "of no range that it tells"
+            has = fields.get("Measuring range", "")[:20] or "without a range that it reports"
             raise DeviceError(self._device.name, f"is a sensor of {has}, and the bench file says {expected} mm")
         model = name[:60]
         return Identity(

@@ -25,7 +25,7 @@ from pmabench_drivers.shared.options import options_of
 FAILED = 4
 """Exception code of all errors that have a code of LabJack's."""
 SLOPES = ((3.1592e-4, -3.1571e-4, 33511.0), (3.1590e-5, -3.1575e-5, 33498.5))
-"""Constants of this device, unlike those of any other: slopes and centre for 10 V and 1 V."""
+"""Calibration constants of this device, not the nominal ones: slopes and centre for 10 V and 1 V."""
 DAC_END = 0.993
 """Share of its full voltage that a DAC reaches."""
 BUFFER = 2 * 4096
@@ -474,7 +474,7 @@ class T7:
             self.expire_watchdog()
 
     def expire_watchdog(self) -> bool:
-        """Do it now; whether the watchdog was armed."""
+        """Let the watchdog run out now; whether it was armed."""
         with self._lock:
             silent = monotonic() - self._cleared
             if not self._u32(r.WATCHDOG_ENABLE):

@@ -92,11 +92,11 @@ def values_of(model: r.Model) -> dict[int, Value]:
 
 
 class Unknown(Exception):
-    """There is no such register, or it cannot be read, or not written."""
+    """There is no such register, or it does not allow this access."""
 
 
 class Cut(Exception):
-    """A part of a value is asked for."""
+    """The request covers only a part of a value."""
 
 
 def whole(values: dict[int, Value], address: int, count: int, access: str) -> Iterator[tuple[int, Value]]:

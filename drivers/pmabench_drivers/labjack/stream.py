@@ -170,7 +170,7 @@ class Packets:
             return [self._run(raw)]
         at = next((i for i in range(0, len(raw), self._channels) if raw[i : i + self._channels] == self._marker), -1)
         if at < 0:
-            raise StreamBroken(f"{info} scans were left out, and nothing tells where")
+            raise StreamBroken(f"{info} scans were left out, and nothing shows where")
         runs = [self._run(raw[:at])]
         self.next += info
         self.skipped += info

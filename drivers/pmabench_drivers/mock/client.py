@@ -262,7 +262,7 @@ class MockClient:
         return self._ask(do, **fields)[0].get("value")
 
     def control(self, do: str, **fields: Any) -> dict[str, Any]:
-        """What the plant's process answers to a question of the role `control`: the truth, whatever this link says."""
+        """Ask the plant's process over a connection of the role `control`, which faults of the link do not affect."""
         by = time.monotonic() + PATIENCE
 
         def act() -> dict[str, Any]:

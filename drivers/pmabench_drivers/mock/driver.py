@@ -152,7 +152,7 @@ class MockBench:
         return self._opened
 
     def _check_link(self, now: float) -> None:
-        """The faults of the link."""
+        """Act on simulated faults of the link: hang, or raise DeviceError."""
         faults = self._options.faults
         if faults.hang_at is not None and now >= faults.hang_at:
             self._closed.wait()

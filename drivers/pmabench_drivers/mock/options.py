@@ -30,22 +30,27 @@ VALVES = (DUMP_VALVE, ISOLATION_VALVE)
 E_STOP = "e_stop"
 """The digital input: high while the emergency stop is not pressed."""
 TEXT = {"plant", "preset", "free_end", "b_relax", "fce_eval", "reads", "end", "log"}
+REAL = "real"
+"""The plant with bent force, hysteresis and creep."""
 AIRY = "paper0-air"
 """The free end whose regulator has to move air."""
 CONTRACTORS = tuple(f"contractor-{length}" for length in (15, 20, 25, 30, 40))
 CHOICES = {
     "free_end": ("weights", "actuator"),
     "preset": ("ideal", "bench"),
-    "plant": ("paper0", AIRY, "serres2009", "dmsp-40-305", "daerden", *CONTRACTORS, ARM),
+    "plant": ("paper0", AIRY, "serres2009", "dmsp-40-305", "daerden", *CONTRACTORS, ARM, REAL),
     "fce_eval": ("x0", "xmax"),
     "reads": SENSORS,
     "end": ("low", "high"),
 }
+DEPARTURES = ("hysteresis_x", "hysteresis_p", "creep", "bend", "first_cycle")
 FLOWS = ("hysteresis", "conductance_fill", "conductance_vent", "polytropic")
+STRAIGHT = (*FLOWS, *DEPARTURES)
 NOT_FOR = (
-    {"daerden": ("F_s", "F_c", "b_relax", "fce_eval"), "dmsp-40-305": FLOWS}
-    | dict.fromkeys((*CONTRACTORS, "contractor"), (*FLOWS, "F_s", "F_c", "b_relax", "fce_eval"))
-    | {ARM: (*FLOWS, "b_relax", "fce_eval"), AIRY: ("hysteresis", "fce_eval")}
+    {"daerden": ("F_s", "F_c", "b_relax", "fce_eval", *DEPARTURES), "dmsp-40-305": STRAIGHT}
+    | dict.fromkeys((*CONTRACTORS, "contractor"), (*STRAIGHT, "F_s", "F_c", "b_relax", "fce_eval"))
+    | {ARM: (*STRAIGHT, "b_relax", "fce_eval"), AIRY: ("hysteresis", "fce_eval", *DEPARTURES)}
+    | {REAL: (*FLOWS, "F_s", "F_c", "fce_eval")}
 )
 """Options that a plant has no use for; of all others what is for one plant only."""
 
@@ -86,14 +91,14 @@ class Faults:
 
 @dataclass(frozen=True)
 class SensorError:
-    """What is wrong with one channel input: the option `errors: {pressure: {factor: 1.02, offset: 500}}`."""
+    """Error of one channel input: the option `errors: {pressure: {factor: 1.02, offset: 500}}`."""
 
     factor: float = 1.0
     """What the reading is multiplied by: 1.02 reads 2 % too much, -1 has the wrong sign."""
     offset: float = 0.0
     """What is added to it then [SI unit of the channel]."""
     reads: str = ""
-    """The input whose raw values it gives instead of its own: swapped plugs. That input needs a channel, too."""
+    """The channel shows that input instead, as if two plugs were swapped. That input needs a channel, too."""
     end: str = ""
     """`low` or `high`: the channel stays at that end of its range: a broken wire, a short."""
     at: float = 0.0
@@ -106,7 +111,7 @@ class Options:
 
     plant: str = "paper0"
     """`paper0`, `serres2009`, `dmsp-40-305`, `contractor-15` (20, 25, 30, 40), the arm
-    `arm-30`, or for a driven free end `daerden`."""
+    `arm-30`, `real`, or for a driven free end `daerden`."""
     numbers: Mapping[str, Any] | None = None
     """Where the option `plant` names a plant file: what it says, as a compiled bench has it in place of the name."""
     preset: str = "bench"
@@ -191,7 +196,7 @@ def _check_plant(device: str, options: Options, overrides: Mapping[str, Any]) ->
     if law == "three-element" and options.numbers is not None and options.numbers.get("flow") is not None:
         law = AIRY
     if law == "daerden" and options.free_end != "actuator":
-        way = "is for a driven free end; write free_end: actuator beside it"
+        way = "is for a driven free end; write free_end: actuator, too"
         raise DeviceError(device, f"option plant: {options.plant} {way}")
     if law == "contractor" and options.free_end == "weights" and options.numbers is not None:
         length = float(options.numbers["length"])
@@ -201,7 +206,7 @@ def _check_plant(device: str, options: Options, overrides: Mapping[str, Any]) ->
             raise DeviceError(device, f"option plant: {why}; write free_end: actuator, or another length")
     if law == ARM and options.free_end != "weights":
         raise DeviceError(device, f"option plant: the end of {ARM} carries loads; free_end can only be weights")
-    for name in NOT_FOR.get(law, (*FLOWS, "fce_eval")):
+    for name in NOT_FOR.get(law, (*STRAIGHT, "fce_eval")):
         if name in overrides:
             raise DeviceError(device, f"option {name}: the plant {options.plant} has no use for it")
 

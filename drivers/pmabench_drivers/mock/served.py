@@ -129,7 +129,7 @@ class Served:
             self._watchdog, self._fired = 0.0, now
 
     def vent(self, why: str, **data: Any) -> None:
-        """What the device does by itself: valves not energised, set-points to their safe values."""
+        """Vent by itself: valves not energised, set-points to their safe values; `why` is logged."""
         for valve in self.device.valves:
             self._bench.switch(valve.output, on=False)
         for output in self.device.outputs:
@@ -154,11 +154,11 @@ class Served:
     # -- questions ------------------------------------------------------------------------------------------------
 
     def hear(self, now: float) -> None:
-        """Somebody has asked something, which keeps the watchdog quiet."""
+        """Note that somebody asked something, which feeds the watchdog."""
         self._heard = now
 
     def answer(self, asker: Asker, question: Mapping[str, Any]) -> tuple[dict[str, Any], bytes]:
-        """What a client asked for; raises DeviceError for what is refused."""
+        """Carry out a question: the head and payload of its answer; raises DeviceError for what is refused."""
         do = str(question.get("do"))
         if do == "collect":
             return self._collect(asker)

@@ -159,7 +159,7 @@ class Server:
             self._drop(connection)
 
     def _hear(self, connection: _Connection, question: dict[str, Any]) -> None:
-        """Answer one question, unless a fault of the link or its own lateness forbids it."""
+        """Answer one request, unless a fault of the link is set or the request is past its time."""
         asker, payload, now = connection.asker, b"", time.monotonic()
         control = asker.role == "control" or question.get("role") == "control"
         if not control and self._due("lost"):
@@ -303,7 +303,7 @@ def _listen(device: DeviceRecord, address: str) -> socket.socket:
 
 
 def _let_go() -> None:
-    """Hold nothing of the one who started this: no terminal, no pipe."""
+    """Let go of the terminal and pipes of the program that started this one."""
     empty = os.open(os.devnull, os.O_RDWR)
     for descriptor in (0, 1, 2):
         os.dup2(empty, descriptor)

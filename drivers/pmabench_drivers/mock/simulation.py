@@ -15,6 +15,7 @@ from pmabench.bench.interface import Block, ChannelRecord, DeviceRecord, Load, S
 from pmabench.model.driven import Actuator, DrivenPlant
 from pmabench.model.plant import Plant
 from pmabench.model.presets import Arm, changed, preset, setup_of
+from pmabench.model.real.free import RealPlant
 from pmabench.model.regulator import Wave, constant, ramp, sine
 from pmabench_drivers.mock import options as o
 from pmabench_drivers.mock.channels import Channel, Column, Damage, as_block
@@ -79,7 +80,7 @@ class Simulation:
             setup = replace(setup, air=replace(setup.air, vent=setup.air.vent / options.slow_vent))
         self._name, self._options, self._keep_for = device.name, options, memory
         self.faults, self.errors = options.faults, dict(options.errors)
-        self._plant: Plant | DrivenPlant
+        self._plant: Plant | RealPlant | DrivenPlant
         if options.free_end == "actuator":
             actuator = Actuator(
                 options.actuator_low, options.actuator_high, options.actuator_speed, options.actuator_force
@@ -226,7 +227,7 @@ class Simulation:
 
     def place(self, load: Load) -> None:
         """Change the load on the free end, unless an actuator holds it."""
-        if isinstance(self._plant, Plant):
+        if not isinstance(self._plant, DrivenPlant):
             try:
                 self._plant.load(load.force, max(load.mass, LEAST_MASS))
             except ValueError as error:

@@ -1,6 +1,6 @@
 """One connection to a Modbus device: transactions that end in time; the only module that imports pymodbus.
 
-What the library leaves open is closed here: no time-out longer than the caller's deadline however slowly bytes drip, no
+The adapter adds what the library lacks: no time-out longer than the caller's deadline however slowly bytes drip, no
 retry, every library error as a `DeviceError`, and no answer taken for another question's. Over TCP a lost answer ends
 the connection, and the next call opens a new one. A serial line has neither connections nor numbers in its frames:
 there a lost answer is remembered, and until the device's slowest time has passed nothing is asked whose answer would
@@ -196,9 +196,9 @@ class Line:
         self._ask(calls[function], (function, address, echo), deadline, what, still)
 
     def overrule(self, function: int, address: int, words: Sequence[int], deadline: float, what: str = "") -> None:
-        """Write, and once more if the device then holds something else.
+        """Write, and write again if the device then holds another value.
 
-        What another connection was sending when it was cut may be carried out after this one's first write.
+        A command that another connection was sending when it was cut may be carried out after the first write.
         """
         self.write(function, address, words, deadline, what)
         try:
@@ -258,7 +258,7 @@ class Line:
         return self._client.transaction.sync_get_response(self._unit_id, 0)
 
     def _belongs(self, answer: Any, wanted: Signature) -> bool:
-        """Whether an answer is the one that is waited for; one that is owed from before is struck off."""
+        """Whether an answer belongs to this request; a late answer to an earlier one is ticked off."""
         function = answer.function_code
         if function > FAILED:
             return bool(function == wanted[0] | FAILED)
@@ -275,7 +275,7 @@ class Line:
             self._client.close()  # type: ignore[no-untyped-call]
 
     def _wait_until_clean(self, wanted: Signature, deadline: float, what: str) -> None:
-        """Wait while an answer is owed that could be taken for the one to this request."""
+        """Wait while a late answer may still come that could be taken for the answer to this request."""
         while True:
             self._owed = [item for item in self._owed if item[1] > monotonic()]
             if all(signature != wanted for signature, _until in self._owed):

@@ -52,7 +52,7 @@ class Watched(Polled):
         """Write a register before a deadline [s, monotonic]; then read it back, where it is `checked`."""
 
     def _hungry(self) -> bool:
-        """Whether it is armed and nobody has fed it for a quarter of its time.
+        """Whether the watchdog is armed and has not been fed for a quarter of its time.
 
         Most devices count any communication as a sign of life, so the thread that polls must fall silent then: the
         device vents a quarter of its time (or 0.1 s) late at most, whatever hangs in the program.

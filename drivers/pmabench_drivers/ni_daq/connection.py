@@ -171,7 +171,7 @@ class Connection:
         return f"{int(self._device.serial_num):X}"
 
     def refuse_lost(self) -> None:
-        """Ask for the state of a task; an error where a server or a device that restarted has none any more."""
+        """Ask for the state of a task; DeviceError where server or device restarted and the task is gone."""
         for task in list(self._tasks.values())[:1]:
             task.is_task_done()
 

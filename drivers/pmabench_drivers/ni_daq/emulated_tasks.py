@@ -116,7 +116,7 @@ class Board:
         threading.Thread(target=self._sample, name="emulated NI samples", daemon=True).start()
 
     def close(self) -> None:
-        """Sample no more."""
+        """Stop sampling."""
         self._ended.set()
 
     # -- tasks ----------------------------------------------------------------------------------------------------

@@ -80,7 +80,7 @@ def pattern_problem(pattern: str) -> str:
 
 
 def _shared(sets: list[frozenset[str]]) -> int:
-    """Repetitions less the number of bunches that can take the same characters."""
+    """Number of repetitions that share characters with others, less one for each group of them."""
     bunch = list(range(len(sets)))
     for a, b in combinations(range(len(sets)), 2):
         if sets[a] & sets[b]:

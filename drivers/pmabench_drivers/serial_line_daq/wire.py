@@ -127,7 +127,7 @@ class Timeline:
 
 
 def read_options(device: DeviceRecord, reader: Reader) -> int:
-    """The baud rate; everything that the board could not do with this device is noted in `reader`."""
+    """The baud rate; `reader` gets a fault for everything in the device's record that the board cannot do."""
     given = reader.keys(device.options, ("options",), ("baud",))
     reader.port(device, "/dev/ttyACM0")
     baud = reader.one_of(given, "baud", ("options",), KNOWN_BAUDS, BAUD)

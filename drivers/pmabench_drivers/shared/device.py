@@ -22,11 +22,11 @@ from pmabench_drivers.shared.options import Place, Reader, options_of
 from pmabench_drivers.shared.polling import Cycle, Samples
 
 STEPS = 100.0
-"""Ramps and sines are stepped so often where no polling sets the pace [Hz]."""
+"""Rate at which ramps and sines are stepped where no polling sets it [Hz]."""
 
 
 def refuse_nonsense(device: str, output: str, segment: Segment) -> None:
-    """DeviceError where a segment is neither a ramp nor a sine, or has a number that is none, or no rate."""
+    """DeviceError where a segment is neither a ramp nor a sine, has a number that is not finite, or has no rate."""
     ends = (segment.start, segment.origin, segment.target, segment.amplitude)
     paces = (segment.rate, segment.frequency, segment.cycles)
     if segment.kind not in {"ramp", "sine"} or not all(map(math.isfinite, (*ends, *paces))):
@@ -122,7 +122,7 @@ class Polled(Driver):
     """A device that is asked for each sample, by a thread that calls `_tick` at absolute deadlines."""
 
     _doing = "polling"
-    """What broke off, in the words of an error."""
+    """What the thread does, as error messages call it."""
 
     def __init__(self, device: DeviceRecord, clock: Clock) -> None:
         super().__init__(device, clock)
@@ -185,7 +185,7 @@ class Stepped(Driver):
 
     @abstractmethod
     def _begin_steps(self) -> None:
-        """Let a thread call `_step`, where none does so far; an error where the device is not open."""
+        """Start the thread that calls `_step`, unless it runs; an error if the device is not open."""
 
     @abstractmethod
     def _refuse_value(self, output: str, value: float) -> None:

@@ -37,7 +37,7 @@ def opened(link: T | None, device: str) -> T:
 
 @contextmanager
 def turn(lock: threading.Lock, deadline: float, device: str, what: str = "", busy: str = BUSY) -> Iterator[None]:
-    """The lock of a line, which is not waited for beyond `deadline` [s, monotonic]."""
+    """Hold the lock of a line; DeviceError if it is not free by `deadline` [s, monotonic]."""
     if not lock.acquire(timeout=max(0.0, deadline - monotonic())):
         raise DeviceError(device, busy, what)
     try:
@@ -52,7 +52,7 @@ def reason(error: Exception) -> str:
 
 
 class Listening(ABC):
-    """A link whose thread hands on what comes in, with the time it came [s, bench time]."""
+    """A link with a thread that passes on every piece that arrives, with its time [s, bench time]."""
 
     def __init__(self, device: str, address: str, clock: Clock) -> None:
         self._device, self._address, self._clock = device, address, clock

@@ -1,4 +1,4 @@
-"""What drivers that sample have in common: samples waiting to be collected, a thread at absolute deadlines, their pace.
+"""What drivers that sample share: a buffer of samples, a thread with absolute deadlines, and a check of the pace.
 
 Knows no wire. Standard library only.
 """
@@ -22,13 +22,13 @@ PATIENCE = 0.25
 BEHIND = 0.02
 """Deadlines are made up that passed within so long [s], and always the last one: a busy computer's stalls are short."""
 DRIFT = 2e-4
-"""How far the clocks of device and computer may run apart [1]."""
+"""Largest drift between the clocks of device and computer [1]."""
 AHEAD = 0.3
-"""More than this no sample may be here before its time [s]."""
+"""A sample may arrive at most so long before its own time stamp [s]."""
 WINDOW = 1.0
-"""So long everything must be late, before it is believed [s]: a computer that is busy is late now and then."""
+"""Everything must be late for so long before it counts [s]: a busy computer is late now and then."""
 ENOUGH = 20
-"""And so many pieces."""
+"""And at least so many pieces must have arrived in that time."""
 
 
 class Samples:
@@ -99,7 +99,7 @@ class Cycle:
             raise failing[1]
 
     def start(self, rate: float) -> None:
-        """Begin at `rate` [Hz], in place of one that runs, which may still be in its last `tick`."""
+        """Start the thread at `rate` [Hz]; an earlier one is ended, and may still be in its last `tick`."""
         self.stop()
         self.missed = 0
         self._halt = threading.Event()
@@ -137,7 +137,7 @@ class Cycle:
 
 
 class Pace:
-    """Looks at how late pieces arrive; `slip` is how much later than at best they all may be for a while [s]."""
+    """Detects samples that fall behind their clock: for a second all come later than the quickest, by `slip` [s]."""
 
     def __init__(self, slip: float) -> None:
         self._slip = slip
@@ -145,7 +145,7 @@ class Pace:
         self._window: list[float] = []
 
     def behind(self, taken: float, now: float) -> float:
-        """For a newest sample `taken` by its own clock that came `now` [s, bench time]: 0, or how much is wrong [s].
+        """How far samples are behind [s], 0 while all is well; the newest, `taken` by its clock [s], came `now` [s].
 
         Negative where samples come before their time.
         """

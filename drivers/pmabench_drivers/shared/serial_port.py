@@ -101,7 +101,7 @@ def open_port(device: str, address: str, **settings: Any) -> Any:
 
 
 def received(port: Any) -> bytes:
-    """What comes within the port's time-out, and all that waits then."""
+    """The bytes that arrive within the port's time-out, and all that are waiting then."""
     data = bytes(port.read(1))
     return data + bytes(port.read(min(port.in_waiting, MOST)))
 
@@ -158,7 +158,7 @@ class SerialStream(Driver):
 
     @abstractmethod
     def _greet(self) -> Identity:
-        """Quiet it, see that it is the right device, and set it."""
+        """Stop what the device is sending, check that it is the right device, and configure it."""
 
     @abstractmethod
     def _quiet(self) -> None:

@@ -1,4 +1,4 @@
-"""What the uncertainties of the channels' scales do to a result, to first order; knows no test.
+"""Effect of the uncertainties of the channels' scales on a result, to first order; knows no test.
 
 A calibration gives two expanded uncertainties (95 %, k = 2), independent of each other: an offset, the same at every
 reading [SI of the channel], and a gain, a share of the reading: true value = (1 + gain) reading + offset.
@@ -57,7 +57,7 @@ class Scales:
         kind = "uncertainty" if set(missing) <= set(offsets) else "gain uncertainty"
         whole = len(missing) == len({*gains, *offsets})
         named = ", ".join(missing[:-1]) + (" and " if missing[:-1] else "") + missing[-1]
-        return f"{'no' if whole else 'incomplete'} calibration part: the record tells no {kind} of {named}"
+        return f"{'no' if whole else 'incomplete'} calibration part: the record gives no {kind} of {named}"
 
     def _missing(self, gains: Iterable[str], offsets: Iterable[str]) -> list[str]:
         """Channels without a known uncertainty."""
@@ -66,5 +66,5 @@ class Scales:
 
 
 def sentences(*parts: str) -> str:
-    """What there is to say, in one note."""
+    """The sentences about the calibration parts, as one note."""
     return "; ".join(part for part in dict.fromkeys(parts) if part)

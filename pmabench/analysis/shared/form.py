@@ -1,4 +1,4 @@
-"""What a departure from the form of a reduction does to a value: a line of its budget, or the reason to withhold it.
+"""Effect of a departure from the assumed form on a value: a line of its budget, or the reason to withhold it.
 
 A departure that is seen shifts the value one way: its effect is added to the half width as it is. One that could only
 hide adds as a square. Decision 0019 says why; knows no test kind.
@@ -17,7 +17,7 @@ from pmabench.store.analyses.results import Estimate, Parts, Source, withhold
 from pmabench.store.records import Array
 
 MOST_HIDDEN = 0.02
-"""A departure that is seen, and could change a value by more than this share, is not left to its interval."""
+"""A significant departure that could change a value by more than this share withholds it."""
 NEGLIGIBLE = 0.05
 """Share of a half width below which an effect needs no line."""
 SURE = 0.9995

@@ -1,4 +1,4 @@
-"""Straight lines and means over repeated points, with intervals that do not pretend: knows no test kind."""
+"""Straight lines and means over repeated points, with honest intervals: knows no test kind."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pmabench.analysis.shared import student
 from pmabench.store.records import Array
 
 PROPORTIONAL = 2e-3
-"""Floor of a point's error as a share of its size: nothing on a bench is known better."""
+"""Least error of a point as a share of its size: nothing on a bench is known better."""
 
 
 @dataclass(frozen=True)
@@ -28,8 +28,8 @@ class Line:
 def weighted_line(group: Array, s: Array | None, y: Array, size: Array | None = None) -> Line:
     """Weighted least squares of y = start + slope s (no slope where `s` is None); weights 1/(share of `size`)^2.
 
-    `group` tells repeats from each other. Intervals by Student's t, once from all points and once from the means of
-    the groups, the wider of the two: points of one frequency share what the line cannot follow there.
+    `group` says which values are repeats of each other. Intervals by Student's t, once from all points and once from
+    the means of the groups, the wider of the two: points of one frequency share what the line cannot follow there.
     """
     size = np.abs(y) if size is None else size
     floor = PROPORTIONAL * np.maximum(size, 1e-3 * size.max())

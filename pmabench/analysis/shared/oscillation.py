@@ -80,7 +80,7 @@ def describe(t: Array, y: Array, noise: float, skip: int = SKIPPED) -> Swinging 
     """Growth and period of the swings of `y` at `t` [s], without the first `skip`; None with fewer than four left.
 
     ln(size) is fitted by a line in the count of half periods, weighted with the squared size (noise of equal size on
-    every extreme), beside a term that alternates (unequal halves, drift).
+    every extreme), together with a term that alternates (unequal halves, drift).
     """
     times, values = extremes(t, y, SEEN * noise)
     sizes = np.abs(np.diff(values))

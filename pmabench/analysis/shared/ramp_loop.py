@@ -28,7 +28,7 @@ from pmabench.base.quantities import show
 from pmabench.store.records import Array, Command, Flag, RunData, TrialData
 
 BETTER = 0.5
-"""Share of the gap's rms about a constant that the turns must bring it below to be believed."""
+"""Turns are accepted where they bring the rms of the gap below this share of that about a constant."""
 WIDEST = 0.4
 """Largest w, as a share of the stroke."""
 
@@ -66,7 +66,7 @@ def turns_of(x: Array, gap: Array, lower: float, upper: float) -> Turns | None:
 
 
 def _found(x: Array, gap: Array, lower: float, upper: float, order: int) -> Turns | None:
-    """The turns beside a gap of a power of `order` over the stroke."""
+    """The turns where the gap of the open loop is a polynomial of `order` over the stroke; None where none show."""
     from scipy.optimize import minimize_scalar  # takes long to import, and most kinds have no ramps
 
     z = (2 * x - lower - upper) / (upper - lower)

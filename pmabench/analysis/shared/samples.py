@@ -60,6 +60,15 @@ def noise_of(y: Array) -> float:
     return float((np.median(third) / 0.6745 or np.sqrt(np.mean(third**2))) / np.sqrt(20.0))
 
 
+LAG_KNOWN = 0.2
+"""Share to which the time constant of a sensor counts as known: data sheets give typical values, and one digit."""
+
+
+def lags_of(run: RunData, trial: TrialData) -> dict[str, float]:
+    """Channel of the trial -> declared time constant of its sensor [s], 0 where none is declared."""
+    return {name: run.channels[name].sensor_lag if name in run.channels else 0.0 for name in trial.channels}
+
+
 def on_time(run: RunData, trial: TrialData, name: str) -> Array:
     """A channel without the lag of its sensor, which along a ramp shows what was there one lag ago; NaN if missing."""
     if name not in trial.channels:
@@ -213,14 +222,14 @@ TIMES = np.geomspace(0.15, 4.0, 10)
 ALIKE = 4.0
 """By so many variances may the sum of squares of a time constant exceed the least (95 %)."""
 MORE = 1.2
-"""What is left counts by so much more than it is found, for a motion need not be one exponential."""
+"""Factor on the change that is still to come, because a motion need not be one exponential."""
 SURE = 5.0
 """Standard deviations from which on a motion is seen."""
 
 
 @dataclass(frozen=True)
 class Left:
-    """What a signal would still change by [as the signal] after the mean of its end, by an exponential."""
+    """Change of a signal that is still to come after the mean of its end, by a fitted exponential [as the signal]."""
 
     size: float
     """The likeliest."""
@@ -249,7 +258,7 @@ class Held:
 
 
 def left(holds: Sequence[Held]) -> Left:
-    """What the mean of the ends of like holds would still change by.
+    """Change still to come after the mean of the ends of similar holds.
 
     An exponential with each of `TIMES` is fitted to the means of all; those that fit nearly as well as the best
     bound the result, and with few samples the range of the means does.

@@ -12,7 +12,7 @@ from math import floor, pi
 import numpy as np
 from numpy.typing import NDArray
 
-from pmabench.analysis.shared.samples import UNUSABLE_SHARE, NotUsable, noise_of, three_parameter
+from pmabench.analysis.shared.samples import UNUSABLE_SHARE, NotUsable, lags_of, noise_of, three_parameter
 from pmabench.base.quantities import show
 from pmabench.store.records import Array, Flag, RunData, TrialData
 
@@ -115,8 +115,8 @@ def measure(run: RunData, trial: TrialData, discard: float, force_per_pressure: 
     if np.mean(~good) > UNUSABLE_SHARE:
         raise NotUsable(f"{np.mean(~good):.0%} of the samples are flagged")
     t, x, F = t[good], x[good], F[good]
-    lag = {name: run.channels[name].sensor_lag if name in run.channels else 0.0 for name in trial.channels}
-    x, F = _ahead(t, x, frequency, lag["displacement"]), _ahead(t, F, frequency, lag["force"])
+    lag = lags_of(run, trial)
+    x, F = without_lag(t, x, frequency, lag["displacement"]), without_lag(t, F, frequency, lag["force"])
     pressure, ripple = float("nan"), 0j
     if "pressure" in trial.channels:
         mean, amplitude = three_parameter(t, np.column_stack([trial.channels["pressure"][window][good], x]), frequency)
@@ -216,8 +216,8 @@ def _harmonics(t: Array, y: Array, frequency: float) -> tuple[Array, Array]:
     return fitted[0] + waves @ fitted[1:], slopes @ fitted[1:]
 
 
-def _ahead(t: Array, y: Array, frequency: float, lag: float) -> Array:
-    """What a sensor with a first-order `lag` [s] was given, y + lag y', where it told `y`; its noise stays as it is."""
+def without_lag(t: Array, y: Array, frequency: float, lag: float) -> Array:
+    """The input of a sensor with a first-order `lag` [s] that reads `y`: y + lag y'. Its noise stays as it is."""
     return y + lag * _harmonics(t, y, frequency)[1] if lag else y
 
 
@@ -229,7 +229,7 @@ def moving(sine: Sine) -> tuple[Array, Array]:
 def lagless(run: RunData, trial: TrialData, name: str, frequency: float, rows: NDArray[np.intp]) -> Array:
     """A channel at some of a trial's samples, the lag of its sensor taken off; shape of `rows`."""
     lag = run.channels[name].sensor_lag if name in run.channels else 0.0
-    return _ahead(trial.t[rows], trial.channels[name][rows], frequency, lag)
+    return without_lag(trial.t[rows], trial.channels[name][rows], frequency, lag)
 
 
 def along(sine: Sine, K: float, B: float, F_c: float) -> tuple[Array, Array]:

@@ -1,4 +1,4 @@
-"""What streams with clocks of their own make of a result: how far their channels may be apart in time; knows no test.
+"""Effect of streams with separate clocks on a result: how far their channels may be apart in time; knows no test.
 
 A stream's clock is known within +-u over the whole run (95 %, `ClockInfo.uncertainty`), by a straight line of time. So
 what is left of its error is a straight line, too, and lies between two: u all the time, and from -u to u.
@@ -32,7 +32,7 @@ def apart(runs: Iterable[RunData], channels: Sequence[str]) -> float:
 
 
 def off(runs: Iterable[RunData], channel: str) -> float:
-    """Bound of the time between a channel and the commands, which stand on the time of the run [s]."""
+    """Bound of the time between a channel and the commands, which have the time of the run [s]."""
     streams = [(run, run.channels[channel].stream) for run in runs if channel in run.channels]
     bounds = [run.clocks[stream].uncertainty for run, stream in streams if stream in run.clocks]
     return round(max(bounds, default=0.0), 9)
@@ -90,7 +90,7 @@ def findings(
     none = [e for e in estimates if e.value is None and e.note.startswith(REFUSED)]
     if none:
         symbols = _and(list(dict.fromkeys(e.symbol for e in none)))
-        text = f"{symbols} not told: {_and(channels)} may be {milliseconds(skew)} apart in time"
+        text = f"{symbols} withheld: {_and(channels)} may be {milliseconds(skew)} apart in time"
         said.append(Finding("doubt", f"{text}; record them with one device, or with clocks that are known better"))
     pairs = {
         tuple(sorted((one, other)))

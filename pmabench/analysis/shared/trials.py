@@ -25,7 +25,7 @@ def by_point(members: Sequence[tuple[RunData, TrialData]]) -> list[tuple[dict[st
 
 
 ONE_SESSION = (
-    "all tests are of one session, as far as the record tells (its start, the day of a file, its folder): scatter "
+    "all tests are of one session, as far as the record shows (its start, the day of a file, its folder): scatter "
     "between sessions is in no interval; tests on another day would show it"
 )
 
@@ -33,7 +33,7 @@ ONE_SESSION = (
 def session_of(run: RunData) -> str:
     """The session that a run belongs to.
 
-    That is the session of the bench that the record names; of imports the day, where the file tells it, else the
+    That is the session of the bench that the record names; of imports the day, where the file gives it, else the
     folder; else the run by itself.
     """
     session, imported = run.manifest.get("session"), run.manifest.get("imported")

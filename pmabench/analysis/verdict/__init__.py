@@ -1,4 +1,4 @@
-"""What speaks for or against a result, and results compared with each other.
+"""Checks of results, their acceptance, and results compared with each other.
 
 - next to its residual, and open questions of its runs: `checks`; limits of a protocol: `acceptance`
 - independent tests of one specimen against each other, by what each kind offers: `agreement`

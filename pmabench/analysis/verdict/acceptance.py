@@ -68,7 +68,7 @@ class Limit:
 
 
 def limits_of(run: RunData) -> list[Limit]:
-    """The limits in a run's plan; of plans from before there were several kinds, the widest intervals."""
+    """The limits in a run's plan; an older plan names only the widest interval of each quantity."""
     limits = run.plan.get("accept")
     if not isinstance(limits, Mapping):
         return []
@@ -183,13 +183,13 @@ def _against_static(pairs: Pairs | None, limit: Limit, named: Callable[[Estimate
     """F_ce against that of static load, at every pressure that both cover."""
     if pairs is None:
         yield (
-            f"F_ce against static load: no static-load test of this specimen beside it, {limit.asked}; "
+            f"F_ce against static load: no static-load test of this specimen to compare with, {limit.asked}; "
             "process both runs together"
         )
         return
     if not pairs:
         yield (
-            f"F_ce against static load: the two tests tell F_ce at no pressure in common, {limit.asked}; "
+            f"F_ce against static load: the two tests give F_ce at no pressure in common, {limit.asked}; "
             "loads of the static test around F_ce at the tested pressures would"
         )
     for mine, theirs in pairs.values():

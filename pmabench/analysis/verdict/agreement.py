@@ -40,11 +40,11 @@ class Offer:
     words: str = ""
     """Of the method, where it is not the primary one."""
     side: int = 0
-    """1: what others measure is at most this, -1: at least this; 0: it is this."""
+    """1: an upper bound of what others measure, -1: a lower bound, 0: the value itself."""
     bent: bool = False
     """Whether it changes over contraction, so that a value for a whole stroke is another quantity."""
     rubs: bool = False
-    """Whether friction may be in it, to a side that nothing tells: a muscle that is held came there from somewhere."""
+    """Whether friction may be in it, with an unknown sign: how a held muscle came to its length is not recorded."""
     why: str = ""
     """Why it may differ to that side: a sentence."""
     test: str = ""
@@ -52,7 +52,7 @@ class Offer:
 
 
 def offers_of(analysis: Analysis, kind: Kind | None) -> list[Offer]:
-    """All that one analysis of a kind offers."""
+    """All offers of one analysis of a kind."""
     found = kind.part("offers")(analysis) if kind is not None and kind.offers else ()
     return [replace(offer, test=kind.word) for offer in found] if kind is not None else []
 
@@ -197,7 +197,7 @@ class Comparison:
 
     @property
     def score(self) -> float:
-        """|E_n| (ISO/IEC 17043); of what need only not be below or above, how far it is."""
+        """|E_n| (ISO/IEC 17043); for a bound only the part on the wrong side counts."""
         off = max(-self.side * self.value, 0.0) if self.side else abs(self.value)
         return off / self.half if self.half else (0.0 if off == 0 else inf)
 

@@ -1,4 +1,4 @@
-"""What speaks for or against an analysis next to its residual: named numbers, and open questions of its runs.
+"""Checks of an analysis besides its residual: named numbers, and open questions of its runs.
 
 A check is plain data in `Analysis.facts["checks"]`, so that a report made from files has it too. Those of the trials
 themselves (spread of repeats, first repeat, drift) are made here for every kind that has a value per trial; those of
@@ -85,7 +85,7 @@ FIRST = 0.01
 DRIFT = 0.02
 """Change from the first to the last trial that is doubted where it is beyond its interval [1]."""
 APART = 0.1
-"""Repeats tell a drift where they lie this far apart, as rms about their mean and share of the whole time [1]."""
+"""Repeats show a drift where they lie this far apart, as rms about their mean and share of the whole time [1]."""
 LEAST = 0.05
 """Values below this share of the largest are left out: a load that hardly moves scatters without bound."""
 FEWEST = 3
@@ -174,7 +174,7 @@ class Repeats:
 
 
 def trial_checks(kind: Kind, runs: Sequence[RunData]) -> list[Check]:
-    """Spread of repeats, first-repeat effect and drift over the run, of the kinds that have a value of each trial."""
+    """Checks of spread of repeats, first-repeat effect and drift, for kinds of test with one value for each trial."""
     if not kind.repeated:
         return []
     value_of = kind.part("repeated")
@@ -244,7 +244,7 @@ def first_repeat(r: Repeats) -> Check | None:
 def drift(r: Repeats) -> Check | None:
     """Straight line through the distances from the operating points' means over time, from first to last trial.
 
-    The slope is that of least squares within operating points (each has a mean of its own); None with too few repeats,
+    The slope is that of least squares within operating points (each with its own mean); None with too few repeats,
     or where they lie together in time.
     """
     within = r.t - r.means(r.t)

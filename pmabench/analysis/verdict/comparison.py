@@ -134,7 +134,7 @@ class Side:
     calibrations: frozenset[tuple[str, str]] | None = None
     """What the runs' calibrations are, by name and hash; None where the runs are not at hand."""
     published: bool = False
-    """Another's values, of which no interval is told."""
+    """Values of another source, which gives no interval."""
 
     @property
     def runs(self) -> set[str]:
@@ -159,7 +159,7 @@ class Difference:
     between: str = ""
     """Which sides were read between two of their points: `a`, `b`, `ab` or none."""
     term: bool = False
-    """A term of a curve: told beside, and not counted, for the values that it goes through are."""
+    """A term of a curve: reported and not counted, because the values that the curve goes through are counted."""
 
     @property
     def value(self) -> float:
@@ -178,7 +178,7 @@ class Difference:
 
     @property
     def agrees(self) -> bool | None:
-        """Whether |E_n| <= 1; None where that cannot be told."""
+        """Whether |E_n| <= 1; None where it has no E_n."""
         return None if self.score is None else abs(self.score) <= 1.0
 
 
@@ -215,7 +215,7 @@ def compare(
 
 
 def not_accepted(differences: Iterable[Difference], measure: str, limit: float) -> list[str]:
-    """One sentence for each difference whose size is above the limit, or cannot be told; `E_n` or `difference` [1]."""
+    """One sentence for each difference whose size is above the limit, or not known; `E_n` or `difference` [1]."""
     failed = []
     for d in differences:
         if d.term:
@@ -266,7 +266,7 @@ def _held(series: Iterable[Series]) -> str:
 
 
 def _point(at: Mapping[str, float]) -> Point:
-    """The operating point to six digits, for settings that were written twice; the moving mass is none."""
+    """The operating point to six digits, so that equal settings agree; the moving mass is left out."""
     return tuple(sorted((name, float(f"{value:.6g}")) for name, value in at.items() if name != "mass"))
 
 
@@ -298,7 +298,7 @@ def _terms(analysis: Analysis) -> Iterator[Estimate]:
 
 
 def _pairs(left: Mapping[Series, object], right: Mapping[Series, object]) -> Iterator[tuple[Series, Series]]:
-    """Which series are held against each other: the same of both sides, else the same symbol of other tests."""
+    """Pairs of series to compare: the same of both sides, else the same symbol of other tests."""
     common = {series[0] for series in left} & {series[0] for series in right}
     for series in left:
         if series in right:
@@ -340,7 +340,7 @@ def _compared(
         if lack or one is None or other is None:
             lacks.setdefault(lack, []).append(_where(dict(place)))
         elif one.unit != other.unit:
-            lacks.setdefault(f"is told in {one.unit} and in {other.unit}", []).append("")
+            lacks.setdefault(f"is given in {one.unit} and in {other.unit}", []).append("")
         else:
             term = series[2].startswith(TERM)
             found.append(Difference(series[0], one, other, _half(one, other, shared, alike), between, term))
@@ -434,7 +434,7 @@ def _findings(a: Side, b: Side, differences: Sequence[Difference], missing: Sequ
 
 
 def _cautions(a: Side, b: Side, differences: Sequence[Difference]) -> Iterator[Finding]:
-    """What the E_n numbers do not know."""
+    """Sentences about what the E_n numbers do not take into account."""
     bare = [d for d in differences if d.half is None and not d.term]
     if bare and b.published:
         known = [d for d in bare if d.a.parts.combined is not None]

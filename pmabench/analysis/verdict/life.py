@@ -74,7 +74,7 @@ def chart(values: Sequence[float]) -> Chart | None:
 LOW, HIGH = 50e3, 100e3
 """Commanded pressures between which a cycle is counted [Pa]."""
 SYMBOLS = ("K", "F_ce", "m", "W", "H", "B_c", "B_r", "B", "F_c", "leak")
-"""What is followed over a life, in this order."""
+"""Symbols that are followed over a life, in this order."""
 SELF_TEST = "self-test"
 """Kind and method of what the self-test of a session found."""
 LEAK = Result("leak", "fall of the pressure behind the shut valve", "pressure rate", headline=True)
@@ -83,7 +83,7 @@ LEAK = Result("leak", "fall of the pressure behind the shut valve", "pressure ra
 
 @dataclass(frozen=True)
 class Use:
-    """What one run did to the specimen."""
+    """Use of the specimen in one run."""
 
     cycles: int = 0
     strokes: float = 0.0
@@ -136,7 +136,7 @@ class Past:
     simulated: bool
     use: Use
     before: int
-    """Pressure cycles before it: those that the specimen file tells, and those of earlier runs."""
+    """Pressure cycles before it: those that the specimen file counts, and those of earlier runs."""
 
 
 def pasts(rows: Iterable[tuple[str, str, str, str, str, bool, int, Use]]) -> list[Past]:
@@ -199,7 +199,7 @@ class Series:
 def series_of(analyses: Iterable[Analysis], life: Sequence[Past]) -> list[Series]:
     """The values of `SYMBOLS` over the life, each by the first method that gives it in a kind of test.
 
-    An analysis stands where its first run does; of two analyses of the same runs the last one given counts.
+    An analysis has the date of its first run; of two analyses of the same runs the last one given counts.
     """
     place = {past.run: past for past in life}
     latest = {(analysis.kind, tuple(sorted(analysis.runs))): analysis for analysis in analyses}
@@ -229,14 +229,14 @@ def series_of(analyses: Iterable[Analysis], life: Sequence[Past]) -> list[Series
 
 
 def _leak(analysis: Analysis) -> Iterator[Estimate]:
-    """Share of the air that is lost over a trial, where a test of the closed muscle tells it."""
+    """Share of the air that is lost over a trial, where a test of the closed muscle measured it."""
     leak = analysis.facts.get("leak")
     if isinstance(leak, int | float) and not isinstance(leak, bool):
         yield Estimate("leak", float(leak), "1", "ratio", analysis.kind)
 
 
 def leak_of(run: str, events: Sequence[Event], *, simulated: bool) -> Analysis | None:
-    """What the self-test of a session found behind the shut isolation valve, as a value to follow; None without it.
+    """Leak with the isolation valve shut, from the self-test of a session, as a value to follow; None without it.
 
     Fall of the pressure [Pa/s] of muscle, hoses and fittings together; the half width is that of noise alone.
     """
@@ -315,7 +315,7 @@ def findings(life: Sequence[Past], series: Sequence[Series], references: Sequenc
     text = f"{len(life)} runs from {life[0].date[:10]} to {last.date[:10]}: {total:,} pressure cycles, "
     highest = max(past.use.highest for past in life)
     elsewhere = total - sum(past.use.cycles for past in life)
-    own = f" ({elsewhere:,} of them before or beside these runs, by the specimen file)" if elsewhere else ""
+    own = f" ({elsewhere:,} of them before these runs or outside of them, by the specimen file)" if elsewhere else ""
     yield Finding("note", f"{text}{in_words(time)} at pressure, at most {show(highest, 'pressure', 4)}{own}")
     silent = sum(past.use.highest == 0 for past in life)
     if silent:
@@ -334,7 +334,7 @@ def _change(one: Series) -> Finding:
     size = f"{percent(change.relative)} %" if change.relative is not None else show(change.value, one.first.quantity, 3)
     over = f"over {cycles:,} cycles, {len(one.moments)} values"
     if change.score is None:
-        return Finding("note", f"{one.title}: {size} {over}; no interval tells whether that is more than chance")
+        return Finding("note", f"{one.title}: {size} {over}; it has no interval, so this may be chance")
     relation = "within their interval" if change.agrees else "more than their interval"
     level = "note" if change.agrees else "doubt"
     return Finding(level, f"{one.title}: {size} {over}, last against first {relation} (E_n {change.score:+.2f})")

@@ -63,7 +63,7 @@ class LimitFile(Strict):
 
 
 def one_of(model: Strict, kinds: dict[str, tuple[str, ...]], optional: set[tuple[str, str]]) -> str:
-    """The one kind of an entry, all of whose keys are given and no others; ValueError in words where it is not so."""
+    """Which kind an entry is; ValueError where that is not clear, a key is missing or one does not belong to it."""
     given = {ALIASES.get(name, name) for name in model.model_fields_set if getattr(model, name) is not None}
     found = [kind for kind in kinds if kind in given]
     if len(found) != 1:
@@ -273,7 +273,7 @@ class Weights(Strict):
     carriage: Mass = 0.0
     """What moves with the stack: table, cable, rod."""
     act_as: Literal["mass", "force"] = "mass"
-    """`mass`: the stack moves with the muscle; `force`: a constant-force device that has no inertia of its own."""
+    """`mass`: the stack moves with the muscle; `force`: a constant-force device without inertia."""
     pulley: bool = False
     support: Length = 0.0
     catch_height: Length | None = None
@@ -319,7 +319,7 @@ class VerifiedFile(Strict):
     by: Annotated[str, Field(min_length=1, max_length=100)]
     date: datetime.date
     firmware: Annotated[str, Field(max_length=100)] = ""
-    """As the device tells it (`devices probe`); with another one the driver counts as not verified."""
+    """As the device reports it (`bench probe`); with another one the driver counts as not verified."""
 
 
 class DeviceFile(Strict):
@@ -361,7 +361,7 @@ class OutputFile(Strict):
     resolution: Reading | None = None
     safe: Reading | None = None
     without_power: Literal["holds", "vents"] = "holds"
-    """What a regulator does when its own power fails; many hold the pressure."""
+    """What a regulator does when its power fails; many hold the pressure."""
 
 
 class ValveFile(Strict):

@@ -18,6 +18,7 @@ from pmabench.files.quantity import (
     Angle,
     Conductance,
     Force,
+    ForcePerPressure,
     Frequency,
     Length,
     Load,
@@ -165,7 +166,7 @@ class FlowFile(Strict):
 
 
 class HysteresisFile(Strict):
-    """A loop that knows no rate: half its gap, and the contraction over which a turn fades to 1/e."""
+    """A hysteresis loop, the same at all rates: half its gap, and the contraction in which a turn fades to 1/e."""
 
     height: Annotated[Force, _within(0, 1e4, "force")]
     width: Annotated[Ratio, _within(1e-5, 0.5, "ratio")]
@@ -256,11 +257,104 @@ class ContractorFile(PlantFile):
     """From where to where it may be driven, as share of the length."""
 
 
-AnyPlant = Annotated[ThreeElementFile | DaerdenFile | ContractorFile, Field(discriminator="law")]
-LAWS: dict[str, type[ThreeElementFile | DaerdenFile | ContractorFile]] = {
+Weights = Annotated[list[Annotated[float, Field(ge=0, le=1)]], Field(min_length=1, max_length=20)]
+"""Of the stops of a hysteresis; together 1."""
+
+
+def _whole(widths: list[float], weights: list[float]) -> None:
+    if len(widths) != len(weights):
+        raise ValueError(f'{len(widths)} "widths" and {len(weights)} "weights": each stop needs one of both')
+    if abs(sum(weights) - 1) > 1e-6:
+        raise ValueError(f'"weights" add up to {sum(weights):.4g}; they must add up to 1')
+
+
+class SurfaceFile(Strict):
+    """F_s = (A + A_P P) exp(-s eps) + (C eps + D) P + E, eps = x / length: the force without any history."""
+
+    A: Force
+    A_P: ForcePerPressure
+    s: Annotated[float, Field(gt=0, le=1000)]
+    """How steeply it falls at small contraction, for instance 33.4."""
+    C: ForcePerPressure
+    D: ForcePerPressure
+    E: Force
+    bend: Annotated[float, Field(ge=0, le=2)] = 1.0
+    """1 as written; 0 puts a straight line over eps in place of exp(-s eps)."""
+    span: Annotated[Ratio, _within(0.001, 0.5, "ratio")] = 0.16
+    """Contraction at which that line meets the exponential again."""
+
+
+class StopsOverLengthFile(Strict):
+    """Hysteresis over contraction, at most `height` + `per_pressure` P to each side."""
+
+    height: Annotated[Force, _within(0, 1e4, "force")]
+    per_pressure: ForcePerPressure = 0.0
+    widths: Annotated[list[Annotated[Length, _within(1e-7, 1, "length")]], Field(min_length=1, max_length=20)]
+    """Contraction after a turn at which each stop slides again is twice its width."""
+    weights: Weights
+    first_cycle: Annotated[Ratio, _within(0, 10, "ratio")] = 0.0
+    """Share by which it is higher after a rest."""
+    way: Annotated[Length, _within(1e-4, 10, "length")] = 0.08
+    """Way gone after which 1/e of that share is left: there and back."""
+
+    @model_validator(mode="after")
+    def _weighted(self) -> StopsOverLengthFile:
+        if self.per_pressure < 0:
+            raise ValueError('"per_pressure" cannot be below zero')
+        _whole(self.widths, self.weights)
+        return self
+
+
+class StopsOverPressureFile(Strict):
+    """Hysteresis over pressure, at most `height` to each side."""
+
+    height: Annotated[Force, _within(0, 1e4, "force")]
+    widths: Annotated[list[Annotated[Pressure, _within(1, 1e6, "pressure")]], Field(min_length=1, max_length=20)]
+    weights: Weights
+
+    @model_validator(mode="after")
+    def _weighted(self) -> StopsOverPressureFile:
+        _whole(self.widths, self.weights)
+        return self
+
+
+class CreepFile(Strict):
+    """A length that creeps after the contraction, `share` of it with each time constant."""
+
+    share: Annotated[Ratio, _within(0, 0.2, "ratio")]
+    times: Annotated[list[Annotated[Time, _within(1e-3, 1e6, "time")]], Field(min_length=1, max_length=20)]
+
+    @model_validator(mode="after")
+    def _less_than_all(self) -> CreepFile:
+        if self.share * len(self.times) > 0.5:
+            raise ValueError(
+                f'"share" of {self.share:.3g} for each of {len(self.times)} times is more than half in all'
+            )
+        return self
+
+
+class RealFile(PlantFile):
+    """A muscle with bent force, hysteresis over contraction and pressure, and creep; what is not given is not there."""
+
+    law: Literal["real"]
+    reach: tuple[Annotated[Ratio, _within(-0.1, 0, "ratio")], Annotated[Ratio, _within(0.001, 0.5, "ratio")]]
+    """From where to where it may be driven, as share of the length; a free end goes from 0 to the second."""
+    surface: SurfaceFile
+    B_c: Coefficient
+    """Damping while it contracts."""
+    B_r: Coefficient
+    """Damping while it relaxes."""
+    hysteresis: StopsOverLengthFile | None = None
+    pressure_hysteresis: StopsOverPressureFile | None = None
+    creep: CreepFile | None = None
+
+
+AnyPlant = Annotated[ThreeElementFile | DaerdenFile | ContractorFile | RealFile, Field(discriminator="law")]
+LAWS: dict[str, type[ThreeElementFile | DaerdenFile | ContractorFile | RealFile]] = {
     "three-element": ThreeElementFile,
     "daerden": DaerdenFile,
     "contractor": ContractorFile,
+    "real": RealFile,
 }
 """Name of the law -> its file."""
 

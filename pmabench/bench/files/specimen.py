@@ -102,7 +102,7 @@ class SpecimenPressure(Strict):
 
 
 class SpecimenLimits(Strict):
-    """What the specimen bears, and who says so."""
+    """Limits of the specimen, and their source."""
 
     pressure: SpecimenPressure
     contraction: RatioAbove0
@@ -110,7 +110,7 @@ class SpecimenLimits(Strict):
 
 
 class ExpectedPoint(Strict):
-    """What is already believed of the specimen at one pressure; straight lines between the points."""
+    """Expected coefficients of the specimen at one pressure; straight lines between the points."""
 
     pressure: Pressure
     F_ce: Force

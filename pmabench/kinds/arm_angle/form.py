@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.optimize import least_squares
 
+from pmabench.analysis.shared import student
 from pmabench.analysis.shared.form import Doubt, weighed
 from pmabench.analysis.shared.isometric_lines import spread
 from pmabench.analysis.shared.samples import Left
@@ -23,6 +24,8 @@ LATE = 0.25
 """Share of the gap of both ways above which what is left of a motion is not left to its interval."""
 OFF = 3.0
 """Errors of a mean angle by which the form may miss it (root mean square)."""
+POWERS = 5
+"""Of the load, from 0 on: so many loads can be fitted exactly, and more than that say whether the powers hold."""
 LEAST = 0.003
 """Share of the largest angle below which a miss says nothing against the form."""
 
@@ -81,11 +84,7 @@ def of_fit(estimates: Sequence[Estimate], one: Loaded, start: Sequence[float], *
     tilts = np.ones(len(mean)), np.linspace(-1.0, 1.0, len(mean))
     moved = np.hypot(*(_fit(one.pressure, mean + tilt * further, fitted) - fitted for tilt in tilts))
     miss = float(np.sqrt(np.sum((_curve(one.pressure, fitted) - mean) ** 2) / max(1, len(mean) - len(fitted))))
-    within = float(
-        np.sqrt(np.mean(np.var(rows - rows.mean(axis=1, keepdims=True), axis=0, ddof=min(1, len(rows) - 1))))
-    )
-    noise = max(rest.noise for stair in one.stairs for rest in stair.rests)
-    error = max(within, noise) / np.sqrt(len(rows))
+    error = _error(one, rows)
     other = miss > OFF * error and miss > LEAST * float(np.abs(mean).max())
     text = (
         f"the angles lie {show(miss, 'angle', 2)} (rms) off this form, {miss / max(error, 1e-12):.0f} of their errors"
@@ -109,6 +108,71 @@ def of_fit(estimates: Sequence[Estimate], one: Loaded, start: Sequence[float], *
         wider = replace(e.parts, repeats=max(e.parts.repeats, scatter or 0.0))
         found.append(weighed(replace(e, parts=wider), doubts))
     return found
+
+
+def of_loads(estimates: Sequence[Estimate], loads: Sequence[Loaded]) -> list[Estimate]:
+    """The powers of the load, `estimates` by coordinate (`a_0` and so on), of the fit to the ways up of these `loads`:
+    with the scatter of the trials and what motions and slips could do, or withheld where angles lie off the form.
+
+    To first order: a change of the angles is taken through the linearized least squares.
+    """
+    known = {e.coordinate: e.value for e in estimates}
+    terms = [[known[f"{name}_{n}"] for n in range(POWERS)] for name in "abcd"]
+    if any(value is None for row in terms for value in row):
+        return list(estimates)
+    slopes = np.vstack([_slopes(one, np.array(terms, dtype=np.float64)) for one in loads])
+    scale = np.sqrt(np.sum(slopes**2, axis=0))
+    solve = np.linalg.pinv(slopes / scale, rcond=1e-12) / scale[:, None]
+    parts = np.split(solve, np.cumsum([len(one.sets) for one in loads])[:-1], axis=1)
+    off = [one.up.mean(axis=0) - _curve(one.pressure, _at(one, np.array(terms))) for one in loads]
+    freedom = sum(map(len, off)) - solve.shape[0]
+    miss = float(np.sqrt(sum(float(row @ row) for row in off) / max(1, freedom)))
+    error = float(np.sqrt(np.mean([_error(one, one.up) ** 2 for one in loads])))
+    if len(loads) > POWERS and miss > max(OFF * error, LEAST * max(float(np.abs(one.mean).max()) for one in loads)):
+        text = f"the angles of all loads lie {show(miss, 'angle', 2)} (rms) off the powers of the load"
+        reason = f"{text}, {miss / max(error, 1e-12):.0f} of their errors: take the coefficients of each load"
+        return [e if e.value is None else withhold(e, reason) for e in estimates]
+    scatter = [np.var(part @ one.up.T, axis=1, ddof=1) / len(one.up) for part, one in zip(parts, loads, strict=True)
+               if len(one.up) > 1]  # fmt: skip
+    few = sum(len(one.up) - 1 for one in loads)
+    repeats = student.ppf(0.975, few) * np.sqrt(np.sum(scatter, axis=0)) if scatter else np.zeros(len(solve))
+    motions = [[one.motion(place, -1) for place in range(len(one.sets))] for one in loads]
+    further = [part @ [motion.most for motion in row] for part, row in zip(parts, motions, strict=True)]
+    slipped = [_slips(one).half * part.sum(axis=1) for part, one in zip(parts, loads, strict=True)]
+    seen = any(motion.seen for row in motions for motion in row)
+    found = []
+    for e, half, moved, slip in zip(
+        estimates, repeats, np.hypot.reduce(further), np.hypot.reduce(slipped), strict=True
+    ):
+        wider = replace(e.parts, repeats=max(e.parts.repeats or 0.0, float(half)))
+        doubts = [
+            Doubt("motion after the hold", "method", float(moved), seen),
+            Doubt("slip", "drift", float(slip), True),
+        ]
+        found.append(weighed(replace(e, parts=wider), doubts))
+    return found
+
+
+def _at(one: Loaded, terms: Array) -> Array:
+    """a, b, c, d at a load by their powers, shape (4, POWERS)."""
+    return np.asarray(terms @ one.mass ** np.arange(POWERS))
+
+
+def _slopes(one: Loaded, terms: Array) -> Array:
+    """Derivatives of the angles at a load by all powers, shape (pressures, 4 POWERS)."""
+    _, b, c, d = _at(one, terms)
+    P = np.maximum(one.pressure, 1.0)
+    share = (P / c) ** d
+    bent = b * share / (1 + share) ** 2
+    each = np.column_stack([np.ones(len(P)), 1 / (1 + share), bent * d / c, -bent * np.log(P / c)])
+    return np.asarray((each[:, :, None] * one.mass ** np.arange(POWERS)).reshape(len(P), -1))
+
+
+def _error(one: Loaded, rows: Array) -> float:
+    """Standard error of a mean angle of like rests [rad], without what a trial is off as a whole; shape (trials, n)."""
+    within = np.sqrt(np.mean(np.var(rows - rows.mean(axis=1, keepdims=True), axis=0, ddof=min(1, len(rows) - 1))))
+    noise = max(rest.noise for stair in one.stairs for rest in stair.rests)
+    return max(float(within), noise) / float(np.sqrt(len(rows)))
 
 
 def _curve(P: Array, terms: Array) -> Array:

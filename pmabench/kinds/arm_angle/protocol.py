@@ -73,7 +73,7 @@ class ArmAngle(ProtocolHead):
         self._angle(c)
         pressures = self._pressures(c)
         g = c.mounted.bench.gravity
-        others = f"The regulator of the other muscles stands at {show(trial.preload, 'pressure')}."
+        others = f"The regulator of the other muscles is at {show(trial.preload, 'pressure')}."
         for point in expand(self.sweep, c.document):
             kind, value = point.values["load"]
             mass = value if kind == "mass" else value / g
@@ -99,7 +99,7 @@ class ArmAngle(ProtocolHead):
             c.positive(trial.radius, ("trial", "radius"))
         if trial.angle == "measured" and "angle" not in self.record:
             way = 'add it, or "trial.angle: from-displacement" with a "radius"'
-            c.fault(("record",), f'lacks "angle", without which nothing can be told; {way}')
+            c.fault(("record",), f'lacks "angle", without which nothing can be found; {way}')
         if trial.angle == "from-displacement":
             if "displacement" not in self.record:
                 c.fault(("record",), 'lacks "displacement", of which the angle is to be made; add it')

@@ -30,8 +30,6 @@ FORM, FORM_LOADS = "arm-angle-at-load", "arm-angle-coefficients"
 """Models of the library."""
 UNKNOWN = ("a", "b", "c", "d")
 UNITS = {"angle": "rad", "pressure": "Pa", "count": "1"}
-LOADS = 5
-"""Loads that the powers of the load in paper 2 need."""
 NEAR = np.radians(1.0)
 """How near to the largest angle the curve counts as flat [rad]."""
 ONCE = "no repeats part: one repeat only"
@@ -65,7 +63,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     fits = [_fitted(one) for one in loads]
     matrix, why = _matrix(fits)
     estimates = [estimate for one in fits for estimate in _of_load(one, scales, channel, settings)]
-    powers = _coefficients(matrix, why, MATRIX, {}, loads)
+    powers = _coefficients(matrix, why, MATRIX, {}, [one.of for one in fits if one.up is not None])
     other = next((e.note for e in estimates if e.withheld and e.method == UP), "")
     estimates += [withhold(e, other) if other and e.value is not None else e for e in powers]
     findings = [
@@ -173,7 +171,7 @@ def flat_from(P: Array, angle: Array) -> float | None:
 
 
 def _fitted(one: Loaded) -> Fitted:
-    """Paper 2's form at one load, with coefficients of its own."""
+    """Paper 2's form at one load, with coefficients fitted to it."""
     if len(one.pressure) <= len(UNKNOWN):
         return Fitted(one, None, None, f"no fit: {len(one.pressure)} pressures for {len(UNKNOWN)} coefficients")
     if one.pressure[-1] > view.BARELY * view.HIGHEST:
@@ -198,8 +196,8 @@ def _fit(P: Array, angle: Array) -> ModelFit:
 def _matrix(fits: Sequence[Fitted]) -> tuple[ModelFit | None, str]:
     """Paper 2's 20 numbers: the coefficients as powers of the load, through the ways up of all loads at once."""
     used = [(one.of, one.up) for one in fits if one.up is not None]
-    if len(used) < LOADS:
-        return None, f"no powers of the load: {len(used)} loads with a fit, {LOADS} are needed"
+    if len(used) < form.POWERS:
+        return None, f"no powers of the load: {len(used)} loads with a fit, {form.POWERS} are needed"
     model = MODELS[FORM_LOADS]
     w = np.array([one.mass for one, _ in used])
     most = next(p.high for p in model.parameters if p.name == "load")
@@ -207,7 +205,7 @@ def _matrix(fits: Sequence[Fitted]) -> tuple[ModelFit | None, str]:
         return None, f"no powers of the load: they hold up to {most:g} kg"
     start: dict[str, float] = {}
     for i, row in enumerate(UNKNOWN):
-        powers = np.polynomial.polynomial.polyfit(w, [up.unknowns[i].value for _, up in used], LOADS - 1)
+        powers = np.polynomial.polynomial.polyfit(w, [up.unknowns[i].value for _, up in used], form.POWERS - 1)
         start |= {f"{row}_{n}": float(power) for n, power in enumerate(powers)}
     columns = {
         "pressure": np.concatenate([np.clip(one.pressure, 0.0, view.HIGHEST) for one, _ in used]),
@@ -240,7 +238,9 @@ def _coefficients(
             trials=names, coordinate=name,
         )  # fmt: skip
         found.append(e)
-    if fit is None or method == MATRIX:
+    if fit is None:
         return found
+    if method == MATRIX:
+        return form.of_loads(found, loads)
     (one,) = loads
     return form.of_fit(found, one, [u.value for u in fit.unknowns], both=method == MEAN)

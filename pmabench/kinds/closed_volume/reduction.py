@@ -196,7 +196,7 @@ def _curve(members: Sequence[_Member], given: _Given, scales: Scales) -> list[Es
             continue
         half = mean_half(np.array([one[:, i].mean() for one in each]), [one[:, i] for one in each])
         part = None if calibration is None or not np.isfinite(calibration[i]) else float(calibration[i])
-        note = sentences("" if half is not None else NO_REPEATS, f"l0 {show(given.length, 'length')} as told")
+        note = sentences("" if half is not None else NO_REPEATS, f"l0 {show(given.length, 'length')} as given")
         found.append(
             Estimate(symbol, float(value[i]), unit, quantity, CURVE, {}, Parts(half, float(systematic[i]), part),
                      len(members), note=note, trials=tuple(m.trial.name for m in members))

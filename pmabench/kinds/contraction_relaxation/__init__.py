@@ -37,8 +37,8 @@ METHODS = {
     ),
     "joint": (
         "The same least-squares fit with the forms over pressure that were asked for (constant, line, polynomial of a "
-        "given or chosen order) from the lowest tested pressure up; its residual beside that of straight lines between "
-        "pressures tells whether the forms are enough."
+        "given or chosen order) from the lowest tested pressure up; its residual, compared with that of straight "
+        "lines between pressures, shows whether the forms are enough."
     ),
     "output-error": (
         "The coefficients of measured-pressure polished: each stroke is simulated with them under the measured pressure"
@@ -73,7 +73,7 @@ METHODS = {
         "release: a reduction, no coefficient at that pressure."
     ),
     "paper-1-xmax": (
-        "The same with F_ce where the contraction ends, as paper 1 takes it: a convention of its own. K and B come out "
+        "The same with F_ce where the contraction ends, as paper 1 takes it: another convention. K and B come out "
         "several times lower and belong to that F_ce alone."
     ),
     "measured-pressure-x0": (
@@ -120,7 +120,10 @@ KIND = Kind(
     offers="pmabench.kinds.contraction_relaxation.values:offers",
     methods=METHODS,
     options=("forms", "bootstrap", "regulator", "polish"),
-    parts={"check options": "pmabench.kinds.contraction_relaxation.joint:check"},
+    parts={
+        "check options": "pmabench.kinds.contraction_relaxation.joint:check",
+        "slow rows": "pmabench.analysis.surface.trials:hanging",
+    },
     also=(PAPER_1,),
     figures={"overlay": "pmabench.plotting.motion:motions"},
     front={"overlay": "pmabench.plotting.motion:overlays"},

@@ -42,7 +42,7 @@ PHASES = ("contraction", "relaxation")
 
 @dataclass(frozen=True, eq=False)
 class FreeRun:
-    """One trial beside the fitted muscle; arrays of shape (n,), every `COARSE`-th sample."""
+    """One trial and the fitted muscle; arrays of shape (n,), every `COARSE`-th sample."""
 
     number: int
     """Of the trial in the campaign."""
@@ -264,7 +264,7 @@ def _held_out(campaign: Campaign, pooled: Pooled, size: float) -> Check | None:
 def _other_direction(pooled: Pooled, size: float) -> Check | None:
     """Relaxation with K and F_ce of a fit to contraction alone: only B_r and friction are fitted to it.
 
-    One direction cannot tell F_c from F_ce: twice F_c is between them, and one constant stands for it here.
+    One direction does not separate F_c from F_ce: twice F_c is between them, and one constant is used for both here.
     """
     segments, fit = pooled.segments, pooled.fit
     k = len(fit.knots)

@@ -239,7 +239,7 @@ def compare(
 def _at(
     campaign: Campaign, P: float, steps: Sequence[Step], options: Mapping[str, Any], F_ce: float | None
 ) -> list[_Raw]:
-    """All of the papers' coefficients at one pressure [Pa]; `F_ce` [N] from elsewhere, None where not told."""
+    """All of the papers' coefficients at one pressure [Pa]; `F_ce` [N] from elsewhere, None where not given."""
     contract = [step for step in steps if step.phase == "contract"]
     relax = [step for step in steps if step.phase == "relax"]
     result: list[_Raw] = []

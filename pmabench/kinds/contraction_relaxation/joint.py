@@ -251,7 +251,7 @@ class Score:
 def choose(
     segments: Segments, orders: Mapping[str, int | None], knots: Array, noise: float
 ) -> tuple[dict[str, int | None], dict[str, dict[int, Score]]]:
-    """Orders with a number in place of each -1, and the scores of each symbol's orders beside the others' choice.
+    """Orders with a number in place of each -1, and the scores of the orders of each symbol, the others as chosen.
 
     From the constant up, a higher order is taken where both scores fall; symbols in turn, until none changes. At first
     the others have the highest order: what one is short of, another does not make up for.
@@ -406,7 +406,7 @@ def _name(estimate: Estimate) -> str:
 
 
 def _together(solved: Joint, trust: Trust, known: Sequence[Estimate]) -> list[Finding]:
-    """Different coefficients at one pressure that cannot be told apart well, the worst pair of each kind."""
+    """Different coefficients at one pressure whose estimates are correlated, the worst pair of each kind."""
     correlation = _correlation(solved, trust, known)
     worst: dict[tuple[str, str], tuple[float, str, str]] = {}
     for i, one in enumerate(known):

@@ -16,7 +16,7 @@ def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Qu
     """x_inf and tau of the contraction; K and F_ce over the loads of this pressure so far.
 
     Where a contraction comes to rest K x_inf = F_ce - F_c - F_L; the line over loads thus gives F_ce - F_c, and so is
-    the prediction beside it.
+    the prediction for comparison.
     """
     if "displacement" not in trial.channels or "pressure" not in trial.channels or len(trial.t) < 2:
         return [], ["pressure or displacement is not recorded"]

@@ -1,4 +1,4 @@
-"""Paper 1's reduction of single steps: S and D over pressure, in both conventions of F_ce, each a method of its own.
+"""Paper 1's reduction of single steps: S and D over pressure, in both conventions of F_ce, each as a separate method.
 
 S = (F_ce - L) / x_max, D = tau S (paper 1 section 3); K is the paper's S, B_c and B_r its D. F_ce comes from the braid
 (eqs. 5-10), at x = 0 or at x_max: the plan names the first of the two. Next to them `measured-pressure`, which
@@ -352,7 +352,7 @@ def _sound(known: Sequence[Estimate], order: int, normalised: bool) -> Curve | N
 def _convention(chosen: str) -> list[Finding]:
     text = (
         f"F_ce at {'x = 0' if chosen == 'x0' else 'x_max'} comes first, as the protocol says; the other convention "
-        "stands beside it: S, D and F_ce of one must not be used with those of the other"
+        "is given next to it: S, D and F_ce of one must not be used with those of the other"
     )
     return [Finding("note", text)]
 

@@ -45,7 +45,7 @@ def at_rest(braid: Braid, P: float, S: float, load: float, at: str) -> float:
 def compare(
     campaign: Campaign, steps: Sequence[Step], curves: Sequence[Curve], stiff: Sequence[Estimate], braid: Braid, at: str
 ) -> Compared:
-    """Model x_max (1 - e^(-t/tau)) and x_max e^(-t/tau_r) with the polynomials of one method, beside each step.
+    """Model x_max (1 - e^(-t/tau)) and x_max e^(-t/tau_r) with the polynomials of one method, compared with each step.
 
     `stiff` are that method's K; accuracies are of contractions alone, since a relaxation ends at 0.
     """

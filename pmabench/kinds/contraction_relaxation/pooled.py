@@ -53,7 +53,7 @@ class Solved(ABC):
     residual: Array
     """[N], one per segment."""
     friction: bool
-    """False: all segments go one way, and F_c cannot be told from F_ce."""
+    """False: all segments go one way, and F_c cannot be separated from F_ce."""
 
     @abstractmethod
     def columns(self, symbol: str) -> slice:
@@ -99,7 +99,7 @@ class Solved(ABC):
 
     @property
     def coulomb(self) -> float:
-        """Coulomb friction [N], 0 where it cannot be told."""
+        """Coulomb friction [N], 0 where it cannot be determined."""
         return float(self.theta[self.columns("F_c")][0]) if self.friction else 0.0
 
     @cached_property

@@ -1,6 +1,6 @@
 """Contraction from rest and relaxation at each load and pressure (paper 0 section 4, paper 1 section 3).
 
-Relaxation goes in steps; with a `reduction` of paper 1 it is one step to 0, and each direction a trial of its own.
+Relaxation goes in steps; with a `reduction` of paper 1 it is one step to 0, and each direction is a separate trial.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class Relax(Strict):
 
 
 class Orders(Strict):
-    """Orders of the polynomials over pressure; chosen from the values where they are not told."""
+    """Orders of the polynomials over pressure; chosen from the values where they are not given."""
 
     K: Annotated[int, Field(ge=1, le=9)] | None = None
     B_c: Annotated[int, Field(ge=1, le=9)] | None = None
@@ -137,7 +137,7 @@ class ContractionRelaxation(ProtocolHead):
         return c.plan("contraction-relaxation", {"contract_hold": trial.contract.hold, "relax_by": relax.by})
 
     def _single_steps(self, c: Compilation, reduction: Reduction) -> Plan:
-        """The plan of paper 1: from 0 to each pressure, and from each pressure to 0, each a trial of its own.
+        """The plan of paper 1: from 0 to each pressure, and from each pressure to 0, each as a separate trial.
 
         A trial begins at 0 or is pressurised before it, whatever came before: it can be repeated or resumed alone.
         """
@@ -149,7 +149,7 @@ class ContractionRelaxation(ProtocolHead):
         if relax.then != 0:
             c.fault(("trial", "relax", "then"), "paper 1 relaxes to 0 kPa: contraction is counted from there")
         if self.reference_trial is not None:
-            c.fault(("reference_trial",), "has no place beside the reduction of paper 1; leave it out")
+            c.fault(("reference_trial",), "cannot be combined with the reduction of paper 1; leave it out")
         for name in c.head.accept:
             if name not in ("K", "B_c", "B_r"):
                 lack = "takes {} as known" if name in self.gives else "does not give {}"
@@ -193,7 +193,7 @@ class ContractionRelaxation(ProtocolHead):
         return c.plan("contraction-relaxation", settings)
 
     def _reduction(self, c: Compilation, reduction: Reduction) -> dict[str, Any]:
-        """What the reduction needs to know beside the samples [SI]; faults where the specimen file lacks it."""
+        """What the reduction needs to know besides the samples [SI]; faults where the specimen file lacks it."""
         specimen = c.mounted.specimen_file
         if specimen.braid_angle is None:
             message = (

@@ -57,7 +57,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     """K [N/m], B_c, B_r [N.s/m], F_ce [N] at every pressure, F_c [N], dead times [s], with curves over pressure.
 
     M x'' + B(P) x' + K(P) x + F_c sign(x') = F_ce(P) - F_L (paper 0), fitted to all trials at once over short
-    moving segments with the measured pressure; K = regression over loads, B = K tau of an exponential beside it.
+    moving segments with the measured pressure; K = regression over loads, B = K tau of an exponential for comparison.
 
     `options`: `speed` (gate of the segments [m/s]), `replays` (how many), `static` = {"intercept" [N], "slope"
     [N/Pa]}, F_ce of a static-load study, for the one-parameter regression of K; `forms` = ["K=line", ...], as

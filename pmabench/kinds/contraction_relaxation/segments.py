@@ -127,7 +127,7 @@ def moved(samples: Samples, channels: Sequence[str], by: float) -> Samples:
     """The samples had the clock of `channels` been `by` [s] ahead of that of the others.
 
     Displacement, which tells the segments, stays where it is: in its place the others move the other way. No sample
-    becomes unusable by it, so that the same segments come of both: beside a hole values stay as they are.
+    becomes unusable by it, so that the same segments come of both: next to a hole values stay as they are.
     """
 
     def later(values: Array, by: float) -> Array:

@@ -40,7 +40,7 @@ class Further:
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """A fit and what can be told of it."""
+    """A fit and what follows from it."""
 
     campaign: Campaign
     segments: Segments

@@ -150,7 +150,7 @@ def _of_the_weights(pooled: Pooled) -> list[Finding]:
 
 
 def resampled(campaign: Campaign, pooled: Pooled, estimates: Sequence[Estimate], count: int) -> dict[str, Any]:
-    """Half widths by a bootstrap of `count` draws beside the repeats part of each estimate that has a pressure."""
+    """Half widths by a bootstrap of `count` draws next to the repeats part of each estimate that has a pressure."""
     if not count:
         return {}
     draws = bootstrap(pooled.segments, pooled.fit, campaign.cells, count, pooled.trust.within)

@@ -138,16 +138,14 @@ def of_fit(fit: ModelFit | None, why: str, other: str) -> list[Finding]:
     if not fit.converged:
         return [Finding("doubt", "the sigmoid does not converge on these lengths: they have another form")]
     off = float(np.max(np.abs(fit.computed - fit.measured)))
-    text = (
-        f"sigmoid with a to e of its own: rms {show(fit.residual_rms, 'length', 2)}, at most {show(off, 'length', 2)}"
-    )
+    text = f"sigmoid with fitted a to e: rms {show(fit.residual_rms, 'length', 2)}, at most {show(off, 'length', 2)}"
     pairs = [f.text for f in fit.findings if f.text.startswith("correlated")]
     found = [Finding("note", text), *(Finding("note", f"a to e: {one}") for one in pairs)]
     return [*found, Finding("doubt", other)] if other else found
 
 
 def of_paper(curve: Curves, length: float) -> list[Finding]:
-    """Paper 2's formula for this nominal length beside what was measured: the shape, not the millimetre."""
+    """Paper 2's formula for this nominal length compared with what was measured: the shape, not the millimetre."""
     if curve.paper is None or curve.paper_at is None:
         return [Finding("note", "paper 2's formula does not hold for this length or these pressures: not compared")]
     off = curve.L - curve.paper_at

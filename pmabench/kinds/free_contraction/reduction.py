@@ -1,4 +1,4 @@
-"""Reduction of free contraction: length over pressure, the sigmoid a to e through it, paper 2's formula beside it.
+"""Reduction of free contraction: length over pressure, the sigmoid a to e through it, compared with paper 2's formula.
 
 Knows the samples at rest of each trial; words and figure are in `figures`.
 """
@@ -38,7 +38,7 @@ from pmabench.store.records import Array, RunData, TrialData
 KIND = "free-contraction"
 FREE, SIGMOID = "free-length", "sigmoid"
 FORM, PAPER = "sigmoid-length-coefficients", "sigmoid-length"
-"""Models of the library: with coefficients of its own, and as paper 2 has it for a length."""
+"""Models of the library: with fitted coefficients, and with those that paper 2 derives from the length."""
 UNKNOWN = ("a", "b", "c", "d", "e")
 UNITS = {"length": "m", "pressure": "Pa", "count": "1"}
 RESIDUALS = (
@@ -293,7 +293,7 @@ def _largest(points: Sequence[Point], length: float, scales: Scales) -> list[Est
 
 
 def _fit(points: Sequence[Point], length: float, off: Array | float = 0.0) -> tuple[ModelFit | None, str]:
-    """The sigmoid with a to e of its own through the means with `off` (n,) [m] added to x, or why there is none."""
+    """The sigmoid with fitted a to e through the means, `off` (n,) [m] added to x; or why it cannot be fitted."""
     model = MODELS[FORM]
     P, L = np.array([max(point.pressure, 0.0) for point in points]), length - np.array([p.x for p in points]) - off
     if len(points) <= len(UNKNOWN):

@@ -76,6 +76,7 @@ KIND = Kind(
         "isobaric": ("displacement", "force", "pressure"),
         "rubber": ("displacement", "force", "pressure"),
     },
+    parts={"slow rows": "pmabench.analysis.surface.trials:driven"},
     imported=Imported(
         Commanded(
             "displacement",

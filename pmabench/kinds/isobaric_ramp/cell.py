@@ -36,7 +36,7 @@ LONGEST_TRACE = 1500
 BETWEEN = "displacement and force"
 CYCLES = "one trial a speed: the repeats part is the scatter of its cycles, and repeated tests may scatter more"
 NO_REPEATS = "no repeats part: too few loops"
-ONE_SPEED = "one speed only: hysteresis and damping cannot be told apart"
+ONE_SPEED = "one speed only: hysteresis and damping cannot be separated"
 AT_SPEED = "one speed only: half the difference of the dampings times the speed is still in it"
 
 

@@ -87,7 +87,7 @@ def _means(traces: Sequence[Trace], simulated: bool) -> list[Picture]:
 
 
 def rubber(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
-    """The force without pressure beside the fitted rubber term."""
+    """The force without pressure compared with the fitted rubber term."""
     found = []
     for trace in (t for t in traces if has(t, "displacement", "force", "model")):
         data = panel(trace, {"x": "displacement", "y": "force", "model": "model"}, "")

@@ -5,6 +5,7 @@ Paper 3, tests at fixed pressure and traction at 0 bar gauge.
 
 from __future__ import annotations
 
+from itertools import pairwise
 from math import isclose
 from typing import Annotated, ClassVar, Literal
 
@@ -30,6 +31,14 @@ class RampAxes(Strict):
     upper: LengthAxis | None = None
 
 
+class MinorLoop(Strict):
+    """A loop within the stroke after the last cycle: how the hysteresis turns shows where it is small."""
+
+    lower: Length
+    upper: Length
+    cycles: Annotated[int, Field(ge=1, le=1000)] = 1
+
+
 class RampTrial(Strict):
     """One loop: cycles of a ramp from `lower` to `upper` contraction and one back."""
 
@@ -47,6 +56,8 @@ class RampTrial(Strict):
     """Time at pressure before the first motion."""
     approach: Speed
     """Speed from 0 to the lower end and back."""
+    minor: MinorLoop | None = None
+    """For the surface of a muscle with hysteresis; the reduction of this kind of test leaves it out."""
 
 
 class IsobaricRamp(ProtocolHead):
@@ -90,6 +101,7 @@ class IsobaricRamp(ProtocolHead):
             c.steps += [
                 Record("contract", True, index),
                 *self._cycle(lower, upper, speed) * trial.cycles,
+                *self._minor(lower, speed),
                 Record("expand", False, index),
                 Hold("rest", 1.0),
             ]
@@ -106,6 +118,13 @@ class IsobaricRamp(ProtocolHead):
             Ramp("expand", "displacement", upper, lower, speed),
             *rest["expand"],
         ]
+
+    def _minor(self, lower: float, speed: float) -> list[Step]:
+        minor = self.trial.minor
+        if minor is None:
+            return []
+        places = [lower, *(minor.upper, minor.lower) * minor.cycles, minor.upper, lower]
+        return [Ramp("minor", "displacement", begin, end, speed) for begin, end in pairwise(places)]
 
     def _ends(self, c: Compilation, point: Point) -> tuple[float, float] | None:
         """The two ends of the stroke [m], checked; None where there are none."""
@@ -126,6 +145,10 @@ class IsobaricRamp(ProtocolHead):
                 places["upper"],
                 "the stroke is not longer than four times what is left out at each end (turn): nothing would be left",
             )
+            return None
+        minor = self.trial.minor
+        if minor is not None and not ends["lower"] < minor.lower < minor.upper < ends["upper"]:
+            c.fault(("trial", "minor"), "its lower and upper end must rise, and lie between the ends of the stroke")
             return None
         if point.values["pressure"] <= 0 and ends["upper"] > 0:
             c.fault(places["upper"], BELOW_0)

@@ -284,7 +284,7 @@ def _sentences(cells: Sequence[Cell]) -> list[Finding]:
     found = [Finding("note", f"the contracting branch is the lower one; gap at mid stroke {gaps}")]
     if bent := [show(cell.pressure, "pressure") for cell in cells if cell.bent]:
         text = f"at {', '.join(bent)} the mean curve is bent: K by pressure alone is a mean over the stroke"
-        found.append(Finding("note", f"{text}; that at each contraction stands in the tables"))
+        found.append(Finding("note", f"{text}; that at each contraction is in the tables"))
     return found
 
 

@@ -22,6 +22,7 @@ PULL = Kind(
     figures={"isometric": "pmabench.plotting.isometric:lines"},
     front={"isometric": "pmabench.plotting.isometric:lines"},
     published={"isometric": ("pressure", "force", "displacement")},
+    parts={"slow rows": "pmabench.analysis.surface.trials:by_hand"},
     imported=Imported(recording=True, follows="force", shown="pauses"),
 )
 KIND = Kind(
@@ -37,5 +38,6 @@ KIND = Kind(
     figures={"isometric": "pmabench.plotting.isometric:lines"},
     front={"isometric": "pmabench.plotting.isometric:lines"},
     published={"isometric": ("pressure", "force", "displacement")},
+    parts={"slow rows": "pmabench.analysis.surface.trials:by_hand"},
     imported=Imported(recording=True, follows="force", point=("contraction",), held=True, shown="held length"),
 )

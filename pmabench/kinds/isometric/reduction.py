@@ -188,7 +188,7 @@ def _trace(contraction: float, tests: Sequence[Test], line: Line, above: float) 
 
 
 def offers(analysis: Analysis) -> Iterator[Offer]:
-    """F along each line, where both directions or what was not told apart are in it."""
+    """F along each line; nothing where the map took one phase only, which holds one direction."""
     if len((analysis.facts.get("rule") or {}).get("phases") or ()) == 1:
         return
     for cell in analysis.facts.get("cells", ()):

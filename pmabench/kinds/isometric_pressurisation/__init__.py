@@ -41,7 +41,7 @@ METHODS = {
     "isometric-sides": "Half the force after an approach from above minus after one from below: friction inside.",
     "daerden-section": (
         "Least squares of S = (π/4) D0² [3 (1 − ε)^α / tan² θ0 − 1 / sin² θ0] through the slopes (paper 3). The "
-        "intervals hold if S has this form; a parameter wider than ±25 % is not told."
+        "intervals hold if S has this form; a parameter whose interval is wider than ±25 % is withheld."
     ),
     "daerden-section, alpha = 2": "The same with α = 2, the force of Tondu and Lopez.",
     "daerden-section, D_0 of the specimen": "The same with D0 given by the specimen's inner_diameter.",
@@ -73,6 +73,7 @@ KIND = Kind(
     },
     front={"isometric": "pmabench.plotting.isometric:lines"},
     published={"isometric": ("pressure", "force", "displacement")},
+    parts={"slow rows": "pmabench.analysis.surface.trials:driven"},
     imported=Imported(
         Commanded(
             "pressure",

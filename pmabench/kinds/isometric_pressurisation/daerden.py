@@ -153,7 +153,7 @@ class Section:
 
     @property
     def open(self) -> tuple[str, ...]:
-        """Free parameters that are not told apart: their interval is too wide, or there is none."""
+        """Free parameters that the slopes do not determine: their interval is too wide, or there is none."""
         halves = {name: self.half(name) for name in self.free}
         return tuple(n for n, half in halves.items() if half is None or half > OPEN * abs(getattr(self, n)))
 

@@ -37,7 +37,7 @@ def of_cells(cells: Sequence[Cell]) -> list[Finding]:
         where = f"contraction {show(cell.contraction, 'length', 4)}"
         if cell.pooled is None or cell.low is None:
             off = show(cell.off, "force", 3)
-            text = f"F(P) has no straight part: even its upper half leaves a line by {off}; no slope is told"
+            text = f"F(P) has no straight part: even its upper half leaves a line by {off}; no slope is reported"
             found.append(Finding("doubt", f"{where}: {text}"))
             continue
         line = cell.pooled.line
@@ -84,11 +84,11 @@ def of_threshold(begun: Sequence[Estimate], given: Mapping[str, Any]) -> list[Fi
 
 
 def of_sections(sections: Mapping[str, Section], given: Mapping[str, Any]) -> list[Finding]:
-    """S(eps): what was found, how well, and what cannot be told apart."""
+    """S(eps): what was found, how well, and what these slopes do not determine."""
     if "nominal_length" not in given:
-        return [Finding("doubt", "S(eps) is not told: the specimen has no nominal length")]
+        return [Finding("doubt", "S(eps) is not reported: the specimen has no nominal length")]
     if not sections:
-        text = "S(eps) is not told: fewer than three contractions with a slope, or slopes that no braid gives"
+        text = "S(eps) is not reported: fewer than three contractions with a slope, or slopes that no braid gives"
         return [Finding("note", text)]
     found = []
     for method, one in sections.items():
@@ -102,13 +102,15 @@ def of_sections(sections: Mapping[str, Section], given: Mapping[str, Any]) -> li
             found.append(Finding("doubt", f"{method}: {_open(one)}"))
         if one.other_form:
             text = "slopes lie further from the curve than they scatter: S(eps) has another form here"
-            found.append(Finding("note" if one.free != NAMES else "doubt", f"{method}: {text}; no parameters are told"))
+            found.append(
+                Finding("note" if one.free != NAMES else "doubt", f"{method}: {text}; no parameters are reported")
+            )
     return found
 
 
 def _open(one: Section) -> str:
     """Which parameters are open, and between which values."""
-    text = f"{', '.join(one.open)} cannot be told apart from these contractions"
+    text = f"{', '.join(one.open)} cannot be determined separately from these contractions"
     if one.freedom < 1:
         return f"{text}: as many parameters as slopes. Measure at more contractions"
     sets = [
@@ -125,7 +127,7 @@ def _open(one: Section) -> str:
 def of_across(found: Sequence[Across]) -> list[Finding]:
     """Whether the three-element model holds over the contractions."""
     if not found:
-        return [Finding("note", "F_ce and K are not told: fewer than three contractions pull at the same pressure")]
+        return [Finding("note", "F_ce and K are not reported: fewer than three contractions pull at the same pressure")]
     worst = max(found, key=lambda one: one.off / one.span if one.span else 0.0)
     share = worst.off / worst.span if worst.span else 0.0
     where = show(worst.pressure, "pressure")
@@ -179,7 +181,7 @@ def _from(low: float) -> Used:
 
 
 def section_facts(one: Section) -> dict[str, Any]:
-    """The parameters as fitted, told apart or not [SI], the residual [N/Pa] and the condition number."""
+    """All parameters as fitted, determined or not [SI], the residual [N/Pa] and the condition number."""
     values = {"D_0": one.D_0, "theta_0": one.theta_0, "alpha": one.alpha}
     return {
         **values,

@@ -1,10 +1,11 @@
-"""Isometric pressurisation: the driven end stands still, the pressure goes slowly up and down (papers 2, 3, 4).
+"""Isometric pressurisation: the driven end is held, the pressure goes slowly up and down (papers 2, 3, 4).
 
 Paper 3's fixed-position test gives S(eps) and the rubber's force, papers 2 and 4 the pressure at which force begins.
 """
 
 from __future__ import annotations
 
+from itertools import pairwise
 from math import inf
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, TypeAlias
 
@@ -72,6 +73,14 @@ class Move(Strict):
     """How far beyond it goes before it comes back, from both sides."""
 
 
+class MinorLoop(Strict):
+    """A loop of pressure within the ramp, after it: how the hysteresis turns shows where it is small."""
+
+    lower: Pressure
+    upper: Pressure
+    cycles: Annotated[int, Field(ge=1, le=1000)] = 1
+
+
 class Pressurise(Strict):
     """The slow ramp of pressure, up and down."""
 
@@ -80,6 +89,8 @@ class Pressurise(Strict):
     rate: PressureRate
     hold: Time
     """Time at the top."""
+    minor: MinorLoop | None = None
+    """For the surface of a muscle with hysteresis; the reduction of this kind of test leaves it out."""
 
 
 class IsometricTrial(Strict):
@@ -144,6 +155,10 @@ class IsometricPressurisation(ProtocolHead):
                 f"too fast: the ramp has fewer than {FEWEST_SAMPLES} samples; at most "
                 f"{show(slowest, 'pressure rate', 3)} at this sample_rate",
             )
+        minor = ramp.minor
+        if minor is not None and not ramp.start < minor.lower < minor.upper < ramp.stop:
+            where = ("trial", "pressurise", "minor")
+            c.fault(where, "its lower and upper end must rise, and lie between start and stop of the ramp")
         if move.approach == "from-both-sides":
             c.positive(move.beyond, ("trial", "move", "beyond"))
         elif move.beyond:
@@ -179,6 +194,14 @@ class IsometricPressurisation(ProtocolHead):
             )
 
 
+def _minor(ramp: Pressurise) -> list[Step]:
+    minor = ramp.minor
+    if minor is None:
+        return []
+    levels = [ramp.start, *(minor.upper, minor.lower) * minor.cycles, minor.upper, ramp.start]
+    return [Ramp("minor", "pressure", begin, end, ramp.rate) for begin, end in pairwise(levels)]
+
+
 def _steps(of: IsometricTrial, x: float, side: int, index: int) -> list[Step]:
     """One trial: from the nominal length to x [m], from `side`; one slow ramp up and down; and back.
 
@@ -202,6 +225,7 @@ def _steps(of: IsometricTrial, x: float, side: int, index: int) -> list[Step]:
         Hold("top", ramp.hold),
         Ramp("empty", "pressure", ramp.stop, ramp.start, ramp.rate),
         Hold("end", REST),
+        *_minor(ramp),
         *([Ramp("return", "pressure", ramp.start, move.pressure, ramp.rate)] if apart else []),
         *([Ramp("return", "displacement", x, 0.0, move.speed)] if abs(x) > 1e-9 else []),
         Record("return", False, index),

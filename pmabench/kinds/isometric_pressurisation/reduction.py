@@ -189,7 +189,7 @@ Key = tuple[str, str, str, float | None]
 
 
 def _key(e: Estimate) -> Key:
-    """What an estimate is told by: symbol, method, coordinate, pressure or contraction."""
+    """What identifies an estimate: symbol, method, coordinate, pressure or contraction."""
     return e.symbol, e.method, e.coordinate, next(iter(e.at.values()), None)
 
 
@@ -382,7 +382,7 @@ def _sections(cells: Sequence[Cell], given: Mapping[str, Any]) -> dict[str, daer
 
 
 def _section_estimates(sections: Mapping[str, daerden.Section], scales: Scales) -> list[Estimate]:
-    """The free parameters of each way; no value where they are not told apart."""
+    """The free parameters of each way; no value where the slopes do not determine it."""
     found = []
     for method, one in sections.items():
         for name in one.free:
@@ -392,7 +392,7 @@ def _section_estimates(sections: Mapping[str, daerden.Section], scales: Scales) 
             # A gain of force or pressure scales S, and so D0 squared; one of the contraction is not assessed.
             gain = {"force": value / 2, "pressure": value / 2} if name == "D_0" else {"force": 0.0, "pressure": 0.0}
             text = f"fitted {show(value, quantity, 4)}" + (f" +- {show(half, quantity, 2)}" if half is not None else "")
-            why = "S(eps) has another form" if one.other_form else "not told apart from the others"
+            why = "S(eps) has another form" if one.other_form else "not determined separately from the others"
             note = f"{why}: {text}" if is_open else ""
             parts = Parts() if is_open else Parts(repeats=half, calibration=scales.part(gain))
             n = len(one.slopes.S)

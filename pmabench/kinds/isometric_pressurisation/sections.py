@@ -197,7 +197,7 @@ class Corrected:
     rms: float
     """Residual [N]."""
     rms_without_q: float
-    """With q = 1 and a dead band of its own [N]."""
+    """With q = 1 and a dead band fitted for that case [N]."""
     largest: float
     """Largest mean force [N]."""
 

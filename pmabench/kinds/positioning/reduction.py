@@ -6,8 +6,8 @@ Measures of one hold are in `response`, the simulated loop in `analysis.shared.s
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from math import sqrt
+from dataclasses import dataclass, replace
+from math import hypot, sqrt
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,7 @@ from pmabench.analysis.shared.form import Doubt, weighed
 from pmabench.analysis.shared.simulated import closed_loop, model_of
 from pmabench.base.quantities import show
 from pmabench.kinds.positioning import RESULTS
-from pmabench.kinds.positioning.response import Response, respond
+from pmabench.kinds.positioning.response import SMALLEST, Response, respond
 from pmabench.model.presets import Described
 from pmabench.store.analyses.results import Analysis, Dropped, Estimate, Finding, Parts, Trace
 from pmabench.store.records import Array, RunData, TrialData
@@ -183,6 +183,19 @@ def _moves(members: Sequence[Hold], setpoint: float) -> Doubt:
     return Doubt("motion in the window", "method", half / setpoint, seen, f"{text}. Hold longer, with a later window")
 
 
+def _steady(e: Estimate, moves: Doubt) -> Estimate:
+    """The steady-state error with what `moves` in the window. Where that is seen and may be more than the error itself,
+    a bound and no value: not even the sign of a steady error is known. What moves less than cycles that count is rest.
+    """
+    found = weighed(e, [moves], 1.0)
+    if found.value is None or not moves.seen or moves.half <= max(SMALLEST, abs(found.value)):
+        return found
+    half = hypot(*(part or 0.0 for part in vars(found.parts).values()))
+    most = abs(found.value) + half
+    note = f"not more than {show(most, 'ratio', 3)} of the set-point either way: {moves.reason}"
+    return replace(found, value=None, parts=Parts(), budget=(), note=sentences(note, e.note), bound=most)
+
+
 def _half(symbol: str, shifted: Sequence[tuple[Response, Response]], setpoint: float) -> float | None:
     """Half of what the measure changes between both ends of a scale's uncertainty, causes as squares."""
     if not shifted:
@@ -221,7 +234,7 @@ def _estimates(at: dict[str, float], members: Sequence[Hold]) -> list[Estimate]:
             note=sentences(ALONE, lacking) if len(values) == 1 else lacking if len(values) else _why_not(symbol),
             trials=names,
         )
-        found.append(weighed(e, [_moves(members, setpoint)], 1.0) if symbol == "e_ss" else e)
+        found.append(_steady(e, _moves(members, setpoint)) if symbol == "e_ss" else e)
     rms = [float(np.sqrt(np.mean((h.x - h.simulated) ** 2))) for h in members if h.simulated is not None]
     if rms:
         found.append(Estimate("e_sim", float(np.mean(rms)), "m", "length", SIMULATION, at, n=len(rms), trials=names))
@@ -257,8 +270,9 @@ def _findings(runs: Sequence[RunData], cells: Sequence[Sequence[Hold]]) -> list[
     lines.append(
         Finding(
             "note",
-            f"the steady-state error is at most {_relative_error(worst):.2g} % of the set-point "
-            f"({show(worst.response.error, 'length', 3)} at {show(setpoint, 'length')}; {window_text})",
+            f"the steady-state error is at most {_relative_error(worst):.3g} % of the set-point at "
+            f"{show(setpoint, 'length')} ({show(worst.response.error, 'length', 3)} is the {window_text}, "
+            "and what moves in it is added)",
         )
     )
     lines += _cycles([hold for members in cells for hold in members])
@@ -274,13 +288,14 @@ def _findings(runs: Sequence[RunData], cells: Sequence[Sequence[Hold]]) -> list[
         friction = model.muscle.friction
         text = f"simulated with: {model.source}, friction {friction.F_s:g} N at rest and {friction.F_c:g} N moving"
         if model.regulator.dead_time == 0 and model.regulator.lag == 0:
-            text += "; its regulator is told to be exact, so that the simulated loop is quicker than a real one"
+            text += "; its regulator is given as exact, so that the simulated loop is quicker than a real one"
         lines.append(Finding("note", text))
     return lines
 
 
 def _relative_error(hold: Hold) -> float:
-    return 100 * abs(hold.response.error) / float(hold.law["setpoint"])
+    """Largest error [% of the set-point] that the mean and what moves in the window leave possible."""
+    return 100 * (abs(hold.response.error) + hold.response.unsure.error) / float(hold.law["setpoint"])
 
 
 def _cycles(holds: Sequence[Hold]) -> list[Finding]:

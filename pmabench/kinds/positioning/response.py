@@ -52,7 +52,7 @@ class Cycle:
 
     @property
     def sticks(self) -> bool:
-        """Whether it stands still and jumps, as stiction makes it, and does not swing."""
+        """Whether it sticks and jumps, as stiction makes it, and does not swing."""
         return self.at_rest >= STICKS
 
 

@@ -35,5 +35,6 @@ KIND = Kind(
     figures={
         "pressure-loop": "pmabench.plotting.loops:loops",
     },
+    parts={"slow rows": "pmabench.analysis.surface.trials:hanging"},
     imported=Imported(recording=True, follows="displacement", point=("frequency",), shown="sine"),
 )

@@ -15,6 +15,7 @@ import numpy as np
 from pmabench.analysis.shared.calibration import sentences
 from pmabench.analysis.shared.form import change_over
 from pmabench.analysis.shared.lines import mean_half
+from pmabench.kinds.recorded_sine.form import slower
 from pmabench.store.analyses.results import Estimate, Parts
 from pmabench.store.records import Array
 
@@ -72,6 +73,7 @@ def bandwidth(groups: Mapping[float, Sequence[Sine]]) -> list[Estimate]:
         )
         moved = [crossing(at, np.concatenate([gain[:1], gain[1:] * (1 + way * off[1:])])) for way in (-1, 1)]
         half = max(abs(one[0] - value) for one in moved if one is not None) if any(moved) else None
+    apart = hypot(apart, *_slow([groups[f][0] for f in frequencies], driven, at, gain, value))
     note = sentences(
         f"against the gain at {frequencies[0]:g} Hz", "" if half is not None else "no repeats part: single cycles"
     )
@@ -80,3 +82,13 @@ def bandwidth(groups: Mapping[float, Sequence[Sine]]) -> list[Estimate]:
             "f_b", value, "Hz", "frequency", method, {}, Parts(half, apart, 0.0), len(names), note=note, trials=names
         )
     ]
+
+
+def _slow(sines: Sequence[Sine], driven: str, at: Array, gain: Array, value: float) -> list[float]:
+    """Change of f_b [Hz] by what the time constant of each sensor is known to; `sines` is one for each frequency."""
+    found = []
+    for name, sign in (("displacement", 1), (driven, -1)):
+        change = np.array([sign * slower(sine, name).real for sine in sines])
+        moved = crossing(at, gain * (1 + change)) if change.any() else None
+        found.append(0.0 if moved is None else abs(moved[0] - value))
+    return found

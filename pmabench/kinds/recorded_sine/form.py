@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pmabench.analysis.shared.form import Doubt, change_over
-from pmabench.analysis.shared.samples import noise_of
+from pmabench.analysis.shared.samples import LAG_KNOWN, noise_of
 from pmabench.base.quantities import show
 from pmabench.store.records import Array
 
@@ -51,7 +51,8 @@ def cut_off(sines: Sequence[Sine], names: Sequence[str]) -> list[Doubt]:
 
 def _missing(sine: Sine, name: str) -> tuple[float, float]:
     """Share of the amplitude that a cut takes, and of the samples that are cut; 0 without one."""
-    values, whole = sine.raw[name], abs(sine.amplitudes[name])
+    values, angle = sine.raw[name], sine.omega * sine.t
+    whole = _amplitude(angle, values)
     kept, flat = np.ones(len(values), dtype=bool), 0.0
     for turned in (values, -values):
         levels, counts = np.unique(turned, return_counts=True)
@@ -60,10 +61,29 @@ def _missing(sine: Sine, name: str) -> tuple[float, float]:
             flat += float(counts[-1]) / len(values)
     if not flat:
         return 0.0, 0.0
-    angle = sine.omega * sine.t[kept]
+    return abs(_amplitude(angle[kept], values[kept]) / whole - 1), flat
+
+
+def _amplitude(angle: Array, values: Array) -> float:
+    """Of the first harmonic of values at angles [rad], shapes (n,)."""
     design = np.column_stack([np.ones(len(angle)), np.cos(angle), np.sin(angle)])
-    fitted = np.linalg.lstsq(design, values[kept], rcond=None)[0]
-    return abs(float(np.hypot(fitted[1], fitted[2])) / whole - 1), flat
+    fitted = np.linalg.lstsq(design, values, rcond=None)[0]
+    return float(np.hypot(fitted[1], fitted[2]))
+
+
+def slower(sine: Sine, name: str) -> complex:
+    """Relative change of a complex amplitude where the sensor's time constant is larger by what it is known to [1]:
+    that of ln(1 + j omega tau).
+    """
+    turn = 1j * sine.omega * sine.lags[name]
+    return LAG_KNOWN * turn / (1 + turn)
+
+
+def slow_sensors(sine: Sine, names: Sequence[str], *, phase: bool = False) -> list[Doubt]:
+    """What the time constants of sensors leave open of the ratio of their amplitudes [1], or of its `phase` [rad]."""
+    changes = [slower(sine, name) for name in names]
+    half = float(np.hypot.reduce([change.imag if phase else change.real for change in changes] or [0.0]))
+    return [Doubt("time constants of the sensors", "method", half, seen=False)] if half else []
 
 
 def other_shape(sines: Sequence[Sine]) -> list[Doubt]:

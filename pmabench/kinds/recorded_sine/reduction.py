@@ -17,11 +17,12 @@ from pmabench.analysis.imported import flagged_counts, import_findings, measured
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.form import Doubt, weighed
 from pmabench.analysis.shared.lines import mean_half
-from pmabench.analysis.shared.samples import three_parameter
+from pmabench.analysis.shared.samples import lags_of, three_parameter
+from pmabench.analysis.shared.sine_loop import without_lag
 from pmabench.base.quantities import show
 from pmabench.kinds.recorded_sine import RESULTS
 from pmabench.kinds.recorded_sine.bandwidth import bandwidth
-from pmabench.kinds.recorded_sine.form import changing, cut_off, other_shape
+from pmabench.kinds.recorded_sine.form import changing, cut_off, other_shape, slow_sensors
 from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace
 from pmabench.store.records import Array, Flag, RunData, TrialData
 
@@ -58,7 +59,9 @@ class Sine:
     P: Array
     x: Array
     raw: Mapping[str, Array]
-    """All channels as recorded; in `P` and `x` no drift is left."""
+    """All channels as recorded; in `P` and `x` no drift and no lag of a sensor is left."""
+    lags: Mapping[str, float]
+    """Time constants of the sensors [s], as declared."""
     amplitudes: Mapping[str, complex]
     """Of `pressure` [Pa], `displacement` [m] and, where recorded, `pressure_command` [Pa]."""
     cycles: Mapping[str, Complex]
@@ -97,8 +100,9 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     over whole cycles after the first second. `phi_x` is the phase of x against the measured pressure, `phi_P` that of
     the pressure against its command, both negative for a lag. H = 2 |x| |sin phi_x| is the width of the ellipse at mean
     pressure. The pressure may be older than its stamps (`late_by` of the map, or option [[least, most] in s]): phases
-    are turned by the middle of that, and half its range is the `method` part. The bandwidth is that of
-    `bandwidth`. K and B do not follow from x and P alone: F_ce(P) comes in between.
+    are turned by the middle of that, and half its range is the `method` part. Lags of sensors (`sensor_lag`, first
+    order) are taken off: amplitudes are multiplied by 1 + j omega tau, and a fifth of tau is left open. The bandwidth
+    is that of `bandwidth`. K and B do not follow from x and P alone: F_ce(P) comes in between.
     """
     options = options or {}
     sines, dropped, read_off = measured(runs, options, measure)
@@ -124,7 +128,9 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         findings.append(Finding("note", text))
     findings += _over_frequency(first)
     if estimates:
-        text = "no method part but for the lateness of the pressure: how far these are no sines is told beside them"
+        text = (
+            "no method part but for lateness and lag of the channels; how far these differ from sines is stated above"
+        )
         findings.append(Finding("note", text))
     return Analysis.of(
         KIND,
@@ -144,7 +150,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     )
 
 
-def measure(trial: TrialData, late: tuple[float, float]) -> Sine | str:
+def measure(run: RunData, trial: TrialData, late: tuple[float, float]) -> Sine | str:
     """One trial from its samples, or the reason why it cannot be measured."""
     frequency = trial.point.get("frequency", 0.0)
     missing = [name for name in ("pressure", "displacement") if name not in trial.channels]
@@ -178,7 +184,11 @@ def measure(trial: TrialData, late: tuple[float, float]) -> Sine | str:
     cycles = by_cycle(frequency)
     off = _frequency_off(cycles.get("pressure_command", cycles["pressure"]), whole)
     real = frequency * (1 + off)
-    cycles = by_cycle(real) if off else cycles
+    lags = lags_of(run, trial)
+    signals = np.column_stack(
+        [without_lag(t, signals[:, column], real, lags[name]) for column, name in enumerate(names)]
+    )
+    cycles = by_cycle(real)
     means, amplitudes = three_parameter(t, signals, real)
     model = means + np.real(np.exp(2j * pi * real * t)[:, None] * amplitudes[None, :])
     left = np.std(signals - model, axis=0) / np.maximum(np.std(signals, axis=0), 1e-30)
@@ -191,6 +201,7 @@ def measure(trial: TrialData, late: tuple[float, float]) -> Sine | str:
         P=signals[:, 0],
         x=signals[:, 1],
         raw={name: trial.channels[name][good] for name in names},
+        lags={name: lags[name] for name in names},
         amplitudes={name: complex(amplitudes[column]) for column, name in enumerate(names)},
         cycles=cycles,
         left={name: float(left[column]) for column, name in enumerate(names)},
@@ -239,14 +250,13 @@ def _at(group: Sequence[tuple[RunData, Sine]], *, alone: bool, read_off: bool) -
         scaled: tuple[str, ...] = (), method: float | None = None, note: str = "", of: tuple[str, ...] = (),
         doubts: Sequence[Doubt] = (),
     ) -> Estimate:  # fmt: skip
-        values = np.array(whole)
-        value = float(values.mean())
-        parts = Parts(mean_half(values, by_cycle), method, scales.part(dict.fromkeys(scaled, value)))
-        few = CYCLES if len(values) == 1 else ""
+        value = float(np.mean(whole))
+        parts = Parts(mean_half(np.array(whole), by_cycle), method, scales.part(dict.fromkeys(scaled, value)))
+        few = CYCLES if len(whole) == 1 else ""
         note_text = sentences(note, few, scales.lack(scaled))
-        e = Estimate(symbol, value, *kind, METHOD, at, parts, len(values), note=note_text, trials=parents)
-        cuts = [replace(doubt, half=doubt.half * abs(value)) for doubt in cut_off(sines, of)]
-        return weighed(e, [*doubts, *cuts, *changing(by_cycle, symbol)], 1.0 if symbol.startswith("phi") else None)
+        e = Estimate(symbol, value, *kind, METHOD, at, parts, len(whole), note=note_text, trials=parents)
+        sizes = [replace(d, half=d.half * abs(value)) for d in (*cut_off(sines, of), *slow_sensors(first, of))]
+        return weighed(e, [*doubts, *sizes, *changing(by_cycle, symbol)], 1.0 if symbol.startswith("phi") else None)
 
     def size(name: str) -> tuple[list[float], list[Array]]:
         return [abs(s.amplitudes[name]) for s in sines], [np.abs(s.cycles[name]) for s in sines]
@@ -260,23 +270,25 @@ def _at(group: Sequence[tuple[RunData, Sine]], *, alone: bool, read_off: bool) -
     width_by = [2 * np.abs(s.cycles["displacement"]) * np.abs(np.sin(p)) for s, p in zip(sines, phase_by, strict=True)]
     both = ("pressure", "displacement")
     late = "the pressure's lateness taken as the middle of its range" if read_off else UNTOLD_TIME
-    spread = 2 * abs(first.amplitudes["displacement"]) * abs(float(np.cos(phase[0]))) * doubt
+    by_phase = 2 * abs(first.amplitudes["displacement"]) * abs(float(np.cos(phase[0])))
+    slow = slow_sensors(first, both, phase=True)
+    shape = [*other_shape(sines), *(replace(one, half=one.half * by_phase) for one in slow)]
     found = [
         estimate("P", ("Pa", "pressure"), *size("pressure"), ("pressure",), of=("pressure",)),
         estimate("x", ("m", "length"), *size("displacement"), ("displacement",), of=("displacement",)),
         estimate("P/x", ("Pa/m", "gain"), *ratio("pressure", "displacement"), both, of=both),
-        estimate("phi_x", ("rad", "angle"), phase, phase_by, method=doubt or None, note=late),
-        estimate("H", ("m", "length"), width, width_by, ("displacement",), spread or None, late, ("displacement",),
-                 other_shape(sines)),
+        estimate("phi_x", ("rad", "angle"), phase, phase_by, method=doubt or None, note=late, doubts=slow),
+        estimate("H", ("m", "length"), width, width_by, ("displacement",), by_phase * doubt or None, late,
+                 ("displacement",), shape),
     ]  # fmt: skip
     if all("pressure_command" in s.amplitudes for s in sines):
         back = _phases(sines, "pressure", "pressure_command", against=-1.0)
         found += [
-            estimate(
-                "P/P_set", ("1", "ratio"), *ratio("pressure", "pressure_command"), ("pressure",), of=("pressure",)
-            ),
-            estimate("phi_P", ("rad", "angle"), *back, method=doubt or None, note=late),
-        ]
+            estimate("P/P_set", ("1", "ratio"), *ratio("pressure", "pressure_command"), ("pressure",),
+                     of=("pressure",)),
+            estimate("phi_P", ("rad", "angle"), *back, method=doubt or None, note=late,
+                     doubts=slow_sensors(first, ("pressure", "pressure_command"), phase=True)),
+        ]  # fmt: skip
     return found
 
 
@@ -311,7 +323,7 @@ def _over_frequency(sines: Sequence[Sine]) -> list[Finding]:
         left = [sine.left[name] for sine in sines]
         if left and max(left) > NO_SINE:
             text = f"{name} is no pure sine: {min(left):.0%} to {max(left):.0%} is left by the first harmonic"
-            lines.append(Finding("note", f"{text}, which alone is told"))
+            lines.append(Finding("note", f"{text}, and only the harmonic is reported"))
     if len(sines) < 3:
         return lines
     omega = np.array([s.omega for s in sines])
@@ -326,7 +338,7 @@ def _over_frequency(sines: Sequence[Sine]) -> list[Finding]:
     if most > 0:
         text = (
             f"the pressure may be up to {show(most, 'time', 2)} older than its stamps, worth "
-            f"{omega.max() * most:.2f} rad at the highest frequency: no damping is told from these phases"
+            f"{omega.max() * most:.2f} rad at the highest frequency: no damping is derived from these phases"
         )
         lines.append(Finding("doubt", text))
     return lines

@@ -1,6 +1,6 @@
 """Steps of pressure that other programs recorded: dead time, rise, stroke, what its ringing says of K and B.
 
-- `reduction`, with `motion`
+- `reduction` of what `step` measures, with `motion`; `times` (B/K, dead time), `loads` (K of two loads), `ringing`
 """
 
 from pmabench.base.imported import Imported
@@ -9,12 +9,24 @@ from pmabench.base.kind import Kind, Result
 RESULTS = (
     Result("K", "stiffness", "stiffness", headline=True, positive=True),
     Result("B", "damping, mean of both directions", "damping", headline=True, plot="Damping", positive=True),
+    Result("B_c", "damping, contracting", "damping", headline=True, plot="Damping", positive=True),
+    Result("B_r", "damping, relaxing", "damping", headline=True, plot="Damping", positive=True),
     Result("t_d", "dead time", "time", headline=True, plot="Dead times t_d", positive=True),
+    Result("tau_c", "time constant, contracting", "time", headline=True, plot="Time constants", positive=True),
+    Result("tau_r", "time constant, relaxing", "time", headline=True, plot="Time constants", positive=True),
     Result("tau_P", "rise time of the pressure", "time", headline=True, positive=True),
     Result("X", "stroke", "length", headline=True),
     Result("dP/dx", "pressure per contraction", "gain", headline=True),
 )
 METHODS = {
+    "secant-of-loads": (
+        "Steps between the same pressures under two known loads or more: K = ΔW/Δx between the places of rest, "
+        "and B from it and B/K."
+    ),
+    "driven-delay": (
+        "M x″ + B x′ + K x driven by the measured pressure and by the square of its change, which takes up that K and "
+        "B change along the step; B/K, the mass and the delay behind the pressure are free."
+    ),
     "recorded-step": ("Dead time, rise time and stroke of each recorded step; pressure per contraction from its ends."),
     "ringing-of-known-mass": (
         "M x″ + B x′ + K x = (dF_ce/dP) P + const, driven by the measured pressure, with the moving mass taken as "
@@ -36,5 +48,6 @@ KIND = Kind(
     front={
         "overlay": "pmabench.plotting.motion:overlays",
     },
+    parts={"slow rows": "pmabench.analysis.surface.trials:hanging"},
     imported=Imported(recording=True, follows="displacement", timed=True, shown="steps"),
 )

@@ -1,4 +1,4 @@
-"""A second-order motion under a pressure that is held between its changes: its answer, exactly, and its fit.
+"""A second-order motion under a pressure that is constant between its changes: its answer, exactly, and its fit.
 
 The answer to a change is the unit step response of w^2 / (s^2 + 2 D w s + w^2), so the answer at a time is the sum
 over all changes before it. Of each pole p that sum is one decaying number, Z(t) = sum of dP_j exp(p (t - t_j)), which
@@ -7,7 +7,7 @@ goes on from sample to sample; it is found for all samples by cumulative sums ov
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import sqrt
 
 import numpy as np
@@ -22,7 +22,7 @@ EQUAL = 1e-6
 """Damping ratios closer to 1 than this count as 1 + EQUAL: there the two poles are one, and the sum of them is none."""
 
 FREQUENCY = (3.0, 400.0)
-DAMPING = (0.01, 3.0)
+DAMPING = (0.01, 20.0)
 """Bounds of natural frequency [rad/s] and damping ratio [1] of the motion; a fit at a bound found nothing."""
 FEWEST = 12
 """Samples of a stretch of free swinging."""
@@ -56,16 +56,22 @@ class Motion:
     """[m]."""
     model: Array
 
+    @property
+    def decay(self) -> float:
+        """Rate at which the slowest part of the motion dies [1/s]."""
+        return self.w * (self.D - sqrt(max(0.0, self.D**2 - 1))) if self.D > 1 else self.D * self.w
+
 
 def fit_motion(t: Array, P: Array, x: Array, late: float) -> Motion:
     """Least squares of the driven motion over natural frequency and damping; gain and offset follow linearly.
 
-    The measured pressure is held between its changes, as a polled channel reads, and moved `late` [s] ahead. The
-    response is the sum of the exact step responses of all changes, at the stamps as they are: no resampling.
+    The measured pressure jumps in the middle between two samples that differ, which delays neither a channel that
+    changes at each sample nor one that is polled, and is moved `late` [s] ahead. The response is the sum of the exact
+    step responses of all changes: no resampling.
     """
     changes = np.flatnonzero(np.diff(P)) + 1
     jumps = np.diff(P)[changes - 1]
-    at = t[changes] - late
+    at = 0.5 * (t[changes - 1] + t[changes]) - late
 
     def answer(p: Array) -> tuple[Array, float]:
         driven = respond(t, at, jumps, float(np.exp(p[0])), float(np.exp(p[1])))
@@ -87,18 +93,43 @@ def fit_motion(t: Array, P: Array, x: Array, late: float) -> Motion:
     return Motion(late, w, D, g, rms, model)
 
 
+def from_rest(P: Array, rest: float) -> Array:
+    """A pressure [Pa] whose first sample is that at rest: its noise would be a step of the motion from there on."""
+    return np.concatenate([[rest], P[1:]])
+
+
 def lagged_motions(t: Array, P: Array, x: Array, known: Motion) -> list[Motion]:
     """Motions of a pressure that lags behind the measured one by `LAGS`, those that fit no worse than `known`."""
-    found = []
-    for lag in LAGS:
-        share = 1.0 - np.exp(-np.diff(t) / lag)
-        driving = np.empty(len(P))
-        driving[0] = P[0]
-        for k, part in enumerate(share):
-            driving[k + 1] = driving[k] + part * (P[k] - driving[k])
-        found.append(fit_motion(t, driving, x, known.late))
+    found = [fit_motion(t, behind(t, P, lag), x, known.late) for lag in LAGS]
     least = min(motion.rms for motion in [known, *found])
     return [motion for motion in found if motion.rms <= AS_GOOD * least]
+
+
+def behind(t: Array, y: Array, lag: float) -> Array:
+    """What a sensor with a first-order `lag` [s] reads of `y` at times `t` [s], shape (n,); at rest before, and exact
+    for straight lines between the samples.
+    """
+    if lag <= 0:
+        return y
+    length = np.diff(t) / lag
+    keep = np.exp(-length)
+    new = 1.0 - (1.0 - keep) / length
+    read = np.empty(len(y))
+    read[0] = y[0]
+    for k, (kept, share) in enumerate(zip(keep, new, strict=True)):
+        read[k + 1] = kept * read[k] + (1.0 - kept - share) * y[k] + share * y[k + 1]
+    return read
+
+
+def before_sensor(t: Array, y: Array, lag: float, over: float) -> Array:
+    """What a sensor with a first-order `lag` [s] was given where it read `y`, shape (n,), as means `over` a time [s].
+
+    The input is y + lag y', so its mean over a time is that of y and lag times the change of y over that time.
+    """
+    until, since = np.minimum(t + over / 2, t[-1]), np.maximum(t - over / 2, t[0])
+    area = np.concatenate(([0.0], np.cumsum(0.5 * (y[1:] + y[:-1]) * np.diff(t))))
+    change = lag * (np.interp(until, t, y) - np.interp(since, t, y))
+    return np.asarray((np.interp(until, t, area) - np.interp(since, t, area) + change) / (until - since))
 
 
 def extremes(x: Array, end: float, noise: float) -> int:
@@ -196,3 +227,108 @@ def _decaying(t: Array, at: Array, jumps: Array, before: NDArray[np.intp], pole:
     seen = index >= 0
     result[seen] = sums[index[seen]] * np.exp(pole * (t[seen] - starts[group[seen]]))
     return result
+
+
+FREE = 0.04
+"""The pressure may be so much earlier or later [s] than its stamps where that is fitted, too."""
+BOUND = 0.99
+"""A time found beyond this share of `FREE` is at its bound."""
+HEAVIEST = 200.0
+"""Greatest damping ratio where the delay is fitted, too: that of a mass that does not show."""
+FASTEST = 5e-3
+"""A mass whose pole M/B is faster than this [s] may hide behind a delay."""
+WIDE = 3.0
+"""Standard deviations of the 95 % interval, where the correlation of what is left is found from the same samples."""
+REMAINS = 0.3
+"""Share of what the second column changes that is added to the half widths."""
+
+
+@dataclass(frozen=True)
+class Delayed:
+    """A driven motion whose delay behind the measured pressure was fitted with it; half widths of 95 % intervals."""
+
+    tau: float
+    """Time constant B/K at the pressure that the step ends at, 2 D/w [s]."""
+    half_tau: float
+    delay: float
+    """Time of the motion behind the measured pressure [s]; below 0 where the pressure is stamped late."""
+    half_delay: float
+    rms: float
+    """[m]."""
+    place: Array
+    """Where the fit ended: the delay over `FREE`, logarithms of damping ratio and natural frequency."""
+
+    @property
+    def bounded(self) -> bool:
+        """Whether the delay was found within its bounds."""
+        return abs(self.delay) + self.half_delay < BOUND * FREE
+
+
+def fit_delayed(t: Array, P: Array, x: Array, start: Motion, w: float | None = None) -> Delayed:
+    """Least squares of the driven motion over natural frequency, damping ratio and delay behind the pressure.
+
+    t [s], P [Pa], x [m], shapes (n,). `w` is the natural frequency sqrt(K/M) [rad/s], where stiffness and moving mass
+    are known. K and B change with the pressure along the step; a second column, driven by the square of its change,
+    takes that up to first order, and what it changes widens the intervals. They hold the covariance with the serial
+    correlation of what is left, and half the sample period: what a sample shows has come since the one before it.
+    """
+    period = float(np.median(np.diff(t)))
+    first = np.array([-start.late / FREE, np.log(start.D * (1.0 if w is None else w / start.w)), np.log(start.w)])
+    one = _delayed(t, P, x, first, w, columns=1)
+    two = min((_delayed(t, P, x, begin, w, columns=2) for begin in (first, one.place)), key=lambda found: found.rms)
+    return replace(
+        two,
+        half_tau=float(np.hypot(two.half_tau, REMAINS * (two.tau - one.tau))),
+        half_delay=float(np.linalg.norm([two.half_delay, REMAINS * (two.delay - one.delay), 0.5 * period])),
+    )
+
+
+def _delayed(t: Array, P: Array, x: Array, first: Array, w: float | None, columns: int) -> Delayed:
+    changes = np.flatnonzero(np.diff(P)) + 1
+    came = 0.5 * (t[changes] + t[changes - 1])
+    change = (P - P[0]) / max(float(np.ptp(P)), 1e-9)
+    jumps = [np.diff(values)[changes - 1] for values in (change, change * np.abs(change))[:columns]]
+    scale = max(float(np.ptp(x)), 1e-9)
+
+    def misfit(p: Array) -> Array:
+        frequency, damping = w if w is not None else float(np.exp(p[2])), float(np.exp(p[1]))
+        driven = [respond(t, came + FREE * p[0], one, frequency, damping) for one in jumps]
+        design = np.column_stack([np.ones(len(t)), *driven])
+        return np.asarray(x - design @ np.linalg.lstsq(design, x, rcond=None)[0]) / scale
+
+    low, high = [-1.0, np.log(DAMPING[0]), np.log(FREQUENCY[0])], [1.0, np.log(HEAVIEST), np.log(FREQUENCY[1])]
+    free = 3 if w is None else 2
+    begin = np.clip(first[:free], np.array(low[:free]) + 1e-3, np.array(high[:free]) - 1e-3)
+    solved = least_squares(misfit, begin, bounds=(low[:free], high[:free]), x_scale=0.1, max_nfev=100)
+    frequency = w if w is not None else float(np.exp(solved.x[2]))
+    fast = 1 / (2 * float(np.exp(solved.x[1])) * frequency)
+    if w is None and fast < 0.5 * float(np.median(np.diff(t))):
+        massless = FREQUENCY[1]
+        heavy = solved.x[1] + np.log(massless / frequency)
+        found = _delayed(t, P, x, np.array([solved.x[0], heavy, np.log(massless)]), massless, columns)
+        halves = (float(np.hypot(half, FASTEST)) for half in (found.half_tau, found.half_delay))
+        return replace(found, half_tau=next(halves), half_delay=next(halves))
+    rest = solved.fun
+    power = float(rest @ rest)
+    variance = power / (len(rest) - free - 1 - columns) * _together(rest)
+    covariance = np.linalg.pinv(solved.jac.T @ solved.jac) * variance
+    ratio = np.array([0.0, 1.0, -1.0][:free])
+    tau = 2 * float(np.exp(solved.x[1])) / frequency
+    half_tau = WIDE * tau * sqrt(max(0.0, float(ratio @ covariance @ ratio)))
+    half_delay = WIDE * FREE * sqrt(max(0.0, float(covariance[0, 0])))
+    place = np.array([*solved.x[:2], np.log(frequency)])
+    return Delayed(tau, half_tau, FREE * float(solved.x[0]), half_delay, sqrt(power / len(rest)) * scale, place)
+
+
+def _together(rest: Array) -> float:
+    """By how much the variance of means of `rest`, shape (n,), exceeds that of independent samples.
+
+    The noise of a measured pressure drives the model, too, and so what is left is correlated for as long as B/K.
+    """
+    off = rest - rest.mean()
+    size = 2 * len(off)
+    spectrum = np.abs(np.fft.rfft(off, size)) ** 2
+    correlation = np.fft.irfft(spectrum, size)[: len(off) // 2]
+    correlation = correlation / max(float(correlation[0]), 1e-30)
+    below = np.flatnonzero(correlation < 0)
+    return max(1.0, float(1 + 2 * correlation[1 : below[0] if len(below) else None].sum()))

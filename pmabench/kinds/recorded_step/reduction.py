@@ -6,110 +6,34 @@ Knows trials with one command each and measured pressure and displacement; not w
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pmabench.analysis.imported import flagged_counts, import_findings, measured, unusable_because
+from pmabench.analysis.imported import flagged_counts, import_findings, measured
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.form import Doubt, weighed
-from pmabench.analysis.shared.samples import LEAST, Held, left, noise_of, nothing_moved, onset
+from pmabench.analysis.shared.samples import Held, left
 from pmabench.analysis.shared.student import mean_over, mean_with_half
 from pmabench.analysis.verdict.agreement import Offer, everywhere, values_of
 from pmabench.base.quantities import show
 from pmabench.kinds.recorded_step import RESULTS
-from pmabench.kinds.recorded_step.motion import (
-    CLEAR,
-    DAMPING,
-    FREQUENCY,
-    SHOWN,
-    Motion,
-    Swing,
-    extremes,
-    fit_motion,
-    free_swings,
-    lagged_motions,
-)
-from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace, withhold
-from pmabench.store.records import Array, Flag, RunData, TrialData
+from pmabench.kinds.recorded_step.loads import SECANT, Pair, of_loads, rests_of, secant
+from pmabench.kinds.recorded_step.ringing import ONCE, RINGING, ringing
+from pmabench.kinds.recorded_step.step import AFTER, SEEN, Step, measure
+from pmabench.kinds.recorded_step.times import TO_MOTION, check, times
+from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace
+from pmabench.store.records import RunData
 
 KIND = "recorded-step"
-STEP, RINGING = "recorded-step", "ringing-of-known-mass"
-BEFORE, AFTER = 0.5, 0.8
-"""Samples so long before and after the command [s] enter the fit of the motion."""
-FEWEST = 30
-"""Samples on each side that are needed."""
-SEEN = 5.0
-"""An onset counts where it exceeds this many standard deviations of the baseline, and a twentieth of the step."""
-FINE = 2
-"""A log with at least so many samples between the level and a clear rise shows how the rise begins."""
-RINGS = 0.5
-"""Damping ratio from which on a motion does not ring: the mass shows in its fast pole only, which a few ms hide."""
-RANGE = 0.15
-"""K and B are given where they lie within so much of their value for all that is possible of times and lags."""
+STEP = "recorded-step"
 UNTOLD = 0.005
 """What pressure and position may be apart [s] where the map gives no `late_by`, for K and B."""
 UNKNOWN = "nothing is known of the time between the channels"
-ILL_FITTED = 0.1
-"""Rms of the misfit as a share of the stroke, above which K and B are withheld."""
-INSTEAD = "with a column of force or the load, a map of `kind: contraction-relaxation` gives K from such steps"
-ONCE = "no repeats part: one step only"
-STOPPED = 0.3
-"""Share of the swing that the motion should have, below which friction has stopped it."""
 SWUNG = 7.0
 """After so many times its time of decay a swing is over: a thousandth is left."""
-SHIFTS = 4
 OVERSHOOT = 0.05
-
-
-@dataclass(frozen=True, eq=False)
-class Step:
-    """One measured step; times in seconds from the command."""
-
-    trial: TrialData
-    t: Array
-    P: Array
-    x: Array
-    size: float
-    """Change of measured pressure [Pa]."""
-    stroke: float
-    """Change of contraction at the end of the trial [m]."""
-    dead: float
-    """Command to pressure [s]: both in the middle of the samples that they lie between, the lateness taken off."""
-    dead_half: float
-    """Half of those intervals together [s]."""
-    rise: float
-    """From onset to 63 % of the change of pressure [s]."""
-    rise_half: float
-    """Half the times between the samples that the onset, and the 63 %, lie between [s]."""
-    motions: tuple[Motion, ...]
-
-    @property
-    def noise(self) -> float:
-        """Of the displacement at rest before the step [m]."""
-        return noise_of(self.x[self.t < 0])
-
-    @property
-    def near(self) -> NDArray[np.bool_]:
-        """Samples that the fit of the motion uses."""
-        return np.asarray((self.t >= -BEFORE) & (self.t <= AFTER))
-
-    @property
-    def best(self) -> Motion:
-        """The motion with the least misfit."""
-        return min(self.motions, key=lambda motion: motion.rms)
-
-    @property
-    def name(self) -> str:
-        """`run/index`."""
-        return self.trial.name
-
-    @property
-    def found(self) -> bool:
-        """Found in the measured pressure, since no command was recorded."""
-        return any(command.data.get("found") for command in self.trial.commands)
 
 
 def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) -> Analysis:
@@ -120,7 +44,8 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     pressure, gives K = M w^2 and B = 2 D w M. It rings where its damping ratio is below a half and two extremes or more
     are seen: else the mass shows in the fast pole B/M alone, which a few ms between the channels hide. The pressure may
     be older than its time stamp (`late_by` of the map) and lag behind the sensor: K and B are given as the range over
-    that, and withheld where it is wider than 15 % either way.
+    that, and withheld where it is wider than 15 % either way. Lags of sensors (`sensor_lag`, first order) are taken
+    off, a fifth of them being left open.
 
     Repeats are trials with the same load and commanded pressures before and after. `options`: `mass` [kg] and `late_by`
     [[least, most] in s] instead of what the record says.
@@ -135,18 +60,25 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         groups.setdefault((*key, *_load(step)) if loads else key, []).append((run, step))
     commanded = [step for _, step in steps if not step.found]
     late = 0.0 if read_off else UNTOLD
+    pairs: dict[Pair, list[tuple[RunData, Step]]] = {}
+    for key, group in groups.items():
+        pairs.setdefault((key[0], key[1]), []).extend(group)
     estimates: list[Estimate] = [_dead_time(commanded, late)] if commanded else []
     findings: list[Finding] = []
     for key, group in sorted(groups.items()):
         at = dict(zip(("from", "pressure", "load", "mass"), key, strict=False))
-        estimates += _at(at, group, options, () if read_off else (-UNTOLD, UNTOLD))
-        findings += _sentences(at, [step for _, step in group])
+        K = secant(key[:2], rests_of([step for _, step in pairs[key[0], key[1]]]), Scales({}, {}))
+        estimates += _at(at, group, options, () if read_off else (-UNTOLD, UNTOLD), None if K is None else K.value)
+        here = [step for _, step in group]
+        findings += _sentences(at, here)
+        findings += [one for e in estimates if e.coordinate == TO_MOTION and e.at == at for one in check(at, here, e)]
+    estimates += of_loads(pairs, estimates)
     if len(commanded) < len(steps):
         text = f"{len(steps) - len(commanded)} steps were found in the measured pressure: they tell no dead time"
         findings.append(Finding("note", text))
     if steps and not read_off:
         findings.append(Finding("doubt", f"{UNKNOWN}: K and B assume at most {show(UNTOLD, 'time')}"))
-    if any(e.symbol == "K" and e.value is not None for e in estimates):
+    if any(e.method == RINGING and e.value is not None for e in estimates):
         text = "K and B rest on the moving mass alone, taken as exact; the load hangs and F_ce(P) is not known here"
         findings.append(Finding("doubt", text))
     return Analysis.of(
@@ -165,66 +97,6 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
             "steps": [_facts(step) for _, step in steps],
         },
     )
-
-
-def measure(trial: TrialData, late: tuple[float, float]) -> Step | str:
-    """One step from its samples, or the reason why it cannot be measured."""
-    missing = [name for name in ("pressure", "displacement") if name not in trial.channels]
-    command = next((c for c in trial.commands if c.kind == "set" and c.output == "pressure"), None)
-    if missing:
-        return f"{' and '.join(missing)} not recorded"
-    if command is None or not {"from", "pressure"} <= set(trial.point):
-        if nothing_moved(trial, "displacement"):
-            return "its length is held: with a column of force the map says `kind: isometric` for such a test"
-        return "it has no step of pressure: the map cuts a file into steps with `trials: {by: step, smallest: 10 kPa}`"
-    if trial.status != "finished":
-        return f"the trial is {trial.status}"
-    if np.any(trial.flags & np.uint16(Flag.TIME_JUMP)):
-        return "its clock jumps"
-    good = trial.usable
-    t = trial.t[good] - command.t
-    P, x = trial.channels["pressure"][good], trial.channels["displacement"][good]
-    within = command.data.get("within", 0.0)
-    before, after = (t >= -BEFORE) & (t < -within), t > 0
-    if np.count_nonzero(before) < FEWEST or np.count_nonzero(after) < FEWEST or t[-1] < AFTER:
-        return f"too few usable samples around the step (flagged: {unusable_because(trial)})"
-    settled = t > max(AFTER, t[-1] - 1.0)
-    size = float(np.median(P[settled]) - np.median(P[before])) if settled.any() else 0.0
-    stroke = float(np.median(x[settled]) - np.median(x[before])) if settled.any() else 0.0
-    noise = float(P[before].std())
-    if abs(size) < 2 * SEEN * max(noise, 1.0):
-        return f"the pressure follows by {show(size, 'pressure', 3)} only, no more than its noise"
-    rise = (P - np.median(P[before])) * np.sign(size)
-    begun = np.flatnonzero((rise > max(SEEN * noise, 0.05 * abs(size))) & (t > -within))
-    most = np.flatnonzero((rise > (1 - np.exp(-1)) * abs(size)) & (t > -within))
-    if not len(begun) or not len(most) or begun[0] == 0:
-        return "no onset of the pressure is seen"
-    begins, doubt = _onset(t, rise, int(begun[0]), within)
-    near = (t >= -BEFORE) & (t <= AFTER)
-    shifts = np.linspace(*late, SHIFTS if late[1] > late[0] else 1)
-    motions = tuple(fit_motion(t[near], P[near], x[near], float(shift)) for shift in shifts)
-    dead = begins + within / 2 - (late[0] + late[1]) / 2
-    dead_half = doubt + within / 2 + (late[1] - late[0]) / 2
-    crossed = t[max(0, most[0] - 1) : most[0] + 1]
-    rise_half = doubt + float(np.ptp(crossed)) / 2
-    return Step(trial, t, P, x, size, stroke, dead, dead_half, float(crossed.mean()) - begins, rise_half, motions)
-
-
-def _onset(t: Array, rise: Array, first: int, within: float) -> tuple[float, float]:
-    """When the pressure begins to rise [s], and how far that may be off; `first` is the first sample clearly above.
-
-    A threshold is crossed late, so the first part of the rise is followed back to the level along a straight line
-    (behind a lag pressure rises like t). Where a log has too few samples for that the rise begins between the last one
-    that is still at its level and `first`.
-    """
-    rest = rise[t < -within]
-    still = np.flatnonzero(rise[:first] <= np.median(rest) + float(np.std(rest)))
-    early, late = float(t[still[-1]]) if len(still) else float(t[first - 1]), float(t[first])
-    period = float(np.median(np.diff(t)))
-    begun = onset(t, rise, -within, LEAST["pressure"]) if late - early > FINE * period - 1e-9 else None
-    if begun is None or not early - period <= begun <= late:
-        return (early + late) / 2, (late - early) / 2
-    return begun, period / 2 + max(0.0, min(begun - early, late - begun)) / 2
 
 
 def _load(step: Step) -> tuple[float, float]:
@@ -247,9 +119,13 @@ def _dead_time(steps: Sequence[Step], late: float) -> Estimate:
 
 
 def _at(
-    at: Mapping[str, float], group: Sequence[tuple[RunData, Step]], options: Mapping[str, Any], apart: Sequence[float]
-) -> list[Estimate]:
-    """All estimates at one pair of commanded pressures; `apart` [s] are further times between pressure and position."""
+    at: Mapping[str, float], group: Sequence[tuple[RunData, Step]], options: Mapping[str, Any], apart: Sequence[float],
+    stiffness: float | None,
+) -> list[Estimate]:  # fmt: skip
+    """All estimates at one pair of commanded pressures; `apart` [s] are further times between pressure and position.
+
+    `stiffness` [N/m] is that of two loads, where they were stepped.
+    """
     steps = [step for _, step in group]
     parents = tuple(step.name for step in steps)
     scales = Scales.of([run for run, _ in group])
@@ -269,7 +145,9 @@ def _at(
     if not moved:
         why = f"the displacement moves by {show(steps[0].stroke, 'length', 2)} only: the load rests on its support"
         unmoved = [Estimate("dP/dx", None, "Pa/m", "gain", STEP, at, note=why, n=len(steps), trials=parents)]
+    driven = times(at, moved, stiffness, max(apart, default=0.0)) if moved else []
     return [
+        *driven,
         *(
             []
             if any(s.found for s in steps)
@@ -298,7 +176,7 @@ def _at(
                     "at rest, includes friction",
                     _unsettled(moved),
                 ),
-                *_muscle(at, moved, options, apart),
+                *ringing(at, moved, options, apart),
             ]
             if moved
             else unmoved
@@ -313,7 +191,7 @@ def _unsettled(steps: Sequence[Step]) -> list[Doubt]:
     for name, side in (("before the step", -1), ("after the step", 1)):
         holds = []
         for step in steps:
-            swung = SWUNG / (step.best.D * step.best.w)
+            swung = SWUNG / step.best.decay
             rows = step.t < 0 if side < 0 else step.t > min(max(AFTER, swung), step.t[-1] - 1.0)
             t, x = step.t[rows], step.x[rows] * np.sign(step.stroke)
             holds.append(Held.of(t, x, max(float(t[0]), float(t[-1]) - 1.0)))
@@ -323,107 +201,6 @@ def _unsettled(steps: Sequence[Step]) -> list[Doubt]:
         share = further.most / stroke if stroke else 0.0
         found.append(Doubt(f"motion {name}", "method", share, further.seen, reason))
     return found
-
-
-def _muscle(
-    at: Mapping[str, float], steps: Sequence[Step], options: Mapping[str, Any], apart: Sequence[float]
-) -> list[Estimate]:
-    """K and B where the motion rings, or why not; from times and a mass, no scale of a channel enters."""
-    parents = tuple(step.name for step in steps)
-    kinds = (("K", "N/m", "stiffness"), ("B", "N.s/m", "damping"))
-    masses = [float(options.get("mass", step.trial.point.get("mass", 0.0))) for step in steps]
-    unknown = "pressure and displacement at one load give ratios only; `point: {mass: ...}` gives the moving mass"
-    why = "" if all(masses) else unknown
-    held = False
-    ranges: dict[str, list[tuple[float, float]]] = {"K": [], "B": []}
-    for step, mass in zip(steps, masses, strict=True):
-        if not why:
-            why = _why_not(step)
-            held = bool(why)
-        if why:
-            break
-        near = step.t[step.near], step.P[step.near], step.x[step.near]
-        possible = [*step.motions, *(fit_motion(*near, late) for late in apart), *lagged_motions(*near, step.best)]
-        for symbol, values in (
-            ("K", [mass * motion.w**2 for motion in possible]),
-            ("B", [2 * motion.D * motion.w * mass for motion in possible]),
-        ):
-            ranges[symbol].append((min(values), max(values)))
-    found: list[Estimate] = []
-    for symbol, unit, quantity in kinds:
-        empty = Estimate(symbol, None, unit, quantity, RINGING, at, n=len(steps), trials=parents)
-        if why:
-            reason = f"{why}; {INSTEAD}"
-            found.append(withhold(empty, reason) if held else replace(empty, note=reason))
-            continue
-        value, half = mean_with_half([(low + high) / 2 for low, high in ranges[symbol]])
-        wide = max((high - low) / 2 for low, high in ranges[symbol])
-        if wide > RANGE * value:
-            spread = f"+-{wide / value:.0%} for what is known of the time between pressure and position"
-            found.append(withhold(empty, f"it lies within {spread}, accepted is +-{RANGE:.0%}; {INSTEAD}"))
-            continue
-        parts = Parts(repeats=half, method=wide, calibration=0.0)
-        once = ONCE if half is None else ""
-        given = replace(empty, value=value, parts=parts, note=once)
-        found.append(weighed(given, _free_doubts(symbol, value, wide, steps, masses)))
-    return found
-
-
-def _free_doubts(symbol: str, value: float, wide: float, steps: Sequence[Step], masses: Sequence[float]) -> list[Doubt]:
-    """What the free swinging after the step says against K or B, beyond the range `wide`: it knows no times."""
-    others, stopped = [], False
-    for step, mass in zip(steps, masses, strict=True):
-        after, best = step.t > 0, step.best
-        swings = free_swings(step.t[after], step.P[after], step.x[after], best, step.noise)[:2]
-        expected = [abs(step.stroke) * np.exp(-best.D * best.w * one.at) for one in swings]
-        sizes = [(one.size, size) for one, size in zip(swings, expected, strict=True) if size > CLEAR * step.noise]
-        stopped = stopped or any(size < STOPPED * more for size, more in sizes)
-        if symbol == "K":
-            others += [mass * one.w**2 for one in swings[:1] if one.size > CLEAR * step.noise]
-        elif len(sizes) > 1:
-            others.append(_without_friction(swings[0], swings[1], mass))
-    unit = "stiffness" if symbol == "K" else "damping"
-    apart = abs(float(np.mean(others)) - value) - wide if others else 0.0
-    text = f"the free swinging after the step gives a {symbol} that is {show(apart, unit, 2)} outside of its range"
-    why = "the curve is bent, or the pressure is later than was said"
-    if symbol == "B":
-        why = "friction does not grow with the speed, for small swings die faster"
-    if stopped:
-        apart, text = abs(value), "the swinging after the step ends early"
-        why = "dry friction holds it, and this form has none"
-    return [Doubt("free swinging", "method", apart, seen=True, reason=f"{text}: {why}; {INSTEAD}")] if apart > 0 else []
-
-
-def _without_friction(first: Swing, second: Swing, mass: float) -> float:
-    """B [N s/m] of two stretches of free swinging: dry friction adds c/size, so a line over 1/size is B without it."""
-    big, small = first.size, second.size
-    one, other = (2 * mass * swing.D * swing.w for swing in (first, second))
-    return (one * big - other * small) / (big - small) if big > small else one
-
-
-def _ill_fitted(step: Step) -> str:
-    share = max(motion.rms for motion in step.motions) / abs(step.stroke)
-    return f"the misfit is {share:.0%} of the stroke (trial {step.name})" if share > ILL_FITTED else ""
-
-
-def _why_not(step: Step) -> str:
-    """The reason why the motion of a step says nothing of K; empty where it does."""
-    damped = max(motion.D for motion in step.motions)
-    frequencies = [motion.w for motion in step.motions]
-    hidden = "its mass shows in a fast pole only, which a few ms between pressure and position hide"
-    if damped >= RINGS:
-        most = f"{damped:.1f}" if damped < DAMPING[1] / 1.02 else f"{DAMPING[1]:g} or more"
-        return f"the motion does not ring (damping ratio {most}, less than {RINGS:g} is needed): {hidden}"
-    if min(frequencies) <= 1.02 * FREQUENCY[0] or max(frequencies) >= FREQUENCY[1] / 1.02:
-        low, high = FREQUENCY
-        return f"the motion does not ring (no natural frequency from {low:g} to {high:g} rad/s fits it): {hidden}"
-    if why := _ill_fitted(step):
-        return why
-    end = float(np.median(step.x[step.t > step.t[-1] - 1.0]))
-    seen = extremes(step.x[step.t > 0], end, step.noise)
-    if seen < 2:
-        return f"the motion does not ring ({seen} extremes beyond {SHOWN:g} times its noise, 2 are needed): {hidden}"
-    return ""
 
 
 def _sentences(at: Mapping[str, float], steps: Sequence[Step]) -> list[Finding]:
@@ -477,6 +254,8 @@ def _trace(step: Step, *, by_load: bool) -> Trace:
 
 
 def offers(analysis: Analysis) -> Iterator[Offer]:
-    """K and B where the motion rings, at the pressure that the step ends at; each step for itself."""
+    """K and B where the motion rings, K of two loads, at the pressure that the step ends at; each step for itself."""
+    for e in values_of(analysis, "K", SECANT):
+        yield everywhere("K", {e.at["pressure"]: e}, "secant between loads")
     for symbol in ("K", "B"):
         yield from (everywhere(symbol, {e.at["pressure"]: e}) for e in values_of(analysis, symbol, RINGING))

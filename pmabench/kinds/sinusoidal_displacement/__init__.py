@@ -1,6 +1,6 @@
 """A driven end moved as a sine at constant pressure: K, B, F_c, loops.
 
-- `reduction`, made of `fit`, `mean_force`, `form` (whether the harmonics allow a straight line), `pressure`
+- `reduction`, made of `fit`, `mean_force`, `form` (what the harmonics correct and contradict), `centres`, `pressure`
 - protocol files: `protocol`; one trial on the display: `live`; figures: `figures`
 """
 
@@ -10,6 +10,7 @@ from pmabench.base.kind import Kind, Result
 RESULTS = (
     Result("F_ce", "contractile force", "force", headline=True),
     Result("K", "stiffness", "stiffness", headline=True, positive=True),
+    Result("K_A", "stiffness over the stroke", "stiffness", positive=True),
     Result("B", "damping, mean of both directions", "damping", headline=True, plot="Damping", positive=True),
     Result("F_c", "Coulomb friction", "force", headline=True, positive=True),
     Result("F", "force", "force"),
@@ -23,16 +24,22 @@ RESULTS = (
 )
 METHODS = {
     "sine-harmonic": (
-        "Three-parameter sine fits (IEEE 1057) of measured displacement and force at the known frequency: K = −Re(F/x);"
-        " −Im(F/x) A = B ω A + 4 F_c/π, a straight line over the speed ω A."
+        "Three-parameter sine fits (IEEE 1057) of measured displacement and force at the known frequency: K_A is −Re(F/"
+        "x), K that at the mean, corrected by the third harmonic; −Im(F/x) A = B ω A + 4 F_c/π, a straight line over "
+        "the speed ω A."
     ),
     "loop-width": (
         "Width of the force–displacement loop at mid stroke, 2 B ω A + 2 F_c, a straight line over the speed ω A. What "
         "is left at 0 Hz is true hysteresis; the rest is phase lag."
     ),
     "sine-mean": (
-        "Mean force over whole cycles plus K times the mean displacement, a straight line over the speed ω A, at 0 Hz: "
-        "friction cancels over a cycle, and where B_c and B_r differ the line rises by (B_r − B_c)/π."
+        "Mean force over whole cycles less its second harmonic, a straight line over the speed ω A, at 0 Hz: friction "
+        "cancels over a cycle, and where B_c and B_r differ the line rises by (B_r − B_c)/π. F_ce only where the "
+        "stroke holds x = 0."
+    ),
+    "sine-centres": (
+        "Sines about three means or more, x = 0 in the stroke of one: its cubic at x = 0, with the distance of a cubic "
+        "through force and stiffness at all means in the method part."
     ),
     "loop-work": (
         "Work along the measured loop: W_c is the integral of F dx while contracting, eta its share of what is taken up"
@@ -71,6 +78,7 @@ KIND = Kind(
         "sine-pressure": "pmabench.kinds.sinusoidal_displacement.figures:sine_pressure",
     },
     published={"loop": ("displacement", "force", "pressure")},
+    parts={"slow rows": "pmabench.analysis.surface.trials:driven"},
     imported=Imported(
         Commanded(
             "displacement",

@@ -28,7 +28,7 @@ BETWEEN = "displacement and force"
 CYCLES = "one trial: the repeats part is the scatter of its cycles, and repeated tests may scatter more"
 CYCLES_OF_EACH = CYCLES.replace("one trial", "one trial a frequency")
 NO_REPEATS = "no repeats part: one trial of one cycle"
-ALONE = "one frequency only: damping and friction cannot be told apart"
+ALONE = "one frequency only: damping and friction cannot be separated"
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ def lines(points: Sequence[Sine] | Sequence[Point]) -> tuple[Line, Line, Line]:
     speed = np.array([point.speed for point in points])
     K = np.array([point.stiffness for point in points])
     size = np.array([abs(point.ratio) for point in points])
-    # Phase errors turn loss into stiffness: a K counts by the whole force beside it.
+    # Phase errors turn loss into stiffness: a K counts by the whole force at its frequency.
     pooled = weighted_line(frequency, None, K, size)
     loss = weighted_line(frequency, speed, np.array([point.loss for point in points]))
     width = weighted_line(frequency, speed, np.array([point.width for point in points]))

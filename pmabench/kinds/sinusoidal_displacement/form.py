@@ -15,6 +15,7 @@ from math import hypot, inf, pi
 
 import numpy as np
 
+from pmabench.analysis.shared.calibration import sentences
 from pmabench.analysis.shared.lines import weighted_line
 from pmabench.analysis.shared.sine_loop import Sine
 from pmabench.base.quantities import show
@@ -22,16 +23,24 @@ from pmabench.store.analyses.results import Estimate, Finding, withhold
 
 CLEAR = 2.0
 """A harmonic counts as found where it is so many times the half width of its 95 % interval."""
+MOST_BENT = 0.1
+"""h2/h1 up to which the higher harmonics correct K and F: beyond it the corrected values are worse than the others."""
+STRAIGHT = 0.02
+"""h2/h1 up to which F_ce is given by one sine whose stroke holds x = 0."""
+EDGE = 1.02
+"""Amplitudes from the mean up to which x = 0 counts as in the stroke: a drive stops a little short of its end."""
 LEAST = 0.01
-"""Share of a coefficient that a form which does not hold may be worth before the coefficient is withheld; of F_ce less
-by as many amplitudes as x = 0 lies from the mean, for the harmonics tell nothing of the curve out there."""
-BEYOND = 1.3
-"""What a misfit that is found and not taken off adds to an interval, by its own size: its size is an estimate, too."""
+"""Share of K that a third harmonic may be worth where friction is not constant, for it may be of that friction."""
+REMAINS = 0.3
+"""Share of a correction that is added to the interval for what it leaves."""
+WOUND = 0.4
+"""Greatest third harmonic in phase, as a share of F_c, of a friction that builds up over a part of the stroke."""
 COULOMB = 0.2
 """Share by which the third harmonic in quadrature may be off that of a constant friction."""
 DIRECTIONS = 2 / (3 * pi)
 """h2 over B omega A where one direction has no damping and the other has 2 B: the most that damping can make."""
 BETTER = "an isobaric ramp (isobaric-ramp) measures the curve itself"
+CENTRES = "sines at three means or more, one of them with x = 0 in its stroke, or static load, give F_ce"
 
 
 @dataclass(frozen=True)
@@ -44,6 +53,8 @@ class Form:
     q3: float
     half: tuple[float, float, float]
     """Of h2, h3, q3; infinite where nothing is there to take it from."""
+    mean: float
+    """Contraction about which the sines go [m]."""
     reach: float
     """Mean contraction over amplitude [1]: how far x = 0 lies outside of the stroke."""
 
@@ -60,7 +71,12 @@ class Form:
         mean = float(np.mean([sine.mean for sine in sines]))
         reach = mean / float(np.mean([sine.amplitude for sine in sines]))
         h2, h3, q3 = (line.start for line in lines)
-        return cls(float(np.mean(h1)), h2, h3, q3, (half[0], half[1], half[2]), reach)
+        return cls(float(np.mean(h1)), h2, h3, q3, (half[0], half[1], half[2]), mean, reach)
+
+    @property
+    def holds_0(self) -> bool:
+        """Whether x = 0 lies in the stroke."""
+        return abs(self.reach) <= EDGE
 
     @property
     def bent(self) -> bool:
@@ -91,30 +107,54 @@ class Form:
         text = f"at {where} the force over contraction is bent along the sines: {self.shares}"
         return [Finding("note", f"{text}; a value of K is that at their mean contraction")]
 
-    def doubt_of_f_ce(self, F_ce: float) -> tuple[float, str]:
-        """Half width [N] that the form adds to F_ce, and the reason to withhold F_ce; empty where there is none."""
-        off, half = self.carried
-        share, far = abs(off) / max(abs(F_ce), 1e-9), max(1.0, abs(self.reach))
-        if self.bent and share > LEAST / far:
-            there = f"{abs(self.reach):.2g} amplitudes from their mean, outside of what they measured"
-            if abs(self.reach) <= 1.0:
-                there = f"where a cubic through the same harmonics gives {show(F_ce + off, 'force', 4)}"
-            return half, (
-                f"the force over contraction is bent along these sines ({self.shares}); the straight line carries it "
-                f"to {show(F_ce, 'force', 4)} at x = 0, {there}; {BETTER}, static load F_ce"
-            )
-        return hypot(BEYOND * off * far if self.bent else 0.0, min(half, abs(F_ce))), ""
+    def _least(self, share: float) -> float:
+        """The second harmonic [N] that is more than a share of the first, and more than its own interval explains."""
+        return max(share * abs(self.h1), CLEAR * self.half[0])
 
-    def doubt_of_stiffness(self) -> tuple[float, str]:
-        """Share of K [1] that the form adds to its half width, and the reason to withhold K."""
-        share, half = 3 * abs(self.h3 / self.h1), 3 * self.half[1] / abs(self.h1)
-        if abs(self.h3) > CLEAR * self.half[1] and share > LEAST:
-            return half, (
-                f"the stiffness changes along the stroke (in phase with the displacement, the third harmonic of the "
-                f"force is {self.h3 / self.h1:.1%} of the first; {100 * LEAST / 3:.1g} % is accepted): the value "
-                f"would depend on the amplitude; {BETTER}"
-            )
-        return max(BEYOND * share if self.bent else 0.0, min(half, 1.0)), ""
+    def why_no_f_ce(self) -> tuple[str, bool]:
+        """The reason why this cell alone gives no F_ce, empty where it does; and whether its data contradict one."""
+        if not self.holds_0:
+            far = f"x = 0 lies {abs(self.reach):.2g} amplitudes from the mean of these sines, beyond what they measured"
+            bent = f"; along them the force over contraction is bent ({self.shares})" if self.bent else ""
+            return f"{far}{bent}; {CENTRES}; {BETTER}", self.bent
+        if abs(self.h2) > self._least(STRAIGHT):
+            bent = f"the force over contraction is bent along these sines ({self.shares}; {STRAIGHT:.0%} is accepted)"
+            return f"{bent}; {CENTRES}; {BETTER}", True
+        return "", False
+
+    def why_no_tangent(self) -> str:
+        """The reason why the harmonics give no force and stiffness at the mean; empty where they do."""
+        if abs(self.h2) <= self._least(MOST_BENT):
+            return ""
+        most = f"the harmonics correct K and F up to a second one of {MOST_BENT:.0%}"
+        return (
+            f"the force over contraction is bent along the stroke ({self.shares}; {most}): K_A is the stiffness over "
+            f"this amplitude; take a smaller one, or {BETTER}"
+        )
+
+    def stiffness(self, F_c: float | None) -> tuple[float, float]:
+        """K at the mean over that of the first harmonic [1], and half the width of what the form leaves open of it.
+
+        A cubic makes h1 = K A - 3 h3. A friction F_c [N] that builds up over a part of the stroke has a third harmonic
+        in phase, too, of at most `WOUND` F_c, and makes the first one greater by one to twice as much: K lies between
+        what follows without it and with it.
+        """
+        wound = min(WOUND * abs(F_c or 0.0), max(0.0, -self.h3) + self.half[1])
+        share = (3 * self.h3 + wound) / self.h1
+        return 1 + share, min(1.0, hypot(wound / self.h1, REMAINS * share, 3 * self.half[1] / self.h1))
+
+    def why_no_stiffness(self, F_c: float | None) -> str:
+        """The reason to withhold K; empty where the harmonics correct it."""
+        if reason := self.why_no_tangent():
+            return reason
+        if F_c is None or not (friction := self.doubt_of_friction(F_c)) or abs(self.h3) <= CLEAR * self.half[1]:
+            return ""
+        if 3 * abs(self.h3 / self.h1) <= LEAST:
+            return ""
+        return (
+            f"the third harmonic of the force in phase with the displacement ({self.h3 / self.h1:.1%} of the first) "
+            f"may be of a bent curve or of friction, and a part of K, too: {friction}"
+        )
 
     def doubt_of_friction(self, F_c: float) -> str:
         """The reason to withhold F_c [N]: its third harmonic is not that of a constant friction."""
@@ -130,21 +170,28 @@ class Form:
 
 
 def judged(found: Sequence[Estimate], form: Form) -> list[Estimate]:
-    """Estimates of the harmonics with K, F_c and the loop width at 0 Hz withheld where the form contradicts them.
+    """Estimates of the harmonics with K as the tangent at the mean, F_c and the loop width at 0 Hz as they are.
 
-    What the form leaves open of K is in its method part.
+    They are withheld where the form contradicts them; then K_A is what the first harmonic says over this amplitude.
     """
     F_c = next((e.value for e in found if e.symbol == "F_c" and e.value is not None), None)
-    share, changing = form.doubt_of_stiffness()
-    reasons = {"K": changing, "F_c": "" if F_c is None else form.doubt_of_friction(F_c)}
-    kept = []
+    factor, half = form.stiffness(F_c)
+    reasons = {"K": form.why_no_stiffness(F_c), "F_c": "" if F_c is None else form.doubt_of_friction(F_c)}
+    kept: list[Estimate] = []
     for e in found:
         reason = reasons.get("F_c" if e.symbol == "H" and e.at.get("frequency") == 0.0 else e.symbol, "")
-        if e.value is not None and reason:
-            e = withhold(e, reason)
-        elif e.value is not None and e.symbol == "K":
-            e = replace(e, parts=replace(e.parts, method=hypot(e.parts.method or 0.0, share * e.value)))
-        kept.append(e)
+        if e.value is None:
+            kept.append(e)
+        elif reason:
+            over = sentences(f"over this amplitude: {form.shares}; not the slope of the curve at the mean", e.note)
+            kept += [withhold(e, reason), *([replace(e, symbol="K_A", note=over)] if e.symbol == "K" else [])]
+        elif e.symbol == "K":
+            parts = replace(e.parts, method=hypot(e.parts.method or 0.0, half * e.value))
+            bias = None if e.bias is None else e.bias + (1 - factor) * e.value
+            note = sentences(f"at the mean; {form.shares}" if form.bent else "", e.note)
+            kept.append(replace(e, value=factor * e.value, bias=bias, corrected=True, parts=parts, note=note))
+        else:
+            kept.append(e)
     return kept
 
 

@@ -23,7 +23,7 @@ from pmabench.analysis.shared.lines import Line, mean_half, weighted_line
 from pmabench.analysis.shared.sine_loop import RECOVERED, Sine, moving
 from pmabench.analysis.shared.skew import settled
 from pmabench.kinds.sinusoidal_displacement.fit import BETWEEN, CYCLES, CYCLES_OF_EACH, NO_REPEATS, Fitted, Member
-from pmabench.kinds.sinusoidal_displacement.form import Form
+from pmabench.kinds.sinusoidal_displacement.form import REMAINS, Form
 from pmabench.store.analyses.results import Estimate, Parts, withhold
 from pmabench.store.records import Array
 
@@ -57,9 +57,9 @@ def mean_force_estimates(
 ) -> tuple[Estimate, Estimate]:
     """F_ce, and F at the mean contraction [N], at the set pressure of `at`; `slope` is dF_ce/dP [N/Pa], where known.
 
-    F is the mean force less the second harmonic, so that a bent curve does not move it by more than its own doubt.
-    F_ce carries it along a straight line to x = 0, and is withheld where the form contradicts that.
-    Calibration, to first order: the force scales both; an offset of the displacement is worth K times that.
+    F is the mean force less the second harmonic, F_ce what a cubic with the same harmonics has at x = 0, where that
+    lies in the stroke. Both are withheld where the harmonics are too large for that (`form`). Calibration, to first
+    order: the force scales both; an offset of the displacement is worth K times that.
     """
     wanted = at.get("pressure", nan)
     line = _line(fitted, slope or 0.0, wanted)
@@ -75,20 +75,29 @@ def mean_force_estimates(
     one_each = len(members) == len({member.sine.frequency for member in members})
     scatter = TOO_FEW if half is None else CYCLES_OF_EACH if one_each else ""
     note = sentences(ALONE if fitted.alone else "", NO_SLOPE if slope is None else "", scatter)
-    bent, reason = form.doubt_of_f_ce(line.start)
+    off, off_half = form.carried
+    open_half = hypot(min(off_half, abs(line.start)), REMAINS * off)
     parts = Parts(
-        half, hypot(K_bias * mean, doubt, bent), scales.part(gains, offsets), fitted.skewed_stiffness * abs(mean)
+        half, hypot(K_bias * mean, doubt, open_half), scales.part(gains, offsets), fitted.skewed_stiffness * abs(mean)
     )
     names = tuple(member.name for member in members)
-    F_ce = Estimate("F_ce", line.start, "N", "force", SINE_MEAN, dict(at), parts, len(members), note=note, trials=names)
+    n = len(members)
+    F_ce = Estimate("F_ce", line.start + off, "N", "force", SINE_MEAN, dict(at), parts, n, note=note, trials=names)
     F = line.start - (fitted.K.start - K_bias) * mean - form.h2
     there = Parts(
         line.half_start,
-        hypot(doubt, form.half[0] if isfinite(form.half[0]) else abs(F), 0.3 * form.h2),
+        hypot(doubt, form.half[0] if isfinite(form.half[0]) else abs(F), REMAINS * form.h2),
         scales.part(gains | {"force": F}, offsets),
     )
     mean_force = replace(F_ce, symbol="F", value=F, parts=there, note=sentences(AT_MEAN, note))
-    return (withhold(F_ce, reason) if reason else F_ce), mean_force
+    if reason := form.why_no_tangent():
+        mean_force = withhold(mean_force, reason)
+    why, contradicted = form.why_no_f_ce()
+    if contradicted:
+        F_ce = withhold(F_ce, why)
+    elif why:
+        F_ce = replace(F_ce, value=None, parts=Parts(), note=why)
+    return F_ce, mean_force
 
 
 def _line(fitted: Fitted, slope: float, wanted: float) -> Line:

@@ -50,7 +50,7 @@ class Along:
 
     @classmethod
     def of(cls, member: Member) -> Along | None:
-        """None where the pressure is not recorded, or no set pressure is told."""
+        """None where the pressure is not recorded, or no set pressure is known."""
         sine, trial, wanted = member.sine, member.trial, member.trial.point.get("pressure")
         if "pressure" not in trial.channels or wanted is None:
             return None
@@ -244,7 +244,7 @@ def _trace(at: Mapping[str, float], along: Along, static: Static, muscle: Muscle
 def _sentences(
     ratios: Sequence[tuple[str, float, float, str]], modelled: bool, estimates: Sequence[Estimate]
 ) -> list[Finding]:
-    """Where the set pressure is a worse input than the measured one, the worst case told."""
+    """Where the set pressure is a worse input than the measured one, with the worst case."""
     worse = [one for one in ratios if one[1] > WORSE * one[2]]
     if worse:
         where, by_set, by_measured, side = max(worse, key=lambda one: one[1] - one[2])

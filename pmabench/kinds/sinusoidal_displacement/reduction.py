@@ -19,6 +19,7 @@ from pmabench.analysis.shared.sine_loop import measure
 from pmabench.analysis.verdict.agreement import Offer, exactly, values_of
 from pmabench.base.quantities import show
 from pmabench.kinds.sinusoidal_displacement import RESULTS
+from pmabench.kinds.sinusoidal_displacement.centres import SINE_CENTRES, Centre, centre_of, through_centres
 from pmabench.kinds.sinusoidal_displacement.figures import traces_of
 from pmabench.kinds.sinusoidal_displacement.fit import HARMONIC, Fitted, Member, Muscle
 from pmabench.kinds.sinusoidal_displacement.form import Form, judged
@@ -48,8 +49,8 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     force at the known frequency (three-parameter sine fit, IEEE 1057): K = -Re(F/x), and -Im(F/x) A = B omega A +
     4 F_c/pi, a line over the speed omega A. B is (B_c + B_r)/2 where the two directions differ. The width of the loop
     at mid stroke is 2 B omega A + 2 F_c: what is left at 0 Hz is true hysteresis, the rest is phase lag. F_ce is
-    what the mean force gives (`mean_force`). Where higher harmonics of the force contradict the form that a coefficient
-    assumes, it is withheld (`form`).
+    what the mean force gives where the stroke holds x = 0 (`mean_force`), or sines about several means (`centres`).
+    The higher harmonics of the force correct K and F to those at the mean, and withhold what they contradict (`form`).
 
     `options`: `discard` (cycles at the start; else the plan's setting, else 1), `time_skew` [s] (bound on the time
     between displacement and force, to which that of the clocks of their streams is added; else the plan's setting,
@@ -64,11 +65,15 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     lines: list[dict[str, Any]] = []
     fits = {key: Fitted.of(group, _skew(group, options)) for key, group in sorted(_grouped(members, CELL).items())}
     rising = force_slopes(fits)
+    centres: dict[float, list[Centre]] = {}
     for key, fitted in fits.items():
         slopes = _over_pressure(key, fits)
         form = Form.of([member.sine for member in fitted.group], fitted.replayed.B)
         found = judged(fitted.estimates(dict(key), scales, slopes), form)
-        estimates += [*found, *mean_force_estimates(dict(key), fitted, form, scales, rising.get(key))]
+        found += mean_force_estimates(dict(key), fitted, form, scales, rising.get(key))
+        estimates += found
+        if (centre := centre_of(found, form)) is not None and "pressure" in dict(key):
+            centres.setdefault(dict(key)["pressure"], []).append(centre)
         estimates += work_estimates(dict(key), fitted.group, scales, fitted.skew)
         findings += [*fitted.findings(dict(key)), *form.findings(dict(key))]
         lines.append({"at": dict(key), **fitted.facts(), "h2/h1": form.h2 / form.h1, "h3/h1": form.h3 / form.h1})
@@ -78,6 +83,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
             where = show(dict(key)["pressure"], "pressure") if "pressure" in dict(key) else "this pressure"
             text = "is not in the calibration parts: one pressure does not tell how K, B and F_c change over it"
             findings.append(Finding("note", f"at {where}: what an error of the pressure adds {text}"))
+    estimates = _with_centres(estimates, centres)
     muscles = {member.name: fitted.muscle for fitted in fits.values() for member in fitted.group}
     pressed = pressure_and_force(members, muscles, scales)
     estimates += pressed.estimates
@@ -101,6 +107,14 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
             "lines": lines,
         },
     )
+
+
+def _with_centres(estimates: Sequence[Estimate], centres: Mapping[float, Sequence[Centre]]) -> list[Estimate]:
+    """With F_ce from sines about several means, in place of the empty ones of single means."""
+    of_all = {P: through_centres({"pressure": P}, of) for P, of in sorted(centres.items())}
+    given = {P: F_ce for P, F_ce in of_all.items() if F_ce is not None}
+    empty = [e for e in estimates if e.symbol == "F_ce" and e.value is None and e.at.get("pressure") in given]
+    return [*(e for e in estimates if e not in empty), *given.values()]
 
 
 def _over_pressure(key: Key, fits: Mapping[Key, Fitted]) -> Muscle | None:
@@ -194,3 +208,5 @@ def offers(analysis: Analysis) -> Iterator[Offer]:
     for symbol in ("F_ce", "F"):
         for e in values_of(analysis, symbol, SINE_MEAN):
             yield exactly("F", {(e.at["pressure"], 0.0 if symbol == "F_ce" else e.at.get("mean")): e})
+    for e in values_of(analysis, "F_ce", SINE_CENTRES):
+        yield exactly("F", {(e.at["pressure"], 0.0): e})

@@ -55,11 +55,12 @@ def of_place(points: Points, uncorrected: Line | None, line: Line) -> Finding:
     """Whether K x at set-down was taken off, with its size."""
     if uncorrected is None:
         text = "a lifted load hangs above its support when it breaks away again, and half of K x there is still in F_ce"
-        return Finding("note", f"{text} (within the method part): a test of K processed together takes it off")
+        text += " (within the method part): lift it by 2 mm and more, and record its way down"
+        return Finding("note", f"{text}; or process a test of K together, which takes it off")
     middle = float(np.nanmean(0.5 * (points.lift + points.set_down)))
     off = show(line(middle) - uncorrected(middle), "force", 2)
     text = f"set-down broke away at a contraction of {show(points.place, 'length', 2)} on average"
-    return Finding("note", f"{text}: half of K x there, {off} at {show(middle, 'pressure', 3)}, is taken off")
+    return Finding("note", f"{text}: lift and set-down are carried to x = 0, {off} at {show(middle, 'pressure', 3)}")
 
 
 def table(points: Points) -> list[dict[str, float | int | None]]:

@@ -1,9 +1,11 @@
 """Searches of static load: loads, the pressures at which they lift and set down, and those carried to x = 0.
 
 A load that was lifted hangs a little above its support, at x_s, until friction lets go of it, so that set-down belongs
-to F_ce(P) = F_L + K x_s - f and not to F_L - f. With s = dF_ce/dP, P - K x/s is the pressure that the same friction
-would need at x = 0. Before it breaks away friction grows with the ramp, and after that it falls: the least of
-P - K x/s on the way down, and the largest on the way up, are of the break-away.
+to F_ce(P) = F_L + K x_s - f and not to F_L - f. Lines x over P along the load's own first 2 mm up and last 2 mm down,
+taken at x = 0, have the K of the place where it is wanted, and friction to either side. Where the load moved less, K is
+that of another test: with s = dF_ce/dP, P - K x/s is the pressure that the same friction would need at x = 0. Before it
+breaks away friction grows with the ramp, and after that it falls: the least of P - K x/s on the way down, and the
+largest on the way up, are of the break-away.
 """
 
 from __future__ import annotations
@@ -14,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from pmabench.analysis.shared.samples import noise_of
 from pmabench.analysis.verdict.agreement import Offer
 from pmabench.store.analyses.results import Dropped
 from pmabench.store.records import Array, RunData, TrialData
@@ -119,6 +122,18 @@ def option_of(others: Mapping[str, Sequence[Offer]]) -> dict[str, Any]:
     return min(known, key=lambda one: one[0])[1] if known else {}
 
 
+NEAR = (0.8e-3, 2e-3)
+"""The ways up and down are fitted over at least and at most this contraction [m]: the curve is bent near 0."""
+CLEAR = 10e-6
+"""Contraction from which on the load is off its support [m]."""
+FEWEST = 20
+"""Samples of a way."""
+BENT = 0.9
+"""A parabola is taken where it leaves less than this share of what the line leaves: the curve is bent, not stepped."""
+SLIP = 3.5
+"""Height of the steps in which a load slips, over their standard deviation about a line."""
+
+
 @dataclass(frozen=True)
 class Carried:
     """What of a trial's lift and set-down belongs to x = 0: pressures [Pa]; NaN where a search found nothing."""
@@ -126,16 +141,77 @@ class Carried:
     lift: float
     set_down: float
     half: float
-    """What the half width of K makes of the set-down [Pa]."""
+    """Half width of their sum that carrying them adds [Pa]."""
     place: float
-    """Contraction at which set-down broke away [m]."""
+    """Contraction at which set-down broke away [m]; NaN where it could not be carried."""
 
 
-def carried(trial: TrialData, found: Mapping[str, float], slope: float, stiffness: Stiffness) -> Carried:
-    """Lift and set-down of a trial; `found`: phase -> pressure [Pa] of its search, `slope` dF_ce/dP [N/Pa]."""
-    nothing = float("nan")
-    lift, set_down, half, place = found["lift"], found["set-down"], 0.0, nothing
-    times = {phase: float((trial.found.get(phase) or {}).get("t", nothing)) for phase in found}
+def carried(trial: TrialData, found: Mapping[str, float], slope: float, stiffness: Stiffness | None) -> Carried:
+    """Lift and set-down of a trial; `found`: phase -> pressure [Pa] of its search, `slope` dF_ce/dP [N/Pa].
+
+    Along the load's own ways where both are long enough, else by `stiffness` of another test; without one nothing is
+    carried.
+    """
+    times = {phase: float((trial.found.get(phase) or {}).get("t", float("nan"))) for phase in found}
+    if (own := _along_ways(trial, found, times)) is not None:
+        return own
+    if stiffness is not None:
+        return _by_stiffness(trial, found, times, slope, stiffness)
+    return Carried(found["lift"], found["set-down"], 0.0, float("nan"))
+
+
+def _along_ways(trial: TrialData, found: Mapping[str, float], times: Mapping[str, float]) -> Carried | None:
+    """By a line through the way up and one through the way down; None where one of them is too short."""
+    if not {"pressure", "displacement"} <= set(trial.channels) or not np.isfinite(list(times.values())).all():
+        return None
+    good = trial.usable
+    t, P, x = trial.t[good], trial.channels["pressure"][good], trial.channels["displacement"][good]
+    if len(t) < 2 * FEWEST:
+        return None
+    width = max(1, round(SMOOTH / float(np.median(np.diff(t)))))
+    window = np.ones(width) / width
+    hanging = (t >= times["lift"]) & (t <= times["set-down"])
+    top = int(np.argmax(np.where(hanging, np.convolve(x, window, mode="same"), -np.inf)))
+    least = max(CLEAR, 5 * noise_of(x))
+    fitted = []
+    for way in (slice(0, top), slice(top, len(t))):
+        if len(t[way]) < 2 * width:
+            return None
+        fitted.append(_at_0(*(np.convolve(values[way], window, mode="valid") for values in (P, x)), least))
+    up, down = fitted
+    if up is None or down is None:
+        return None
+    place = (found["set-down"] - down[0]) / down[1]
+    return Carried(up[0], down[0], float(np.hypot(up[2], down[2])), max(0.0, place))
+
+
+def _at_0(P: Array, x: Array, least: float) -> tuple[float, float, float] | None:
+    """Pressure at x = 0 [Pa], dP/dx [Pa/m], half width of the first, from the way near 0; None where it is too short.
+
+    Contractions from `least` [m] on count. A load moves in small slips: they are few over 2 mm, and what they leave
+    about the line is no noise of samples.
+    """
+    rows = (x > least) & (x <= NEAR[1])
+    if np.count_nonzero(rows) < FEWEST or np.ptp(x[rows]) < NEAR[0] or np.ptp(P[rows]) <= 0:
+        return None
+    P, x = P[rows], x[rows]
+    b, a = np.polyfit(P, x, 1)
+    if b <= 0:
+        return None
+    left, span, at_0, steep = float(np.std(x - a - b * P)), float(np.ptp(x)), float(-a / b), float(1 / b)
+    c, slope, start = np.polyfit(x, P, 2)
+    bent = float(np.std(P - start - slope * x - c * x**2)) / steep
+    curved = float(np.sqrt(5 * max(0.0, left**2 - bent**2)))  # of a parabola: its distance from the line at the end
+    if bent < BENT * left and slope > 0:
+        left, at_0, steep, curved = 2 * bent, float(start), float(slope), 0.0  # an end of a parabola is less sure
+    slips = max(1.0, span / (SLIP * left)) if left > 0 else 1.0
+    return at_0, steep, float(np.hypot(4 * left / np.sqrt(slips), curved)) * steep
+
+
+def _by_stiffness(
+    trial: TrialData, found: Mapping[str, float], times: Mapping[str, float], slope: float, stiffness: Stiffness
+) -> Carried:
+    lift, set_down, half, place = found["lift"], found["set-down"], 0.0, float("nan")
     for phase, up in (("lift", True), ("set-down", False)):
         if not np.isfinite(found[phase]):
             continue
@@ -143,8 +219,8 @@ def carried(trial: TrialData, found: Mapping[str, float], slope: float, stiffnes
         rows = _way(trial, phase, times)
         P, x = found[phase], float((trial.found.get(phase) or {}).get("displacement", 0.0))
         if rows is not None:
-            carried_there = rows[0] - K / slope * rows[1]
-            at = int(np.argmax(carried_there) if up else np.argmin(carried_there))
+            at_0 = rows[0] - K / slope * rows[1]
+            at = int(np.argmax(at_0) if up else np.argmin(at_0))
             P, x = float(rows[0][at]), float(rows[1][at])
         if up:
             lift = P - K / slope * x

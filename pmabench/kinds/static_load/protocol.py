@@ -127,7 +127,7 @@ class StaticLoad(ProtocolHead):
         none = (0.0, 0.5)
         for index, point in enumerate(points):
             if "pressure" not in point.values:
-                c.fault(("sweep",), '"order: hands-at-pressure" needs pressures beside the loads')
+                c.fault(("sweep",), '"order: hands-at-pressure" needs pressures as well as loads')
                 return
             pressure, place = point.values["pressure"], point.places["pressure"]
             c.within("pressure", pressure, place)

@@ -42,6 +42,7 @@ KIND = Kind(
     offers="pmabench.kinds.step_displacement.reduction:offers",
     methods=METHODS,
     figures={"displacement-step": "pmabench.kinds.step_displacement.figures:steps"},
+    parts={"slow rows": "pmabench.analysis.surface.trials:driven"},
     imported=Imported(
         Commanded(
             "displacement",

@@ -32,8 +32,8 @@ class Recovery:
     size: float
     tau: float
     apart: float
-    """How far tau is from that of the later part of the way back, from half a time constant on, or from that with a
-    drift beside it [s]: what is no single exponential shows in it."""
+    """How far tau is from that of the later part of the way back, from half a time constant on, or from that of a
+    fit with a drift [s]: a course that is no single exponential shows in it."""
 
 
 @dataclass(frozen=True, eq=False)

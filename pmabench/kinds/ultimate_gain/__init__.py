@@ -19,7 +19,7 @@ METHODS = {
         "from the measured pressure to the "
         "contraction; K_u and T_u solve the phase equation ω L + Σ atan(ω T) = π of both, with the mean of the two "
         "directions (Ziegler and Nichols 1942). Where rests depend on the side they were reached from, as friction "
-        "makes them, neither is told."
+        "makes them, neither is reported."
     ),
     "gain-steps": (
         "The gain of a proportional loop is raised in steps. The logarithm of the ratio of successive swings is fitted "
@@ -29,7 +29,7 @@ METHODS = {
     "relay-fit": (
         "A relay makes the loop swing at two sizes. A dead time, two lags and a gain are fitted to the harmonics of "
         "command, pressure and contraction of the larger one; K_u and T_u solve the phase equation of that loop. Where "
-        "period or gain change with the size, as friction makes them, neither is told."
+        "period or gain change with the size, as friction makes them, neither is reported."
     ),
     "relay-describing-function": (
         "K_u = 4 d / (π √(a² − h²)), T_u the period of the relay oscillation: d half the switching of the command, a "

@@ -102,8 +102,8 @@ class Fitted:
 def kink(points: Sequence[tuple[float, float]], P: float) -> float:
     """How far the slope at P of a curve through points (x, y), x rising, may be off for a kink near P [y/x].
 
-    Pieces turn alike from point to point where a curve is smooth. What a turn differs from those beside it bounds the
-    error of a central slope, and so does the farthest slope of the pieces about P.
+    Pieces turn alike from point to point where a curve is smooth. The difference of a turn from its neighbours bounds
+    the error of a central slope, and so does the farthest slope of the pieces about P.
     """
     x, y = np.array(points).T
     slopes = np.diff(y) / np.diff(x)

@@ -42,9 +42,9 @@ class RelayTest(Strict):
     amplitudes: Annotated[list[Pressure], Field(min_length=2, max_length=4)]
     """Half of the switching of the command."""
     hysteresis: Annotated[list[Length], Field(min_length=2, max_length=4)]
-    """Of each amplitude, in one ratio to it: so friction can be told from a linear loop."""
+    """Of each amplitude, in one ratio to it: so friction can be distinguished from a linear loop."""
     asymmetry: Annotated[float, Field(ge=0.0, le=0.5)] = 0.0
-    """Above 0 the command goes further up than down; the means then tell the static gain."""
+    """Above 0 the command goes further up than down; the means then give the static gain."""
     periods: Annotated[int, Field(ge=8, le=100)]
     level_time: Time
     settle: Time

@@ -269,7 +269,7 @@ def _findings(cell: _Cell, K_u: Estimate, T_u: Estimate) -> list[Finding]:
             )
         elif cell.seen is not None:
             between = skew.milliseconds(cell.skew)
-            text += f"; the plant is not told: pressure and displacement may be {between} apart, its dead time is "
+            text += f"; the plant is not reported: pressure and displacement may be {between} apart, its dead time is "
             text += skew.milliseconds(cell.seen.dead_time)
         lines.append(Finding("note", text))
     return lines

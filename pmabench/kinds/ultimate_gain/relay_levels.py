@@ -133,7 +133,7 @@ def examine(run: RunData, trial: TrialData, search: Mapping[str, Any]) -> RelayF
     if not isfinite(best.K_df):
         refused.append("the swing is not above the hysteresis: the relay did not switch by it")
     if best.loop is None:
-        doubts.append("no loop of dead time, lags and gain fits: the describing function stands alone")
+        doubts.append("no loop of dead time, lags and gain fits: there is the value of the describing function only")
     noise = noise_of(trial.channels["displacement"][trial.usable])
     if min(level.hysteresis for level in known) < 3 * noise:
         doubts.append("the hysteresis is below three times the noise: noise may have switched the relay")
@@ -251,7 +251,7 @@ def _command(switches: Array, t0: float, t1: float, periods: int, harmonics: int
 
 
 def _harmonics(t: Array, y: Array, omega: float) -> ComplexArray:
-    """Amplitudes a_k - j b_k of the harmonics of `y`, by least squares beside a mean and a drift."""
+    """Amplitudes a_k - j b_k of the harmonics of `y`, by least squares together with a mean and a drift."""
     columns = [np.ones_like(t), t - t.mean()]
     for k in range(1, HARMONICS + 1):
         columns += [np.cos(k * omega * t), np.sin(k * omega * t)]

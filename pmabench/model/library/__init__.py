@@ -11,6 +11,7 @@
 | `chamber` | rate of pressure, closed chamber, a driven muscle behind a regulator |
 | `regulators` | first and second order, limits of rate and flow, filling against venting, amplitude of a sine |
 | `loads` | end stops, force, hanging mass, spring, imposed displacement; Coulomb friction, hysteresis |
+| `real` | bent force, loops and creep of plant `real` |
 | `compositions` | parallel, series, cascade; the loop that a controller sees |
 
 `description` says what a model is. A new model is a function decorated with `described`, in one of these modules or in
@@ -28,6 +29,7 @@ from pmabench.model.library import (  # noqa: F401  each enters its models
     daerden,
     fitted,
     loads,
+    real,
     regulators,
     three_element,
 )

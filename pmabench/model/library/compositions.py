@@ -174,7 +174,7 @@ def _balance(
         Parameter("fce_at", "", "", "x0", "where F_ce is taken", choices=("x0", "xmax")),
     ),
     outputs=(
-        Output("sum", "", "count", "contraction of the chain, each muscle in units of its own x_max"),
+        Output("sum", "", "count", "contraction of the chain, each muscle in units of its x_max"),
         Output("displacement", "x", "length", "contraction of the chain"),
         Output("force_ce_sum", "", "force", "sum of F_ce, paper 1's total F_ce: a sum of coefficients, no force"),
         Output("force_ce", "F_ce", "force", "F_ce of the chain: that of its strongest muscle"),

@@ -182,7 +182,7 @@ ROWS = {"a": (DEG, "angle"), "b": (DEG, "angle"), "c": (BAR, "pressure"), "d": (
 
 
 @described(
-    "sigmoid-length-coefficients", "length", "Free length of one muscle over pressure, with a to e of its own",
+    "sigmoid-length-coefficients", "length", "Free length of one muscle over pressure, with fitted a to e",
     equation=("L = a + b / [1 + (p / c)^d]^e - r L0 sqrt(p / 1 bar)",),
     source="paper 2 eq. 1; reference values are its eq. 2 at 30 cm with the mended exponent",
     parameters=(
@@ -214,7 +214,7 @@ def sigmoid_length_coefficients(
 
 
 @described(
-    "arm-angle-at-load", "composition", "Bending angle of an arm at one load, with coefficients of its own",
+    "arm-angle-at-load", "composition", "Bending angle of an arm at one load, with fitted coefficients",
     equation=("alpha = a + b / (1 + (p / c)^d)",),
     source="paper 2, the second of its eqs. 10, at one load; reference values without load",
     parameters=(

@@ -61,7 +61,7 @@ def muscle_volume(contraction: Array, diameter: Array, length: Array, braid_angl
     fitted=("diameter", "braid_angle", "alpha", "A", "B1", "B2"),
     parameters=(PRESSURE, CONTRACTION, DIAMETER, BRAID_ANGLE, ALPHA, A, B1, B2),
     outputs=(
-        Output("force", "F", "force", "mean of the two branches; hysteresis is a model of its own"),
+        Output("force", "F", "force", "mean of the two branches; hysteresis is a separate model"),
         Output("section", "S", "force per pressure", "force by pressure"),
         Output("rubber_force", "F_e", "force", "pull of the rubber without pressure, below 0 where it pushes"),
     ),

@@ -67,7 +67,7 @@ class Section:
 
 @dataclass(frozen=True)
 class Content:
-    """All of a report; tables are grids of text, figures carry their SVG and their numbers."""
+    """The content of a report; tables are grids of text, figures carry their SVG and their numbers."""
 
     title: str
     version: str
@@ -290,7 +290,7 @@ def _primary(analyses: Sequence[Analysis]) -> list[Grid]:
 
 
 def _together(analyses: Sequence[Analysis], figures: _Figures) -> list[Section]:
-    """What several tests say on common axes."""
+    """Figures of several tests on common axes."""
     pictures = characteristic(analyses)
     if not pictures:
         return []

@@ -1,4 +1,4 @@
-"""What did not go as the protocol says, found in the record of each run, a sentence each; notes with their pictures.
+"""Deviations from the protocol in the record of each run, a sentence each; notes with their pictures.
 
 Manifests are untrusted and everything in them is optional; nothing here raises for what is missing or odd.
 """
@@ -36,7 +36,7 @@ def deviations(runs: Sequence[RunData], names: Mapping[str, str]) -> list[str]:
 
 
 def _recorded(run: RunData) -> Iterator[str]:
-    """What the program that recorded the run says itself."""
+    """Deviations that the recording program noted itself."""
     if run.status != "finished":
         why = text_of(run.manifest.get("why"))
         yield f"ended “{run.status}”" + (f": {why}" if why else "")

@@ -6,7 +6,7 @@ import re
 from dataclasses import dataclass
 
 from pmabench.plotting.frame import Frame
-from pmabench.plotting.wording import UNRESOLVED, WITHHELD
+from pmabench.plotting.wording import AT_MOST, UNRESOLVED, WITHHELD
 
 MOST_ROWS = 600
 BRIEF = 32
@@ -74,7 +74,7 @@ def grid(frame: Frame, caption: str = "", *, group: bool | None = None) -> Grid:
     for name in shown_columns:
         if grouped and name == "method":
             continue
-        values = [str(v) for v in frame[name] if str(v) not in ("", *MUTED)]
+        values = [str(v) for v in frame[name] if str(v) not in ("", *MUTED) and not str(v).startswith(AT_MOST)]
         align = "text"
         if values and all(_PAIR.fullmatch(v) for v in values):
             align = "pair"

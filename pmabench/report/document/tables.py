@@ -14,6 +14,7 @@ from pmabench.base.kind import Result
 from pmabench.base.quantities import QUANTITIES
 from pmabench.plotting.frame import Frame
 from pmabench.plotting.wording import (
+    AT_MOST,
     POINTS,
     RAISED,
     RESOLVED,
@@ -51,9 +52,11 @@ class Table:
 
 
 def cell(estimate: Estimate) -> str:
-    """An estimate as text in its display unit, without the unit: `7.552 ± 0.021`."""
+    """An estimate as text in its display unit, without the unit: `7.552 ± 0.021`; a bound as `≤ 0.04`."""
     scale = shown(estimate.quantity, estimate.unit).scale
     half = estimate.parts.combined
+    if estimate.value is None and estimate.bound is not None:
+        return f"{AT_MOST}{shown(estimate.quantity, estimate.unit).rounded(estimate.bound, digits=3)}"
     if estimate.value is None:
         return WITHHELD if estimate.withheld else "not identifiable"
     if 0 < max(abs(estimate.value), half or 0.0) / scale < least(estimate):

@@ -23,7 +23,7 @@ from pmabench.report.writing import write_file
 from pmabench.store.analyses.results import Analysis
 
 EPOCH = datetime(2000, 1, 1)
-"""What the file says of when it was made: nothing, so that it can be compared."""
+"""Date of creation in the file: always this one, so that equal content gives equal files."""
 WIDEST = 60
 """Letters that a column shows at once."""
 LINE, TALLEST = 15.0, 405.0

@@ -133,7 +133,7 @@ def _figure(
 
 
 def _points(members: Sequence[tuple[Analysis, Estimate]], over: str, unit: Shown, x_unit: Shown) -> list[Points]:
-    """What is drawn: at most `MOST_SERIES` series of symbol and method, then the published ones."""
+    """Series to draw: at most `MOST_SERIES` series of symbol and method, then the published ones."""
     series: dict[tuple[str, str, str], list[tuple[Analysis, Estimate]]] = {}
     for analysis, e in members:
         if e.value is not None:
@@ -170,7 +170,7 @@ def _points(members: Sequence[tuple[Analysis, Estimate]], over: str, unit: Shown
 
 
 def _caption(points: Sequence[Points], members: Sequence[tuple[Analysis, Estimate]], over: str, x_unit: Shown) -> str:
-    """What marks and bars mean, whose the published values are, and what is missing."""
+    """Caption: what marks and bars mean, the source of published values, and what is missing."""
     caption = "95 % intervals" if any(np.isfinite(p.above).any() for p in points) else "Values without intervals"
     mixed = not all(p.primary or p.published for p in points)
     caption += "; filled: primary method of each test, open: others." if mixed else "."

@@ -93,7 +93,7 @@ def kind_pictures(analysis: Analysis, without: Sequence[str] = ()) -> list[Pictu
 
 
 def _drawn_by(kind: str) -> dict[str, set[str]]:
-    """What draws -> the kinds of traces that it draws: as the kind of test says, then as other kinds do."""
+    """Drawing function -> kinds of traces that it draws: those of the kind of test first, then those of others."""
     own = registry.find(kind)
     found: dict[str, set[str]] = {}
     known: set[str] = set()

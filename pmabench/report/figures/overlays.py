@@ -106,7 +106,7 @@ def _no_match(table: Published, able: Sequence[str]) -> Problem:
 
 
 def matchable(analyses: Sequence[Analysis], length: float | None) -> list[str]:
-    """What a published table could hold for these analyses, in words."""
+    """Columns that a published table could have for these analyses, in words."""
     found = []
     for symbol in SYMBOLS:
         known = [e for a in analyses for e in a.estimates if _plain(e, symbol)]

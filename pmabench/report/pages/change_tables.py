@@ -1,4 +1,4 @@
-"""What another calibration changed, as a table for a terminal, as CSV and as JSON; computes nothing."""
+"""Changes by another calibration, as a table for a terminal, as CSV and as JSON; computes nothing."""
 
 from __future__ import annotations
 

@@ -119,6 +119,8 @@ class Estimate:
     """There was a value, but the data contradict the form that it assumes: it is not reported, `note` says why."""
     positive: bool = False
     """Whether it cannot be below 0; an analysis sets it as declared."""
+    bound: float | None = None
+    """Where there is no value: what its size does not exceed [as the value]; None where that is not known."""
 
     def __post_init__(self) -> None:
         """What is not finite is no number: such a value is left out, and such a part leaves no interval."""
@@ -170,6 +172,7 @@ class Estimate:
             "trials": list(self.trials),
             "budget": [{**vars(s), "share": share} for s, share in zip(self.budget, self.shares, strict=True)],
             "withheld": self.withheld,
+            "bound": self.bound,
         }
 
 
@@ -251,9 +254,9 @@ class Finding:
 
 
 AGREEMENT = "agreement"
-"""Kind of the analysis that compares tests and is none itself."""
+"""Kind of the analysis that compares several tests; it belongs to none of them."""
 PUBLISHED = "published"
-"""Kind of an analysis that holds other people's values and is none itself."""
+"""Kind of an analysis that holds published values; no test of ours is behind it."""
 
 
 @dataclass(frozen=True)

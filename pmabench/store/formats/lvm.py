@@ -1,7 +1,7 @@
 """LabVIEW measurement files (.lvm), read as text.
 
 The layout is that of National Instruments, "Specification for the LabVIEW Measurement File (.lvm)": a header of keys,
-then segments, each with a header of its own, a line of names and rows.
+then segments, each with its header, a line of names, and rows.
 """
 
 from __future__ import annotations
@@ -235,7 +235,7 @@ def _abscissae(file: _File, segments: Sequence[_Segment], tables: Sequence[Array
         if file.x == "No":
             begin, steps = _floats(file, segment, "X0"), _floats(file, segment, "Delta_X")
             if len(set(steps)) != 1 or len(set(begin)) > 1:
-                raise invalid(file.path, "its channels have X of their own (X0, Delta_X differ)", segment.first, 1)
+                raise invalid(file.path, "its channels have different X (X0, Delta_X differ)", segment.first, 1)
             if not steps[0] > 0:
                 raise invalid(file.path, "has no X, and Delta_X is not above 0", segment.first, 1)
             x = (begin[0] if begin else 0.0) + np.arange(len(table)) * steps[0]
@@ -244,7 +244,7 @@ def _abscissae(file: _File, segments: Sequence[_Segment], tables: Sequence[Array
             if file.x == "Multi":
                 others = table[:, 2::2]
                 if not np.array_equal(others, np.broadcast_to(x[:, None], others.shape), equal_nan=True):
-                    raise invalid(file.path, "its channels have X of their own, which differ", segment.first, 1)
+                    raise invalid(file.path, "its channels have different X", segment.first, 1)
         parts.append(np.asarray(x + later, dtype=np.float64))
     unit = segments[0].keys.get("X_Dimension", ["Time"])
     return [Column("X_Value", np.concatenate(parts), "s" if unit and unit[0] == "Time" else "")]

@@ -1,4 +1,4 @@
-"""Reads other programs' files in processes of their own: bytes in, numbers or sentences out.
+"""Reads other programs' files in separate processes: bytes in, numbers or sentences out.
 
 A file can crash a parser, make it hang or take all memory; then the child ends, and nothing else does. A child has no
 path and no network. One stays warm for each format (`python -m pmabench.store.importers.apart FORMAT`), and is replaced
@@ -142,7 +142,7 @@ def _some(names: list[str]) -> str:
 
 
 def main() -> None:
-    """Be the child: answer on what was its standard output; what libraries print goes nowhere."""
+    """Main function of the child process: answers on its standard output; what libraries print is dropped."""
     warnings.simplefilter("ignore")
     os.environ["HDF5_PLUGIN_PRELOAD"] = "::"  # no filter is loaded from a folder of this machine
     ask, answer = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")

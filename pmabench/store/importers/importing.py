@@ -128,8 +128,8 @@ def _hint(ratio: float, quantity: str) -> str:
 
 
 MOST_FILES = 10_000
-UNKNOWN = "not told"
-"""What a proposed map says of a specimen that no file names."""
+UNKNOWN = ("unknown", "not told")
+"""The type of a specimen that no file names, as proposed maps have it; the second one as earlier versions wrote it."""
 
 
 @dataclass(frozen=True)
@@ -265,7 +265,7 @@ def _specimen(prepared: Prepared, rules: ImportMap) -> Mapping[str, Any]:
     if not isinstance(found, Mapping):
         return rules.specimen
     same = all(str(found.get(key)) == str(rules.specimen[key]) for key in ("type", "serial"))
-    return found if same or rules.specimen["type"] == UNKNOWN else rules.specimen
+    return found if same or rules.specimen["type"] in UNKNOWN else rules.specimen
 
 
 def _events(writer: RunWriter, prepared: Prepared) -> None:

@@ -21,11 +21,11 @@ from pmabench.store.importers.map_file import Question, spelled
 from pmabench.store.records import UNUSABLE, Array, Flags
 
 STEEPEST = 17.0
-"""No braid is laid at a smaller angle [deg]: the most force that a diameter gives."""
+"""Smallest braid angle that is made [deg]: the most force that a diameter gives."""
 USUAL = 12.0
 """Force per pressure and area of bore [1] that real muscles hardly exceed."""
 FLATTEST = 42.0
-"""Nor at a larger one that still pulls well: the least force, for long muscles at no contraction."""
+"""Largest braid angle of a muscle that still pulls well [deg]: the least force, for long muscles at no contraction."""
 DIAMETERS = (0.004, 0.1)
 """Inner diameters of muscles [m]."""
 LONG = 5.0

@@ -245,7 +245,7 @@ class ColumnFile(Strict):
     points: Annotated[list[tuple[Reading, Reading]], Field(min_length=2, max_length=200)] | None = None
     line: Line | None = None
     recorded_with: Line | None = None
-    """The file does not hold the reading but what somebody made of it with this line; it is turned back first."""
+    """The file holds values that somebody computed from readings with this line; the readings are recovered first."""
     whole: bool = False
     """The reading is a whole number of counts."""
     contraction: Contraction | None = None
@@ -366,7 +366,7 @@ class Trials(Strict):
 
 
 class TestFile(Strict):
-    """One of several tests in a file; each becomes a run with a clock of its own."""
+    """One of several tests in a file; each becomes a run with its own clock."""
 
     name: Short
     """What takes the place of {test} in the names of the columns; where the header is repeated any name."""

@@ -225,7 +225,7 @@ def _report_jump(
 
 
 def regained(report: Report, channel: Checked, pressure: Checked, good: Bools) -> bool:
-    """Report where the slope over pressure changes from one cycle to the next and stays; whether it does."""
+    """Report where the slope over pressure changes for good between two cycles; returns whether it does."""
     rows = np.flatnonzero(good & motion.later(report.t))
     if len(rows) < CYCLES * SIDE:
         return False

@@ -176,7 +176,7 @@ def waves(t: Array, values: Array, smallest: float) -> list[Wave]:
 
 
 def _alike(t: Array, values: Array, marks: list[int], start: int, stop: int) -> bool:
-    """The half cycle that ends at `stop` is like those since `start`."""
+    """Whether the half cycle that ends at `stop` has the period and size of those since `start`."""
     at = np.array(marks[start : stop + 1])
     periods, sizes = np.diff(t[at]), np.abs(np.diff(values[at]))
     if len(periods) < 2:

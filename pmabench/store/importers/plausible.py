@@ -98,7 +98,7 @@ def frozen(report: Report, channel: Checked, other: Checked, good: Bools, follow
 
 
 def _should_move(si: Array, ref: Array, begin: int, end: int) -> bool:
-    """Whether a channel moves elsewhere at the values that `ref` goes through from `begin` to `end`."""
+    """Whether, outside `begin` to `end`, a channel moves while `ref` is in the same range of values as inside."""
     rest = np.ones(len(si), dtype=bool)
     rest[begin:end] = False
     if rest.sum() < 2 * BINS or np.ptp(ref[begin:end]) <= 0.02 * np.ptp(ref):

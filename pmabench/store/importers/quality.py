@@ -41,7 +41,7 @@ MOVES = 20.0
 AS_LARGE = 0.25
 """Beyond the largest burst the signal comes back to within this share of the leap."""
 AROUND = 12
-"""Neighbours on either side that a spike is held against ..."""
+"""Neighbours on either side with which a spike is compared ..."""
 ALONE = 3
 """... without those nearer than this, since a spike may be three samples long."""
 SPIKE = 4.0
@@ -112,7 +112,7 @@ def _codes(channel: Checked, looked_at: Bools, command: bool) -> Iterator[tuple[
 
 
 def _hits(numbers: Array, looked_at: Bools) -> dict[float, Bools]:
-    """Code -> samples that read it, to seven digits, since other programs may have rounded it."""
+    """Places of each code among the samples, compared to seven digits, because other programs may have rounded it."""
     every = np.array(sorted({sign * code for code in CODES for sign in (1.0, -1.0)} - {1.0}))
     place = np.minimum(np.searchsorted(every, numbers - 1e-7 * np.abs(numbers)), len(every) - 1)
     rows = np.flatnonzero(looked_at & (np.abs(numbers - every[place]) <= 1e-7 * np.abs(every[place])))
@@ -266,9 +266,9 @@ def _extremes(values: Array) -> tuple[Array, Array]:
 
 
 def spike_limit(values: Array, apart: Array) -> float:
-    """From which distance on a sample is a spike: far beyond scatter, resolution and 2 % of the channel's span.
+    """Distance from which on a sample counts as a spike: far beyond scatter, resolution and 2 % of the channel's span.
 
-    Spikes that come again and again would pass for scatter. They are known by the gap below them: the largest lie
+    Frequent spikes would pass for scatter. The gap below them shows them: the largest lie
     `SPIKE` times further out than all that follow.
     """
     most = max(6, int(MANY * len(apart)))
@@ -296,7 +296,7 @@ def _some(values: Array) -> Array:
 
 
 def _resolution(values: Array) -> float:
-    """The smallest distance of two readings of different size, of the first that there are."""
+    """The smallest difference between two different readings among the first `ENOUGH`; 0 if all are equal."""
     marks = np.unique(values[:ENOUGH])
     return float(np.diff(marks).min()) if len(marks) > 1 else 0.0
 

@@ -60,7 +60,7 @@ class _Step:
 
 
 _Span = tuple[float, float, dict[str, float], list[dict[str, Any]], list[tuple[float, str]]]
-"""Begin and end [s], point, commands, phases of its own."""
+"""Begin and end [s], point, commands, and its phases as time and name."""
 
 
 @dataclass(frozen=True)

@@ -180,7 +180,7 @@ class Table:
         )
 
     def tests(self) -> list[Table]:
-        """The tests of the file, each with rows and a clock of its own; the table itself where it holds one."""
+        """The tests of the file, each with its rows and its own clock; the table itself where it holds one."""
         if not self.starts:
             return [self]
         return [replace(self.part(a, b), starts=()) for a, b in pairwise((0, *self.starts, len(self))) if b > a]
@@ -307,7 +307,7 @@ def _pieces(file: IO[bytes], digest: Any, most: int | None) -> Iterator[bytes]:
 
 
 class _Rows:
-    """Gathers the answers of the child, its times turned into seconds, test by test."""
+    """Gathers the child's answers test by test, with times in seconds."""
 
     def __init__(self, path: Path, stamps: Stamps | None) -> None:
         self.path, self.stamps = path, stamps

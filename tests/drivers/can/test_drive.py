@@ -261,7 +261,7 @@ def test_limits_of_the_drive_inside_those_of_the_bench_are_refused():
             "1017h:0: this object can only be read",
         ),
         (lambda n: n["transducer"].objects[0x6503, 0].__setattr__("value", 1), "magnet is missing"),
-        (lambda n: n["transducer"].objects[0x6005, 1].__setattr__("value", 0), "does not tell its measuring step"),
+        (lambda n: n["transducer"].objects[0x6005, 1].__setattr__("value", 0), "does not report its measuring step"),
         (
             lambda n: n["transducer"].objects[0x1A00, 1].__setattr__("value", 0x60300110),
             "first PDO begins with 60300110h",

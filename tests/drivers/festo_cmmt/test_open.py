@@ -89,7 +89,7 @@ def test_other_units_are_refused():
 def test_a_parameter_that_it_does_not_have_is_named():
     with served() as rig:
         del rig.inside.parameters[11725]
-        refused(rig, "drive.parameter 11725: does not tell it (mailbox state 3)")
+        refused(rig, "drive.parameter 11725: does not give its value (mailbox state 3)")
 
 
 @pytest.mark.realtime

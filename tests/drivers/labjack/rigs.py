@@ -1,7 +1,6 @@
 """A T7 as a record, emulated and opened; and stream packets written byte by byte."""
 
 import contextlib
-import socket
 from dataclasses import replace
 
 from pmabench_drivers.emulator import Emulator
@@ -9,6 +8,7 @@ from pmabench_drivers.labjack import LabJack
 
 from pmabench.base.clock import RealClock
 from pmabench.bench.interface import ChannelRecord, DeviceRecord, InterlockRecord, OutputRecord, Scale, ValveRecord
+from tests.ports import free_port
 
 DRIVER = "pmabench_drivers.labjack:LabJack"
 CHANNELS = (
@@ -17,11 +17,6 @@ CHANNELS = (
     ("force", "force", Scale(200.0, -50.0)),
     ("pressure_command", "pressure", Scale(2e5)),
 )
-
-
-def free_port():
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        return server.getsockname()[1]
 
 
 def channel(name, quantity, number, scale):

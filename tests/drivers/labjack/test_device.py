@@ -13,8 +13,9 @@ from pymodbus.client import ModbusTcpClient
 from pmabench.base.clock import RealClock
 from pmabench.base.errors import DeviceError, UsageError
 from pmabench.bench.interface import EMULATED, ValveRecord
-from tests.drivers.labjack.rigs import free_port, rig, t7
+from tests.drivers.labjack.rigs import rig, t7
 from tests.drivers.wires.rigs import Peer, timed
+from tests.ports import free_port
 from tests.reliability.cases import cases
 
 pytestmark = pytest.mark.realtime

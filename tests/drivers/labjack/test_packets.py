@@ -86,7 +86,7 @@ def test_a_reading_at_the_end_of_the_range_is_no_marker():
         (packet(0, [1, 2], status=2944), "ended by itself"),
         (packet(0, [1, 2], status=2945), "buffer was full"),
         (packet(0, [1, 2], status=1), "status 1, which is not known"),
-        (packet(0, [1, 2], status=2941, info=5), "nothing tells where"),
+        (packet(0, [1, 2], status=2941, info=5), "nothing shows where"),
         (packet(0, [1, 2], status=2940) + packet(2, [1, 2]), "lost while the device was leaving out"),
         (packet(0, [1, 2, 3, 4]), "a packet of 18 bytes instead of 14"),
         (b"HTTP/1.1 400 Bad Request", "no stream packet"),

@@ -37,7 +37,7 @@ def test_an_offset_in_no_unit_that_is_measured_is_refused():
 
 
 def probed(path, *options):
-    command = [sys.executable, "-m", "pmabench", "devices", "probe", str(path), *options]
+    command = [sys.executable, "-m", "pmabench", "bench", "probe", str(path), *options]
     wide = {**os.environ, "COLUMNS": "240"}  # no cell of the table is wrapped
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60, env=wide)
     assert done.returncode == 0, done.stderr

@@ -36,8 +36,9 @@ def took(act):
     return time.thread_time() - begin
 
 
-def test_the_first_look_after_ten_minutes_is_as_fast_as_any():
-    still, clock = plant()
+@pytest.mark.parametrize("muscle", ["paper0", "real"])
+def test_the_first_look_after_ten_minutes_is_as_fast_as_any(muscle):
+    still, clock = plant(plant=muscle)
     found = []
     for _ in range(3):
         clock.ahead += 600.0
@@ -61,9 +62,10 @@ def test_what_was_under_way_is_where_it_would_have_come():
     assert slow.quantities()["displacement"] == pytest.approx(0.02, abs=1e-9)
 
 
-def test_a_rest_gives_the_same_as_looking_all_the_time():
-    seldom, late = plant()
-    often, clock = plant()
+@pytest.mark.parametrize("muscle", ["paper0", "real"])
+def test_a_rest_gives_the_same_as_looking_all_the_time(muscle):
+    seldom, late = plant(plant=muscle)
+    often, clock = plant(plant=muscle)
     for each in (seldom, often):
         each.switch(on=True)
         each.load(60.0, 8.0)

@@ -194,12 +194,17 @@ def _noise(campaign: Campaign, segments: Segments, fit: Fit) -> tuple[Array, Arr
     """Variance of each row [N^2], shape (n,), and covariance with the next, shape (n - 1,).
 
     The times of polled samples scatter by no more than half a poll; how much of that they do is estimated from the
-    residuals, which grow with the speed by it.
+    residuals, which grow with the speed by it. Of each row that counts which the fit leaves free: the few fast ones are
+    fitted closely, and would say that nothing scatters.
     """
     still, after = noise_covariance(segments, fit, campaign.noise_of_means)
     moving, following = noise_covariance(segments, fit, campaign.noise_of_means, campaign.late)
     more = moving - still
-    share = float(more @ (fit.residual**2 - still) / (more @ more)) if more.any() else 0.0
+    if not more.any():
+        return still, after
+    free = np.maximum(0.0, 1.0 - np.sum(fit.design @ fit.inverse * fit.design, axis=1))
+    weights = more / moving**2
+    share = float(weights @ (fit.residual**2 - free * still)) / float(weights @ (free * more))
     share = min(max(share, 0.0), 1.0)
     return still + share * more, after + share * (following - after)
 

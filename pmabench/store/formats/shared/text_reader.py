@@ -155,13 +155,13 @@ class TextReader:
             count, expected = len(fields), len(self._names)
             if not begun or self._rows < 2 or not (count < expected or (self.cut_end and self._ends_badly(fields))):
                 raise
-            what = f"{count} of {expected} columns" if count < expected else "its last number is no whole one"
+            what = f"{count} of {expected} columns" if count < expected else "its last number is incomplete"
             self.cut_row = f"the last row is cut off, in line {number}: {what}; it was left out"
             self._line, self.cut_end = number, False
             return self._none()
 
     def _ends_badly(self, fields: Sequence[str]) -> bool:
-        """Whether a row is whole but for its last field."""
+        """Whether only the last field of a row is incomplete."""
         texts = self.texts or {}
         try:
             for name in self.taken:

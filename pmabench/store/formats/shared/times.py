@@ -42,7 +42,7 @@ class Stamps:
     unit: float = 1.0
     """Seconds in one unit of the number: of `epoch` and `labview`."""
     date: str = ""
-    """Column of the date, where the clock has one of its own."""
+    """Column of the date, where the date is apart from the clock."""
     order: str = "year first"
     """Order of a date whose year comes last: `day first` or `month first`."""
     period: float = 0.0

@@ -1,4 +1,4 @@
-"""What no file gives and what changes results, as plain questions: each with its candidates and what they make of it.
+"""Questions about what no file states and what changes results: each with its possible answers and their effect.
 
 Pure functions of a guess; writes nothing. Where something may be taken until somebody answers, it is proposed.
 """

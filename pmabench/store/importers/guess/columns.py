@@ -147,7 +147,7 @@ def _exported(proposal: Proposal) -> bool:
 
 
 def _unknown(proposals: Sequence[Proposal]) -> None:
-    """Columns that go with the pressure and were not recognised are worth a look."""
+    """Doubt and question for columns that vary with the pressure and were not recognised."""
     pressure = next((p for p in proposals if p.role == "pressure"), None)
     for proposal in proposals:
         if (
@@ -286,7 +286,7 @@ def _time_unit(time: Proposal) -> None:
 
 
 def _said_time(time: Proposal) -> None:
-    """A time whose unit makes of the file what no test is, while another unit makes a usual one of it."""
+    """Ask for the unit of a time where the given one makes the file an impossible test, another one a usual one."""
     step, many = usual_step(time.values), len(time.values)
     rate, lasts = 1.0 / (step * TIMES[time.unit]), step * many * TIMES[time.unit]
     usual = [
@@ -302,7 +302,7 @@ def _said_time(time: Proposal) -> None:
 
 
 def _which_time(time: Proposal, step: float) -> None:
-    """A time without unit that may be in several is asked for."""
+    """Ask for the unit of a time without one, where several are possible."""
     rates = {unit: 1.0 / (step * factor) for unit, factor in TIMES.items()}
     lasts = {unit: step * len(time.values) * factor for unit, factor in TIMES.items()}
     possible = [unit for unit in TIMES if FASTEST >= rates[unit] >= SLOWEST and lasts[unit] >= SHORTEST]
@@ -315,7 +315,7 @@ def _which_time(time: Proposal, step: float) -> None:
 
 
 def _one_each(proposals: Sequence[Proposal]) -> None:
-    """Of several that claim one role the one that moves most keeps it, with a doubt."""
+    """Where several columns have one role, the one that moves most keeps it, with a doubt."""
     for role in ("pressure", "force", "displacement", "pressure_command", "displacement_command", "supply", "phase"):
         same = [p for p in proposals if p.role == role]
         if len(same) < 2:

@@ -77,7 +77,7 @@ def look(path: Path, kinds: Mapping[str, Imported]) -> Guess:
 
 
 def _proposal(name: str, table: Table, names: Sequence[str]) -> Proposal:
-    """A column of a file with units; those of a matrix of several columns have no names of their own."""
+    """A column of a file with units; the columns of a matrix have no names."""
     matrix, said = matrix_of(name), spelled(table.units.get(name, ""))
     column = Proposal(name, table.columns[name], unit=said or unit_in(name))
     column.bare = bool(matrix) and sum(other.startswith(f"{matrix}(:,") for other in names) > 1
@@ -146,7 +146,7 @@ def _look_at_text(path: Path, guessed: TextGuess, kinds: Mapping[str, Imported])
 
 
 def _goes_on(path: Path, guessed: TextGuess, numbers: Sequence[str]) -> bool:
-    """Whether a column that rises throughout rises over each repeated line of names by a usual step, too."""
+    """Whether the clock of the file goes on over each repeated line of names: then these are pages of one test."""
     layout = guessed.layout.model_copy(update={"repeated_header": "page"})
     starts = read_table(path, guessed.layout, numbers, (), guessed.texts, guessed.stamps, LOOKED_AT).starts
     table = read_table(path, layout, numbers, (), guessed.texts, guessed.stamps, LOOKED_AT)
@@ -377,13 +377,13 @@ def _sampling(guess: Guess) -> None:
 
 
 def _names(guess: Guess) -> None:
-    """Dates, numbers of tests and points in the names of the files, or of their folders: whichever contain more."""
+    """Use the dates, test numbers and points in the names of the files or of their folders, whichever contain more."""
     found = (found_in(guess.files, of) for of in ("file", "folder"))
     best = max(found, key=lambda names: (len(names[0]), names[1] == "file"))
     keys, guess.form_of, forms, guess.form_units, guess.form_comma = best
     if keys and len(forms) <= 20:
         guess.forms = forms
-        guess.reasons["name_tells"] = [f"the name of the {guess.form_of} tells {', '.join(sorted(keys))}"]
+        guess.reasons["name_tells"] = [f"the name of the {guess.form_of} gives {', '.join(sorted(keys))}"]
 
 
 def _frequency(guess: Guess) -> None:
@@ -404,7 +404,7 @@ def _frequency(guess: Guess) -> None:
 
 
 def _lacking(guess: Guess) -> None:
-    """Without a pressure, or a force of an isometric test, one of the columns that are left is asked to be it."""
+    """Where the pressure, or the force of an isometric test, was not found: ask which of the other columns it is."""
     needed = ("pressure", "force") if guess.test.held else ("pressure",)
     guess.lacks = next((role for role in needed if guess.role(role) is None), "")
     ignored = [column for column in guess.columns if column.role == "ignore"]

@@ -49,7 +49,7 @@ def looks_like_time(text: str) -> bool:
 
 
 def written(texts: Sequence[str]) -> Written | None:
-    """How a column of texts writes its time; None where its texts are no times."""
+    """The form in which a column of texts gives its times; None if they are no times."""
     some = [text.strip() for text in texts if text.strip()]
     if not some or sum(map(looks_like_time, some)) < ENOUGH * len(some):
         return None
@@ -64,7 +64,7 @@ def written(texts: Sequence[str]) -> Written | None:
 
 
 def _order(texts: Sequence[str]) -> str:
-    """The order of day and month, where a number above 12 or a point shows it; empty where it is open."""
+    """The order of day and month, if a number above 12 or a point shows it; else empty."""
     pairs = [(int(m[1]), int(m[2])) for text in texts if (m := _SLASHED.match(text))]
     if not pairs:
         return "year first"
@@ -248,7 +248,7 @@ def guess_layout(path: str, content: bytes) -> TextGuess:
 
 
 def _body(path: str, text: str) -> _Body:
-    """The rows of a text; raises InvalidFile where it has none, or a comma that parts columns and decimals at once."""
+    """The rows of a text; raises InvalidFile where it has none, or a comma for columns and decimals at once."""
     lines = text.split("\n")[:LOOKED_AT]
     if len(lines) == LOOKED_AT or not text.endswith("\n"):
         lines = lines[: LOOKED_AT - 1]
@@ -296,7 +296,7 @@ def _again(text: str, lines: Sequence[str], first: int, names: Sequence[str]) ->
 
 
 def _two_commas(path: str, rows: Sequence[Sequence[str]], above: Sequence[str], width: int) -> None:
-    """Raises InvalidFile where the comma seems to part columns and decimals at once."""
+    """Raises InvalidFile where the comma seems to separate columns and decimals at once."""
     if any("." in text for row in rows for text in row):
         return
     heads = [len(line.split(",")) for line in above if re.search(r"[^\W\d_]", line)]
@@ -309,8 +309,8 @@ def _two_commas(path: str, rows: Sequence[Sequence[str]], above: Sequence[str], 
         sentence = (
             f"rows have {width} fields between commas"
             + (f" under {names} names" if names else "")
-            + ", none with a decimal point: the comma seems to part columns and decimals at once, which nothing can "
-            "tell apart; export it with semicolons or tabs, or with decimal points"
+            + ", none with a decimal point: the comma seems to separate columns and decimals at once, which cannot "
+            "be distinguished; export it with semicolons or tabs, or with decimal points"
         )
         raise invalid(path, sentence, len(above) + 1, 1)
 
@@ -406,7 +406,7 @@ def _cells(path: str, lines: Sequence[str], above: int, *, quoted: bool) -> tupl
 
 
 def _in_each(lines: Sequence[str], mark: str) -> bool:
-    """Whether a sign is equally often in nearly all lines: it parts columns, rather than digits."""
+    """Whether a sign is equally often in nearly all lines: then it separates columns, not digits."""
     counts = Counter(line.count(mark) for line in lines if line.strip())
     usual, many = counts.most_common(1)[0] if counts else (0, 0)
     return usual > 0 and many > 0.9 * sum(counts.values())

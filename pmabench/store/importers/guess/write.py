@@ -133,7 +133,7 @@ def map_text(guess: Guess, spans: Mapping[str, Span]) -> str:
         *([comment(f"The shipped map {guess.known} takes these files as they are.")] if guess.known else []),
         "schema: pmabench.map/1",
         f"name: {scalar('guessed from ' + guess.files[0].name)}",
-        "source: not told  # who recorded these files, when and where",
+        "source: unknown  # who recorded these files, when and where",
         f"kind: {guess.kind}{_why(guess, 'trials')}",
         *(["simulated: true  # as the file says"] if guess.simulated else []),
         "",
@@ -153,7 +153,7 @@ def map_text(guess: Guess, spans: Mapping[str, Span]) -> str:
     lines.append(f"sampling: {{rate: [{low} Hz, {high} Hz], gap: {gap}}}{_why(guess, 'sampling')}")
     lines += _trials(guess, spans)
     lines += _siblings(guess) + _analysis(guess)
-    specimen = {"type": "not told", "serial": "unknown"} | guess.specimen
+    specimen = {"type": "unknown", "serial": "unknown"} | guess.specimen
     sentence = ", ".join(f"{key}: {scalar(value)}" for key, value in specimen.items())
     lines.append(f"specimen: {{{sentence}}}  # make, type, serial, nominal_length, inner_diameter")
     return "\n".join(lines) + "\n"

@@ -1,4 +1,4 @@
-"""`devices read` and `devices set` as they are typed: one value with its raw one; an output by hand, vented after."""
+"""`bench read` and `bench set` as they are typed: one value with its raw one; an output by hand, vented after."""
 
 import json
 
@@ -19,7 +19,7 @@ def _here(tmp_path, monkeypatch):
 
 
 def call(*arguments):
-    done = CliRunner().invoke(main, ["devices", *arguments])
+    done = CliRunner().invoke(main, ["bench", *arguments])
     assert done.exception is None or isinstance(done.exception, SystemExit), done.exception
     return done
 

@@ -1,4 +1,4 @@
-"""`pmabench devices read` and `set`: one channel of a bench, and one output by hand."""
+"""`pmabench bench read` and `set`: one channel of a bench, and one output by hand."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ import click
 from pmabench.base.errors import DeviceError, UsageError, did_you_mean
 from pmabench.base.quantities import CHANNEL_QUANTITY, QUANTITIES, show
 from pmabench.cli.common import Ui, common, fields, read_quantity
+from pmabench.cli.names import BENCH, SPECIMEN
 from pmabench.cli.operator import AtLines
 from pmabench.cli.outcome import show_outcome
 from pmabench.engine.operator import ConfirmedBeforehand, Operator
@@ -34,7 +35,7 @@ SHOWN = 1.0
 
 
 @click.command(name="read")
-@click.argument("bench")
+@click.argument("bench", type=BENCH)
 @click.argument("channel")
 @click.option(
     "--for", "lasting", metavar="TIME", help='Mean, noise and drift over so long: "2 s"; else the newest sample.'
@@ -127,10 +128,10 @@ def _print_reading(record: ChannelRecord, reading: Reading, data: Mapping[str, A
 
 
 @click.command(name="set")
-@click.argument("bench")
+@click.argument("bench", type=BENCH)
 @click.argument("output")
 @click.argument("value")
-@click.option("--specimen", required=True, help="The specimen that is mounted; its limits hold.")
+@click.option("--specimen", type=SPECIMEN, required=True, help="The specimen that is mounted; its limits hold.")
 @click.option("--for", "lasting", metavar="TIME", help='Hold for so long: "10 s"; else until Ctrl-C.')
 @click.option("--out", default="runs", show_default=True, type=click.Path(path_type=Path), help="Where run folders go.")
 @click.option("--operator", default="", help="Who is at the bench; the login name if not given.")

@@ -1,0 +1,156 @@
+"""Which terms a muscle needs: one is kept only where it predicts what was left out clearly better.
+
+Left out are whole groups of trials: a load, a pressure, a loop. A term is kept if the error there falls by more than
+`CLEAR` and by more than the standard error of that fall over the groups. R squared and information criteria do not
+decide, since the errors of one trial hang together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import sqrt
+
+import numpy as np
+
+from pmabench.analysis.surface.fit import Data, Sums, first_stiffness, misfit, muscle_of, solve, sums
+from pmabench.analysis.surface.muscle import (
+    ALWAYS,
+    CREEP_P,
+    CREEP_X,
+    SLIDING,
+    STOPS_P,
+    STOPS_X,
+    STRAIGHT,
+    TERMS,
+    VISCOUS,
+    Muscle,
+)
+from pmabench.store.records import Array
+
+CLEAR = 0.10
+"""Share by which the error on what was left out must fall."""
+ALIKE = 1.3
+"""Hysteresis or creep is named as the cause only where the other in its place leaves so many times the error."""
+PASSES = 3
+"""Creep acts through the stiffness of the pass before."""
+FOLDS = 24
+"""Most groups that are left out one at a time; with more, several together."""
+SMOOTH = (1e-4, 1e-3, 1e-2, 1e-1, 1.0, 10.0)
+"""Weights of the bends of the surface that are tried: the one that predicts best what was left out is taken."""
+RIVALS = ((STOPS_X, CREEP_X), (STOPS_P, CREEP_P))
+"""Hysteresis and creep of the same thing, which one cycle does not tell apart."""
+
+
+@dataclass(frozen=True, eq=False)
+class Score:
+    """How a choice of terms predicts what was left out."""
+
+    terms: tuple[str, ...]
+    rms: float
+    """Over all groups, each predicted without it [N]."""
+    each: Array
+    """Mean square of each fold [N2]."""
+    size: Array
+    """Share of each fold of all rows."""
+    smooth: float
+    """Weight of the bends of the surface."""
+
+    def better_than(self, other: Score) -> bool:
+        """Whether the error is lower by more than `CLEAR` and by more than its standard error over the folds."""
+        fall = other.rms - self.rms
+        number = len(self.each)
+        by_fold = (other.each - self.each) * self.size * number / max(self.rms + other.rms, 1e-300)
+        error = float(np.std(by_fold, ddof=1)) / sqrt(number) if number > 1 else np.inf
+        return bool(fall > CLEAR * other.rms and fall > error)
+
+
+@dataclass(frozen=True, eq=False)
+class Choice:
+    """The muscle with the terms that the data need, and what each choice would have done."""
+
+    data: Data
+    sums: Sums
+    muscle: Muscle
+    score: Score
+    tried: tuple[Score, ...]
+    undecided: tuple[tuple[str, str], ...]
+    """Pairs of hysteresis and creep that do about equally well: first the one that was taken."""
+    plain: Score
+    """What the surface and damping alone would do."""
+    straight: Score
+    """What the straight form with damping and Coulomb friction would do."""
+    folds: Array
+    """Fold of each record."""
+
+    @property
+    def terms(self) -> tuple[str, ...]:
+        """The terms of the muscle."""
+        return self.score.terms
+
+
+def choose(data: Data, passes: int = PASSES) -> Choice:
+    """The muscle of all records, with the terms that predict clearly better what was left out."""
+    folds = folds_of(data)
+    every = np.ones(len(data.records))
+    known = sums(data, first_stiffness(data))
+    best, tried = _selected(known, folds)
+    for last in range(passes):
+        muscle = muscle_of(known, data.frame, best.terms, solve(known, best.terms, every, best.smooth))
+        if last < passes - 1 and CREEP_X in best.terms:
+            known = sums(data, muscle.stiffness)
+    undecided = _undecided(known, folds, best)
+    form = (STRAIGHT, VISCOUS, SLIDING)
+    straight = scored(sums(data, muscle.stiffness, form), folds, form)
+    return Choice(data, known, muscle, best, tuple(tried), undecided, scored(known, folds, ALWAYS), straight, folds)
+
+
+def folds_of(data: Data) -> Array:
+    """Fold of each record: records of one group are in the same."""
+    names = list(dict.fromkeys(record.group for record in data.records))
+    number = min(len(names), FOLDS)
+    return np.array([names.index(record.group) % number for record in data.records])
+
+
+def scored(known: Sums, folds: Array, terms: Sequence[str]) -> Score:
+    """How a choice of terms predicts each fold without it, with the smoothness of the surface that does so best."""
+    numbers = np.unique(folds)
+    rows = np.array([known.n[folds == one].sum() for one in numbers])
+    size = rows / rows.sum()
+    used = [np.where(folds == one, 0.0, 1.0) for one in numbers]
+    ordered = tuple(term for term in known.places if term in terms)
+    found = []
+    for smooth in SMOOTH:
+        each = np.array([misfit(known, solve(known, terms, one, smooth), 1.0 - one) ** 2 for one in used])
+        found.append(Score(ordered, float(np.sqrt(size @ each)), each, size, smooth))
+    return min(found, key=lambda score: score.rms)
+
+
+def _selected(known: Sums, folds: Array) -> tuple[Score, list[Score]]:
+    """All terms, then without those that do not clearly help, the least useful first."""
+    best = scored(known, folds, TERMS)
+    tried = [best]
+    while len(best.terms) > len(ALWAYS):
+        fewer = [
+            scored(known, folds, [t for t in best.terms if t != term]) for term in best.terms if term not in ALWAYS
+        ]
+        tried += fewer
+        least = min(fewer, key=lambda one: one.rms)
+        if best.better_than(least):
+            break
+        best = least
+    return best, tried
+
+
+def _undecided(known: Sums, folds: Array, best: Score) -> tuple[tuple[str, str], ...]:
+    """Pairs of which one was taken while the other does about as well in its place."""
+    found = []
+    for pair in RIVALS:
+        taken = [term for term in pair if term in best.terms]
+        if len(taken) != 1:
+            continue
+        (other,) = {*pair} - {*taken}
+        instead = scored(known, folds, [other if term == taken[0] else term for term in best.terms])
+        if instead.rms < ALIKE * best.rms or not best.better_than(instead):
+            found.append((taken[0], other))
+    return tuple(found)

@@ -1,0 +1,103 @@
+"""Arguments that name a file or a run, and what the shell completes them with: names and places only, no file is read
+beyond its first lines, so that Tab answers as fast as --help.
+"""
+
+from __future__ import annotations
+
+import re
+import shlex
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import click
+from click.shell_completion import CompletionItem
+
+from pmabench.files.shipped import shipped_folder
+
+HEAD = 2000
+"""Characters at the start of a file in which its schema and its name are looked for."""
+TAIL = re.compile("[0-9a-f]{4}(-[a-z]+)?")
+"""The end of the name of a run, which tells it from others of the same minute."""
+MOST = 50
+"""Runs that are proposed, the newest first."""
+
+
+class Named(click.ParamType[str]):
+    """A file of one kind by its path, or by the name of a shipped one."""
+
+    name = "text"
+
+    def __init__(self, kind: str) -> None:
+        self.kind = kind
+
+    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+        """Files of this kind here and in the folder of their kind, shipped ones, and whatever else lies here."""
+        own = [str(path) for path in own_files(self.kind)]
+        names = [*own, *(path.stem for path in shipped_files(self.kind))]
+        found = [CompletionItem(name) for name in names if name.startswith(incomplete)]
+        return found or [CompletionItem(incomplete, type="file")]
+
+
+class RunFolder(click.Path):
+    """The folder of a run or of an analysis."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(path_type=Path, **options)
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """A path, or the last four signs of a name, which no other folder there has: `runs/3efe`, `3efe`."""
+        path = Path(value)
+        if TAIL.fullmatch(path.name) and not path.exists():
+            places = [path.parent] if len(path.parts) > 1 else [Path(), Path("runs"), Path("analyses")]
+            found = [one for place in places for one in place.glob(f"*_{path.name}") if one.is_dir()]
+            if len(found) > 1:
+                self.fail(f'"{value}" is the end of several names: {", ".join(map(str, found))}', param, ctx)
+            value = found[0] if found else value
+        return super().convert(value, param, ctx)
+
+    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+        """The newest runs and analyses here, else any folder."""
+        return complete_runs(ctx, param, incomplete)
+
+
+def short(folder: Path) -> str:
+    """A run or analysis as it is shortest typed here: `runs/3efe`, where no other folder there ends so."""
+    path = folder.resolve()
+    path = path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path
+    tail = path.name.rpartition("_")[2]
+    alone = TAIL.fullmatch(tail) and len([one for one in folder.parent.glob(f"*_{tail}") if one.is_dir()]) == 1
+    return shlex.quote(str(path.with_name(tail) if alone else path))
+
+
+def complete_runs(_ctx: click.Context, _param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+    """The newest folders below `runs` and `analyses` here that begin like `incomplete`, else any folder."""
+    places = [Path(name) for name in ("runs", "analyses")]
+    found = [str(one) for place in places if place.is_dir() for one in place.iterdir() if one.is_dir()]
+    found = sorted((name for name in found if name.startswith(incomplete)), reverse=True)[:MOST]
+    return [CompletionItem(name) for name in found] or [CompletionItem(incomplete, type="dir")]
+
+
+def own_files(kind: str) -> Iterator[Path]:
+    """Files of a kind in this folder and in the folder below it that is called after the kind, by their schema."""
+    for folder in (Path(), Path(Path(shipped_folder(kind)).name)):
+        for path in sorted(folder.glob("*.yaml")):
+            if f"schema: pmabench.{kind}/" in head_of(path):
+                yield path
+
+
+def head_of(path: Path) -> str:
+    """The first lines of a file; empty where it cannot be read."""
+    try:
+        with path.open(encoding="utf-8", errors="replace") as file:
+            return file.read(HEAD)
+    except OSError:
+        return ""
+
+
+def shipped_files(kind: str) -> list[Path]:
+    """Shipped files of a kind."""
+    return sorted(shipped_folder(kind).glob("*.yaml"))
+
+
+BENCH, SPECIMEN, PROTOCOL, CAMPAIGN = (Named(kind) for kind in ("bench", "specimen", "protocol", "campaign"))

@@ -1,0 +1,231 @@
+"""What is reported of a fitted muscle: values at round places within what was tested, each with its interval.
+
+There is none where the interval says too little, nor where nothing was tested.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from math import ceil, floor
+
+import numpy as np
+
+from pmabench.analysis.shared.calibration import Scales
+from pmabench.analysis.surface.choice import Choice
+from pmabench.analysis.surface.muscle import CREEP_P, CREEP_X, SLIDING, STOPS_P, STOPS_X, Muscle
+from pmabench.analysis.surface.spread import FEWEST, Spread
+from pmabench.base.quantities import QUANTITIES, show
+from pmabench.store.analyses.results import Estimate, Parts
+from pmabench.store.records import Array
+
+METHOD, SECANT = "surface", "surface, straight line"
+NORMAL = 1.96
+NEAR = 0.1
+"""A place counts as tested where rows lie this close in pressure on both sides in contraction, and the other way."""
+PRESSURES, CONTRACTIONS = (1, 2, 2.5, 5), (1, 2, 2.5, 5)
+MOST = 6
+"""Most pressures, and contractions at each."""
+STILL = 1e-5
+"""Range of speeds below which nothing moved [m/s]."""
+WAVE = 0.25
+"""Share of the range of contraction over which an error of the surface may be a slope."""
+WIDE = {"force": 0.05, "stiffness": 0.25, "work": 0.5, "damping": 0.5, "ratio": 0.5, "force per pressure": 0.5}
+"""There is no value where its half width is more than this share of it; a force of the surface, of the full scale."""
+LOOSE = 0.5
+"""The same for the width of a loop."""
+TOO_FEW = "its interval would say too little: test more loads, pressures or lengths around it"
+CREEP = (1.0, 30.0)
+"""Times [s] between which creep is reported; the second one ends with the longest hold."""
+
+
+@dataclass(frozen=True, eq=False)
+class Tested:
+    """Where rows lie: pressures [Pa] and contractions [m] of those that count."""
+
+    P: Array
+    x: Array
+    wide_P: float
+    wide_x: float
+
+    def contractions(self, P: float) -> tuple[float, float] | None:
+        """Lowest and highest contraction [m] that was tested near a pressure; None where there is none."""
+        near = self.x[np.abs(self.P - P) <= self.wide_P]
+        return (float(near.min()), float(near.max())) if len(near) else None
+
+    def pressures(self, x: float) -> tuple[float, float] | None:
+        """Lowest and highest pressure [Pa] that was tested near a contraction; None where there is none."""
+        near = self.P[np.abs(self.x - x) <= self.wide_x]
+        return (float(near.min()), float(near.max())) if len(near) else None
+
+    def holds(self, P: float, x: float) -> bool:
+        """Whether rows lie around a place."""
+        along_x, along_P = self.contractions(P), self.pressures(x)
+        if along_x is None or along_P is None:
+            return False
+        return along_x[0] - 1e-9 <= x <= along_x[1] + 1e-9 and along_P[0] - 1.0 <= P <= along_P[1] + 1.0
+
+
+def tested(choice: Choice) -> Tested:
+    """Where the rows of a fit lie."""
+    rows, frame = choice.data.rows, choice.data.frame
+    return Tested(rows.P[rows.used], rows.x[rows.used], NEAR * frame.P.span + 1.0, NEAR * frame.x.span + 1e-6)
+
+
+def round_places(low: float, high: float, most: int = MOST) -> list[float]:
+    """At most `most` multiples of 1, 2, 2.5 or 5 times a power of ten between two ends."""
+    if not high > low:
+        return [low]
+    power = 10.0 ** floor(np.log10((high - low) / most))
+    for step in (power * factor for factor in (1, 2, 2.5, 5, 10, 20, 25, 50)):
+        first, last = ceil(low / step - 1e-6), floor(high / step + 1e-6)
+        if 0 <= last - first < most:
+            return [round(number * step, 9) for number in range(first, last + 1)]
+    return [0.5 * (low + high)]
+
+
+@dataclass(frozen=True, eq=False)
+class Reporter:
+    """Makes estimates of functions of the muscle."""
+
+    choice: Choice
+    spread: Spread
+    scales: Scales
+    trials: tuple[str, ...]
+
+    def estimate(
+        self,
+        symbol: str,
+        quantity: str,
+        value: Callable[[Muscle], float],
+        at: Mapping[str, float],
+        *,
+        misfit: float = 0.0,
+        wide: float,
+        note: str = "",
+        method: str = METHOD,
+        by: str = "force",
+    ) -> Estimate:
+        """One value; `misfit` is what the error on left-out trials may do to it, `wide` the widest half width [SI]."""
+        known = self.spread.of_value(value)
+        parts = Parts(known.repeats, float(np.hypot(known.method, misfit)), self.scales.part({by: known.value}))
+        found = Estimate(
+            symbol, known.value, QUANTITIES[quantity].unit, quantity, method, at, parts, len(self.trials), note=note,
+            trials=self.trials,
+        )  # fmt: skip
+        half = parts.combined
+        if half is None:
+            return _unknown(found, f"fewer than {FEWEST} different loads, pressures or lengths give no interval")
+        if half > wide:
+            return _unknown(found, TOO_FEW)
+        return found
+
+
+def _unknown(found: Estimate, why: str) -> Estimate:
+    """The estimate without a value: there are too few tests for it, which is no fault of theirs."""
+    return replace(found, value=None, parts=Parts(), note=why)
+
+
+def estimates(choice: Choice, scales: Scales) -> list[Estimate]:
+    """All values of a muscle."""
+    rows = choice.data.rows
+    names = tuple(record.name for record in choice.data.records)
+    maker = Reporter(choice, Spread.of(choice), scales, names)
+    where = tested(choice)
+    frame = choice.data.frame
+    pressures = [P for P in round_places(frame.P.low, frame.P.high) if where.contractions(P) is not None]
+    found = [*_points(maker, where, pressures), *_loops(maker, where, pressures)]
+    if np.ptp(rows.v[rows.used]) > STILL and frame.x.span > 0:
+        found += _damping(maker, pressures)
+    return [*found, *_creep(maker, where)]
+
+
+def _points(maker: Reporter, where: Tested, pressures: list[float]) -> Iterator[Estimate]:
+    """Force and tangent at places, and what a straight line would make of each pressure."""
+    choice = maker.choice
+    error, span = NORMAL * choice.score.rms, choice.data.frame.x.span
+    steep = error / (WAVE * span) if span > 0 else 0.0
+    contractions = round_places(choice.data.frame.x.low, choice.data.frame.x.high)
+    for P in pressures:
+        low, high = where.contractions(P) or (0.0, 0.0)
+        places = [x for x in contractions if where.holds(P, x)]
+        for x in places:
+            at = {"pressure": P, "contraction": x}
+            yield maker.estimate(
+                "F", "force", lambda m, P=P, x=x: float(m.static(np.array([P]), np.array([x]))[0]), at,
+                misfit=error, wide=WIDE["force"] * choice.data.largest,
+            )  # fmt: skip
+            if span > 0:
+                K = float(choice.muscle.stiffness(np.array([P]), np.array([x]))[0])
+                yield maker.estimate(
+                    "K", "stiffness", lambda m, P=P, x=x: float(m.stiffness(np.array([P]), np.array([x]))[0]), at,
+                    misfit=steep, wide=WIDE["stiffness"] * abs(K),
+                )  # fmt: skip
+        if high - low > WAVE * span > 0:
+            K = choice.muscle.secant(P, low, high)
+            at = {"pressure": P, "lower": round(low, 5), "upper": round(high, 5)}
+            yield maker.estimate(
+                "K_s", "stiffness", lambda m, P=P, ends=(low, high): m.secant(P, *ends), at,
+                misfit=error / (high - low), wide=WIDE["stiffness"] * abs(K), method=SECANT,
+            )  # fmt: skip
+
+
+def _loops(maker: Reporter, where: Tested, pressures: list[float]) -> Iterator[Estimate]:
+    """Width and area of loops over contraction, of half the tested stroke, and of loops over the tested pressures."""
+    terms, muscle = maker.choice.terms, maker.choice.muscle
+    for P in pressures if {STOPS_X, SLIDING} & set(terms) else ():
+        low, high = where.contractions(P) or (0.0, 0.0)
+        if high - low < WAVE * maker.choice.data.frame.x.span:
+            continue
+        amplitude = 0.25 * (high - low)
+        at = {"pressure": P, "amplitude": round(amplitude, 6)}
+        for symbol, quantity, value in (("H", "force", Muscle.gap), ("W", "work", Muscle.area)):
+            yield maker.estimate(
+                symbol, quantity, lambda m, value=value, P=P, a=amplitude: value(m, P, a), at,
+                wide=LOOSE * abs(value(muscle, P, amplitude)), note="around any contraction, at rest",
+            )  # fmt: skip
+        if SLIDING in terms:
+            yield maker.estimate(
+                "F_c", "force", lambda m, P=P: m.friction(P), {"pressure": P}, wide=LOOSE * muscle.friction(P)
+            )
+    for x in round_places(maker.choice.data.frame.x.low, maker.choice.data.frame.x.high) if STOPS_P in terms else ():
+        low, high = where.pressures(x) or (0.0, 0.0)
+        if high - low < WAVE * maker.choice.data.frame.P.span:
+            continue
+        reach = f"at mid pressure between {show(low, 'pressure', 3)} and {show(high, 'pressure', 3)}"
+        half = 0.5 * (high - low)
+        yield maker.estimate(
+            "H_P", "force", lambda m, x=x, a=half: m.pressure_gap(x, a), {"contraction": x},
+            wide=LOOSE * muscle.pressure_gap(x, half), note=reach,
+        )  # fmt: skip
+
+
+def _damping(maker: Reporter, pressures: list[float]) -> Iterator[Estimate]:
+    """Damping by direction."""
+    for P in pressures:
+        for place, symbol in enumerate(("B_c", "B_r")):
+            size = maker.choice.muscle.damping(P)[place]
+            yield maker.estimate(
+                symbol, "damping", lambda m, P=P, place=place: m.damping(P)[place], {"pressure": P},
+                wide=WIDE["damping"] * size,
+            )  # fmt: skip
+
+
+def _creep(maker: Reporter, where: Tested) -> Iterator[Estimate]:
+    """Creep in each decade of time."""
+    choice, (first, last) = maker.choice, CREEP
+    reach = f"between {first:g} and {last:g} s after a step"
+    if CREEP_X in choice.terms:
+        yield maker.estimate(
+            "c_x", "ratio", lambda m: m.creep_per_decade(first, last), {}, note=reach, by="displacement",
+            wide=WIDE["ratio"] * choice.muscle.creep_per_decade(first, last),
+        )  # fmt: skip
+    frame = choice.data.frame
+    for x in round_places(frame.x.low, frame.x.high) if CREEP_P in choice.terms else ():
+        if where.pressures(x) is None:
+            continue
+        size = choice.muscle.pressure_creep_per_decade(x, first, last)
+        yield maker.estimate(
+            "c_P", "force per pressure", lambda m, x=x: m.pressure_creep_per_decade(x, first, last),
+            {"contraction": x}, wide=WIDE["force per pressure"] * size, note=reach,
+        )  # fmt: skip

@@ -1,0 +1,310 @@
+"""A load on the free end of a muscle with bent force, hysteresis and creep: stepped, with steps as long as they may be.
+
+The force F of `pmabench.model.real.muscle` moves a load, M x'' = F - F_L + N, where N >= 0 only on the support at
+x = 0, and likewise at the muscle's own stop; it lands there without rebound. The cell cannot read a push. In the
+motion F is not cut off at 0: a muscle without load and pressure goes back by its rubber.
+
+One step
+--------
+With g = F + B x' - F_L, what is left of the force without its damping, M x'' = g - B x' is solved exactly for a g that
+goes on a straight line from one end of the step to the other. At the other end g depends on where x comes to, through
+surface, stops and creep, and decreases with it: one equation for one unknown, solved by Newton's method. Damping thus
+makes no step unstable, however small the mass. Stops have moved from one end of the step to the other without a turn;
+creep is exact for an x on a straight line. The step is short where the speed changes.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from pmabench.model.curve import Array
+from pmabench.model.motion import NOTHING, Motion
+from pmabench.model.real.muscle import RealMuscle
+from pmabench.model.regulator import Regulated, Regulator, Trace, Wave
+
+BEND = 1e-6
+"""Change of speed times step, at which a step is as long as it may be [m]."""
+SHORTEST, LOOK, LONGEST = 2.5e-4, 2e-3, 1.0
+"""Least step, longest while the pressure changes, longest of all [s]."""
+SETTLED_PRESSURE = 1e-3
+"""Worth less than 1 nm of contraction [Pa]."""
+SERIES = 0.01
+"""Below it the shares of a step are taken from their power series: their closed forms lose digits there [1]."""
+NEAR = 2e-8
+"""Newton's method ends with a straight line where it moves less than this [m]."""
+ON_TIME = 0.01
+"""A load that leaves its support within this fraction of a step does so at its begin [1]."""
+
+
+def shares(z: float) -> tuple[float, float, float]:
+    """What a speed and a force that goes on a straight line do within a step, z = B h / M >= 0.
+
+    phi_1 = (1 - exp(-z)) / z, phi_2 = (1 - phi_1) / z, phi_3 = (1 / 2 - phi_2) / z [1].
+    """
+    if z < SERIES:
+        third = 1 / 6 - z * (1 / 24 - z * (1 / 120 - z / 720))
+        second = 0.5 - z * third
+        return 1 - z * second, second, third
+    first = -math.expm1(-z) / z
+    second = (1 - first) / z
+    return first, second, (0.5 - second) / z
+
+
+class Air(NamedTuple):
+    """What the pressure makes of the force bent exp(-s u / length) + straight u + constant - height sum w S / r.
+
+    [N], [N/m], [N], [N]
+    """
+
+    bent: float
+    straight: float
+    constant: float
+    height: float
+
+
+class RealPlant:
+    """A muscle with hysteresis and creep behind its regulator, with a load F_L = `force` [N] of moving `mass` [kg].
+
+    `time` [s], contraction `x` [m], speed `v` [m/s].
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pmabench.model.real.muscle import reference
+    >>> from pmabench.model.regulator import constant
+    >>> plant = RealPlant(reference(), Regulator(dead_time=0.02, lag=0.0955), force=200.0, mass=22.4)
+    >>> plant.command(constant(0.0, 300e3))
+    >>> (plant.advance(30.0, np.array([0.02, 3.0, 30.0])).x * 1e3).round(1).tolist()
+    [0.0, 31.5, 31.8]
+    """
+
+    def __init__(
+        self,
+        muscle: RealMuscle,
+        regulator: Regulator,
+        *,
+        force: float = 0.0,
+        mass: float = 0.5,
+        pressure: float = 0.0,
+        start: float = 0.0,
+    ) -> None:
+        self.muscle = muscle
+        self._curves = {1: muscle.B_c.function(), -1: muscle.B_r.function()}
+        self.supply = Regulated(regulator, pressure, start)
+        self.time, self.x, self.v = start, 0.0, 0.0
+        self._trace: Trace | None = None
+        over_x = zip(muscle.over_x.widths, muscle.over_x.weights, strict=True)
+        self._springs = [(i, width, weight, weight / width) for i, (width, weight) in enumerate(over_x)]
+        self._over_x: tuple[float, ...] = tuple(0.0 for _ in muscle.over_x.widths)
+        self._over_P: tuple[float, ...] = tuple(-width for width in muscle.over_P.widths)
+        self._crept: tuple[float, ...] = tuple(0.0 for _ in muscle.creep.times)
+        self._span, self._last = 0.0, 0.0
+        self._fading: tuple[tuple[float, float, float], ...] = ()
+        self._gone, self._rested = 0.0, 1 + muscle.over_x.extra
+        self._longest, self._trend = SHORTEST, 0.0
+        self._P, self._pull = 0.0, 0.0
+        self._breathe(pressure)
+        self.load(force, mass)
+
+    def load(self, force: float, mass: float) -> None:
+        """From now on the free end carries F_L = `force` [N >= 0] and moves with `mass` [kg > 0]."""
+        if not force >= 0 or not mass > 0:
+            raise ValueError(f"a load needs a force of at least 0 and a mass above 0, not {force} N and {mass} kg")
+        self.force, self.mass = force, mass
+        self._longest, self._trend = SHORTEST, 0.0
+
+    @property
+    def pressure(self) -> float:
+        """Gauge pressure in the muscle at this moment [Pa]."""
+        return self.supply.value(self.time)
+
+    def command(self, waves: tuple[Wave, ...]) -> None:
+        """Command pressure [Pa] along `waves`, the first of which starts now or later."""
+        self.supply.command(waves)
+
+    def shut(self, *, shut: bool) -> None:
+        """From now on a valve keeps the regulator from the muscle's air, or no longer; without a chamber no matter."""
+
+    def snapshot(self) -> dict[str, Any]:
+        """Everything that `restore` needs to come back to this moment."""
+        return {**self.__dict__, "supply": copy.copy(self.supply)}
+
+    def restore(self, snapshot: dict[str, Any]) -> None:
+        """Go back to the moment of a snapshot; it can be used again."""
+        self.__dict__.update(snapshot)
+        self.supply = copy.copy(self.supply)
+
+    def reading(self) -> tuple[float, float, float]:
+        """Contraction [m], gauge pressure [Pa] and force at the fixed end [N] at this moment."""
+        trace, _ = self.supply.piece(self.time)
+        if trace != self._trace:
+            self._begin(trace)
+        force = self._pull - self._curves[1 if self.v > 0 else -1](self._P) * self.v
+        return self.x, self._P, max(force, 0.0)
+
+    def advance(self, until: float, times: Sequence[float] | Array = ()) -> Motion:
+        """Go on to `until` [s] and return what happened at `times` [s], rising, between now and `until`."""
+        if len(times) == 0:
+            self.reach(until)
+            return NOTHING
+        t = np.asarray(times, dtype=np.float64)
+        P_set = self.supply.setpoints(t)
+        rows = []
+        for moment in t.tolist():
+            self.reach(moment)
+            place, pressure, force = self.reading()
+            rows.append((place, self.v, pressure, force))
+        self.reach(until)
+        x, v, P, F = np.array(rows).T
+        return Motion(t, x, v, P, F, P_set, np.zeros(t.shape))
+
+    def step(self, dt: float) -> None:
+        """Go on by dt [s] with the command as it is."""
+        self.reach(self.time + dt)
+
+    def reach(self, until: float) -> None:
+        """Go on to `until` [s]."""
+        while self.time < until:
+            trace, end = self.supply.piece(self.time)
+            if trace != self._trace:
+                self._begin(trace)
+            end = min(end, until)
+            settled = trace.settled(self.time, SETTLED_PRESSURE)
+            pressure, start, most = trace.function(), trace.start, LONGEST if settled else LOOK
+            while self.time < end:
+                left = end - self.time
+                parts = math.ceil(left / min(self._longest, most) * (1 - 1e-9))
+                then = end if parts <= 1 else self.time + left / parts
+                self._step(then - self.time, trace.level if settled else pressure(then - start))
+                self.time = then
+
+    def _begin(self, trace: Trace) -> None:
+        """Follow another piece of the regulator's pressure, to which it may jump where the regulator has no lag."""
+        self._trace = trace
+        self._longest = SHORTEST
+        self._breathe(trace.value(self.time))
+        self._pull = self._at(0.0, self.x - sum(self._crept), 1.0)[0]
+
+    # -- force -----------------------------------------------------------------------------------------------------
+
+    def _breathe(self, P: float) -> None:
+        """Take the muscle to P [Pa] where it is."""
+        muscle, surface = self.muscle, self.muscle.surface
+        stops, over_x, way = muscle.over_P, muscle.over_x, P - self._P
+        places = zip(self._over_P, stops.widths, strict=True)
+        self._over_P = tuple([min(max(S + way, -width), width) for S, width in places])
+        parts = zip(self._over_P, stops.weights, stops.widths, strict=True)
+        held = (stops.height + stops.per_pressure * P) * sum(q * S / width for S, q, width in parts)
+        rubber = surface.A + surface.A_P * P
+        plain = (1 - surface.bend) * rubber
+        self._air = Air(
+            bent=surface.bend * rubber,
+            straight=(surface.C * P - plain * surface.line) / muscle.length,
+            constant=plain + surface.D * P + surface.E - held,
+            height=over_x.height + over_x.per_pressure * P,
+        )
+        self._P = P
+
+    def _at(self, way: float, u: float, follows: float) -> tuple[float, float]:
+        """Force of the muscle without its damping after a way of `way` [m], and the stiffness there [N], [N/m].
+
+        u = x - x_c [m] is how far the surface is contracted, of which `follows` moves with x [1].
+        """
+        air, muscle = self._air, self.muscle
+        fall = muscle.surface.s / muscle.length
+        exponential = air.bent * math.exp(-fall * u)
+        held = slope = 0.0
+        for S, width, weight, share in self._springs:
+            place = self._over_x[S] + way
+            if place > width:
+                held += weight
+            elif place < -width:
+                held -= weight
+            else:
+                held += share * place
+                slope += share
+        height = air.height * self._rested
+        stiffness = (fall * exponential - air.straight) * follows + height * slope
+        return exponential + air.straight * u + air.constant - height * held, stiffness
+
+    # -- one step --------------------------------------------------------------------------------------------------
+
+    def _step(self, h: float, P: float) -> None:
+        """Go on by h [s], while the pressure goes on a straight line to P [Pa]."""
+        x, v, g, P_before = self.x, self.v, self._pull - self.force, self._P
+        damping = self._curves[1 if (v or g) > 0 else -1]
+        B = damping(P_before)
+        fading = self._fading_of(h)
+        crept = [left * c + before * x for c, (left, before, _) in zip(self._crept, fading, strict=True)]
+        kept, over_P = sum(crept), self._over_P
+        if P_before != P:
+            self._breathe(P)
+            B = 0.5 * (B + damping(P))
+        side = 0 if v else -1 if x <= 0 else 1 if x >= self.muscle.stop else 0
+        if side:
+            pull, _ = self._at(0.0, x - kept - x * self._last, 1.0)
+            left = side * (pull - self.force)
+            if left < 0 and side * g > -ON_TIME * left:  # it leaves in the middle of the step
+                rest = side * g / (side * g - left)
+                self._over_P, self._P = over_P, P_before
+                self._step(h * rest, P_before + (P - P_before) * rest)
+                self._pull = self.force
+                self._step(h * (1 - rest), P)
+                return
+            if left >= 0:
+                self._arrive(x, 0.0, crept, pull)
+                self._longest, self._trend = LONGEST, 0.0
+                return
+        end, speed, pull = self._solved(h, g, B, kept)
+        if not 0 <= end <= self.muscle.stop:
+            end, speed = min(max(end, 0.0), self.muscle.stop), 0.0
+            pull, _ = self._at(end - x, end - kept - end * self._last, 1.0)
+        self._arrive(end, speed, crept, pull)
+        bend = abs(speed - v) / h
+        self._longest = min(max(math.sqrt(BEND / bend), SHORTEST), LONGEST) if bend else LONGEST
+
+    def _solved(self, h: float, g: float, B: float, kept: float) -> tuple[float, float, float]:
+        """Where x [m], v [m/s] and the pull [N] come to within h [s] from g [N] on, with the damping B [N.s/m]."""
+        begin, v, per_mass = self.x, self.v, h / self.mass
+        first, second, third = shares(B * per_mass)
+        gain, follows = h * per_mass * third, 1 - self._last
+        base = h * (first * v + per_mass * (second - third) * g)
+        way = base + gain * (g + self._trend * h)
+        for _ in range(20):
+            pull, stiffness = self._at(way, follows * (begin + way) - kept, follows)
+            more = (base + gain * (pull - self.force) - way) / (1 + gain * stiffness)
+            way += more
+            if abs(more) < NEAR:
+                break
+        pull -= stiffness * more
+        after = pull - self.force
+        self._trend = (after - g) / h
+        return begin + way, v + per_mass * (first * (g - B * v) + second * (after - g)), pull
+
+    def _arrive(self, x: float, v: float, crept: list[float], pull: float) -> None:
+        """The step has come to x [m] and v [m/s], where the muscle pulls with `pull` [N] without its damping."""
+        way, over_x = x - self.x, self.muscle.over_x
+        if way:
+            places = zip(self._over_x, over_x.widths, strict=True)
+            self._over_x = tuple([min(max(S + way, -width), width) for S, width in places])
+            if over_x.extra:
+                self._gone += abs(way)
+                self._rested = 1 + over_x.extra * math.exp(-self._gone / over_x.way)
+        self._crept = tuple([c + last * x for c, (_, _, last) in zip(crept, self._fading, strict=True)])
+        self.x, self.v, self._pull = x, v, pull
+
+    def _fading_of(self, h: float) -> tuple[tuple[float, float, float], ...]:
+        """How each creeping length goes on within h [s]: what is left of it, and of x before and after [1]."""
+        if abs(h - self._span) > 1e-9 * h:
+            share, found = self.muscle.creep.share, []
+            for lag in self.muscle.creep.times:
+                left = math.exp(-h / lag)
+                mean = -math.expm1(-h / lag) * lag / h
+                found.append((left, share * (mean - left), share * (1 - mean)))
+            self._span, self._fading, self._last = h, tuple(found), sum(last for _, _, last in found)
+        return self._fading

@@ -1,0 +1,190 @@
+"""A muscle with a bent force, hysteresis and creep: its parameters and the force that they give; knows no time.
+
+    F = F_s(x - x_c, P) - H(P) sum w S_r[x] / r - H_P sum q S_rho[P] / rho - B(P, sign x') x',  never below 0
+
+* F_s is the force without any history. With eps = x / length it is
+  (A + A_P P) e(eps) + (C eps + D) P + E, e = exp(-s eps) (form after Sarosi 2012), or a straight line where
+  `bend` is 0.
+* S_r[u] is a stop: a spring that slides at +-r, S <- min(r, max(-r, S + du)). S_r[x] is 0 at first; S_rho[P] is -rho
+  in a vented muscle.
+* x_c creeps after x: the sum of x_j, T_j x_j' = share x - x_j.
+* B is B_c(P) while it contracts and B_r(P) while it relaxes.
+
+SI throughout. The numbers of `reference` are those of a DMSP-20 of 250 mm: six constants fitted to 46 points of the
+maker's catalogue; hysteresis, creep and damping are assumed, in the size that others report.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from pmabench.model.curve import Array, Curve
+from pmabench.model.muscle import Friction
+from pmabench.model.overrides import Overrides
+
+N_PER_KPA, N_PER_MM = 1e-3, 1e3
+"""[N/Pa], [N/m]; the latter also for N.s/mm."""
+LEAST_STIFFNESS = 1.0
+"""Below it a muscle counts as one that does not hold a load [N/m]."""
+
+
+@dataclass(frozen=True)
+class Surface:
+    """Force without history F_s [N] over contraction ratio eps [1] and pressure P [Pa].
+
+    `A`, `E` [N], `A_P`, `C`, `D` [N/Pa], `s` [1]. `bend` 1 is the bent form; with 0 the exponential is replaced by the
+    straight line through its values at 0 and at eps = `span`, which makes F_ce(P) and K(P) straight lines over P.
+    """
+
+    A: float
+    A_P: float
+    s: float
+    C: float
+    D: float
+    E: float
+    bend: float = 1.0
+    span: float = 0.16
+
+    def __post_init__(self) -> None:
+        if not self.s > 0 or not self.span > 0:
+            raise ValueError(f"a bent force needs s and span above 0, not {self}")
+
+    @property
+    def line(self) -> float:
+        """Slope of the straight line in place of the exponential [1]."""
+        return -math.expm1(-self.s * self.span) / self.span
+
+    def force(self, eps: Array, P: Array) -> Array:
+        """F_s [N]; eps [1] and P [Pa] of one shape."""
+        straight = 1 - self.line * eps
+        shape = straight + self.bend * (np.exp(-self.s * eps) - straight) if self.bend else straight
+        return np.asarray((self.A + self.A_P * P) * shape + (self.C * eps + self.D) * P + self.E)
+
+    def slope(self, eps: Array, P: Array) -> Array:
+        """-dF_s / d eps [N]; over the length it is the stiffness."""
+        bent = self.s * np.exp(-self.s * eps) - self.line
+        return np.asarray((self.A + self.A_P * P) * (self.line + self.bend * bent) - self.C * P)
+
+
+@dataclass(frozen=True)
+class Stops:
+    """Hysteresis that knows no rate: stops of given widths, whose weights add up to 1.
+
+    `widths` [m] or [Pa], none for no hysteresis; the force at its most is `height` + `per_pressure` P [N], [N/Pa].
+    With `extra` [1] it is higher by this share in a muscle that has rested, and the share falls to 1 / e each time that
+    the muscle has gone `way` [m], the way of one full cycle.
+    """
+
+    widths: tuple[float, ...]
+    weights: tuple[float, ...]
+    height: float
+    per_pressure: float = 0.0
+    extra: float = 0.0
+    way: float = 0.08
+
+    def __post_init__(self) -> None:
+        if len(self.widths) != len(self.weights) or not all(width > 0 for width in self.widths):
+            raise ValueError(f"stops need widths above 0 and as many weights, not {self}")
+        if any(weight < 0 for weight in self.weights) or (self.weights and abs(sum(self.weights) - 1) > 1e-6):
+            raise ValueError(f"the weights of stops are not negative and add up to 1, not {self.weights}")
+        if not self.height >= 0 or not self.per_pressure >= 0 or not self.extra >= 0 or not self.way > 0:
+            raise ValueError(f"stops need a height of at least 0 and a way above 0, not {self}")
+
+    def most(self, P: Array) -> Array:
+        """Height of the force at P [Pa], without what a rest adds [N]."""
+        return np.asarray(self.height + self.per_pressure * P)
+
+    def scaled(self, factor: float) -> Stops:
+        """All of the force times `factor` [1]."""
+        if not factor >= 0:
+            raise ValueError(f"a factor on a hysteresis cannot be negative, as {factor:g} is")
+        return replace(self, height=factor * self.height, per_pressure=factor * self.per_pressure)
+
+
+@dataclass(frozen=True)
+class Creep:
+    """The length that creeps after a contraction: `share` of it [1] with each of the time constants `times` [s]."""
+
+    share: float
+    times: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.share * len(self.times) < 1 or not all(time > 0 for time in self.times):
+            raise ValueError(f"creep needs times above 0 and shares that add up to less than 1, not {self}")
+
+
+@dataclass(frozen=True)
+class RealMuscle:
+    """A muscle with bent force, hysteresis and creep, of nominal `length` [m].
+
+    `reach` is from where to where it may go, as contraction ratio [1]; a free end goes from 0 to the second.
+    """
+
+    name: str
+    length: float
+    surface: Surface
+    B_c: Curve
+    B_r: Curve
+    over_x: Stops
+    over_P: Stops
+    creep: Creep
+    reach: tuple[float, float] = (-0.03, 0.28)
+    friction: Friction = field(default_factory=Friction)
+
+    def __post_init__(self) -> None:
+        if not self.reach[0] <= 0 < self.reach[1]:
+            raise ValueError(f"a muscle's reach lies around 0, not {self.reach}")
+
+    @property
+    def stop(self) -> float:
+        """Contraction at which a free end can go no further [m]."""
+        return self.reach[1] * self.length
+
+    def pull(self, P: Array, x: Array) -> Array:
+        """F_s(x, P), without history, and below 0 where it would push [N]; P [Pa] and x - x_c [m] of one shape."""
+        return self.surface.force(x / self.length, P)
+
+    def stiffness(self, P: Array, x: Array) -> Array:
+        """-dF_s/dx [N/m]; P [Pa] and x - x_c [m] of one shape."""
+        return self.surface.slope(x / self.length, P) / self.length
+
+    def damping(self, P: Array, v: Array) -> Array:
+        """B_c where v > 0, else B_r [N.s/m]; P [Pa] and v [m/s] of one shape."""
+        return np.where(v > 0, self.B_c.values(P), self.B_r.values(P))
+
+    def changed(self, change: Overrides) -> RealMuscle:
+        """The muscle with its departures from a straight one times the factors of `change`; ValueError as above."""
+
+        def factor(value: float | None) -> float:
+            return 1.0 if value is None else value
+
+        if change.F_s is not None or change.F_c is not None:
+            raise ValueError(f"F_s and F_c are not for the muscle {self.name}: its friction is its hysteresis")
+        over_x = self.over_x.scaled(factor(change.friction) * factor(change.hysteresis_x))
+        if change.first_cycle is not None:
+            over_x = replace(over_x, extra=change.first_cycle)
+        return replace(
+            self,
+            surface=replace(self.surface, bend=factor(change.bend) * self.surface.bend),
+            over_x=over_x,
+            over_P=self.over_P.scaled(factor(change.friction) * factor(change.hysteresis_p)),
+            creep=replace(self.creep, share=factor(change.creep) * self.creep.share),
+            B_r=self.B_c if change.b_relax else self.B_r,
+        )
+
+
+def reference() -> RealMuscle:
+    """The DMSP-20 of 250 mm."""
+    return RealMuscle(
+        name="DMSP-20-250 real",
+        length=0.25,
+        surface=Surface(A=244.7, A_P=-0.1115e-3, s=33.4, C=-8.30e-3, D=2.650e-3, E=-249.4),
+        B_c=Curve.printed((1.0, 2.0e-3), unit=N_PER_MM),
+        B_r=Curve.printed((0.7, 1.5e-3), unit=N_PER_MM),
+        over_x=Stops((0.2e-3, 0.8e-3, 2.5e-3, 8e-3), (0.2, 0.3, 0.3, 0.2), 5.0, 0.05 * N_PER_KPA),
+        over_P=Stops((20e3, 100e3), (0.4, 0.6), 18.0),
+        creep=Creep(0.004, (0.5, 1.58, 5.0, 15.8, 50.0, 158.0)),
+    )

@@ -1,0 +1,83 @@
+"""Contraction and relaxation held against the second simulated muscle, which nobody looks at while a fit is made.
+
+`pytest -s -m study tests/analysis/test_judged_second.py` prints the tables; see `test_judged` for what is judged.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from os import cpu_count
+
+import numpy as np
+import pytest
+
+from pmabench.kinds.reduce import reduce_runs, verdicts
+from tests.analysis.judged import as_run
+from tests.analysis.test_judged import CLEAN_REFUSED, CLEAN_SEEDS, METHOD, Judged, Value, accepted, far, share, table
+from tests.judge.second.campaign import CASES, campaign, truth
+
+SEEDS = 5
+COVERED = 0.90
+"""Share of accepted values whose interval holds the truth, of a muscle of other families than the candidates."""
+FAULTY = [case for case in CASES if case[0] != "clean"]
+
+
+def judged(asked: tuple[str, float, int]) -> Judged:
+    """The reduction of a campaign (cause, amount, seed) against its truth."""
+    cause, amount, seed = asked
+    run = as_run(campaign(cause, amount, seed))
+    analyses = reduce_runs([run])
+    right = truth(cause, amount)
+    values, withheld = [], 0
+    for e in analyses[0].estimates:
+        if e.method != METHOD or e.symbol not in right:
+            continue
+        withheld += e.withheld
+        half = e.parts.combined
+        if e.value is None or half is None:
+            continue
+        P = e.at.get("pressure", 0.0)
+        low, high = (float(end[0]) for end in right[e.symbol](np.array([P])))
+        middle = 0.5 * (low + high)
+        values.append(Value(e.symbol, P, max(low - e.value, e.value - high, 0.0) / middle, half / middle))
+    return Judged(cause, amount, seed, tuple(verdicts([run], analyses)), tuple(values), withheld)
+
+
+def studied(asked: Sequence[tuple[str, float, int]]) -> list[Judged]:
+    with ProcessPoolExecutor(cpu_count()) as executor:
+        return list(executor.map(judged, asked, chunksize=SEEDS))
+
+
+@pytest.mark.study
+@pytest.mark.timeout(3600)
+def test_accepted_values_of_the_second_muscle_are_right_whatever_is_wrong():
+    found = studied([(cause, amount, seed) for cause, amount in FAULTY for seed in range(SEEDS)])
+    print(f"\n{table(found)}")
+    assert far(found) == []
+    assert share(accepted(found)) >= COVERED
+
+
+@pytest.mark.study
+@pytest.mark.timeout(3600)
+def test_clean_campaigns_of_the_second_muscle_stay_accepted():
+    found = studied([("clean", 0.0, seed) for seed in range(CLEAN_SEEDS)])
+    refused = [one for one in found if one.why or one.withheld]
+    print(f"\n{table(found)}", *(f"{one.seed}: {one.why}" for one in refused), sep="\n")
+    assert len(refused) <= CLEAN_REFUSED * CLEAN_SEEDS
+    assert far(found) == []
+    assert share(accepted(found)) >= COVERED
+
+
+@pytest.mark.slow
+def test_a_clean_campaign_of_the_second_muscle_is_accepted_and_right():
+    one = judged(("clean", 0.0, 100))
+    assert (one.why, one.withheld) == ((), 0)
+    assert len(one.values) >= 12
+    assert far([one]) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("cause", "amount"), [("bend", 0.1), ("creep", 0.04)])
+def test_a_departure_of_the_second_muscle_is_never_accepted_with_a_wrong_number(cause: str, amount: float):
+    assert far([judged((cause, amount, 100))]) == []

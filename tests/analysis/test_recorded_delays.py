@@ -1,0 +1,137 @@
+"""Recorded steps: B/K whatever the stamps, no K of a mass that does not ring, K of two loads, dead time to the motion.
+
+The truth is an integrator in tests/judge: `pytest -s -m study tests/analysis/test_recorded_delays.py` prints 20 seeds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pmabench.kinds.recorded_step.reduction import reduce
+from pmabench.store.analyses.results import Analysis, Estimate
+from tests.analysis.judged_forms import as_run, as_trials
+from tests.judge import plant51, stepped
+from tests.judge.record import Trial
+
+K = 6773.0
+RATE = 500.0
+DEAD = 0.04
+
+
+def reduced(trials: Sequence[Trial], late: tuple[float, float] | None = None) -> Analysis:
+    """`late` is the lateness of the pressure that the map states."""
+    steps = [
+        replace(one, index=n, commands=tuple(replace(c, kind="set") for c in one.commands))
+        for n, one in enumerate(as_trials(trials))
+    ]
+    return reduce([as_run("recorded-step", steps, RATE, {})], {} if late is None else {"late_by": late})
+
+
+def only(analysis: Analysis, symbol: str, **of: str) -> Estimate:
+    (found,) = [
+        e for e in analysis.estimates if e.symbol == symbol and all(getattr(e, name) == v for name, v in of.items())
+    ]
+    return found
+
+
+def overdamped(zeta: float, mass: float, late: float, seed: int) -> tuple[Trial, float]:
+    """A step up or down of a linear muscle under 90 N whose pressure is stamped `late`, and its B/K."""
+    B = 2 * zeta * float(np.sqrt(K * mass))
+    levels = ((200e3, 300e3), (300e3, 200e3))[seed % 2]
+    return stepped.step(*levels, mass=mass, K=K, B=B, seed=seed, late=late, load=90.0), B / K
+
+
+def judge_overdamped(zeta: float, mass: float, late: float, seed: int) -> tuple[float, float]:
+    """Error of B/K as a share, and in half widths; no K or B may come of the mass."""
+    trial, tau = overdamped(zeta, mass, late, seed)
+    found = reduced([trial])
+    assert all(e.value is None for e in found.estimates if e.symbol in ("K", "B"))
+    e = only(found, "tau_c" if seed % 2 == 0 else "tau_r")
+    return abs(e.value / tau - 1), abs(e.value - tau) / e.parts.method
+
+
+@pytest.mark.parametrize(("zeta", "mass", "late", "seed"), [
+    (1.6, 10.0, -0.01, 0), (1.6, 28.0, 0.01, 1), (3.0, 10.0, 0.01, 2), (3.0, 28.0, -0.01, 3),
+])  # fmt: skip
+def test_b_over_k_does_not_depend_on_the_stamps_and_k_is_not_given(zeta: float, mass: float, late: float, seed: int):
+    share, half_widths = judge_overdamped(zeta, mass, late, seed)
+    assert share < 0.05
+    assert half_widths < 1.5
+
+
+@pytest.mark.study
+@pytest.mark.timeout(3600)
+def test_b_over_k_within_10_percent_and_never_a_k():
+    found = [
+        judge_overdamped(zeta, mass, late, seed)
+        for zeta in (1.6, 2.2, 3.0) for mass in (10.0, 28.0) for late in (-0.01, 0.0, 0.01) for seed in range(20)
+    ]  # fmt: skip
+    shares, half_widths = np.array(found).T
+    print(
+        f"\nB/K: {len(found)} steps, worst {shares.max():.1%}, {np.mean(half_widths <= 1):.3f} hold the truth, ", end=""
+    )
+    print(f"worst {half_widths.max():.2f} half widths", end="")
+    assert shares.max() < 0.10
+    assert np.mean(half_widths <= 1) >= 0.93
+    assert half_widths.max() < 2.0
+
+
+def dead_time(before: float, after: float, mass: float, seed: int, tube: float = 0.0) -> tuple[float, float, float]:
+    """Error of the time from command to motion [s], its half width [s], and the error by the root rule [s]."""
+    found = reduced([plant51.step(before, after, mass, seed, dead=DEAD, tube=tube)], (0.0, 0.0))
+    e = only(found, "t_d", coordinate="command-to-motion")
+    (text,) = [f.text for f in found.findings if "by the root rule" in f.text]
+    by_root = float(text.split("by the root rule ")[1].split(" s")[0])
+    return e.value - DEAD - tube, e.parts.method, by_root - DEAD - tube
+
+
+@pytest.mark.parametrize(("before", "after", "mass", "tube"), [
+    (200e3, 300e3, 0.0, 0.0), (500e3, 340e3, 8.0, 0.0), (340e3, 500e3, 26.0, 0.01),
+])  # fmt: skip
+def test_the_time_from_command_to_motion(before: float, after: float, mass: float, tube: float):
+    error, half, by_root = dead_time(before, after, mass, 1, tube)
+    assert abs(error) < 3e-3
+    assert abs(error) < half < 8e-3
+    assert abs(by_root) < 9e-3
+
+
+@pytest.mark.study
+@pytest.mark.timeout(3600)
+def test_times_from_command_to_motion_of_many_seeds():
+    steps = ((200e3, 300e3), (300e3, 500e3), (500e3, 300e3), (340e3, 500e3), (500e3, 340e3))
+    for mass in (0.0, 8.0, 26.0):
+        lifts = [pair for pair in steps if plant51.pull(min(pair)) > stepped.GRAVITY * mass]
+        found = [dead_time(*pair, mass, seed) for pair in lifts for seed in range(20)]
+        error, half, by_root = np.array(found).T
+        print(f"\n{mass:3.0f} kg: {len(found)} steps, driven rms {1e3 * np.sqrt(np.mean(error**2)):.2f} ms, worst "
+              f"{1e3 * np.abs(error).max():.2f}; within 3 ms {np.mean(np.abs(error) <= 3e-3):.2f}; held by "
+              f"{np.mean(np.abs(error) <= half):.3f}, worst {np.max(np.abs(error) / half):.2f} half widths; root rule "
+              f"{1e3 * by_root.min():.1f} to {1e3 * by_root.max():.1f} ms", end="")  # fmt: skip
+        assert np.mean(np.abs(error) <= half) >= 0.93
+        assert np.max(np.abs(error) / half) < 2.0
+
+
+def test_two_known_loads_give_the_secant_stiffness_and_damping():
+    """B = 1700 N s/m and K = 6773 N/m under 8 and 18 kg, pressure stamps 5 ms off."""
+    trials = [
+        stepped.step(*levels, mass=mass, K=K, B=1700.0, seed=n, late=0.005, repeat=n)
+        for n in range(2) for mass in (8.0, 18.0) for levels in ((280e3, 380e3), (380e3, 280e3))
+    ]  # fmt: skip
+    found = reduced(trials)
+    stiffness = [e for e in found.estimates if e.method == "secant-of-loads" and e.symbol == "K"]
+    assert {(e.at["from"], e.at["pressure"]) for e in stiffness} == {(280e3, 380e3), (380e3, 280e3)}
+    for e in stiffness:
+        assert abs(e.value - K) < e.parts.combined < 0.02 * K
+        assert "secant between 78.5 N" in e.note
+    for symbol in ("B_c", "B_r"):
+        e = only(found, symbol)
+        assert abs(e.value - 1700.0) < e.parts.combined < 0.15 * 1700.0
+
+
+def test_one_load_gives_no_stiffness():
+    found = reduced([stepped.step(280e3, 380e3, mass=8.0, K=K, B=1700.0, seed=n, repeat=n) for n in range(2)])
+    assert [e for e in found.estimates if e.symbol in ("K", "B", "B_c") and e.value is not None] == []

@@ -1,0 +1,78 @@
+"""`check --simulate` of a lab's own bench: no device is opened, idle trials are named and can be dropped."""
+
+import json
+import socket
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+from serial import Serial
+
+from pmabench.cli.main import main
+from tests.analysis.simulate import rig
+
+ROOT = Path(__file__).resolve().parents[2]
+OF = ["--specimen", "mas-20-250-paper0"]
+FIVE = ["labjack", "ni", "serial", "wires", "alicat"]
+SHORT = ["--set", "sweep.repeat.count=1", "--set", "sweep.matrix.load=[6 kg, 26 kg]"]
+
+
+def check(*words, code=0):
+    done = CliRunner().invoke(main, ["check", *map(str, words)])
+    assert done.exit_code == code, done.output
+    return done
+
+
+@pytest.fixture
+def no_device(monkeypatch):
+    """Sockets and serial ports that cannot be opened."""
+
+    def refuse(*_args, **_kwargs):
+        raise AssertionError("a dry run opened a device")
+
+    monkeypatch.setattr(socket.socket, "connect", refuse)
+    monkeypatch.setattr(Serial, "open", refuse)
+
+
+@pytest.mark.parametrize("bench", FIVE)
+def test_a_bench_with_devices_is_run_without_opening_one(bench, no_device):
+    told = json.loads(check("contraction-relaxation", "--bench", bench, *OF, *SHORT, "--simulate", "--json").stdout)
+    simulated = told["simulated"]
+    assert (simulated["status"], simulated["exit_code"]) == ("finished", 0)
+    assert "reference plant 5.1" in simulated["muscle"]
+    muscle = rig().muscle
+    highest = (muscle.F_ce(500e3) - muscle.friction.F_c - 58.86) / muscle.K(500e3)
+    assert simulated["measured"]["displacement"]["highest"] == pytest.approx(highest, rel=0.05)
+    assert simulated["measured"]["pressure"]["highest"] == pytest.approx(500e3, rel=0.01)
+
+
+def test_trials_that_cannot_lift_are_named_and_dropped(tmp_path):
+    """The shipped sweep: by the plant's own coefficients 45 of 88 points do not lift, one by 10 N only."""
+    muscle, point = rig().muscle, []
+    for load in (9.81 * kg for kg in range(6, 57, 5)):
+        point += [muscle.F_ce(1e3 * P) - load for P in range(150, 501, 50)]
+    cannot, hardly = sum(margin <= 6 for margin in point), sum(6 < margin < 12 for margin in point)  # F_c = 6 N
+    assert (cannot, hardly) == (45, 1)
+    out = tmp_path / "moving.yaml"
+    told = json.loads(
+        check("contraction-relaxation", "--bench", "labjack", *OF, "--drop-idle", "-o", out, "--json").stdout
+    )
+    assert (len(told["idle"]["trials"]), len(told["idle"]["doubtful"]), told["trials"]) == (90, 2, 176)
+    left = json.loads(check(out, "--bench", "labjack", *OF, "--plan", "--json").stdout)
+    assert left["trials"] == 84
+    assert not left["idle"]["trials"]
+    assert "accept:" in out.read_text()
+    human = check("contraction-relaxation", "--bench", "labjack", *OF).stdout
+    assert "!  90 of 176 trials are not expected to lift their load, 2 more may not" in human
+    assert "trial 16: 108 N needs 154 kPa, commanded are 150 kPa" in human
+    again = check("contraction-relaxation", "--bench", "labjack", *OF, "--drop-idle", "-o", out, code=2)
+    assert "is there already" in again.stderr
+
+
+def test_without_expected_coefficients_it_says_what_to_write(tmp_path):
+    text = (ROOT / "fixtures" / "specimens" / "mas-20-250-paper0.yaml").read_text()
+    (tmp_path / "new.yaml").write_text(text[: text.index("expected:")])
+    words = ["contraction-relaxation", "--bench", "labjack", "--specimen", tmp_path / "new.yaml"]
+    assert "write `expected` into it" in check(*words, "--simulate", code=2).stderr
+    assert "write `expected` into it" in check(*words, "--drop-idle", "-o", tmp_path / "p.yaml", code=2).stderr
+    assert json.loads(check(*words, "--json").stdout)["idle"] is None
