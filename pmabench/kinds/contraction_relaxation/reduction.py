@@ -60,10 +60,9 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     moving segments with the measured pressure; K = regression over loads, B = K tau of an exponential for comparison.
 
     `options`: `speed` (gate of the segments [m/s]), `replays` (how many), `static` = {"intercept" [N], "slope"
-    [N/Pa]}, F_ce of a static-load study, for the one-parameter regression of K; `forms` = ["K=line", ...], as
-    `joint` has them, for a fit with these forms over pressure next to it; `bootstrap`, how many draws over trials;
-    `regulator`: dead time and lags from the command to the pressure [s]; `polish`: the same coefficients by output
-    error beside them.
+    [N/Pa]}, F_ce of a static-load study, for the one-parameter regression of K; `forms` = ["K=line", ...] as in
+    `joint`; `bootstrap`, how many draws over trials; `regulator`: dead time and lags from the command to the pressure
+    [s]; `polish`: the same by output error.
     """
     options = options or {}
     campaign, dropped = gather(runs)

@@ -6,7 +6,6 @@ faults gave: the spread over loads that are left out does not see what biases al
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -44,7 +43,7 @@ class Spread:
         """What a fit to some `rows` of the corrected segments, whose residual should be `noise` [N], owes to it."""
         change = fit.theta - fit.again(self.recorded, noise).theta
         others = [fit.again(state.test.segments, noise).theta - fit.theta for state in self.others]
-        groups = (self._loads[rows], self.state.test.segments.trial[rows])
+        groups = (self._loads[rows], self._trials[rows])
         spreads = [self._spread(fit, rows, group, noise) for group in groups if len(np.unique(group)) >= FEWEST]
         return Correction(change, tuple(spreads), np.array(others).reshape(-1, len(fit.theta)), self.factor)
 
@@ -53,10 +52,14 @@ class Spread:
         test = self.state.test
         return np.array([round(samples.load, 2) for samples in test.campaign.samples])[test.segments.trial]
 
+    @property
+    def _trials(self) -> Array:
+        return self.state.test.segments.trial.astype(np.float64)
+
     def sizes(self) -> tuple[Array, ...]:
         """What the sizes of each explanation are off by without each load, shape (loads, sizes) [SI]."""
         fit, segments = self.state.test.fit, self.state.test.segments
-        group = self._loads if len(np.unique(self._loads)) >= FEWEST else segments.trial
+        group = self._loads if len(np.unique(self._loads)) >= FEWEST else self._trials
         if len(np.unique(group)) < FEWEST:
             return tuple(np.zeros((1, len(one.sizes))) for one in self.state.explanations)
         left, begin, found = self._left_out(fit, np.ones(len(segments), bool), group)[1], 0, []
@@ -127,7 +130,7 @@ class Spread:
 
     def _time(self, place: int, group: Array) -> Array:
         """The time of an explanation [s] without each group: where the parabola of the squares of the rest ends."""
-        names = np.unique(group[group >= 0] if group.dtype.kind == "f" else group)
+        names = np.unique(group[group >= 0])
         squares = []
         for by in (-STEP, 0.0, STEP):
             segments, residual = self._moved(place, by)
@@ -140,12 +143,3 @@ class Spread:
         curved = np.maximum(before + after - 2 * now, 1e-300)
         vertex = np.clip(0.5 * STEP * (before - after) / curved, -4 * STEP, 4 * STEP)
         return np.asarray(self.state.explanations[place].sizes[0] + vertex)
-
-
-def nothing(fit: Solved, rows: NDArray[np.bool_], noise: float) -> Correction | None:
-    """No correction."""
-    return None
-
-
-Owed = Callable[[Solved, NDArray[np.bool_], float], Correction | None]
-"""What a fit to some rows of the corrected segments owes to the correction."""
