@@ -10,7 +10,7 @@ from pmabench.base.errors import InvalidFile, Problem
 from pmabench.base.quantities import CHANNEL_QUANTITY
 from pmabench.bench.channels import fit_line
 from pmabench.bench.driver_options import DBC, LONGEST, MAP, loaded
-from pmabench.bench.files.plant import ActuatorFile, DeviceTruth, Line, TruthFile
+from pmabench.bench.files.emulated import ActuatorFile, DeviceTruth, Line, TruthFile
 from pmabench.bench.interface import (
     ChannelRecord,
     DeviceRecord,

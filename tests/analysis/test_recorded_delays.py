@@ -81,11 +81,14 @@ def test_b_over_k_within_10_percent_and_never_a_k():
 
 
 def dead_time(before: float, after: float, mass: float, seed: int, tube: float = 0.0) -> tuple[float, float, float]:
-    """Error of the time from command to motion [s], its half width [s], and the error by the root rule [s]."""
+    """Error of the time from command to motion [s], its half width [s], and the error by the root rule [s].
+
+    The last is NaN where noise hides 0.2 % of the stroke.
+    """
     found = reduced([plant51.step(before, after, mass, seed, dead=DEAD, tube=tube)], (0.0, 0.0))
     e = only(found, "t_d", coordinate="command-to-motion")
-    (text,) = [f.text for f in found.findings if "by the root rule" in f.text]
-    by_root = float(text.split("by the root rule ")[1].split(" s")[0])
+    texts = [f.text for f in found.findings if "by the root rule" in f.text]
+    by_root = float(texts[0].split("by the root rule ")[1].split(" s")[0]) if texts else float("nan")
     return e.value - DEAD - tube, e.parts.method, by_root - DEAD - tube
 
 
@@ -110,7 +113,7 @@ def test_times_from_command_to_motion_of_many_seeds():
         print(f"\n{mass:3.0f} kg: {len(found)} steps, driven rms {1e3 * np.sqrt(np.mean(error**2)):.2f} ms, worst "
               f"{1e3 * np.abs(error).max():.2f}; within 3 ms {np.mean(np.abs(error) <= 3e-3):.2f}; held by "
               f"{np.mean(np.abs(error) <= half):.3f}, worst {np.max(np.abs(error) / half):.2f} half widths; root rule "
-              f"{1e3 * by_root.min():.1f} to {1e3 * by_root.max():.1f} ms", end="")  # fmt: skip
+              f"{1e3 * np.nanmin(by_root):.1f} to {1e3 * np.nanmax(by_root):.1f} ms", end="")  # fmt: skip
         assert np.mean(np.abs(error) <= half) >= 0.93
         assert np.max(np.abs(error) / half) < 2.0
 

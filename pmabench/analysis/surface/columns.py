@@ -20,6 +20,8 @@ STOPS_P = (1 / 60, 1 / 20, 1 / 6, 1 / 2)
 """Half widths of the stops on pressure over the highest pressure: 10 to 300 kPa of 600 kPa."""
 TIMES = (0.3, 0.95, 3.0, 9.5, 30.0, 95.0, 300.0)
 """Time constants of creep [s], two in a decade: their sum can follow a straight line over the logarithm of time."""
+SETTLED = 5.0
+"""Time [s] before a record since which the muscle has been where it begins."""
 FAST = 5.0
 """Lags of less time [s] are counted from where they end, so that the surface is the muscle this long after a move:
 slow tests do not tell faster creep from stiffness.
@@ -69,7 +71,7 @@ class Axis:
         return np.asarray(values + (at - inside)[:, None] * steep)
 
     def bends(self) -> Array:
-        """Third derivative within each interval times the root of its width, over the range; shape (intervals, size).
+        """Third derivative within each interval times the cube of its width, (intervals, size): what it bends there.
 
         A parabola has none: where no rows are, the functions go on as one.
         """
@@ -77,7 +79,7 @@ class Axis:
             return np.zeros((0, 1))
         knots = np.array(self.shares)
         third = BSpline((self._knots() - self.low) / self.span, np.eye(self.size), DEGREE).derivative(3)
-        return np.asarray(third(0.5 * (knots[1:] + knots[:-1])) * np.sqrt(np.diff(knots))[:, None])
+        return np.asarray(third(0.5 * (knots[1:] + knots[:-1])) * np.diff(knots)[:, None] ** 3)
 
     def _knots(self) -> Array:
         inner = self.low + self.span * np.array(self.shares)
@@ -121,7 +123,7 @@ class Frame:
         return np.hstack([hats, -hats * x[:, None]])
 
     def bends(self) -> Array:
-        """Integral of squared third derivatives along both axes, as a matrix of the surface's coefficients."""
+        """Sum of squared bends along both axes, as a matrix of the surface's coefficients."""
         along_P, along_x = self.P.bends(), self.x.bends()
         return np.kron(along_P.T @ along_P, np.eye(self.x.size)) + np.kron(np.eye(self.P.size), along_x.T @ along_x)
 
@@ -149,9 +151,9 @@ class Memory:
 
 
 def memory(records: Sequence[Record], frame: Frame) -> Memory:
-    """Stops and lags along records; each that does not go on begins with a rested, vented muscle at nominal length.
+    """Stops and lags along records, of a muscle that was rested, vented and at nominal length before.
 
-    A length that was set by hand was set long before.
+    It came to the first place of a record that does not go on `SETTLED` before; a length that is set by hand, long ago.
 
     A stop of half width r: S <- min(r, max(-r, S + change of u)). A lag: T y' = u - y, exact for u straight between
     rows.
@@ -159,12 +161,13 @@ def memory(records: Sequence[Record], frame: Frame) -> Memory:
     parts: list[tuple[Array, ...]] = []
     for chain in chains(records):
         t, P, x = (np.concatenate([getattr(r, name) for r in chain]) for name in ("t", "P", "x"))
-        settled = float(x[0]) if chain[0].by_hand else 0.0
+        settled = 1.0 - np.exp(-SETTLED / np.array(TIMES))
+        settled_x = x[0] * (np.ones_like(settled) if chain[0].by_hand else settled)
         start_P = np.maximum(-1.0, np.minimum(1.0, P[0] / frame.pressure_radii - 1.0))
         start_x = np.clip(x[0] / frame.radii, -1.0, 1.0)
         stopped = stops(x, frame.radii, start_x), stops(P, frame.pressure_radii, start_P)
         fast = np.array(TIMES) < FAST
-        behind = [lags(t, u - start) + start - np.outer(u, fast) for u, start in ((x, settled), (P, 0.0))]
+        behind = [lags(t, u, start) - np.outer(u, fast) for u, start in ((x, settled_x), (P, P[0] * settled))]
         parts.append((*stopped, *behind))
     return Memory(*(np.concatenate(each) for each in zip(*parts, strict=True)))
 
@@ -191,11 +194,11 @@ def stops(u: Array, radii: Array, start: Array) -> Array:
     return found
 
 
-def lags(t: Array, u: Array, times: Sequence[float] = TIMES) -> Array:
-    """First-order lags of u (n,) at t (n,) [s] for each time constant [s], from 0 on as u jumps to its first value."""
-    T = np.array(times)
+def lags(t: Array, u: Array, start: Array | float = 0.0) -> Array:
+    """First-order lags of u (n,) at t (n,) [s] for each of `TIMES`, from `start` on; shape (n, number)."""
+    T = np.array(TIMES)
     found = np.empty((len(u), len(T)))
-    state = np.zeros(len(T))
+    state = np.zeros(len(T)) + start
     found[0] = state
     steps = np.maximum(np.diff(t), 1e-9)[:, None]
     keep = np.exp(-steps / T)

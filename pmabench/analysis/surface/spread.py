@@ -10,7 +10,7 @@ import numpy as np
 
 from pmabench.analysis.shared import student
 from pmabench.analysis.surface.choice import CLEAR, Choice
-from pmabench.analysis.surface.fit import muscle_of, solve
+from pmabench.analysis.surface.fit import Data, fitted, muscle_of, solve
 from pmabench.analysis.surface.muscle import Muscle
 from pmabench.store.records import Array
 
@@ -28,7 +28,9 @@ class Known:
     repeats: float | None
     """Jackknife: from the values without each group; None with too few groups."""
     method: float
-    """The largest change by another choice of smoothness or terms that predicts about as well."""
+    """The largest change by other smoothness or terms that predict about as well, or without the rows that come before
+    it is known which way friction acts.
+    """
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +53,8 @@ class Spread:
         kept = [(choice.folds != one).astype(float) for one in np.unique(choice.folds)]
         without = [muscle(best.terms, used, best.smooth) for used in kept]
         others = [muscle(best.terms, every, best.smooth * factor) for factor in (SMOOTHER, 1 / SMOOTHER)]
+        careful = Data.of(choice.data.records, frame, careful=True)
+        others.append(fitted(careful, choice.muscle.stiffness, best.terms, best.smooth))
         alike = {score.terms: score for score in choice.tried if score.rms <= (1 + CLEAR) * best.rms}
         others += [muscle(one.terms, every, one.smooth) for one in alike.values() if one.terms != best.terms]
         return cls(choice.muscle, tuple(without), tuple(others))

@@ -1,8 +1,4 @@
-"""Files for simulated benches: a plant, the faults that an emulator shows, and the truth of a rig.
-
-A plant is your own muscle with its regulator and the noise of the sensors. Which faults there are the emulator knows. A
-truth file says what is really wired to which terminal and by which data-sheet scale.
-"""
+"""Plant files: a muscle of one's own with its regulator and the noise of the sensors, by one of four laws."""
 
 from __future__ import annotations
 
@@ -12,7 +8,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 
 from pmabench.base.quantities import show
-from pmabench.bench.files.specimen import Name, Reading, Text
+from pmabench.bench.files.specimen import Reading, Text
 from pmabench.files.document import Strict
 from pmabench.files.quantity import (
     Angle,
@@ -21,7 +17,6 @@ from pmabench.files.quantity import (
     ForcePerPressure,
     Frequency,
     Length,
-    Load,
     Pressure,
     Rate,
     Ratio,
@@ -357,111 +352,3 @@ LAWS: dict[str, type[ThreeElementFile | DaerdenFile | ContractorFile | RealFile]
     "real": RealFile,
 }
 """Name of the law -> its file."""
-
-
-class Event(Strict):
-    """One thing that happens: a fault of a device, a fault of the plant, or another load on the free end."""
-
-    after: Time = 0.0
-    """Since it is served."""
-    device: Annotated[str, Field(max_length=60)] | None = None
-    fault: Annotated[str, Field(max_length=60)] | None = None
-    value: str | int | float | None = None
-    """How much, with its unit where it has one; what is usual for the fault where not given."""
-    count: Annotated[int, Field(ge=1, le=1_000_000)] | None = None
-    """So many answers or samples; until it is cleared where not given."""
-    lasts: Annotated[Time, Field(gt=0)] | None = Field(default=None, alias="for")
-    plant: Annotated[str, Field(max_length=60)] | None = None
-    load: Load | None = None
-
-    @model_validator(mode="after")
-    def _one(self) -> Event:
-        given = [self.device is not None or self.fault is not None, self.plant is not None, self.load is not None]
-        if sum(given) != 1 or (self.device is None) != (self.fault is None):
-            raise ValueError('either "device" with its "fault", or "plant", or "load" is expected')
-        if self.device is None and (self.value is not None or self.count is not None):
-            raise ValueError('"value" and "count" belong to the fault of a device')
-        if self.load is not None and self.lasts is not None:
-            raise ValueError('a load stays until another one comes; leave "for" out')
-        return self
-
-
-class FaultsFile(Strict):
-    """What goes wrong while a bench is emulated."""
-
-    schema_: Annotated[Literal["pmabench.faults/1"], Field(alias="schema")]
-    faults: Annotated[list[Event], Field(min_length=1, max_length=1000)]
-
-
-Line = tuple[tuple[Reading, Reading], tuple[Reading, Reading]]
-"""Two points of a straight line."""
-Terminal = Annotated[str, Field(min_length=1, max_length=80)]
-Source = Annotated[str, Field(min_length=1, max_length=400)]
-"""The data sheet or page that the numbers are from."""
-
-
-class SensorFile(Strict):
-    """What is measured at one terminal: the sensor from signal to quantity, the device from digits to signal."""
-
-    measures: Literal[
-        "pressure", "displacement", "force", "supply", "angle", "pressure_command", "displacement_command"
-    ]
-    sensor: Line
-    device: Line | None = None
-    """Where the device gives something else than the signal, for instance counts for volts."""
-    source: Source
-
-
-class ActuatorFile(Strict):
-    """What a set-point moves: the actuator from its signal to the quantity, the device from digits to signal."""
-
-    drives: Literal["pressure", "displacement"]
-    actuator: Line
-    device: Line | None = None
-    step: Reading | None = None
-    """Smallest step of the device."""
-    range: tuple[Reading, Reading] | None = None
-    """Between which ends a drive can move."""
-    source: Source
-
-
-class ValveTruth(Strict):
-    """A valve on a digital output."""
-
-    valve: Literal["dump_valve"]
-    energised: Literal["closed", "open"]
-    """Where it is with current."""
-    source: Source
-
-
-class ContactTruth(Strict):
-    """A contact on a digital input."""
-
-    contact: Name
-    """A contact whose name has "stop" in it is the emergency stop."""
-    released: Literal["high", "low"]
-    """The level as long as nobody has pressed it."""
-    source: Source
-
-
-class DeviceTruth(Strict):
-    """One device: which it is, how it is set up, and what is wired to it by terminal."""
-
-    driver: str
-    """The kind of device, by the name of its driver."""
-    options: dict[str, Any] = {}
-    """How the device is set up, as its driver calls it; where it listens is the bench file's."""
-    inputs: dict[Terminal, SensorFile] = {}
-    outputs: dict[Terminal, ActuatorFile] = {}
-    valves: dict[Terminal, ValveTruth] = {}
-    contacts: dict[Terminal, ContactTruth] = {}
-
-
-class TruthFile(Strict):
-    """What a rig really is, written from data sheets and not from the bench file that is to be proven."""
-
-    schema_: Annotated[Literal["pmabench.truth/1"], Field(alias="schema")]
-    name: Annotated[str, Field(min_length=1, max_length=80)]
-    note: Text = ""
-    devices: Annotated[dict[Name, DeviceTruth], Field(min_length=1)]
-    """By the names that the bench file gives them."""

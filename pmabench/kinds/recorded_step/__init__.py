@@ -1,6 +1,7 @@
 """Steps of pressure that other programs recorded: dead time, rise, stroke, what its ringing says of K and B.
 
-- `reduction` of what `step` measures, with `motion`; `times` (B/K, dead time), `loads` (K of two loads), `ringing`
+- `reduction` of what `step` measures, with `motion`: `times` (B/K, dead time) by `delayed`, `loads` (K of two loads),
+  `ringing` (K and B of a known mass)
 """
 
 from pmabench.base.imported import Imported

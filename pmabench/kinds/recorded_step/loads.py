@@ -92,8 +92,12 @@ def of_loads(groups: Mapping[Pair, Sequence[tuple[RunData, Step]]], estimates: S
     return found
 
 
-def _times(e: Estimate, factor: float) -> Parts:
-    return Parts(*(None if part is None else abs(factor) * part for part in vars(e.parts).values()))
+def _times(parts: Parts, factor: float) -> Parts:
+    """Parts of a value times a factor."""
+    repeats, method, calibration = (
+        None if part is None else abs(factor) * part for part in (parts.repeats, parts.method, parts.calibration)
+    )
+    return Parts(repeats, method, calibration, abs(factor) * parts.skew, abs(factor) * parts.drift)
 
 
 def _damping(K: Estimate, estimates: Sequence[Estimate]) -> list[Estimate]:
@@ -104,16 +108,14 @@ def _damping(K: Estimate, estimates: Sequence[Estimate]) -> list[Estimate]:
         return []
     values = [e.value or 0.0 for e in taus]
     tau = float(np.mean(values))
-    widest = max(taus, key=lambda e: e.parts.combined or 0.0)
-    apart = _with_method(_times(widest, K.value), K.value * max(abs(value - tau) for value in values))
+    widest = max(taus, key=lambda e: e.parts.combined or 0.0).parts
+    of_K, of_tau = _times(K.parts, tau), _times(widest, K.value)
+    known = of_K.repeats is not None and of_tau.repeats is not None
+    repeats = hypot(of_K.repeats or 0.0, of_tau.repeats or 0.0) if known else None
+    apart = K.value * max(abs(value - tau) for value in values)
+    method = float(np.linalg.norm([of_K.method or 0.0, of_tau.method or 0.0, apart]))
     symbol = taus[0].symbol.replace("tau", "B")
     names = tuple(name for e in taus for name in e.trials)
-    pairs = zip(vars(_times(K, tau)).values(), vars(apart).values(), strict=True)
-    parts = Parts(*(None if one is None or two is None else hypot(one, two) for one, two in pairs))
+    parts = Parts(repeats, method, of_K.calibration)
     note = "B/K of the driven motion times the secant K"
     return [Estimate(symbol, tau * K.value, "N.s/m", "damping", SECANT, at, parts, len(names), note=note, trials=names)]
-
-
-def _with_method(parts: Parts, more: float) -> Parts:
-    """Parts with `more` in the method part."""
-    return Parts(parts.repeats, hypot(parts.method or 0.0, more), parts.calibration, parts.skew, parts.drift)

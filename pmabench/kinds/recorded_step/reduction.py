@@ -67,20 +67,13 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     findings: list[Finding] = []
     for key, group in sorted(groups.items()):
         at = dict(zip(("from", "pressure", "load", "mass"), key, strict=False))
-        K = secant(key[:2], rests_of([step for _, step in pairs[key[0], key[1]]]), Scales({}, {}))
+        K = secant((key[0], key[1]), rests_of([step for _, step in pairs[key[0], key[1]]]), Scales({}, {}))
         estimates += _at(at, group, options, () if read_off else (-UNTOLD, UNTOLD), None if K is None else K.value)
         here = [step for _, step in group]
         findings += _sentences(at, here)
         findings += [one for e in estimates if e.coordinate == TO_MOTION and e.at == at for one in check(at, here, e)]
     estimates += of_loads(pairs, estimates)
-    if len(commanded) < len(steps):
-        text = f"{len(steps) - len(commanded)} steps were found in the measured pressure: they tell no dead time"
-        findings.append(Finding("note", text))
-    if steps and not read_off:
-        findings.append(Finding("doubt", f"{UNKNOWN}: K and B assume at most {show(UNTOLD, 'time')}"))
-    if any(e.method == RINGING and e.value is not None for e in estimates):
-        text = "K and B rest on the moving mass alone, taken as exact; the load hangs and F_ce(P) is not known here"
-        findings.append(Finding("doubt", text))
+    findings += _of_all(steps, estimates, read_off=read_off)
     return Analysis.of(
         KIND,
         runs,
@@ -97,6 +90,20 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
             "steps": [_facts(step) for _, step in steps],
         },
     )
+
+
+def _of_all(steps: Sequence[tuple[RunData, Step]], estimates: Sequence[Estimate], *, read_off: bool) -> list[Finding]:
+    """What the steps together lack; `read_off`: whether the time between the channels is known."""
+    findings = []
+    found = sum(step.found for _, step in steps)
+    if found:
+        findings.append(Finding("note", f"{found} steps were found in the measured pressure: they tell no dead time"))
+    if steps and not read_off:
+        findings.append(Finding("doubt", f"{UNKNOWN}: K and B assume at most {show(UNTOLD, 'time')}"))
+    if any(e.method == RINGING and e.value is not None for e in estimates):
+        text = "K and B rest on the moving mass alone, taken as exact; the load hangs and F_ce(P) is not known here"
+        findings.append(Finding("doubt", text))
+    return findings
 
 
 def _load(step: Step) -> tuple[float, float]:
@@ -140,48 +147,23 @@ def _at(
         e = Estimate(symbol, mean, *kind, STEP, at, parts, len(values), note=note, trials=parents)
         return weighed(e, [replace(one, half=one.half * abs(mean)) for one in doubts])
 
-    seconds = ("s", "time")
+    seconds, late = ("s", "time"), max(apart, default=0.0)
+    found: list[Estimate] = []
+    if not any(step.found for step in steps):
+        half = late + max(step.dead_half for step in steps)
+        found.append(estimate("t_d", seconds, [step.dead for step in steps], half, note="to pressure"))
+    half = max(step.rise_half for step in steps)
+    found.append(estimate("tau_P", seconds, [step.rise for step in steps], half, note="63 %"))
+    strokes = [step.stroke for step in steps]
+    found.append(estimate("X", ("m", "length"), strokes, 0.0, ("displacement",), doubts=_unsettled(steps)))
     moved = [step for step in steps if abs(step.stroke) > 2 * SEEN * step.noise]
     if not moved:
-        why = f"the displacement moves by {show(steps[0].stroke, 'length', 2)} only: the load rests on its support"
-        unmoved = [Estimate("dP/dx", None, "Pa/m", "gain", STEP, at, note=why, n=len(steps), trials=parents)]
-    driven = times(at, moved, stiffness, max(apart, default=0.0)) if moved else []
-    return [
-        *driven,
-        *(
-            []
-            if any(s.found for s in steps)
-            else [
-                estimate(
-                    "t_d",
-                    seconds,
-                    [s.dead for s in steps],
-                    max(apart, default=0.0) + max(s.dead_half for s in steps),
-                    note="to pressure",
-                )
-            ]
-        ),
-        estimate("tau_P", seconds, [s.rise for s in steps], max(s.rise_half for s in steps), note="63 %"),
-        estimate(
-            "X", ("m", "length"), [step.stroke for step in steps], 0.0, ("displacement",), doubts=_unsettled(steps)
-        ),
-        *(
-            [
-                estimate(
-                    "dP/dx",
-                    ("Pa/m", "gain"),
-                    [step.size / step.stroke for step in moved],
-                    0.0,
-                    ("pressure", "displacement"),
-                    "at rest, includes friction",
-                    _unsettled(moved),
-                ),
-                *ringing(at, moved, options, apart),
-            ]
-            if moved
-            else unmoved
-        ),
-    ]
+        why = f"the displacement moves by {show(strokes[0], 'length', 2)} only: the load rests on its support"
+        return [*found, Estimate("dP/dx", None, "Pa/m", "gain", STEP, at, note=why, n=len(steps), trials=parents)]
+    ratios, scaled = [step.size / step.stroke for step in moved], ("pressure", "displacement")
+    note = "at rest, includes friction"
+    found.append(estimate("dP/dx", ("Pa/m", "gain"), ratios, 0.0, scaled, note, _unsettled(moved)))
+    return [*times(at, moved, stiffness, late), *found, *ringing(at, moved, options, apart)]
 
 
 def _unsettled(steps: Sequence[Step]) -> list[Doubt]:

@@ -14,7 +14,7 @@ import numpy as np
 from pmabench.analysis.shared.calibration import sentences
 from pmabench.analysis.shared.student import mean_with_half
 from pmabench.base.quantities import show
-from pmabench.kinds.recorded_step.motion import Delayed, fit_delayed
+from pmabench.kinds.recorded_step.delayed import Delayed, fit_delayed
 from pmabench.kinds.recorded_step.ringing import ILL_FITTED, ONCE
 from pmabench.kinds.recorded_step.step import SEEN, Step
 from pmabench.store.analyses.results import Estimate, Finding, Parts

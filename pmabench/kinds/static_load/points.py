@@ -177,7 +177,8 @@ def _along_ways(trial: TrialData, found: Mapping[str, float], times: Mapping[str
     for way in (slice(0, top), slice(top, len(t))):
         if len(t[way]) < 2 * width:
             return None
-        fitted.append(_at_0(*(np.convolve(values[way], window, mode="valid") for values in (P, x)), least))
+        smooth = [np.convolve(values[way], window, mode="valid") for values in (P, x)]
+        fitted.append(_at_0(smooth[0], smooth[1], least))
     up, down = fitted
     if up is None or down is None:
         return None

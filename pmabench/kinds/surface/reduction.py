@@ -29,6 +29,10 @@ SLACK = 0.02
 """Share of the largest force below which the muscle hangs slack, or nearly: these rows do not count."""
 FEWEST = 3
 """Trials that a surface needs."""
+PAUSE = 15.0
+"""Time between two trials [s] up to which the muscle is taken to go straight from the end of one to the other; after a
+longer one, in which it may have been vented, the next trial begins anew.
+"""
 LOOPS, POINTS = 8, 1200
 """Most measured loops that are drawn, and points of each."""
 Rows = Callable[[RunData, TrialData, float], Record | str]
@@ -69,14 +73,14 @@ def records_of(runs: Sequence[RunData], rows: Mapping[str, Rows]) -> tuple[list[
     rate = min(RATE, MOST_ROWS / max(seconds, 1.0))
     found: list[Record] = []
     dropped = []
-    last = ""
+    before: tuple[str, float] = "", 0.0
     for run, trial in trials:
         one = rows[run.kind](run, trial, rate) if trial.status == "finished" else f"it is {trial.status}"
         if isinstance(one, str):
             dropped.append(Dropped(trial.name, trial.point, one))
         else:
-            found.append(replace(one, goes_on=run.id == last))
-            last = run.id
+            found.append(replace(one, goes_on=run.id == before[0] and one.t[0] - before[1] < PAUSE))
+            before = run.id, float(one.t[-1])
     largest = max((float(np.max(one.F)) for one in found), default=0.0)
     found = [replace(one, used=one.used & (one.F > SLACK * largest)) for one in found]
     return found, dropped
