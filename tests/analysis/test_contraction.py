@@ -288,10 +288,11 @@ def test_a_declared_sensor_lag_is_taken_into_account():
 
     delayed = replace(run, trials=tuple(late(trial) for trial in run.trials))
     told = {**run.channels, "pressure": replace(run.channels["pressure"], sensor_lag=0.010)}
-    wrong = [e for e in reduce([delayed], {"replays": 0}).estimates if e.symbol == "B_c" and e.method == PRIMARY]
+    (found,) = reduce([delayed], {"replays": 0}).facts["form"]["explanations"]
     right = errors(reduce([replace(delayed, channels=told)], {"replays": 0}), PAPER0, "B_c")
-    # a pressure 10 ms late costs about 3 % of B, so that nothing is reported
-    assert all(e.withheld for e in wrong)
+    # nobody declared it: a pressure 10 ms late costs about 3 % of B, and is found
+    assert found["cause"] == "late pressure"
+    assert found["size"] == pytest.approx(0.010, abs=5e-4)
     assert np.abs(right).max() < 0.02
 
 

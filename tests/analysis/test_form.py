@@ -1,4 +1,4 @@
-"""Form of the pooled fit: known faults of an independent simulator are withheld, small ones are in the budget.
+"""Form of the pooled fit: known faults of an independent simulator are found and corrected, small ones in the budget.
 
 What a departure does to a coefficient is found by putting it into the samples and fitting anew.
 """
@@ -12,30 +12,35 @@ from functools import cache
 import numpy as np
 import pytest
 
-from pmabench.kinds.contraction_relaxation.departures import causes, order
-from pmabench.kinds.contraction_relaxation.drift import weighed
+from pmabench.kinds.contraction_relaxation.diagnosis.cell import Readings, readings, weighed
+from pmabench.kinds.contraction_relaxation.diagnosis.columns import Followed
+from pmabench.kinds.contraction_relaxation.diagnosis.hiding import causes
 from pmabench.kinds.contraction_relaxation.intervals import Pooled
-from pmabench.kinds.contraction_relaxation.reduction import pool, reduce
+from pmabench.kinds.contraction_relaxation.reduction import pool, reduce, segments_like
+from pmabench.kinds.contraction_relaxation.segments import Segments
 from pmabench.kinds.contraction_relaxation.trials import Campaign, gather
 from pmabench.kinds.contraction_relaxation.view import findings
-from pmabench.kinds.reduce import verdicts
 from pmabench.store.analyses.results import Analysis
-from pmabench.store.records import Event, RunData, TrialData
+from pmabench.store.records import RunData, TrialData
 from tests.analysis.judged import as_run
 from tests.analysis.simulate import LOADS, PRESSURES, contraction_run, rig
 from tests.analysis.test_skew import with_clocks
-from tests.judge.campaign import campaign, truth
+from tests.judge.campaign import DURATION, STARTS, campaign, truth
+from tests.judge.campaign import weighed as weighings
+from tests.judge.muscle import CREEP_DECADES
 
-WITHHELD = {"F_ce", "K", "B_c", "B_r", "F_c", "f_b"}
-TOLD = {
-    ("cell-drift", 1.0): "the zero of the force cell drifted by 1",
-    ("slip-0.8", 0.125): "slipped by 0.1 mm +-",
-    ("creep", 0.125): "the muscle creeps by",
-    ("force-lag", 0.5): "force is late by 0.00",
-    ("pressure-late", 0.125): "times what the noise allows",
-    ("bend", 0.125): "the force over contraction is bent: K changes by",
+FOUND = {
+    ("cell-drift", 1.0): ("drift", 15.0),
+    ("slip-0.8", 0.125): ("slip", 0.1e-3),
+    ("creep", 0.25): ("creep", 0.025 / CREEP_DECADES),
+    ("force-lag", 0.5): ("late force", 5e-3),
+    ("pressure-late", 0.25): ("late pressure", 2.5e-3),
+    ("bend", 0.5): ("bend", 0.2 * 0.5),
 }
-"""A fault and the share of its full size -> what the reason says of it."""
+"""A fault and the share of its full size -> its name, and its size in the simulator [SI]."""
+WITHIN = {"bend": 1.0, "creep": 0.2}
+"""How far a size may be off, as a share of it: K of the simulator falls by twice the bend over 60 mm, of which tests
+cover a part; creep of the simulator has other times."""
 
 
 @cache
@@ -47,6 +52,12 @@ def gathered(run: RunData) -> Campaign:
     found, _ = gather([run])
     assert found is not None
     return found
+
+
+def recorded_segments(run: RunData) -> Segments:
+    """Segments of a run as it was recorded, nothing corrected."""
+    found = gathered(run)
+    return segments_like(found, {})[1](found.samples)
 
 
 def fitted(run: RunData, replays: int = 0) -> Pooled:
@@ -71,27 +82,57 @@ def withheld(analysis: Analysis) -> set[str]:
 # -- faults of known size ------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("cause", "size"), list(TOLD))
-def test_a_fault_is_withheld_with_its_size(cause: str, size: float) -> None:
+@pytest.mark.parametrize(("cause", "size"), list(FOUND))
+def test_a_fault_is_named_with_its_size_and_corrected(cause: str, size: float) -> None:
     run = as_run(campaign(cause, size, 0))
-    analysis = reduce([run], {"replays": 0})
-    assert withheld(analysis) == WITHHELD
-    assert not [e for e in analysis.estimates if e.symbol in WITHHELD and e.value is not None]
+    analysis = reduce([run], {"replays": 2})
+    name, amount = FOUND[cause, size]
+    (found,) = analysis.facts["form"]["explanations"]
+    assert found["cause"] == name
+    assert abs(found["size"]) == pytest.approx(amount, rel=WITHIN.get(name, 0.05))
+    assert analysis.facts["form"]["ratio"] < 1.2
+    assert any(f.level == "doubt" and f.text.startswith("diagnosis, ") and found["text"] in f.text
+               for f in analysis.findings)  # fmt: skip
+    assert withheld(analysis) <= {"F_c"}
+    holds_the_truth(analysis, cause, size)
+
+
+def holds_the_truth(analysis: Analysis, cause: str, size: float) -> None:
+    """Values of the primary method are within twice their half widths of the truth, and each has a line for what was
+    corrected.
+    """
+    right = truth(cause, size)
+    known = [e for e in analysis.estimates if e.method == "measured-pressure" and e.value is not None]
+    assert len(known) > 10
+    for e in known:
+        low, high = (float(end[0]) for end in right[e.symbol](np.array([e.at.get("pressure", 0.0)])))
+        half = e.parts.combined
+        assert half is not None
+        assert low - 2 * half <= e.value <= high + 2 * half, e  # type: ignore[operator]
+        assert any(line.name == "correction" for line in e.budget)
+
+
+def test_what_nothing_explains_is_withheld_and_the_surface_is_offered() -> None:
+    """A force that swings with the contraction: none of the explanations."""
+    waving = changed(
+        clean(), lambda t: {"force": t.channels["force"] * (1 + 0.05 * np.sin(t.channels["displacement"] / 2e-3))}
+    )
+    analysis = reduce([waving], {"replays": 0})
+    assert analysis.facts["form"]["state"] == "withheld"
+    assert withheld(analysis) >= {"F_ce", "K", "B_c", "B_r", "F_c"}
     assert not analysis.curves
-    told = [line for line in verdicts([run], [analysis]) if "withheld" in line]
-    assert told
-    assert TOLD[cause, size] in told[0]
-    assert any(f.level == "doubt" and TOLD[cause, size] in f.text for f in analysis.findings)
+    (told,) = {e.note for e in analysis.estimates if e.symbol == "K" and e.withheld}
+    assert "the cause is unknown" in told
+    assert "pmabench process RUN... --form surface" in told
     # what needs no form is reported
     assert any(e.symbol == "t_d" and e.value is not None for e in analysis.estimates)
 
 
-@pytest.mark.parametrize(("cause", "line"), [("cell-drift", "drift of the force cell"), ("force-lag", "delay")])
-def test_a_fault_that_the_residual_hardly_shows_is_a_doubt_and_in_the_intervals(cause: str, line: str) -> None:
-    """1.9 N of drift, 1.25 ms of filter: each value is reported, and its interval holds the truth."""
+def test_a_fault_that_the_residual_hardly_shows_is_a_doubt_and_in_the_intervals() -> None:
+    """1.25 ms of filter: each value is reported, and its interval holds the truth."""
+    cause, line = "force-lag", "delay"
     analysis = reduce([as_run(campaign(cause, 0.125, 0))], {"replays": 2})
     assert withheld(analysis) <= {"F_c"}, "no more than what could change by 2 %"
-    assert any(f.level == "doubt" and f.text.startswith("form:") for f in analysis.findings)
     right = truth(cause, 0.125)
     known = [e for e in analysis.estimates if e.method == "measured-pressure" and e.value is not None]
     assert len(known) > 10
@@ -105,11 +146,19 @@ def test_a_fault_that_the_residual_hardly_shows_is_a_doubt_and_in_the_intervals(
     assert half
 
 
+def without_weights(run: RunData) -> RunData:
+    """The run, in which the cell reads the weights nowhere at rest: a test where nothing hangs."""
+    return replace(
+        run, trials=tuple(replace(t, point={k: v for k, v in t.point.items() if k != "mass"}) for t in run.trials)
+    )
+
+
 def test_a_fault_that_could_change_a_value_by_more_than_2_percent_is_not_left_to_its_interval() -> None:
-    """12 N of drift under 15 times the noise of the force: the residual does not show it, K is 3 % off."""
+    """12 N of drift under 15 times the noise of the force, and no weights: the residual does not show it."""
     chance = np.random.default_rng(1)
     noisy = changed(
-        put_in("drift", 12.0), lambda t: {"force": t.channels["force"] + 4.5 * chance.standard_normal(len(t.t))}
+        without_weights(put_in("drift", 12.0)),
+        lambda t: {"force": t.channels["force"] + 4.5 * chance.standard_normal(len(t.t))},
     )
     analysis = reduce([noisy], {"replays": 0})
     form = analysis.facts["form"]
@@ -118,7 +167,7 @@ def test_a_fault_that_could_change_a_value_by_more_than_2_percent_is_not_left_to
         e for e in analysis.estimates if (e.symbol, e.method, e.at) == ("K", "measured-pressure", {"pressure": 350e3})
     ]
     assert K.withheld
-    assert "drifted by 12 N" in K.note
+    assert "drifted by 1" in K.note
     assert "more than 2 % is not left to an interval" in K.note
 
 
@@ -147,8 +196,7 @@ def put_in(name: str, size: float) -> RunData:
         return changed(run, lambda trial: late(name, size, trial))
     if name == "slip":
         return changed(run, lambda t: {"displacement": t.channels["displacement"] + size} if t.index >= 12 else {})
-    grown = np.linspace(-0.5, 0.5, len(run.trials))
-    return changed(run, lambda t: {"force": t.channels["force"] + size * grown[t.index]})
+    return changed(run, lambda t: {"force": t.channels["force"] + size * t.t / run.trials[-1].t[-1]})
 
 
 @pytest.mark.parametrize(
@@ -164,10 +212,11 @@ def put_in(name: str, size: float) -> RunData:
 def test_a_column_is_what_the_departure_does_to_the_coefficients(name: str, text: str, size: float) -> None:
     pooled = as_it_is()
     found = gathered(clean())
-    (way,) = [w for c in causes(found, pooled.segments, pooled.fit) for w in c.ways if text in w.text]
+    test = pooled.diagnosis.rounds.after.test
+    (way,) = [w for c in causes(test, Followed.of(found)) for w in c.ways if text in w.text]
     expected = size * pooled.fit.change(way.column[:, None])[:, 0]
     # with the knots of the sound campaign: a departure this large asks for more of them
-    anew = pooled.fit.again(fitted(put_in(name, size)).segments, pooled.expected)
+    anew = pooled.fit.again(recorded_segments(put_in(name, size)), pooled.expected)
     did = {
         (symbol, P): float(anew.values(symbol, np.array([P]))[0] - pooled.fit.values(symbol, np.array([P]))[0])
         for symbol in ("F_ce", "K", "B_c")
@@ -186,7 +235,7 @@ def test_a_column_is_what_the_departure_does_to_the_coefficients(name: str, text
 def test_what_is_too_small_to_be_seen_is_held_by_the_budget(name: str, size: float, line: str) -> None:
     """The line is of the size of what the departure did to a coefficient that it moves."""
     before, after = fitted(clean(), 2), fitted(put_in(name, size), 2)
-    assert after.form.reason == ""
+    assert after.diagnosis.state == "sound"
     symbol, P = ("K", 500e3) if name == "slip" else ("B_c", 200e3)
     row = after.fit.row(symbol, P)
     did = abs(float(after.fit.values(symbol, np.array([P]))[0] - before.fit.values(symbol, np.array([P]))[0]))
@@ -196,10 +245,11 @@ def test_what_is_too_small_to_be_seen_is_held_by_the_budget(name: str, size: flo
 
 
 def test_a_clock_that_may_be_off_by_as_much_is_no_departure() -> None:
-    """2 ms of the pressure alone is withheld; where the record allows the gauge 4 ms, it is in the skew part."""
-    assert fitted(put_in("pressure", -2e-3)).form.reason != ""
+    """2 ms of the pressure alone is corrected; where the record allows the gauge 4 ms, it is in the skew part."""
+    alone = fitted(put_in("pressure", -2e-3)).diagnosis
+    assert [round(1e3 * one.size, 1) for one in alone.named] in ([-2.0], [2.0])
     apart = with_clocks(put_in("pressure", -2e-3), "pressure", 4e-3)
-    assert fitted(apart).form.reason == ""
+    assert fitted(apart).diagnosis.state == "sound"
 
 
 # -- trials that differ by themselves --------------------------------------------------------------------------------
@@ -223,32 +273,45 @@ def test_repeats_that_scatter_are_no_lack_of_form() -> None:
 
 
 def test_weights_show_drift_gain_and_zero_of_the_cell() -> None:
-    grown = np.linspace(-0.5, 0.5, 24)
-    misread = changed(clean(), lambda t: {"force": 1.02 * t.channels["force"] + 3.0 + 5.0 * grown[t.index]})
-    found = gathered(misread)
-    told = weighed(found, order(found))
-    for found_size, true in ((told.drift, 5.0), (told.gain, 0.02), (told.offset, 3.0)):
+    found = readings(gathered(clean()))
+    misread = Readings(found.course, found.weight, 1.02 * found.read + 3.0 + 5.0 * found.course)
+    told = weighed(misread)
+    for found_size, true in ((told.drift, 5.0), (told.gain, 0.02), (told.offset, 5.5)):
         assert found_size is not None
         value, error = found_size
         assert abs(value - true) < 3 * error
         assert error < 0.02 * true
+    assert {one.kind for one in told.found} == {"drift", "gain"}
 
 
-def test_a_gain_that_the_weights_contradict_is_in_the_interval() -> None:
-    """The cell reads 1 % too much and nothing else shows it: K is 1 % too large, and its interval holds the truth."""
+@pytest.mark.parametrize(("cause", "size"), [("clean", 1.0), ("cell-drift", 1 / 3), ("gain", 2 / 3), ("mass", 0.7)])
+def test_readings_that_scatter_by_a_pulley_name_the_fault_of_the_cell(cause: str, size: float) -> None:
+    """0.5 N of scatter where the weight hangs, 0.1 N where it lies."""
+    for seed in (0, 1, 2):
+        told = weighed(read_by_judge(cause, size, seed))
+        names = [one.kind for one in told.found] + (["mass"] if told.wrong else [])
+        assert names == {"clean": [], "cell-drift": ["drift"]}.get(cause, [cause])
+        if cause == "cell-drift":
+            assert abs(told.found[0].sizes[0]) == pytest.approx(5.0, abs=0.2)
+        if cause == "gain":
+            assert abs(told.found[0].sizes[0]) == pytest.approx(0.02, abs=2e-3)
+
+
+def read_by_judge(cause: str, size: float, seed: int) -> Readings:
+    read = weighings(campaign(cause, size, seed), seed)
+    return Readings(read.t / (STARTS[-1] + DURATION), read.weight, read.read)
+
+
+def test_a_gain_that_the_weights_contradict_is_corrected() -> None:
+    """The cell reads 1 % too much and nothing else shows it: K is corrected, a part of that is in its interval."""
     misread = fitted(changed(clean(), lambda t: {"force": 1.01 * t.channels["force"]}))
     row = misread.fit.row("K", 350e3)
+    K = float(as_it_is().fit.row("K", 350e3) @ as_it_is().fit.theta)
+    assert float(row @ misread.fit.theta) == pytest.approx(K, rel=5e-4)
     half = misread.trust.parts(row)[0].combined
-    assert half == pytest.approx(0.01 * float(row @ misread.fit.theta), rel=0.1)
+    assert half == pytest.approx(0.003 * K, rel=0.1)
     said = findings(gathered(clean()), misread, [])
-    assert any(f.level == "doubt" and "it reads 1 % more than they weigh" in f.text for f in said)
-
-
-def test_a_drift_that_the_zero_check_holds_is_not_counted_twice() -> None:
-    check = Event(1, 300.0, "zero-check", {"channels": {"force": {"reading": 5.0, "drift": 5.0}}})
-    drifting = put_in("drift", 4.0)
-    assert "drifted by 4 N" in fitted(drifting).form.fits
-    assert fitted(replace(drifting, events=(check,))).form.fits == ""
+    assert any(f.level == "doubt" and "the force cell reads 1 % +- " in f.text for f in said)
 
 
 def test_with_a_single_load_nothing_is_reported_that_an_unseen_delay_would_change() -> None:

@@ -75,8 +75,8 @@ def hang(
     t = np.arange(round(duration * RATE) * fine + 1) / (RATE * fine)
     P = np.array([lagged(pressure(steps, t), tube, RATE * fine) for steps in commands]).T
     crept, strained = (np.zeros((len(of), len(masses))) for of in (CREEP_TIMES, SLIDES))
-    # what is left of one trial's creep and strain changes the next a little, and that the one after next less
-    for _ in range(2 if muscle.creep or muscle.hysteresis else 1):
+    # each pass knows the creep and the strain that one more of the trials before has left
+    for _ in range(5 if muscle.creep else 2 if muscle.hysteresis else 1):
         motion, crept, strained = _advance(muscle, masses, P, crept, strained, slack, fine)
         crept, strained = np.roll(crept, 1, axis=1), np.roll(strained, 1, axis=1)
         crept[:, 1:] *= np.exp(-pauses[:-1] / CREEP_TIMES[:, None])

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import sqrt
+from math import hypot, sqrt
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -27,11 +27,12 @@ from pmabench.analysis.shared.simulated import Stretches
 from pmabench.kinds.contraction_relaxation.drift import Cause
 from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, Fit, Solved, rms_of
 from pmabench.kinds.contraction_relaxation.segments import Segments
+from pmabench.kinds.contraction_relaxation.trials import Campaign
 from pmabench.store.analyses.results import Parts, Source
 from pmabench.store.records import Array
 
 if TYPE_CHECKING:
-    from pmabench.kinds.contraction_relaxation.form import Form
+    from pmabench.kinds.contraction_relaxation.diagnosis.verdict import Diagnosis
 
 NORMAL = 1.96
 """Half width of a 95 % interval by its standard deviation."""
@@ -63,6 +64,35 @@ class Hiding:
         return sqrt(float((combination @ self.change) ** 2 @ self.likely))
 
 
+PART = 0.3
+"""Share of a correction that is in the interval of what was corrected: loads that are left out do not show what biases
+all of them alike. Chosen and confirmed on campaigns with known faults."""
+CORRECTED = "correction"
+
+
+@dataclass(frozen=True, eq=False)
+class Correction:
+    """What corrected samples owe to their correction."""
+
+    change: Array
+    """Of theta, by it; shape (p,)."""
+    spreads: tuple[Array, ...]
+    """Covariances of theta, sizes of the correction among what is found anew, by loads and by trials; (p, p) each."""
+    others: Array
+    """Change of theta by each other explanation in place of the one that was taken, shape (m, p)."""
+    factor: float
+    """By which all halves grow."""
+
+    def variance(self, combination: Array) -> float:
+        """Largest variance of a linear combination (p,) of the coefficients by `spreads`."""
+        return max((float(combination @ spread @ combination) for spread in self.spreads), default=0.0)
+
+    def half(self, combination: Array) -> float:
+        """The part of the correction that may be wrong, and how far other explanations are away."""
+        apart = float(np.max(np.abs(self.others @ combination), initial=0.0))
+        return hypot(PART * float(self.change @ combination), apart)
+
+
 @dataclass(frozen=True, eq=False)
 class Trust:
     """Interval parts of `theta` by source, half widths of 95 % intervals, and the bias to take off; shape (p,) each."""
@@ -89,6 +119,7 @@ class Trust:
     """True where that scatter is within cells, between repeats."""
     hides: tuple[Hiding, ...] = ()
     """Departures from the form that could hide."""
+    correction: Correction | None = None
 
     def parts(self, combination: Array, extra_method: float = 0.0) -> tuple[Parts, float]:
         """Interval parts and bias of a linear combination (p,) of the coefficients."""
@@ -98,6 +129,8 @@ class Trust:
     def budget(self, combination: Array, extra_method: float = 0.0) -> tuple[Parts, float, tuple[Source, ...]]:
         """The same, and every source behind them, largest first."""
         variance = max(0.0, float(combination @ self.covariance @ combination))
+        if self.correction is not None:
+            variance = max(variance, self.correction.variance(combination))
         steps = {name: max(0.0, float(combination @ part @ combination)) for name, part in self.steps.items()}
         unsure = float(np.linalg.norm(combination * self.mean_error))
         shifts = {name: abs(float(shift @ combination)) for name, shift in self.shifts.items()}
@@ -116,10 +149,14 @@ class Trust:
             *(Source(one.name, one.part, "B", one.half(combination)) for one in self.hides if not one.seen),
             Source("regulator", "method", "B", 0.0, "the fit is driven by the pressure that was measured"),
         ]  # fmt: skip
+        if self.correction is not None:
+            found.append(Source(CORRECTED, "method", "B", self.correction.half(combination)))
         if len(self.skews):
             skew = float(np.sum(np.max(np.abs(self.skews @ combination), axis=1, initial=0.0)))
             found.append(Source("time between the streams", "skew", "B", skew))
         found += self._shifts(combination, parts_of(found).combined or 0.0)
+        if self.correction is not None:
+            found = [replace(s, half=None if s.half is None else self.correction.factor * s.half) for s in found]
         found.sort(key=lambda source: -1.0 if source.half is None else source.half, reverse=True)
         return parts_of(found), bias, tuple(found)
 
@@ -150,7 +187,10 @@ def parts_of(sources: Sequence[Source]) -> Parts:
 class Pooled:
     """A pooled fit with its segments and its trust."""
 
+    campaign: Campaign
+    """With corrected samples where something was found wrong with the bench."""
     segments: Segments
+    """Of it, without the forces that are found to be of the muscle beyond the straight form."""
     fit: Fit
     noise: Array
     """Of each segment [N], that the channels explain; shape (n,)."""
@@ -159,8 +199,8 @@ class Pooled:
     """How far another fit to some rows of the segments can be trusted, whose rows have this noise each [N]."""
     work: Stretches
     """The strokes that were replayed."""
-    form: Form
-    """Whether the data have the form of the fit."""
+    diagnosis: Diagnosis
+    """Whether the data have the form of the fit, and what was corrected where they had not."""
 
     @property
     def expected(self) -> float:

@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,13 +18,25 @@ from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.samples import NotUsable, Samples
 from pmabench.analysis.shared.trials import reference_findings
 from pmabench.base.quantities import show
-from pmabench.kinds.contraction_relaxation import RESULTS, drift, exponentials, form, output_error, view
+from pmabench.kinds.contraction_relaxation import RESULTS, drift, exponentials, output_error, view
 from pmabench.kinds.contraction_relaxation.bandwidth import regulator
 from pmabench.kinds.contraction_relaxation.checks import free_runs
 from pmabench.kinds.contraction_relaxation.curves import curve
+from pmabench.kinds.contraction_relaxation.diagnosis.examination import examined
+from pmabench.kinds.contraction_relaxation.diagnosis.hiding import hidden, of_the_cell
+from pmabench.kinds.contraction_relaxation.diagnosis.verdict import Diagnosis
 from pmabench.kinds.contraction_relaxation.intervals import Pooled, Trust, assess, replay_fits
+from pmabench.kinds.contraction_relaxation.joint import METHOD as JOINT
 from pmabench.kinds.contraction_relaxation.joint import compare
-from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, Solved, first_knots, fit, rms_of
+from pmabench.kinds.contraction_relaxation.pooled import (
+    FLOOR,
+    SYMBOLS,
+    Solved,
+    expected_noise,
+    first_knots,
+    fit,
+    rms_of,
+)
 from pmabench.kinds.contraction_relaxation.segments import Gate, Segments, cut, moved
 from pmabench.kinds.contraction_relaxation.trials import Campaign, gather, strokes
 from pmabench.kinds.contraction_relaxation.values import FEWEST, METHOD, Solution, values
@@ -62,6 +75,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     facts = {"options": dict(options), "trials": sum(len(run.trials) for run in runs)}
     if campaign is None or pooled is None:
         return _without_fit(runs, campaign, dropped, reason, {**facts, "trials_used": 0})
+    campaign, diagnosis = pooled.campaign, pooled.diagnosis
     estimates, curves = estimates_of(campaign, pooled)
     joint = compare(campaign, pooled, options)
     polished = output_error.compare(campaign, pooled, estimates, options)
@@ -71,7 +85,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     response, described = regulator(campaign) if options.get("regulator") else ([], [])
     simulated = free_runs(campaign, pooled, estimates)
     every = (*estimates, *joint.estimates, *polished.estimates, *stepwise.estimates)
-    reported = withheld(every, pooled.form)
+    reported = withheld(every, diagnosis)
     gone = {e.symbol for e in reported if e.withheld}
     return Analysis.of(
         KIND,
@@ -99,6 +113,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
             **({"output_error": polished.facts} if polished.facts else {}),
             **({"bootstrap": resampled} if resampled else {}),
         },
+        refusals=[f"{KIND}: {diagnosis.refusal}"] if diagnosis.refusal else [],
     )
 
 
@@ -111,38 +126,62 @@ def _without_fit(
     return Analysis.of(KIND, runs, results=RESULTS, dropped=dropped, findings=findings, facts=facts)
 
 
-def withheld(estimates: Sequence[Estimate], found: form.Form) -> list[Estimate]:
-    """The estimates without the values whose form the data contradict; other methods follow the first one."""
+def withheld(estimates: Sequence[Estimate], diagnosis: Diagnosis) -> list[Estimate]:
+    """The estimates without the values whose form the data contradict; other methods follow the first one.
+
+    Methods that have no correction for a property of the muscle are left out where the fit needed one.
+    """
     reasons: dict[tuple[str, float | None], str] = {}
-    hidden = found.hides(estimates)
+    hidden = diagnosis.hides(estimates)
+    uncorrected = next((one for one in diagnosis.of_fit if one.of_muscle), None)
     result = []
     for place, e in enumerate(estimates):
         key = (e.symbol, e.at.get("pressure"))
-        why = found.reason or reasons.get(key) or hidden.get(place, "")
-        if e.symbol not in OF_THE_FORM or e.value is None or not why:
+        why = diagnosis.reason or reasons.get(key) or hidden.get(place, "")
+        if e.symbol not in OF_THE_FORM or e.value is None:
             result.append(e)
             continue
-        reasons[key] = why
+        if not why and uncorrected is not None and e.method not in (METHOD, JOINT):
+            why = f"not given: {uncorrected.text}, and this method has no correction for it"
+            result.append(replace(withhold(e, why), withheld=False))
+            continue
+        if not why:
+            result.append(e)
+            continue
+        if e.method in (METHOD, JOINT):
+            reasons[key] = why
         result.append(withhold(e, why))
     return result
 
 
-def pool(campaign: Campaign, options: Mapping[str, Any]) -> Pooled | None:
-    """The pooled fit with its trust; None where nothing moves, NotUsable where the fit itself would not move."""
+def segments_like(
+    campaign: Campaign, options: Mapping[str, Any]
+) -> tuple[Array, Callable[[Sequence[Samples]], Segments]]:
+    """First knots of the fit [Pa], and what cuts samples into segments within their reach."""
     gate = Gate(speed=float(options.get("speed", Gate.speed)))
-    tested = np.array(campaign.tested)
     commanded = np.unique([c.value for trial in campaign.trials for c in trial.commands if c.output == "pressure"])
-    knots = first_knots(tested, commanded)
+    knots = first_knots(np.array(campaign.tested), commanded)
     low, high = knots[0] - 1e3, knots[-1] + (knots[-1] - knots[-2])
 
     def segments_of(samples: Sequence[Samples]) -> Segments:
         found = cut(samples, campaign.rate, gate)
         return found.where((found.P.min(axis=1) >= low) & (found.P.max(axis=1) <= high))
 
-    segments = segments_of(campaign.samples)
-    if len(segments) < 2 * FEWEST:
+    return knots, segments_of
+
+
+def pool(recorded: Campaign, options: Mapping[str, Any]) -> Pooled | None:
+    """The pooled fit of the corrected campaign with its trust; None where nothing moves, NotUsable where the fit itself
+    would not move.
+    """
+    knots, segments_of = segments_like(recorded, options)
+    as_recorded = segments_of(recorded.samples)
+    if len(as_recorded) < 2 * FEWEST:
         return None
-    solved, noise = fit(segments, knots, campaign.noise)
+    found = examined(recorded, knots, segments_of, as_recorded)
+    diagnosis, spread, test = found.diagnosis, found.spread, found.diagnosis.reported.test
+    campaign, segments, solved = test.campaign, test.segments, test.fit
+    noise = np.maximum(FLOOR * rms_of(segments.force), expected_noise(segments, solved, campaign.noise))
     work = simulated.stretches(_moving(campaign, segments), 1 / campaign.rate, round(0.1 * campaign.rate))
 
     def first(late: Segments) -> Array:
@@ -163,18 +202,29 @@ def pool(campaign: Campaign, options: Mapping[str, Any]) -> Pooled | None:
             return seen_again
 
         replays = replay_fits(replayed, other, rms_of(seen), int(options.get("replays", REPLAYS)))
-        skews = _skews(campaign, segments_of, again, other)
+        skews = _skews(campaign, lambda late: found.corrected(segments_of(late)), again, other)
         drifts = drift.causes(campaign.runs, campaign.trials, campaign.channels, mine, other, rms_of(seen))
         scales = Scales.of(campaign.runs)
         return assess(mine, other, seen, campaign.cells, replays, scales, skews, campaign.noise, campaign.steps, drifts)
 
-    def trust_of(other: Solved, rows: NDArray[np.bool_], seen: Array) -> Trust:
-        alone = trusted(other, rows, seen, lambda late: other.again(late, rms_of(seen)).theta)
-        return form.hiding(found, Scales.of(campaign.runs), segments.where(rows), other, alone, rows)
+    every = np.ones(len(segments), bool)
+    alone = trusted(solved, every, noise, first)
+    if spread is not None:
+        alone = replace(alone, correction=spread.of(solved, every, test.expected))
+    diagnosis = replace(diagnosis, hidden=hidden(test, found.search.followed, diagnosis.weighed, alone))
 
-    trust = trusted(solved, np.ones(len(segments), bool), noise, first)
-    found, trust = form.examine(campaign, segments, solved, trust, noise)
-    return Pooled(segments, solved, noise, trust, trust_of, work, found)
+    def with_hidden(other: Solved, rows: NDArray[np.bool_], trust: Trust) -> Trust:
+        mine, scales = segments.where(rows), Scales.of(campaign.runs)
+        lines = diagnosis.hidden.lines(other, rows)
+        return replace(trust, hides=(*lines, *of_the_cell(diagnosis.weighed, scales, mine, other)))
+
+    def trust_of(other: Solved, rows: NDArray[np.bool_], seen: Array) -> Trust:
+        trust = trusted(other, rows, seen, lambda late: other.again(late, rms_of(seen)).theta)
+        if spread is not None:
+            trust = replace(trust, correction=spread.of(other, rows, rms_of(seen)))
+        return with_hidden(other, rows, trust)
+
+    return Pooled(campaign, segments, solved, noise, with_hidden(solved, every, alone), trust_of, work, diagnosis)
 
 
 def _skews(

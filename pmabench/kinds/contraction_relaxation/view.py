@@ -12,7 +12,7 @@ from pmabench.analysis.shared.calibration import Scales
 from pmabench.base.quantities import show
 from pmabench.kinds.contraction_relaxation import checks
 from pmabench.kinds.contraction_relaxation.checks import FreeRun
-from pmabench.kinds.contraction_relaxation.form import GAIN, ZERO
+from pmabench.kinds.contraction_relaxation.diagnosis.hiding import GAIN, ZERO
 from pmabench.kinds.contraction_relaxation.intervals import Pooled, bootstrap
 from pmabench.kinds.contraction_relaxation.segments import ASSUMED_MASS
 from pmabench.kinds.contraction_relaxation.trials import Campaign
@@ -45,7 +45,7 @@ def facts(campaign: Campaign, pooled: Pooled, runs: Sequence[FreeRun]) -> dict[s
         },
         "scatter_between_trials": {symbol: float(value) for symbol, value in pooled.trust.excess.items()},
         "load_cell": campaign.cell,
-        "form": pooled.form.facts,
+        "form": pooled.diagnosis.facts,
         "free_run_rms": checks.rms(runs),
         "free_run": checks.table(campaign, runs),
         "checks": [*([asdict(free)] if free else ()), *checks.checks(campaign, pooled)],
@@ -64,7 +64,7 @@ def findings(campaign: Campaign, pooled: Pooled, estimates: Sequence[Estimate]) 
         lines = [Finding("doubt", text)]
     else:
         lines = [Finding("note", f"{size}; noise of the channels explains {show(expected, 'force', 2)}")]
-    lines += [_of_the_form(pooled), *_of_the_weights(pooled)]
+    lines += [*_of_the_form(campaign, pooled), *_of_the_weights(pooled)]
     if not campaign.cell:
         text = "no load cell: F_L is the weight, and M x'' of the moving mass; both are taken as exact, M is not fitted"
         if any("mass" not in trial.point for trial in campaign.trials):
@@ -92,23 +92,47 @@ def findings(campaign: Campaign, pooled: Pooled, estimates: Sequence[Estimate]) 
     return lines
 
 
-def _of_the_form(pooled: Pooled) -> Finding:
-    """What the tests of the form say."""
-    form = pooled.form
-    if form.reason:
-        return Finding("doubt", f"form: {form.reason}")
+def _of_the_form(campaign: Campaign, pooled: Pooled) -> list[Finding]:
+    """What the tests of the form say, what was found and corrected, and what to look at."""
+    found = pooled.diagnosis
+    if found.reason:
+        return [Finding("doubt", f"form: {found.reason}")]
+    lines = []
+    for one in found.named:
+        of = "property of the muscle" if one.of_muscle else "fault of the bench"
+        lines.append(Finding("doubt", f"diagnosis, {of}: {one.text}; corrected. Advice: {one.advice}"))
+    if found.named:
+        middle = campaign.tested[len(campaign.tested) // 2]
+        which = f"; {found.between}" if found.between else ""
+        lines.append(
+            Finding("note", f"diagnosis: {_rivals(pooled)}corrected, {found.effect(pooled.fit, middle)}{which}")
+        )
     text = (
-        f"form: {form.missed} {form.ratio:.3g} times what the noise allows, residuals of neighbouring segments agree by"
-        f" {form.alike:.2g} of the noise"
+        f"form: {found.missed} {found.ratio:.3g} times what the noise allows, residuals of neighbouring segments agree "
+        f"by {found.alike:.2g} of the noise"
     )
-    if form.found:
-        return Finding("doubt", f"{text}; but it fits that {form.fits}. {form.moved}; it is a line of each interval")
-    return Finding("note", f"{text}; no departure of {len(form.sizes)} moves a coefficient beyond its interval")
+    if found.found:
+        more = f"but it fits that {found.fits}. {found.hidden.moved}; it is a line of each interval"
+        return [*lines, Finding("doubt", f"{text}; {more}")]
+    count = len(found.hidden.sizes)
+    return [*lines, Finding("note", f"{text}; no departure of {count} moves a coefficient beyond its interval")]
+
+
+def _rivals(pooled: Pooled) -> str:
+    """What the form was missed by before, and the runner-up of each explanation, in words."""
+    rounds = pooled.diagnosis.rounds
+    if not rounds.rivals:
+        return ""
+    parts = [f"missed by {rounds.before.test.ratio:.3g} times the noise before, {rounds.after.test.ratio:.3g} after"]
+    for facts in pooled.diagnosis.facts["explanations"]:
+        if facts["runner_up"]:
+            parts.append(f"next best to {facts['title']} is {facts['runner_up']}, {facts['runner_up_ratio']:.3g}")
+    return f"{'; '.join(parts)}; "
 
 
 def _of_the_weights(pooled: Pooled) -> list[Finding]:
     """Where the force cell and the weights that hang on it contradict each other."""
-    seen, weighed = {one.name for one in pooled.trust.hides if one.seen}, pooled.form.weighed
+    seen, weighed = {one.name for one in pooled.trust.hides if one.seen}, pooled.diagnosis.weighed
     lines = []
     for name, found, quantity in ((GAIN, weighed.gain, "ratio"), (ZERO, weighed.offset, "force")):
         if name in seen and found is not None:
@@ -116,6 +140,12 @@ def _of_the_weights(pooled: Pooled) -> list[Finding]:
             way = "more" if found[0] > 0 else "less"
             text = f"{name}: it reads {size} {way} than they weigh, +- {unsure}, which its calibration does not allow"
             lines.append(Finding("doubt", f"{text}: one of them is wrong, and the intervals hold both"))
+    if weighed.wrong is not None:
+        load, off, error = weighed.wrong
+        size, unsure = (show(value, "force", 2) for value in (abs(off), 2 * error))
+        way = "more" if off > 0 else "less"
+        text = f"the weight of {show(load, 'force', 4)} is {size} {way} by the force cell, +- {unsure}"
+        lines.append(Finding("doubt", f"{text}; the others agree. Weigh it; no value of the fit rests on its mark"))
     return lines
 
 

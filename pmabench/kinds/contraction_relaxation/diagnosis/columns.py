@@ -1,0 +1,282 @@
+"""Ways in which a measurement can depart from the straight form, as forces at each segment; knows no interval.
+
+Each is a column: the change of F_L [N] that a departure of size 1 makes of each segment, at first order. Columns
+are compared with what the fit leaves over. See docs/uncertainty.md, "Is the form right?".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+from pmabench.analysis.shared import skew
+from pmabench.kinds.contraction_relaxation.drift import zero_drifts
+from pmabench.kinds.contraction_relaxation.pooled import Solved, force_by_pressure
+from pmabench.kinds.contraction_relaxation.segments import Segments
+from pmabench.kinds.contraction_relaxation.trials import Campaign
+from pmabench.store.records import Array
+
+MOST_PLACES = 40
+"""Most trials before which a slip is looked for."""
+GRID = 0.004
+"""Period at which hysteresis and creep follow the contraction [s]."""
+RADII = (0.3e-3, 1e-3, 3e-3, 8e-3)
+"""Contraction over which a stop gives way [m]: those of a braid lie between."""
+TIMES = ((0.16, 0.5), (1.6, 5.0), (16.0, 50.0))
+"""Time constants of creep [s], two a decade."""
+TYPICAL = 350e3
+"""Pressure [Pa] by which what grows with pressure is scaled."""
+
+
+def order(campaign: Campaign) -> Array:
+    """Place of each trial in the campaign by time, from -0.5 to 0.5, shape (trials,)."""
+    started = {run.id: str(run.manifest.get("started_utc", "")) for run in campaign.runs}
+    place = {run.id: number for number, run in enumerate(campaign.runs)}
+    keys = [(started[t.run], place[t.run], float(t.t[0])) for t in campaign.trials]
+    rank = np.empty(len(keys))
+    rank[sorted(range(len(keys)), key=lambda i: keys[i])] = np.arange(len(keys))
+    return np.asarray(rank / max(1, len(keys) - 1) - 0.5)
+
+
+def course(campaign: Campaign) -> tuple[Array, ...]:
+    """Share of the campaign that is over at each sample of each trial, from 0 to 1; time between runs does not count.
+
+    Where the times of trials do not follow each other, as in files of single trials, their order takes the place.
+    """
+    place = order(campaign)
+    rank = np.argsort(place)
+    begun, last = 0.0, ""
+    offsets, ends = np.zeros(len(place)), 0.0
+    for i in rank:
+        t, run = campaign.samples[i].t, campaign.trials[i].run
+        if run != last:
+            begun, last = ends - float(t[0]), run
+        offsets[i] = begun
+        if float(t[0]) + begun < ends - 1e-9:
+            return tuple(np.full(len(s.t), 0.5 + p) for s, p in zip(campaign.samples, place, strict=True))
+        ends = float(t[-1]) + begun
+    return tuple((s.t + offset) / ends for s, offset in zip(campaign.samples, offsets, strict=True))
+
+
+def drift(campaign: Campaign, segments: Segments) -> Array:
+    """The cell reads more by 1 N at the end of the campaign, in proportion to time from its begin on; shape (n,)."""
+    shares = course(campaign)
+    found = np.empty(len(segments))
+    for i in np.unique(segments.trial):
+        mine = segments.trial == i
+        found[mine] = np.interp(segments.t[mine], campaign.samples[i].t, shares[i])
+    return found
+
+
+def slip(campaign: Campaign, segments: Segments, fit: Solved, first: int) -> Array:
+    """From trial number `first` on contractions read less by 1 m: a mount or the sensor slipped; shape (n,)."""
+    place = order(campaign)
+    return np.asarray(-fit.values("K", segments.pressure) * (place[segments.trial] >= place[first]))
+
+
+def slip_places(campaign: Campaign, segments: Segments) -> list[int]:
+    """Numbers of the trials before which a slip is looked for, in their order."""
+    place = order(campaign)
+    later = sorted(np.unique(segments.trial).tolist(), key=lambda i: place[i])[1:]
+    chosen = np.unique(np.linspace(0, len(later) - 1, min(MOST_PLACES, len(later))).round().astype(np.intp))
+    return [later[i] for i in chosen]
+
+
+def late(segments: Segments, fit: Solved, cell: bool) -> dict[str, tuple[Array, Array]]:
+    """A channel late by 1 s, or behind a filter of that time constant: first and second change of F_L, (n,) each."""
+    slope = force_by_pressure(segments, fit)
+    push = [slope * of(segments.P_mid, segments.dt) for of in (_rate, _second)]
+    pull = [float(cell) * of(segments.F_mid, segments.dt) for of in (_rate, _second)]
+    found = {"pressure": (push[0], push[1]), "displacement": (pull[0] - push[0], pull[1] - push[1])}
+    return found | ({"force": (-pull[0], pull[1])} if cell else {})
+
+
+def _middle(segments: Segments) -> tuple[Array, Array, float]:
+    """Contraction of each segment, the middle of the contractions at its pressure, (n,) each, and their range [m]."""
+    x, P = segments.x @ segments.weights, segments.pressure
+    line = np.column_stack((np.ones(len(P)), P / TYPICAL))
+    return x, line @ np.linalg.lstsq(line, x, rcond=None)[0], float(np.ptp(x)) or 1.0
+
+
+def bend(followed: Followed, segments: Segments, fit: Solved) -> Array:
+    """K falls over the contractions that were tested by 1 N/m, and by that in proportion to pressure; shape (n, 2).
+
+    K of the straight line stays the slope in the middle of the contractions at that pressure.
+    """
+    x, middle, reach = _middle(segments)
+    bent = x * (x - 2 * middle) / (2 * reach)
+    return np.column_stack((bent, bent * segments.pressure / TYPICAL))
+
+
+def bend_as_stiffness(followed: Followed, segments: Segments, fit: Solved) -> Array:
+    """K falls over the contractions that were tested by its own size at each pressure; shape (n, 1)."""
+    x, middle, reach = _middle(segments)
+    return (fit.values("K", segments.pressure) * x * (x - 2 * middle) / (2 * reach))[:, None]
+
+
+def hysteresis(followed: Followed, segments: Segments, fit: Solved) -> Array:
+    """Frictions of 1 N that need some contraction after each turn, of each of `RADII` constant and in proportion to
+    pressure; shape (n, 8). What F_c holds of it is taken off.
+    """
+    found = []
+    for stop in followed.stops(segments).T:
+        for column in (stop, stop * segments.pressure / TYPICAL):
+            found.append(-(column - float(np.mean(column * segments.way)) * segments.way))
+    return np.column_stack(found)
+
+
+def creep_parts(followed: Followed, segments: Segments, fit: Solved) -> Array:
+    """The muscle goes on contracting by its whole contraction in a decade of time, of `TIMES` each; shape (n, 3)."""
+    K = fit.values("K", segments.pressure)
+    slow = 0.5 * K[:, None] * followed.slow(segments)
+    return np.asarray(slow[:, 0::2] + slow[:, 1::2])
+
+
+def creep(followed: Followed, segments: Segments, fit: Solved) -> Array:
+    """The same in every decade; shape (n, 1)."""
+    return creep_parts(followed, segments, fit).sum(axis=1, keepdims=True)
+
+
+OF_MUSCLE: Mapping[str, Mapping[str, Callable[[Followed, Segments, Solved], Array]]] = {
+    "bend": {"as K": bend_as_stiffness, "line": bend},
+    "hysteresis": {"": hysteresis},
+    "creep": {"even": creep, "by decade": creep_parts},
+}
+"""Property of a muscle -> variant -> its columns."""
+
+
+def allowed(campaign: Campaign, segments: Segments, fit: Solved) -> Array:
+    """What departures of known size may do to each segment, constant or growing over the campaign [N], shape (n, m)."""
+    course = 2 * order(campaign)[segments.trial]
+    columns: list[Array] = []
+    zero = zero_known(campaign)
+    if zero:
+        rank = zero * order(campaign)[segments.trial]
+        columns += [rank, rank * course]
+    bounds = clock_bounds(campaign)
+    for name, (column, curved) in late(segments, fit, campaign.cell).items() if bounds else ():
+        bound = bounds.get(name, 0.0)
+        columns += [bound * column, bound * column * course, 0.5 * bound**2 * curved] if bound else []
+    return np.array(columns).reshape(-1, len(segments)).T
+
+
+def zero_known(campaign: Campaign) -> float:
+    """Largest drift of the zero of the cell [N] in the checks at the end of the runs; 0 without cell."""
+    drifts = (abs(drift) for run in campaign.runs for drift in zero_drifts(run, "force"))
+    return max(drifts, default=0.0) if campaign.cell else 0.0
+
+
+def clock_bounds(campaign: Campaign) -> dict[str, float]:
+    """How far the clock of each channel may be off [s], where channels have different ones."""
+    return {name: bound for names, bound in skew.causes(campaign.runs, campaign.channels).items() for name in names}
+
+
+def _rate(values: Array, dt: float) -> Array:
+    """Slope of each row of `values` (n, s) over time [1/s]; its noise has nothing in common with that of the mean."""
+    t = (np.arange(values.shape[1]) - 0.5 * (values.shape[1] - 1)) * dt
+    return np.asarray(values @ t / (t @ t))
+
+
+def _second(values: Array, dt: float) -> Array:
+    """Second derivative of each row of `values` (n, s) over time [1/s^2], by a parabola."""
+    t = (np.arange(values.shape[1]) - 0.5 * (values.shape[1] - 1)) * dt
+    square = t**2 - np.mean(t**2)
+    return np.asarray(2 * values @ square / (square @ square))
+
+
+@dataclass(frozen=True, eq=False)
+class Followed:
+    """What follows the contraction of each trial, over time from its begin on; of each of `RADII`, or of `TIMES`."""
+
+    begins: Array
+    """Of the trials [s], shape (trials,)."""
+    sums: Array
+    """Integrals over time at every `GRID` of frictions by their size, from -1 to 1 [s], and of first-order lags of the
+    contraction [m.s]; shape (rows, radii + times, trials).
+    """
+    known: dict[bytes, Array] = field(default_factory=dict)
+    """Means over segments that were asked for before, by the times of these."""
+
+    @classmethod
+    def of(cls, campaign: Campaign) -> Followed:
+        """From rest at the begin of the campaign on: what a trial leaves of slow lags decays until the next one, and a
+        braid that was strained stays so.
+        """
+        begins = np.array([samples.t[0] for samples in campaign.samples])
+        lasts = np.array([samples.t[-1] for samples in campaign.samples]) - begins
+        grid = np.arange(0.0, float(lasts.max()) + 2 * GRID, GRID)
+        x = np.empty((len(grid), len(begins)))
+        for column, samples in enumerate(campaign.samples):
+            usable = samples.ok if samples.ok.any() else np.ones(len(samples.t), bool)
+            x[:, column] = np.interp(grid, samples.t[usable] - begins[column], samples.x[usable])
+        x -= x[0]
+        times = np.array(TIMES).ravel()
+        slow = np.stack([lagged(x, time / GRID) for time in times], axis=1)
+        stops, kept = _strained(x, np.zeros((len(RADII), x.shape[1]))), np.zeros(len(times))
+        ends = np.zeros((len(RADII), x.shape[1]))
+        last = stops[-1]
+        for (i, pause), (after, _) in pairwise([*_followers(campaign), (-1, 0.0)]):
+            slow[:, :, i] += kept * np.exp(-grid[:, None] / times)
+            end = slow[min(len(grid) - 1, round(float(lasts[i]) / GRID)), :, i]
+            kept = end * np.exp(-pause / times)
+            if after >= 0 and np.isfinite(pause):
+                ends[:, after] = last[:, i]
+        return cls(begins, np.cumsum(np.concatenate((_strained(x, ends), slow), axis=1), axis=0) * GRID)
+
+    def stops(self, segments: Segments) -> Array:
+        """Mean over each segment of a friction that needs one of `RADII` after each turn, shape (n, radii)."""
+        return self._means(segments)[:, : len(RADII)]
+
+    def slow(self, segments: Segments) -> Array:
+        """Mean over each segment of the contraction behind a lag of each of `TIMES` [m], shape (n, times)."""
+        return self._means(segments)[:, len(RADII) :]
+
+    def _means(self, segments: Segments) -> Array:
+        key = segments.t.tobytes() + segments.trial.tobytes()
+        if key not in self.known:
+            length = segments.v.shape[1] * segments.dt
+            row = (segments.t - self.begins[segments.trial] - 0.5 * GRID) / GRID
+            ends = self._at(row + length / GRID, segments.trial) - self._at(row, segments.trial)
+            self.known[key] = ends / length
+        return self.known[key]
+
+    def _at(self, row: Array, trial: NDArray[np.intp]) -> Array:
+        """The integrals between rows, shape (n, k)."""
+        left = np.clip(row.astype(np.intp), 0, len(self.sums) - 2)
+        share = np.clip(row - left, 0.0, 1.0)[:, None]
+        return np.asarray((1 - share) * self.sums[left, :, trial] + share * self.sums[left + 1, :, trial])
+
+
+def _strained(x: Array, begin: Array) -> Array:
+    """Frictions of all `RADII` by their size while contractions x (rows, trials) [m] go on, from those at the begin on,
+    shape (radii, trials), both from -1 to 1; shape (rows, radii, trials).
+    """
+    found = np.empty((len(x), *begin.shape))
+    steps = np.diff(x, axis=0, prepend=x[:1])[:, None, :] / np.array(RADII)[:, None]
+    now = begin
+    for row, step in enumerate(steps):
+        now = np.minimum(np.maximum(now + step, -1.0), 1.0)
+        found[row] = now
+    return found
+
+
+def lagged(values: Array, constant: float) -> Array:
+    """Rows of `values` (n, ...) after a filter of first order, its time constant in rows; exact for straight lines."""
+    keep = float(np.exp(-1 / constant))
+    now = 1 - (1 - keep) * constant
+    return np.asarray(lfilter([now, 1 - keep - now], [1.0, -keep], values - values[:1], axis=0) + values[:1])
+
+
+def _followers(campaign: Campaign) -> Iterator[tuple[int, float]]:
+    """Number of each trial in the order of time, and how long after its end the next one begins [s]; inf if unknown."""
+    rank = np.argsort(order(campaign)).tolist()
+    for i, after in zip(rank, [*rank[1:], None], strict=True):
+        pause = np.inf
+        if after is not None and campaign.trials[i].run == campaign.trials[after].run:
+            pause = float(campaign.samples[after].t[0] - campaign.samples[i].t[-1])
+        yield i, pause if pause >= 0 else np.inf

@@ -1,0 +1,122 @@
+"""Explanations of a misfit and their corrections: samples moved in time, a drift or a slip taken off, forces added.
+
+What is wrong with the bench is corrected in the samples. What the muscle does beyond the straight form is a force at
+each segment, which is taken off the force there: then the straight part is left. Knows no test of a fit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pmabench.analysis.shared.samples import Samples
+from pmabench.kinds.contraction_relaxation.diagnosis import columns
+from pmabench.kinds.contraction_relaxation.pooled import Solved
+from pmabench.kinds.contraction_relaxation.segments import Segments, moved
+from pmabench.kinds.contraction_relaxation.trials import Campaign
+from pmabench.store.records import Array
+
+MOST_LATE = 0.06
+"""Longest time that a stream is moved or filtered by [s]."""
+CHANNELS = ("pressure", "displacement", "force")
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """One cause with its sizes."""
+
+    kind: str
+    """`drift`, `gain`, `slip`, `late`, `lag`, `bend`, `hysteresis` or `creep`."""
+    which: str = ""
+    """Channel that is late or lagged, number of the first trial after a slip, or variant."""
+    sizes: tuple[float, ...] = ()
+    """[SI]: N over the campaign, share, m, s; of the muscle one for each column of `columns`."""
+
+    @property
+    def of_muscle(self) -> bool:
+        """Whether it is a property of the muscle, not a fault of the bench."""
+        return self.kind in columns.OF_MUSCLE
+
+    @property
+    def family(self) -> str:
+        """What counts as one kind: a delay and a filter of one channel do, and slips at any trial."""
+        return f"late {self.which}" if self.kind in ("late", "lag") else self.kind
+
+
+def columns_of(
+    one: Explanation, campaign: Campaign, followed: columns.Followed, segments: Segments, fit: Solved,
+    others: Sequence[Explanation] = (),
+) -> Array:  # fmt: skip
+    """Change of F_L by each size, at first order [N per SI], shape (n, sizes)."""
+    if one.kind == "drift":
+        return columns.drift(campaign, segments)[:, None]
+    if one.kind == "slip":
+        return columns.slip(campaign, segments, fit, int(one.which))[:, None]
+    if one.kind in ("late", "lag"):
+        return columns.late(segments, fit, campaign.cell)[one.which][0][:, None]
+    return _of_muscle(one, followed, segments, fit, others)
+
+
+def _of_muscle(
+    one: Explanation, followed: columns.Followed, segments: Segments, fit: Solved, others: Sequence[Explanation]
+) -> Array:
+    """Columns of a property of the muscle: what creeps is not strained, and does not bend the force."""
+    creeps = [other for other in others if other.kind == "creep"] if one.kind == "bend" else []
+    for other in creeps:
+        forces = columns.OF_MUSCLE["creep"][other.which](followed, segments, fit) @ np.array(other.sizes)
+        crept = forces / np.maximum(fit.values("K", segments.pressure), 1e-300)
+        segments = replace(segments, x=segments.x - crept[:, None])
+    return columns.OF_MUSCLE[one.kind][one.which](followed, segments, fit)
+
+
+def in_samples(campaign: Campaign, explanations: Sequence[Explanation]) -> Campaign:
+    """The campaign with what is wrong with the bench corrected in its samples."""
+    faults = [one for one in explanations if not one.of_muscle]
+    if not faults:
+        return campaign
+    course, place = columns.course(campaign), columns.order(campaign)
+    samples = []
+    for i, each in enumerate(campaign.samples):
+        for one in faults:
+            size = one.sizes[0]
+            if one.kind == "drift" and each.force is not None:
+                each = replace(each, force=each.force - size * course[i])
+            elif one.kind == "gain" and each.force is not None:
+                each = replace(each, force=each.force / (1 + size))
+            elif one.kind == "slip" and place[i] >= place[int(one.which)]:
+                each = replace(each, x=each.x + size)
+            elif one.kind == "late":
+                each = moved(each, (one.which,), size)
+            elif one.kind == "lag":
+                each = _filtered(each, one.which, size, campaign.rate)
+        samples.append(each)
+    return replace(campaign, samples=tuple(samples))
+
+
+def _filtered(samples: Samples, channel: str, constant: float, rate: float) -> Samples:
+    """All other channels behind the filter that one has [s]; that one behind it where the constant is negative."""
+    chosen = [name for name in CHANNELS if (name == channel) != (constant > 0)]
+    own = {"pressure": "P", "displacement": "x", "force": "force"}
+    values = {own[name]: getattr(samples, own[name]) for name in chosen}
+    return replace(samples, **{n: _behind(v, abs(constant) * rate) for n, v in values.items() if v is not None})
+
+
+def _behind(values: Array, constant: float) -> Array:
+    """Samples behind a filter with a time constant in samples, gaps bridged."""
+    known = np.isfinite(values)
+    if constant < 1e-3 or not known.any():
+        return values
+    rows = np.arange(len(values))
+    whole = values if known.all() else np.interp(rows, rows[known], values[known])
+    return np.where(known, columns.lagged(whole, constant), np.nan)
+
+
+def off_forces(
+    followed: columns.Followed, segments: Segments, fit: Solved, explanations: Sequence[Explanation]
+) -> Segments:
+    """The segments without the forces that the muscle has beyond the straight form; `fit` is of the straight part."""
+    mine = [one for one in explanations if one.of_muscle]
+    forces = [_of_muscle(one, followed, segments, fit, mine) @ np.array(one.sizes) for one in mine]
+    return segments.pulled(-np.sum(forces, axis=0)) if mine else segments

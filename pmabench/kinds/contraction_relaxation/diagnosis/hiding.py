@@ -1,0 +1,307 @@
+"""Departures from the form that could hide in a fit that passes its tests, and what they would do to its coefficients.
+
+Each cause is sized by generalised least squares together with the coefficients; its effect on each coefficient, at the
+size that could be there, is a line of the budget.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from math import sqrt
+from statistics import NormalDist
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmabench.analysis.shared.calibration import Scales
+from pmabench.base.quantities import show
+from pmabench.kinds.contraction_relaxation.diagnosis import columns
+from pmabench.kinds.contraction_relaxation.diagnosis.cell import Weighed
+from pmabench.kinds.contraction_relaxation.diagnosis.columns import RADII, TIMES, Followed
+from pmabench.kinds.contraction_relaxation.diagnosis.held_out import SURE, Test
+from pmabench.kinds.contraction_relaxation.diagnosis.words import shown
+from pmabench.kinds.contraction_relaxation.intervals import Hiding, Trust
+from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, Fit, Solved
+from pmabench.kinds.contraction_relaxation.segments import Segments
+from pmabench.store.records import Array
+
+FALSE_ALARMS = 0.01
+"""Share of campaigns without any departure of which one or more is called significant (Bonferroni)."""
+HIDES = 2.0
+"""What hides is as large as it was found, and so many standard deviations more."""
+EVEN = 2.0
+"""A departure of so many standard deviations is as likely to be there as not: the fit is better for it by as much as
+two more coefficients cost by Akaike's criterion."""
+MOST_HIDDEN = 0.02
+"""A significant departure that could change a coefficient by more than this share is not left to its interval."""
+GAIN, ZERO = "gain of the force cell against the weights", "zero of the force cell against the weights"
+ALONE = 1e-6
+"""A column of which the coefficients leave a smaller share than this cannot be distinguished from them."""
+HARDLY = 0.01
+"""A column of which less than this share is left is hardly distinguished from the coefficients: its size may be that of
+the columns' noise, and of bends between the knots."""
+INEXACT = 0.1
+"""Share of the effect of a known delay that its first and second order may miss. Another delay is not sized beyond what
+a known one may do at all: the two differ by such small terms only."""
+
+
+@dataclass(frozen=True, eq=False)
+class Way:
+    """One way to depart, at one place or of one kind."""
+
+    text: str
+    """Completes `it fits that ...`, with `{size}` for the size that was found."""
+    quantity: str
+    """Of the size, for its unit."""
+    column: Array
+    """Change of F_L by size 1 [N per SI unit of the size], shape (n,)."""
+    known: float = 0.0
+    """Size [SI] that other lines of the budget hold already."""
+
+
+@dataclass(frozen=True, eq=False)
+class Cause:
+    """Ways of one kind, of which at most one is expected at a time."""
+
+    name: str
+    """For the budget."""
+    part: str
+    """Field of `Parts` that it belongs to."""
+    ways: tuple[Way, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Size:
+    """How large a departure is by least squares, fitted together with the coefficients."""
+
+    cause: Cause
+    way: Way
+    size: float
+    """[SI of the way]."""
+    error: float
+    """Standard deviation [SI of the way]."""
+    other: float
+    """What departures of known size may make of it [SI of the way]."""
+    share: float
+    """Share of its column that the coefficients do not explain [1]."""
+
+    @property
+    def beyond(self) -> float:
+        """Size in standard deviations, those that other lines of the budget hold among them."""
+        return abs(self.size) / sqrt(self.error**2 + self.other**2)
+
+    @property
+    def hidden(self) -> float:
+        """Largest size that could hide [SI of the way]."""
+        return max(0.0, abs(self.size) + HIDES * self.error - self.way.known)
+
+    @property
+    def text(self) -> str:
+        """What it is, with its size."""
+        return self.way.text.format(
+            size=f"{shown(self.size, self.way.quantity)} +- {shown(2 * self.error, self.way.quantity)}"
+        )
+
+
+def causes(test: Test, followed: Followed) -> tuple[Cause, ...]:
+    """All causes that the channels of the campaign allow."""
+    found = [make(test, followed) for make in (_drift, _slip, _late, _bend, _hysteresis, _creep)]
+    return tuple(cause for cause in found if cause.ways)
+
+
+def _drift(test: Test, followed: Followed) -> Cause:
+    text, name = "the zero of the force cell drifted by {size} over the campaign", "drift of the force cell"
+    column = columns.drift(test.campaign, test.segments) - 0.5  # its mean is a zero, which `of_the_cell` has
+    own = (Way(text, "force", column, columns.zero_known(test.campaign)),) if test.campaign.cell else ()
+    return Cause(f"{name} that weights and fit do not exclude", "drift", own)
+
+
+def _slip(test: Test, followed: Followed) -> Cause:
+    """The end of the muscle, or its sensor, slipped between two trials: all later contractions are off by as much."""
+    text = "the mount or the displacement sensor slipped by {{size}} before trial {}"
+    ways = tuple(
+        Way(text.format(test.campaign.name(place)), "length",
+            columns.slip(test.campaign, test.segments, test.fit, place))
+        for place in columns.slip_places(test.campaign, test.segments)
+    )  # fmt: skip
+    return Cause("slip of the mount that the fit does not exclude", "drift", ways)
+
+
+def _late(test: Test, followed: Followed) -> Cause:
+    """A channel shifted in time, or behind a first-order filter: the same at first order."""
+    bounds = columns.clock_bounds(test.campaign)
+    text = "{} is late by {{size}} against the other channels, or filtered with that time constant"
+    ways = tuple(
+        Way(text.format(name), "time", column, bounds.get(name, 0.0))
+        for name, (column, _) in columns.late(test.segments, test.fit, test.campaign.cell).items()
+    )
+    return Cause("delay or filter of a channel that the fit does not exclude", "method", ways)
+
+
+def _bend(test: Test, followed: Followed) -> Cause:
+    """K changes with x. A straight line's K is the slope in the middle of the contractions at that pressure."""
+    text = "the force over contraction is bent: K changes by {size} over the contractions tested"
+    both = columns.bend(followed, test.segments, test.fit).T
+    kinds = zip(both, ("", ", in proportion to pressure"), strict=True)
+    ways = tuple(Way(text + more, "stiffness", column) for column, more in kinds)
+    return Cause("bend of the force over contraction that the fit does not exclude", "method", ways)
+
+
+def _hysteresis(test: Test, followed: Followed) -> Cause:
+    """A friction that needs some contraction after each turn to reach its size; what F_c holds of it is taken off."""
+    ways = []
+    for number, column in enumerate(columns.hysteresis(followed, test.segments, test.fit).T):
+        more = ", in proportion to pressure" if number % 2 else ""
+        radius = f"{1e3 * RADII[number // 2]:g} mm of contraction"
+        ways.append(Way(f"there is hysteresis of {{size}} that turns over {radius}{more}", "force", column))
+    return Cause("hysteresis that the fit does not exclude", "method", tuple(ways))
+
+
+def _creep(test: Test, followed: Followed) -> Cause:
+    """The muscle goes on contracting: a share of x per decade of time (two time constants)."""
+    parts = columns.creep_parts(followed, test.segments, test.fit).T
+    every = Way("the muscle creeps by {size} of its contraction in a decade of time", "ratio", np.sum(parts, axis=0))
+    some = (
+        Way(f"the muscle creeps by {{size}} of its contraction within about {pair[1]:g} s", "ratio", column)
+        for pair, column in zip(TIMES, parts, strict=True)
+    )
+    return Cause("creep that the fit does not exclude", "method", (every, *some))
+
+
+@dataclass(frozen=True, eq=False)
+class Hidden:
+    """Sizes of all departures in a fit."""
+
+    sizes: tuple[Size, ...]
+    found: tuple[Size, ...]
+    """Those that are significant, and move a coefficient by more than its interval; the clearest first."""
+    moved: str
+    """The coefficient that the clearest of `found` moves most, and by how much; empty without."""
+
+    def lines(self, fit: Solved, rows: NDArray[np.bool_]) -> list[Hiding]:
+        """Lines of the budget of a fit to some `rows` of the segments."""
+        found: list[Hiding] = []
+        clear = {one.cause.name for one in self.found}
+        for cause in {id(size.cause): size.cause for size in self.sizes}.values():
+            mine = [size for size in self.sizes if size.cause is cause]
+            strength = np.array([0.5 * (one.beyond**2 - EVEN**2) for one in mine])
+            likely = np.exp(strength - max(0.0, strength.max())) / len(mine)
+            none = np.exp(-max(0.0, strength.max()))
+            change = fit.change(np.column_stack([size.way.column[rows] for size in mine]))
+            most = change * [size.hidden for size in mine]
+            found.append(Hiding(cause.name, cause.part, most, likely / (none + likely.sum()), cause.name in clear))
+        return found
+
+
+def hidden(test: Test, followed: Followed, weights: Weighed, trust: Trust) -> Hidden:
+    """What could hide in a fit; `trust` is that of the fit without it."""
+    known = causes(test, followed)
+    sizes = [_with_weights(size, weights) for size in _sizes(test, known)]
+    limit = NormalDist().inv_cdf(1 - 0.5 * FALSE_ALARMS / max(1, len(sizes)))
+    significant = [size for size in sizes if size.beyond > limit]
+    found, moved = _matter(significant, test.fit, trust, test.campaign.tested)
+    return Hidden(tuple(sizes), tuple(found), moved)
+
+
+def of_the_cell(weights: Weighed, scales: Scales, segments: Segments, fit: Solved) -> list[Hiding]:
+    """The cell against the weights, as far as its calibration does not hold the difference: either may be right."""
+    cell = np.where(segments.mass > 0, 0.0, 1.0)
+    kinds = ((GAIN, weights.gain, scales.gains, segments.force * cell), (ZERO, weights.offset, scales.offsets, cell))
+    lines = []
+    for name, found, known, column in kinds:
+        if found is not None:
+            size = max(0.0, abs(found[0]) + HIDES * found[1] - known.get("force", 0.0))
+            seen = abs(found[0]) > known.get("force", 0.0) + SURE * found[1]
+            lines.append(Hiding(name, "calibration", size * fit.change(column[:, None]), np.ones(1), seen))
+    return lines
+
+
+def _sizes(test: Test, known: Sequence[Cause]) -> list[Size]:
+    """Size of each column, fitted together with the coefficients and with what departures of known size may do.
+
+    One at a time, by generalised least squares. See `Test.may`.
+    """
+    segments, fit, own, after, scatter, may = test.segments, test.fit, test.own, test.after, test.scatter, test.may
+    members = [(cause, way) for cause in known for way in cause.ways]
+    if not members:
+        return []
+    columns = np.column_stack([way.column for _, way in members])
+    power = np.sum(columns**2, axis=0)
+    left = power - np.sum((fit.design.T @ columns) * fit.change(columns), axis=0)
+    seen = left > ALONE * np.maximum(power, 1e-300)
+    columns, left = columns[:, seen], left[seen]
+    noise = float(own.mean()) + scatter
+    weights = _weights(columns, fit.design, may, noise)
+    unaided = _weights(columns, fit.design, may[:, :0], noise)
+    size = fit.residual @ weights
+    variance = own @ weights**2 + 2 * (after @ (weights[1:] * weights[:-1]))
+    _, trial = np.unique(segments.trial, return_inverse=True)
+    whole = np.zeros((trial.max() + 1, weights.shape[1]))
+    np.add.at(whole, trial, weights)
+    variance += scatter * np.sum(whole**2, axis=0)
+    # noise that is larger than rest shows widens all; what the departure itself explains does not count
+    more = (fit.residual @ fit.residual - size**2 * left) / (own.sum() + scatter * len(own) + np.sum(may**2))
+    error = np.sqrt(np.maximum(variance, 1e-300) * np.maximum(1.0, more))
+    kept = [member for member, one in zip(members, seen, strict=True) if one]
+    missed = np.array([1.0 if way.quantity == "time" else INEXACT for _, way in kept])
+    other = np.sqrt(np.sum((may.T @ weights) ** 2 + (missed * (may.T @ unaided)) ** 2, axis=0))
+    share = left / power[seen]
+    return [Size(*member, *map(float, found)) for member, *found in zip(kept, size, error, other, share, strict=True)]
+
+
+def _weights(columns: Array, design: Array, may: Array, noise: float) -> Array:
+    """Weight of each row in the size of each column, shape (n, k): best where rows have the variance `noise` [N^2] and
+    `may` (n, m) adds columns of size 0 +- 1; no change of the coefficients of `design` has an effect.
+    """
+
+    def weigh(rows: Array) -> Array:
+        return rows - may @ np.linalg.solve(noise * np.eye(may.shape[1]) + may.T @ may, may.T @ rows)
+
+    scaled = design / np.maximum(np.sqrt(np.sum(design**2, axis=0)), 1e-300)
+    weighed, alone = weigh(scaled), weigh(columns)
+    alone = alone - weighed @ np.linalg.lstsq(scaled.T @ weighed, scaled.T @ alone)[0]
+    return np.asarray(alone / np.sum(columns * alone, axis=0))
+
+
+def _with_weights(size: Size, weights: Weighed) -> Size:
+    """The drift of the cell by the fit and by the weights together, each as sure as it is."""
+    if weights.drift is None or size.way.quantity != "force" or size.cause.part != "drift":
+        return size
+    drift, error = weights.drift
+    fit = error**2 / (error**2 + size.error**2 + size.other**2)
+    return replace(
+        size,
+        size=fit * size.size + (1 - fit) * drift,
+        error=sqrt((fit * size.error) ** 2 + ((1 - fit) * error) ** 2),
+        other=fit * size.other,
+    )
+
+
+def _matter(significant: Sequence[Size], fit: Fit, trust: Trust, tested: Sequence[float]) -> tuple[list[Size], str]:
+    """Those that move a coefficient by more than its interval, the clearest of each cause; the first one's effect."""
+    places = [(symbol, P) for symbol in SYMBOLS for P in tested]
+    combinations = {f"{symbol} at {show(P, 'pressure', 4)}": fit.row(symbol, P) for symbol, P in places}
+    if fit.friction:
+        combinations["F_c"] = fit.row("F_c", 0.0)
+    halves = {name: trust.parts(row)[0] for name, row in combinations.items()}
+    found: dict[int, Size] = {}
+    moves: dict[int, tuple[float, str]] = {}
+    for one in sorted(significant, key=lambda s: s.beyond, reverse=True):
+        change = fit.change(one.way.column[:, None])[:, 0] * max(0.0, abs(one.size) - one.way.known)
+        share, text = max(
+            (_moved(name, row, change, halves[name].combined, fit) for name, row in combinations.items()),
+            default=(0.0, ""),
+        )
+        if share > 1.0 and id(one.cause) not in found:
+            found[id(one.cause)], moves[id(one.cause)] = one, (share, text)
+    return list(found.values()), next(iter(moves.values()))[1] if moves else ""
+
+
+def _moved(name: str, row: Array, change: Array, half: float | None, fit: Fit) -> tuple[float, str]:
+    """By how many half widths a coefficient is moved, and that in words."""
+    value, by = abs(float(row @ fit.theta)), abs(float(row @ change))
+    if not half or not value or half > 0.25 * value:
+        return 0.0, ""
+    moved, interval = 100 * by / value, 100 * half / value
+    return by / half, f"it would move {name} by {moved:.2g} %, where its interval without that is +-{interval:.2g} %"

@@ -1,0 +1,151 @@
+"""How far a corrected fit can be trusted: loads and trials left out, the correction itself, other explanations.
+
+The width by a part of the correction, and by how much the form is still missed, is a rule that campaigns with known
+faults gave: the spread over loads that are left out does not see what biases all loads alike. Decision 0019.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmabench.analysis.shared import student
+from pmabench.kinds.contraction_relaxation.diagnosis.corrections import Explanation
+from pmabench.kinds.contraction_relaxation.diagnosis.rounds import TIMES, Search, State
+from pmabench.kinds.contraction_relaxation.intervals import Correction
+from pmabench.kinds.contraction_relaxation.pooled import Solved
+from pmabench.kinds.contraction_relaxation.segments import Segments
+from pmabench.store.records import Array
+
+STEP = 1.5e-3
+"""By which times of streams are moved to see what they change [s]."""
+NORMAL = 1.96
+"""Half width of a 95 % interval by its standard deviation."""
+FEWEST = 3
+"""Fewest loads, or trials, of which one is left out at a time."""
+
+
+@dataclass(frozen=True, eq=False)
+class Spread:
+    """A corrected state and the segments as they were recorded: what a fit to both says of its own interval."""
+
+    search: Search
+    state: State
+    recorded: Segments
+    others: tuple[State, ...]
+    """With other explanations, which nobody can tell from the ones that were corrected."""
+    factor: float
+    """By which all widths grow, for what the form still misses."""
+
+    def of(self, fit: Solved, rows: NDArray[np.bool_], noise: float) -> Correction:
+        """What a fit to some `rows` of the corrected segments, whose residual should be `noise` [N], owes to it."""
+        change = fit.theta - fit.again(self.recorded, noise).theta
+        others = [fit.again(state.test.segments, noise).theta - fit.theta for state in self.others]
+        groups = (self._loads[rows], self.state.test.segments.trial[rows])
+        spreads = [self._spread(fit, rows, group, noise) for group in groups if len(np.unique(group)) >= FEWEST]
+        return Correction(change, tuple(spreads), np.array(others).reshape(-1, len(fit.theta)), self.factor)
+
+    @property
+    def _loads(self) -> Array:
+        test = self.state.test
+        return np.array([round(samples.load, 2) for samples in test.campaign.samples])[test.segments.trial]
+
+    def sizes(self) -> tuple[Array, ...]:
+        """What the sizes of each explanation are off by without each load, shape (loads, sizes) [SI]."""
+        fit, segments = self.state.test.fit, self.state.test.segments
+        group = self._loads if len(np.unique(self._loads)) >= FEWEST else segments.trial
+        if len(np.unique(group)) < FEWEST:
+            return tuple(np.zeros((1, len(one.sizes))) for one in self.state.explanations)
+        left, begin, found = self._left_out(fit, np.ones(len(segments), bool), group)[1], 0, []
+        for place, one in enumerate(self.state.explanations):
+            mine = self._time(place, group)[:, None] if one.kind in TIMES else left[:, begin : begin + len(one.sizes)]
+            begin += 0 if one.kind in TIMES else len(one.sizes)
+            found.append(mine - mine.mean(axis=0))
+        return tuple(found)
+
+    def _spread(self, fit: Solved, rows: NDArray[np.bool_], group: Array, noise: float) -> Array:
+        """Covariance of theta by the jackknife over groups of rows, widened for few, shape (p, p)."""
+        theta, _ = self._left_out(fit, rows, group)
+        for place, one in enumerate(self.state.explanations):
+            if one.kind in TIMES:
+                later, earlier = (fit.again(self._moved(place, by)[0], noise).theta for by in (STEP, -STEP))
+                every = self._time(place, self._group_of_all(group, rows))
+                theta = theta + (every - one.sizes[0])[:, None] * (later - earlier) / (2 * STEP)
+        count = len(theta)
+        off = theta - theta.mean(axis=0)
+        wide = float(student.ppf(0.975, count - 1)) / NORMAL
+        return np.asarray(wide**2 * (count - 1) / count * off.T @ off)
+
+    def _group_of_all(self, group: Array, rows: NDArray[np.bool_]) -> Array:
+        """Groups of all segments, of which `group` has some rows."""
+        by_trial = dict(zip(self.state.test.segments.trial[rows].tolist(), group.tolist(), strict=True))
+        return np.array([by_trial.get(trial, -1.0) for trial in self.state.test.segments.trial.tolist()])
+
+    def _left_out(self, fit: Solved, rows: NDArray[np.bool_], group: Array) -> tuple[Array, Array]:
+        """Theta and sizes off those of the state, without each group in turn; shapes (groups, p), (groups, sizes)."""
+        forces = self._forces[rows]
+        scale = np.maximum(np.sqrt(np.mean(forces**2, axis=0)), 1e-300)
+        whole, p = np.hstack([fit.design, forces / scale]), fit.design.shape[1]
+        normal = whole.T @ whole
+        normal[:p, :p] = np.linalg.inv(fit.inverse)
+        target = fit.residual + fit.design @ fit.theta
+        found = []
+        for one in np.unique(group):
+            mine = whole[group == one]
+            left = normal - mine.T @ mine
+            diagonal = np.sqrt(np.maximum(np.diag(left), 1e-300))
+            solved = np.linalg.lstsq(
+                left / np.outer(diagonal, diagonal),
+                (whole.T @ target - mine.T @ target[group == one]) / diagonal,
+                rcond=1e-12,
+            )[0]
+            found.append(solved / diagonal)
+        both = np.array(found)
+        return both[:, :p], both[:, p:] / scale
+
+    @property
+    def _forces(self) -> Array:
+        """Columns of all explanations but of times, shape (n, sizes)."""
+        test = self.state.test
+        found = [
+            self.search.columns(one, test.campaign, test.segments, self.state.straight, self.state.explanations)
+            for one in self.state.explanations
+            if one.kind not in TIMES
+        ]
+        return np.hstack([np.empty((len(test.segments), 0)), *found])
+
+    def _moved(self, place: int, by: float) -> tuple[Segments, Array]:
+        """Segments with a time moved by so much [s], and the residual of the fit to them."""
+        one = self.state.explanations[place]
+        explanations = list(self.state.explanations)
+        explanations[place] = Explanation(one.kind, one.which, (one.sizes[0] + by,))
+        test = self.state.test
+        return self.search.left(tuple(explanations), test.fit, test.expected)
+
+    def _time(self, place: int, group: Array) -> Array:
+        """The time of an explanation [s] without each group: where the parabola of the squares of the rest ends."""
+        names = np.unique(group[group >= 0] if group.dtype.kind == "f" else group)
+        squares = []
+        for by in (-STEP, 0.0, STEP):
+            segments, residual = self._moved(place, by)
+            trials = dict(zip(self.state.test.segments.trial.tolist(), group.tolist(), strict=True))
+            mine = np.array([trials.get(trial, -1.0) for trial in segments.trial.tolist()])
+            squares.append(
+                [float(np.sum(residual[mine != name] ** 2)) / max(1, int(np.sum(mine != name))) for name in names]
+            )
+        before, now, after = np.array(squares)
+        curved = np.maximum(before + after - 2 * now, 1e-300)
+        vertex = np.clip(0.5 * STEP * (before - after) / curved, -4 * STEP, 4 * STEP)
+        return np.asarray(self.state.explanations[place].sizes[0] + vertex)
+
+
+def nothing(fit: Solved, rows: NDArray[np.bool_], noise: float) -> Correction | None:
+    """No correction."""
+    return None
+
+
+Owed = Callable[[Solved, NDArray[np.bool_], float], Correction | None]
+"""What a fit to some rows of the corrected segments owes to the correction."""

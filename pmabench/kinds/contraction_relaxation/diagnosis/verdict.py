@@ -1,0 +1,252 @@
+"""The diagnosis of a contraction test: what was found and corrected, and what may be reported of it.
+
+First the force cell against the weights (`cell`), then competing explanations of what the fit leaves (`rounds`), then
+what is too small to be seen (`hiding`). docs/uncertainty.md has the rules in words.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+from pmabench.base.quantities import show
+from pmabench.kinds.contraction_relaxation.diagnosis.cell import Weighed
+from pmabench.kinds.contraction_relaxation.diagnosis.hiding import HARDLY, MOST_HIDDEN, Hidden, Size
+from pmabench.kinds.contraction_relaxation.diagnosis.rounds import EXPLAINS, Rounds, State
+from pmabench.kinds.contraction_relaxation.diagnosis.words import TITLES, Named, named, shown
+from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, Solved
+from pmabench.store.analyses.results import Estimate
+from pmabench.store.records import Array
+
+STILL_TOLD = 1.25
+"""Up to so many times the ratio at which the form is doubted, corrected values are printed, though not accepted."""
+SURE = 2.0
+"""An explanation whose size is not beyond so many of its standard deviations explains nothing."""
+REMEDY = "Look for the cause, mend it and measure again, or repeat trials if they differ by themselves"
+SURFACE = "`pmabench process RUN... --form surface` describes a muscle that does not follow this form"
+MOST_NAMED = 3
+QUANTITIES = {"F_ce": "force", "K": "stiffness", "B_c": "damping", "B_r": "damping"}
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnosis:
+    """What was found of a campaign."""
+
+    weighed: Weighed
+    rounds: Rounds
+    of_cell: tuple[Named, ...]
+    """Faults of the cell that the weights show; corrected."""
+    of_fit: tuple[Named, ...]
+    """What explains the misfit of the fit; corrected."""
+    change: Array
+    """Change of the coefficients by all corrections, as `Fit.theta`."""
+    hidden: Hidden = field(default_factory=lambda: Hidden((), (), ""))
+
+    @property
+    def _last(self) -> State:
+        return self.rounds.after
+
+    @property
+    def reported(self) -> State:
+        """The state that values and figures come from: nothing that is withheld is corrected."""
+        return self.rounds.before if self.state == "withheld" else self.rounds.after
+
+    @property
+    def ratio(self) -> float:
+        """See `Test.ratio`, of what is reported."""
+        return self._last.test.ratio
+
+    @property
+    def alike(self) -> float:
+        """See `Test.alike`."""
+        return self._last.test.alike
+
+    @property
+    def found(self) -> tuple[Size, ...]:
+        """See `Hidden.found`."""
+        return self.hidden.found
+
+    @property
+    def missed(self) -> str:
+        """What the ratio is of, in words."""
+        return "trials that are left out of the fit are missed by" if self._last.test.held_out else "the residual is"
+
+    @cached_property
+    def state(self) -> str:
+        """`sound`, `corrected`, `undecided`, `doubtful` (printed, not accepted) or `withheld`."""
+        test, before = self._last.test, self.rounds.before
+        if not before.test.doubted:
+            return "corrected" if self.of_cell else "sound"
+        explained = self._last.excess <= (1 - EXPLAINS) * before.excess
+        sure = all(abs(one.size) > SURE * one.error for one in self.of_fit)
+        if not self.of_fit or not explained or not sure or test.ratio >= STILL_TOLD * test.most_ratio:
+            return "withheld"
+        if test.doubted or self.mixed:
+            return "doubtful"
+        return "corrected" if all(one.alone for one in self.rounds.rivals) else "undecided"
+
+    @property
+    def mixed(self) -> bool:
+        """Whether the fit needs a fault of the bench next to something else: a cause may be missing in the list."""
+        return len(self.of_fit) > 1 and not all(one.of_muscle for one in self.of_fit)
+
+    @property
+    def factor(self) -> float:
+        """By which intervals are wider for what the form still misses."""
+        return max(1.0, self.ratio) if self.state == "doubtful" else 1.0
+
+    @property
+    def named(self) -> tuple[Named, ...]:
+        """All that was corrected."""
+        return (*self.of_cell, *self.of_fit)
+
+    @property
+    def fits(self) -> str:
+        """Significant departures that are not corrected, in words, the clearest first; empty without."""
+        return "; or that ".join(one.text for one in self.found[:MOST_NAMED])
+
+    @property
+    def misses(self) -> str:
+        """What speaks against the form before a correction, with numbers; empty for nothing."""
+        test, parts = self.rounds.before.test, []
+        if test.ratio >= test.most_ratio:
+            limit = f"below {test.most_ratio:.3g} is expected"
+            parts.append(f"{self.missed} {test.ratio:.3g} times what the noise allows ({limit})")
+        if test.alike >= test.most_alike:
+            limit = f"below {test.most_alike:.2g} is expected"
+            parts.append(f"residuals of neighbouring segments agree by {test.alike:.2g} of the noise ({limit})")
+        return "; ".join(parts)
+
+    @property
+    def reason(self) -> str:
+        """Why nothing of the fit may be reported, with numbers; empty where something may."""
+        if self.state != "withheld":
+            return ""
+        fits = "no explanation that is looked for fits it: the cause is unknown"
+        if self.of_fit:
+            best = "; and that ".join(one.text for one in self.of_fit)
+            fits = (
+                f"it fits best that {best}, which still leaves {self.ratio:.3g} times the noise: the cause is unknown"
+            )
+        return f"the data do not have the form of the model: {self.misses}; {fits}. {REMEDY}; {SURFACE}"
+
+    @property
+    def refusal(self) -> str:
+        """Why values are reported, but not accepted; empty where they may be."""
+        if self.state == "undecided":
+            return f"the misfit is explained, but {self.between}: intervals reach over both"
+        if self.state == "doubtful" and not self._last.test.doubted:
+            return f"corrected for {self.titles}: so many causes at once are seldom right, look for another one"
+        if self.state == "doubtful":
+            return (
+                f"corrected for {self.titles}, {self.missed} still {self.ratio:.3g} times what the noise allows: "
+                "intervals are wider by that"
+            )
+        return ""
+
+    @property
+    def titles(self) -> str:
+        """Names of all that was corrected."""
+        return ", ".join(dict.fromkeys(TITLES[one.key] for one in self.named))
+
+    @property
+    def between(self) -> str:
+        """`undecided between A and B`; empty where it is decided."""
+        found = []
+        for one, rival in zip(self.of_fit, self.rounds.rivals, strict=True):
+            if not rival.alone:
+                found.append(f"undecided between {TITLES[one.key]} and {_title(rival.others[0])}")
+        return "; ".join(found)
+
+    def effect(self, fit: Solved, P: float) -> str:
+        """Each coefficient at a pressure [Pa] before and after all corrections, for people."""
+        parts = []
+        for symbol in SYMBOLS:
+            row = fit.row(symbol, P)
+            after = float(row @ fit.theta)
+            before, now = (show(value, QUANTITIES[symbol], 4) for value in (after - float(row @ self.change), after))
+            parts.append(f"{symbol} {before} -> {now}")
+        return f"at {show(P, 'pressure', 4)} {', '.join(parts)}"
+
+    def hides(self, estimates: Sequence[Estimate]) -> dict[int, str]:
+        """Place of each value that may not be reported although the form holds as a whole -> why.
+
+        Values that one departure concerns have one reason, with the largest share that it could change one of them by.
+        """
+        found: dict[int, tuple[Size, float]] = {}
+        for place, estimate in enumerate(estimates):
+            lines = {s.name: s.half or 0.0 for s in estimate.budget}
+            mine = [(one, lines.get(one.cause.name, 0.0)) for one in self.found]
+            one, half = max(mine, key=lambda pair: pair[1], default=(None, 0.0))
+            if one is not None and estimate.value is not None and half > MOST_HIDDEN * abs(estimate.value):
+                found[place] = (one, half / abs(estimate.value))
+        most = {id(one): max(share for other, share in found.values() if other is one) for one, _ in found.values()}
+        return {place: _why_hidden(one, most[id(one)]) for place, (one, _) in found.items()}
+
+    @property
+    def facts(self) -> dict[str, Any]:
+        """The same as plain data, sizes in SI."""
+        wrong = self.weighed.wrong
+        return {
+            "state": self.state,
+            "ratio": self.ratio,
+            "ratio_before": self.rounds.before.test.ratio,
+            "held_out": self._last.test.held_out,
+            "alike": self.alike,
+            "explanations": [
+                {"cause": one.key, "title": TITLES[one.key], "of": "muscle" if one.of_muscle else "bench",
+                 "kind": one.explanation.kind, "which": one.explanation.which, "text": one.text, "size": one.size,
+                 "error": one.error, "sizes": list(one.explanation.sizes), "advice": one.advice, **_rival(self, one)}
+                for one in self.named
+            ],
+            "wrong_weight": None if wrong is None else {"load": wrong[0], "off": wrong[1], "error": wrong[2]},
+            "departures": [
+                {"cause": s.cause.name, "text": s.text, "size": s.size, "error": s.error, "beyond": s.beyond}
+                for s in self.hidden.sizes
+            ],
+        }  # fmt: skip
+
+
+def _rival(diagnosis: Diagnosis, one: Named) -> dict[str, Any]:
+    """The ratio without an explanation of the fit, whether it is the only one, and the next best in its place."""
+    if one not in diagnosis.of_fit:
+        return {"alone": True, "ratio_without": None, "runner_up": None, "runner_up_ratio": None}
+    rival = diagnosis.rounds.rivals[diagnosis.of_fit.index(one)]
+    best = rival.others[0] if rival.others else None
+    return {
+        "alone": rival.alone,
+        "ratio_without": rival.before,
+        "runner_up": None if best is None else _title(best),
+        "runner_up_ratio": None if best is None else best.test.ratio,
+    }
+
+
+def _title(state: State) -> str:
+    last = state.last
+    if last.family == "late pressure" and last.sizes[0] < 0:
+        return TITLES["tube"]
+    return TITLES[last.family]
+
+
+def name(state: State, off: Sequence[Array], names: Sequence[str]) -> tuple[Named, ...]:
+    """The explanations of a state in words; `off` as in `words.named` of each, `names` those of the trials."""
+    highest = max(state.test.campaign.tested)
+    return tuple(
+        named(one, each, state.test.fit, highest, names[int(one.which)] if one.kind == "slip" else "")
+        for one, each in zip(state.explanations, off, strict=True)
+    )
+
+
+def _why_hidden(one: Size, share: float) -> str:
+    """Why values may not be reported that a departure could change by up to this share."""
+    effect = f"could change these values by up to {100 * share:.2g} %"
+    limit = f"more than {100 * MOST_HIDDEN:g} % is not left to an interval"
+    if one.share < HARDLY:
+        most = one.way.text.format(size=shown(one.hidden, one.way.quantity))
+        return (
+            f"it cannot be excluded that {most}: these trials hardly distinguish that from the coefficients, and it"
+            f" {effect} ({limit}). Test at more loads, which differ more"
+        )
+    return f"it fits that {one.text}, which {effect} ({limit}). {REMEDY}"
