@@ -129,7 +129,8 @@ def _spark(members: Sequence[Estimate], over: str) -> list[str]:
 def _findings(tests: Sequence[Analysis], failed: Sequence[str], room: int) -> list[str]:
     """At most `MOST_FINDINGS`, the costliest first, in full where `room` lines allow it; how many more there are."""
     found = [f"not accepted: {text}" for text in failed]
-    found += [text for a in tests for text in reasons([e for e in a.estimates if e.withheld])]
+    held = [text for a in tests for text in reasons([e for e in a.estimates if e.withheld])]
+    found += [text for text in held if not any(text.partition("withheld: ")[2][:WIDTH] in one for one in failed)]
     for level in ("fault", "doubt"):
         found += [printed(f.text) for a in tests for f in a.findings if f.level == level]
     for analysis in tests:
