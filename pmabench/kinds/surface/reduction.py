@@ -142,7 +142,7 @@ def loops(choice: Choice) -> list[Trace]:
     moving = [one for one in choice.data.records if span > 0 and np.ptp(one.x[one.used]) > 0.25 * span]
     every = choice.muscle.force(choice.data.records)
     ends = np.cumsum([0, *(len(one.t) for one in choice.data.records)])
-    found = []
+    found: list[Trace] = []
     for number, one in enumerate(choice.data.records):
         if one not in moving or len(found) >= LOOPS:
             continue

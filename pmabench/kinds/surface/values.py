@@ -23,17 +23,18 @@ METHOD, SECANT = "surface", "surface, straight line"
 NORMAL = 1.96
 NEAR = 0.1
 """A place counts as tested where rows lie this close in pressure on both sides in contraction, and the other way."""
-PRESSURES, CONTRACTIONS = (1, 2, 2.5, 5), (1, 2, 2.5, 5)
 MOST = 6
 """Most pressures, and contractions at each."""
 STILL = 1e-5
 """Range of speeds below which nothing moved [m/s]."""
 WAVE = 0.25
 """Share of the range of contraction over which an error of the surface may be a slope."""
-WIDE = {"force": 0.05, "stiffness": 0.25, "work": 0.5, "damping": 0.5, "ratio": 0.5, "force per pressure": 0.5}
-"""There is no value where its half width is more than this share of it; a force of the surface, of the full scale."""
+WIDE = {"force": 0.05, "K": 0.25, "K_s": 0.25}
+"""There is no value where its half width is more than this share of it; for a force, of the full scale."""
 LOOSE = 0.5
-"""The same for the width of a loop."""
+"""The same for all others."""
+FASTEST = 0.98
+"""Quantile of the speeds at which damping is told."""
 TOO_FEW = "its interval would say too little: test more loads, pressures or lengths around it"
 CREEP = (1.0, 30.0)
 """Times [s] between which creep is reported; the second one ends with the longest hold."""
@@ -93,6 +94,11 @@ class Reporter:
     scales: Scales
     trials: tuple[str, ...]
 
+    @property
+    def error(self) -> float:
+        """Error of the force of trials that were left out [N], 95 %."""
+        return NORMAL * self.choice.score.rms
+
     def estimate(
         self,
         symbol: str,
@@ -101,12 +107,15 @@ class Reporter:
         at: Mapping[str, float],
         *,
         misfit: float = 0.0,
-        wide: float,
+        wide: float | None = None,
         note: str = "",
         method: str = METHOD,
         by: str = "force",
     ) -> Estimate:
-        """One value; `misfit` is what the error on left-out trials may do to it, `wide` the widest half width [SI]."""
+        """One value; `misfit` is what the error on left-out trials may do to it, `wide` the widest half width [SI].
+
+        That is a share of the value where it is not given.
+        """
         known = self.spread.of_value(value)
         parts = Parts(known.repeats, float(np.hypot(known.method, misfit)), self.scales.part({by: known.value}))
         found = Estimate(
@@ -116,7 +125,7 @@ class Reporter:
         half = parts.combined
         if half is None:
             return _unknown(found, f"fewer than {FEWEST} different loads, pressures or lengths give no interval")
-        if half > wide:
+        if half > (WIDE.get(symbol, LOOSE) * abs(known.value) if wide is None else wide):
             return _unknown(found, TOO_FEW)
         return found
 
@@ -140,75 +149,105 @@ def estimates(choice: Choice, scales: Scales) -> list[Estimate]:
     return [*found, *_creep(maker, where)]
 
 
+Value = Callable[[Muscle], float]
+
+
+def force_at(P: float, x: float) -> Value:
+    """Force of the surface at a place."""
+    return lambda m: float(m.static(np.array([P]), np.array([x]))[0])
+
+
+def stiffness_at(P: float, x: float) -> Value:
+    """Its local slope there."""
+    return lambda m: float(m.stiffness(np.array([P]), np.array([x]))[0])
+
+
+def pressure_gap_at(x: float, amplitude: float) -> Value:
+    """Width of a loop of pressure."""
+    return lambda m: m.pressure_gap(x, amplitude)
+
+
+def damping_at(P: float, way: int) -> Value:
+    """Damping while contracting (0) or relaxing (1)."""
+    return lambda m: m.damping(P)[way]
+
+
+def loop_at(P: float, amplitude: float, *, area: bool) -> Value:
+    """Width or area of a loop of contraction."""
+    return lambda m: m.area(P, amplitude) if area else m.gap(P, amplitude)
+
+
+def secant_at(P: float, low: float, high: float) -> Value:
+    """Slope of one straight line."""
+    return lambda m: m.secant(P, low, high)
+
+
+def friction_at(P: float) -> Value:
+    """Friction that turns round at once."""
+    return lambda m: m.friction(P)
+
+
+def pressure_creep_at(x: float, first: float, last: float) -> Value:
+    """Creep of the force under pressure."""
+    return lambda m: m.pressure_creep_per_decade(x, first, last)
+
+
 def _points(maker: Reporter, where: Tested, pressures: list[float]) -> Iterator[Estimate]:
-    """Force and tangent at places, and what a straight line would make of each pressure."""
-    choice = maker.choice
-    error, span = NORMAL * choice.score.rms, choice.data.frame.x.span
-    steep = error / (WAVE * span) if span > 0 else 0.0
-    contractions = round_places(choice.data.frame.x.low, choice.data.frame.x.high)
+    """Force and tangent at places, and what a straight line would make of each pressure.
+
+    A force is half way between filling and emptying. Whether a later move of the length leaves it there, slow tests do
+    not tell, so half of the difference belongs to its interval.
+    """
+    choice, error, frame = maker.choice, maker.error, maker.choice.data.frame
+    contractions = round_places(frame.x.low, frame.x.high)
     for P in pressures:
         low, high = where.contractions(P) or (0.0, 0.0)
-        places = [x for x in contractions if where.holds(P, x)]
-        for x in places:
+        for x in contractions:
+            if not where.holds(P, x):
+                continue
             at = {"pressure": P, "contraction": x}
-            yield maker.estimate(
-                "F", "force", lambda m, P=P, x=x: float(m.static(np.array([P]), np.array([x]))[0]), at,
-                misfit=error, wide=WIDE["force"] * choice.data.largest,
-            )  # fmt: skip
-            if span > 0:
-                K = float(choice.muscle.stiffness(np.array([P]), np.array([x]))[0])
-                yield maker.estimate(
-                    "K", "stiffness", lambda m, P=P, x=x: float(m.stiffness(np.array([P]), np.array([x]))[0]), at,
-                    misfit=steep, wide=WIDE["stiffness"] * abs(K),
-                )  # fmt: skip
-        if high - low > WAVE * span > 0:
-            K = choice.muscle.secant(P, low, high)
+            side = 0.5 * choice.muscle.pressure_gap(x, 2 * float(frame.pressure_radii.max()))
+            wide = WIDE["force"] * choice.data.largest
+            yield maker.estimate("F", "force", force_at(P, x), at, misfit=float(np.hypot(error, side)), wide=wide)
+            if frame.x.span > 0:
+                yield maker.estimate("K", "stiffness", stiffness_at(P, x), at, misfit=error / (WAVE * frame.x.span))
+        if high - low > WAVE * frame.x.span > 0:
             at = {"pressure": P, "lower": round(low, 5), "upper": round(high, 5)}
             yield maker.estimate(
-                "K_s", "stiffness", lambda m, P=P, ends=(low, high): m.secant(P, *ends), at,
-                misfit=error / (high - low), wide=WIDE["stiffness"] * abs(K), method=SECANT,
+                "K_s", "stiffness", secant_at(P, low, high), at,
+                misfit=error / (high - low), method=SECANT,
             )  # fmt: skip
 
 
 def _loops(maker: Reporter, where: Tested, pressures: list[float]) -> Iterator[Estimate]:
     """Width and area of loops over contraction, of half the tested stroke, and of loops over the tested pressures."""
-    terms, muscle = maker.choice.terms, maker.choice.muscle
+    terms, frame, error = maker.choice.terms, maker.choice.data.frame, maker.error
     for P in pressures if {STOPS_X, SLIDING} & set(terms) else ():
         low, high = where.contractions(P) or (0.0, 0.0)
-        if high - low < WAVE * maker.choice.data.frame.x.span:
+        if high - low < WAVE * frame.x.span:
             continue
-        amplitude = 0.25 * (high - low)
-        at = {"pressure": P, "amplitude": round(amplitude, 6)}
-        for symbol, quantity, value in (("H", "force", Muscle.gap), ("W", "work", Muscle.area)):
-            yield maker.estimate(
-                symbol, quantity, lambda m, value=value, P=P, a=amplitude: value(m, P, a), at,
-                wide=LOOSE * abs(value(muscle, P, amplitude)), note="around any contraction, at rest",
-            )  # fmt: skip
+        size = 0.25 * (high - low)
+        at, note = {"pressure": P, "amplitude": round(size, 6)}, "around any contraction, at rest"
+        yield maker.estimate("H", "force", loop_at(P, size, area=False), at, misfit=error, note=note)
+        yield maker.estimate("W", "work", loop_at(P, size, area=True), at, misfit=2 * size * error, note=note)
         if SLIDING in terms:
-            yield maker.estimate(
-                "F_c", "force", lambda m, P=P: m.friction(P), {"pressure": P}, wide=LOOSE * muscle.friction(P)
-            )
-    for x in round_places(maker.choice.data.frame.x.low, maker.choice.data.frame.x.high) if STOPS_P in terms else ():
+            yield maker.estimate("F_c", "force", friction_at(P), {"pressure": P}, misfit=0.5 * error)
+    for x in round_places(frame.x.low, frame.x.high) if STOPS_P in terms else ():
         low, high = where.pressures(x) or (0.0, 0.0)
-        if high - low < WAVE * maker.choice.data.frame.P.span:
+        if high - low < WAVE * frame.P.span:
             continue
         reach = f"at mid pressure between {show(low, 'pressure', 3)} and {show(high, 'pressure', 3)}"
-        half = 0.5 * (high - low)
-        yield maker.estimate(
-            "H_P", "force", lambda m, x=x, a=half: m.pressure_gap(x, a), {"contraction": x},
-            wide=LOOSE * muscle.pressure_gap(x, half), note=reach,
-        )  # fmt: skip
+        gap = pressure_gap_at(x, 0.5 * (high - low))
+        yield maker.estimate("H_P", "force", gap, {"contraction": x}, misfit=error, note=reach)
 
 
 def _damping(maker: Reporter, pressures: list[float]) -> Iterator[Estimate]:
-    """Damping by direction."""
+    """Damping by direction: what the error of the force is at the highest speeds belongs to the interval."""
+    rows = maker.choice.data.rows
+    fast = float(np.quantile(np.abs(rows.v[rows.used]), FASTEST))
     for P in pressures:
-        for place, symbol in enumerate(("B_c", "B_r")):
-            size = maker.choice.muscle.damping(P)[place]
-            yield maker.estimate(
-                symbol, "damping", lambda m, P=P, place=place: m.damping(P)[place], {"pressure": P},
-                wide=WIDE["damping"] * size,
-            )  # fmt: skip
+        for way, symbol in enumerate(("B_c", "B_r")):
+            yield maker.estimate(symbol, "damping", damping_at(P, way), {"pressure": P}, misfit=maker.error / fast)
 
 
 def _creep(maker: Reporter, where: Tested) -> Iterator[Estimate]:
@@ -217,15 +256,11 @@ def _creep(maker: Reporter, where: Tested) -> Iterator[Estimate]:
     reach = f"between {first:g} and {last:g} s after a step"
     if CREEP_X in choice.terms:
         yield maker.estimate(
-            "c_x", "ratio", lambda m: m.creep_per_decade(first, last), {}, note=reach, by="displacement",
-            wide=WIDE["ratio"] * choice.muscle.creep_per_decade(first, last),
-        )  # fmt: skip
+            "c_x", "ratio", lambda m: m.creep_per_decade(first, last), {}, note=reach, by="displacement"
+        )
     frame = choice.data.frame
     for x in round_places(frame.x.low, frame.x.high) if CREEP_P in choice.terms else ():
-        if where.pressures(x) is None:
-            continue
-        size = choice.muscle.pressure_creep_per_decade(x, first, last)
-        yield maker.estimate(
-            "c_P", "force per pressure", lambda m, x=x: m.pressure_creep_per_decade(x, first, last),
-            {"contraction": x}, wide=WIDE["force per pressure"] * size, note=reach,
-        )  # fmt: skip
+        if where.pressures(x) is not None:
+            yield maker.estimate(
+                "c_P", "force per pressure", pressure_creep_at(x, first, last), {"contraction": x}, note=reach
+            )
