@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from math import ceil, floor
 
 import numpy as np
@@ -149,47 +150,19 @@ def estimates(choice: Choice, scales: Scales) -> list[Estimate]:
     return [*found, *_creep(maker, where)]
 
 
-Value = Callable[[Muscle], float]
+def _force(muscle: Muscle, P: float, x: float) -> float:
+    """Force of the surface at one place [N]."""
+    return float(muscle.static(np.array([P]), np.array([x]))[0])
 
 
-def force_at(P: float, x: float) -> Value:
-    """Force of the surface at a place."""
-    return lambda m: float(m.static(np.array([P]), np.array([x]))[0])
+def _stiffness(muscle: Muscle, P: float, x: float) -> float:
+    """Minus the slope of the surface over contraction at one place [N/m]."""
+    return float(muscle.stiffness(np.array([P]), np.array([x]))[0])
 
 
-def stiffness_at(P: float, x: float) -> Value:
-    """Its local slope there."""
-    return lambda m: float(m.stiffness(np.array([P]), np.array([x]))[0])
-
-
-def pressure_gap_at(x: float, amplitude: float) -> Value:
-    """Width of a loop of pressure."""
-    return lambda m: m.pressure_gap(x, amplitude)
-
-
-def damping_at(P: float, way: int) -> Value:
-    """Damping while contracting (0) or relaxing (1)."""
-    return lambda m: m.damping(P)[way]
-
-
-def loop_at(P: float, amplitude: float, *, area: bool) -> Value:
-    """Width or area of a loop of contraction."""
-    return lambda m: m.area(P, amplitude) if area else m.gap(P, amplitude)
-
-
-def secant_at(P: float, low: float, high: float) -> Value:
-    """Slope of one straight line."""
-    return lambda m: m.secant(P, low, high)
-
-
-def friction_at(P: float) -> Value:
-    """Friction that turns round at once."""
-    return lambda m: m.friction(P)
-
-
-def pressure_creep_at(x: float, first: float, last: float) -> Value:
-    """Creep of the force under pressure."""
-    return lambda m: m.pressure_creep_per_decade(x, first, last)
+def _damping_of(muscle: Muscle, P: float, way: int) -> float:
+    """Damping while contracting (`way` 0) or while expanding (1) [N.s/m]."""
+    return muscle.damping(P)[way]
 
 
 def _points(maker: Reporter, where: Tested, pressures: list[float]) -> Iterator[Estimate]:
@@ -208,13 +181,17 @@ def _points(maker: Reporter, where: Tested, pressures: list[float]) -> Iterator[
             at = {"pressure": P, "contraction": x}
             side = 0.5 * choice.muscle.pressure_gap(x, 2 * float(frame.pressure_radii.max()))
             wide = WIDE["force"] * choice.data.largest
-            yield maker.estimate("F", "force", force_at(P, x), at, misfit=float(np.hypot(error, side)), wide=wide)
+            yield maker.estimate(
+                "F", "force", partial(_force, P=P, x=x), at, misfit=float(np.hypot(error, side)), wide=wide
+            )
             if frame.x.span > 0:
-                yield maker.estimate("K", "stiffness", stiffness_at(P, x), at, misfit=error / (WAVE * frame.x.span))
+                yield maker.estimate(
+                    "K", "stiffness", partial(_stiffness, P=P, x=x), at, misfit=error / (WAVE * frame.x.span)
+                )
         if high - low > WAVE * frame.x.span > 0:
             at = {"pressure": P, "lower": round(low, 5), "upper": round(high, 5)}
             yield maker.estimate(
-                "K_s", "stiffness", secant_at(P, low, high), at,
+                "K_s", "stiffness", partial(Muscle.secant, P=P, first=low, last=high), at,
                 misfit=error / (high - low), method=SECANT,
             )  # fmt: skip
 
@@ -228,16 +205,18 @@ def _loops(maker: Reporter, where: Tested, pressures: list[float]) -> Iterator[E
             continue
         size = 0.25 * (high - low)
         at, note = {"pressure": P, "amplitude": round(size, 6)}, "around any contraction, at rest"
-        yield maker.estimate("H", "force", loop_at(P, size, area=False), at, misfit=error, note=note)
-        yield maker.estimate("W", "work", loop_at(P, size, area=True), at, misfit=2 * size * error, note=note)
+        yield maker.estimate("H", "force", partial(Muscle.gap, P=P, amplitude=size), at, misfit=error, note=note)
+        yield maker.estimate(
+            "W", "work", partial(Muscle.area, P=P, amplitude=size), at, misfit=2 * size * error, note=note
+        )
         if SLIDING in terms:
-            yield maker.estimate("F_c", "force", friction_at(P), {"pressure": P}, misfit=0.5 * error)
+            yield maker.estimate("F_c", "force", partial(Muscle.friction, P=P), {"pressure": P}, misfit=0.5 * error)
     for x in round_places(frame.x.low, frame.x.high) if STOPS_P in terms else ():
         low, high = where.pressures(x) or (0.0, 0.0)
         if high - low < WAVE * frame.P.span:
             continue
         reach = f"at mid pressure between {show(low, 'pressure', 3)} and {show(high, 'pressure', 3)}"
-        gap = pressure_gap_at(x, 0.5 * (high - low))
+        gap = partial(Muscle.pressure_gap, x=x, amplitude=0.5 * (high - low))
         yield maker.estimate("H_P", "force", gap, {"contraction": x}, misfit=error, note=reach)
 
 
@@ -247,7 +226,9 @@ def _damping(maker: Reporter, pressures: list[float]) -> Iterator[Estimate]:
     fast = float(np.quantile(np.abs(rows.v[rows.used]), FASTEST))
     for P in pressures:
         for way, symbol in enumerate(("B_c", "B_r")):
-            yield maker.estimate(symbol, "damping", damping_at(P, way), {"pressure": P}, misfit=maker.error / fast)
+            yield maker.estimate(
+                symbol, "damping", partial(_damping_of, P=P, way=way), {"pressure": P}, misfit=maker.error / fast
+            )
 
 
 def _creep(maker: Reporter, where: Tested) -> Iterator[Estimate]:
@@ -256,11 +237,15 @@ def _creep(maker: Reporter, where: Tested) -> Iterator[Estimate]:
     reach = f"between {first:g} and {last:g} s after a step"
     if CREEP_X in choice.terms:
         yield maker.estimate(
-            "c_x", "ratio", lambda m: m.creep_per_decade(first, last), {}, note=reach, by="displacement"
+            "c_x", "ratio", partial(Muscle.creep_per_decade, first=first, last=last), {}, note=reach, by="displacement"
         )
     frame = choice.data.frame
     for x in round_places(frame.x.low, frame.x.high) if CREEP_P in choice.terms else ():
         if where.pressures(x) is not None:
             yield maker.estimate(
-                "c_P", "force per pressure", pressure_creep_at(x, first, last), {"contraction": x}, note=reach
+                "c_P",
+                "force per pressure",
+                partial(Muscle.pressure_creep_per_decade, x=x, first=first, last=last),
+                {"contraction": x},
+                note=reach,
             )
