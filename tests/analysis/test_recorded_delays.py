@@ -178,3 +178,11 @@ def test_a_k_that_changes_with_the_pressure_is_no_one_number_of_the_cell():
     found = reduced(trials, (0.0, 0.0))
     assert not [e for e in found.estimates if e.method == "cell-and-spring"]
     assert any("K is not one number in these steps" in f.text for f in found.findings)
+
+
+def test_a_motion_that_rings_gives_no_b_over_k():
+    """Dry friction ends a swing as damping does: B/K came out three times too large there."""
+    trials = [stepped.step(*LEVELS[0], mass=8.0, K=K, B=60.0, seed=n, repeat=n) for n in range(2)]
+    e = only(reduced(trials), "tau_c")
+    assert e.value is None
+    assert "the motion rings" in e.note

@@ -125,9 +125,9 @@ def _why_not(F: Array, design: Array, noise: float) -> str:
 
 def _fit(F: Array, design: Array, lengths: Sequence[int]) -> tuple[Array, Array, float]:
     """Terms of the columns, their half widths by leaving out one step after another, and what is left [N]."""
-    terms = np.linalg.lstsq(design, F, rcond=None)[0]
+    terms = np.asarray(np.linalg.lstsq(design, F, rcond=None)[0], dtype=np.float64)
     of = np.repeat(np.arange(len(lengths)), lengths)
     without = np.array([np.linalg.lstsq(design[of != n], F[of != n], rcond=None)[0] for n in range(len(lengths))])
     count = len(lengths)
     spread = np.sqrt((count - 1) / count * np.sum((without - without.mean(axis=0)) ** 2, axis=0))
-    return terms, 2 * spread, float(np.sqrt(np.mean((F - design @ terms) ** 2)))
+    return terms, np.asarray(2 * spread), float(np.sqrt(np.mean((F - design @ terms) ** 2)))

@@ -15,7 +15,7 @@ from pmabench.analysis.shared.calibration import sentences
 from pmabench.analysis.shared.student import mean_with_half
 from pmabench.base.quantities import show
 from pmabench.kinds.recorded_step.delayed import Delayed, fit_delayed
-from pmabench.kinds.recorded_step.ringing import ILL_FITTED, ONCE
+from pmabench.kinds.recorded_step.ringing import ILL_FITTED, ONCE, RINGS
 from pmabench.kinds.recorded_step.step import SEEN, Step
 from pmabench.store.analyses.results import Estimate, Finding, Parts
 from pmabench.store.records import Array
@@ -61,6 +61,7 @@ def times(at: Mapping[str, float], steps: Sequence[Step], stiffness: float | Non
     dead, of_dead = mean_with_half([step.stamped + one.delay for step, one in commanded])
     half = hypot(max(one.half_delay for _, one in commanded), max(step.onset_half for step, _ in commanded)) + late
     names, note = tuple(step.name for step, _ in commanded), "" if of_dead is not None else ONCE
+    note = sentences("the time that the pressure takes to overcome friction is in it", note)
     parts = Parts(of_dead, half, 0.0)
     t_d = Estimate("t_d", dead, "s", "time", DRIVEN, at, parts, len(names), note=note, trials=names)
     t_d = replace(t_d, coordinate=TO_MOTION)
@@ -73,6 +74,8 @@ def times(at: Mapping[str, float], steps: Sequence[Step], stiffness: float | Non
 
 def _why_not(steps: Sequence[Step], found: Sequence[Delayed]) -> str:
     """The reason why the driven motion gives no B/K; empty where it does."""
+    if min(step.best.D for step in steps) < RINGS:
+        return "the motion rings, and friction would be taken for damping: a known mass gives K and B of it"
     for step, one in zip(steps, found, strict=True):
         if step.sprung:
             return f"a spring pulls, too (trial {step.name}): the time constant is B over K and the spring together"
