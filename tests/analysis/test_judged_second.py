@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from os import cpu_count
@@ -13,13 +14,30 @@ import numpy as np
 import pytest
 
 from pmabench.kinds.reduce import reduce_runs, verdicts
+from pmabench.store.analyses.results import Analysis
 from tests.analysis.judged import as_run
-from tests.analysis.test_judged import CLEAN_REFUSED, CLEAN_SEEDS, METHOD, Judged, Value, accepted, far, share, table
+from tests.analysis.test_diagnosis import RIGHT
+from tests.analysis.test_judged import (
+    CLEAN_REFUSED,
+    CLEAN_SEEDS,
+    METHOD,
+    Judged,
+    Value,
+    accepted,
+    far,
+    named,
+    share,
+    table,
+)
 from tests.judge.second.campaign import CASES, campaign, truth
 
 SEEDS = 5
 COVERED = 0.90
 """Share of accepted values whose interval holds the truth, of a muscle of other families than the candidates."""
+NAMED_RIGHT, NAMED_WRONG = 0.85, 0.02
+"""Share of campaigns with one cause that are named right, and of those with a name that is wrong."""
+RIGHT = {**RIGHT, "drift": RIGHT["cell-drift"], "real": {"bend", "hysteresis", "creep"}}
+"""Cause -> names that are right."""
 FAULTY = [case for case in CASES if case[0] != "clean"]
 
 
@@ -41,7 +59,24 @@ def judged(asked: tuple[str, float, int]) -> Judged:
         low, high = (float(end[0]) for end in right[e.symbol](np.array([P])))
         middle = 0.5 * (low + high)
         values.append(Value(e.symbol, P, max(low - e.value, e.value - high, 0.0) / middle, half / middle))
-    return Judged(cause, amount, seed, tuple(verdicts([run], analyses)), tuple(values), withheld)
+    return Judged(cause, amount, seed, tuple(verdicts([run], analyses)), tuple(values), withheld, sure(analyses[0]))
+
+
+def sure(analysis: Analysis) -> tuple[str, ...]:
+    """Names of causes, with `undecided` where none of them is called sure."""
+    form = analysis.facts["form"]
+    names = (*named(analysis), *(["mass"] if form["wrong_weight"] else []))
+    alone = all(one["alone"] for one in form["explanations"])
+    return names if alone and form["state"] in ("sound", "corrected", "doubtful") else (*names, "undecided")
+
+
+def names(found: Sequence[Judged]) -> str:
+    """By cause and size, what is said and how often."""
+    lines = []
+    for cause, size in dict.fromkeys((one.cause, one.size) for one in found):
+        said = Counter(", ".join(one.named) for one in found if (one.cause, one.size) == (cause, size))
+        lines.append(f"{cause:14s}{size:7.3f}  " + "; ".join(f"{many} {what or '-'}" for what, many in said.items()))
+    return "\n".join(lines)
 
 
 def studied(asked: Sequence[tuple[str, float, int]]) -> list[Judged]:
@@ -53,9 +88,15 @@ def studied(asked: Sequence[tuple[str, float, int]]) -> list[Judged]:
 @pytest.mark.timeout(3600)
 def test_accepted_values_of_the_second_muscle_are_right_whatever_is_wrong():
     found = studied([(cause, amount, seed) for cause, amount in FAULTY for seed in range(SEEDS)])
-    print(f"\n{table(found)}")
+    print(f"\n{table(found)}\n{names(found)}")
     assert far(found) == []
     assert share(accepted(found)) >= COVERED
+    single = [one for one in found if one.cause not in ("several", "real")]
+    right = [set(one.named) - {"undecided"} == RIGHT[one.cause] for one in single]
+    wrong = ["undecided" not in one.named and bool(set(one.named) - RIGHT[one.cause]) for one in single]
+    print(f"{100 * np.mean(right):.1f} % named right, {100 * np.mean(wrong):.1f} % named wrong")
+    assert np.mean(right) >= NAMED_RIGHT
+    assert np.mean(wrong) <= NAMED_WRONG
 
 
 @pytest.mark.study

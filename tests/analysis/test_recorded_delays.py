@@ -20,6 +20,7 @@ from tests.judge.record import Trial
 K = 6773.0
 RATE = 500.0
 DEAD = 0.04
+LEVELS = [(280e3, 380e3), (380e3, 280e3)]
 
 
 def reduced(trials: Sequence[Trial], late: tuple[float, float] | None = None) -> Analysis:
@@ -138,3 +139,42 @@ def test_two_known_loads_give_the_secant_stiffness_and_damping():
 def test_one_load_gives_no_stiffness():
     found = reduced([stepped.step(280e3, 380e3, mass=8.0, K=K, B=1700.0, seed=n, repeat=n) for n in range(2)])
     assert [e for e in found.estimates if e.symbol in ("K", "B", "B_c") and e.value is not None] == []
+
+
+def test_a_cell_above_one_hanging_weight_tells_nothing_of_k():
+    trials = [stepped.step(*levels, mass=8.0, K=K, B=1700.0, seed=n, cell=True) for n in range(2) for levels in LEVELS]
+    found = reduced(trials)
+    assert not [e for e in found.estimates if e.method == "cell-and-spring"]
+    assert any("the force cell tells nothing of K here" in f.text for f in found.findings)
+
+
+def test_a_cell_and_a_spring_alone_tell_nothing_of_k():
+    """The force is W + k x, whatever the muscle is."""
+    trials = [stepped.step(*levels, mass=8.0, K=K, B=1700.0, spring=3e3, seed=n, cell=True)
+              for n in range(2) for levels in LEVELS]  # fmt: skip
+    assert not [e for e in reduced(trials).estimates if e.method == "cell-and-spring"]
+
+
+def test_a_cell_a_spring_and_two_loads_give_k_and_b():
+    trials = [
+        stepped.step(*levels, mass=mass, K=K, B=1700.0, spring=3e3, seed=n, repeat=n, cell=True)
+        for n in range(2) for mass in (4.0, 16.0) for levels in LEVELS
+    ]  # fmt: skip
+    found = reduced(trials, (-0.002, 0.002))
+    for symbol, truth in (("K", K), ("B", 1700.0)):
+        e = only(found, symbol, method="cell-and-spring")
+        assert abs(e.value - truth) < e.parts.combined < 0.12 * truth
+    secants = [e for e in found.estimates if e.method == "secant-of-loads"]
+    assert [e.symbol for e in secants] == ["K", "K"], "by the force of the cell; B/K has the spring in it"
+    assert all(abs(e.value - K) < e.parts.combined for e in secants)
+    assert all("a spring pulls, too" in e.note for e in found.estimates if e.symbol in ("tau_c", "tau_r"))
+
+
+def test_a_k_that_changes_with_the_pressure_is_no_one_number_of_the_cell():
+    trials = [
+        stepped.step(*levels, mass=mass, K=stiff, B=1700.0, spring=3e3, seed=n, cell=True)
+        for n, (levels, stiff) in enumerate(zip(LEVELS * 2, (5e3, 8e3) * 2, strict=True)) for mass in (4.0, 16.0)
+    ]  # fmt: skip
+    found = reduced(trials, (0.0, 0.0))
+    assert not [e for e in found.estimates if e.method == "cell-and-spring"]
+    assert any("K is not one number in these steps" in f.text for f in found.findings)

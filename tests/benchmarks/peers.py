@@ -2,9 +2,9 @@
 
     F = F_ce(P) - K(P) x - B(P) x' - F_c sign(x')
 
-For the first two F_ce and K are polygons over pressure, B a straight line for each direction; in MuJoCo it is an actuator whose gain
-and bias are straight lines in length and velocity, so that coefficients are straight lines over pressure and B has one
-value for both directions. Intervals are what each program says: 1.96 standard errors. Imports nothing of pmabench.
+For the first two F_ce and K are polygons over pressure, B a straight line for each direction; in MuJoCo it is an actuator
+whose gain and bias are straight lines in length and velocity, so that coefficients are straight lines over pressure and B
+has one value for both directions. Intervals are what each program says: 1.96 standard errors. Imports nothing of pmabench.
 """
 
 from __future__ import annotations
@@ -21,6 +21,8 @@ from scipy.optimize import curve_fit
 
 Array = NDArray[np.float64]
 NORMAL = 1.96
+LEAST = 1e-6
+"""Size of a column, over the median of all, below which it is left out."""
 ITERATIONS = 6
 """Of `mujoco.sysid`: from the fourth on the sum of squares fell by less than 1e-4 of itself."""
 
@@ -71,28 +73,47 @@ def straight_row(knots: Array) -> Callable[[str, float], Array]:
 
 def by_curve_fit(A: Array, F: Array) -> tuple[Array, Array]:
     """Weights of columns and their covariance, by `scipy.optimize.curve_fit`."""
-    size = np.sqrt(np.mean(A**2, axis=0)) + 1e-300
-    scaled = A / size
-    found, covariance = curve_fit(lambda _, *w: scaled @ np.array(w), np.arange(len(F)), F, np.zeros(len(size)),
-                                  jac=lambda _, *w: scaled)  # fmt: skip
-    return found / size, covariance / np.outer(size, size)
+
+    def solve(A: Array) -> tuple[Array, Array]:
+        start = np.zeros(A.shape[1])
+        return curve_fit(lambda _, *w: A @ np.array(w), np.arange(len(F)), F, start, jac=lambda _, *w: A)
+
+    return _scaled(A, solve)
 
 
 def by_lmfit(A: Array, F: Array) -> tuple[Array, Array]:
     """The same by `lmfit.minimize` (Levenberg-Marquardt), one named parameter for each column."""
-    size = np.sqrt(np.mean(A**2, axis=0)) + 1e-300
-    scaled = A / size
-    parameters = lmfit.Parameters()
-    for n in range(len(size)):
-        parameters.add(f"w{n}", value=0.0)
 
-    def left(parameters: lmfit.Parameters) -> Array:
-        return scaled @ np.array(list(parameters.valuesdict().values())) - F
+    def solve(A: Array) -> tuple[Array, Array]:
+        parameters = lmfit.Parameters()
+        for n in range(A.shape[1]):
+            parameters.add(f"w{n}", value=0.0)
 
-    done = lmfit.minimize(left, parameters, Dfun=lambda _: scaled)
-    found = np.array([parameter.value for parameter in done.params.values()])
-    covariance = done.covar if done.errorbars else np.full((len(size), len(size)), np.nan)
-    return found / size, covariance / np.outer(size, size)
+        def left(parameters: lmfit.Parameters) -> Array:
+            return A @ np.array(list(parameters.valuesdict().values())) - F
+
+        done = lmfit.minimize(left, parameters, Dfun=lambda _: A)
+        found = np.array([parameter.value for parameter in done.params.values()])
+        return found, done.covar if done.errorbars else np.full((len(found), len(found)), np.nan)
+
+    return _scaled(A, solve)
+
+
+def _scaled(A: Array, solve: Callable[[Array], tuple[Array, Array]]) -> tuple[Array, Array]:
+    """Columns of equal size, without those that hardly any row has: their weight is 0, their covariance unknown."""
+    size = np.sqrt(np.mean(A**2, axis=0))
+    used = size > LEAST * np.median(size)
+    weights, covariance = np.zeros(len(size)), np.full((len(size), len(size)), np.nan)
+    weights[used], covariance[np.ix_(used, used)] = solve(A[:, used] / size[used])
+    size[~used] = 1.0
+    return weights / size, covariance / np.outer(size, size)
+
+
+def half_width(row: Array, covariance: Array) -> float:
+    """Of a combination of weights, 95 %; nan where a weight in it is not known."""
+    used = row != 0
+    variance = row[used] @ covariance[np.ix_(used, used)] @ row[used]
+    return NORMAL * float(np.sqrt(max(variance, 0.0))) if np.isfinite(variance) else np.nan
 
 
 def linear(
@@ -105,7 +126,7 @@ def linear(
 
 
 def _valued(weights: Array, covariance: Array) -> Callable[[Array], tuple[float, float]]:
-    return lambda row: (float(row @ weights), NORMAL * float(np.sqrt(max(row @ covariance @ row, 0.0))))
+    return lambda row: (float(row @ weights), half_width(row, covariance))
 
 
 # -- MuJoCo --------------------------------------------------------------------------------------------------------

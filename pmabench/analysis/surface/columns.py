@@ -16,8 +16,10 @@ SLIDES = 0.0003
 """Half the way over which friction turns round that counts as turning at once, as a share of the range of x."""
 STOPS_X = (0.003, 0.01, 0.03, 0.08, 0.23)
 """Half widths of the stops on contraction over its range: 0.15 to 12 mm of 52 mm."""
-STOPS_P = (1 / 60, 1 / 20, 1 / 6, 1 / 2)
-"""Half widths of the stops on pressure over the highest pressure: 10 to 300 kPa of 600 kPa."""
+STOPS_P = (1 / 60, 1 / 20, 1 / 6, 0.3)
+"""Half widths of the stops on pressure over the highest pressure: 10 to 180 kPa of 600 kPa. One of half the range never
+slips: it is a spring, which the surface has already.
+"""
 TIMES = (0.3, 0.95, 3.0, 9.5, 30.0, 95.0, 300.0)
 """Time constants of creep [s], two in a decade: their sum can follow a straight line over the logarithm of time."""
 SETTLED = 5.0

@@ -54,8 +54,9 @@ class Rows:
     @classmethod
     def of_records(cls, records: Sequence[Record]) -> Rows:
         """All rows of records in their order."""
-        joined = (np.concatenate([getattr(r, name) for r in records]) for name in ("P", "x", "v", "F", "used"))
-        return cls(*joined, np.repeat(np.arange(len(records)), [len(r.t) for r in records]))
+        P, x, v, F = (np.concatenate([getattr(r, name) for r in records]) for name in ("P", "x", "v", "F"))
+        used = np.concatenate([r.used for r in records])
+        return cls(P, x, v, F, used, np.repeat(np.arange(len(records)), [len(r.t) for r in records]))
 
 
 def rows_of(

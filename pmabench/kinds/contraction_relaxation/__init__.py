@@ -2,7 +2,7 @@
 
 - `reduction`, made of `trials`, `segments`, `pooled`, `intervals`, `drift`, `values`, `curves`
   (regressions on pressure)
-- whether the data have the form of the fit, and what could hide in it: `form`, with `departures`; other `checks`
+- whether the data have the form of the fit, why not, and what could hide in it: `diagnosis`; other `checks`
 - the way of the papers, dead times: `exponentials`; the regulator: `bandwidth`; words and overlays: `view`
 - where asked for: chosen forms over pressure in `joint`; output error in `output_error`, `stretch`
 - by paper 1: `paper1`, made of `paper1_steps`; model against test in `paper1_view`

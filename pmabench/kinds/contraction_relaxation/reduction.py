@@ -60,10 +60,8 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     moving segments with the measured pressure; K = regression over loads, B = K tau of an exponential for comparison.
 
     `options`: `speed` (gate of the segments [m/s]), `replays` (how many), `static` = {"intercept" [N], "slope"
-    [N/Pa]}, F_ce of a static-load study, for the one-parameter regression of K; `forms` = ["K=line", ...], as
-    `joint` has them, for a fit with these forms over pressure next to it; `bootstrap`, how many draws over trials;
-    `regulator`: dead time and lags from the command to the pressure [s]; `polish`: the same coefficients by output
-    error beside them.
+    [N/Pa]}, F_ce of a static-load study, for K by one parameter; `forms` = ["K=line", ...] as in `joint`; `bootstrap`,
+    how many draws over trials; `regulator`: dead time and lags of the pressure [s]; `polish`: by output error, too.
     """
     options = options or {}
     campaign, dropped = gather(runs)
@@ -259,7 +257,9 @@ def _moving(campaign: Campaign, segments: Segments) -> list[tuple[Samples, slice
 
 def estimates_of(campaign: Campaign, pooled: Pooled) -> tuple[list[Estimate], list[Curve]]:
     """The primary method's coefficients at the tested pressures, and curves through them."""
-    solution = Solution(campaign, pooled.segments, pooled.fit, pooled.fit.knots, pooled.trust, METHOD)
+    solution = Solution(
+        campaign, pooled.segments, pooled.fit, pooled.fit.knots, pooled.trust, METHOD, pooled.diagnosis.note
+    )
     estimates = values(solution)
     curves: list[Curve] = []
     for symbol in SYMBOLS:

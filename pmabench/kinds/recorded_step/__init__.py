@@ -1,7 +1,7 @@
 """Steps of pressure that other programs recorded: dead time, rise, stroke, what its ringing says of K and B.
 
 - `reduction` of what `step` measures, with `motion`: `times` (B/K, dead time) by `delayed`, `loads` (K of two loads),
-  `ringing` (K and B of a known mass)
+  `ringing` (K and B of a known mass), `cell` (with a column of force)
 """
 
 from pmabench.base.imported import Imported
@@ -20,6 +20,10 @@ RESULTS = (
     Result("dP/dx", "pressure per contraction", "gain", headline=True),
 )
 METHODS = {
+    "cell-and-spring": (
+        "F = c + s P − K x − B x′ by least squares over all steps with a column of force that a spring or other loads "
+        "move independently of the contraction; half widths by leaving out one step after another."
+    ),
     "secant-of-loads": (
         "Steps between the same pressures under two known loads or more: K = ΔW/Δx between the places of rest, "
         "and B from it and B/K."

@@ -21,6 +21,8 @@ from pmabench.store.analyses.results import Estimate, Parts
 from pmabench.store.records import RunData
 
 SECANT = "secant-of-loads"
+SAME = 0.02
+"""Share of a load that a force cell may be off it."""
 Pair = tuple[float, float]
 """Pressures before and after a step [Pa]."""
 
@@ -49,8 +51,18 @@ def rests_of(steps: Sequence[Step]) -> list[Rest]:
         x, half = mean_with_half([float(np.mean(step.x[end])) for step, end in zip(mine, ends, strict=True)])
         parts = [np.array_split(step.x[end], 5) for step, end in zip(mine, ends, strict=True)]
         noise = 2 * max(float(np.std([part.mean() for part in one])) for one in parts)
-        found.append(Rest(load, x, half, noise, tuple(step.name for step in mine)))
+        found.append(Rest(_pull(load, mine), x, half, noise, tuple(step.name for step in mine)))
     return found
+
+
+def _pull(load: float, steps: Sequence[Step]) -> float:
+    """The force at rest [N]: the load, but where a cell reads another one, as with a spring, that of the cell."""
+    read = [
+        float(np.mean(step.trial.channels["force"][step.trial.usable][step.t > max(AFTER, step.t[-1] - 1.0)]))
+        for step in steps
+        if "force" in step.trial.channels
+    ]
+    return float(np.mean(read)) if read and abs(np.mean(read) / load - 1) > SAME else load
 
 
 def secant(pair: Pair, rests: Sequence[Rest], scales: Scales) -> Estimate | None:

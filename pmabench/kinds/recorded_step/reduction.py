@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from pmabench.analysis.imported import flagged_counts, import_findings, measured
+from pmabench.analysis.imported import flagged_counts, import_findings, late_by, measured
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.form import Doubt, weighed
 from pmabench.analysis.shared.samples import Held, left
@@ -19,6 +19,7 @@ from pmabench.analysis.shared.student import mean_over, mean_with_half
 from pmabench.analysis.verdict.agreement import Offer, everywhere, values_of
 from pmabench.base.quantities import show
 from pmabench.kinds.recorded_step import RESULTS
+from pmabench.kinds.recorded_step.cell import by_cell
 from pmabench.kinds.recorded_step.loads import SECANT, Pair, of_loads, rests_of, secant
 from pmabench.kinds.recorded_step.ringing import ONCE, RINGING, ringing
 from pmabench.kinds.recorded_step.step import AFTER, SEEN, Step, measure
@@ -73,6 +74,8 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         findings += _sentences(at, here)
         findings += [one for e in estimates if e.coordinate == TO_MOTION and e.at == at for one in check(at, here, e)]
     estimates += of_loads(pairs, estimates)
+    of_cell, why_not = by_cell(steps, (-UNTOLD, UNTOLD) if not read_off else _lateness(runs, options))
+    estimates, findings = estimates + of_cell, findings + why_not
     findings += _of_all(steps, estimates, read_off=read_off)
     return Analysis.of(
         KIND,
@@ -104,6 +107,13 @@ def _of_all(steps: Sequence[tuple[RunData, Step]], estimates: Sequence[Estimate]
         text = "K and B rest on the moving mass alone, taken as exact; the load hangs and F_ce(P) is not known here"
         findings.append(Finding("doubt", text))
     return findings
+
+
+def _lateness(runs: Sequence[RunData], options: Mapping[str, Any]) -> tuple[float, float]:
+    """How late the pressure may be [s], least and most."""
+    stated = [late_by(run, "pressure") or (0.0, 0.0) for run in runs]
+    known = [tuple(options["late_by"])] if "late_by" in options else stated
+    return min(low for low, _ in known), max(high for _, high in known)
 
 
 def _load(step: Step) -> tuple[float, float]:

@@ -130,6 +130,8 @@ def ill_fitted(step: Step) -> str:
 
 def _why_not(step: Step) -> str:
     """The reason why the motion of a step says nothing of K; empty where it does."""
+    if step.sprung:
+        return "a spring pulls, too, and swings with the mass"
     damped = max(motion.D for motion in step.motions)
     frequencies = [motion.w for motion in step.motions]
     hidden = "its mass shows in a fast pole only, which a few ms between pressure and position hide"

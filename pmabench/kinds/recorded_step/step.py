@@ -25,6 +25,8 @@ SEEN = 5.0
 FINE = 2
 """A log with at least so many samples between the level and a clear rise shows how the rise begins."""
 SHIFTS = 4
+SPRUNG = 0.02
+"""Share by which the force at rest may differ before and after a step under a weight: drift, a pulley."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +75,15 @@ class Step:
     def best(self) -> Motion:
         """The motion with the least misfit."""
         return min(self.motions, key=lambda motion: motion.rms)
+
+    @property
+    def sprung(self) -> bool:
+        """Whether a force cell reads another force after the step than before it: a spring, and no weight alone."""
+        if "force" not in self.trial.channels:
+            return False
+        F = self.trial.channels["force"][self.trial.usable]
+        before, after = float(np.mean(F[self.t < 0])), float(np.mean(F[self.t > max(AFTER, self.t[-1] - 1.0)]))
+        return abs(after - before) > SPRUNG * abs(before)
 
     @property
     def name(self) -> str:

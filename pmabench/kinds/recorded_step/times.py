@@ -74,6 +74,8 @@ def times(at: Mapping[str, float], steps: Sequence[Step], stiffness: float | Non
 def _why_not(steps: Sequence[Step], found: Sequence[Delayed]) -> str:
     """The reason why the driven motion gives no B/K; empty where it does."""
     for step, one in zip(steps, found, strict=True):
+        if step.sprung:
+            return f"a spring pulls, too (trial {step.name}): the time constant is B over K and the spring together"
         if one.rms > ILL_FITTED * abs(step.stroke):
             share = one.rms / abs(step.stroke)
             return f"the driven motion misses {share:.0%} of the stroke (trial {step.name}): friction, or a stop"

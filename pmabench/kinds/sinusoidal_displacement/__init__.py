@@ -10,7 +10,7 @@ from pmabench.base.kind import Kind, Result
 RESULTS = (
     Result("F_ce", "contractile force", "force", headline=True),
     Result("K", "stiffness", "stiffness", headline=True, positive=True),
-    Result("K_A", "stiffness over the stroke", "stiffness", positive=True),
+    Result("K_A", "stiffness over the stroke", "stiffness", headline=True, positive=True),
     Result("B", "damping, mean of both directions", "damping", headline=True, plot="Damping", positive=True),
     Result("F_c", "Coulomb friction", "force", headline=True, positive=True),
     Result("F", "force", "force"),

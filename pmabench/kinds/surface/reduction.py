@@ -115,7 +115,7 @@ def sentences(choice: Choice) -> list[Finding]:
 
 
 def _share(score: Score, full: float) -> str:
-    return f"{show(score.rms, 'force', 2)} rms ({100 * score.rms / full:.2g} % of {show(full, 'force', 3)})"
+    return f"{show(score.rms, 'force', 2)} rms ({100 * score.rms / full:.2g} % of {show(full, 'force', 4)})"
 
 
 def facts(choice: Choice) -> dict[str, Any]:
@@ -142,7 +142,7 @@ def loops(choice: Choice) -> list[Trace]:
     moving = [one for one in choice.data.records if span > 0 and np.ptp(one.x[one.used]) > 0.25 * span]
     every = choice.muscle.force(choice.data.records)
     ends = np.cumsum([0, *(len(one.t) for one in choice.data.records)])
-    found = []
+    found: list[Trace] = []
     for number, one in enumerate(choice.data.records):
         if one not in moving or len(found) >= LOOPS:
             continue

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from math import ceil, floor
 
 import numpy as np
@@ -140,6 +141,21 @@ def estimates(choice: Choice, scales: Scales) -> list[Estimate]:
     return [*found, *_creep(maker, where)]
 
 
+def _force(muscle: Muscle, P: float, x: float) -> float:
+    """Force of the surface at one place [N]."""
+    return float(muscle.static(np.array([P]), np.array([x]))[0])
+
+
+def _stiffness(muscle: Muscle, P: float, x: float) -> float:
+    """Minus the slope of the surface over contraction at one place [N/m]."""
+    return float(muscle.stiffness(np.array([P]), np.array([x]))[0])
+
+
+def _damping_of(muscle: Muscle, P: float, place: int) -> float:
+    """Damping while contracting (`place` 0) or while expanding (1) [N.s/m]."""
+    return muscle.damping(P)[place]
+
+
 def _points(maker: Reporter, where: Tested, pressures: list[float]) -> Iterator[Estimate]:
     """Force and tangent at places, and what a straight line would make of each pressure."""
     choice = maker.choice
@@ -152,20 +168,20 @@ def _points(maker: Reporter, where: Tested, pressures: list[float]) -> Iterator[
         for x in places:
             at = {"pressure": P, "contraction": x}
             yield maker.estimate(
-                "F", "force", lambda m, P=P, x=x: float(m.static(np.array([P]), np.array([x]))[0]), at,
+                "F", "force", partial(_force, P=P, x=x), at,
                 misfit=error, wide=WIDE["force"] * choice.data.largest,
             )  # fmt: skip
             if span > 0:
-                K = float(choice.muscle.stiffness(np.array([P]), np.array([x]))[0])
+                K = _stiffness(choice.muscle, P, x)
                 yield maker.estimate(
-                    "K", "stiffness", lambda m, P=P, x=x: float(m.stiffness(np.array([P]), np.array([x]))[0]), at,
+                    "K", "stiffness", partial(_stiffness, P=P, x=x), at,
                     misfit=steep, wide=WIDE["stiffness"] * abs(K),
                 )  # fmt: skip
         if high - low > WAVE * span > 0:
             K = choice.muscle.secant(P, low, high)
             at = {"pressure": P, "lower": round(low, 5), "upper": round(high, 5)}
             yield maker.estimate(
-                "K_s", "stiffness", lambda m, P=P, ends=(low, high): m.secant(P, *ends), at,
+                "K_s", "stiffness", partial(Muscle.secant, P=P, first=low, last=high), at,
                 misfit=error / (high - low), wide=WIDE["stiffness"] * abs(K), method=SECANT,
             )  # fmt: skip
 
@@ -181,12 +197,12 @@ def _loops(maker: Reporter, where: Tested, pressures: list[float]) -> Iterator[E
         at = {"pressure": P, "amplitude": round(amplitude, 6)}
         for symbol, quantity, value in (("H", "force", Muscle.gap), ("W", "work", Muscle.area)):
             yield maker.estimate(
-                symbol, quantity, lambda m, value=value, P=P, a=amplitude: value(m, P, a), at,
+                symbol, quantity, partial(value, P=P, amplitude=amplitude), at,
                 wide=LOOSE * abs(value(muscle, P, amplitude)), note="around any contraction, at rest",
             )  # fmt: skip
         if SLIDING in terms:
             yield maker.estimate(
-                "F_c", "force", lambda m, P=P: m.friction(P), {"pressure": P}, wide=LOOSE * muscle.friction(P)
+                "F_c", "force", partial(Muscle.friction, P=P), {"pressure": P}, wide=LOOSE * muscle.friction(P)
             )
     for x in round_places(maker.choice.data.frame.x.low, maker.choice.data.frame.x.high) if STOPS_P in terms else ():
         low, high = where.pressures(x) or (0.0, 0.0)
@@ -195,7 +211,7 @@ def _loops(maker: Reporter, where: Tested, pressures: list[float]) -> Iterator[E
         reach = f"at mid pressure between {show(low, 'pressure', 3)} and {show(high, 'pressure', 3)}"
         half = 0.5 * (high - low)
         yield maker.estimate(
-            "H_P", "force", lambda m, x=x, a=half: m.pressure_gap(x, a), {"contraction": x},
+            "H_P", "force", partial(Muscle.pressure_gap, x=x, amplitude=half), {"contraction": x},
             wide=LOOSE * muscle.pressure_gap(x, half), note=reach,
         )  # fmt: skip
 
@@ -204,9 +220,9 @@ def _damping(maker: Reporter, pressures: list[float]) -> Iterator[Estimate]:
     """Damping by direction."""
     for P in pressures:
         for place, symbol in enumerate(("B_c", "B_r")):
-            size = maker.choice.muscle.damping(P)[place]
+            size = _damping_of(maker.choice.muscle, P, place)
             yield maker.estimate(
-                symbol, "damping", lambda m, P=P, place=place: m.damping(P)[place], {"pressure": P},
+                symbol, "damping", partial(_damping_of, P=P, place=place), {"pressure": P},
                 wide=WIDE["damping"] * size,
             )  # fmt: skip
 
@@ -217,7 +233,7 @@ def _creep(maker: Reporter, where: Tested) -> Iterator[Estimate]:
     reach = f"between {first:g} and {last:g} s after a step"
     if CREEP_X in choice.terms:
         yield maker.estimate(
-            "c_x", "ratio", lambda m: m.creep_per_decade(first, last), {}, note=reach, by="displacement",
+            "c_x", "ratio", partial(Muscle.creep_per_decade, first=first, last=last), {}, note=reach, by="displacement",
             wide=WIDE["ratio"] * choice.muscle.creep_per_decade(first, last),
         )  # fmt: skip
     frame = choice.data.frame
@@ -226,6 +242,6 @@ def _creep(maker: Reporter, where: Tested) -> Iterator[Estimate]:
             continue
         size = choice.muscle.pressure_creep_per_decade(x, first, last)
         yield maker.estimate(
-            "c_P", "force per pressure", lambda m, x=x: m.pressure_creep_per_decade(x, first, last),
+            "c_P", "force per pressure", partial(Muscle.pressure_creep_per_decade, x=x, first=first, last=last),
             {"contraction": x}, wide=WIDE["force per pressure"] * size, note=reach,
         )  # fmt: skip

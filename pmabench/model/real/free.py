@@ -55,7 +55,7 @@ def shares(z: float) -> tuple[float, float, float]:
     return first, second, (0.5 - second) / z
 
 
-class Air(NamedTuple):
+class AtPressure(NamedTuple):
     """What the pressure makes of the force bent exp(-s u / length) + straight u + constant - height sum w S / r.
 
     [N], [N/m], [N], [N]
@@ -202,7 +202,7 @@ class RealPlant:
         held = (stops.height + stops.per_pressure * P) * sum(q * S / width for S, q, width in parts)
         rubber = surface.A + surface.A_P * P
         plain = (1 - surface.bend) * rubber
-        self._air = Air(
+        self._inflated = AtPressure(
             bent=surface.bend * rubber,
             straight=(surface.C * P - plain * surface.line) / muscle.length,
             constant=plain + surface.D * P + surface.E - held,
@@ -215,7 +215,7 @@ class RealPlant:
 
         u = x - x_c [m] is how far the surface is contracted, of which `follows` moves with x [1].
         """
-        air, muscle = self._air, self.muscle
+        air, muscle = self._inflated, self.muscle
         fall = muscle.surface.s / muscle.length
         exponential = air.bent * math.exp(-fall * u)
         held = slope = 0.0

@@ -130,6 +130,16 @@ def campaign(cause: str, amount: float, seed: int, colour: float = 1.0) -> list[
     return trials
 
 
+def undisturbed(cause: str, amount: float) -> tuple[Array, Array, Array]:
+    """Pressure of the regulator [Pa], contraction [m] and force [N] without noise and faults, arrays (trials, samples).
+
+    Without a slip, which comes with chance.
+    """
+    t = np.arange(round(LASTS * RATE) + 1) / RATE
+    x, force = _moved(muscle_of(cause, amount), 0.0, amount if cause == "tube" else 0.0)
+    return np.array([stepped(steps(target), t) for _, target in PLAN]), x, force
+
+
 def truth(cause: str, amount: float) -> dict[str, Callable[[Array], tuple[Array, Array]]]:
     """Symbol -> function from pressures [Pa] to the least and the greatest value that is right [SI].
 

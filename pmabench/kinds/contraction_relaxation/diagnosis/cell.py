@@ -7,7 +7,7 @@ Knows no muscle.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import inf, log, sqrt
 
@@ -33,9 +33,13 @@ BEYOND = 0.99865
 """Probability of a normal value below three standard deviations."""
 TERM = 9.0
 """So much a further term lowers the sum of squares, in units of the scatter, to be taken: three standard deviations."""
-NOTHING: Mapping[str, float] = {}
+SMALL = 5e-4
+"""A gain, or a drift as a share of the typical weight, that is not worth a correction: lines of the budget hold it."""
+SAME = 1e-3
+"""Weights this near are one [N]."""
 FEWEST_LOADS = 3
-"""Fewest weights of which one can be told to be wrong."""
+"""Fewest weights of which one can be found to be wrong."""
+NOTHING: Mapping[str, float] = {}
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,52 +89,46 @@ def weighed(readings: Readings, known: Mapping[str, float] = NOTHING) -> Weighed
 
     `known` holds the drift [N] and gain [1] that the record allows: smaller ones are lines of the budget already.
     """
-    weight = readings.weight
-    loads = np.unique(np.round(weight[weight > 0], 3))
     error = _errors(readings)
     rows = np.isfinite(error)
     if not rows.any():
         return Weighed()
-    several = len(loads) > 1
-    base = [np.where(weight > 0, 1.0, 0.0), np.where(weight > 0, 0.0, 1.0)]
-    terms = {"drift": readings.course - 0.5, **({"gain": weight} if several else {})}
-    dummies = {float(load): np.where(np.abs(weight - load) < 1e-3, 1.0, 0.0) for load in loads}
-    best, least = ((), None), inf
-    for names, load in _models(tuple(terms), dummies if len(loads) >= FEWEST_LOADS else {}):
-        columns = [*base, *(terms[name] for name in names), *([dummies[load]] if load is not None else [])]
-        solved, _ = _solved(
-            (readings.read - weight)[rows] / error[rows], (np.column_stack(columns) / error[:, None])[rows]
-        )
-        left = (readings.read - weight - np.column_stack(columns) @ solved)[rows] / error[rows]
+    weight, off = readings.weight[rows], (readings.read - readings.weight)[rows]
+    loads = np.unique(np.round(weight[weight > 0], 3))
+    base = {"offset": np.where(weight > 0, 1.0, 0.0), "rest": np.where(weight > 0, 0.0, 1.0)}
+    terms = {"drift": readings.course[rows] - 0.5} | ({"gain": weight} if len(loads) > 1 else {})
+
+    def sized(names: tuple[str, ...], load: float | None) -> tuple[float, dict[str, tuple[float, float]]]:
+        """Cost of a model, and the size of each of its terms with its standard deviation."""
+        columns = base | {name: terms[name] for name in names}
+        if load is not None:
+            columns["wrong"] = np.where(np.abs(weight - load) < SAME, 1.0, 0.0)
+        design = np.column_stack(list(columns.values())) / error[rows, None]
+        solved, errors = _solved(off / error[rows], design)
+        left = off / error[rows] - design @ solved
         cost = float(left @ left) + TERM * len(names) + (TERM + 2 * log(len(loads)) if load is not None else 0.0)
-        if cost < least:
-            best, least = (names, load), cost
-    chosen, load = best
-    columns = [*base, *terms.values(), *([dummies[load]] if load is not None else [])]
-    solved, errors = _solved(
-        (readings.read - weight)[rows] / error[rows], (np.column_stack(columns) / error[:, None])[rows]
-    )
-    sizes = [(float(a), float(s)) if s > 0 else None for a, s in zip(solved, errors, strict=True)]
-    names = ["offset", "rest", *terms, *(["wrong"] if load is not None else [])]
-    sized = dict(zip(names, sizes, strict=True))
-    wrong = sized.get("wrong")
-    lying = bool((weight[rows] == 0).any())
-    found = tuple(
-        Explanation(name, "", (size[0],))
-        for name in chosen
-        if lying and (size := sized[name]) is not None and abs(size[0]) > known.get(name, 0.0) + 3 * size[1]
-    )
+        both = zip(columns, solved.tolist(), errors.tolist(), strict=True)
+        return cost, {name: (size, own) for name, size, own in both if own > 0}
+
+    several = loads.tolist() if len(loads) >= FEWEST_LOADS else []
+    chosen, load = min(_models(tuple(terms), several), key=lambda model: sized(*model)[0])
+    sizes = sized(tuple(terms), load)[1]
+    lying = bool((weight == 0).any())
+    small = {"drift": SMALL * float(np.median(weight[weight > 0])), "gain": SMALL}
+    least = {name: max(known.get(name, 0.0) + 3 * sizes[name][1], small[name]) for name in chosen}
+    clear = [name for name in chosen if abs(sizes[name][0]) > least[name]]
     return Weighed(
-        sized["drift"], sized.get("gain"), sized["offset"],
-        (load, *wrong) if load is not None and wrong is not None else None, found,
+        sizes.get("drift"), sizes.get("gain"), sizes.get("offset"),
+        (load, *sizes["wrong"]) if load is not None else None,
+        tuple(Explanation(name, "", (sizes[name][0],)) for name in clear if lying),
     )  # fmt: skip
 
 
-def _models(terms: tuple[str, ...], dummies: dict[float, Array]) -> Iterator[tuple[tuple[str, ...], float | None]]:
+def _models(terms: tuple[str, ...], loads: Sequence[float]) -> Iterator[tuple[tuple[str, ...], float | None]]:
     """Names of the terms of each model, and the weight that is wrong in it."""
     for names in ((), *((term,) for term in terms), *([terms] if len(terms) > 1 else [])):
         yield names, None
-        yield from ((names, load) for load in dummies)
+        yield from ((names, load) for load in loads)
 
 
 def _errors(readings: Readings) -> Array:
@@ -146,7 +144,7 @@ def _errors(readings: Readings) -> Array:
         if len(marks) > rows.sum() // 2:
             columns = np.column_stack((np.ones(int(rows.sum())), readings.course[rows], weight[rows]))
         else:
-            each = [np.abs(weight[rows] - mark) < 1e-3 for mark in marks]
+            each = [np.abs(weight[rows] - mark) < SAME for mark in marks]
             columns = np.column_stack((readings.course[rows], *each)).astype(np.float64)
         values = readings.read[rows]
         left = values - columns @ np.linalg.lstsq(columns, values, rcond=None)[0]

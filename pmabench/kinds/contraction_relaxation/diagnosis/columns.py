@@ -116,7 +116,7 @@ def bend(followed: Followed, segments: Segments, fit: Solved) -> Array:
 def bend_as_stiffness(followed: Followed, segments: Segments, fit: Solved) -> Array:
     """K falls over the contractions that were tested by its own size at each pressure; shape (n, 1)."""
     x, middle, reach = _middle(segments)
-    return (fit.values("K", segments.pressure) * x * (x - 2 * middle) / (2 * reach))[:, None]
+    return np.asarray(fit.values("K", segments.pressure) * x * (x - 2 * middle) / (2 * reach))[:, None]
 
 
 def hysteresis(followed: Followed, segments: Segments, fit: Solved) -> Array:

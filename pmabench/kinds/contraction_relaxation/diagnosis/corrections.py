@@ -97,10 +97,13 @@ def in_samples(campaign: Campaign, explanations: Sequence[Explanation]) -> Campa
 
 def _filtered(samples: Samples, channel: str, constant: float, rate: float) -> Samples:
     """All other channels behind the filter that one has [s]; that one behind it where the constant is negative."""
-    chosen = [name for name in CHANNELS if (name == channel) != (constant > 0)]
-    own = {"pressure": "P", "displacement": "x", "force": "force"}
-    values = {own[name]: getattr(samples, own[name]) for name in chosen}
-    return replace(samples, **{n: _behind(v, abs(constant) * rate) for n, v in values.items() if v is not None})
+    filtered = {name for name in CHANNELS if (name == channel) != (constant > 0)}
+
+    def taken(name: str, values: Array) -> Array:
+        return _behind(values, abs(constant) * rate) if name in filtered else values
+
+    force = None if samples.force is None else taken("force", samples.force)
+    return replace(samples, P=taken("pressure", samples.P), x=taken("displacement", samples.x), force=force)
 
 
 def _behind(values: Array, constant: float) -> Array:

@@ -6,7 +6,6 @@ faults gave: the spread over loads that are left out does not see what biases al
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,6 +23,8 @@ STEP = 1.5e-3
 """By which times of streams are moved to see what they change [s]."""
 NORMAL = 1.96
 """Half width of a 95 % interval by its standard deviation."""
+UNSHOWN = 25.0
+"""A size whose variance grows by so much without a group is shown by that group alone."""
 FEWEST = 3
 """Fewest loads, or trials, of which one is left out at a time."""
 
@@ -44,7 +45,7 @@ class Spread:
         """What a fit to some `rows` of the corrected segments, whose residual should be `noise` [N], owes to it."""
         change = fit.theta - fit.again(self.recorded, noise).theta
         others = [fit.again(state.test.segments, noise).theta - fit.theta for state in self.others]
-        groups = (self._loads[rows], self.state.test.segments.trial[rows])
+        groups = (self._loads[rows], self._trials[rows])
         spreads = [self._spread(fit, rows, group, noise) for group in groups if len(np.unique(group)) >= FEWEST]
         return Correction(change, tuple(spreads), np.array(others).reshape(-1, len(fit.theta)), self.factor)
 
@@ -53,17 +54,24 @@ class Spread:
         test = self.state.test
         return np.array([round(samples.load, 2) for samples in test.campaign.samples])[test.segments.trial]
 
+    @property
+    def _trials(self) -> Array:
+        return self.state.test.segments.trial.astype(np.float64)
+
     def sizes(self) -> tuple[Array, ...]:
-        """What the sizes of each explanation are off by without each load, shape (loads, sizes) [SI]."""
-        fit, segments = self.state.test.fit, self.state.test.segments
-        group = self._loads if len(np.unique(self._loads)) >= FEWEST else segments.trial
+        """What the sizes of each explanation are off by without each trial, shape (trials, sizes) [SI].
+
+        Not without each load: a slip is seen from one load on, and has no size without it.
+        """
+        fit, segments, group = self.state.test.fit, self.state.test.segments, self._trials
         if len(np.unique(group)) < FEWEST:
             return tuple(np.zeros((1, len(one.sizes))) for one in self.state.explanations)
         left, begin, found = self._left_out(fit, np.ones(len(segments), bool), group)[1], 0, []
         for place, one in enumerate(self.state.explanations):
             mine = self._time(place, group)[:, None] if one.kind in TIMES else left[:, begin : begin + len(one.sizes)]
             begin += 0 if one.kind in TIMES else len(one.sizes)
-            found.append(mine - mine.mean(axis=0))
+            mine = mine[np.isfinite(mine).all(axis=1)]
+            found.append(mine - mine.mean(axis=0) if len(mine) else np.zeros((1, len(one.sizes))))
         return tuple(found)
 
     def _spread(self, fit: Solved, rows: NDArray[np.bool_], group: Array, noise: float) -> Array:
@@ -74,7 +82,10 @@ class Spread:
                 later, earlier = (fit.again(self._moved(place, by)[0], noise).theta for by in (STEP, -STEP))
                 every = self._time(place, self._group_of_all(group, rows))
                 theta = theta + (every - one.sizes[0])[:, None] * (later - earlier) / (2 * STEP)
+        theta = theta[np.isfinite(theta).all(axis=1)]
         count = len(theta)
+        if count < FEWEST:
+            return np.zeros((len(fit.theta), len(fit.theta)))
         off = theta - theta.mean(axis=0)
         wide = float(student.ppf(0.975, count - 1)) / NORMAL
         return np.asarray(wide**2 * (count - 1) / count * off.T @ off)
@@ -85,24 +96,25 @@ class Spread:
         return np.array([by_trial.get(trial, -1.0) for trial in self.state.test.segments.trial.tolist()])
 
     def _left_out(self, fit: Solved, rows: NDArray[np.bool_], group: Array) -> tuple[Array, Array]:
-        """Theta and sizes off those of the state, without each group in turn; shapes (groups, p), (groups, sizes)."""
+        """Theta and sizes off those of the state, without each group in turn; shapes (groups, p), (groups, sizes).
+
+        nan where a group alone shows a size: without the loads after a slip nobody knows how large it is.
+        """
         forces = self._forces[rows]
         scale = np.maximum(np.sqrt(np.mean(forces**2, axis=0)), 1e-300)
         whole, p = np.hstack([fit.design, forces / scale]), fit.design.shape[1]
         normal = whole.T @ whole
         normal[:p, :p] = np.linalg.inv(fit.inverse)
+        right = whole.T @ (fit.residual + fit.design @ fit.theta)
         target = fit.residual + fit.design @ fit.theta
+        sure = np.diag(_inverse(normal))[p:]
         found = []
         for one in np.unique(group):
-            mine = whole[group == one]
-            left = normal - mine.T @ mine
-            diagonal = np.sqrt(np.maximum(np.diag(left), 1e-300))
-            solved = np.linalg.lstsq(
-                left / np.outer(diagonal, diagonal),
-                (whole.T @ target - mine.T @ target[group == one]) / diagonal,
-                rcond=1e-12,
-            )[0]
-            found.append(solved / diagonal)
+            mine = group == one
+            inverse = _inverse(normal - whole[mine].T @ whole[mine])
+            shown = bool((np.abs(np.diag(inverse)[p:]) < UNSHOWN * sure).all())
+            solved = inverse @ (right - whole[mine].T @ target[mine])
+            found.append(solved if shown else np.full(len(solved), np.nan))
         both = np.array(found)
         return both[:, :p], both[:, p:] / scale
 
@@ -127,7 +139,7 @@ class Spread:
 
     def _time(self, place: int, group: Array) -> Array:
         """The time of an explanation [s] without each group: where the parabola of the squares of the rest ends."""
-        names = np.unique(group[group >= 0] if group.dtype.kind == "f" else group)
+        names = np.unique(group[group >= 0])
         squares = []
         for by in (-STEP, 0.0, STEP):
             segments, residual = self._moved(place, by)
@@ -142,10 +154,9 @@ class Spread:
         return np.asarray(self.state.explanations[place].sizes[0] + vertex)
 
 
-def nothing(fit: Solved, rows: NDArray[np.bool_], noise: float) -> Correction | None:
-    """No correction."""
-    return None
-
-
-Owed = Callable[[Solved, NDArray[np.bool_], float], Correction | None]
-"""What a fit to some rows of the corrected segments owes to the correction."""
+def _inverse(normal: Array) -> Array:
+    """Inverse of a normal matrix, scaled to its diagonal first; the least one where that does not exist."""
+    scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    return np.asarray(
+        np.linalg.pinv(normal / np.outer(scale, scale), rcond=1e-13, hermitian=True) / np.outer(scale, scale)
+    )

@@ -152,6 +152,15 @@ class Diagnosis:
         return ", ".join(dict.fromkeys(TITLES[one.key] for one in self.named))
 
     @property
+    def note(self) -> str:
+        """What is said of every value; empty where nothing was corrected."""
+        if self.state == "withheld" or not self.named:
+            return ""
+        bent = any(one.key == "bend" for one in self.named)
+        slope = "; K is the slope in the middle of the contractions at its pressure" if bent else ""
+        return f"corrected for {self.titles}{slope}"
+
+    @property
     def between(self) -> str:
         """`undecided between A and B`; empty where it is decided."""
         found = []

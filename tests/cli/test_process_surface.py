@@ -1,0 +1,88 @@
+"""`pmabench process RUN... --form surface`: slow tests of one muscle together, from its runs to a stored analysis.
+
+The muscle of the mock bench is a published surface with hysteresis and creep; its closed form is written out here.
+"""
+
+import json
+from math import exp
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from pmabench.cli.main import main
+from pmabench.cli.prepare import prepare
+from pmabench.engine.operator import ConfirmedBeforehand
+from pmabench.engine.run import run_plan
+
+PROTOCOLS = ("real-muscle-ramps", "real-muscle-pressurisation", "real-muscle-sines")
+
+
+CREPT = sum(0.004 * (1 - exp(-5.0 / T)) for T in (0.5, 1.58, 5.0, 15.8, 50.0, 158.0))
+"""Share of a contraction that has crept 5 s after it was reached."""
+
+
+def force(x, P):
+    """F [N] of the surface 5 s after the muscle came to x [m] and P [Pa]."""
+    kappa, kPa = (1 - CREPT) * x / 2.5e-3, P / 1e3
+    return (244.7 - 0.1115 * kPa) * exp(-0.334 * kappa) - 0.0830 * kappa * kPa + 2.650 * kPa - 249.4
+
+
+def stiffness(x, P):
+    """Minus its slope [N/m]."""
+    kappa, kPa = (1 - CREPT) * x / 2.5e-3, P / 1e3
+    return (1 - CREPT) * (0.334 * (244.7 - 0.1115 * kPa) * exp(-0.334 * kappa) + 0.0830 * kPa) / 2.5e-3
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory):
+    out = tmp_path_factory.mktemp("campaign") / "runs"
+    for protocol in PROTOCOLS:
+        prepared = prepare(protocol, "mock-real-actuator", "dmsp-20-250-real", [])
+        outcome = run_plan(prepared.plan, prepared.mounted, ConfirmedBeforehand(), out=out)
+        assert outcome.status == "finished", outcome.why
+    return sorted(str(path) for path in out.iterdir())
+
+
+def process(*arguments):
+    return CliRunner().invoke(main, ["process", *arguments])
+
+
+def test_a_campaign_becomes_one_muscle(runs):
+    result = process(*runs, "--form", "surface", "--json")
+    assert result.exit_code == 0, result.output
+    data = json.loads(result.stdout)
+    (analysis,) = data["analyses"]
+    assert analysis["runs"] == [Path(run).name for run in runs]
+    points = {
+        symbol: [e for e in analysis["estimates"] if e["symbol"] == symbol and e["value"] is not None]
+        for symbol in "FK"
+    }
+    assert len(points["F"]) >= 12
+    assert len(points["K"]) >= 10
+    for symbol, truth in (("F", force), ("K", stiffness)):
+        inside = 0
+        for e in points[symbol]:
+            true = truth(e["at"]["contraction"], e["at"]["pressure"])
+            inside += e["ci95"][0] <= true <= e["ci95"][1]
+            assert abs(e["value"] - true) <= 2 * (e["ci95"][1] - e["value"]), "off by more than twice its half width"
+        assert inside >= 0.9 * len(points[symbol])
+    assert analysis["facts"]["straight_form_rms"] > 3 * analysis["facts"]["held_out_rms"]
+    said = " ".join(finding["text"] for finding in analysis["findings"])
+    assert "trials that were left out are predicted to" in said
+    assert "by straight lines over contraction to" in said
+    (folder,) = data["folders"]
+    assert Path(folder).parent.name == f"{Path(runs[0]).name}-surface"
+    page = Path(folder).parent / "page.html"
+    shown = CliRunner().invoke(main, ["report", folder, "-o", str(page)])
+    assert shown.exit_code == 0, shown.output
+    assert "Muscle as a surface" in page.read_text()
+
+
+def test_what_it_does_not_take_is_refused_with_the_reason(runs):
+    both = process(*runs, "--form", "surface", "--form", "K=line")
+    assert both.exit_code == 2
+    assert "and no other option" in both.output
+    folder = process(str(Path(runs[0]).parent), "--form", "surface")
+    assert folder.exit_code == 2
+    assert "name run folders" in folder.output
