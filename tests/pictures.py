@@ -1,7 +1,8 @@
 """Makes the pictures of the README by the program itself: `python -m tests.pictures`.
 
 docs/pictures/display.svg: `pmabench watch` of a run on the simulated bench. docs/pictures/report.png: the first
-page of the demo's report, as `pmabench report --pdf` sets it.
+page of the demo's report, as `pmabench report --pdf` sets it. docs/pictures/straight.png: the simulated muscle with
+hysteresis and creep, as the campaign `real-muscle` measures it and `process --form surface` describes it.
 """
 
 import os
@@ -10,14 +11,18 @@ import time
 from io import StringIO
 from pathlib import Path
 
+import numpy as np
 import typst
 from click.testing import CliRunner
+from matplotlib.figure import Figure
 from rich.console import Console
 
 from pmabench.cli.main import main
 from pmabench.display.console import ALONE
 from pmabench.display.state import RunState
 from pmabench.display.view import Extra, screen
+from pmabench.store.analyses.folder import read_analysis
+from pmabench.store.reader import open_run
 
 PICTURES = Path(__file__).resolve().parents[1] / "docs" / "pictures"
 SIZE = (104, 32)
@@ -73,7 +78,50 @@ def report(folder, monkey=typst.compile):
     (PICTURES / "report.png").write_bytes(drawn[0])
 
 
+def straight(folder):
+    """Force over contraction, one small loop, and force over the logarithm of time."""
+    os.chdir(folder)
+    for line in (["campaign", "real-muscle", "--yes", "-q"], ["process", "--form", "surface", "-q", "--out", "found"]):
+        if line[0] == "process":
+            line += [str(path) for path in sorted(Path("runs").glob("2*"))]
+        result = CliRunner().invoke(main, line)
+        assert result.exit_code == 0, result.output
+    loops = read_analysis(Path("found") / "surface").traces
+    run = open_run(next(Path("runs").glob("*step-displacement*")))
+    held = next(trial for trial in run.trials if trial.point["pressure"] == 3e5)
+    figure = Figure(figsize=(9.6, 3.3), layout="constrained")
+    wide, small, creep = figure.subplots(1, 3, width_ratios=(1.3, 1, 1))
+    ramps = [trace for trace in loops if "isobaric" in trace.title]
+    for trace in ramps:
+        x, F = 1e3 * trace.columns["displacement"], trace.columns["force"]
+        wide.plot(x, F, color="#a3b1be", lw=2.6)
+        wide.plot(x, trace.columns["model"], color="#0b5394", lw=0.9)
+        ends = np.array([x.min(), x.max()])
+        wide.plot(ends, np.polyval(np.polyfit(x, F, 1), ends), "--", color="#8a4b00", lw=0.9)
+        wide.annotate(f"{trace.marks['pressure'] / 1e3:.0f} kPa", (x.max(), F.min()), fontsize=7, va="top")
+    wide.set(title="surface (blue), straight line (brown)", xlabel="contraction [mm]", ylabel="force [N]")
+    trace = ramps[len(ramps) // 2]
+    x, F = 1e3 * trace.columns["displacement"], trace.columns["force"]
+    near = (x > 3) & (x < 10)
+    small.plot(x[near], F[near], ".", color="#a3b1be", ms=3)
+    small.plot(x[near], trace.columns["model"][near], ".", color="#0b5394", ms=1.2)
+    small.set(title="a small loop within the large one", xlabel="contraction [mm]")
+    t, F = held.t, held.channels["force"]
+    begin = next(c for c in held.commands if c.phase == "step" and c.kind == "ramp").t + 0.5
+    kept = (t > begin + 0.3) & (t < begin + 39)
+    level = np.median(F[kept][-200:])
+    creep.semilogx(t[kept] - begin, F[kept] - level, ".", ms=1, color="#0a6b4d")
+    creep.set(title="creep while the length is held", xlabel="time [s]", ylabel="force above that at 39 s [N]")
+    for axis in (wide, small, creep):
+        axis.title.set_fontsize(8.5)
+        axis.spines[["top", "right"]].set_visible(False)
+        axis.tick_params(labelsize=7.5)
+        axis.xaxis.label.set_fontsize(8)
+        axis.yaxis.label.set_fontsize(8)
+    figure.savefig(PICTURES / "straight.png", dpi=110)
+
+
 if __name__ == "__main__":
     PICTURES.mkdir(exist_ok=True)
-    for picture in (display, report):
+    for picture in (display, report, straight):
         picture(Path(tempfile.mkdtemp()))

@@ -97,7 +97,7 @@ def test_all_that_does_not_fit_is_told_at_once():
             specimen=SPECIMENS / "mas-20-250-paper0.yaml",
         )  # fmt: skip
     told = str(caught.value)
-    for words in ("below 100 kPa", '"by"', "relaxes to 0 kPa", "has no place", "takes F_ce as known", '"mass"'):
+    for words in ("below 100 kPa", '"by"', "relaxes to 0 kPa", "cannot be combined", "takes F_ce as known", '"mass"'):
         assert words in told, words
     assert '"braid_angle"' in told
 

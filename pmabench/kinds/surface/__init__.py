@@ -25,8 +25,8 @@ METHODS = {
         "stops on contraction and on pressure, minus damping by direction, plus creep as a chain of lags that acts "
         "through the stiffness. A term is kept only if it predicts trials that were left out better by more than 10 % "
         "and by more than the standard error. F and K at a point are those of F_s: half way between both directions, "
-        "about 5 s after the muscle came there. Intervals: jackknife over groups of trials, with what other choices of "
-        "smoothness and terms change."
+        "about 5 s after the muscle came there; without a term of creep, at the pace of the tests. Intervals: "
+        "jackknife over groups of trials, with what other choices of smoothness and terms change."
     ),
     "surface, straight line": (
         "Minus the slope of the least-squares straight line through the fitted surface over the tested contractions: "

@@ -24,17 +24,18 @@ METHOD, SECANT = "surface", "surface, straight line"
 NORMAL = 1.96
 NEAR = 0.1
 """A place counts as tested where rows lie this close in pressure on both sides in contraction, and the other way."""
-PRESSURES, CONTRACTIONS = (1, 2, 2.5, 5), (1, 2, 2.5, 5)
 MOST = 6
 """Most pressures, and contractions at each."""
 STILL = 1e-5
 """Range of speeds below which nothing moved [m/s]."""
 WAVE = 0.25
 """Share of the range of contraction over which an error of the surface may be a slope."""
-WIDE = {"force": 0.05, "stiffness": 0.25, "work": 0.5, "damping": 0.5, "ratio": 0.5, "force per pressure": 0.5}
-"""There is no value where its half width is more than this share of it; a force of the surface, of the full scale."""
+WIDE = {"force": 0.05, "K": 0.25, "K_s": 0.25}
+"""There is no value where its half width is more than this share of it; for a force, of the full scale."""
 LOOSE = 0.5
-"""The same for the width of a loop."""
+"""The same for all others."""
+FASTEST = 0.98
+"""Quantile of the speeds at which damping is told."""
 TOO_FEW = "its interval would say too little: test more loads, pressures or lengths around it"
 CREEP = (1.0, 30.0)
 """Times [s] between which creep is reported; the second one ends with the longest hold."""
@@ -94,6 +95,11 @@ class Reporter:
     scales: Scales
     trials: tuple[str, ...]
 
+    @property
+    def error(self) -> float:
+        """Error of the force of trials that were left out [N], 95 %."""
+        return NORMAL * self.choice.score.rms
+
     def estimate(
         self,
         symbol: str,
@@ -102,12 +108,15 @@ class Reporter:
         at: Mapping[str, float],
         *,
         misfit: float = 0.0,
-        wide: float,
+        wide: float | None = None,
         note: str = "",
         method: str = METHOD,
         by: str = "force",
     ) -> Estimate:
-        """One value; `misfit` is what the error on left-out trials may do to it, `wide` the widest half width [SI]."""
+        """One value; `misfit` is what the error on left-out trials may do to it, `wide` the widest half width [SI].
+
+        That is a share of the value where it is not given.
+        """
         known = self.spread.of_value(value)
         parts = Parts(known.repeats, float(np.hypot(known.method, misfit)), self.scales.part({by: known.value}))
         found = Estimate(
@@ -117,7 +126,7 @@ class Reporter:
         half = parts.combined
         if half is None:
             return _unknown(found, f"fewer than {FEWEST} different loads, pressures or lengths give no interval")
-        if half > wide:
+        if half > (WIDE.get(symbol, LOOSE) * abs(known.value) if wide is None else wide):
             return _unknown(found, TOO_FEW)
         return found
 
@@ -151,80 +160,75 @@ def _stiffness(muscle: Muscle, P: float, x: float) -> float:
     return float(muscle.stiffness(np.array([P]), np.array([x]))[0])
 
 
-def _damping_of(muscle: Muscle, P: float, place: int) -> float:
-    """Damping while contracting (`place` 0) or while expanding (1) [N.s/m]."""
-    return muscle.damping(P)[place]
+def _damping_of(muscle: Muscle, P: float, way: int) -> float:
+    """Damping while contracting (`way` 0) or while expanding (1) [N.s/m]."""
+    return muscle.damping(P)[way]
 
 
 def _points(maker: Reporter, where: Tested, pressures: list[float]) -> Iterator[Estimate]:
-    """Force and tangent at places, and what a straight line would make of each pressure."""
-    choice = maker.choice
-    error, span = NORMAL * choice.score.rms, choice.data.frame.x.span
-    steep = error / (WAVE * span) if span > 0 else 0.0
-    contractions = round_places(choice.data.frame.x.low, choice.data.frame.x.high)
+    """Force and tangent at places, and what a straight line would make of each pressure.
+
+    A force is half way between filling and emptying. Whether a later move of the length leaves it there, slow tests do
+    not tell, so half of the difference belongs to its interval.
+    """
+    choice, error, frame = maker.choice, maker.error, maker.choice.data.frame
+    contractions = round_places(frame.x.low, frame.x.high)
     for P in pressures:
         low, high = where.contractions(P) or (0.0, 0.0)
-        places = [x for x in contractions if where.holds(P, x)]
-        for x in places:
+        for x in contractions:
+            if not where.holds(P, x):
+                continue
             at = {"pressure": P, "contraction": x}
+            side = 0.5 * choice.muscle.pressure_gap(x, 2 * float(frame.pressure_radii.max()))
+            wide = WIDE["force"] * choice.data.largest
             yield maker.estimate(
-                "F", "force", partial(_force, P=P, x=x), at,
-                misfit=error, wide=WIDE["force"] * choice.data.largest,
-            )  # fmt: skip
-            if span > 0:
-                K = _stiffness(choice.muscle, P, x)
+                "F", "force", partial(_force, P=P, x=x), at, misfit=float(np.hypot(error, side)), wide=wide
+            )
+            if frame.x.span > 0:
                 yield maker.estimate(
-                    "K", "stiffness", partial(_stiffness, P=P, x=x), at,
-                    misfit=steep, wide=WIDE["stiffness"] * abs(K),
-                )  # fmt: skip
-        if high - low > WAVE * span > 0:
-            K = choice.muscle.secant(P, low, high)
+                    "K", "stiffness", partial(_stiffness, P=P, x=x), at, misfit=error / (WAVE * frame.x.span)
+                )
+        if high - low > WAVE * frame.x.span > 0:
             at = {"pressure": P, "lower": round(low, 5), "upper": round(high, 5)}
             yield maker.estimate(
                 "K_s", "stiffness", partial(Muscle.secant, P=P, first=low, last=high), at,
-                misfit=error / (high - low), wide=WIDE["stiffness"] * abs(K), method=SECANT,
+                misfit=error / (high - low), method=SECANT,
             )  # fmt: skip
 
 
 def _loops(maker: Reporter, where: Tested, pressures: list[float]) -> Iterator[Estimate]:
     """Width and area of loops over contraction, of half the tested stroke, and of loops over the tested pressures."""
-    terms, muscle = maker.choice.terms, maker.choice.muscle
+    terms, frame, error = maker.choice.terms, maker.choice.data.frame, maker.error
     for P in pressures if {STOPS_X, SLIDING} & set(terms) else ():
         low, high = where.contractions(P) or (0.0, 0.0)
-        if high - low < WAVE * maker.choice.data.frame.x.span:
+        if high - low < WAVE * frame.x.span:
             continue
-        amplitude = 0.25 * (high - low)
-        at = {"pressure": P, "amplitude": round(amplitude, 6)}
-        for symbol, quantity, value in (("H", "force", Muscle.gap), ("W", "work", Muscle.area)):
-            yield maker.estimate(
-                symbol, quantity, partial(value, P=P, amplitude=amplitude), at,
-                wide=LOOSE * abs(value(muscle, P, amplitude)), note="around any contraction, at rest",
-            )  # fmt: skip
+        size = 0.25 * (high - low)
+        at, note = {"pressure": P, "amplitude": round(size, 6)}, "around any contraction, at rest"
+        yield maker.estimate("H", "force", partial(Muscle.gap, P=P, amplitude=size), at, misfit=error, note=note)
+        yield maker.estimate(
+            "W", "work", partial(Muscle.area, P=P, amplitude=size), at, misfit=2 * size * error, note=note
+        )
         if SLIDING in terms:
-            yield maker.estimate(
-                "F_c", "force", partial(Muscle.friction, P=P), {"pressure": P}, wide=LOOSE * muscle.friction(P)
-            )
-    for x in round_places(maker.choice.data.frame.x.low, maker.choice.data.frame.x.high) if STOPS_P in terms else ():
+            yield maker.estimate("F_c", "force", partial(Muscle.friction, P=P), {"pressure": P}, misfit=0.5 * error)
+    for x in round_places(frame.x.low, frame.x.high) if STOPS_P in terms else ():
         low, high = where.pressures(x) or (0.0, 0.0)
-        if high - low < WAVE * maker.choice.data.frame.P.span:
+        if high - low < WAVE * frame.P.span:
             continue
         reach = f"at mid pressure between {show(low, 'pressure', 3)} and {show(high, 'pressure', 3)}"
-        half = 0.5 * (high - low)
-        yield maker.estimate(
-            "H_P", "force", partial(Muscle.pressure_gap, x=x, amplitude=half), {"contraction": x},
-            wide=LOOSE * muscle.pressure_gap(x, half), note=reach,
-        )  # fmt: skip
+        gap = partial(Muscle.pressure_gap, x=x, amplitude=0.5 * (high - low))
+        yield maker.estimate("H_P", "force", gap, {"contraction": x}, misfit=error, note=reach)
 
 
 def _damping(maker: Reporter, pressures: list[float]) -> Iterator[Estimate]:
-    """Damping by direction."""
+    """Damping by direction: what the error of the force is at the highest speeds belongs to the interval."""
+    rows = maker.choice.data.rows
+    fast = float(np.quantile(np.abs(rows.v[rows.used]), FASTEST))
     for P in pressures:
-        for place, symbol in enumerate(("B_c", "B_r")):
-            size = _damping_of(maker.choice.muscle, P, place)
+        for way, symbol in enumerate(("B_c", "B_r")):
             yield maker.estimate(
-                symbol, "damping", partial(_damping_of, P=P, place=place), {"pressure": P},
-                wide=WIDE["damping"] * size,
-            )  # fmt: skip
+                symbol, "damping", partial(_damping_of, P=P, way=way), {"pressure": P}, misfit=maker.error / fast
+            )
 
 
 def _creep(maker: Reporter, where: Tested) -> Iterator[Estimate]:
@@ -233,15 +237,15 @@ def _creep(maker: Reporter, where: Tested) -> Iterator[Estimate]:
     reach = f"between {first:g} and {last:g} s after a step"
     if CREEP_X in choice.terms:
         yield maker.estimate(
-            "c_x", "ratio", partial(Muscle.creep_per_decade, first=first, last=last), {}, note=reach, by="displacement",
-            wide=WIDE["ratio"] * choice.muscle.creep_per_decade(first, last),
-        )  # fmt: skip
+            "c_x", "ratio", partial(Muscle.creep_per_decade, first=first, last=last), {}, note=reach, by="displacement"
+        )
     frame = choice.data.frame
     for x in round_places(frame.x.low, frame.x.high) if CREEP_P in choice.terms else ():
-        if where.pressures(x) is None:
-            continue
-        size = choice.muscle.pressure_creep_per_decade(x, first, last)
-        yield maker.estimate(
-            "c_P", "force per pressure", partial(Muscle.pressure_creep_per_decade, x=x, first=first, last=last),
-            {"contraction": x}, wide=WIDE["force per pressure"] * size, note=reach,
-        )  # fmt: skip
+        if where.pressures(x) is not None:
+            yield maker.estimate(
+                "c_P",
+                "force per pressure",
+                partial(Muscle.pressure_creep_per_decade, x=x, first=first, last=last),
+                {"contraction": x},
+                note=reach,
+            )

@@ -139,7 +139,7 @@ def creep_parts(followed: Followed, segments: Segments, fit: Solved) -> Array:
 
 def creep(followed: Followed, segments: Segments, fit: Solved) -> Array:
     """The same in every decade; shape (n, 1)."""
-    return creep_parts(followed, segments, fit).sum(axis=1, keepdims=True)
+    return np.asarray(creep_parts(followed, segments, fit).sum(axis=1, keepdims=True))
 
 
 OF_MUSCLE: Mapping[str, Mapping[str, Callable[[Followed, Segments, Solved], Array]]] = {

@@ -62,7 +62,8 @@ class Test:
     def of(cls, campaign: Campaign, segments: Segments, fit: Fit, expected: float) -> Test:
         """The test of a fit to `segments`; `expected` [N] is the noise that it was made with."""
         own, after = _noise(campaign, segments, fit)
-        own = np.maximum(own, (FLOOR * rms_of(segments.force)) ** 2)
+        least = max((FLOOR * rms_of(segments.force)) ** 2, 1e-24)  # a dead force cell has none at all
+        own = np.maximum(own, least)
         may = allowed(campaign, segments, fit)
         return cls(campaign, segments, fit, expected, own, after, may, _scatter(campaign, segments, fit.residual, own))
 
