@@ -20,10 +20,10 @@ BOUND = 0.99
 """A time found beyond this share of `FREE` is at its bound."""
 HEAVIEST = 200.0
 """Greatest damping ratio where the delay is fitted, too: that of a mass that does not show."""
-FASTEST = 5e-3
+FASTEST = 8e-3
 """A mass whose pole M/B is faster than this [s] may hide behind a delay."""
 WIDE = 3.0
-"""Standard deviations of the 95 % interval, where the correlation of what is left is found from the same samples."""
+"""Standard deviations of the interval: the noise of the pressure drives the model and hides in what is fitted."""
 REMAINS = 0.3
 """Share of what the second column changes that is added to the half widths."""
 

@@ -42,22 +42,32 @@ def times(at: Mapping[str, float], steps: Sequence[Step], stiffness: float | Non
     The delay of the motion behind the measured pressure is free, so that B/K does not depend on the stamps of the
     pressure; the time from command to motion holds what the stamps of the position may be off, as far as that is known.
     """
+    names = tuple(step.name for step in steps)
+    rises = at["pressure"] > at["from"]
+    symbol = "tau_c" if rises else "tau_r"
+    B_K = Estimate(symbol, None, "s", "time", DRIVEN, at, n=len(steps), trials=names)
+    if why := _of_another_kind(steps):
+        return [replace(B_K, note=why)]
     mass = float(np.mean([step.trial.point.get("mass", 0.0) for step in steps]))
     w = sqrt(stiffness / mass) if stiffness is not None and mass > 0 else None
     found = [delayed(step, w) for step in steps]
-    names = tuple(step.name for step in steps)
-    rises = at["pressure"] > at["from"]
-    tau, of_tau = mean_with_half([one.tau for one in found])
-    parts = Parts(of_tau, max(one.half_tau for one in found), 0.0)
-    once = ONCE if of_tau is None else ""
-    where = f"B/K at {show(at['pressure'], 'pressure', 3)}, {'contracting' if rises else 'relaxing'}"
-    symbol = "tau_c" if rises else "tau_r"
-    B_K = Estimate(symbol, tau, "s", "time", DRIVEN, at, parts, len(steps), note=sentences(where, once), trials=names)
     if why := _why_not(steps, found):
-        B_K = replace(B_K, value=None, parts=Parts(), note=why)
+        return [replace(B_K, note=why)]
+    tau, of_tau = mean_with_half([one.tau for one in found])
+    where = f"B/K at {show(at['pressure'], 'pressure', 3)}, {'contracting' if rises else 'relaxing'}"
+    note = sentences(where, ONCE if of_tau is None else "")
+    B_K = replace(B_K, value=tau, parts=Parts(of_tau, max(one.half_tau for one in found), 0.0), note=note)
+    t_d = _to_motion(at, steps, found, late)
+    return [B_K] if t_d is None else [B_K, t_d]
+
+
+def _to_motion(
+    at: Mapping[str, float], steps: Sequence[Step], found: Sequence[Delayed], late: float
+) -> Estimate | None:
+    """The time from command to motion [s]; None where no step has a command."""
     commanded = [(step, one) for step, one in zip(steps, found, strict=True) if not step.found]
-    if not commanded or B_K.value is None:
-        return [B_K]
+    if not commanded:
+        return None
     dead, of_dead = mean_with_half([step.stamped + one.delay for step, one in commanded])
     half = hypot(max(one.half_delay for _, one in commanded), max(step.onset_half for step, _ in commanded)) + late
     names, note = tuple(step.name for step, _ in commanded), "" if of_dead is not None else ONCE
@@ -69,16 +79,21 @@ def times(at: Mapping[str, float], steps: Sequence[Step], stiffness: float | Non
         text = f"a delay of {show(dead, 'time', 2)} and the lag of the mass cannot be distinguished"
         text = f"{text} (+- {show(half, 'time', 2)}): steps at two known loads give K, and with it that lag"
         t_d = replace(t_d, value=None, parts=Parts(), note=text)
-    return [B_K, t_d]
+    return t_d
+
+
+def _of_another_kind(steps: Sequence[Step]) -> str:
+    """The reason why these motions have no B/K of their own; empty where they may have one."""
+    if min(step.best.D for step in steps) < RINGS:
+        return "the motion rings, and friction would be taken for damping: a known mass gives K and B of it"
+    if pulled := [step.name for step in steps if step.sprung]:
+        return f"a spring pulls, too (trial {pulled[0]}): the time constant is B over K and the spring together"
+    return ""
 
 
 def _why_not(steps: Sequence[Step], found: Sequence[Delayed]) -> str:
     """The reason why the driven motion gives no B/K; empty where it does."""
-    if min(step.best.D for step in steps) < RINGS:
-        return "the motion rings, and friction would be taken for damping: a known mass gives K and B of it"
     for step, one in zip(steps, found, strict=True):
-        if step.sprung:
-            return f"a spring pulls, too (trial {step.name}): the time constant is B over K and the spring together"
         if one.rms > ILL_FITTED * abs(step.stroke):
             share = one.rms / abs(step.stroke)
             return f"the driven motion misses {share:.0%} of the stroke (trial {step.name}): friction, or a stop"
