@@ -114,7 +114,8 @@ def weighed(readings: Readings, known: Mapping[str, float] = NOTHING) -> Weighed
     chosen, load = min(_models(tuple(terms), several), key=lambda model: sized(*model)[0])
     sizes = sized(tuple(terms), load)[1]
     lying = bool((weight == 0).any())
-    small = {"drift": SMALL * float(np.median(weight[weight > 0])), "gain": SMALL}
+    # without a weight nothing says how small a drift is: none is corrected
+    small = {"drift": SMALL * float(np.median(weight[weight > 0])) if len(loads) else inf, "gain": SMALL}
     least = {name: max(known.get(name, 0.0) + 3 * sizes[name][1], small[name]) for name in chosen}
     clear = [name for name in chosen if abs(sizes[name][0]) > least[name]]
     return Weighed(

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from math import sqrt
+from math import inf, sqrt
 from statistics import NormalDist
 
 import numpy as np
@@ -225,7 +225,12 @@ def _scatter(campaign: Campaign, segments: Segments, residual: Array, own: Array
 
 
 def _mean_without(squares: Array, share: float) -> float:
-    """Mean of squares without the largest `share` of them, scaled so that it is 1 for normal noise of size 1."""
+    """Mean of squares without the largest `share` of them, scaled so that it is 1 for normal noise of size 1.
+
+    Infinite where there are none: what no trial that was left out can show explains nothing.
+    """
+    if not len(squares):
+        return inf
     left = int(share * len(squares))
     if not left:
         return float(squares.mean())
