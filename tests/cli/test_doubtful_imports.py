@@ -77,7 +77,7 @@ def test_two_files_in_different_units_are_not_pooled(tmp_path):
     one, two = isometric(1), isometric(1, rate=90.0)
     analysis, said = processed(tmp_path, [one, damaged(two, force=two.force * 0.57)], code=6)
     assert slope(analysis)["withheld"]
-    assert "no repeats of one test" in said
+    assert "no repeats of one test" in " ".join(said.split())
 
 
 def test_one_file_in_other_units_among_four_is_left_out_and_counted(tmp_path):

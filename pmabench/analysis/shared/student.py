@@ -11,7 +11,9 @@ import numpy as np
 from pmabench.store.records import Array
 
 SHARES, FREEDOMS = (0.5, 0.99), (1.0, 300.0)
-"""Where the quadrature is as exact as scipy, to 1e-12; elsewhere scipy is used."""
+"""Where the quadrature is as exact as scipy, to 1e-11; elsewhere scipy is used."""
+OF_WHOLE = 0.999
+"""The highest share where the degrees of freedom are a whole number."""
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(60)
 STEPS = 100
 
@@ -34,7 +36,8 @@ def _quantile(share: float, freedom: float) -> float:
 
     The integral is concave in a: Newton's method from a = 0 comes to the value from below, until only rounding is left.
     """
-    if not (SHARES[0] <= share <= SHARES[1] and FREEDOMS[0] <= freedom <= FREEDOMS[1]):
+    highest = OF_WHOLE if freedom == int(min(freedom, FREEDOMS[1])) else SHARES[1]
+    if not (SHARES[0] <= share <= highest and FREEDOMS[0] <= freedom <= FREEDOMS[1]):
         from scipy.special import stdtrit
 
         return float(stdtrit(freedom, share))

@@ -12,7 +12,6 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from pmabench.analysis.shared import skew
 from pmabench.kinds.contraction_relaxation.drift import zero_drifts
@@ -23,6 +22,14 @@ from pmabench.store.records import Array
 
 MOST_PLACES = 40
 """Most trials before which a slip is looked for."""
+FADES = 10.0
+"""A lag is summed over so many time constants at once; over more, what has faded would lose its digits.
+
+scipy.signal has this filter, but takes longer to import than a reduction."""
+GONE = 1e-8
+"""A lag that keeps less than this share of a row until the next keeps nothing."""
+STROKE = 1e-6
+"""Contractions that differ by less count as one [m]."""
 GRID = 0.004
 """Period at which hysteresis and creep follow the contraction [s]."""
 RADII = (0.3e-3, 1e-3, 3e-3, 8e-3)
@@ -100,7 +107,7 @@ def _middle(segments: Segments) -> tuple[Array, Array, float]:
     """Contraction of each segment, the middle of the contractions at its pressure, (n,) each, and their range [m]."""
     x, P = segments.x @ segments.weights, segments.pressure
     line = np.column_stack((np.ones(len(P)), P / TYPICAL))
-    return x, line @ np.linalg.lstsq(line, x, rcond=None)[0], float(np.ptp(x)) or 1.0
+    return x, line @ np.linalg.lstsq(line, x, rcond=None)[0], reach if (reach := float(np.ptp(x))) > STROKE else 1.0
 
 
 def bend(followed: Followed, segments: Segments, fit: Solved) -> Array:
@@ -269,7 +276,21 @@ def lagged(values: Array, constant: float) -> Array:
     """Rows of `values` (n, ...) after a filter of first order, its time constant in rows; exact for straight lines."""
     keep = float(np.exp(-1 / constant))
     now = 1 - (1 - keep) * constant
-    return np.asarray(lfilter([now, 1 - keep - now], [1.0, -keep], values - values[:1], axis=0) + values[:1])
+    change = values - values[:1]
+    drive = now * change
+    drive[1:] += (1 - keep - now) * change[:-1]
+    if keep < GONE:
+        return np.asarray(drive + values[:1])
+    span = max(1, int(FADES * constant))
+    fading = keep ** np.arange(1, span + 1).reshape(-1, *[1] * (values.ndim - 1))
+    found = np.empty_like(drive)
+    last = np.zeros_like(drive[:1])
+    for begin in range(0, len(drive), span):
+        part = drive[begin : begin + span]
+        fade = fading[: len(part)]
+        found[begin : begin + span] = fade * (last + np.cumsum(part / fade, axis=0))
+        last = found[begin : begin + span][-1:]
+    return np.asarray(found + values[:1])
 
 
 def _followers(campaign: Campaign) -> Iterator[tuple[int, float]]:

@@ -18,6 +18,8 @@ from pmabench.kinds.contraction_relaxation.segments import Segments, moved
 from pmabench.kinds.contraction_relaxation.trials import Campaign
 from pmabench.store.records import Array
 
+SOFTEST = 1.0
+"""A fit to hardly anything may give any K; creep acts through one of at least this [N/m]."""
 MOST_LATE = 0.06
 """Longest time that a stream is moved or filtered by [s]."""
 CHANNELS = ("pressure", "displacement", "force")
@@ -66,7 +68,7 @@ def _of_muscle(
     creeps = [other for other in others if other.kind == "creep"] if one.kind == "bend" else []
     for other in creeps:
         forces = columns.OF_MUSCLE["creep"][other.which](followed, segments, fit) @ np.array(other.sizes)
-        crept = forces / np.maximum(fit.values("K", segments.pressure), 1e-300)
+        crept = forces / np.maximum(fit.values("K", segments.pressure), SOFTEST)
         segments = replace(segments, x=segments.x - crept[:, None])
     return columns.OF_MUSCLE[one.kind][one.which](followed, segments, fit)
 
