@@ -125,7 +125,7 @@ class Supervision:
             if min(ends) - slack <= held <= max(ends) + slack:
                 return ""
             sent, value = (show(si, output.quantity) for si in (course(self._clock.now()), output.scale.to_si(held)))
-            return f'"{output.name}" was commanded to {sent} and the device holds {value}: {ELSEWHERE}'
+            return f'"{output.name}" was commanded to {sent} and the device holds {value} as set-point: {ELSEWHERE}'
 
         return partial(self._twice, look)
 

@@ -40,7 +40,7 @@ KINDS = (
     Kind("restart-valve-kept", "restart|watchdog|set.?point|uptime|valve", 1.0, each=50),
     Kind("watchdog-off", "watchdog", 1.0, each=50),
     Kind("watchdog-time", "watchdog", 1.0),
-    Kind("watchdog-ends", "watchdog|set.?point|valve|the device holds", 1.0),
+    Kind("watchdog-ends", "watchdog|set.?point|valve", 1.0),
     # a step or ramp that follows commands the output anew, maybe before the device is asked again (every 0.5 s, S11)
     Kind("set-point", "set.?point|pressure", 1.0, ("holds",), value=4321, each=50),
     Kind("set-point-zero", "set.?point|pressure", 1.0, ("holds",)),
