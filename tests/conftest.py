@@ -6,6 +6,7 @@ whoever names a file gets all of it. The end of the log lists what was chosen.
 
 import gc
 import os
+import re
 import subprocess
 import tempfile
 from collections import Counter
@@ -15,6 +16,7 @@ import pytest
 from hypothesis import settings
 
 import pmabench.cli.main  # noqa: F401  (sets the number of BLAS threads before numpy is loaded, as for a user)
+from tests.browser import CHROMIUM, NOT_RUN, Browser
 
 settings.register_profile("same", derandomize=True, deadline=None, print_blob=True)
 settings.load_profile("same")
@@ -52,6 +54,8 @@ FOUND = ("test_in_a_shipped_driver_it_is_found", "test_in_the_example_driver_it_
 SHARES = {"test_in_a_shipped_driver_it_is_found": 72}
 SHARE = 12
 """Of the tests of `CONFORMANCE` that wait in real time, every commit takes one in so many; `SHARES` names exceptions."""
+IN_REAL_TIME = re.compile(r"^pytestmark = .*\brealtime\b", re.MULTILINE)
+"""A file whose tests all wait in real time."""
 LONGEST = "tests/test_pages.py"
 CHOSEN = (*RIGS, *OF_ALL_RIGS, CONFORMANCE, "tests/outside/test_faults.py")
 
@@ -84,11 +88,13 @@ def pytest_configure_node(node):
 
 
 def pytest_ignore_collect(collection_path, config):
-    """Where only tests in real time are asked for, files that have none need not be imported."""
-    only_realtime = config.option.markexpr.startswith("realtime")
-    if only_realtime and collection_path.match("test_*.py") and "realtime" not in collection_path.read_text("utf-8"):
-        return True
-    return None
+    """Files without a test that is asked for need not be imported: all of theirs are in real time, or none is."""
+    wanted = config.option.markexpr
+    if not wanted.startswith(("realtime", "not realtime")) or not collection_path.match("test_*.py"):
+        return None
+    text = collection_path.read_text("utf-8")
+    needless = "realtime" not in text if wanted.startswith("realtime") else IN_REAL_TIME.search(text)
+    return True if needless else None
 
 
 def _rig_of(item):
@@ -117,7 +123,8 @@ def _taken(waiting):
 def pytest_collection_modifyitems(config, items):
     waiting = [item for item in items if item.get_closest_marker("realtime")]
     for item in waiting:
-        if _rig_of(item) or (CONFORMANCE in item.nodeid and item.originalname not in FOUND):
+        exact = _rig_of(item) or (CONFORMANCE in item.nodeid and item.originalname not in FOUND)
+        if exact and not item.get_closest_marker("singly"):
             item.add_marker("alone")  # answers within milliseconds are asserted in many of them
     if not _whole_suite(config):
         return
@@ -131,6 +138,15 @@ def pytest_collection_modifyitems(config, items):
 def pytest_collection_finish():
     """What was imported and collected stays to the end: the garbage collector need not look through it each time."""
     gc.freeze()
+
+
+@pytest.fixture(scope="session")
+def browser(tmp_path_factory):
+    """One Chromium for all tests of a session; each page in it has its own storage."""
+    if CHROMIUM is None:
+        pytest.skip(NOT_RUN)
+    with Browser(tmp_path_factory.mktemp("browser") / "profile") as opened:
+        yield opened
 
 
 def pytest_unconfigure():

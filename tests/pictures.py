@@ -1,7 +1,8 @@
 """Makes the pictures of the README by the program itself: `python -m tests.pictures`.
 
-docs/pictures/display.svg: `pmabench watch` of a run on the simulated bench. docs/pictures/report.png: the first
-page of the demo's report, as `pmabench report --pdf` sets it. docs/pictures/straight.png: the simulated muscle with
+docs/pictures/display.svg: `pmabench watch` of a run on the simulated bench, docs/pictures/live.png: `watch --web` of
+the same. docs/pictures/report.png: the first page of the demo's report, as a browser prints it. Both need Chromium.
+docs/pictures/straight.png: the simulated muscle with
 hysteresis and creep, as the campaign `real-muscle` measures it and `process --form surface` describes it.
 """
 
@@ -12,7 +13,6 @@ from io import StringIO
 from pathlib import Path
 
 import numpy as np
-import typst
 from click.testing import CliRunner
 from matplotlib.figure import Figure
 from rich.console import Console
@@ -21,8 +21,11 @@ from pmabench.cli.main import main
 from pmabench.display.console import ALONE
 from pmabench.display.state import RunState
 from pmabench.display.view import Extra, screen
+from pmabench.display.web.server import start
 from pmabench.store.analyses.folder import read_analysis
 from pmabench.store.reader import open_run
+from tests.browser import CHROMIUM, Browser
+from tests.display.paced import Paced
 
 PICTURES = Path(__file__).resolve().parents[1] / "docs" / "pictures"
 SIZE = (104, 32)
@@ -51,31 +54,40 @@ def display(folder):
     for line in screen(state, *SIZE, Extra(footer=ALONE)):
         console.print(line, no_wrap=True, overflow="crop")
     (PICTURES / "display.svg").write_text(console.export_svg(code_format=SVG, unique_id="d"))
+    if CHROMIUM is not None:
+        live(folder, run)
 
 
-def report(folder, monkey=typst.compile):
-    """The first page of the demo's report."""
-    drawn = []
+def live(folder, run):
+    """The same run in the browser, at the end of its second trial."""
+    paced = Paced(run, folder / "paced")
+    paced.advance(next(event.t for event in paced.events if event.kind == "trial-begin" and event.data["trial"] == 2))
+    paced.advance(paced.t + 8.0)
+    server = start(folder / "paced", "token")
+    with Browser(folder / "profile") as browser:
+        page = browser.open(server.link(), width=1280, height=1010)
+        page.wait("document.querySelector('#trials-count').textContent === '2 of 3'", within=30.0)
+        page.wait("new Promise(done => setTimeout(() => done(true), 500))")
+        page.picture(PICTURES / "live.png")
+    server.stop()
+    paced.finish()
 
-    def compiled(source, **options):
-        drawing = {
-            name: value for name, value in options.items() if name not in {"format", "pdf_standards", "timestamp"}
-        }
-        pages = monkey(source, format="png", ppi=72.0, **drawing)
-        drawn.append(pages[0] if isinstance(pages, list) else pages)
-        return monkey(source, **options)
 
-    typst.compile = compiled
+def report(folder):
+    """The first page of the demo's report, as a browser prints it."""
     os.chdir(folder)
-    for line in (
-        ["campaign", "demo", "--yes", "-q", "--operator", "A. Reader"],
-        ["report", "runs", "-o", "r.html", "--pdf", "r.pdf"],
-    ):
+    for line in (["campaign", "demo", "--yes", "-q", "--operator", "A. Reader"], ["report", "runs", "-o", "r.html"]):
         if line[0] == "report":
             line[1:2] = [str(path) for path in sorted(Path("runs").iterdir()) if (path / "manifest.json").exists()]
         result = CliRunner().invoke(main, line)
         assert result.exit_code == 0, result.output
-    (PICTURES / "report.png").write_bytes(drawn[0])
+    with Browser(folder / "profile") as browser:
+        page = browser.open((folder / "r.html").as_uri())
+        page.media(printed=True)
+        metrics = {"width": 720, "height": 1042, "deviceScaleFactor": 1.25, "mobile": False}
+        page.send("Emulation.setDeviceMetricsOverride", **metrics)
+        page.run("document.body.setAttribute('style', 'padding: 20px')")
+        page.picture(PICTURES / "report.png")
 
 
 def straight(folder):
@@ -88,7 +100,7 @@ def straight(folder):
         assert result.exit_code == 0, result.output
     loops = read_analysis(Path("found") / "surface").traces
     run = open_run(next(Path("runs").glob("*step-displacement*")))
-    held = next(trial for trial in run.trials if trial.point["pressure"] == 3e5)
+    held = next(trial for trial in run.trials if trial.point["pressure"] == 350e3)
     figure = Figure(figsize=(9.6, 3.3), layout="constrained")
     wide, small, creep = figure.subplots(1, 3, width_ratios=(1.3, 1, 1))
     ramps = [trace for trace in loops if "isobaric" in trace.title]
@@ -108,10 +120,10 @@ def straight(folder):
     small.set(title="a small loop within the large one", xlabel="contraction [mm]")
     t, F = held.t, held.channels["force"]
     begin = next(c for c in held.commands if c.phase == "step" and c.kind == "ramp").t + 0.5
-    kept = (t > begin + 0.3) & (t < begin + 39)
+    kept = (t > begin + 0.3) & (t < begin + 199)
     level = np.median(F[kept][-200:])
     creep.semilogx(t[kept] - begin, F[kept] - level, ".", ms=1, color="#0a6b4d")
-    creep.set(title="creep while the length is held", xlabel="time [s]", ylabel="force above that at 39 s [N]")
+    creep.set(title="creep while the length is held", xlabel="time [s]", ylabel="force above that at 199 s [N]")
     for axis in (wide, small, creep):
         axis.title.set_fontsize(8.5)
         axis.spines[["top", "right"]].set_visible(False)

@@ -4,7 +4,7 @@ import re
 from dataclasses import fields
 from pathlib import Path
 
-from pmabench_drivers.mock.options import CHOICES, Faults, Options, SensorError, Service
+from pmabench_drivers.mock.options import CHOICES, JOINT, PLATFORM, Faults, Options, SensorError, Service
 
 from pmabench.cli.emulate import PRESETS
 from pmabench.model.overrides import Overrides
@@ -21,8 +21,8 @@ def first_cells(text):
 
 def test_every_plant_is_told_and_can_be_chosen():
     told = ["contractor" + name if name.startswith("-") else name for name in first_cells(MUSCLES)]
-    assert set(told) - {"plant"} == set(PLANTS)
-    assert CHOICES["plant"] == PLANTS
+    assert set(told) - {"plant"} == {*PLANTS, JOINT, PLATFORM}
+    assert CHOICES["plant"] == (*PLANTS, JOINT, PLATFORM)
 
 
 def test_the_emulators_take_every_plant_with_a_free_end():

@@ -27,6 +27,8 @@ class Measured:
     assumed: bool = False
     pooled: bool = False
     """Whether earlier trials are in it, so that it cannot be compared with them."""
+    half: float | None = None
+    """Half width of the 95 % interval by the scatter of trials alone [SI]; None where it is not known."""
 
 
 Found = tuple[list[Measured], list[str]]

@@ -82,12 +82,6 @@ class LimitTripped(PmaError):
     exit_code = 5
 
 
-class VentFailed(PmaError):
-    """The safe state could not be confirmed."""
-
-    exit_code = 5
-
-
 class VerdictFailed(PmaError):
     """The work was done, but a verdict on it failed, for instance a search that found nothing."""
 

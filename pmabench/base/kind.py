@@ -66,6 +66,8 @@ class Kind:
     """`module:offers`: Analysis -> its `Offer` of each quantity that other kinds of test measure, too."""
     after: str = ""
     """`module:options`: offers of the specimen's other tests -> options of this reduction, which is done after them."""
+    reverses: bool = False
+    """Whether it looks at small reversals of the motion."""
     at_rest: bool = False
     """Whether its F_ce is what limits against static load compare with."""
     instead: str = ""
@@ -80,6 +82,8 @@ class Kind:
     """Options of its reduction that a user can give."""
     parts: dict[str, str] = field(default_factory=dict)
     """What some commands look up, as "module:name": `check options`, `tune by steps`, `tune by model`.
+
+    `next trial`: chooses the trials of a plan one by one, `Chooser(plan, expected, goals, seconds).decide(runs)`.
 
     `slow rows`: (run, trial, rate) -> rows of pressure, contraction and force for a form of all tests, or why there are
     none. `form of all tests`: this kind is such a form, whose reduction takes the runs of all others with slow rows.

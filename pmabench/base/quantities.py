@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 
@@ -42,6 +43,11 @@ QUANTITIES: dict[str, Quantity] = {
         Quantity("current", "A", "mA", 1e-3),
         Quantity("angle", "rad", "deg", 0.017453292519943295),
         Quantity("angular speed", "rad/s", "deg/s", 0.017453292519943295),
+        Quantity("torque", "N.m", "N·m", 1.0),
+        Quantity("torque rate", "N.m/s", "N·m/s", 1.0),
+        Quantity("angular integral gain", "N.m/rad/s", "N·m/rad/s", 1.0),
+        Quantity("torsional stiffness", "N.m/rad", "N·m/rad", 1.0),
+        Quantity("torque per pressure", "N.m/Pa", "N·m/bar", 1e-5),
         Quantity("force per pressure", "N/Pa", "N/kPa", 1e-3),
         Quantity("force per pressure squared", "N/Pa2", "N/kPa²", 1e-6),
         Quantity("stiffness per pressure", "N/m/Pa", "N/mm/kPa", 1.0),
@@ -67,9 +73,34 @@ CHANNEL_QUANTITY = {
     "displacement_command": "length",
     "force": "force",
     "angle": "angle",
+    "angle_command": "angle",
+    "torque": "torque",
     "supply": "pressure",
+    "flow": "mass flow",
+    "acceleration_x": "acceleration",
+    "acceleration_y": "acceleration",
+    "acceleration_z": "acceleration",
+    "turn_x": "angular speed",
+    "turn_y": "angular speed",
 }
 """What each channel name of a protocol measures; a protocol names channels from this table only."""
+MUSCLES = 6
+"""Most muscles on one bench."""
+OF_A_MUSCLE = ("pressure", "pressure_command", "displacement", "displacement_command", "force")
+"""Channels that each muscle has where a bench has several: `pressure_1`, `pressure_2` ..."""
+CHANNEL_QUANTITY |= {
+    f"{name}_{number}": CHANNEL_QUANTITY[name] for name in OF_A_MUSCLE for number in range(1, MUSCLES + 1)
+}
+
+
+def without_number(name: str) -> tuple[str, str]:
+    """A name and the number of its muscle: ("pressure", "_2") for `pressure_2`, ("pressure", "") for `pressure`."""
+    return (name[:-2], name[-2:]) if name[-2:-1] == "_" and name[-1].isdigit() else (name, "")
+
+
+def highest_pressure(measured: Mapping[str, float]) -> float | None:
+    """The highest pressure of any muscle among measured values by channel [Pa]; None where none is measured."""
+    return max((value for name, value in measured.items() if without_number(name)[0] == "pressure"), default=None)
 
 
 def show(value: float, quantity: str, digits: int = 6) -> str:

@@ -35,6 +35,16 @@ def keep_in_memory() -> None:
         ctypes.CDLL(None).mlockall(1)  # MCL_CURRENT; with MCL_FUTURE a limit on locked memory would end the process
 
 
+def give_back_memory() -> None:
+    """Return to the system what was freed after much was read at once; only where the C library can."""
+    if sys.platform == "linux":
+        import ctypes
+
+        trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
+        if trim is not None:
+            trim(0)
+
+
 def try_lock(path: Path) -> int | None:
     """Take the lock at `path`; the descriptor that holds it, or None where another process has it.
 

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from pmabench.base.quantities import show
+from pmabench.base.quantities import show, without_number
 from pmabench.bench.compile import Mounted
 from pmabench.bench.files.specimen import Reading
 from pmabench.bench.interface import ChannelRecord, DeviceRecord, SafeAction, TripRecord
@@ -47,16 +47,40 @@ def _device_of(mounted: Mounted, output: str) -> DeviceRecord | None:
     return None
 
 
-def _opens_unheard(mounted: Mounted) -> DeviceRecord | None:
-    """The device whose watchdog opens the dump valve when it hears nothing, if there is one."""
-    device = _device_of(mounted, "dump_valve")
+def _opens_unheard(mounted: Mounted, output: str) -> DeviceRecord | None:
+    """The device whose watchdog opens the dump valve of an output when it hears nothing, if there is one."""
+    own = _device_of(mounted, f"dump_valve{without_number(output)[1]}")
+    device = own or _device_of(mounted, "dump_valve")
     return device if device is not None and device.watchdog else None
 
 
 def _computer(mounted: Mounted) -> Iterator[str]:
-    pressure, opens = _device_of(mounted, "pressure"), _opens_unheard(mounted)
-    if pressure is None:
+    names = [output.name for output in mounted.bench.pressures]
+    if mounted.bench.aims:
+        yield from _valves_unheard(mounted)
+    elif not names:
         yield "Nothing commands the pressure on this bench."
+    yield from dict.fromkeys(sentence for name in names for sentence in _unheard(mounted, name))
+    drive = _device_of(mounted, "displacement") or _device_of(mounted, "angle")
+    if drive is not None:
+        yield "The drive's own watchdog ends its motion." if drive.watchdog else "THE DRIVE GOES ON."
+
+
+def _valves_unheard(mounted: Mounted) -> Iterator[str]:
+    """What becomes of muscles behind valves that open in pulses."""
+    yield "Pulses of valves end by themselves."
+    for name in ("supply_valve", "dump_valve"):
+        device = _device_of(mounted, name) or _device_of(mounted, f"{name}_1")
+        if device is not None and device.watchdog:
+            shown = name.replace("_", " ")
+            yield f"{device.name} hears nothing and lets go of the {shown} after {seconds(device.watchdog)}."
+        else:
+            yield f"THE {name.replace('_', ' ').upper()} STAYS AS IT IS: its device has no watchdog. {BY_HAND}"
+
+
+def _unheard(mounted: Mounted, output: str) -> Iterator[str]:
+    """What becomes of one muscle when no device hears from the computer any more."""
+    pressure, opens = _device_of(mounted, output), _opens_unheard(mounted, output)
     if pressure is not None and pressure.watchdog:
         also = ""
         if opens is not None:
@@ -69,22 +93,23 @@ def _computer(mounted: Mounted) -> Iterator[str]:
         yield "The regulator keeps its last set-point."
     elif pressure is not None:
         yield f"NOTHING VENTS: {pressure.name} has no watchdog, and the pressure stays at its last value. {BY_HAND}"
-    drive = _device_of(mounted, "displacement")
-    if drive is not None:
-        yield "The drive's own watchdog ends its motion." if drive.watchdog else "THE DRIVE GOES ON."
 
 
 def _power(mounted: Mounted) -> Iterator[str]:
-    output = mounted.bench_file.set_points.get("pressure")
-    if mounted.bench_file.normally_open_dump:
+    outputs = [one for name, one in mounted.bench_file.set_points.items() if name in mounted.bench_file.pressures]
+    if mounted.bench.aims:
+        yield "Supply and fill valves shut, and the dumps open: every muscle vents."
+    elif mounted.bench_file.normally_open_dump:
         yield "The dump valve opens and the muscle vents, whatever the regulator does."
-    elif output is not None and output.without_power == "vents":
+    elif outputs and all(output.without_power == "vents" for output in outputs):
         yield "The regulator vents by itself."
-    elif output is not None:
+    elif outputs:
         yield f"THE REGULATOR MAY HOLD THE PRESSURE: nothing opens without power. {BY_HAND}"
     yield from _load(mounted)
     if _device_of(mounted, "displacement") is not None:
         yield "The drive no longer holds the free end."
+    if _device_of(mounted, "angle") is not None:
+        yield "The drive no longer holds the joint."
 
 
 def _load(mounted: Mounted) -> Iterator[str]:
@@ -99,7 +124,8 @@ def _air(mounted: Mounted) -> Iterator[str]:
         "; the load sinks." if mounted.bench_file.weights is not None else "."
     )
     supply = [trip for trip in mounted.bench.trips if trip.channel == "supply" and trip.low is not None]
-    following = [trip for trip in mounted.bench.trips if trip.kind == "following" and trip.channel == "pressure"]
+    names = mounted.bench_file.pressures
+    following = [trip for trip in mounted.bench.trips if trip.kind == "following" and trip.channel in names]
     for trip in supply[:1]:
         least = show(trip.low or 0.0, "pressure")
         yield f"Supply below {least} for {seconds(trip.delay)}: {trip.action}."
@@ -122,8 +148,9 @@ def _link(mounted: Mounted) -> Iterator[str]:
 
 
 def _sensor(mounted: Mounted) -> Iterator[str]:
-    watched = [t for t in mounted.bench.trips if t.channel == "pressure" and t.kind in {"stale", "frozen", "off-range"}]
-    low = [t for t in mounted.bench.trips if t.channel == "pressure" and t.kind == "range" and t.low is not None]
+    of_pressures = [t for t in mounted.bench.trips if without_number(t.channel)[0] == "pressure"]
+    watched = [t for t in of_pressures if t.kind in {"stale", "frozen", "off-range"}]
+    low = [t for t in of_pressures if t.kind == "range" and t.low is not None]
     seen = [f"{noticed(trip)}: {trip.action}" for trip in watched]
     seen += [f"reads below {show(trip.low or 0.0, 'pressure')}: {trip.action}" for trip in low]
     if not seen:
@@ -266,7 +293,7 @@ def _limits(mounted: Mounted) -> Iterator[list[str]]:
     """One row for each quantity that is commanded or watched."""
     bench = mounted.bench
     trips = [trip for trip in bench.trips if trip.kind == "range"]
-    commanded = {output.name: output for output in bench.outputs}
+    commanded = bench.commanded
     for name in [*commanded, *dict.fromkeys(t.channel for t in trips if t.channel not in commanded)]:
         own = [trip for trip in trips if trip.channel == name]
         output = commanded.get(name)
@@ -287,7 +314,7 @@ def _limits(mounted: Mounted) -> Iterator[list[str]]:
 
 def _quantities(mounted: Mounted) -> dict[str, str]:
     """Quantity of each channel and output."""
-    found = {output.name: output.quantity for output in mounted.bench.outputs}
+    found = {name: record.quantity for name, record in mounted.bench.commanded.items()}
     return found | {channel.name: channel.quantity for channel in mounted.bench.channels}
 
 
@@ -321,6 +348,9 @@ def _action(action: SafeAction, mounted: Mounted) -> tuple[str, str]:
 
 def _watch(mounted: Mounted) -> Iterator[list[str]]:
     quantities = _quantities(mounted)
+    if mounted.bench.together:
+        found = "set-point and pressure, pulses and pressure, pressures and attitude disagree; no acceleration changes"
+        yield ["all muscles", found, "vent"]
     for trip in mounted.bench.trips:
         if trip.kind != "range":
             yield [trip.channel, noticed(trip, quantities[trip.channel]), trip.action]

@@ -15,6 +15,7 @@ from pmabench.base.quantities import CHANNEL_QUANTITY, show
 from pmabench.bench.compilation import Compilation
 from pmabench.bench.files.specimen import CalibrationFile
 from pmabench.bench.interface import CalibrationRecord, ChannelRecord, OutputRecord, Scale, ValveRecord
+from pmabench.bench.steered import paired
 from pmabench.files.document import Location, document_text, read_document, validate
 from pmabench.files.quantity import unit_factor
 
@@ -115,10 +116,10 @@ def channels(c: Compilation) -> dict[str, ChannelRecord]:
 def _channel(c: Compilation, name: str) -> ChannelRecord | None:
     file = c.bench.channels[name]
     at: Location = ("channels", name)
-    quantity = CHANNEL_QUANTITY.get(name)
-    if quantity is None:
-        c.fault(at, f'no channel is called "{name}"{did_you_mean(name, CHANNEL_QUANTITY)}', key=True)
+    if name not in c.names:
+        c.fault(at, f'no channel is called "{name}"{did_you_mean(name, c.names)}', key=True)
         return None
+    quantity = CHANNEL_QUANTITY[name]
     before = len(c.problems)
     c.unknown((*at, "device"), "device", file.device, c.bench.devices)
     if file.calibration is not None:
@@ -176,6 +177,8 @@ def _folders(c: Compilation, location: Location) -> list[Path]:
 
 SET_POINTS = ("pressure", "displacement")
 """The outputs that take values, by name; every other name is a valve's and needs `energised`."""
+DRIVES = {"displacement": "actuator", "angle": "joint"}
+"""An output that a drive moves -> the section of the bench file that has its stroke and its speed."""
 LEAST_ROOM = 1e-3
 """Margin of a driven end below the specimen's contraction limit: the channel's uncertainty, at least so much [1]."""
 
@@ -185,23 +188,30 @@ def outputs(c: Compilation) -> dict[str, OutputRecord]:
     return {name: output for name in c.bench.set_points if (output := _output(c, name, c.channels.get(name)))}
 
 
+def set_points(c: Compilation) -> tuple[str, ...]:
+    """The names of outputs that take values here."""
+    if c.bench.platform is not None:
+        return ()
+    return ("angle", *(f"pressure_{number}" for number in c.bench.muscles)) if c.bench.muscles else SET_POINTS
+
+
 def valves(c: Compilation) -> dict[str, ValveRecord]:
     """Every valve, by name."""
     found = {}
     for name, file in c.bench.valves.items():
         at: Location = ("outputs", name)
-        if name in SET_POINTS:
+        if name in set_points(c):
             c.fault(at, f'"{name}" takes values and cannot be a valve; give the valve another name', key=True)
         c.unknown((*at, "device"), "device", file.device, c.bench.devices)
-        found[name] = ValveRecord(name, file.device, file.output, file.energised)
+        found[name] = paired(c, name, ValveRecord(name, file.device, file.output, file.energised))
     return found
 
 
 def _output(c: Compilation, name: str, measured: ChannelRecord | None) -> OutputRecord | None:
     file = c.bench.set_points[name]
     at: Location = ("outputs", name)
-    if name not in SET_POINTS:
-        near = did_you_mean(name, SET_POINTS)
+    if name not in set_points(c):
+        near = did_you_mean(name, set_points(c))
         c.fault(at, f'no output is called "{name}"{near}; a valve needs "energised: closed" or "open"', key=True)
         return None
     quantity = CHANNEL_QUANTITY[name]
@@ -234,9 +244,10 @@ def _output(c: Compilation, name: str, measured: ChannelRecord | None) -> Output
         c.fault(where, f"nothing may be commanded: {show(low, quantity)} ({low_from}) up to {show(high, quantity)}")
     elif not low <= safe <= high:
         c.fault((*at, "safe"), f"the safe value {show(safe, quantity)} is outside the command limits")
-    elif name == "pressure" and safe > max(low, 0.0):
+    elif quantity == "pressure" and safe > max(low, 0.0):
         c.fault((*at, "safe"), f"the safe value {show(safe, quantity)} leaves pressure on: it must be the lowest")
-    rate = c.bench.actuator.speed if c.bench.actuator and name == "displacement" else 0.0
+    drive = getattr(c.bench, DRIVES[name]) if name in DRIVES else None
+    rate = drive.speed if drive is not None else 0.0
     return OutputRecord(
         name, quantity, file.device, file.output, scale, resolution, safe, low, high, low_from, high_from, rate
     )
@@ -248,7 +259,7 @@ def _limits(
     """The highest of the lower limits and the lowest of the upper ones [SI], each with its place."""
     scale = c.place("outputs", name, "scale")
     lows, highs = [(min(ends), scale)], [(max(ends), scale)]
-    limit = c.bench.limits.get("pressure" if name == "pressure" else "displacement")
+    limit = c.bench.limits.get(name)
     if limit is None or limit.command is None:
         c.fault(("limits", name), f'the output "{name}" has no command limit; add "{name}: {{command: ...}}"')
     else:
@@ -256,15 +267,15 @@ def _limits(
     if limit is not None and limit.command_low is not None:
         place = c.place("limits", name, "command_low")
         lows.append((c.si(limit.command_low, quantity, ("limits", name, "command_low")), place))
-    if name == "pressure":
-        place = c.specimen_place("limits", "pressure", "command")
-        highs.append((c.specimen.limits.pressure.command, place))
-    elif c.length is not None:
+    if quantity == "pressure":
+        highs += [(borne.limits.pressure.command, borne.place("pressure", "command")) for borne in c.borne(name)]
+    elif c.length is not None and name != "angle":
         most = c.specimen.limits.contraction * c.length
         room = measured.calibration.uncertainty(most) if measured is not None else 0.0
         highs.append((most - max(room, LEAST_ROOM * most), c.specimen_place("limits", "contraction")))
-    if c.bench.actuator is not None and name == "displacement":
-        stroke = c.bench.actuator.stroke
-        lows.append((stroke[0], c.place("actuator", "stroke", 0)))
-        highs.append((stroke[1], c.place("actuator", "stroke", 1)))
+    section = DRIVES.get(name, "")
+    drive = getattr(c.bench, section) if section else None
+    if drive is not None:
+        lows.append((drive.stroke[0], c.place(section, "stroke", 0)))
+        highs.append((drive.stroke[1], c.place(section, "stroke", 1)))
     return *max(lows), *min(highs)

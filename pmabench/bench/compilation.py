@@ -3,16 +3,34 @@
 from __future__ import annotations
 
 import datetime
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
+from functools import partial
 from math import isfinite
-from typing import Any
+from typing import Any, NamedTuple, Protocol
 
 from pmabench.base.errors import InvalidFile, Problem, did_you_mean
+from pmabench.base.quantities import CHANNEL_QUANTITY, OF_A_MUSCLE, without_number
 from pmabench.bench.files.bench import BenchFile
-from pmabench.bench.files.specimen import SpecimenFile, any_specimen
+from pmabench.bench.files.specimen import SpecimenFile, SpecimenLimits, any_specimen
 from pmabench.bench.interface import ChannelRecord, OutputRecord, ValveRecord
 from pmabench.files.document import Document, Location, Strict, document_text, validate
 from pmabench.files.quantity import unit_factor
+
+
+class Written(Protocol):
+    """Says where a value is written."""
+
+    def __call__(self, *location: str | int) -> str:
+        """`path:line:column` of the value at a location below."""
+        ...
+
+
+class Borne(NamedTuple):
+    """What a muscle bears, whose limits these are, and where they are written."""
+
+    limits: SpecimenLimits
+    whose: str
+    place: Written
 
 
 class Compilation:
@@ -62,6 +80,33 @@ class Compilation:
             return False
         self.fault(location, f'no {what} "{name}"{did_you_mean(name, known)}')
         return True
+
+    @property
+    def names(self) -> list[str]:
+        """What channels may be called here: with the number of the muscle where there are several."""
+        alone = [name for name in CHANNEL_QUANTITY if name == without_number(name)[0]]
+        if not self.bench.muscles:
+            return alone
+        shared = [name for name in alone if name not in OF_A_MUSCLE]
+        return [f"{name}_{number}" for number in self.bench.muscles for name in OF_A_MUSCLE] + shared
+
+    def borne(self, name: str) -> Iterator[Borne]:
+        """What the muscle bears to which a channel or an output belongs: as the bench file says, and the specimen's."""
+        number = without_number(name)[1][1:]
+        if number in self.bench.muscles:
+            place = partial(self.place, "muscles", number, "limits")
+            yield Borne(self.bench.muscles[number].limits, f"muscle {number}'s", place)
+        yield Borne(self.specimen.limits, "the specimen's", partial(self.specimen_place, "limits"))
+
+    @property
+    def pressures(self) -> list[OutputRecord]:
+        """The outputs without a problem that command the pressure of a muscle."""
+        return [output for output in self.outputs.values() if output.quantity == "pressure"]
+
+    @property
+    def highest(self) -> OutputRecord | None:
+        """That of them that may be commanded highest."""
+        return max(self.pressures, key=lambda output: output.high, default=None)
 
     def si(self, reading: tuple[float, str], quantity: str, location: Location) -> float:
         """A reading of the bench file in SI; 0 where it is a problem."""

@@ -16,6 +16,7 @@ from typing import Any
 from pmabench.base.errors import InvalidFile, Problem
 from pmabench.bench.channels import NAME, channels, outputs, valves
 from pmabench.bench.compilation import Compilation
+from pmabench.bench.confirmation import known_places, unconfirmed
 from pmabench.bench.driver_options import checked
 from pmabench.bench.files.bench import BenchFile, DeviceFile
 from pmabench.bench.files.specimen import SpecimenFile
@@ -24,6 +25,7 @@ from pmabench.bench.registry import HARDWARE, driver_class
 from pmabench.bench.remarks import lacks, mistaken
 from pmabench.bench.safety import interlocks, proof, safe_state, setup_pressure, stop_rate, trips
 from pmabench.bench.session import Session, lacks_session, session
+from pmabench.bench.steered import aims, numbers
 from pmabench.files.document import Document, Location, read_document
 
 OPEN = "??"
@@ -79,6 +81,13 @@ class Mounted:
     """What may be a mistake, a line each."""
     in_session: Mapping[str, Any] | None = None
     """The session whose zeros the bench carries, as manifests name it."""
+    unconfirmed: tuple[Problem, ...] = ()
+    """Values that a program derived and nobody has confirmed; nothing runs in real time with them."""
+
+    def refuse_unconfirmed(self) -> None:
+        """Raise `InvalidFile` with every unconfirmed value, on a bench in real time."""
+        if self.bench.realtime and self.unconfirmed:
+            raise InvalidFile(self.unconfirmed)
 
 
 def mount(bench_path: Path, specimen_path: Path, today: datetime.date | None = None) -> Mounted:
@@ -114,9 +123,11 @@ def _compile(c: Compilation, path: Path) -> Mounted:
     c.outputs, c.valves = outputs(c), valves(c)
     trip_records = tuple(trips(c))
     actions = safe_state(c)
+    steered, platform = aims(c), numbers(c)
     missing = (*lacks(c), *lacks_session(c))
     most = setup_pressure(c)
     proof_test, before = proof(c, most), session(c, most)
+    known_places(c)
     devices = tuple(_devices(c, actions))
     if c.problems:
         raise InvalidFile(c.problems)
@@ -141,9 +152,13 @@ def _compile(c: Compilation, path: Path) -> Mounted:
         setup_pressure=most,
         stop_rate=stop_rate(c),
         proof=proof_test,
+        aims=steered,
+        together="platform" if platform else "",
+        platform=platform,
         path=str(path.resolve()),
     )
-    return Mounted(bench, c.bench, c.specimen, c.texts, missing, before, tuple(mistaken(c, devices)))
+    doubts, open_values = tuple(mistaken(c, devices)), tuple(unconfirmed(c))
+    return Mounted(bench, c.bench, c.specimen, c.texts, missing, before, doubts, unconfirmed=open_values)
 
 
 def _devices(c: Compilation, actions: tuple[SafeAction, ...]) -> Iterator[DeviceRecord]:
@@ -181,4 +196,4 @@ def _verified(file: DeviceFile) -> str:
 def _left_safe(valve: ValveRecord, actions: tuple[SafeAction, ...]) -> ValveRecord:
     """The record of a valve, with the position in which the safe state leaves it."""
     last = [action.do for action in actions if action.target == valve.name and action.do in {"open", "close"}]
-    return replace(valve, safe="closed" if last and last[-1] == "close" else "open")
+    return valve if valve.longest else replace(valve, safe="closed" if last and last[-1] == "close" else "open")

@@ -121,7 +121,33 @@ class ValveRecord:
     output: str
     energised: str = "closed"
     safe: str = "open"
-    """Where the safe state leaves it; while the bench runs it is the other way."""
+    """Where the safe state leaves it; while the bench runs it is the other way, unless it opens in pulses."""
+    longest: float = 0.0
+    """It opens in pulses of at most so long [s], and is shut between them; 0: it is switched and stays."""
+    never_with: str = ""
+    """The valve that is never open at the same time: the other one of the muscle."""
+
+
+@dataclass(frozen=True)
+class AimRecord:
+    """What valves steer and no device takes as a set-point, as a muscle's pressure or a tilt, and its limits [SI]."""
+
+    name: str
+    quantity: str
+    low: float
+    high: float
+    source: str = ""
+    """`file:line:column` of the limit."""
+
+    @property
+    def low_from(self) -> str:
+        """As of an output."""
+        return self.source
+
+    @property
+    def high_from(self) -> str:
+        """As of an output."""
+        return self.source
 
 
 @dataclass(frozen=True)
@@ -249,6 +275,11 @@ class CompiledBench:
     stop_rate: float = 0.0
     """Rate at which a controlled stop takes the pressure down before the safe state [Pa/s]; 0: at once."""
     proof: ProofTest | None = None
+    aims: tuple[AimRecord, ...] = ()
+    together: str = ""
+    """The watch on what several channels say about one thing, by its name in the engine's table; empty: none."""
+    platform: Mapping[str, float] = field(default_factory=dict)
+    """What the control of a platform must know of it [SI], by name; empty where there is none."""
     path: str = ""
     """The bench file."""
 
@@ -267,6 +298,16 @@ class CompiledBench:
         """Every output of every device."""
         return tuple(output for device in self.devices for output in device.outputs)
 
+    @property
+    def commanded(self) -> dict[str, OutputRecord | AimRecord]:
+        """All that plans command, by name: values of outputs, and what valves bring about."""
+        return {**{output.name: output for output in self.outputs}, **{aim.name: aim for aim in self.aims}}
+
+    @property
+    def pressures(self) -> tuple[OutputRecord, ...]:
+        """The outputs that command the pressure of a muscle; each has the name of the channel that measures it."""
+        return tuple(output for output in self.outputs if output.name.partition("_")[0] == "pressure")
+
     def to_json(self) -> str:
         """The bench as JSON, for the guard and for the run's snapshot."""
         return json.dumps(asdict(self), indent=1, sort_keys=True)
@@ -278,6 +319,7 @@ class CompiledBench:
         data["devices"] = tuple(device_from(item) for item in data["devices"])
         data["trips"] = tuple(TripRecord(**item) for item in data["trips"])
         data["safe_state"] = tuple(SafeAction(**item) for item in data["safe_state"])
+        data["aims"] = tuple(AimRecord(**item) for item in data.get("aims", ()))
         if data.get("proof") is not None:
             data["proof"] = ProofTest(**data["proof"])
         return cls(**data)
@@ -471,6 +513,15 @@ class Switch(Protocol):
 
     def is_on(self, output: str) -> bool:
         """What the device holds now."""
+        ...
+
+
+@runtime_checkable
+class Pulses(Protocol):
+    """Opens valves for a time that it keeps by itself, whatever the sample period is."""
+
+    def pulse(self, output: str, seconds: float) -> None:
+        """Energise the output from now on for `seconds`; one that is on stays on until the later end; never retried."""
         ...
 
 

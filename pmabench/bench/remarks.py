@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from math import isfinite
 from typing import Any, NamedTuple
 
-from pmabench.base.quantities import show
+from pmabench.base.quantities import show, without_number
 from pmabench.bench.compilation import Compilation
 from pmabench.bench.interface import ChannelRecord, DeviceRecord
 from pmabench.bench.safety import SUPPLY_MARGIN
@@ -27,7 +27,10 @@ def lacks(c: Compilation) -> Iterator[str]:
 
 
 def _air(c: Compilation) -> Iterator[str]:
-    air, never = c.bench.air, c.specimen.limits.pressure.never_above
+    air, output = c.bench.air, c.highest
+    bears = [borne for name in c.bench.pressures or [""] for borne in c.borne(name)]
+    least = min(bears, key=lambda borne: borne.limits.pressure.never_above)
+    never = least.limits.pressure.never_above
     if air.relief_valve == "none":
         most = show(never, "pressure") if isfinite(never) else "what the muscle bears"
         yield (
@@ -35,23 +38,27 @@ def _air(c: Compilation) -> Iterator[str]:
             f"muscle; remedy: one that opens below {most}"
         )
     elif air.relief_valve >= never:
-        place = c.specimen_place("limits", "pressure", "never_above")
+        place = least.place("pressure", "never_above")
         opens = show(air.relief_valve, "pressure")
-        c.fault(("air", "relief_valve"), f"opens at {opens}, not below the specimen's never_above ({place})")
-    elif "pressure" in c.outputs and air.relief_valve <= c.outputs["pressure"].high:
-        most = f"{show(c.outputs['pressure'].high, 'pressure')} ({c.outputs['pressure'].high_from})"
+        c.fault(("air", "relief_valve"), f"opens at {opens}, not below {least.whose} never_above ({place})")
+    elif output is not None and air.relief_valve <= output.high:
+        most = f"{show(output.high, 'pressure')} ({output.high_from})"
         c.fault(("air", "relief_valve"), f"opens below what may be commanded, {most}")
-    if "pressure" in c.bench.set_points and not c.bench.normally_open_dump:
+    if c.bench.pressures and not c.bench.normally_open_dump:
         yield (
             "no normally-open dump valve: pressure stays on when the power or the computer fails; "
             'remedy: "dump_valve" among the outputs with "energised: closed"'
         )
-    if "pressure" in c.outputs and air.supply < c.outputs["pressure"].high + SUPPLY_MARGIN:
+    if output is not None and air.supply < output.high + SUPPLY_MARGIN:
         yield (
             f"a supply of {show(air.supply, 'pressure')}, less than {show(SUPPLY_MARGIN, 'pressure')} above the "
-            f"highest set-point {show(c.outputs['pressure'].high, 'pressure')}: high set-points are not reached; "
+            f"highest set-point {show(output.high, 'pressure')}: high set-points are not reached; "
             'remedy: more supply, or a lower "command"'
         )
+
+
+CALIBRATED = ("pressure", "displacement", "force", "torque")
+"""Channels that need a calibration on a real bench."""
 
 
 def _calibrations(c: Compilation) -> Iterator[str]:
@@ -59,7 +66,7 @@ def _calibrations(c: Compilation) -> Iterator[str]:
         record = channel.calibration
         if record.valid_until and record.valid_until < c.today.isoformat():
             yield f"an expired calibration of {name}, {record.id}, valid until {record.valid_until}; remedy: a new one"
-        if c.bench.time == "real" and not record.id and name in {"pressure", "displacement", "force"}:
+        if c.bench.time == "real" and not record.id and without_number(name)[0] in CALIBRATED:
             yield (
                 f"no calibration of {name}: its uncertainty counts as zero in limits and results; "
                 'remedy: a file in calibrations/ and "calibration"'
@@ -70,10 +77,11 @@ def _pressure_elsewhere(c: Compilation) -> Iterator[str]:
     """A line where the guard, which outlives the program, cannot read the pressure by itself."""
     guarded = {file.device for file in c.bench.outputs.values()} | {lock.input.device for lock in c.bench.interlocks}
     guarded |= {name for name, file in c.bench.devices.items() if file.watchdog}
-    channel = c.channels.get("pressure")
-    if channel is not None and channel.device not in guarded:
+    apart = [c.channels[name] for name in c.bench.pressures if name in c.channels]
+    for channel in [channel for channel in apart if channel.device not in guarded]:
         yield (
-            f"its pressure on {channel.device}, which only measures ({c.place('channels', 'pressure', 'device')}): the "
+            f"its {channel.name} on {channel.device}, which only measures "
+            f"({c.place('channels', channel.name, 'device')}): the "
             "guard holds no link to it, so that after the program died no vent is confirmed; remedy: the pressure on a "
             "device that carries an output, valve, interlock or watchdog, too"
         )
@@ -86,7 +94,8 @@ def _pressure_elsewhere(c: Compilation) -> Iterator[str]:
 
 
 def _of_a_real_bench(c: Compilation) -> Iterator[str]:
-    pressurising = {file.device for name, file in c.bench.outputs.items() if name in {"pressure", "dump_valve"}}
+    off = {"pressure", "dump_valve", "fill", "supply_valve"}
+    pressurising = {file.device for name, file in c.bench.outputs.items() if without_number(name)[0] in off}
     accepted = c.bench.no_watchdog
     for device in sorted(pressurising):
         if c.bench.devices.get(device) is None or c.bench.devices[device].watchdog:
@@ -99,16 +108,16 @@ def _of_a_real_bench(c: Compilation) -> Iterator[str]:
                 '"watchdog" where the device has one, else a normally-open dump valve on one that has; '
                 'or "no_watchdog" with who accepts it'
             )
-    if "pressure" not in c.bench.set_points:
+    if not c.bench.pressures:
         return
     yield from _pressure_elsewhere(c)
     if not c.bench.interlocks:
         yield 'no interlock: the program does not see the emergency stop; remedy: "interlocks" with a contact of it'
     watched = {(entry.kind, entry.channel) for entry in c.bench.watch if entry.action in {"stop", "vent"}}
-    if "pressure" in c.channels and not {("stale", "pressure"), ("frozen", "pressure")} & watched:
+    for name in [n for n in c.bench.pressures if n in c.channels and not {("stale", n), ("frozen", n)} & watched]:
         yield (
             "nothing that sees a dead pressure sensor; remedy: "
-            '"watch: [{stale: pressure, for: 100 ms, action: vent}, {off_range: pressure, action: vent}]"'
+            f'"watch: [{{stale: {name}, for: 100 ms, action: vent}}, {{off_range: {name}, action: vent}}]"'
         )
     if c.bench.proof is None:
         yield (

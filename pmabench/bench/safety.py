@@ -5,9 +5,9 @@ A trip that protects nothing is refused, and so is a safe state that does not ve
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 
-from pmabench.base.quantities import CHANNEL_QUANTITY, show
+from pmabench.base.quantities import CHANNEL_QUANTITY, show, without_number
 from pmabench.bench.compilation import Compilation
 from pmabench.bench.files.bench import LimitFile, SafeActionFile, WatchFile
 from pmabench.bench.files.specimen import Reading
@@ -18,6 +18,7 @@ from pmabench.bench.interface import (
     SafeAction,
     TripRecord,
 )
+from pmabench.bench.steered import refuse_unsafe_order
 from pmabench.files.document import Location
 
 LONGEST_DELAY = 1.0
@@ -37,51 +38,74 @@ LIMIT_CHANNEL = {
     "contraction": "displacement",
     "displacement": "displacement",
     "angle": "angle",
+    "torque": "torque",
     "supply": "supply",
 }
-"""Key of `limits` -> the channel that is watched."""
-RATE_OF = {"pressure": "pressure rate", "length": "speed", "force": "force rate", "angle": "angular speed"}
+"""Key of `limits`, without the number of a muscle -> the channel that is watched."""
+RATE_OF = {
+    "pressure": "pressure rate",
+    "length": "speed",
+    "force": "force rate",
+    "angle": "angular speed",
+    "torque": "torque rate",
+}
 """Quantity -> its rate of change."""
 ENDS = ("stop", "vent")
 """Actions that take the pressure off."""
 
 
+def watched_by(limit: str) -> str:
+    """The channel that a limit watches: `displacement_2` for `contraction_2`."""
+    name, number = without_number(limit)
+    return LIMIT_CHANNEL[name] + number
+
+
 def trips(c: Compilation) -> Iterator[TripRecord]:
     """Every limit of bench and specimen on a channel, and every entry of the watch list."""
-    ends_contraction = False
-    for name, limit in c.bench.limits.items():
-        for key in ("command", "command_low"):
-            if getattr(limit, key) is not None and name not in c.bench.set_points:
-                c.fault(("limits", name, key), f'nothing commands "{name}" on this bench')
-        channel = c.channels.get(LIMIT_CHANNEL[name])
-        if channel is None:
-            if (limit.trip or limit.trip_low) and LIMIT_CHANNEL[name] not in c.bench.channels:
-                c.fault(("limits", name), f'there is no channel "{LIMIT_CHANNEL[name]}" to watch')
-            continue
-        found = _range(c, name, limit, channel)
-        if found is not None:
-            ends_contraction = ends_contraction or (name == "contraction" and found.action in ENDS)
-            yield found
-    yield from _of_the_specimen(c, watched=ends_contraction)
+    found = list(_limits(c))
+    yield from (trip for _name, trip in found)
+    yield from _of_the_specimen(c, {t.channel for name, t in found if name == "contraction" and t.action in ENDS})
     yield from _supply(c)
-    pressure = c.bench.limits.get("pressure")
-    if "pressure" in c.bench.set_points and (pressure is None or pressure.trip is None):
-        c.fault(("limits", "pressure"), 'the output "pressure" has no trip limit; add "pressure: {trip: ...}"')
+    for output in c.bench.pressures:
+        limit_of = c.bench.limits.get(output)
+        if limit_of is None or limit_of.trip is None:
+            c.fault(("limits", output), f'the output "{output}" has no trip limit; add "{output}: {{trip: ...}}"')
+    if c.bench.free_end == "joint":
+        _of_the_joint(c)
     for index, entry in enumerate(c.bench.watch):
         watch = _watch(c, index, entry)
         if watch is not None:
             yield watch
 
 
+def _limits(c: Compilation) -> Iterator[tuple[str, TripRecord]]:
+    """Every limit of the bench on a channel, with its key without the number of a muscle."""
+    for name, limit in c.bench.limits.items():
+        if without_number(name)[1] and watched_by(name) not in c.names:
+            c.fault(("limits", name), f'the bench file names no muscle "{name[-1]}"', key=True)
+            continue
+        for key in ("command", "command_low"):
+            if getattr(limit, key) is not None and name not in (*c.bench.set_points, *c.bench.steered):
+                c.fault(("limits", name, key), f'nothing commands "{name}" on this bench')
+        channel = c.channels.get(watched_by(name))
+        if channel is None:
+            if (limit.trip or limit.trip_low) and watched_by(name) not in c.bench.channels:
+                c.fault(("limits", name), f'there is no channel "{watched_by(name)}" to watch')
+            continue
+        found = _range(c, name, limit, channel)
+        if found is not None:
+            yield without_number(name)[0], found
+
+
 def _range(c: Compilation, name: str, limit: LimitFile, channel: ChannelRecord) -> TripRecord | None:
     at: Location = ("limits", name)
-    before = len(c.problems)
+    before, quantity = len(c.problems), without_number(name)[0]
     high, low = _bound(c, name, limit.trip, "trip"), _bound(c, name, limit.trip_low, "trip_low")
     source = c.place(*at, "trip" if limit.trip is not None else "trip_low")
-    if name == "contraction" and limit.action in ENDS and c.length is not None:
-        most = c.specimen.limits.contraction * c.length
+    if quantity == "contraction" and limit.action in ENDS and c.length is not None:
+        most, place = _most_contraction(c, name, c.length)
         if high is None or most < high:
-            high, source = most, c.specimen_place("limits", "contraction")
+            high, source = most, place
     if len(c.problems) > before or (high is None and low is None):
         return None
     if low is not None:
@@ -96,19 +120,24 @@ def _range(c: Compilation, name: str, limit: LimitFile, channel: ChannelRecord) 
             return None
         _inside(c, (*at, "trip"), high, channel)
         _above_commands(c, name, high, channel)
-        if name == "pressure":
-            _protects_the_muscle(c, limit, high)
+        if quantity == "pressure":
+            _protects_the_muscle(c, name, limit, high)
     return TripRecord(channel.name, low, high, limit.delay, limit.action, source)
+
+
+def _most_contraction(c: Compilation, name: str, length: float) -> tuple[float, str]:
+    """The least contraction [m] that limits the muscle of a channel or limit, and where it is written."""
+    return min((borne.limits.contraction * length, borne.place("contraction")) for borne in c.borne(name))
 
 
 def _bound(c: Compilation, name: str, reading: Reading | None, key: str) -> float | None:
     if reading is None:
         return None
     at: Location = ("limits", name, key)
-    if name == "contraction":
+    if without_number(name)[0] == "contraction":
         ratio = c.si(reading, "ratio", at)
         return ratio * c.length if c.length is not None else None
-    return c.si(reading, CHANNEL_QUANTITY[LIMIT_CHANNEL[name]], at)
+    return c.si(reading, CHANNEL_QUANTITY[watched_by(name)], at)
 
 
 def _inside(c: Compilation, at: Location, value: float, channel: ChannelRecord) -> None:
@@ -149,11 +178,11 @@ def _extrapolation(c: Compilation, channel: ChannelRecord, value: float) -> floa
 
 def _above_commands(c: Compilation, name: str, high: float, channel: ChannelRecord) -> None:
     """A trip lies above what may be commanded, by the channel's uncertainty and the regulator's overshoot."""
-    output = c.outputs.get(LIMIT_CHANNEL[name])
+    output = c.outputs.get(watched_by(name))
     if output is None:
         return
     margin = channel.calibration.uncertainty(high) + _extrapolation(c, channel, high)
-    margin += c.bench.air.overshoot if name == "pressure" else 0.0
+    margin += c.bench.air.overshoot if output.quantity == "pressure" else 0.0
     if high <= output.high or high < output.high + margin * (1 - 1e-9):
         shown, least = show(high, channel.quantity), show(margin, channel.quantity)
         c.fault(
@@ -163,30 +192,51 @@ def _above_commands(c: Compilation, name: str, high: float, channel: ChannelReco
         )
 
 
-def _protects_the_muscle(c: Compilation, limit: LimitFile, high: float) -> None:
-    never = c.specimen.limits.pressure.never_above
-    if high >= never:
-        place = c.specimen_place("limits", "pressure", "never_above")
-        shown = f"the trip {show(high, 'pressure')} does not lie below the specimen's never_above"
-        c.fault(("limits", "pressure", "trip"), f"{shown} {show(never, 'pressure')} ({place})")
+def _protects_the_muscle(c: Compilation, name: str, limit: LimitFile, high: float) -> None:
+    for borne in c.borne(name):
+        never = borne.limits.pressure.never_above
+        if high >= never:
+            shown = f"the trip {show(high, 'pressure')} does not lie below {borne.whose} never_above"
+            place = borne.place("pressure", "never_above")
+            c.fault(("limits", name, "trip"), f"{shown} {show(never, 'pressure')} ({place})")
     if limit.action != "vent":
-        c.fault(("limits", "pressure", "action"), 'the trip limit of the pressure must "vent"')
+        c.fault(("limits", name, "action"), 'the trip limit of the pressure must "vent"')
 
 
-def _of_the_specimen(c: Compilation, *, watched: bool) -> Iterator[TripRecord]:
-    """The specimen's contraction limit, where no limit of the bench that stops or vents is as strict."""
-    if "displacement" in c.channels and not watched and c.length is not None:
-        most = c.specimen.limits.contraction * c.length
-        yield TripRecord("displacement", None, most, 0.0, "vent", c.specimen_place("limits", "contraction"))
-    if "displacement" not in c.bench.channels and c.bench.free_end in {"weights", "actuator"}:
+def _of_the_specimen(c: Compilation, watched: Collection[str]) -> Iterator[TripRecord]:
+    """The contraction limit of each muscle, where no limit of the bench that stops or vents is as strict."""
+    for name in c.channels:
+        if without_number(name)[0] == "displacement" and name not in watched and c.length is not None:
+            most, place = _most_contraction(c, name, c.length)
+            yield TripRecord(name, None, most, 0.0, "vent", place)
+    if "displacement" not in c.bench.channels and c.bench.free_end in {"weights", "actuator"} and not c.bench.muscles:
         c.fault(("channels",), "nothing measures the displacement, which the specimen's contraction limit needs")
-    if "pressure" in c.bench.set_points and "pressure" not in c.bench.channels:
-        c.fault(("channels",), 'nothing measures the pressure that is commanded; add a channel "pressure"')
+    for name in c.bench.pressures:
+        if name not in c.bench.channels:
+            c.fault(("channels",), f'nothing measures the pressure that is commanded; add a channel "{name}"')
+
+
+def _of_the_joint(c: Compilation) -> None:
+    """The angle of a joint is measured, and watched to both sides; a drive cannot reach where it trips."""
+    if "angle" not in c.bench.channels:
+        c.fault(("channels",), 'nothing measures the angle of the joint; add a channel "angle"')
+    limit = c.bench.limits.get("angle")
+    if limit is None or limit.trip is None or limit.trip_low is None or limit.action not in ENDS:
+        text = 'the angle of the joint needs limits to both sides that stop or vent; add "angle: {trip_low: ..., '
+        c.fault(("limits", "angle"), text + 'trip: ..., action: vent}"')
+    output, channel = c.outputs.get("angle"), c.channels.get("angle")
+    low = _bound(c, "angle", limit.trip_low, "trip_low") if limit is not None else None
+    if output is not None and channel is not None and low is not None:
+        margin = channel.calibration.uncertainty(low)
+        if low >= output.low or low > output.low - margin * (1 - 1e-9):
+            shown = f"the trip {show(low, 'angle')} must lie at least {show(margin, 'angle')} (uncertainty) below"
+            text = f"{shown} the lowest command {show(output.low, 'angle')} ({output.low_from})"
+            c.fault(("limits", "angle", "trip_low"), text)
 
 
 def _supply(c: Compilation) -> Iterator[TripRecord]:
     """A measured supply stays above what may be commanded; the bench holds while it does not."""
-    supply, output = c.channels.get("supply"), c.outputs.get("pressure")
+    supply, output = c.channels.get("supply"), c.highest
     if supply is None or output is None:
         return
     least = output.high + SUPPLY_MARGIN
@@ -270,8 +320,14 @@ def safe_state(c: Compilation) -> tuple[SafeAction, ...]:
             actions.append(_confirm(c, file, at))
     if None not in actions:
         found = tuple(action for action in actions if action is not None)
-        _vents(c, found)
+        for pressure in c.bench.pressures:
+            if pressure in c.bench.set_points:
+                _vents(c, found, pressure)
         _ends_safe(c, found)
+        if c.bench.steered:
+            refuse_unsafe_order(c, found)
+        elif c.bench.muscles:
+            _in_order(c, found)
         return found
     return ()
 
@@ -283,7 +339,7 @@ def _output(c: Compilation, file: SafeActionFile, at: Location) -> SafeAction | 
         return None
     output = c.outputs[target]
     if verb == "drive_quick_stop":
-        if target == "pressure":
+        if output.quantity == "pressure":
             c.fault((*at, verb), 'the pressure is not a drive; use "set", "ramp_down" or "open"')
         return SafeAction("stop", target, 0.0, within)
     value = output.safe if file.to is None else c.si(file.to, output.quantity, (*at, "to"))
@@ -310,33 +366,32 @@ def _confirm(c: Compilation, file: SafeActionFile, at: Location) -> SafeAction |
         return None
     channel = c.channels[target]
     below = c.si(file.below, channel.quantity, (*at, "below"))
-    if target == "pressure" and below <= 0:
+    if channel.name in c.bench.pressures and below <= 0:
         c.fault((*at, "below"), "a pressure above zero is expected: a vent ends at that of the room")
     elif not channel.low < below < channel.high:
         c.fault((*at, "below"), f"{show(below, channel.quantity)} is not inside the channel's range")
-    elif target == "pressure" and below > c.bench.hands.below:
+    elif channel.name in c.bench.pressures and below > c.bench.hands.below:
         hands = f"{show(c.bench.hands.below, 'pressure')} ({c.place('hands', 'below')})"
         c.fault((*at, "below"), f"is above the pressure at which hands may go in, {hands}: it would confirm no vent")
     return SafeAction("confirm", target, below, file.within or 0.0)
 
 
-def _vents(c: Compilation, actions: tuple[SafeAction, ...]) -> None:
-    """Pressure begins to fall soon, ends at its safe value, and is looked at after that."""
-    if "pressure" not in c.bench.set_points:
-        return
-    to_pressure = [n for n, a in enumerate(actions) if a.do in {"set", "ramp"} and a.target == "pressure"]
-    first = [n for n, a in enumerate(actions) if n in to_pressure or (a.do == "open" and a.target == "dump_valve")]
-    output = c.outputs.get("pressure")
+def _vents(c: Compilation, actions: tuple[SafeAction, ...], name: str) -> None:
+    """The pressure `name` begins to fall soon, ends at its safe value, and is looked at after that."""
+    to_pressure = [n for n, a in enumerate(actions) if a.do in {"set", "ramp"} and a.target == name]
+    dumps = {"dump_valve", f"dump_valve{without_number(name)[1]}"}
+    first = [n for n, a in enumerate(actions) if n in to_pressure or (a.do == "open" and a.target in dumps)]
+    output = c.outputs.get(name)
     if not to_pressure or (output is not None and actions[to_pressure[-1]].value > output.safe):
         safe = show(output.safe, "pressure") if output else "its safe value"
-        c.fault(("safe_state",), f'does not vent: its last "set: pressure" or "ramp_down: pressure" must go to {safe}')
+        c.fault(("safe_state",), f'does not vent: its last "set: {name}" or "ramp_down: {name}" must go to {safe}')
         return
     waits = sum(a.within for a in actions[: first[0]] if a.do in {"hold", "stop"})
     if waits > LATEST_VENT:
         c.fault(("safe_state",), f"waits {waits:g} s before it vents; at most {LATEST_VENT:g} s")
-    looks = [n for n, a in enumerate(actions) if a.do == "confirm" and a.target == "pressure"]
+    looks = [n for n, a in enumerate(actions) if a.do == "confirm" and a.target == name]
     if not looks:
-        c.fault(("safe_state",), 'does not look: "- {confirm: pressure, below: ..., within: ...}" is missing')
+        c.fault(("safe_state",), f'does not look: "- {{confirm: {name}, below: ..., within: ...}}" is missing')
     elif looks[-1] < to_pressure[-1]:
         c.fault(("safe_state", looks[-1]), "looks before the vent; the confirmation comes last")
 
@@ -344,15 +399,44 @@ def _vents(c: Compilation, actions: tuple[SafeAction, ...]) -> None:
 def _ends_safe(c: Compilation, actions: tuple[SafeAction, ...]) -> None:
     """Every drive is stopped or brought to a place, every valve gets a position, and the dump valve ends open."""
     moved = {action.target for action in actions if action.do in {"set", "ramp", "stop"}}
-    for name in c.outputs:
-        if name != "pressure" and name not in moved:
+    for name, output in c.outputs.items():
+        if output.quantity != "pressure" and name not in moved:
             c.fault(("safe_state",), f'leaves "{name}" moving: add "drive_quick_stop: {name}" or "set: {name}"')
     for name in c.valves:
         ends = [action.do for action in actions if action.target == name and action.do in {"open", "close"}]
-        if name == "dump_valve" and (not ends or ends[-1] != "open"):
-            c.fault(("safe_state",), 'does not open the dump valve: "- {open: dump_valve, within: ...}" is missing')
-        elif not ends:
+        if without_number(name)[0] == "dump_valve" and (not ends or ends[-1] != "open"):
+            c.fault(("safe_state",), f'does not open the dump valve: "- {{open: {name}, within: ...}}" is missing')
+        elif not ends and not c.valves[name].longest:
             c.fault(("safe_state",), f'says nothing of the valve "{name}": add "open: {name}" or "close: {name}"')
+
+
+WAITED_FOR = ("ramp", "hold", "confirm")
+"""Actions of the safe state after which the next one waits."""
+
+
+def _in_order(c: Compilation, actions: tuple[SafeAction, ...]) -> None:
+    """Several muscles go down as the bench file declares: all at once, or outputs and valves in its order."""
+    declared = c.bench.vents
+    if declared == "together":
+        off = [n for n, a in enumerate(actions) if a.target in c.bench.pressures and a.do in {"set", "ramp"}]
+        waits = [a for a in actions[min(off) : max(off)] if a.do in WAITED_FOR] if off else []
+        for action in waits:
+            what = f"{action.do} {action.target}".strip()
+            text = f'"vents: together" and "{what}" between the muscles, which the next one waits for'
+            c.fault(("safe_state",), f"{text}: one muscle alone turns what the others held; set all, then wait")
+        return
+    known = [*c.bench.outputs]
+    unknown = [c.unknown(("vents", n), "output or valve", name, known) for n, name in enumerate(declared or ())]
+    if any(unknown):
+        return
+    for name in c.bench.pressures:
+        if name not in (declared or ()):
+            c.fault(("vents",), f'"{name}" is missing: say when each muscle vents, or "together"')
+    places = [next((n for n, a in enumerate(actions) if a.target == name), -1) for name in declared or ()]
+    if places != sorted(places) or len(set(places)) < len(places):
+        c.fault(
+            ("safe_state",), f"is not in the order that is declared: {', '.join(declared or ())} ({c.place('vents')})"
+        )
 
 
 def interlocks(c: Compilation) -> dict[str, list[InterlockRecord]]:
@@ -372,8 +456,7 @@ def interlocks(c: Compilation) -> dict[str, list[InterlockRecord]]:
 
 def setup_pressure(c: Compilation) -> float:
     """Highest pressure before the bench is proven [Pa], never above the command limit."""
-    output = c.outputs.get("pressure")
-    most = output.high if output is not None else SETUP_PRESSURE
+    most = min((output.high for output in c.pressures), default=SETUP_PRESSURE)
     if c.bench.setup_pressure is None:
         return min(SETUP_PRESSURE, most)
     if c.bench.setup_pressure > most:
@@ -386,7 +469,7 @@ def proof(c: Compilation, most: float) -> ProofTest | None:
     file = c.bench.proof
     if file is None:
         return None
-    if "pressure" not in c.bench.set_points:
+    if not c.pressures:
         c.fault(("proof",), "nothing commands the pressure on this bench: there is nothing to prove")
     if file.pressure > most:
         c.fault(("proof", "pressure"), f"is above the set-up pressure, {show(most, 'pressure')}")

@@ -164,6 +164,13 @@ def session(c: Compilation, setup: float) -> Session | None:
     file = c.bench.session
     if file is None:
         return None
+    if c.bench.muscles:
+        c.fault(
+            ("session",),
+            "self-test, warm-up and zeros are made for a bench with one muscle: leave the section out; `check` "
+            "names what to do by hand",
+        )
+        return None
     warm_up = None
     if file.warm_up is not None:
         given = file.warm_up
@@ -174,7 +181,13 @@ def session(c: Compilation, setup: float) -> Session | None:
 
 def lacks_session(c: Compilation) -> Iterator[str]:
     """A line where a real bench has no session; goes on after "this bench has"."""
-    if c.bench.time == "real" and c.bench.session is None:
+    if c.bench.time == "real" and c.bench.muscles:
+        yield (
+            "no session, for self-test, warm-up and zeros are made for a bench with one muscle: wiring and zeros "
+            'are not looked at; remedy: before the first run, "pmabench bench set" each output to a small '
+            'pressure by itself and see that its own channel follows, and "bench read" each channel without pressure'
+        )
+    elif c.bench.time == "real" and c.bench.session is None:
         yield (
             "no session: no warm-up, no zeros, no self-test before the first pressure; remedy: "
             '"session: {self_test: {}, warm_up: {pressure: 300 kPa}, zeros: {pressure: {most: 5 kPa}}}"'

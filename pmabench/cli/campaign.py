@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import shlex
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from pmabench.base.quantities import in_words
 from pmabench.cli.common import Ui, common, say, session_options
-from pmabench.cli.names import CAMPAIGN
-from pmabench.cli.outcome import outcome_json, show_next
+from pmabench.cli.names import CAMPAIGN, short
+from pmabench.cli.outcome import cut, next_lines, outcome_json, show_next
 from pmabench.files.shipped import find_file
 
 if TYPE_CHECKING:
@@ -31,8 +33,29 @@ def command(
     """Run every protocol of the campaign FILE in order; the first run that does not finish ends it."""
     outcomes = run_campaign(ui, file, out, operator_name=operator, yes=yes, resume=resume, session=session)
     data = {"schema": "pmabench.campaign-outcome/1", "runs": [outcome_json(outcome) for outcome in outcomes]}
-    ui.result(data, lambda: click.echo("".join(f"{outcome.folder}\n" for outcome in outcomes), nl=False))
+    brief = [str(outcome.folder) for outcome in outcomes]
+    again = ["pmabench", "campaign", shlex.quote(file), "--out", shlex.quote(str(out)), "--resume"]
+    ui.result(data, lambda: click.echo("\n".join(_end(outcomes, again))), brief)
     return max((outcome.exit_code for outcome in outcomes), key=severity, default=0)
+
+
+MOST_RUNS = 16
+"""Runs that are listed at the end."""
+
+
+def _end(outcomes: Sequence[Outcome], again: Sequence[str]) -> Iterator[str]:
+    """At most 25 lines: how the campaign ended, its runs, what to type next; `again` goes on with what is left."""
+    good = [outcome for outcome in outcomes if outcome.exit_code in {0, 6}]
+    word = "FINISHED" if len(good) == len(outcomes) else outcomes[-1].status.upper()
+    seconds = sum(outcome.bench_seconds for outcome in outcomes)
+    yield f"{word}  campaign: {len(good)} of {len(outcomes)} runs came to their end, {in_words(seconds)}"
+    for outcome in outcomes[-MOST_RUNS:]:
+        place = short(outcome.folder) if outcome.folder is not None else "not recorded"
+        yield cut(f"   {outcome.status:9} {place}  {outcome.why}".rstrip())
+    if len(good) < len(outcomes):
+        yield from next_lines(*again)
+    elif folders := [short(outcome.folder) for outcome in good if outcome.folder is not None]:
+        yield from next_lines("pmabench", "process", *folders)
 
 
 SEVERITY = (0, 6, 2, 129, 143, 130, 1, 4, 7, 5)
@@ -93,8 +116,6 @@ def run_campaign(
         if outcome.exit_code not in {0, 6}:
             say(f"the campaign ends here: {outcome.status}: {outcome.why}")
             show_next(ui, outcome, mounted.bench, trials=False)
-            words = shlex.join(["pmabench", "campaign", file, "--out", str(out), "--resume"])
-            say(f"the rest of the campaign:  {words}")
             break
     return outcomes
 

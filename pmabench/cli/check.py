@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
+import shlex
 from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from pmabench.base.errors import RecordError, UsageError
-from pmabench.base.quantities import CHANNEL_QUANTITY, in_words, show
+from pmabench.base.errors import InvalidFile, RecordError, UsageError
+from pmabench.base.quantities import in_words, show
 from pmabench.cli.common import Ui, common, fields, plan_options
-from pmabench.engine.operator import ConfirmedBeforehand
+from pmabench.cli.last_analysis import last_words
+from pmabench.cli.outcome import next_lines, progress_line
+from pmabench.files.shipped import shipped_folder
 from pmabench.protocol.idle import Idle, foreseen, without
 from pmabench.report.terminal import print_grid
 
 if TYPE_CHECKING:
     from pmabench.bench.compile import Mounted
+    from pmabench.bench.predicted_muscle import PredictedMuscle
     from pmabench.cli.prepare import Prepared
     from pmabench.protocol.plan import Plan
 
@@ -26,6 +30,9 @@ if TYPE_CHECKING:
 @click.option("--plan", "show_plan", is_flag=True, help="Print every step.")
 @click.option("--out", default="runs", type=click.Path(path_type=Path), help="Where the run would go, for the disk.")
 @click.option("--simulate", is_flag=True, help="Run the plan on the bench with a simulated muscle; show the peaks.")
+@click.option(
+    "--muscle", type=click.Path(path_type=Path, exists=True), help="What to simulate: an analysis, or a plant file."
+)
 @click.option("--drop-idle", is_flag=True, help="Write the protocol without trials that cannot lift; with -o.")
 @click.option("-o", "--output", type=click.Path(path_type=Path, dir_okay=False), help="The file for --drop-idle.")
 @common
@@ -37,6 +44,7 @@ def command(
     settings: list[tuple[str, str]],
     out: Path,
     *,
+    muscle: Path | None,
     output: Path | None,
     drop_idle: bool,
     show_plan: bool,
@@ -49,31 +57,73 @@ def command(
     plan, mounted, warnings = prepared.plan, prepared.mounted, prepared.warnings()
     summary = plan_summary(plan, mounted)
     summary["disk"] = too_little(summary["bytes"], out)
-    if summary["disk"]:
-        warnings = [*warnings, f"too little room on the disk, `run` refuses: {summary['disk']}"]
-    expected = mounted.specimen_file.expected
-    idle = foreseen(plan, expected) if expected is not None else None
-    summary["idle"] = None if idle is None else {"trials": idle.idle, "doubtful": idle.doubtful, "first": idle.first}
+    full = [f"too little room on the disk, `run` refuses: {summary['disk']}"] if summary["disk"] else []
+    summary["last_diagnosis"] = last_words(mounted, out)
+    warnings = [*warnings, *full, *summary["last_diagnosis"]]
     if drop_idle != (output is not None):
         raise UsageError("--drop-idle and -o FILE belong together")
+    simulate |= muscle is not None
+    known = _muscle(mounted, muscle, output)
+    idle = foreseen(plan, known.expected) if known is not None and known.expected is not None else None
+    summary["idle"] = None if idle is None else {"trials": idle.idle, "doubtful": idle.doubtful, "first": idle.first}
     if output is not None:
         _write_without(prepared, idle, output, settings)
         summary["written"] = str(output)
-    peaks = _simulate(plan, mounted) if simulate else None
-    if peaks is not None:
-        summary["simulated"] = peaks
+    refused = bool(mounted.unconfirmed) and mounted.bench.realtime
     if show_plan:
         summary["plan"] = plan.to_dict()
+    if simulate:
+        from pmabench.cli.dry_run import report
+
+        simulated = summary["simulated"] = _tried(ui, plan, mounted, known, replaced=_replaced(mounted, muscle))
+        lines = [*_idle_lines(plan, idle, output), *_open(mounted), *warnings]
+        then = _then(prepared, idle, output, refused=refused, done=simulated["status"] == "finished")
 
     def human() -> None:
-        _print(ui, plan, summary, peaks, warnings)
-        for line in _idle_lines(plan, idle, output):
-            click.echo(line)
+        if not simulate or ui.verbose:
+            _print(ui, plan, summary, [*_open(mounted), *warnings])
+            click.echo("".join(f"!  {line}\n" for line in _idle_lines(plan, idle, output)), nl=False)
+        done = report(plan, mounted, simulated, lines, then) if simulate else ["nothing was sent to a bench"]
+        click.echo("\n".join(done))
         if show_plan:
             _print_steps(plan)
 
     ui.result(summary, human, None if show_plan or simulate else warnings)
-    return None if peaks is None else int(peaks["exit_code"])
+    return int(simulated["exit_code"]) if simulate else InvalidFile.exit_code if refused else None
+
+
+def _tried(ui: Ui, plan: Plan, mounted: Mounted, known: PredictedMuscle | None, *, replaced: bool) -> dict[str, Any]:
+    """What the plan does on a simulated muscle, and which intervals it is expected to give."""
+    from pmabench.cli.dry_run import expected_intervals, simulate
+
+    ui.note("the plan is run on a simulated muscle; nothing is sent to a bench")
+    with progress_line(ui, "simulated") as progress:
+        found = simulate(plan, mounted, known if replaced else None, progress)
+    return found | {"intervals": expected_intervals(plan, mounted, known)}
+
+
+def _replaced(mounted: Mounted, muscle: Path | None) -> bool:
+    """Whether a predicted muscle takes the place of the bench's devices, or of its simulated muscle."""
+    return mounted.bench.realtime or muscle is not None
+
+
+def _muscle(mounted: Mounted, muscle: Path | None, output: Path | None) -> PredictedMuscle | None:
+    """What is known of the muscle; of a simulated bench only what the specimen file expects, unless asked for."""
+    if _replaced(mounted, muscle) or output is not None or mounted.specimen_file.expected is not None:
+        from pmabench.cli.dry_run import muscle_of
+
+        return muscle_of(mounted, muscle)
+    return None
+
+
+def _open(mounted: Mounted) -> list[str]:
+    """A line where values are not confirmed."""
+    count = len(mounted.unconfirmed)
+    if not count:
+        return []
+    first = mounted.unconfirmed[0]
+    then = "run refuses them on real devices" if mounted.bench.realtime else "this simulated bench runs with them"
+    return [f"{count} values are not confirmed ({then}); first {first}"]
 
 
 def plan_summary(plan: Plan, mounted: Mounted) -> dict[str, Any]:
@@ -92,7 +142,7 @@ def plan_summary(plan: Plan, mounted: Mounted) -> dict[str, Any]:
         session = {**vars(length), "parts": list(length.parts), "due": bool(why), "because": why}
         if why:
             shortest, longest = shortest + length.shortest, longest + length.longest
-    outputs = {output.name: output for output in mounted.bench.outputs}
+    outputs = mounted.bench.commanded
     rows = plan.rows()
     return {
         "schema": "pmabench.check/1",
@@ -114,6 +164,7 @@ def plan_summary(plan: Plan, mounted: Mounted) -> dict[str, Any]:
             for name, (low, high) in plan.commands().items()
         },
         "lacks": list(mounted.lacks),
+        "unconfirmed": [str(problem) for problem in mounted.unconfirmed],
         "plan_sha256": plan.sha256,
     }
 
@@ -127,31 +178,7 @@ def _plants(mounted: Mounted) -> dict[str, str]:
     }
 
 
-def _simulate(plan: Plan, mounted: Mounted) -> dict[str, Any]:
-    from pmabench.engine.run import run_plan
-
-    muscle = ""
-    left_out: tuple[str, ...] = ()
-    if mounted.bench.realtime:
-        from pmabench.bench.dry_run import dry_run, options_of, wants
-
-        expected = mounted.specimen_file.expected
-        if expected is None:
-            raise UsageError(f"--simulate: {wants(mounted)}")
-        dry = dry_run(mounted, options_of(expected, mounted), f"as expected in the specimen file: {expected.source}")
-        mounted, muscle, left_out = dry.mounted, dry.muscle, dry.left_out
-    outcome = run_plan(plan, mounted, ConfirmedBeforehand(), out=None)
-    return {
-        "muscle": muscle,
-        "left_out": left_out,
-        **fields(outcome, "status", "exit_code", "why"),
-        "duration": outcome.bench_seconds,
-        "measured": {name: {"lowest": low, "highest": high} for name, (low, high) in outcome.extremes.items()},
-        "trials_failed": [index + 1 for index in outcome.trials_failed],
-    }
-
-
-def _print(ui: Ui, plan: Plan, summary: dict[str, Any], peaks: dict[str, Any] | None, warnings: list[str]) -> None:
+def _print(ui: Ui, plan: Plan, summary: dict[str, Any], warnings: list[str]) -> None:
     from pmabench.cli.prepare import size
 
     console = ui.console()
@@ -184,39 +211,45 @@ def _print(ui: Ui, plan: Plan, summary: dict[str, Any], peaks: dict[str, Any] | 
     print_grid(console, ["command", "lowest", "highest", "limit", "set by"], rows, ("command", "set by"))
     for warning in warnings:
         console.print(warning)
-    if peaks is not None:
-        ending = "" if peaks["status"] == "finished" else f": {peaks['why']}"
-        console.print(f"simulated: {peaks['status']}{ending}, {in_words(peaks['duration'])}")
-        if peaks["muscle"]:
-            console.print(f"  this bench with a simulated muscle, {peaks['muscle']}")
-        for sentence in peaks["left_out"]:
-            console.print(f"  {sentence}")
-        for name, span in peaks["measured"].items():
-            quantity = CHANNEL_QUANTITY[name]
-            console.print(
-                f"  {name:18} {show(span['lowest'], quantity, 4):>12} to {show(span['highest'], quantity, 4)}"
-            )
-    console.print("nothing was sent to a bench")
 
 
 def _idle_lines(plan: Plan, idle: Idle | None, written: Path | None) -> list[str]:
     """What is said of trials that cannot move, and what to type."""
     if idle is None or not idle.all:
         return []
-    count = f"!  {len(idle.idle)} of {len(plan.trials)} trials are not expected to lift their load"
     doubtful = f", {len(idle.doubtful)} more may not" if idle.doubtful else ""
-    first = [f"   {idle.first}"] if idle.first else []
+    count = f"{len(idle.idle)} of {len(plan.trials)} trials are not expected to lift their load{doubtful}"
+    first = [idle.first] if idle.first else []
     if written is not None:
-        return [count + doubtful, *first, f"   {written} has the sweep without them"]
-    return [count + doubtful, *first, "   the same command with --drop-idle -o FILE writes the protocol without them"]
+        return [count, *first, f"{written} has the sweep without them"]
+    return [count, *first]
+
+
+def _then(prepared: Prepared, idle: Idle | None, written: Path | None, *, refused: bool, done: bool) -> list[str]:
+    """What to type after a dry run."""
+    files = {role: _typed(role, Path(prepared.sources[role])) for role in ("protocol", "bench", "specimen")}
+    rest = ["--bench", files["bench"], "--specimen", files["specimen"]]
+    if not done:
+        return ["next    change the protocol or the limits, and check again"]
+    if idle is not None and idle.all and written is None:
+        return next_lines("pmabench", "check", files["protocol"], *rest, "--drop-idle", "-o", "moving.yaml")
+    if refused:
+        return ["next    look up the values that are not confirmed, then check again"]
+    return next_lines("pmabench", "run", files["protocol"] if written is None else shlex.quote(str(written)), *rest)
+
+
+def _typed(kind: str, path: Path) -> str:
+    """A file as it can be typed here: a shipped one by its name."""
+    if path.parent == shipped_folder(kind).resolve():
+        return path.stem
+    return shlex.quote(str(path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path))
 
 
 def _write_without(prepared: Prepared, idle: Idle | None, path: Path, settings: list[tuple[str, str]]) -> None:
-    from pmabench.bench.dry_run import wants
     from pmabench.kinds.compile import read_protocol
 
     if idle is None:
-        raise UsageError(f"--drop-idle: {wants(prepared.mounted)}")
+        raise UsageError("--drop-idle: a plant file says nothing that could be foreseen; give an analysis")
     if path.exists():
         raise UsageError(f"{path} is there already; give the name of a new file")
     document, model = read_protocol(Path(prepared.sources["protocol"]), settings)

@@ -12,6 +12,8 @@ from dataclasses import dataclass
 from errno import EPIPE
 from functools import wraps
 from pathlib import Path
+from threading import Event, Thread
+from time import monotonic
 from typing import TYPE_CHECKING, Any, TextIO, cast
 
 import click
@@ -34,6 +36,31 @@ class Ui:
     color: bool = True
     lost: OSError | None = None
     """Why the result did not reach stdout."""
+    done: Callable[[], None] = lambda: None
+    """Takes away the line that `begin` shows."""
+
+    def begin(self, what: str) -> None:
+        """On a terminal, a line with what takes long and for how many seconds it has, until there is a result."""
+        if self.json or self.quiet or not sys.stderr.isatty():
+            return
+        ended = Event()
+        started = monotonic()
+
+        def show() -> None:
+            while not ended.wait(0.0 if monotonic() - started < 0.1 else 0.8):
+                rewrite(f"{what} … {monotonic() - started:.0f} s")
+                ended.wait(0.2)
+
+        line = Thread(target=show, name="pmabench-begin", daemon=True)
+
+        def done() -> None:
+            if not ended.is_set():
+                ended.set()
+                line.join()
+                rewrite()
+
+        self.done = done
+        line.start()
 
     def note(self, text: str) -> None:
         """A line for people, on stderr."""
@@ -50,6 +77,7 @@ class Ui:
 
         A full disk or closed pipe behind stdout never ends the command; it has its own exit code at the end.
         """
+        self.done()
         try:
             if self.json:
                 from pmabench.store.folder import plain
@@ -100,14 +128,18 @@ def common(function: Callable[..., int | None]) -> Callable[..., None]:
         code: int | None
         try:
             code = function(ui, *args, **kwargs)
+            ui.done()
         except PmaError as error:
+            ui.done()
             _explain(ui, error)
             code = error.exit_code
         except OSError as error:
+            ui.done()
             where = "a file, a device or another program" if error.filename is None else _shown(error.filename)
             say(f"{where}: cannot be read or written: {error.strerror or error}")
             code = NOT_WRITTEN
         except KeyboardInterrupt:
+            ui.done()
             say("interrupted")
             code = 130
         if ui.lost is not None:

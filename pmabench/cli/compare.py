@@ -144,6 +144,11 @@ def _side(ui: Ui, name: str, text: str, *, fresh: bool) -> tuple[Side, list[Path
     known = len({run for analysis in analyses for run in analysis.runs}) == len(runs)
     manifests = [_manifest(run) for run in runs]
     about = [str(path), *dict.fromkeys(filter(None, map(_bench_and_day, manifests)))]
+    if (count := _side_by_side(text, manifests)) > 1:
+        from pmabench.analysis.verdict.assembly import of_one
+
+        analyses = [of_one(analysis, count) for analysis in analyses]
+        about.append(f"{count} muscles side by side: forces and volumes are divided by {count}")
     calibrations = frozenset(item for manifest in manifests for item in _calibrations(manifest)) if known else None
     return Side(name, tuple(analyses), "; ".join(about), calibrations), runs
 
@@ -155,6 +160,18 @@ def _manifest(run: Path) -> Mapping[str, Any]:
         return read_manifest(run)
     except InvalidFile:
         return {}
+
+
+def _side_by_side(name: str, manifests: Sequence[Mapping[str, Any]]) -> int:
+    """How many muscles side by side the specimen of all runs is; 1 where nothing says more."""
+    from pmabench.analysis.verdict.assembly import side_by_side
+
+    counts = {side_by_side(manifest.get("specimen")) for manifest in manifests}
+    if len(counts) > 1:
+        raise UsageError(
+            f"{name} holds runs of specimens of {' and '.join(map(str, sorted(counts)))} muscles side by side"
+        )
+    return counts.pop() if counts else 1
 
 
 def _bench_and_day(manifest: Mapping[str, Any]) -> str:

@@ -48,7 +48,9 @@ def command(ui: Ui, run: Path | None, out: Path, operator: str, because: str, *,
     if not left:
         ui.result({"schema": "pmabench.continue/1", "run": str(folder), "next": what_next}, lambda: say_next(what_next))
         return 0
-    if not yes and not _agreed(f"Do the {left} trials that are left now?", f"pmabench run --resume {_typed(folder)}"):
+    until = (data.manifest.get("until") or {}).get("goal")
+    question = f"Go on choosing trials until {until}?" if until else f"Do the {left} trials that are left now?"
+    if not yes and not _agreed(question, f"pmabench run --resume {_typed(folder)}"):
         return 0
     from pmabench.cli.run import run_or_resume
 

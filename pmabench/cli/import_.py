@@ -57,6 +57,7 @@ def command(
     """Make one run of each FILE, as the map says; the files themselves are never touched."""
     if guessing == (map_name is not None) or (not guessing and (span or output)) or (guessing and answers):
         raise UsageError("give --map to import, or --guess (with --span and -o) to have a map proposed")
+    ui.begin(f"reading {len(files)} {'file' if len(files) == 1 else 'files'}")
     if guessing or map_name is None:
         return guess(ui, files, span, output)
     from pmabench.kinds.registry import importable

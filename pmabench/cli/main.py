@@ -20,7 +20,7 @@ for _threads in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
 SECTIONS = {
     "Start": {
         "demo": ("demo", "Characterise a simulated muscle from protocol to report."),
-        "init": ("init", "Write a lab folder to begin with: bench, specimen, protocol."),
+        "init": ("init", "Ask what a lab has, and write its folder: bench, specimen, protocol."),
         "check": ("check", "Check protocol, bench and specimen; show the plan; move nothing."),
         "emulate": ("emulate", "Serve the devices of a bench with a simulated muscle behind them."),
     },
@@ -28,6 +28,7 @@ SECTIONS = {
         "monitor": ("monitor", "Every channel of a bench, live; --jog moves outputs by keys."),
         "calibrate": ("calibrate", "Calibrate a channel or the regulator by reference points, guided."),
         "run": ("run", "Execute a protocol on a bench and record it in a run folder."),
+        "next": ("next_", "Which trials to do next for narrower intervals, as a protocol file."),
         "continue": ("continue_", "How the last run ended; reset the bench, do the trials that are left."),
         "watch": ("watch", "Watch a run while it goes on; only reads its folder."),
         "vent": ("vent", "The safe state now; --reset clears a latch."),
@@ -59,13 +60,14 @@ SECTIONS = {
 COMMANDS = {name: entry for section in SECTIONS.values() for name, entry in section.items()}
 EXAMPLES: dict[str, str] = {
     "demo": "--out demo-run",
-    "init": "our-lab --bench mock",
+    "init": "our-lab",
     "check": "contraction-relaxation --bench mock --specimen mas-20-250-paper0 --simulate",
     "emulate": "wires",
     "monitor": "our-lab/bench.yaml",
     "calibrate": 'force --bench bench.yaml --specimen specimen.yaml --reference "weights no. 12"'
     ' --reference-uncertainty "0.1 N" --points "0 N, 58.86 N, 107.91 N"',
     "run": "contraction-relaxation --bench mock --specimen mas-20-250-paper0 --yes",
+    "next": 'runs/2026... --until "K 1 %, B_r 2 %" --time "40 min" -o next.yaml',
     "continue": "",
     "watch": "",
     "vent": "bench.yaml",

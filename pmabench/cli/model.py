@@ -25,6 +25,7 @@ from pmabench.cli.model_inputs import (
     shown,
     si_unit,
 )
+from pmabench.cli.model_rows import rows
 from pmabench.cli.model_simulate import simulate
 from pmabench.report.terminal import print_grid
 
@@ -48,6 +49,7 @@ def command() -> None:
 
 command.add_command(simulate)
 command.add_command(fit)
+command.add_command(rows)
 command.add_command(cascade)
 
 
@@ -125,6 +127,15 @@ def _print_model(ui: Ui, model: Model, checks: Sequence[Check]) -> None:
     rows = [[o.name, o.symbol, display_unit(o.quantity), o.meaning] for o in model.outputs]
     heads = ["output", "symbol", "unit", "meaning"]
     print_grid(console, heads, rows, heads)
+    if checks:
+        _print_checks(ui, model, checks)
+    click.echo()
+    for note in model.notes:
+        for line in wrap(note, console.width, initial_indent="- ", subsequent_indent="  "):
+            click.echo(line)
+
+
+def _print_checks(ui: Ui, model: Model, checks: Sequence[Check]) -> None:
     click.echo()
     parameters = {p.name: p for p in model.parameters}
     rows = []
@@ -133,11 +144,7 @@ def _print_model(ui: Ui, model: Model, checks: Sequence[Check]) -> None:
         values = [f"{value} {r.unit}".strip() for value in (r.printed, f"{now / r.scale:.7g}")]
         rows.append([r.output, at, *values, "" if agrees else "DIFFERS", r.source])
     heads = ["check", "at", "expected", "computed now", "", "expected from"]
-    print_grid(console, heads, rows, ("check", "at", "", "expected from"))
-    click.echo()
-    for note in model.notes:
-        for line in wrap(note, console.width, initial_indent="- ", subsequent_indent="  "):
-            click.echo(line)
+    print_grid(ui.console(), heads, rows, ("check", "at", "", "expected from"))
 
 
 @command.command(name="eval", epilog=EXAMPLE)

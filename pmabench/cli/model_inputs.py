@@ -7,6 +7,7 @@ import math
 import sys
 from collections.abc import Mapping, Sequence
 from itertools import product
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -34,10 +35,14 @@ def pairs(_context: click.Context, _parameter: click.Parameter, values: tuple[st
 
 
 def named_model(name: str) -> Model:
-    """The model, or UsageError with the nearest name."""
+    """The model of the library, or the muscle of an analysis by its folder; UsageError with the nearest name."""
     from pmabench.model.library import models
 
     known = models()
+    if name not in known and Path(name).is_dir():
+        from pmabench.cli.model_surface import surface_model
+
+        return surface_model(Path(name))
     if name not in known:
         raise UsageError(f'no model "{name}"{did_you_mean(name, known)}')
     return known[name]

@@ -111,6 +111,14 @@ def read_measured(
 Found = dict[str, tuple["Column", "str | None"]]
 
 
+def columns_of(model: Model, table: Table) -> tuple[Found, list[str]]:
+    """Columns of inputs by name with their units, and the heads of all other columns. Raises InvalidFile."""
+    inputs, outputs, unused, problems = _columns(model, table, ())
+    if problems:
+        raise InvalidFile(problems)
+    return inputs, [*unused, *(column.head.text for column, _ in outputs.values())]
+
+
 def _only(table: Table, rows: Sequence[tuple[str, str]]) -> Table:
     """The rows with these texts in these columns. Raises UsageError."""
     try:

@@ -13,10 +13,14 @@ from pmabench.base.errors import UsageError, did_you_mean
 from pmabench.base.quantities import show
 from pmabench.cli.common import Ui, common
 from pmabench.cli.model_inputs import column_of, print_csv, print_table
+from pmabench.cli.model_several import PLANTS, simulate_several
+from pmabench.cli.model_surface import described_by, next_to
+from pmabench.cli.names import RunFolder
 
 if TYPE_CHECKING:
     from pmabench.model.curve import Array
     from pmabench.model.driven import Actuator, DrivenPlant
+    from pmabench.model.identified.plant import IdentifiedDrivenPlant, IdentifiedPlant
     from pmabench.model.motion import Motion
     from pmabench.model.overrides import Overrides
     from pmabench.model.plant import Plant
@@ -66,9 +70,14 @@ CHANGES = {
 @click.option("--sine", metavar="SINE", help='About the last step before it: "20 kPa, 0.5 Hz at 4 s".')
 @click.option("--load", help='"58.86 N", a force, or "6 kg", which hangs with its inertia.')
 @click.option("--drive", metavar="SINE", help='The free end driven: "20 mm +- 10 mm, 0.5 Hz"; below 0 mm stretched.')
+@click.option("--open", "openings", multiple=True, metavar="VALVE", help='Of a platform: "fill 1, 100 ms to 130 ms".')
+@click.option("--chain", default="reference", type=click.Choice(["reference", "measured"]), show_default=True,
+              help="Of a platform's law: contractions of the attitude asked for, or measured.")  # fmt: skip
 @click.option("--for", "duration", default="5 s", show_default=True, help="How long.")
 @click.option("--every", help="Time between rows; a twenty-fifth of the whole where not given.")
 @click.option("--set", "settings", multiple=True, metavar="NAME=VALUE", help="Change a parameter of the plant.")
+@click.option("--along", type=RunFolder(), metavar="RUN", help="Under the pressures and loads of a run; its errors.")
+@click.option("--trial", type=int, metavar="NUMBER", help="With --along: the samples of one trial.")
 @click.option("--csv", "as_csv", is_flag=True, help="Comma-separated values in SI units on stdout.")
 @common
 def simulate(
@@ -82,28 +91,42 @@ def simulate(
     duration: str,
     every: str | None,
     settings: tuple[str, ...],
+    along: Path | None,
+    trial: int | None,
+    openings: tuple[str, ...],
+    chain: str,
     *,
     as_csv: bool,
 ) -> int | None:
     """Simulate PLANT (paper0, serres2009, real; daerden with --drive; or the path of a plant file) from rest.
 
-    True values in time, without sensors.
+    Two muscles on a pulley: joint, with --step "1: 300 kPa at 0 s" and free, or --drive "0 deg +- 30 deg, 0.05 Hz".
+    Three under a platform, level at first: platform, with --open; or under its law, --step "10 deg, 0 deg at 1 s".
+
+    Or the folder of an analysis of kind surface; with --along RUN next to what was measured. True values in time,
+    without sensors.
     """
-    problems: list[str] = []
+    if chain != "reference" and plant != "platform":
+        raise UsageError("--chain is for the platform")
+    if plant in PLANTS:
+        if sine or load or settings or along:
+            raise UsageError(f"{plant}: --sine, --load, --set and --along are for plants of one muscle")
+        simulate_several(ui, plant, steps, openings, drive, chain, every, duration, as_csv=as_csv)
+        return None
+    if along is not None:
+        _along_only(as_csv and ui.json, steps, sine, load, drive, settings)
+        next_to(ui, Path(plant), along, trial, as_csv=as_csv)
+        return None
+    problems = _misplaced(trial, openings, load, drive, nothing=not steps and sine is None)
     seconds = _parsed(problems, "--for", _quantity, duration, "time", 1e-3, LONGEST)
-    spacing: Any = _parsed(problems, "--every", _quantity, every, "time", 1e-6, LONGEST) if every else None
-    if spacing is None and seconds is not None:
-        spacing = seconds / 25
+    default: Any = None if seconds is None else seconds / 25
+    spacing = _parsed(problems, "--every", _quantity, every, "time", 1e-6, LONGEST) if every else default
     waves = _parsed(problems, "--step", _course, steps, sine)
     weight = _parsed(problems, "--load", _load, load)
     driven = _parsed(problems, "--drive", _drive, drive)
     changes = _parsed(problems, "--set", _overrides, settings)
     if seconds and spacing and seconds / spacing > MOST_ROWS:
         problems.append(f"--every: {seconds / spacing:.0f} rows; at most {MOST_ROWS} are made")
-    if load is not None and drive is not None:
-        problems.append("--load and --drive: the free end carries a load or is driven, not both")
-    if not steps and sine is None:
-        problems.append('--step: nothing is commanded; for instance --step "300 kPa at 0.5 s"')
     if as_csv and ui.json:
         problems.append("--csv or --json, not both")
     if problems:
@@ -117,6 +140,29 @@ def simulate(
     data |= {"plant": plant, "kind": kind, "columns": columns}
     ui.result(data, lambda: print_csv(columns) if as_csv else _print(ui, f"{plant}, {kind}", columns))
     return None
+
+
+def _along_only(both: bool, *others: Any) -> None:
+    """Refuse options that --along makes no use of."""
+    if any(others):
+        raise UsageError(
+            "--along takes pressures and loads from the run; give no --step, --sine, --load, --drive, --set"
+        )
+    if both:
+        raise UsageError("--csv or --json, not both")
+
+
+def _misplaced(
+    trial: int | None, openings: tuple[str, ...], load: str | None, drive: str | None, *, nothing: bool
+) -> list[str]:
+    """What is wrong with the options together, for a plant of one muscle."""
+    wrong = {
+        "--trial is for --along RUN": trial is not None,
+        "--open is for the platform": bool(openings),
+        "--load and --drive: the free end carries a load or is driven, not both": bool(load and drive),
+        '--step: nothing is commanded; for instance --step "300 kPa at 0.5 s"': nothing,
+    }
+    return [text for text, is_so in wrong.items() if is_so]
 
 
 def _print(ui: Ui, plant: str, columns: list[dict[str, Any]]) -> None:
@@ -140,9 +186,12 @@ def _simulated(
     from pmabench.model import regulator
     from pmabench.model.driven import Actuator
 
-    setup = _setup(plant, kind, changes, waves)
     times: Array = np.arange(int(seconds / spacing * (1 + 1e-9)) + 1, dtype=np.float64) * spacing
-    bench: Plant | RealPlant | DrivenPlant
+    bench: Plant | RealPlant | DrivenPlant | IdentifiedPlant | IdentifiedDrivenPlant
+    if Path(plant).is_dir():
+        bench = _identified(Path(plant), changes, waves, weight, driven, seconds)
+        return bench.advance(float(times[-1]), times)
+    setup = _setup(plant, kind, changes, waves)
     if driven is None:
         bench = setup.free(force=weight[0], mass=weight[1])
     else:
@@ -152,6 +201,47 @@ def _simulated(
         bench.move(regulator.sine(0.0, mean, amplitude, frequency, math.ceil(seconds * frequency)))
     bench.command(waves)
     return bench.advance(float(times[-1]), times)
+
+
+def _identified(
+    folder: Path,
+    changes: Overrides,
+    waves: tuple[Wave, ...],
+    weight: tuple[float, float],
+    driven: tuple[float, float, float] | None,
+    seconds: float,
+) -> Plant | IdentifiedPlant | IdentifiedDrivenPlant:
+    """The muscle of an analysis, commanded; ValueError beyond the pressures and contractions that were tested."""
+    from dataclasses import asdict
+
+    from pmabench.model import regulator
+    from pmabench.model.driven import Actuator
+    from pmabench.model.identified.plant import IdentifiedDrivenPlant
+    from pmabench.model.regulator import Regulator
+
+    given = {name: value for name, value in asdict(changes).items() if value is not None}
+    names = {"regulator_lag": "lag", "dead_time": "dead_time", "vent_ratio": "vent_ratio", "dead_band": "dead_band"}
+    if wrong := sorted(set(given) - set(names)):
+        raise ValueError(f"--set {wrong[0]}: of the muscle of an analysis {', '.join(names)} can be set")
+    before = Regulator(**{"dead_time": 0.0} | {names[name]: value for name, value in given.items()})
+    model = described_by(folder, before)
+    peak = max(wave.level + wave.amplitude for wave in waves)
+    if peak > model.domain[1] * (1 + 1e-9):
+        raise ValueError(
+            f"{show(peak, 'pressure')} is above {show(model.domain[1], 'pressure')}, up to which it was tested"
+        )
+    if driven is None or model.surface is None:
+        free = model.plant(*weight)
+        free.command(waves)
+        return free
+    mean, amplitude, frequency = driven
+    low, high = model.surface.reach
+    if mean - amplitude < low - 1e-9 or mean + amplitude > high + 1e-9:
+        raise ValueError(f"--drive leaves {show(low, 'length')} to {show(high, 'length')}, where it was tested")
+    plant = IdentifiedDrivenPlant(model.surface, before, Actuator(), position=mean)
+    plant.move(regulator.sine(0.0, mean, amplitude, frequency, math.ceil(seconds * frequency)))
+    plant.command(waves)
+    return plant
 
 
 def _stays_inside(setup: Setup, actuator: Actuator, low: float, high: float) -> None:

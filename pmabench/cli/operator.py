@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from pmabench.base.errors import Interrupted
+from pmabench.base.quantities import highest_pressure
 from pmabench.cli.common import rewrite, say
 from pmabench.engine.operator import ConfirmedBeforehand, Nobody
 
@@ -109,7 +110,7 @@ class InLines:
 
 
 def _pressure(measured: Mapping[str, float]) -> str:
-    pressure = measured.get("pressure")
+    pressure = highest_pressure(measured)
     return "The pressure is not measured." if pressure is None else f"Measured pressure: {pressure / 1e3:.1f} kPa."
 
 
@@ -133,7 +134,7 @@ class AtLines:
             rewrite()
         say(text)
         while True:
-            pressure = measured.get("pressure")
+            pressure = highest_pressure(measured)
             shown = "not measured" if pressure is None else f"{pressure / 1e3:.1f} kPa"
             prompt = f'Measured pressure: {shown}. Type "clear" when it is done and hands are out: '
             if self.line(prompt, wait).lower() == "clear":

@@ -26,17 +26,38 @@ if TYPE_CHECKING:
     from pmabench.session.checks import Check
 
 FINISHED = ("finished", "failed")
+WIDTH = 80
+
+
+def cut(text: str) -> str:
+    """One line of at most 80 columns."""
+    return text if len(text) <= WIDTH else f"{text[: WIDTH - 1]}…"
+
+
+def next_lines(*words: str) -> list[str]:
+    """`next    COMMAND` in lines of at most 80 columns where its words allow it; it can be typed as it is printed."""
+    lines = ["next    " + words[0]]
+    for word in words[1:]:
+        if len(lines[-1]) + len(word) + 3 > WIDTH:
+            lines[-1] += " \\"
+            lines.append(f"          {word}")
+        else:
+            lines[-1] += f" {word}"
+    return lines
 
 
 def show_next(ui: Ui, outcome: Outcome, bench: CompiledBench, *, trials: bool) -> None:
     """A line for each thing to do, each with its command; nothing where the run came to its end.
 
-    `trials`: whether the run had any; a session has none, and is done anew. With --quiet only that a bench is tripped.
+    `trials`: whether a single run ended, whose rest is named; `continue` leads on from a session or a campaign.
+    With --quiet only that a bench is tripped.
     """
     from pmabench.guard.station import Station
 
     if bench.realtime and Station(bench.name).latched():
         reset = f"pmabench vent {_named(bench)} --reset --operator NAME --because TEXT"
+        if not trials and outcome.folder is not None:
+            reset = f"pmabench continue {short(outcome.folder)}"
         say(f"the bench is now tripped, and nothing runs on it: look at it, then  {reset}")
     if trials and outcome.folder is not None and outcome.status not in FINISHED:
         ui.note(f"the trials that are left:  pmabench run --resume {shlex.quote(str(outcome.folder))}")
@@ -89,7 +110,8 @@ def _end(outcome: Outcome, bench: CompiledBench, kind: str, trials: int) -> list
     seconds = outcome.bench_seconds
     length = f"{seconds / 60:.0f} min" if seconds >= 120 else f"{seconds:.0f} s"
     planned = f"{trials} {'trial' if trials == 1 else 'trials'} planned"
-    lines = [f"{mark}{outcome.status.upper()}  {kind}: {planned}, {length}{_vent_words(outcome)}"]
+    head = f"{mark}{outcome.status.upper()}  {kind}: {planned}, {length}{_vent_words(outcome)}"
+    lines = wrap(head, WIDTH, subsequent_indent="   ")
     if outcome.why:
         lines += wrap(outcome.why, 80, initial_indent="   ", subsequent_indent="   ", max_lines=4, placeholder=" …")
     if outcome.trials_failed:

@@ -112,6 +112,7 @@ def _process_together(
 
     With a `form` of all tests one analysis for each specimen, in a folder next to those of the tests.
     """
+    ui.begin(f"processing {len(runs)} {'run' if len(runs) == 1 else 'runs'}")
     from pmabench.kinds.reduce import reduce_together, verdicts
     from pmabench.plotting.wording import clean
     from pmabench.report.glance import glance

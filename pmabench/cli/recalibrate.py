@@ -66,6 +66,7 @@ def command(
 
     if not calibrations and not skews:
         raise UsageError("nothing is to be changed: give --calibration FILE or --skew CHANNEL=TIME")
+    ui.begin("processing the runs twice")
     given = without_analyses(ui, runs)
     recorded = load_runs(given)
     anew = _asked(recorded, calibrations, skews)

@@ -39,6 +39,7 @@ if TYPE_CHECKING:
 @click.option(
     "--issued", default="", metavar="DATE", help="Date of issue as it is printed; today's is not put in by itself."
 )
+@click.option("--long", is_flag=True, help="Open the appendices, so that they are printed, too.")
 @click.option("--fresh", is_flag=True, help="Compute anew what `process` or `report` stored.")
 @common
 def command(
@@ -49,11 +50,13 @@ def command(
     xlsx: Path | None,
     overlays: tuple[str, ...],
     title: str | None,
+    long: bool,
     fresh: bool,
     **issuer: str,
 ) -> int | None:
     """Write the characterisation report of runs, of analysis folders, or of folders of them.
 
+    Two pages that print on A4, then appendices that fold out, in one file that needs nothing else.
     Runs are processed now, unless `process` did that and nothing has changed since.
     """
     from pmabench.cli.process import apart, chains, stored, without_analyses
@@ -75,7 +78,7 @@ def command(
     key = ""
     if used and not (published or (folders and given)):
         behind = chains(given or [run for folder in folders for run in runs_of(folder)])
-        about = {"sources": [str(path) for path in sources], "title": title, **issuer}
+        about = {"sources": [str(path) for path in sources], "title": title, "long": long, **issuer}
         key = kept_page.page_key(used, behind, about) if all(as_sealed(run) for run in behind) else ""
     page = None if fresh or pdf or xlsx or not key else kept_page.kept(used[0].parent, key)
     if page is not None:
@@ -83,8 +86,9 @@ def command(
             ui.note(line)
         written = {"path": str(write_file(output, page.text, "the report"))}
     else:
+        ui.begin("making the report")
         analyses, runs = _analysed(ui, folders, used, given)
-        written, page = _written(ui, analyses, runs, published, title, issuer, output, pdf, xlsx)
+        written, page = _written(ui, analyses, runs, published, title, issuer, output, pdf, xlsx, long=long)
         if key:
             kept_page.keep(used[0].parent, key, page)
     data: dict[str, Any] = {"schema": "pmabench.report/1", **written, "since": dict(page.since)}
@@ -124,6 +128,8 @@ def _written(
     output: Path,
     pdf: Path | None,
     xlsx: Path | None,
+    *,
+    long: bool,
 ) -> tuple[dict[str, str], Page]:
     """Write the report in each format that is wanted; what was written, and the page."""
     from pmabench.cli.process import since_lines
@@ -138,7 +144,7 @@ def _written(
     for line in page.remarks:
         ui.note(line)
     content = content_of(analyses, runs, title=title, published=published, issuer=Issuer(**issuer))
-    page = replace(page, text=page_of(content))
+    page = replace(page, text=page_of(content, long=long))
     written = {"path": str(write_file(output, page.text, "the report"))}
     if pdf is not None:
         from pmabench.report.document.pdf import write_pdf

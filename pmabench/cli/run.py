@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import signal
 import sys
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,6 +22,7 @@ from pmabench.engine.operator import AtTerminal, ConfirmedBeforehand, Nobody
 if TYPE_CHECKING:
     from pmabench.bench.compile import Mounted
     from pmabench.cli.prepare import Prepared
+    from pmabench.cli.until import Until
     from pmabench.engine.operator import Operator
     from pmabench.engine.run import Continues, Outcome
     from pmabench.session.checks import Check
@@ -40,7 +41,15 @@ if TYPE_CHECKING:
     type=click.Choice(["bench", "calibration", "specimen", "protocol"]),
     help="With --resume: go on although this is not what it was.",
 )
+@click.option("--web", is_flag=True, help="Show it in a browser, too: prints the address to open.")
+@click.option("--vent", is_flag=True, help="With --web: a vent button, where the bench file has `web_vent: true`.")
 @click.option("--report", is_flag=True, help="Process the run when it is finished, and write its report.")
+@click.option(
+    "--until", metavar="GOAL", default="", help="Choose trials until intervals are so narrow: 'K 1 %, B_r 2 %'."
+)
+@click.option(
+    "--time", "length", metavar="TIME", default="", help="With --until: longest time of all trials, '40 min'."
+)
 @session_options
 @common
 def command(
@@ -56,14 +65,30 @@ def command(
     session: dict[str, Any],
     *,
     yes: bool,
+    web: bool,
+    vent: bool,
     report: bool,
+    until: str,
+    length: str,
 ) -> int | None:
     """Execute PROTOCOL on a bench with a specimen and record it.
 
-    With --resume RUN the files of that run are used again, and what is left of it is done in a new run.
+    With --resume RUN the files of that run are used again, and what is left of it is done in a new run. With --until
+    GOAL trials are chosen from the protocol's sweep one by one, each where it helps most, until the 95 % intervals of
+    the coefficients are so narrow.
     """
     files = (protocol, bench, specimen)
-    return run_or_resume(ui, files, settings, resume, accept, out, operator, session, yes=yes, report=report)
+    if vent and not web:
+        raise UsageError("--vent belongs to --web")
+    if length and not until:
+        raise UsageError("--time belongs to --until")
+    if until and resume is not None:
+        raise UsageError("--resume keeps the goal of its run; leave --until out")
+    goal = {"goal": until, "time": length} if until else {}
+    return run_or_resume(
+        ui, files, settings, resume, accept, out, operator, session,
+        yes=yes, web=web, vent=vent, report=report, until=goal,
+    )  # fmt: skip
 
 
 def run_or_resume(
@@ -77,15 +102,23 @@ def run_or_resume(
     session: dict[str, Any],
     *,
     yes: bool,
+    web: bool = False,
+    vent: bool = False,
     report: bool = False,
+    until: Mapping[str, str] | None = None,
 ) -> int:
-    """Run protocol, bench and specimen (`files`), or what is left of the run `resume`; show its end; its exit code."""
+    """Run protocol, bench and specimen (`files`), or what is left of the run `resume`; show its end; its exit code.
+
+    `until`: `goal` and longest `time` of a run whose trials are chosen; one that goes on has those of the run before.
+    """
     from pmabench.cli.prepare import prepare
 
     protocol, bench, specimen = files
     if resume is not None:
         from pmabench.engine.resume import sources
+        from pmabench.store.folder import read_manifest
 
+        until = read_manifest(resume).get("until")
         before = sources(resume) if None in {protocol, bench, specimen} else {}
         protocol, bench, specimen = (
             given or str(before[name])
@@ -101,9 +134,14 @@ def run_or_resume(
         from pmabench.engine.resume import continue_run
 
         continues = continue_run(resume, prepared.plan, prepared.mounted, prepared.protocol_text, accept)
+    if web:
+        from pmabench.cli.web import start_view
+
+        start_view(ui, out or Path("runs"), vent=vent)
     outcome = execute(
-        ui, prepared, out or Path("runs"), operator_name=operator, yes=yes, continues=continues, session=session
-    )
+        ui, prepared, out or Path("runs"), operator_name=operator, yes=yes, continues=continues, session=session,
+        until=until,
+    )  # fmt: skip
     show_end(ui, outcome, prepared.mounted.bench, prepared.plan.kind, len(prepared.plan.trials))
     if report and outcome.status == "finished" and outcome.folder is not None:
         return _reported(ui, outcome.folder) or outcome.exit_code
@@ -131,16 +169,20 @@ def execute(
     continues: Continues | None = None,
     about: dict[str, Any] | None = None,
     session: dict[str, Any] | None = None,
+    until: Mapping[str, str] | None = None,
 ) -> Outcome:
     """Run a prepared plan, after a session where its bench has one and none counts.
 
-    With a display in real time, with a line of progress in virtual time. `session` are options of `ensure`.
+    With a display in real time, with a line of progress in virtual time. `session` are options of `ensure`. With
+    `until` its trials are chosen.
     """
     from pmabench.cli.prepare import needed, too_little
+    from pmabench.cli.until import asked_of, choosing
     from pmabench.engine.run import run_plan
     from pmabench.protocol.plan import Ask
 
-    steps = prepared.plan.steps if continues is None else continues.steps
+    asked = asked_of(prepared, until["goal"], until["time"]) if until else None
+    steps = prepared.plan.steps if continues is None or until else continues.steps
     if not (yes or _somebody(prepared.mounted)) and any(isinstance(step, Ask) for step in steps):
         raise UsageError("this run needs hands, and there is no terminal; with --yes prompts count as answered")
     for warning in prepared.warnings():
@@ -148,12 +190,16 @@ def execute(
     if prepared.mounted.bench.realtime and (why := real_time(ENGINE)):
         ui.note(f"{why}: a busy computer may end this run early; docs/when-it-goes-wrong.md says how to allow it")
     ordinary()
-    if lack := too_little(needed(prepared.plan, None if continues is None else continues.steps), out):
+    if lack := too_little(needed(prepared.plan, steps), out):
         raise RecordError(lack)
     mounted = prepared.mounted
     if mounted.session is not None:
         mounted = _in_session(ui, mounted, out, operator_name, session or {}, yes=yes)
-    with _operated(ui, mounted, prepared.plan.kind, yes=yes) as (operator, shown):
+    about = {"sources": prepared.sources, **({"until": dict(until)} if until else {}), **(about or {})}
+    with ExitStack() as stack:
+        operator, shown = stack.enter_context(_operated(ui, mounted, prepared.plan.kind, yes=yes))
+        if asked is not None:
+            shown = shown | _chosen(stack.enter_context(choosing(ui, asked, realtime=mounted.bench.realtime)), shown)
         return run_plan(
             prepared.plan,
             mounted,
@@ -162,10 +208,22 @@ def execute(
             protocol_text=prepared.protocol_text,
             deviations=prepared.deviations,
             operator_name=operator_name,
-            about={"sources": prepared.sources, **(about or {})},
+            about=about,
             continues=continues,
             **shown,
         )
+
+
+def _chosen(chooser: Until, shown: Mapping[str, Any]) -> dict[str, Any]:
+    """Arguments of `run_plan` with which trials are chosen; the chooser learns the run's folder as the display does."""
+    from pmabench.engine.choosing import Choosing
+
+    def begun(folder: Path) -> None:
+        chooser.folder = folder
+        if "begun" in shown:
+            shown["begun"](folder)
+
+    return {"begun": begun, "further": lambda executor: Choosing(executor, chooser)}
 
 
 def _in_session(

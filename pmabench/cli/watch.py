@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from pmabench.base.errors import invalid
+from pmabench.base.errors import UsageError, invalid
 from pmabench.cli.common import Ui, common, fields
 from pmabench.cli.names import RunFolder
 
@@ -20,12 +20,23 @@ if TYPE_CHECKING:
 @click.argument("run", default="runs", type=RunFolder())
 @click.option("--plain", is_flag=True, help="One line per event and trial; so it is where the output is no terminal.")
 @click.option("--wait", is_flag=True, help="Wait for a run that is not there yet.")
+@click.option("--web", is_flag=True, help="In a browser, until Ctrl-C: prints the address to open.")
+@click.option("--listen", metavar="ADDRESS", help="With --web: also for others, at this address of this computer.")
+@click.option("--vent", is_flag=True, help="With --web: a vent button, where the bench file has `web_vent: true`.")
 @common
-def command(ui: Ui, run: Path, *, plain: bool, wait: bool) -> int | None:
+def command(ui: Ui, run: Path, listen: str | None, *, plain: bool, wait: bool, web: bool, vent: bool) -> int | None:
     """Watch RUN, or the newest run of a folder of runs, until it ends; q leaves the run alone.
 
     Of a folder, what follows is watched too: the run after a session, the next run of a campaign.
+
+    For instance: pmabench watch --web
     """
+    if web:
+        from pmabench.cli.web import serve
+
+        return serve(ui, run, listen, vent=vent)
+    if listen or vent:
+        raise UsageError("--listen and --vent belong to --web")
     folder = _find(ui, run, wait=wait)
     several = folder != run
     from pmabench.display.console import watch

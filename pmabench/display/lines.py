@@ -33,6 +33,14 @@ def number_text(number: Number) -> str:
     return text.rstrip(".") + ("*" if number.assumed else "")
 
 
+def half_text(number: Number) -> str:
+    """The half width of the interval that scatter gives, as a share of the value; empty where it is not known."""
+    if number.half is None or not number.value:
+        return ""
+    share = 100 * number.half / abs(number.value)
+    return f"±{share:.1f}%" if share < 9.95 else f"±{share:.0f}%" if share < 999 else "far"
+
+
 def off_text(number: Number) -> str:
     """The relative difference from the value that it is compared with."""
     off = number.off
@@ -60,7 +68,8 @@ def _row(line: TrialLine, names: Sequence[str]) -> Text:
         value, q = line.point.get(name), quantity(POINT.get(name, ("", ""))[1])
         text.append(f"{'-' if value is None else format(value / q.scale, '.4g'):>{PLACE}}")
     for number in line.numbers:
-        text.append(f" {number_text(number):>{VALUE}}").append(f"{off_text(number):>{OFF}}", FAINT)
+        share = half_text(number) or off_text(number)
+        text.append(f" {number_text(number):>{VALUE}}").append(f"{share:>{OFF}}", FAINT)
     return text
 
 
@@ -101,6 +110,7 @@ def _legend(lines: Sequence[TrialLine]) -> str:
     kinds = {n.reference_is for line in lines for n in line.numbers if n.reference_is}
     against = {"expected": "the specimen file", "repeats": "earlier repeats"}
     text = f"  % against {' or '.join(against[kind] for kind in sorted(kinds))}" if kinds else ""
+    text += "; ± 95 %, by scatter" if any(half_text(n) for line in lines for n in line.numbers) else ""
     starred = any(n.assumed for line in lines for n in line.numbers)
     return text + ("; * leans on the specimen file" if starred else "")
 
@@ -126,6 +136,7 @@ def plain_line(item: Notice | TrialLine, trials: int) -> str:
 def _number(number: Number) -> str:
     unit = quantity(number.quantity).shown_in
     text = f"{number.symbol} {number_text(number)}{f' {unit}' if number.value is not None else ''}"
+    text += f" {half_text(number)}" if number.half is not None else ""
     if number.reference is None or number.value is None:
         return text
     reference = Number(number.symbol, number.quantity, number.reference)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -28,7 +28,8 @@ LONGEST_CURVES = 120.0
 LIVE = 2.0
 """How long values that the run itself sends are shown [s]."""
 LATEST = 1.0
-"""A trial gets its line so long after its end at the latest [s], whatever samples are missing."""
+"""A trial gets its line so long after its end at the latest [s], whatever samples are missing, unless more are there
+to be read."""
 LOG = 200
 """Notices that are kept."""
 
@@ -63,8 +64,10 @@ class Trial:
 class RunState:
     """All that is known of a run. `poll` reads what is new; nothing here raises for what the folder holds."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, also: Callable[[StreamTail, Block], None] | None = None) -> None:
+        """`also` is handed each block of samples, for what keeps them longer."""
         self.files = Follower(folder)
+        self._also = also
         self.channels: dict[str, Channel] = {}
         self.settings: dict[str, Setting] = {}
         self.counts: dict[str, int] = dict.fromkeys(("gap", "late", "overrange"), 0)
@@ -246,12 +249,15 @@ class RunState:
                 name = str(flag.name).lower().replace("_", " ")
                 self.counts[name] = self.counts.get(name, 0) + count
         self.samples.add(stream.name, block)
+        if self._also is not None:
+            self._also(stream, block)
 
     def _judge(self) -> None:
         """Give each ended trial its line, once all its samples were read."""
         while self._waiting:
             trial = self._waiting[0]
-            if trial.end is None or not (self._complete(trial.end) or self._now - trial.seen > LATEST):
+            late = self._now - trial.seen > LATEST and not self.files.behind
+            if trial.end is None or not (self._complete(trial.end) or late):
                 return
             self._waiting.pop(0)
             line = self._line(trial)

@@ -61,6 +61,8 @@ class Number:
     """`expected` (of the specimen file) or `repeats` (their mean); empty: none."""
     assumed: bool = False
     """Whether it depends on the specimen file: with one load alone K and F_ce cannot be separated."""
+    half: float | None = None
+    """Half width of the 95 % interval by the scatter of trials alone."""
 
     @property
     def off(self) -> float | None:
@@ -164,7 +166,7 @@ def _compare(item: Measured, earlier: list[float]) -> tuple[Number, str]:
         doubt = (
             "" if not far else f"{item.symbol} {_away(value, reference)} expected ({show(reference, item.quantity, 3)})"
         )
-    return Number(item.symbol, item.quantity, value, reference, source, item.assumed), doubt
+    return Number(item.symbol, item.quantity, value, reference, source, item.assumed, item.half), doubt
 
 
 def _away(value: float, reference: float) -> str:

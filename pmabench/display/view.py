@@ -12,6 +12,7 @@ from math import isfinite
 import numpy as np
 from rich.text import Text
 
+from pmabench.base.quantities import without_number
 from pmabench.display.channel import Channel, Setting
 from pmabench.display.lines import trial_table
 from pmabench.display.plot import curve
@@ -23,8 +24,16 @@ WARN, BAD, GOOD, STRONG, FAINT = "bold black on yellow", "bold white on red", "b
 LEVELS = {"info": "", "doubt": WARN, "fault": BAD}
 SIGNS = {"info": " ", "doubt": "!", "fault": "!!"}
 CURVES = (("pressure", "cyan"), ("displacement", "green"), ("force", "magenta"))
-SYMBOLS = {"pressure": "P", "displacement": "x", "force": "F"}
-LEAST_RANGE = {"pressure": 2e3, "length": 0.2e-3, "force": 2.0}
+OF_SEVERAL = (
+    *((f"pressure_{number}", "cyan") for number in (1, 2, 3)), ("angle", "green"), ("torque", "magenta"),
+    ("acceleration_x", "green"), ("acceleration_y", "magenta"),
+)  # fmt: skip
+"""The curves where none of the others is there."""
+SYMBOLS = {
+    "pressure": "P", "displacement": "x", "force": "F", "pressure_1": "P1", "pressure_2": "P2", "pressure_3": "P3",
+    "angle": "θ", "torque": "τ", "acceleration_x": "a_x", "acceleration_y": "a_y",
+}  # fmt: skip
+LEAST_RANGE = {"pressure": 2e3, "length": 0.2e-3, "force": 2.0, "angle": 2e-3, "torque": 0.1, "acceleration": 0.2}
 """Smallest range [SI] that a curve fills."""
 NARROWEST = 60
 """Curves are drawn from this width on."""
@@ -276,7 +285,8 @@ def _notice(t: float | None, text: str, level: str, width: int) -> list[Text]:
 
 def _curves(state: RunState, width: int, height: int) -> list[Text]:
     """Pressure, displacement and force next to each other: a title with the range, the curve, and the time."""
-    shown = [(state.channels[name], colour) for name, colour in CURVES if name in state.channels]
+    known = CURVES if any(name in state.channels for name, _colour in CURVES) else OF_SEVERAL
+    shown = [(state.channels[name], colour) for name, colour in known if name in state.channels]
     if not shown:
         return []
     axis_line = height >= 7
@@ -320,10 +330,11 @@ def _question(state: RunState, extra: Extra, width: int) -> list[Text]:
     if question is None:
         return []
     lines = [Text(f" {part}".ljust(width), WARN) for part in wrapped(clean(question.text), width - 2)[:3]]
-    pressure = state.channels.get("pressure")
+    pressures = [channel for name, channel in state.channels.items() if without_number(name)[0] == "pressure"]
+    fresh = [one.value for one in pressures if one.value is not None and (one.age or 0.0) < FRESH]
     line = Text(" measured pressure ")
-    if pressure is not None and pressure.value is not None and (pressure.age or 0.0) < FRESH:
-        line.append(f"{value_text(pressure.value, 'pressure', 1e5)} kPa", STRONG)
+    if fresh and len(fresh) == len(pressures):
+        line.append(f"{value_text(max(fresh), 'pressure', 1e5)} kPa", STRONG)
     else:
         line.append("not known at this moment", BAD)
     if question.words:

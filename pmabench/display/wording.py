@@ -32,6 +32,15 @@ POINT = {
     "bias": ("P_0", "pressure"),
     "mass": ("M", "mass"),
     "tip_mass": ("w", "mass"),
+    "pressure_1": ("P_1", "pressure"),
+    "pressure_2": ("P_2", "pressure"),
+    "angular_speed": ("ω", "angular speed"),
+    "lowest_angle": ("θ_1", "angle"),
+    "highest_angle": ("θ_2", "angle"),
+    "goal": ("θ", "angle"),
+    "integral": ("K_i", "angular integral gain"),
+    "phi": ("φ", "angle"),
+    "psi": ("ψ", "angle"),
 }
 """Names of an operating point -> symbol and quantity."""
 _HIDDEN = ("mass",)
@@ -92,6 +101,8 @@ _IN_LOG = {
     "trip": ("TRIPPED: ", "reason", "fault"),
     "ended-early": ("ended early: ", "reason", "fault"),
     "note": ("note: ", "text", "info"),
+    "plan-change": ("next: ", "why", "info"),
+    "choice-end": ("no further trial: ", "why", "info"),
     "pause": ("paused at low pressure", "", "info"),
     "goes-on": ("goes on", "", "info"),
     "controlled-stop": ("controlled stop", "", "info"),

@@ -23,7 +23,8 @@ from pmabench.store.records import Flag
 
 Array = NDArray[np.float64]
 
-VIRTUAL_BLOCK = 2.0
+VIRTUAL_BLOCK = 1.0
+"""Bench time between two looks at the samples in virtual time [s]: no more is lost when the program dies."""
 REAL_BLOCK = 0.05
 SILENCE = 1.0
 """A stream that gives nothing for so long [s], and for a block, has failed."""
@@ -253,6 +254,13 @@ class Acquisition:
                     raise LimitTripped(f"the program has not asked for samples for {now - self._asked:.1f} s")
             except Exception as error:  # an error in the program ends the run as a lost device does
                 self._end_by(error)
+
+    def trip(self, why: str) -> None:
+        """End the run by a fault that several channels show together: the safe state begins, and this raises."""
+        with self._lock:
+            self._raise_trip()
+            self._end_by(LimitTripped(why))
+            self._raise_trip()
 
     def _end_by(self, error: Exception) -> None:
         """Let the executor raise this, and the guard begin the safe state."""

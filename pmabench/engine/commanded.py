@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -36,6 +36,10 @@ class Commands(Protocol):
 
     def valves(self, *, closed: bool, only: str = "") -> None:
         """Valves, or `only` one, as in a run, or (not `closed`) in the safe state."""
+        ...
+
+    def steer(self, aims: Mapping[str, float], pulses: Mapping[str, float]) -> None:
+        """Pulses of valves [s], to bring muscles to `aims` [SI]."""
         ...
 
     def value_sent(self, name: str, value: float) -> float:
@@ -168,6 +172,13 @@ class Commander:
         """One valve into its safe state, or as in a run."""
         self.wait()
         self._guard.valves(closed=not safe, only=name)
+
+    def steer(self, aims: Mapping[str, float], pulses: Mapping[str, float]) -> None:
+        """Open valves for so long [s], to bring muscles to `aims` [SI]."""
+        self.wait()
+        self._guard.steer(aims, pulses)
+        for name, value in aims.items():
+            self._commanded.set(name, self._clock.now(), value)
 
     def value_sent(self, output: str, value: float) -> float:
         """The value [SI] that the device would get."""

@@ -1,4 +1,7 @@
-"""How a run ends: the signals that end it, and its end in the words of the record and as an exit code."""
+"""How a run ends: the signals that end it, its end in the words of the record and as an exit code, and a last look.
+
+When it is over and vented, the session's zeros are looked at again; knows no session.
+"""
 
 from __future__ import annotations
 
@@ -7,10 +10,18 @@ import traceback
 from types import FrameType, TracebackType
 from typing import Any
 
+import numpy as np
+
 from pmabench.base.errors import Interrupted, LimitTripped, PmaError, RecordError, VerdictFailed
+from pmabench.base.quantities import without_number
+from pmabench.engine.acquire import Acquisition, Samples
 from pmabench.guard.safe import Vent
 
 _NAMES = {"SIGINT": "Ctrl-C", "SIGTERM": "SIGTERM", "SIGHUP": "SIGHUP (terminal closed)"}
+SPAN = 0.3
+"""How long the zeros are looked at [s]."""
+LONGEST = 5.0
+"""How long they are waited for to come to rest [s]."""
 
 
 class Signals:
@@ -103,3 +114,36 @@ def exit_code(cause: BaseException | None, lost: RecordError | None, vent: Vent)
     if cause is None:
         return 0
     return cause.exit_code if isinstance(cause, PmaError) else 1
+
+
+def zero_check(acquisition: Acquisition, zeroed: tuple[str, ...], *, unloaded: bool) -> dict[str, dict[str, Any]]:
+    """Mean of each zeroed channel now [SI]; it is a `drift` where the channel is at its zero again.
+
+    The pressure does, vented. The force does where hands took every load off. Nobody knows of the displacement.
+    """
+    deadline = acquisition.clock.now() + LONGEST
+    means, noise = _means(acquisition, zeroed)
+    while acquisition.clock.now() < deadline:
+        before, (means, noise) = means, _means(acquisition, zeroed)
+        if all(abs(mean - before[name]) <= noise[name] for name, mean in means.items() if name in before):
+            break
+    found: dict[str, dict[str, Any]] = {}
+    for name, mean in means.items():
+        at_zero = without_number(name)[0] == "pressure" or (name == "force" and unloaded)
+        found[name] = {"reading": mean, "drift": mean if at_zero else None}
+    return found
+
+
+def _means(acquisition: Acquisition, names: tuple[str, ...]) -> tuple[dict[str, float], dict[str, float]]:
+    """Mean and rms noise over the next `SPAN`."""
+    kept: dict[str, list[float]] = {name: [] for name in names}
+
+    def keep(block: Samples) -> None:
+        for name in names:
+            if name in block.values:
+                kept[name].extend(float(value) for value in block.values[name])
+
+    acquisition.pass_time(SPAN, keep)
+    values = {name: column for name, column in kept.items() if column}
+    means = {name: float(np.mean(column)) for name, column in values.items()}
+    return means, {name: float(np.std(column)) + 1e-12 for name, column in values.items()}

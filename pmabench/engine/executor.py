@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import isfinite
 from typing import Any
@@ -11,10 +11,11 @@ import numpy as np
 
 from pmabench.base.clock import Clock
 from pmabench.base.errors import Interrupted, LimitTripped, PmaError, VerdictFailed
-from pmabench.base.quantities import show
+from pmabench.base.quantities import highest_pressure, show, without_number
 from pmabench.bench.interface import CompiledBench, Load
 from pmabench.engine.acquire import Acquisition, Samples
 from pmabench.engine.commanded import Commander, Commands
+from pmabench.engine.control import run_control
 from pmabench.engine.load_check import LoadCheck, LoadImplausible
 from pmabench.engine.operator import Operator
 from pmabench.engine.recorder import Recorder
@@ -23,6 +24,7 @@ from pmabench.protocol.plan import (
     HANDS_OUT,
     VENTED_WITHIN,
     Ask,
+    Control,
     Follow,
     Hold,
     Plan,
@@ -80,6 +82,10 @@ class Executor:
     """How often each trial was begun, also in the runs that this one continues."""
     again: TrialRecord | None = None
     """The reference trial that is repeated because this run continues another one; no trial of the plan."""
+    further: Callable[[], Sequence[Step]] = tuple
+    """Asked for more steps at the end of all others; none ends the run."""
+    beyond: dict[int, TrialRecord] = field(default_factory=dict)
+    """Trials that were chosen during the run, by their index."""
     failed: list[int] = field(default_factory=list)
     """Trials that failed."""
     unloaded: bool = False
@@ -91,6 +97,8 @@ class Executor:
         self._value: dict[str, float] = {}
         self._pause = self._repeat = False
         self._live = -LIVE_EVERY
+        self._pressures = [c.name for c in self.bench.channels if without_number(c.name)[0] == "pressure"]
+        self._pressures = self._pressures or ["pressure"]
         self._load = LoadCheck(self.bench)
         self._commander = Commander(self.guard, self.acquisition.commanded, self.clock, self._wait_while_held)
         self._act: dict[type[Step], Callable[[Any], None]] = {
@@ -102,6 +110,7 @@ class Executor:
             WaitUntil: self._wait_until,
             Ask: self._ask,
             Seek: self._seek,
+            Control: self._control,
         }
 
     def run(self) -> None:
@@ -122,7 +131,10 @@ class Executor:
                 left += sum(repeated.longest() for repeated in steps[again:number])
                 number = again
             if number == len(steps):
-                return
+                more = self.further()
+                if not more:
+                    return
+                steps, left = (*steps, *more), left + sum(step.longest() for step in more)
             step = steps[number]
             trial, phase = self._trial, step.phase
             if self.again is not None and trial == self.again.index:
@@ -174,17 +186,16 @@ class Executor:
 
     def _stay_at_low_pressure(self) -> None:
         """Between trials: the pressure at its safe value until the operator goes on."""
-        outputs = {output.name: output for output in self.bench.outputs}
-        before, output = self._value.get("pressure"), outputs.get("pressure")
-        step = Set("pause", "pressure", output.safe if output is not None else 0.0)
-        self._event("pause", pressure=before)
-        if output is not None and before is not None:
-            self._set(step)
+        before = {o.name: self._value[o.name] for o in self.bench.pressures if o.name in self._value}
+        self._event("pause", pressure=max(before.values(), default=None))
+        for output in self.bench.pressures:
+            if output.name in before:
+                self._set(Set("pause", output.name, output.safe))
         while self._pause:
             self.acquisition.pass_time(0.1)
         self._event("goes-on")
-        if output is not None and before is not None:
-            self._set(Set("pause", "pressure", before))
+        for name, value in before.items():
+            self._set(Set("pause", name, value))
 
     def _wait_while_held(self) -> None:
         """Nothing new is commanded while a limit says `hold`."""
@@ -255,7 +266,7 @@ class Executor:
             self._trial, self._trial_status = step.trial, "finished"
             if step.trial is not None:
                 again = self.again is not None and step.trial == self.again.index
-                trial = self.again if self.again is not None and again else self.plan.trials[step.trial]
+                trial = self.again if self.again is not None and again else self._trial_of(step.trial)
                 self.attempts[trial.index] = self.attempts.get(trial.index, 0) + 1
                 self._event(
                     "trial-begin",
@@ -272,6 +283,9 @@ class Executor:
         if self._trial is not None:
             self._event("trial-end", trial=self._trial, status=self._trial_status)
         self._trial = None
+
+    def _trial_of(self, index: int) -> TrialRecord:
+        return self.beyond[index] if index in self.beyond else self.plan.trials[index]
 
     def end_trial(self, status: str) -> None:
         """Close the trial that is under way when a run ends early."""
@@ -324,7 +338,8 @@ class Executor:
     def _ask(self, step: Ask) -> None:
         if step.demands == "vented":
             below, what = self.bench.hands_below, "stayed above"
-            self._wait_until(WaitUntil(step.phase, "pressure", "below", below, 0.1, VENTED_WITHIN, "flag"))
+            for name in self._pressures:
+                self._wait_until(WaitUntil(step.phase, name, "below", below, 0.1, VENTED_WITHIN, "flag"))
             self.guard.valves(closed=False)
         else:
             below, what = self._hands_at_pressure(), "is above this bench's"
@@ -336,7 +351,7 @@ class Executor:
             self._refuse_hands_above(below, "rose above")
 
         answer = self.operator.ask(step.text, self.acquisition.latest, wait)
-        self._event("answer", text=step.text, answer=answer, pressure=self.acquisition.latest.get("pressure"))
+        self._event("answer", text=step.text, answer=answer, pressure=highest_pressure(self.acquisition.latest))
         if step.load is not None:
             self.guard.place(Load(*step.load))
             self._event("load", force=step.load[0], mass=step.load[1])
@@ -349,13 +364,13 @@ class Executor:
     def _hands_at_pressure(self) -> float:
         """Highest measured pressure for hands at pressure [Pa]: the bench's, and the uncertainty of its channel."""
         most = self.bench.hands_at_pressure
-        channel = next((c for c in self.bench.channels if c.name == "pressure"), None)
-        if channel is None or most == 0.0:
+        known = [c.calibration for c in self.bench.channels if c.name in self._pressures]
+        if not known or most == 0.0:
             return most
-        return most * (1 + channel.calibration.gain_uncertainty) + channel.calibration.offset_uncertainty
+        return min(most * (1 + one.gain_uncertainty) + one.offset_uncertainty for one in known)
 
     def _refuse_hands_above(self, below: float, what: str) -> None:
-        measured = self.acquisition.latest.get("pressure", float("inf"))
+        measured = max(self.acquisition.latest.get(name, float("inf")) for name in self._pressures)
         if not measured <= below:
             raise PmaError(
                 f"hands are not let in: the measured pressure {show(measured, 'pressure')} "
@@ -368,6 +383,17 @@ class Executor:
 
         result = run_seek(step, self._commander, self.acquisition, self.clock, log)
         self._value[step.output] = result.get("command", self._value.get(step.output, 0.0))
+        self._found(step, result)
+
+    def _control(self, step: Control) -> None:
+        def log(**steered: Any) -> None:
+            self._event("steered", phase=step.phase, trial=self._trial, **steered)
+
+        result = run_control(step, self.bench, self._commander, self.acquisition, self.clock, log)
+        self._value |= result.get("commands", {})
+        self._found(step, result)
+
+    def _found(self, step: Seek | Control, result: Mapping[str, Any]) -> None:
         self._event("found", phase=step.phase, law=step.law, trial=self._trial, result=result)
         if not result.get("found", False):
             self._at_limit(step, step.at_limit, f"{step.phase}: {result.get('reason', 'nothing found')}")

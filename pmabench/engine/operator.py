@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Protocol
 
 from pmabench.base.errors import Interrupted, PmaError
+from pmabench.base.quantities import highest_pressure
 
 
 class NoOperator(PmaError):
@@ -54,7 +55,7 @@ class AtTerminal(_WithoutKeys):
 
     def ask(self, text: str, measured: Mapping[str, float], wait: Callable[[], None]) -> str:
         """Ask until the word is `clear`; nothing else counts."""
-        pressure = measured.get("pressure")
+        pressure = highest_pressure(measured)
         shown = "not measured" if pressure is None else f"{pressure / 1e3:.1f} kPa"
         self._write(f"{text}\nMeasured pressure: {shown}.")
         while True:

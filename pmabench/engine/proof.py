@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from pmabench.base.errors import LimitTripped
 from pmabench.base.quantities import show
 from pmabench.bench.interface import CompiledBench
@@ -19,24 +21,26 @@ def prove(bench: CompiledBench, guard: Commands, acquisition: Acquisition, recor
     if proof is None:
         return
     clock = acquisition.clock
-    safe = next(output.safe for output in bench.outputs if output.name == "pressure")
+    names = [output.name for output in bench.pressures]
     asked = clock.now()
-    guard.set("pressure", proof.pressure)
-    acquisition.commanded.set("pressure", asked, proof.pressure)
-    filled = acquisition.pass_time(proof.fill, _crossing(above=FILLED * proof.pressure))
+    for name in names:
+        guard.set(name, proof.pressure)
+        acquisition.commanded.set(name, asked, proof.pressure)
+    filled = acquisition.pass_time(proof.fill, _crossing(names, above=FILLED * proof.pressure))
     if filled is None:
-        measured = show(acquisition.latest.get("pressure", float("nan")), "pressure")
+        measured = _measured(acquisition, names)
         raise LimitTripped(
             f"the proof test asked for {show(proof.pressure, 'pressure')}, and after {proof.fill:g} s {measured} is "
             "measured: no supply, a shut valve, or the pressure channel is wired wrongly"
         )
     vented_at = clock.now()
-    guard.set("pressure", safe)
-    acquisition.commanded.set("pressure", vented_at, safe)  # it falls as commanded: no burst
+    for output in bench.pressures:
+        guard.set(output.name, output.safe)
+        acquisition.commanded.set(output.name, vented_at, output.safe)  # it falls as commanded: no burst
     guard.valves(closed=False)
-    vented = acquisition.pass_time(proof.within, _crossing(below=proof.below))
+    vented = acquisition.pass_time(proof.within, _crossing(names, below=proof.below))
     if vented is None:
-        measured = show(acquisition.latest.get("pressure", float("nan")), "pressure")
+        measured = _measured(acquisition, names)
         raise LimitTripped(
             f"the vent path failed its proof test: {measured} {proof.within:g} s after venting, "
             f"below {show(proof.below, 'pressure')} was expected; look at the dump valve and at the regulator's exhaust"
@@ -48,12 +52,22 @@ def prove(bench: CompiledBench, guard: Commands, acquisition: Acquisition, recor
     )
 
 
-def _crossing(above: float = float("-inf"), below: float = float("inf")) -> Stop:
+def _measured(acquisition: Acquisition, names: Sequence[str]) -> str:
+    """The newest pressure of each muscle, in words."""
+    return " and ".join(show(acquisition.latest.get(name, float("nan")), "pressure") for name in names)
+
+
+def _crossing(names: Sequence[str], above: float = float("-inf"), below: float = float("inf")) -> Stop:
+    """The sample at which the last of these channels has come between the bounds."""
+    left = set(names)
+
     def crossed(block: Samples) -> int | None:
-        values = block.values.get("pressure")
-        if values is None:
-            return None
-        inside = (values > above) & (values < below)
-        return int(inside.argmax()) if inside.any() else None
+        last = None
+        for name in left & block.values.keys():
+            inside = (block.values[name] > above) & (block.values[name] < below)
+            if inside.any():
+                left.discard(name)
+                last = max(last or 0, int(inside.argmax()))
+        return last if not left else None
 
     return crossed

@@ -49,15 +49,17 @@ def continue_run(
         raise InvalidFile([Problem(str(folder), 0, 0, f"{what}: pmabench run --resume {last}")])
     link = continued(folder)
     done = set(link["trials_done"])
+    chosen = bool(manifest.get("until"))
     steps = remaining(plan, done)
-    if not any(isinstance(step, Record) and step.trial is not None for step in steps):
+    if not chosen and not any(isinstance(step, Record) and step.trial is not None for step in steps):
         raise InvalidFile([Problem(str(folder), 0, 0, "every trial of this run is finished: nothing is left to do")])
     attempts: dict[int, int] = {}
     for run in open_chain(folder):
         for trial in run.trials:
             attempts[trial.index] = attempts.get(trial.index, 0) + 1
     again = max([len(plan.trials) - 1, *attempts]) + 1
-    return Continues({**link, "accepted_changes": changed}, *with_reference(plan, steps, again), attempts)
+    left = _reference_again(plan, again) if chosen else with_reference(plan, steps, again)
+    return Continues({**link, "accepted_changes": changed}, *left, attempts)
 
 
 def _changes(then: Mapping[str, str], now: Mapping[str, str]) -> Iterable[str]:
@@ -113,6 +115,16 @@ def with_reference(plan: Plan, steps: tuple[Step, ...], index: int) -> tuple[tup
     if rest and isinstance(rest[0], Ask) and rest[0].load == on:
         del rest[0]
     return (*before, *rest), replace(reference, index=index)
+
+
+def _reference_again(plan: Plan, index: int) -> tuple[tuple[Step, ...], TrialRecord | None]:
+    """The plan's reference trial alone, where trials are chosen after it; nothing where the plan has none."""
+    reference = next((trial for trial in plan.trials if trial.reference), None)
+    if reference is None:
+        return (), None
+    steps = remaining(plan, {trial.index for trial in plan.trials} - {reference.index})
+    again = (replace(s, trial=index) if isinstance(s, Record) and s.trial is not None else s for s in steps)
+    return tuple(again), replace(reference, index=index)
 
 
 def _left_of(part: Sequence[Step], done: set[int]) -> list[Step]:

@@ -18,7 +18,7 @@ from pmabench.base.system import ENGINE, ordinary, real_time
 from pmabench.bench.compile import Mounted
 from pmabench.bench.interface import CompiledBench, Identity, TripRecord
 from pmabench.engine.acquire import Acquisition, Tripped
-from pmabench.engine.ending import Signals, exit_code, sentence, status_of
+from pmabench.engine.ending import Signals, exit_code, sentence, status_of, zero_check
 from pmabench.engine.executor import Executor, Progress
 from pmabench.engine.load_check import LoadImplausible
 from pmabench.engine.operator import Operator
@@ -26,7 +26,6 @@ from pmabench.engine.own import OwnDevices
 from pmabench.engine.proof import prove
 from pmabench.engine.recorder import Forgiving, NoRecord, Recorder
 from pmabench.engine.untried import agree, as_data, not_proven
-from pmabench.engine.zero_check import zero_check
 from pmabench.guard.guard import Guard, Vent
 from pmabench.guard.remote import RemoteGuard
 from pmabench.protocol.plan import Plan, Step, TrialRecord
@@ -106,16 +105,22 @@ def run_plan(
     begun: Callable[[Path], None] = lambda _folder: None,
     before_proof: Callable[[Executor], None] = lambda _executor: None,
     procedure: Callable[[Executor], None] = Executor.run,
+    trying: NoRecord | None = None,
+    further: Callable[[Executor], Callable[[], Sequence[Step]]] | None = None,
 ) -> Outcome:
     """Execute `plan` on the mounted bench and record it in a new folder below `out` (None: try it, keep nothing).
 
     `about` goes into the manifest. `procedure` is what is done on the armed bench: the plan's steps, or something
     guided (session, calibration, jog) that uses the same executor's guard, acquisition, operator and recorder, under
-    the same watch and the same ending. `before_proof` is done before the proof test, without pressure.
+    the same watch and the same ending. `before_proof` is done before the proof test, without pressure. `trying` sees
+    the samples of a run that is only tried. With `further` (see `Choosing`) the plan's trials are not done in their
+    order, but as they are chosen one by one.
 
     The bench is driven to its safe state on every way out, and the result of that is in the record before its end mark.
-    `begun` gets the folder before. Raises DeviceError, LimitRefused or RecordError only where nothing was commanded.
+    `begun` gets the folder before. Raises DeviceError, LimitRefused or RecordError only where nothing was commanded,
+    InvalidFile for a bench in real time with values that nobody has confirmed.
     """
+    mounted.refuse_unconfirmed()
     bench = mounted.bench
     clock: RealClock | VirtualClock = RealClock() if bench.realtime else VirtualClock()
     guard = RemoteGuard(bench, clock) if isinstance(clock, RealClock) else Guard(bench, clock)
@@ -127,12 +132,11 @@ def run_plan(
             own.open()
         identities = {**guard.identities, **(own.identities if own is not None else {})}
         bench = _as_answered(bench, identities)
-        recorder: Recorder = NoRecord()
+        recorder: Recorder = trying or NoRecord()
         writer: RunWriter | None = None
         if out is not None:
             entries = {"deviations": list(deviations), "operator": operator_name or _user(), **(about or {})}
-            if continues is not None:
-                entries["continues"] = dict(continues.manifest)
+            entries |= {} if continues is None else {"continues": dict(continues.manifest)}
             opened = _opened(bench, identities, why or "real time")
             writer = _new_folder(plan, mounted, bench, out, protocol_text, {**opened, **entries})
             recorder = writer
@@ -141,16 +145,33 @@ def run_plan(
         with Signals() as signals:
             acquisition = Acquisition(bench, streams, clock, plan.rate, plan.record, recorder)
             executor = Executor(plan, bench, guard, acquisition, recorder, Waiting(operator, signals), clock, progress)
-            if continues is not None:
-                executor.steps, executor.attempts = continues.steps, dict(continues.attempts)
-                executor.again = continues.again
+            _what_to_do(executor, continues, further)
             with _no_long_collection() if bench.realtime else nullcontext():
                 return _Run(executor, guard, own, signals, writer, (before_proof, procedure)).execute()
     finally:
-        guard.close()
-        if own is not None:  # in real time
-            own.close()
-            ordinary()
+        _closed(guard, own)
+
+
+def _closed(guard: Guard | RemoteGuard, own: OwnDevices | None) -> None:
+    """Close what was opened; in real time (with `own`) scheduling is ordinary again."""
+    guard.close()
+    if own is not None:
+        own.close()
+        ordinary()
+
+
+def _what_to_do(
+    executor: Executor,
+    continues: Continues | None,
+    further: Callable[[Executor], Callable[[], Sequence[Step]]] | None,
+) -> None:
+    """Give the executor what is left of a run that it goes on with, and what chooses its trials."""
+    if continues is not None:
+        executor.steps, executor.attempts = continues.steps, dict(continues.attempts)
+        executor.again = continues.again
+    if further is not None:
+        executor.steps = () if continues is None else continues.steps
+        executor.further = further(executor)
 
 
 @contextmanager
@@ -208,6 +229,7 @@ def _new_folder(
         "started_utc": started.isoformat(timespec="milliseconds"),
         "bench": bench.name,
         "specimen": specimen.model_dump(mode="json", by_alias=True, exclude={"expected"}),
+        **_muscles(mounted),
         "plan_sha256": plan.sha256,
         "trials_planned": len(plan.trials),
         "rate": plan.rate,
@@ -227,6 +249,12 @@ def _new_folder(
     writer = RunWriter.create(out, name, manifest, snapshots)
     writer.waits = not bench.realtime
     return writer
+
+
+def _muscles(mounted: Mounted) -> dict[str, Any]:
+    """Which muscle has which number, where there are several."""
+    muscles = {number: {"type": one.type, "serial": one.serial} for number, one in mounted.bench_file.muscles.items()}
+    return {"muscles": muscles} if muscles else {}
 
 
 def _user() -> str:
@@ -296,19 +324,24 @@ class _Run:
 
     def _controlled_stop(self) -> None:
         """Take the pressure down at the bench's rate first; whatever comes meanwhile ends that at once."""
-        output = next((o for o in self.bench.outputs if o.name == "pressure"), None)
-        commanded = self.acquisition.commanded.at("pressure", self.clock.now())
-        if output is None or commanded is None or not self.bench.stop_rate or commanded <= output.safe:
+        now = self.clock.now()
+        asked = {output: self.acquisition.commanded.at(output.name, now) for output in self.bench.pressures}
+        above = {o: value - o.safe for o, value in asked.items() if value is not None and value > o.safe}
+        if not above or not self.bench.stop_rate:
             return
         self.signals.news()
         self.acquisition.check = self.signals.check
         with suppress(BaseException):  # another signal, a trip, a lost device: the safe state follows now
             self.acquisition.begin_controlled_stop()
             now = self.clock.now()
-            self.executor.recorder.event("controlled-stop", now, origin=commanded, rate=self.bench.stop_rate)
-            self.guard.ramp("pressure", commanded, output.safe, self.bench.stop_rate)
-            self.acquisition.commanded.ramp("pressure", now, commanded, output.safe, self.bench.stop_rate)
-            self.acquisition.pass_time((commanded - output.safe) / self.bench.stop_rate)
+            furthest = max(above.values())
+            highest = max(output.safe + way for output, way in above.items())
+            self.executor.recorder.event("controlled-stop", now, origin=highest, rate=self.bench.stop_rate)
+            for output, way in above.items():  # all arrive together, so that muscles against each other stay balanced
+                rate = self.bench.stop_rate * (way / furthest)
+                self.guard.ramp(output.name, output.safe + way, output.safe, rate)
+                self.acquisition.commanded.ramp(output.name, now, output.safe + way, output.safe, rate)
+            self.acquisition.pass_time(furthest / self.bench.stop_rate)
 
     def _measure(self) -> Mapping[str, float]:
         """Newest values for the safe state; more signals shorten its waits."""

@@ -42,6 +42,11 @@ _QUANTITIES = {
     "force rate": ("N/s", "2000 N/s"),
     "force per pressure": ("N/Pa", "1.08 N/kPa"),
     "angle": ("dimensionless", "30 deg"),
+    "angular speed": ("1/s", "20 deg/s"),
+    "torque": ("N*m", "5 N.m"),
+    "torque rate": ("N*m/s", "50 N.m/s"),
+    "angular integral gain": ("N*m/s", "20 N.m/rad/s"),
+    "torsional stiffness": ("N*m", "20 N.m/rad"),
     "stiffness per pressure": ("N/m/Pa", "0.001 N/mm/kPa"),
     "stiffness per pressure squared": ("N/m/Pa**2", "1e-5 N/mm/kPa2"),
     "damping per pressure": ("N*s/m/Pa", "0.0016 N.s/mm/kPa"),
@@ -228,10 +233,14 @@ Time = Annotated[float, _Of("time")]
 Frequency = Annotated[float, _Of("frequency")]
 Ratio = Annotated[float, _Of("ratio")]
 Angle = Annotated[float, _Of("angle")]
+AngularSpeed = Annotated[float, _Of("angular speed")]
 Gain = Annotated[float, _Of("gain")]
 Rate = Annotated[float, _Of("rate")]
 Temperature = Annotated[float, _Of("temperature")]
 Conductance = Annotated[float, _Of("conductance")]
+TorsionalStiffness = Annotated[float, _Of("torsional stiffness")]
+TorqueRate = Annotated[float, _Of("torque rate")]
+AngularIntegralGain = Annotated[float, _Of("angular integral gain")]
 Stiffness = Annotated[float, _Of("stiffness")]
 Damping = Annotated[float, _Of("damping")]
 ForcePerPressure = Annotated[float, _Of("force per pressure")]

@@ -29,6 +29,7 @@ from pmabench.guard import course
 from pmabench.guard.limits import refuse_jump, refuse_outside, refuse_unsafe_bench, to_device
 from pmabench.guard.links import Act, Links
 from pmabench.guard.owner import Call
+from pmabench.guard.pulses import refuse_aims, refuse_pulse, refuse_together
 from pmabench.guard.safe import AT_ONCE, SafeState, Vent
 from pmabench.guard.supervision import Supervision
 
@@ -80,6 +81,8 @@ class Guard:
         """Where each output was sent last [SI over s]."""
         self._closed: dict[str, bool] = {}
         """How each valve was switched last."""
+        self._shuts: dict[str, float] = {}
+        """When the last pulse of each valve ends [s]."""
         self.supervision = Supervision(bench, self.links, clock, self._course, self._closed)
 
     def open(self) -> None:
@@ -120,7 +123,7 @@ class Guard:
             self._write(output, output.safe)
             self.links.refuse_other_read_back(output)
         for valve in self._valves.values():
-            self._switch(valve, closed=valve.safe == "open")
+            self._switch(valve, closed=valve.safe == "open" or valve.longest > 0)
         self.supervision.begin()
         self.state = State.SETUP if self.bench.proof is not None else State.RUNNING
 
@@ -173,7 +176,22 @@ class Guard:
         """Valves, or `only` one, as in a run, or (not `closed`) in the safe state: dump open for hands."""
         self._refuse_unless_active("valves")
         for valve in [valve for valve in self._valves.values() if only in {"", valve.name}]:
-            self._switch(valve, closed=closed == (valve.safe == "open"))
+            in_run = valve.safe == "open" or valve.longest > 0
+            self._switch(valve, closed=in_run if closed else valve.safe == "closed")
+
+    def steer(self, aims: Mapping[str, float], pulses: Mapping[str, float]) -> None:
+        """Open each valve of `pulses` now for so long [s], to bring muscles to `aims` [SI]: all of them, or none.
+
+        Raises LimitRefused for an aim or a time outside its limits, and for a valve whose counterpart is open.
+        """
+        self._refuse_unless_active("valves")
+        now = self.clock.now()
+        refuse_aims(self.bench, aims, self.bench.setup_pressure if self.state is State.SETUP else inf)
+        opens = [(refuse_pulse(self._valves, name, seconds), seconds) for name, seconds in pulses.items()]
+        refuse_together(pulses, self._valves, {name for name, end in self._shuts.items() if end > now + 1e-9})
+        for valve, seconds in opens:
+            self.links.call(valve.device, self.links.pulsing(valve, seconds))
+            self._shuts[valve.name] = max(self._shuts.get(valve.name, now), self.clock.now() + seconds)
 
     def value_sent(self, name: str, value: float) -> float:
         """The value [SI] that the device would get for `value`, after scaling and rounding."""

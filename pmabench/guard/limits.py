@@ -8,6 +8,7 @@ from math import ceil, floor, isfinite
 from pmabench.base.errors import LimitRefused
 from pmabench.base.quantities import show
 from pmabench.bench.interface import CompiledBench, OutputRecord, SafeAction, TripRecord
+from pmabench.guard.pulses import refuse_unsafe_pulses
 
 
 def refuse_unsafe_bench(bench: CompiledBench) -> None:
@@ -26,8 +27,11 @@ def refuse_unsafe_bench(bench: CompiledBench) -> None:
         bounds = (bound for bound in (trip.low, trip.high) if bound is not None)
         if not _finite(*bounds, trip.delay, trip.window):
             raise LimitRefused(f'the trip limit on "{trip.channel}" is no number: it is not armed')
-    if "pressure" in outputs and not any(_ends_overpressure(trip) for trip in bench.trips):
-        raise LimitRefused("the bench has no trip limit on pressure that ends a run: it is not armed")
+    watched = {trip.channel for trip in bench.trips if _ends_above(trip)}
+    steered = [aim.name for aim in bench.aims if aim.quantity == "pressure"]
+    if unwatched := [name for name in (*(output.name for output in bench.pressures), *steered) if name not in watched]:
+        raise LimitRefused(f"the bench has no trip limit on {unwatched[0]} that ends a run: it is not armed")
+    refuse_unsafe_pulses(bench)
 
 
 def _refuse_senseless(action: SafeAction, outputs: Mapping[str, OutputRecord], valves: Collection[str]) -> None:
@@ -43,9 +47,8 @@ def _finite(*numbers: float) -> bool:
     return all(isfinite(number) for number in numbers)
 
 
-def _ends_overpressure(trip: TripRecord) -> bool:
-    above = trip.channel == "pressure" and trip.kind == "range" and trip.high is not None
-    return above and trip.action in {"stop", "vent"}
+def _ends_above(trip: TripRecord) -> bool:
+    return trip.kind == "range" and trip.high is not None and trip.action in {"stop", "vent"}
 
 
 def to_device(output: OutputRecord, value: float) -> float:

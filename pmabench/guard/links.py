@@ -26,6 +26,7 @@ from pmabench.bench.interface import (
     Load,
     Motion,
     OutputRecord,
+    Pulses,
     Rescue,
     Segment,
     SetPoint,
@@ -167,6 +168,11 @@ class Links:
         """Close a valve, or open it."""
         device = self.need(valve.device, Switch, "switches no valves", valve.output)
         return partial(device.switch, valve.output, on=closed == (valve.energised == "closed"))
+
+    def pulsing(self, valve: ValveRecord, seconds: float) -> Act:
+        """Open a valve for a time [s]."""
+        device = self.need(valve.device, Pulses, "opens no valve for a time that it keeps by itself", valve.output)
+        return partial(device.pulse, valve.output, seconds)
 
     def halting(self, output: OutputRecord) -> Act:
         """Stop a motion where it is."""

@@ -45,13 +45,14 @@ CONNECTS_WITHIN = 5.0
 LOOK = 0.05
 """Interlocks are looked at, and watchdogs fed, so often [s]."""
 ACTIVE = (State.SETUP, State.RUNNING)
-COMMANDS = ("arm", "release", "set", "ramp", "sine", "valves")
+COMMANDS = ("arm", "release", "set", "ramp", "sine", "valves", "steer")
 PASSED_ON: Mapping[str, Callable[..., Any]] = {
     "release": Guard.release,
     "set": Guard.set,
     "ramp": Guard.ramp,
     "sine": Guard.sine,
     "valves": Guard.valves,
+    "steer": Guard.steer,
     "stream": lambda guard, name, rate: guard.links.stream(name, rate),
     "place": lambda guard, force, mass: guard.place(Load(force, mass)),
 }

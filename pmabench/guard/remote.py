@@ -170,6 +170,10 @@ class RemoteGuard:
         """As `Guard.valves`."""
         self.ask("valves", closed=closed, only=only)
 
+    def steer(self, aims: Mapping[str, float], pulses: Mapping[str, float]) -> None:
+        """As `Guard.steer`."""
+        self.ask("steer", aims=dict(aims), pulses=dict(pulses))
+
     def place(self, load: Load) -> None:
         """As `Guard.place`."""
         self.ask("place", force=load.force, mass=load.mass)

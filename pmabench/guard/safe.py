@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from math import inf
 
-from pmabench.base.quantities import QUANTITIES
+from pmabench.base.quantities import QUANTITIES, without_number
 from pmabench.bench.interface import SafeAction
 from pmabench.guard.owner import PATIENCE, Call
 
@@ -191,6 +191,6 @@ class SafeState:
 
 def _shown(action: SafeAction, value: float | None = None) -> str:
     """What is measured, or else the bound, in the unit that people read; in SI where the channel's name has none."""
-    quantity = QUANTITIES.get(action.target)
+    quantity = QUANTITIES.get(without_number(action.target)[0])
     shown = action.value if value is None else value
     return f"{shown:.4g}" if quantity is None else quantity.show(shown, 4)

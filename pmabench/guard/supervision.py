@@ -88,7 +88,8 @@ class Supervision:
 
     def _questions(self, record: DeviceRecord) -> list[Act]:
         held = [partial(self._twice, partial(self._held_differs, record.name))] if record.name in self._held else []
-        valves = (self.valve_differs(valve, closed=self._closed[valve.name]) for valve in record.valves)
+        valves = (self.valve_differs(valve, closed=self._closed[valve.name]) for valve in record.valves
+                  if not valve.longest)  # fmt: skip
         return [*held, *(self.output_differs(output) for output in record.outputs), *valves]
 
     # -- questions: each is answered by an empty text, or a sentence --------------------------------------------------

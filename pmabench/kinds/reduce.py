@@ -12,6 +12,7 @@ from pmabench.analysis.shared.trials import repeat_traces
 from pmabench.analysis.verdict.acceptance import Pairs, not_accepted
 from pmabench.analysis.verdict.agreement import KIND as AGREEMENT
 from pmabench.analysis.verdict.agreement import Offer, against_static, agreement, offers_of
+from pmabench.analysis.verdict.assembly import side_by_side, without_diameter
 from pmabench.analysis.verdict.checks import with_checks, with_record
 from pmabench.base.errors import UsageError, did_you_mean, invalid
 from pmabench.base.kind import Result, load
@@ -111,6 +112,8 @@ def _reduced(kind: str, runs: Sequence[RunData], options: Mapping[str, Any] | No
     """The reduction of a kind, with the checks and the repeats of its trials."""
     record = registry.kind_of(kind)
     analysis = record.part("reduction")(runs, options)
+    count = max((side_by_side(run.manifest.get("specimen")) for run in runs), default=1)
+    analysis = without_diameter(analysis, count)
     analysis = with_motion(with_checks(analysis, record, runs), runs, record.moves)
     checked = with_record(without_doubtful(analysis, runs), runs)
     return replace(checked, traces=(*checked.traces, *repeat_traces(record.compares, runs)))

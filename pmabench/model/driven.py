@@ -5,9 +5,11 @@ Physics
 x(t) is where the actuator is: the commanded position, limited in speed and stroke, behind a first-order follow error.
 The cell at the fixed end reads F = F_0(P, x) - B(P) x' - F_c sign x' + F_h, and 0 where that is negative: a muscle
 cannot push. F_0 is what the muscle pulls at rest (F_ce(P) - K(P) x, or S(eps) P + F_e(eps)); F_h is a hysteresis by
-the way gone alone, if it has one. P is the regulator's, or where it has to move air what that makes of the motion
-(`pmabench.model.air`). The actuator carries the moving mass, so it has no part in F. Slower than 1 um/s counts as no
-motion.
+the way gone alone, if it has one. Rubber that relaxes passes on less and less of the pressure: then F_0 is that of
+P - P_c, where P_c creeps after the regulator's pressure. P is the regulator's, or where it has to move air what that
+makes of the motion (`pmabench.model.air`). The actuator carries the moving mass, so it has no part in F. Slower than
+1 um/s counts as no motion.
+Like muscles side by side pull with the sum of their forces.
 Where F passes the actuator's force it stalls: it holds its place until it is commanded again.
 """
 
@@ -17,19 +19,22 @@ import copy
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
 from pmabench.model.air import Air, Chamber
+from pmabench.model.creep import CreepAlong
 from pmabench.model.curve import Array
 from pmabench.model.hysteresis import Branch, Hysteresis
 from pmabench.model.motion import NOTHING, Motion
 from pmabench.model.muscle import Friction
+from pmabench.model.real.muscle import Creep
 from pmabench.model.regulator import Regulated, Regulator, Wave, to_nanosecond
+from pmabench.model.supplied import Supplied
 
 STILL = 1e-6
-PARTS = ("supply", "wanted", "_drive", "_branch", "_chamber")
+PARTS = ("supply", "wanted", "_drive", "_branch", "_chamber", "_creeping")
 
 
 @dataclass(frozen=True)
@@ -113,7 +118,7 @@ class DrivenMuscle(Protocol):
         """Damping of the direction of v [N.s/m]."""
 
 
-class DrivenPlant:
+class DrivenPlant(Supplied):
     """A muscle behind its regulator, its free end held by an actuator; `time` [s].
 
     Examples
@@ -139,6 +144,8 @@ class DrivenPlant:
         *,
         hysteresis: Hysteresis | None = None,
         air: tuple[Air, Callable[[Array], Array]] | None = None,
+        relaxes: Creep | None = None,
+        parallel: int = 1,
         pressure: float = 0.0,
         position: float = 0.0,
         start: float = 0.0,
@@ -149,6 +156,8 @@ class DrivenPlant:
         self._drive = Regulated(Regulator(dead_time=0.0, lag=actuator.lag), position, start)
         self._branch = Branch(hysteresis, position, start) if hysteresis and hysteresis.height else None
         self._chamber = Chamber(*air, pressure, start) if air else None
+        self._parallel = parallel
+        self._creeping = CreepAlong(relaxes, start) if relaxes else None
 
     @property
     def pressure(self) -> float:
@@ -160,9 +169,15 @@ class DrivenPlant:
         if self._chamber is not None:
             self._chamber.shut = shut
 
-    def command(self, waves: tuple[Wave, ...]) -> None:
-        """Command pressure [Pa] along `waves`, the first of which starts now or later."""
-        self.supply.command(waves)
+    def inflow(self, supply: Regulated, t: Array, P: Array) -> Array:
+        """Mass flow from the regulator into the air [kg/s] at rising times t [s] with gauge pressures P [Pa].
+
+        `supply` is a copy of the regulator from before these times. 0 without a chamber, and while a valve is shut.
+        """
+        if self._chamber is None or self._chamber.shut:
+            return np.zeros(t.shape)
+        air, off = self._chamber.air, supply.values(t)[0] - P
+        return np.asarray(np.where(off > 0, air.fill, air.vent) * off)
 
     def move(self, waves: tuple[Wave, ...]) -> None:
         """Command the position [m] along `waves`, the first of which starts now; ValueError where it cannot go."""
@@ -173,18 +188,6 @@ class DrivenPlant:
     def halt(self) -> None:
         """Stop at the place that the drive has reached, and hold it."""
         self.move((Wave(self.time, self._drive.setpoint(self.time)),))
-
-    def snapshot(self) -> dict[str, Any]:
-        """Everything that `restore` needs to come back to this moment."""
-        return {**self.__dict__, **self._copies()}
-
-    def restore(self, snapshot: dict[str, Any]) -> None:
-        """Go back to the moment of a snapshot; it can be used again."""
-        self.__dict__.update(snapshot)
-        self.__dict__.update(self._copies())
-
-    def _copies(self) -> dict[str, Any]:
-        return {name: copy.copy(getattr(self, name)) for name in self.parts}
 
     def reading(self) -> tuple[float, float, float]:
         """Contraction [m], gauge pressure [Pa] and force at the fixed end [N] at this moment."""
@@ -224,15 +227,17 @@ class DrivenPlant:
         """Contraction, its rate, pressure and force at rising times."""
         path = copy.copy(self._drive)
         x, v = self._drive.values(t)
+        gone = self._creeping.along(copy.copy(self.supply), t) if self._creeping is not None else 0.0
         if self._chamber is None:
             P, _ = self.supply.values(t)
         else:
             P = self._chamber.pressures(self.supply, copy.copy(path), t)
         moves = np.abs(v) > STILL
-        F = self.muscle.pull(P, x) - self.muscle.damping(P, v) * v - self.muscle.friction.F_c * np.sign(v) * moves
+        F = self.muscle.pull(P - gone, x) - self.muscle.damping(P, v) * v
+        F -= self.muscle.friction.F_c * np.sign(v) * moves
         if self._branch is not None:
             F += self._branch.along(path, t, x)
-        return x, v, P, np.maximum(F, 0.0)
+        return x, v, P, self._parallel * np.maximum(F, 0.0)
 
     def _hold(self, t: float, x: float) -> None:
         """Stall: stay at x from t on."""

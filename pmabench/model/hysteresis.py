@@ -1,7 +1,7 @@
 """Hysteresis that knows no rate, along a path whose turns are found in closed form; knows no muscle.
 
 `Memory` finds the turns; what is remembered between them is up to its kinds: `Branch` here, stops in
-`pmabench.model.real.stops`.
+`pmabench.model.real.driven`.
 
 `Branch` is Dahl 1968 with exponent 1: after a turn at (x_0, F_0) the force goes to -height while x grows and to +height
 while it falls, and the difference fades to 1/e over `width`. Between two turns it is a function of x alone, so the

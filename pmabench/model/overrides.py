@@ -17,6 +17,8 @@ class Overrides:
     """Kinetic friction [N]."""
     hysteresis: float | None = None
     """Half the gap of the loop that knows no rate [N]; plant `daerden`."""
+    relaxes: float | None = None
+    """Share of the pressure that rubber no longer passes on as force, per decade of time [1]; plant `daerden`."""
     noise: float | None = None
     """Factor on the noise of all sensors [1]; 0 for none."""
     regulator_lag: float | None = None
@@ -39,6 +41,10 @@ class Overrides:
     """Air that it lets out by the pressure that is too much [kg/(s Pa)]; with both 0 the motion does not matter."""
     polytropic: float | None = None
     """Exponent of the air: 1 where heat comes in at once, 1.4 where none does; `daerden`, `paper0-air`."""
+    hose: float | None = None
+    """Volume between regulator and muscle that is filled with it [m3]; plant `daerden`."""
+    parallel: float | None = None
+    """Like muscles side by side at a driven end [1]: their forces and volumes add up; not for plant `real`."""
     hysteresis_x: float | None = None
     """Factor on the hysteresis over contraction [1]; plant `real`, as the next four."""
     hysteresis_p: float | None = None

@@ -79,13 +79,15 @@ class PID:
         self._before: float | None = None
         self._error = self._excess = 0.0
 
-    def update(self, h: float, setpoint: float, measured: float) -> float:
+    def update(self, h: float, setpoint: float, measured: float, ahead: float = 0.0) -> float:
         """The output for `measured`, `h` [s, >= 0] after the last sample; the first sample's `h` does not matter.
+
+        `ahead` is a feed-forward, which is added [output].
 
         What is not finite changes nothing: the last output is held.
         """
         error = setpoint - measured
-        if not isfinite(error) or not isfinite(h):
+        if not isfinite(error + ahead) or not isfinite(h):
             return self.output
         derivative, integral = self._derivative, self._integral
         if self._before is not None and h > 0:
@@ -93,7 +95,7 @@ class PID:
             if self.T_d > 0:
                 share = 1.0 / (self.T_d + self.N * h)
                 derivative = self.T_d * share * (derivative - self.K_p * self.N * (measured - self._before))
-        wanted = self.K_p * error + integral + derivative
+        wanted = self.K_p * error + integral + derivative + ahead
         if not isfinite(wanted):
             return self.output
         self._integral, self._derivative, self._before, self._error = integral, derivative, measured, error

@@ -27,7 +27,6 @@ the friction falls with speed are for `glide` only: nothing grows faster there t
 from __future__ import annotations
 
 import cmath
-import copy
 import math
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -38,7 +37,8 @@ from scipy.integrate import odeint
 from pmabench.model.curve import Array
 from pmabench.model.motion import NOTHING, Course, Grid, Motion, Record
 from pmabench.model.muscle import Friction, Muscle
-from pmabench.model.regulator import FADED, Regulated, Regulator, Trace, Wave, to_nanosecond
+from pmabench.model.regulator import FADED, Regulated, Regulator, Trace, to_nanosecond
+from pmabench.model.supplied import Loaded
 
 RELATIVE = 1e-7
 ABSOLUTE = 5e-9
@@ -216,7 +216,7 @@ HORIZON = 1.0
 """Longest stretch integrated at once [s]; less where the motion stops more often, since the rest is thrown away."""
 
 
-class Plant:
+class Plant(Loaded):
     """A muscle behind its regulator, with a load F_L = `force` [N] of moving mass `mass` [kg] on its free end.
 
     `time` [s], contraction `x` [m], speed `v` [m/s]; `way` is 0 at rest, else the direction of sliding.
@@ -252,33 +252,6 @@ class Plant:
         self.time, self.x, self.v, self.way = start, 0.0, 0.0, 0
         self._since, self._horizon = start, HORIZON
         self.load(force, mass)
-
-    def load(self, force: float, mass: float) -> None:
-        """From now on the free end carries F_L = `force` [N >= 0] and moves with `mass` [kg > 0]."""
-        if not force >= 0 or not mass > 0:
-            raise ValueError(f"a load needs a force of at least 0 and a mass above 0, not {force} N and {mass} kg")
-        self.force, self.mass = force, mass
-
-    @property
-    def pressure(self) -> float:
-        """Gauge pressure in the muscle at this moment [Pa]."""
-        return self.supply.value(self.time)
-
-    def command(self, waves: tuple[Wave, ...]) -> None:
-        """Command pressure [Pa] along `waves`, the first of which starts now or later."""
-        self.supply.command(waves)
-
-    def shut(self, *, shut: bool) -> None:
-        """From now on a valve keeps the regulator from the muscle's air, or no longer; without a chamber no matter."""
-
-    def snapshot(self) -> dict[str, Any]:
-        """Everything that `restore` needs to come back to this moment."""
-        return {**self.__dict__, "supply": copy.copy(self.supply)}
-
-    def restore(self, snapshot: dict[str, Any]) -> None:
-        """Go back to the moment of a snapshot; it can be used again."""
-        self.__dict__.update(snapshot)
-        self.supply = copy.copy(self.supply)
 
     def reading(self) -> tuple[float, float, float]:
         """Contraction [m], gauge pressure [Pa] and force at the fixed end [N] at this moment."""

@@ -19,10 +19,13 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 
 from pmabench.model.air import Air
-from pmabench.model.curve import Curve
+from pmabench.model.creep import rubber
+from pmabench.model.curve import Array, Curve
 from pmabench.model.driven import Actuator, DrivenPlant
 from pmabench.model.free_air import AirPlant
 from pmabench.model.hysteresis import Hysteresis
+from pmabench.model.identified.muscle import IdentifiedMuscle
+from pmabench.model.identified.plant import IdentifiedPlant
 from pmabench.model.motion import Noise
 from pmabench.model.muscle import Friction, Muscle
 from pmabench.model.overrides import Overrides
@@ -197,6 +200,12 @@ class Setup:
     """Felt at a driven end."""
     air: Air | None = None
     """Where the regulator has to move it; None where the pressure does not depend on the motion."""
+    relaxes: Creep | None = None
+    """Of the rubber, felt at a driven end."""
+    hose: float = 0.0
+    """Volume that is filled with the muscle [m3]."""
+    parallel: int = 1
+    """Like muscles side by side at a driven end."""
 
     def free(self, force: float = 0.0, mass: float = 0.5, start: float = 0.0) -> Plant | RealPlant:
         """The plant with a load F_L = `force` [N] of moving mass `mass` [kg] on its free end, from `start` [s] on.
@@ -233,10 +242,15 @@ class Setup:
             actuator = replace(actuator, low=max(actuator.low, low), high=min(actuator.high, high))
         if isinstance(self.muscle, RealMuscle):
             return RealDrivenPlant(self.muscle, self.regulator, actuator, position=position, start=start)
-        air = (self.air, self.muscle.volume) if self.air and hasattr(self.muscle, "volume") else None
+        air = (self.air, self._volume) if self.air and hasattr(self.muscle, "volume") else None
         return DrivenPlant(
-            self.muscle, self.regulator, actuator, hysteresis=self.hysteresis, air=air, position=position, start=start
-        )
+            self.muscle, self.regulator, actuator, hysteresis=self.hysteresis, air=air, relaxes=self.relaxes,
+            parallel=self.parallel, position=position, start=start,
+        )  # fmt: skip
+
+    def _volume(self, x: Array) -> Array:
+        """Of muscles and hose [m3] at contractions x [m]."""
+        return np.asarray(self.parallel * self.muscle.volume(x) + self.hose)  # type: ignore[union-attr]
 
 
 def preset(plant: str, kind: str = "bench", overrides: Overrides | None = None) -> Setup:
@@ -299,6 +313,8 @@ def changed(setup: Setup, kind: str = "bench", overrides: Overrides | None = Non
         hysteresis = replace(hysteresis, height=share * height)
     elif change.hysteresis is not None:
         raise ValueError(f"hysteresis is not for the muscle {muscle.name}; it is for the plant daerden")
+    if change.relaxes is not None and isinstance(setup.muscle, Muscle | Arm | RealMuscle):
+        raise ValueError(f"relaxes is not for the muscle {muscle.name}; it is for the plant daerden")
     regulator = _regulator(setup.regulator, chosen)
     air = None if setup.air is None else _air(setup.air, chosen)
     if setup.air is None:
@@ -308,7 +324,18 @@ def changed(setup: Setup, kind: str = "bench", overrides: Overrides | None = Non
             raise ValueError(f"polytropic is not for the muscle {muscle.name}: its volume is not known")
     regulator = regulator if air is None else replace(regulator, leak=0.0)
     noise = setup.noise.scaled(chosen("noise", 1.0))
-    return Setup(muscle, regulator, noise, chosen("follow_lag", setup.follow_lag), hysteresis, air)
+    lag = chosen("follow_lag", setup.follow_lag)
+    return Setup(muscle, regulator, noise, lag, hysteresis, air, **_mounted(change))
+
+
+def _mounted(change: Overrides) -> dict[str, Any]:
+    """What of a driven end is changed: relaxation, hose, and how many muscles; ValueError for what cannot be."""
+    parallel, hose = change.parallel or 1.0, change.hose or 0.0
+    if change.parallel is not None and (parallel != change.parallel or parallel != int(parallel) or parallel < 1):
+        raise ValueError(f"{change.parallel:g} muscles side by side: a whole number from 1 on is expected")
+    if hose < 0:
+        raise ValueError(f"a hose holds 0 m3 or more, not {hose:g}")
+    return {"relaxes": rubber(change.relaxes) if change.relaxes else None, "hose": hose, "parallel": int(parallel)}
 
 
 @dataclass(frozen=True)
@@ -406,12 +433,19 @@ class Described:
     """Pressures at which the coefficients are known [Pa]; outside they are continued."""
     air: Air | None = None
     """Where the regulator has to move it; None where the pressure does not depend on the motion."""
+    surface: IdentifiedMuscle | None = None
+    """What is simulated in place of `muscle`, which is then the straight form of the same tests."""
 
-    def plant(self, force: float, mass: float, pressure: float = 0.0) -> Plant:
-        """The muscle at `pressure` [Pa] with a load F_L = `force` [N] of moving `mass` [kg] on its free end."""
+    def plant(self, force: float, mass: float, pressure: float = 0.0, x: float = 0.0) -> Plant | IdentifiedPlant:
+        """The muscle at `pressure` [Pa], at rest at `x` [m], with a load F_L = `force` [N] of moving `mass` [kg]."""
+        if self.surface is not None:
+            return IdentifiedPlant(self.surface, self.regulator, force=force, mass=mass, pressure=pressure, x=x)
         if self.air is not None:
-            return AirPlant(self.muscle, self.regulator, self.air, force=force, mass=mass, pressure=pressure)
-        return Plant(self.muscle, self.regulator, force=force, mass=mass, pressure=pressure)
+            plant: Plant = AirPlant(self.muscle, self.regulator, self.air, force=force, mass=mass, pressure=pressure)
+        else:
+            plant = Plant(self.muscle, self.regulator, force=force, mass=mass, pressure=pressure)
+        plant.x = min(max(0.0, x), self.muscle.stop)
+        return plant
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data: coefficients as polynomials of P, highest power first, joined at breaks (SI)."""
@@ -421,6 +455,7 @@ class Described:
             "domain": list(self.domain),
             "regulator": asdict(self.regulator),
             **({} if self.air is None else {"air": asdict(self.air)}),
+            **({} if self.surface is None else {"surface": self.surface.to_dict()}),
             **{name: _plain(value) for name, value in muscle.items() if value is not None},
         }
 
@@ -431,7 +466,8 @@ class Described:
         muscle = Muscle(**{"name": str(data["source"]), **values})
         low, high = data["domain"]
         air = Air(**data["air"]) if "air" in data else None
-        return cls(muscle, Regulator(**data["regulator"]), str(data["source"]), (float(low), float(high)), air)
+        surface = IdentifiedMuscle.of(data["surface"]) if "surface" in data else None
+        return cls(muscle, Regulator(**data["regulator"]), str(data["source"]), (float(low), float(high)), air, surface)
 
 
 def _plain(value: Any) -> Any:

@@ -2,7 +2,8 @@
 
 - `pictures`: a drawing with title, caption, alternative text and its numbers (a `frame` of text); `svg`: as an element
   of a page
-- drawings: `plots`, `time_plots`
+- drawings: `plots`, `time_plots`; `chart`: as data, for static SVG and for a script
+- `web`: files for pages in a browser (uPlot, the font Inter), unchanged, with their licences
 - figures that several kinds of test share: `loops`, `isometric`, `motion`
 - words, units, and numbers as people read them: `wording`
 """

@@ -7,12 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.plotting import plots
+from pmabench.plotting.chart import Chart, one_below_the_other, side_by_side
 from pmabench.plotting.frame import Frame
 from pmabench.plotting.plots import Array, Panel
 from pmabench.plotting.svg import drawing, to_svg
@@ -34,27 +36,55 @@ DRAWN = 700
 
 @dataclass(frozen=True)
 class Picture:
-    """One figure, ready for a page."""
+    """One figure for a page; drawn when its SVG is first asked for, since a report chooses among many."""
 
     title: str
     caption: str
     alt: str
-    svg: str
+    draw: Callable[[], str]
+    """Gives the SVG."""
     table: Frame
     wide: bool
     simulated: bool
+    charts: tuple[Chart, ...] = ()
+    """What it is made of, where it is made of charts: the page draws them anew, with zoom."""
+    stacked: bool = False
+    """Whether its charts are one below the other and not side by side."""
+
+    @cached_property
+    def svg(self) -> str:
+        """The drawing, as an SVG element."""
+        return self.draw()
+
+
+def of_charts(
+    charts: tuple[Chart, ...],
+    title: str,
+    caption: str,
+    alt: str,
+    table: Frame,
+    *,
+    simulated: bool,
+    stacked: bool = False,
+) -> Picture:
+    """A picture of charts side by side, or one below the other."""
+    whole = one_below_the_other if stacked else side_by_side
+    return Picture(title, caption, alt, partial(whole, charts, alt), table, True, simulated, charts, stacked)
 
 
 def picture(
     draw: Callable[[], Figure], title: str, caption: str, alt: str, table: Frame, *, wide: bool, simulated: bool
 ) -> Picture:
-    """Draw within the style of reports, stamped where simulated."""
-    with drawing():
-        figure = draw()
-        plots.fit_labels(figure)
-        if simulated:
-            plots.stamp(figure, "SIMULATED")
-        svg = to_svg(figure, f"{'Simulated. ' if simulated else ''}{alt}")
+    """A figure that is drawn within the style of reports, stamped where simulated."""
+
+    def svg() -> str:
+        with drawing():
+            figure = draw()
+            plots.fit_labels(figure)
+            if simulated:
+                plots.stamp(figure, "SIMULATED")
+            return to_svg(figure, f"{'Simulated. ' if simulated else ''}{alt}")
+
     return Picture(title, caption, alt, svg, table, wide, simulated)
 
 

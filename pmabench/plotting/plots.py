@@ -21,13 +21,18 @@ Array = NDArray[np.float64]
 
 HALF, FULL = 3.5, 7.2
 """Widths of figures [in]."""
-INK, QUIET, FAINT = "#1b1f24", "#5b6570", "#9aa5b1"
-BLUE, RED, GREEN, PURPLE, SKY, ORANGE = "#0b5fa5", "#c8500a", "#0a8a64", "#b0578d", "#4aa3df", "#d99000"
-PALETTE = (BLUE, RED, GREEN, PURPLE, ORANGE, SKY)
+INK, QUIET, FAINT = "#16202a", "#52606d", "#a3b1be"
+"""Of text, of what is said quietly, and of what was measured, under the line of its model."""
+GRID, UNTESTED = "#e8edf2", "#eef1f5"
+BLUE, BROWN, GREEN, FAULT = "#0b5394", "#8a4b00", "#0a6c51", "#b3261e"
+DARK, TEAL, BRIGHT = "#271102", "#28a0bd", "#0b35da"
+PALETTE = (BLUE, BROWN, GREEN, DARK, TEAL, BRIGHT)
+"""Colours of series: any two are 30 Lab units apart, for red-green blindness too, and 3 : 1 from paper."""
 MARKERS = ("o", "s", "^", "D", "v", "P")
 CROSSES = ("x", "+", "1", "2", "3", "4")
 """Marks of published values."""
-WARN = "#a14a00"
+WARN = BROWN
+"""Of the word SIMULATED."""
 OPEN: dict[str, Any] = {"markerfacecolor": "white", "markersize": 3.6}
 """Look of marks of other methods than the primary one."""
 
@@ -249,7 +254,7 @@ def loops(panels: Sequence[Panel], labels: dict[str, str]) -> Figure:
         x, y = panel.columns["x"], panel.columns["measured"]
         axes.plot(_closed(x), _closed(y), color=FAINT, linewidth=2.4, label="measured")
         if "model" in panel.columns:
-            axes.plot(_closed(x), _closed(panel.columns["model"]), color=RED, linewidth=1.0, label="model")
+            axes.plot(_closed(x), _closed(panel.columns["model"]), color=BROWN, linewidth=1.0, label="model")
         published(axes, panel, marks)
     handles, names = figure.axes[0].get_legend_handles_labels()
     legend_above(figure, 2, (handles[:2], names[:2]))
@@ -343,9 +348,9 @@ def load_points(points: Panel, curves: Sequence[tuple[str, Array, Array]], label
     figure = blank(HALF, 2.7)
     axes = figure.add_subplot(grid(figure, 1, 1, left=0.56)[0])
     for i, (name, x, y) in enumerate(curves):
-        axes.plot(x, y, color=(INK, RED, GREEN)[i % 3], linewidth=1.0 if i == 0 else 0.8, label=name, zorder=1)
+        axes.plot(x, y, color=(INK, BROWN, GREEN)[i % 3], linewidth=1.0 if i == 0 else 0.8, label=name, zorder=1)
     load = points.columns["load"]
-    for name, key, color, marker in (("lift-off", "lift", RED, "^"), ("set-down", "set_down", GREEN, "v")):
+    for name, key, color, marker in (("lift-off", "lift", BROWN, "^"), ("set-down", "set_down", GREEN, "v")):
         if key in points.columns:
             axes.plot(
                 points.columns[key], load, marker, color=color, markerfacecolor="white", markeredgewidth=0.9, label=name

@@ -103,7 +103,7 @@ def to_svg(figure: Figure, alt: str) -> str:
     text = re.sub(r'<g id="[^"]*"', "<g", text)
     text = lean(text)
     text = re.sub(r"font-family: [^;\"]*; ?", "", text).replace("<g/>\n", "")
-    text = re.sub(r"(<text[^>]*>)([^<]*)(</text>)", lambda m: m[1] + _subscripts(m[2]) + m[3], text)
+    text = re.sub(r"(<text[^>]*>)([^<]*)(</text>)", lambda m: m[1] + marked(m[2]) + m[3], text)
     mark = hashlib.sha256((alt + text).encode()).hexdigest()[:8]
     text = re.sub(r'(id="|href="#|url\(#)', lambda m: f"{m[1]}f{mark}-", text)
     box = re.search(r'viewBox="[^"]*"', text)
@@ -165,7 +165,7 @@ def _number(hundredths: int) -> str:
     return f"{hundredths / 100:.2f}".rstrip("0").rstrip(".") if hundredths else "0"
 
 
-def _subscripts(text: str) -> str:
+def marked(text: str) -> str:
     """Escaped text with symbols in italics and their subscripts lowered, as tspans."""
     spans = []
     for kind, part in symbol_parts(text):

@@ -13,6 +13,7 @@ import numpy as np
 
 from pmabench.plotting.plots import (
     BLUE,
+    BROWN,
     CROSSES,
     FAINT,
     FULL,
@@ -21,7 +22,6 @@ from pmabench.plotting.plots import (
     INK,
     PALETTE,
     QUIET,
-    RED,
     Array,
     Panel,
     blank,
@@ -55,7 +55,7 @@ def overlay(panels: Sequence[Panel], labels: dict[str, str]) -> Figure:
         inner = outer[i].subgridspec(2, 1, height_ratios=(3.2, 1), hspace=0.12)
         upper, lower = figure.add_subplot(inner[0]), figure.add_subplot(inner[1])
         upper.plot(t, y, color=FAINT, linewidth=2.6, solid_capstyle="round", label="measured")
-        upper.plot(t, model, color=RED, linewidth=1.0, label="model")
+        upper.plot(t, model, color=BROWN, linewidth=1.0, label="model")
         upper.set_title("" if alone else panel.title)
         upper.tick_params(labelbottom=False)
         lower.axhline(0, color=FAINT, linewidth=0.6)
@@ -84,7 +84,7 @@ def lifts(panels: Sequence[Panel], labels: dict[str, str]) -> Figure:
         upper, lower = figure.add_subplot(inner[0]), figure.add_subplot(inner[1])
         t = panel.columns["t"]
         upper.plot(t, panel.columns["pressure"], color=BLUE, linewidth=1.0)
-        for line, (name, color) in enumerate((("set-down", GREEN), ("lift", RED))):
+        for line, (name, color) in enumerate((("set-down", GREEN), ("lift", BROWN))):
             if name in panel.marks:
                 upper.axhline(panel.marks[name], color=color, linewidth=0.8, linestyle=(0, (4, 3)))
                 text, place = f"{name} {panel.marks[name]:.4g}", (-2, 9 * line)
@@ -126,13 +126,13 @@ def growth_axes(axes: Axes, growth: Panel, labels: dict[str, str]) -> None:
     axes.axhline(0, color=QUIET, linewidth=0.8)
     if "fit" in growth.columns and used.any():
         near = gain >= np.min(gain[used])
-        axes.plot(gain[near], growth.columns["fit"][near], color=RED, linewidth=1.0)
+        axes.plot(gain[near], growth.columns["fit"][near], color=BROWN, linewidth=1.0)
     axes.plot(gain[~used], ratio[~used], "o", color=BLUE, markerfacecolor="white", markeredgewidth=0.9)
     axes.plot(gain[used], ratio[used], "o", color=BLUE)
     if "K_u" in growth.marks:
-        axes.axvline(growth.marks["K_u"], color=RED, linewidth=0.9, linestyle=(0, (4, 3)))
+        axes.axvline(growth.marks["K_u"], color=BROWN, linewidth=0.9, linestyle=(0, (4, 3)))
         axes.annotate(growth.title, (growth.marks["K_u"], 0.06), xycoords=("data", "axes fraction"), xytext=(-3, 0),
-                      color=RED, **NOTE)  # fmt: skip
+                      color=BROWN, **NOTE)  # fmt: skip
     axes.set(xlabel=labels["gain"], ylabel=labels["log_ratio"])
     few_ticks(axes, x=5, y=5)
 
@@ -221,7 +221,7 @@ def marks_and_line(panel: Panel, labels: dict[str, str]) -> Figure:
     axes = figure.add_subplot(grid(figure, 1, 1, left=0.56)[0])
     x = panel.columns["x"]
     stride = max(1, len(x) // 25)
-    axes.plot(x, panel.columns["model"], color=RED, linewidth=1.1, label="fitted", zorder=1)
+    axes.plot(x, panel.columns["model"], color=BROWN, linewidth=1.1, label="fitted", zorder=1)
     axes.plot(x[::stride], panel.columns["y"][::stride], "o", color=INK, markerfacecolor="white", label="measured")
     for i, (name, at, y) in enumerate(panel.published):
         axes.plot(at, y, CROSSES[i % len(CROSSES)], color=INK, label=name)
@@ -245,7 +245,7 @@ def sine_pressure(panels: Sequence[Panel], labels: dict[str, str]) -> Figure:
         x = panel.columns["x"]
         upper.plot(x, panel.columns["y"], color=FAINT, linewidth=2.4, label="measured")
         upper.plot(x, panel.columns["set"], color=PALETTE[0], linewidth=0.9, label="set pressure")
-        upper.plot(x, panel.columns["model"], color=RED, linewidth=0.9, label="measured pressure")
+        upper.plot(x, panel.columns["model"], color=BROWN, linewidth=0.9, label="measured pressure")
         lower.plot(x, panel.columns["error"], color=INK, linewidth=0.9)
         lower.axhline(0, color=FAINT, linewidth=0.6, zorder=0)
         upper.set_title(panel.title)
@@ -277,7 +277,7 @@ def steps(panels: Sequence[Panel], labels: dict[str, str]) -> Figure:
             top = top or axes
             firsts.setdefault(row, axes)
             if row in panel.columns:
-                color = {"x": QUIET, "y": PALETTE[0], "P": RED}[row]
+                color = {"x": QUIET, "y": PALETTE[0], "P": BROWN}[row]
                 axes.plot(panel.columns["t"], panel.columns[row], color=color, linewidth=1.0)
             for value in panel.marks.values() if row == "y" else ():
                 axes.axhline(value, color=INK, linewidth=0.6, linestyle=(0, (4, 2)))

@@ -68,7 +68,7 @@ COLUMNS: dict[str, str] = {
     "high": "upper end of the band",
     "branch": "0 filling, 1 emptying",
     "length": "length",
-    "angle": "bending angle",
+    "angle": "angle",
     "below": "reached from below",
     "above": "reached from above",
 }

@@ -7,25 +7,31 @@ from functools import cached_property
 from math import inf
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import Field
+from pydantic import BeforeValidator, Field, WithJsonSchema
 
 from pmabench.base.errors import Problem
-from pmabench.base.quantities import show
+from pmabench.base.quantities import OF_A_MUSCLE, show
 from pmabench.bench.compile import Mounted
 from pmabench.bench.session import Stack
 from pmabench.files.document import Document, Location, Strict
+from pmabench.files.numbered import among, schema_of
 from pmabench.files.quantity import Frequency, Pressure, Time
 from pmabench.protocol import accept
 from pmabench.protocol.accept import Acceptance
 from pmabench.protocol.plan import Ask, Hold, Plan, Set, Step, TrialRecord
 
-ChannelName = Literal["pressure", "displacement", "force", "angle", "pressure_command", "displacement_command"]
+OF_A_PLATFORM = ("acceleration_x", "acceleration_y", "acceleration_z", "turn_x", "turn_y")
+RECORDED = (*OF_A_MUSCLE, "angle", "angle_command", "torque", "flow", *OF_A_PLATFORM)
+"""Channels that a protocol can record."""
+ChannelName = Annotated[
+    str, BeforeValidator(among(RECORDED, OF_A_MUSCLE)), WithJsonSchema(schema_of(RECORDED, OF_A_MUSCLE))
+]
 
 
 class Needs(Strict):
     """Requirements on the bench."""
 
-    free_end: Literal["weights", "actuator"]
+    free_end: Literal["weights", "actuator", "joint", "platform"]
 
 
 class Precondition(Strict):
@@ -86,7 +92,7 @@ class Compilation:
 
     def within(self, output: str, value: float, location: Location) -> None:
         """Check a value to be commanded against the active limits."""
-        record = next((o for o in self.mounted.bench.outputs if o.name == output), None)
+        record = self.mounted.bench.commanded.get(output)
         if record is None:
             self.fault(location, f'needs the output "{output}", which the bench does not have')
             return
@@ -192,14 +198,13 @@ class Compilation:
         if cycles is None:
             return
         at: Location = ("prepare", "precondition")
-        self.within("pressure", cycles.pressure, (*at, "pressure"))
+        names = [output.name for output in self.mounted.bench.pressures] or ["pressure"]
+        for name in names:
+            self.within(name, cycles.pressure, (*at, "pressure"))
         for _ in range(cycles.cycles):
-            self.steps += [
-                Set("precondition", "pressure", cycles.pressure),
-                Hold("precondition", cycles.hold),
-                Set("precondition", "pressure", 0.0),
-                Hold("precondition", cycles.hold),
-            ]
+            for pressure in (cycles.pressure, 0.0):
+                self.steps += [Set("precondition", name, pressure) for name in names]
+                self.steps.append(Hold("precondition", cycles.hold))
 
     def needs_bench(self) -> None:
         """Check free end and channels."""

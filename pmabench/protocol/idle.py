@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from textwrap import wrap
@@ -95,14 +95,28 @@ def without(document: Document, sweep: Any, text: str, left_out: Iterable[int]) 
         by_point.setdefault(tuple(point.values.items()), []).append(index)
     first = {places[0]: points[places[0]] for places in by_point.values() if not set(places) <= gone}
     kept = [first[index] for index in sorted(first)]
+    repeat = f"{{count: {count}, as: {sweep.repeat.as_}}}"
+    return _with_points(document, text, kept, "trials that can move, in their order", repeat)
+
+
+def chosen(document: Document, sweep: Any, text: str, trials: Sequence[int]) -> str:
+    """The protocol's `text` with a sweep of some of its points in this order, pair by pair; one may come several times.
+
+    `trials` are numbers of points in the order of the sweep. Raises UsageError as `without` does.
+    """
+    points = expand(sweep, document)
+    return _with_points(document, text, [points[n] for n in trials], "trials that were chosen, in their order", "")
+
+
+def _with_points(document: Document, text: str, kept: Sequence[Point], why: str, repeat: str) -> str:
     block = re.search(r"^sweep:.*?(?=^\S|\Z)", text, re.MULTILINE | re.DOTALL)
     if not kept or block is None:
         raise UsageError("no trial would be left" if not kept else "this protocol has no sweep that can be shortened")
-    lines = ["sweep:", "  zip:                                         # trials that can move, in their order"]
+    lines = ["sweep:", f"  zip:                                         # {why}"]
     for name in kept[0].values:
         listed = f"    {name}: [{', '.join(_written(document, point, name) for point in kept)}]"
         lines += wrap(listed, 110, initial_indent="    ", subsequent_indent=" " * 6)
-    lines.append(f"  repeat: {{count: {count}, as: {sweep.repeat.as_}}}")
+    lines += [f"  repeat: {repeat}"] if repeat else []
     return text[: block.start()] + "\n".join(lines) + "\n\n" + text[block.end() :]
 
 

@@ -1,7 +1,8 @@
 """The plan: a finite list of small frozen steps that is printed, timed, checked, executed and kept with the run.
 
-No step reads another's result. Whatever depends on a measurement happens inside one `WaitUntil` or `Seek`, which
-carry a time limit and an output range, so the longest duration and the envelope of each command are known beforehand.
+No step reads another's result. Whatever depends on a measurement happens inside one `WaitUntil`, `Seek` or `Control`,
+which carry a time limit and a range of each output, so the longest duration and the envelope of each command are known
+beforehand.
 """
 
 from __future__ import annotations
@@ -190,7 +191,38 @@ class Seek(Step):
         return {self.output: (self.low, self.high)}
 
 
-STEPS: dict[str, type[Step]] = {step.kind: step for step in (Set, Ramp, Follow, Hold, Record, WaitUntil, Ask, Seek)}
+@dataclass(frozen=True)
+class Control(Step):
+    """A closed loop over several quantities: `law` of the engine's table steers each of `aims` inside its range [SI].
+
+    It opens valves for times that their devices keep. It ends by its own stop rule, after at most `limit` [s].
+    `parameters` as in `Seek`; what it found becomes an event `found` with its `result`. `at_limit`: `fail` the trial,
+    or go on and `flag` it.
+    """
+
+    kind: ClassVar[str] = "control"
+    law: str
+    aims: Mapping[str, tuple[float, float]]
+    limit: float
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+    at_limit: str = "fail"
+
+    def longest(self) -> float:
+        """The time limit."""
+        return self.limit
+
+    def shortest(self) -> float:
+        """What the law is to last where its parameters say it; else it may end at once."""
+        return float(self.parameters.get("duration", 0.0))
+
+    def commands(self) -> dict[str, tuple[float, float]]:
+        """The ranges that the law cannot leave."""
+        return {name: (low, high) for name, (low, high) in self.aims.items()}
+
+
+STEPS: dict[str, type[Step]] = {
+    step.kind: step for step in (Set, Ramp, Follow, Hold, Record, WaitUntil, Ask, Seek, Control)
+}
 
 
 @dataclass(frozen=True)

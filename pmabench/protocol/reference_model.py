@@ -42,7 +42,8 @@ class ReferenceModel(Strict):
     """Which model is simulated next to the measurement.
 
     `coefficients` is `specimen` (what its file expects), the name of a preset or a plant file with its kind (`paper0
-    ideal`, `muscle.yaml bench`), or the folder of an analysis that gives F_ce, K and B_c over pressure.
+    ideal`, `muscle.yaml bench`), or the folder of an analysis that gives F_ce, K and B_c over pressure, or of one of
+    kind surface.
     """
 
     coefficients: Annotated[str, Field(min_length=1, max_length=400)]
@@ -61,6 +62,8 @@ def described(c: Compilation, model: ReferenceModel, at: Location) -> dict[str, 
         elif name.split()[0] in _presets() or _plant_file(name):
             return _of_preset(c, model, at)
         else:
+            if (folder := _surface_folder(c, name)) is not None:
+                return _of_surface(folder, model)
             table = _of_analysis(c, name)
     except (PmaError, ValueError, IndexError) as error:
         c.fault(place, str(error) or f'"{name}" names no model')
@@ -199,6 +202,27 @@ def _of_analysis(c: Compilation, name: str) -> dict[str, Any]:
     }
 
 
+def _surface_folder(c: Compilation, name: str) -> Path | None:
+    """The first analysis in a folder that holds a muscle as a surface."""
+    from pmabench.model.identified.described import holds_surface
+    from pmabench.store.analyses.folder import read_analysis
+
+    return next((one for one in _folders(c, name) if holds_surface(read_analysis(one).facts)), None)
+
+
+def _of_surface(folder: Path, model: ReferenceModel) -> dict[str, Any]:
+    """The muscle of an analysis of kind surface; ValueError in words."""
+    from pmabench.model.identified.described import described as surface
+    from pmabench.model.regulator import Regulator
+    from pmabench.store.analyses.folder import read_analysis
+
+    analysis = read_analysis(folder)
+    if model.friction is not None:
+        raise ValueError("a muscle as a surface has its own hysteresis; leave friction out")
+    regulator = Regulator(**model.regulator.model_dump()) if model.regulator else Regulator(dead_time=0.0)
+    return surface(analysis.facts, f"analysis of {', '.join(analysis.runs)}", regulator).to_dict()
+
+
 def _first(analysis: Analysis, symbol: str, *coordinates: str) -> float:
     """The first of several estimates of a time that is known [s]; 0 where none is."""
     found = (_overall(analysis, symbol, coordinate) for coordinate in coordinates)
@@ -225,12 +249,10 @@ def read_folder(c: Compilation, name: str, needed: tuple[str, ...]) -> Analysis:
 
     A relative path is looked for from the current folder, then next to the protocol. Raises ValueError in words.
     """
-    from pmabench.store.analyses.folder import ANALYSIS, read_analysis
+    from pmabench.store.analyses.folder import read_analysis
 
-    places = [Path(name), Path(str(c.document.path)).parent / name]
-    folders = [file.parent for place in places for file in (place / ANALYSIS, *sorted(place.glob(f"*/{ANALYSIS}")))]
     symbols = ", ".join(needed)
-    found = [folder for folder in folders if (folder / ANALYSIS).is_file()]
+    found = _folders(c, name)
     if not found:
         known = [SPECIMEN, *_presets()]
         raise ValueError(
@@ -245,3 +267,12 @@ def read_folder(c: Compilation, name: str, needed: tuple[str, ...]) -> Analysis:
         if {*needed} <= {e.symbol for e in analysis.estimates}:
             return analysis
     raise ValueError(f'"{name}" is an analysis of kind {analyses[0].kind} and gives no {symbols}')
+
+
+def _folders(c: Compilation, name: str) -> list[Path]:
+    """The folders of analyses that a name in a protocol means: the folder itself, or those inside it."""
+    from pmabench.store.analyses.folder import ANALYSIS
+
+    places = [Path(name), Path(str(c.document.path)).parent / name]
+    folders = [file.parent for place in places for file in (place / ANALYSIS, *sorted(place.glob(f"*/{ANALYSIS}")))]
+    return [folder for folder in folders if (folder / ANALYSIS).is_file()]

@@ -14,7 +14,7 @@ from pydantic import Discriminator, Field, Tag, model_validator
 from pmabench.base.errors import InvalidFile, Problem
 from pmabench.base.quantities import show
 from pmabench.files.document import Document, Location, Strict
-from pmabench.files.quantity import Frequency, Length, Pressure, Speed
+from pmabench.files.quantity import Angle, AngularSpeed, Frequency, Length, Pressure, Speed
 
 MOST_POINTS = 20_000
 USUAL_POINTS = 60
@@ -54,6 +54,8 @@ PressureAxis = Annotated[
 FrequencyAxis = Annotated[list[Frequency], Field(min_length=1)]
 LengthAxis = Annotated[list[Length], Field(min_length=1)]
 SpeedAxis = Annotated[list[Speed], Field(min_length=1)]
+AngleAxis = Annotated[list[Angle], Field(min_length=1)]
+AngularSpeedAxis = Annotated[list[AngularSpeed], Field(min_length=1)]
 
 
 class Repeat(Strict):

@@ -1,5 +1,6 @@
 """Tables, figures and the characterisation report; nothing here computes an estimate.
 
+- `certificate`: the first two pages of a report; `foremost`: which values and findings come first
 - `document`: what the report says, and as HTML, PDF and workbook; `templates` are its pages; `writing`: pages and files
 - `figures`: every picture in it
 - `pages`: other pages: bench card, comparison, history, a fitted model

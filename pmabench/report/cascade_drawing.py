@@ -14,7 +14,7 @@ from html import escape
 import numpy as np
 
 from pmabench.model.muscle import Outline, outline
-from pmabench.plotting.plots import FAINT, INK, QUIET, RED, WARN
+from pmabench.plotting.plots import BROWN, FAINT, INK, QUIET, WARN
 from pmabench.report.cascade_record import Link, Result
 
 WIDTH = 1000.0
@@ -211,12 +211,12 @@ def _tip(scene: Scene, tip: float, row: int, *, live: bool) -> str:
 
     return (
         f'<g{own("tip")} transform="translate({px(tip)} 0)">{mark}'
-        f'<path d="M0 {px(0.5 * low)}V{px(low + 5)}" stroke="{RED}" stroke-width="1"/></g>'
+        f'<path d="M0 {px(0.5 * low)}V{px(low + 5)}" stroke="{BROWN}" stroke-width="1"/></g>'
         f'<path d="M{px(scene.end)} {px(-low)}V{px(low + 5)}" stroke="{FAINT}" stroke-dasharray="4 3"/>'
-        f'<path{own("come")} d="{come(tip, scene.end, low)}" fill="none" stroke="{RED}" '
+        f'<path{own("come")} d="{come(tip, scene.end, low)}" fill="none" stroke="{BROWN}" '
         f'stroke-width="1.4"/>'
         f'<text{own("amount")} x="{px(scene.end + 8)}" y="{px(low + 4)}" font-size="13" '
-        f'font-weight="600" fill="{RED}">{1e3 * x:.1f} mm</text>'
+        f'font-weight="600" fill="{BROWN}">{1e3 * x:.1f} mm</text>'
     )
 
 

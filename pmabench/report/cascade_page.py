@@ -14,7 +14,7 @@ import numpy as np
 from pmabench import __version__
 from pmabench.base.quantities import show
 from pmabench.plotting import plots
-from pmabench.plotting.plots import FAINT, FULL, HALF, INK, PALETTE, QUIET, RED, Array, blank, few_ticks, grid
+from pmabench.plotting.plots import BROWN, FAINT, FULL, HALF, INK, PALETTE, QUIET, Array, blank, few_ticks, grid
 from pmabench.plotting.svg import drawing, to_svg
 from pmabench.report.cascade_drawing import (
     FITTING,
@@ -308,7 +308,7 @@ def force_figure(result: Result) -> Figure:
     figure, axes = _half("x [mm]", "F [N]", top=0.58)
     x = 1e3 * np.array(result.displacement)[rows]
     axes.plot(x, np.array(result.force_ce)[rows], color=FAINT, linewidth=1.0, label="F_ce of the chain")
-    axes.plot(x, np.array(result.force)[rows], color=RED, linewidth=1.2, label="force if it is held")
+    axes.plot(x, np.array(result.force)[rows], color=BROWN, linewidth=1.2, label="force if it is held")
     if result.load > 0:
         axes.axhline(result.load, color=INK, linewidth=0.7, linestyle=(0, (4, 3)), label="load")
     return _finished(figure, axes, legend=True)

@@ -2,27 +2,20 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
 from math import isfinite
 from textwrap import shorten, wrap
 
 from pmabench.base.text import sparkline
 from pmabench.plotting.wording import (
-    POINTS,
-    clean,
-    in_order,
-    number,
     point_head,
-    point_shown,
-    printed,
     rounded,
     shown,
     symbol_text,
 )
 from pmabench.report.document.front import Verdict, tiles_of
 from pmabench.report.document.tables import pivot_table
-from pmabench.report.terminal_coefficients import for_terminal, reasons, without_comparison
+from pmabench.report.foremost import costliest, how_well, richest
 from pmabench.report.words import declared, kind_title
 from pmabench.store.analyses.results import AGREEMENT, Analysis, Estimate
 
@@ -43,7 +36,7 @@ def glance(analyses: Sequence[Analysis], verdict: Verdict, failed: Sequence[str]
     tests = [a for a in analyses if a.kind != AGREEMENT]
     simulated = "SIMULATED  " if any(a.simulated for a in tests) else ""
     title = kind_title(tests[0].kind) if len(tests) == 1 else f"{len(tests)} tests of one specimen"
-    members, over = _richest(tests)
+    members, over = richest(tests)
     lines = [f"{simulated}{title}", _verdict(verdict, members, over), ""]
     if members:
         lines += _table(members, over, tests)
@@ -52,18 +45,6 @@ def glance(analyses: Sequence[Analysis], verdict: Verdict, failed: Sequence[str]
     lines += _joined([f"{tile.symbol} {tile.value} {tile.unit}".rstrip() for tile in rest])
     lines += _spark(members, over)
     return [line[:WIDTH] for line in [*lines, "", *_findings(tests, failed, MOST_LINES - len(lines) - 1)]]
-
-
-def _richest(tests: Sequence[Analysis]) -> tuple[list[Estimate], str]:
-    """The headline values of one test at its operating points, and the name of what these differ in; the most."""
-    best: tuple[list[Estimate], str] = ([], "")
-    for analysis in tests:
-        kept, _ = without_comparison(analysis)
-        for names, (members, _) in for_terminal(kept, declared([analysis])).items():
-            over = in_order(members[0].at, POINTS)[:1] if names else []
-            if len(over) == 1 and len(members) > len(best[0]):
-                best = members, over[0]
-    return best
 
 
 def _table(members: Sequence[Estimate], over: str, tests: Sequence[Analysis]) -> list[str]:
@@ -82,18 +63,9 @@ def _table(members: Sequence[Estimate], over: str, tests: Sequence[Analysis]) ->
 
 def _verdict(verdict: Verdict, members: Sequence[Estimate], over: str) -> str:
     """The word, and for good results how well the values of the table are known."""
-    text = verdict.text.replace(", which comes first below", "").replace(", which come first below", "")
+    text = verdict.text
     if verdict.level == "good" and members:
-        widest: dict[str, float] = {}
-        for e in members:
-            half = e.parts.combined
-            if e.value and half is not None:
-                name = symbol_text(e.symbol)
-                widest[name] = max(widest.get(name, 0.0), half / abs(e.value))
-        unit = point_shown(over)[1]
-        places = [e.at[over] / unit.scale for e in members]
-        known = ", ".join(f"{100 * share:.2g} % ({name})" for name, share in widest.items())
-        text = f"within {known}, {number(min(places))} to {number(max(places))} {unit.unit}"
+        text = how_well(members, over) or text
     word = f"{verdict.word.upper()}  "
     return word + shorten(text, WIDTH - len(word), placeholder=" …")
 
@@ -128,16 +100,7 @@ def _spark(members: Sequence[Estimate], over: str) -> list[str]:
 
 def _findings(tests: Sequence[Analysis], failed: Sequence[str], room: int) -> list[str]:
     """At most `MOST_FINDINGS`, the costliest first, in full where `room` lines allow it; how many more there are."""
-    found = [f"not accepted: {text}" for text in failed]
-    held = [text for a in tests for text in reasons([e for e in a.estimates if e.withheld])]
-    found += [text for text in held if not any(text.partition("withheld: ")[2][:WIDTH] in one for one in failed)]
-    for level in ("fault", "doubt"):
-        found += [printed(f.text) for a in tests for f in a.findings if f.level == level]
-    for analysis in tests:
-        if analysis.dropped:
-            reason, count = Counter(one.reason.partition(":")[0] for one in analysis.dropped).most_common(1)[0]
-            found.append(f"{len(analysis.dropped)} trials not used; {count} of them: {reason}")
-    found = list(dict.fromkeys(clean(text) for text in found))
+    found = costliest(tests, failed)
     more = len(found[MOST_FINDINGS:]) + sum(f.level == "note" for a in tests for f in a.findings)
     first = found[:MOST_FINDINGS]
     spare = room - len(first) - bool(more)

@@ -71,6 +71,12 @@ def kind_title(kind: str) -> str:
     return "Agreement of the tests" if kind == AGREEMENT else registry.title_of(clean(kind))
 
 
+def reverses(kind: str) -> bool:
+    """Whether a kind of test looks at small reversals of the motion."""
+    found = registry.all_kinds().get(kind)
+    return found is not None and found.reverses
+
+
 def in_common(orders: Iterable[Iterable[str]]) -> list[str]:
     """The symbols of several orders in one: a new symbol follows the one before it in its own order.
 

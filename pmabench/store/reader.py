@@ -119,7 +119,7 @@ def _reaches(stream: Samples) -> float:
 
 def _base(streams: list[Samples]) -> Samples:
     """The stream that gives the times of the samples."""
-    for channel in ("displacement", "pressure"):
+    for channel in ("displacement", "angle", "pressure"):
         for stream in streams:
             if channel in stream.channels:
                 return stream

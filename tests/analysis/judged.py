@@ -18,6 +18,8 @@ from tests.judge.second.driven import AWAY, LEAD, SAMPLED, Record
 Trial = first.Trial | second.Trial
 
 PROTOCOL = Path(__file__).resolve().parents[2] / "protocols" / "contraction-relaxation.yaml"
+EXACT = 1e-6
+"""Uncertainty [m] of the displacement sensors of the simulated benches: they are straight, and have no backlash."""
 CHANNELS = {"pressure": ("pressure", "Pa"), "displacement": ("length", "m"), "force": ("force", "N")}
 
 
@@ -34,12 +36,17 @@ def accepted() -> dict[str, object]:
     }
 
 
-def as_run(trials: Sequence[Trial], name: str = "judged") -> RunData:
-    """The campaign as `store` would load it; every trial begins with its moment at rest, as own runs record it."""
+def as_run(trials: Sequence[Trial], name: str = "judged", sensor: float = EXACT) -> RunData:
+    """The campaign as `store` would load it; every trial begins with its moment at rest, as own runs record it.
+
+    `sensor` is the uncertainty of the displacement that its record states [m]; 0: none is stated.
+    """
     return RunData(
         id=name, path="", kind="contraction-relaxation", status="finished", simulated=True, manifest={},
         plan={"accept": accepted()}, events=(), channels={
-            channel: ChannelInfo(channel, quantity, unit, 1.0, 0.0, -np.inf, np.inf)
+            channel: ChannelInfo(
+                channel, quantity, unit, 1.0, 0.0, -np.inf, np.inf, sensor if channel == "displacement" else 0.0
+            )
             for channel, (quantity, unit) in CHANNELS.items()
         }, rate=_rate(trials), trials=tuple(_trial(name, number, trial) for number, trial in enumerate(trials)),
     )  # fmt: skip

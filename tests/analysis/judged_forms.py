@@ -12,15 +12,18 @@ from pmabench.engine.laws.relay import Relay
 from pmabench.kinds.arm_angle import reduction as arm_angle
 from pmabench.kinds.closed_volume import reduction as closed_volume
 from pmabench.kinds.free_contraction import reduction as free_contraction
+from pmabench.kinds.isobaric_ramp import reduction as isobaric_ramp
 from pmabench.kinds.isometric_pressurisation import reduction as isometric_pressurisation
+from pmabench.kinds.joint_sweep import reduction as joint_sweep
 from pmabench.kinds.positioning import reduction as positioning
 from pmabench.kinds.recorded_sine import reduction as recorded_sine
 from pmabench.kinds.recorded_step import reduction as recorded_step
+from pmabench.kinds.relaxation import reduction as relaxation
 from pmabench.kinds.step_displacement import reduction as step_displacement
 from pmabench.kinds.ultimate_gain import reduction as ultimate_gain
 from pmabench.store.analyses.results import Analysis
 from pmabench.store.records import ChannelInfo, Command, RunData, TrialData
-from tests.judge import arm, closed, displaced, free, held, loop, placed, rung, sines
+from tests.judge import arm, closed, displaced, free, held, loop, placed, relaxing, rung, sines, swept
 from tests.judge.record import Trial, Truth
 
 CHANNELS = {
@@ -29,6 +32,9 @@ CHANNELS = {
     "force": ("force", "N"),
     "pressure_command": ("pressure", "Pa"),
     "angle": ("angle", "rad"),
+    "torque": ("torque", "N m"),
+    "pressure_1": ("pressure", "Pa"),
+    "pressure_2": ("pressure", "Pa"),
 }
 SPECIMEN = {"nominal_length": 0.25}
 
@@ -105,6 +111,27 @@ def steps_of(cause: str, size: float, seed: int) -> Analysis:
     return step_displacement.reduce([run])
 
 
+def relaxing_of(cause: str, size: float, seed: int) -> Analysis:
+    run = as_run("relaxation", as_trials(relaxing.campaign(cause, size, seed)), relaxing.RATE, {"begin": 5.0})
+    return relaxation.reduce([run])
+
+
+def swept_of(one: swept.Swept) -> Callable[[str, float, int], Analysis]:
+    kind, reduce = (
+        ("joint-sweep", joint_sweep.reduce) if one is swept.JOINT else ("isobaric-ramp", isobaric_ramp.reduce)
+    )
+
+    def reduced(cause: str, size: float, seed: int) -> Analysis:
+        settings: dict[str, object] = {"discard": swept.DISCARD}
+        return reduce([as_run(kind, as_trials(swept.campaign(one, cause, size, seed)), one.rate, settings)])
+
+    return reduced
+
+
+def swept_truth(one: swept.Swept, key: str) -> Callable[[str, float], Truth]:
+    return lambda cause, size: swept.truth(one, cause, size)[key]
+
+
 def _swung(law: GainSteps | Relay, plant: loop.Plant) -> Analysis:
     rows = []
     while not law.done and plant.time < 300.0:
@@ -166,6 +193,10 @@ def _loop_truth(cause: str, size: float) -> Truth:
     }
 
 
+SMALL_STEPS = {cause: size for cause, size in loop.FULL.items() if cause != "slew"}
+"""Steps of 20 kPa through the regulator's lag rise by 200 kPa/s: its limit of 300 kPa/s never acts."""
+
+
 @dataclass(frozen=True)
 class Kind:
     """One kind of test with its judge."""
@@ -188,7 +219,19 @@ KINDS = {
     "recorded-step": Kind(rung_of, rung.truth, rung.FULL, "from"),
     "arm-angle": Kind(arm_of, arm.truth, arm.FULL, "tip_mass"),
     "positioning": Kind(placed_of, placed.truth, placed.FULL, "setpoint"),
-    "open-loop": Kind(open_loop_of, _loop_truth, loop.FULL, "none"),
+    "relaxation": Kind(relaxing_of, relaxing.truth, relaxing.FULL, "pressure"),
+    "joint-sweep": Kind(swept_of(swept.JOINT), swept_truth(swept.JOINT, "pressure_1"), swept.JOINT.full, "pressure_1"),
+    "isobaric-gap": Kind(
+        swept_of(swept.MUSCLE), swept_truth(swept.MUSCLE, "speed"), swept.MUSCLE.full, "speed", ("loop-gap",)
+    ),
+    "isobaric-line": Kind(
+        swept_of(swept.MUSCLE),
+        swept_truth(swept.MUSCLE, "pressure"),
+        swept.MUSCLE.full,
+        "pressure",
+        ("loop-gap", "mean-curve"),
+    ),
+    "open-loop": Kind(open_loop_of, _loop_truth, SMALL_STEPS, "none"),
     "relay": Kind(relay_of, _loop_truth, loop.FULL, "none", ("relay-fit",)),
     "gain-steps": Kind(gain_steps_of, _loop_truth, loop.FULL, "none"),
 }

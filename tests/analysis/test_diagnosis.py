@@ -79,7 +79,7 @@ def told(asked: tuple[str, float, int]) -> Told:
     cause, size, seed = asked
     run = as_run(campaign(cause, size, seed))
     analyses = reduce_runs([run])
-    form, right = analyses[0].facts["form"], truth(cause, size)
+    form, right = analyses[0].facts["form"], truth(cause, size, seed)
     names = {one["cause"] for one in form["explanations"]} | ({"mass"} if form["wrong_weight"] else set())
     values, withheld = [], 0
     for e in analyses[0].estimates:

@@ -7,11 +7,12 @@ of the primary method are judged then, not K alone: a reader takes each of them 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from itertools import repeat
 from os import cpu_count
+from typing import Any
 
 import numpy as np
 import pytest
@@ -84,16 +85,10 @@ class Judged:
         return max((value.score for value in self.values), default=0.0)
 
 
-def judged(asked: tuple[str, float, int], scatter: float = 0.0) -> Judged:
-    """The reduction of a campaign (cause, size, seed) against its truth; polled, with a scatter of times [s]."""
-    cause, size, seed = asked
-    run = as_run(campaign(cause, size, seed))
-    if scatter:
-        run = polled(run, scatter, seed)
-    analyses = reduce_runs([run])
-    right = truth(cause, size)
+def compared(analysis: Analysis, right: Mapping[str, Callable[[Any], Any]]) -> tuple[tuple[Value, ...], int]:
+    """The values of an analysis against their truth (symbol -> ends by pressure), and how many are withheld."""
     values, withheld = [], 0
-    for e in analyses[0].estimates:
+    for e in analysis.estimates:
         if e.method != METHOD or e.symbol not in right:
             continue
         withheld += e.withheld
@@ -104,7 +99,18 @@ def judged(asked: tuple[str, float, int], scatter: float = 0.0) -> Judged:
         low, high = (float(end[0]) for end in right[e.symbol](np.array([P])))
         middle = 0.5 * (low + high)
         values.append(Value(e.symbol, P, max(low - e.value, e.value - high, 0.0) / middle, half / middle))
-    return Judged(cause, size, seed, tuple(verdicts([run], analyses)), tuple(values), withheld, named(analyses[0]))
+    return tuple(values), withheld
+
+
+def judged(asked: tuple[str, float, int], scatter: float = 0.0) -> Judged:
+    """The reduction of a campaign (cause, size, seed) against its truth; polled, with a scatter of times [s]."""
+    cause, size, seed = asked
+    run = as_run(campaign(cause, size, seed))
+    if scatter:
+        run = polled(run, scatter, seed)
+    analyses = reduce_runs([run])
+    values, withheld = compared(analyses[0], truth(cause, size, seed))
+    return Judged(cause, size, seed, tuple(verdicts([run], analyses)), values, withheld, named(analyses[0]))
 
 
 def named(analysis: Analysis) -> tuple[str, ...]:

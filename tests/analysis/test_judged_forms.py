@@ -21,7 +21,7 @@ COVERED = 0.93
 CLEAN_WITHHELD = 0.02
 SEEDS = {
     "free-contraction": 16, "isometric-pressurisation": 16, "step-displacement": 8, "gain-steps": 4, "relay": 4,
-    "closed-volume": 2, "recorded-sine": 3, "recorded-step": 1, "arm-angle": 2, "positioning": 4,
+    "relaxation": 2, "joint-sweep": 2, "isobaric-gap": 2, "isobaric-line": 2, "closed-volume": 2, "recorded-sine": 3, "recorded-step": 1, "arm-angle": 2, "positioning": 4,
 }  # fmt: skip
 """Sound campaigns in CI; open-loop steps take longer and are a study, and `test_open_loop` has some."""
 STUDIED = 34
@@ -84,6 +84,13 @@ def test_values_of_sound_tests_hold_the_truth_and_nothing_is_withheld(kind: str,
         ("arm-angle", "other-curve", 1.0, "it is another curve"),
         ("positioning", "drift", 1.0, "it moves in the window"),
         ("positioning", "hunting", 1.0, "the window"),
+        ("relaxation", "cell-drift", 1.0, "without pressure the cell reads"),
+        ("relaxation", "two-times", 0.25, "this is no straight line over log t"),
+        ("relaxation", "short-rest", 1.0, "rest longer"),
+        ("isobaric-gap", "lag", 1.0, "the force comes through a filter"),
+        ("isobaric-gap", "backlash", 0.25, "look at the displacement sensor"),
+        ("isobaric-gap", "wrong-sign", 1.0, "no muscle gives work back like that"),
+        ("joint-sweep", "backlash", 0.25, "look at the angle sensor"),
         ("step-displacement", "creep", 1.0, "the force is not at rest"),
         ("step-displacement", "two-times", 1.0, "it is not one exponential"),
         ("step-displacement", "cell-drift", 1.0, "the force is not at rest"),
@@ -98,6 +105,12 @@ def test_a_departure_is_seen_with_its_reason_and_no_other_value_is_wrong(kind: s
 @pytest.mark.parametrize(
     ("kind", "cause", "size"),
     [
+        ("relaxation", "early", 1.0),
+        ("isobaric-gap", "cell-drift", 1.0),
+        ("isobaric-gap", "lag", 0.25),
+        ("isobaric-line", "slip", 0.5),
+        ("joint-sweep", "cell-drift", 1.0),
+        ("joint-sweep", "lag", 0.25),
         ("free-contraction", "creep", 1.0),
         ("free-contraction", "zero-drift", 0.5),
         ("free-contraction", "slip", 0.25),

@@ -20,10 +20,10 @@ from tests.analysis.test_diagnosis import RIGHT
 from tests.analysis.test_judged import (
     CLEAN_REFUSED,
     CLEAN_SEEDS,
-    METHOD,
+    FAR,
     Judged,
-    Value,
     accepted,
+    compared,
     far,
     named,
     share,
@@ -46,20 +46,8 @@ def judged(asked: tuple[str, float, int]) -> Judged:
     cause, amount, seed = asked
     run = as_run(campaign(cause, amount, seed))
     analyses = reduce_runs([run])
-    right = truth(cause, amount)
-    values, withheld = [], 0
-    for e in analyses[0].estimates:
-        if e.method != METHOD or e.symbol not in right:
-            continue
-        withheld += e.withheld
-        half = e.parts.combined
-        if e.value is None or half is None:
-            continue
-        P = e.at.get("pressure", 0.0)
-        low, high = (float(end[0]) for end in right[e.symbol](np.array([P])))
-        middle = 0.5 * (low + high)
-        values.append(Value(e.symbol, P, max(low - e.value, e.value - high, 0.0) / middle, half / middle))
-    return Judged(cause, amount, seed, tuple(verdicts([run], analyses)), tuple(values), withheld, sure(analyses[0]))
+    values, withheld = compared(analyses[0], truth(cause, amount))
+    return Judged(cause, amount, seed, tuple(verdicts([run], analyses)), values, withheld, sure(analyses[0]))
 
 
 def sure(analysis: Analysis) -> tuple[str, ...]:
@@ -120,5 +108,16 @@ def test_a_clean_campaign_of_the_second_muscle_is_accepted_and_right():
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("cause", "amount"), [("bend", 0.1), ("creep", 0.04)])
-def test_a_departure_of_the_second_muscle_is_never_accepted_with_a_wrong_number(cause: str, amount: float):
-    assert far([judged((cause, amount, 100))]) == []
+def test_a_departure_of_the_second_muscle_is_named_and_its_values_are_printed_and_right(cause: str, amount: float):
+    one = judged((cause, amount, 100))
+    assert set(one.named) == RIGHT[cause]
+    assert one.withheld == 0
+    assert share(one.values) >= COVERED
+    assert one.worst <= FAR
+
+
+@pytest.mark.slow
+def test_hysteresis_of_the_second_muscle_is_named_and_nothing_else_is():
+    one = judged(("hysteresis", 20.0, 100))
+    assert set(one.named) - {"undecided"} == {"hysteresis"}
+    assert far([one]) == []

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ from pmabench.display.verdicts import measure
 from pmabench.engine.operator import ConfirmedBeforehand
 from pmabench.engine.run import run_plan
 from pmabench.kinds.ultimate_gain.open_loop import examine
+from pmabench.kinds.ultimate_gain.open_loop_fit import Step, fit
 from pmabench.kinds.ultimate_gain.reduction import reduce
 from pmabench.model.loop import ultimate
 from pmabench.store.analyses.results import Analysis
@@ -209,3 +211,23 @@ def test_tune_refuses_runs_without_steps(free: RunData, tmp_path: Path) -> None:
         told = CliRunner().invoke(main, ["tune", *args])
         assert told.exit_code == code, told.output
         assert says in " ".join(told.output.split())
+
+
+@pytest.mark.parametrize("late", [-0.4e-3, 0.0, 0.4e-3])
+def test_a_muscle_without_inertia_is_neither_slower_nor_faster_than_it_is(late: float):
+    """Lags of 0.1 s and 0.25 s in closed form, the displacement `late` [s]: what is not in the lags has a sign."""
+    t = np.arange(0.0, 31.0, 2e-3)
+    heights = (20e3, -20e3, -20e3, 20e3) * 3
+    values = np.cumsum(heights)
+    steps = [Step(1.0 + 2.5 * i, float(v), h) for i, (v, h) in enumerate(zip(values, heights, strict=True))]
+
+    def after(s: np.ndarray, of: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+        return sum(step.height * np.where(s > step.t, of(np.maximum(s - step.t, 0.0)), 0.0) for step in steps)
+
+    P = after(t - 0.03, lambda s: 1 - np.exp(-s / 0.1))
+    x = 0.15e-6 * after(t - 0.03 - late, lambda s: 1 - (0.25 * np.exp(-s / 0.25) - 0.1 * np.exp(-s / 0.1)) / 0.15)
+    found = fit(t, 30e-3 + x, P, steps, 0.0)
+    assert not isinstance(found, str)
+    assert found[1].beta == 0.0
+    assert found[1].late == pytest.approx(late, abs=0.02e-3)
+    assert found[1].tau == pytest.approx((0.25, 0.25), abs=1e-3)

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from pmabench.analysis.shared.response import Cycle, cycle_of, respond
 from pmabench.engine.laws.position_loop import PositionLoop
 from pmabench.kinds.positioning.reduction import reduce
-from pmabench.kinds.positioning.response import Cycle, cycle_of, respond
 from pmabench.model.overrides import Overrides
 from pmabench.model.presets import Described, preset
 from pmabench.report.document.tables import cell

@@ -81,6 +81,24 @@ def test_mean_force_tells_f_ce_though_friction_and_two_dampings_move_it() -> Non
     assert "one frequency only" in alone.note
 
 
+@pytest.mark.parametrize("frequencies", [(0.1,), (0.1, 0.5)])
+def test_one_trial_a_frequency_gives_f_ce_with_an_interval_by_its_cycles(frequencies: tuple[float, ...]) -> None:
+    trials = [BENCH.trial(i, f, 5, mean=0.004) for i, f in enumerate(frequencies)]
+    for symbol, truth in (("F_ce", F_CE), ("F", F_CE - K * 0.004)):
+        found = value(analysis_of(trials), symbol, "sine-mean")
+        assert found.parts.repeats > 0
+        assert found.ci95[0] < truth < found.ci95[1]
+        assert "scatter of its cycles" in found.note
+
+
+def test_one_trial_of_one_cycle_gives_no_force() -> None:
+    found = analysis_of([BENCH.trial(0, 0.1, 2, mean=0.004)])
+    for symbol in ("F_ce", "F"):
+        empty = value(found, symbol, "sine-mean")
+        assert empty.value is None
+        assert empty.note == "no repeats part: one trial of one cycle"
+
+
 def test_f_ce_is_told_for_the_set_pressure_where_its_slope_is_known() -> None:
     """The regulator stands 2 kPa low at both pressures, 1.01 N/kPa."""
     trials = []

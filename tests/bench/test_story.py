@@ -1,10 +1,13 @@
 """What happens when something fails follows from valves, watchdogs and watch list, and never promises what is not there."""
 
+from dataclasses import replace
+
 import pytest
 
-from pmabench.bench.card import failure_story
+from pmabench.bench.card import failure_story, make_card
 from pmabench.bench.compile import mount, mount_alone
 from tests.bench.benches import BENCHES, SPECIMEN, rig
+from tests.engine.platform_rig import SHIPPED
 
 NO_DUMP = "outputs: {dump_valve: {energised: open}}\n"
 NO_WATCHDOG = "devices: {daq: {watchdog: null}}\n"
@@ -86,3 +89,23 @@ def test_a_drive_vents_nothing_by_itself():
     assert "terminal itself vents after 500 ms." in told["Network or cable"]
     assert "drive itself stops its motion after 500 ms." in told["Network or cable"]
     assert "The drive's own watchdog ends its motion." in told["The computer"]
+
+
+def test_a_bench_with_valves_that_open_in_pulses_says_what_stays_without_a_computer():
+    """Both of its devices' watchdogs are missing: the supply stays on and the dumps shut, and the card says so."""
+    real = replace(SHIPPED, bench=replace(SHIPPED.bench, realtime=True))
+    told = dict(failure_story(real))["The computer"]
+    assert "THE SUPPLY VALVE STAYS AS IT IS" in told
+    assert "THE DUMP VALVE STAYS AS IT IS" in told
+    (device,) = SHIPPED.bench.devices
+    guarded = replace(SHIPPED, bench=replace(real.bench, devices=(replace(device, watchdog=1.0),)))
+    told = dict(failure_story(guarded))["The computer"]
+    assert "plant hears nothing and lets go of the supply valve after 1 s" in told
+
+
+def test_the_card_of_a_platform_says_what_valves_may_bring_about():
+    made = make_card(SHIPPED, "2026-11-24")
+    rows = {row[0]: row[1] for row in made.limits}
+    assert rows["pressure_1"] == "20 kPa to 550 kPa"
+    assert rows["tilt"] == "0 deg to 20 deg"
+    assert made.watch[0][0] == "all muscles"

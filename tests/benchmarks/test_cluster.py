@@ -4,20 +4,13 @@ import sys
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
 
 import pmabench.analysis.many
-from pmabench.cli.main import main
 from tests.benchmarks.archive import write_run
+from tests.calls import call
 
 RUNS = 6
 pytestmark = [pytest.mark.realtime, pytest.mark.filterwarnings("default")]
-
-
-def call(*args, code=0):
-    result = CliRunner().invoke(main, [str(arg) for arg in args], catch_exceptions=False)
-    assert result.exit_code == code, result.output
-    return result
 
 
 @pytest.fixture(scope="module")

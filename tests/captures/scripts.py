@@ -22,7 +22,8 @@ from pmabench_drivers.shared.polling import Cycle
 
 from pmabench.base.clock import RealClock
 from tests.drivers.alicat.rigs import controller
-from tests.drivers.can.rigs import bus, until
+from tests.drivers.can.rigs import bus
+from tests.drivers.common import until
 from tests.drivers.dataq.rigs import daq
 from tests.drivers.festo.rigs import terminal
 from tests.drivers.festo_cmmt.rigs import drive

@@ -6,21 +6,14 @@ import shutil
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
 
-from pmabench.cli.main import main
+from tests.calls import call
 
 ROOT = Path(__file__).resolve().parents[2]
 SMALL = (
     "--set", "sweep.matrix.load=[6 kg, 16 kg, 26 kg]", "--set", "sweep.matrix.pressure=[300 kPa, 400 kPa]",
     "--set", "sweep.repeat.count=1",
 )  # fmt: skip
-
-
-def call(*args, code=0):
-    result = CliRunner().invoke(main, [str(arg) for arg in args], catch_exceptions=False)
-    assert result.exit_code == code, result.output
-    return result
 
 
 @pytest.fixture(scope="module")

@@ -6,18 +6,11 @@ import shlex
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
 
-from pmabench.cli.main import main
+from tests.calls import call
 
 ROOT = Path(__file__).resolve().parents[2]
 TABLE_1 = {0.0: 84.333, 0.1: 84.0, 0.2: 75.5, 0.3: 66.0, 0.4: 57.0, 0.5: 47.0}
-
-
-def call(*args, code=0):
-    result = CliRunner().invoke(main, [str(arg) for arg in args], catch_exceptions=False)
-    assert result.exit_code == code, result.output
-    return result
 
 
 def test_the_command_of_the_row_gives_table_1(tmp_path):

@@ -7,19 +7,18 @@ import json
 import re
 import shlex
 import xml.etree.ElementTree as ET
+from functools import partial
 from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 from pmabench.base.clock import VirtualClock
 from pmabench.base.errors import InvalidFile
 from pmabench.cli import cascade as cascade_command
 from pmabench.cli.cascade import drawn, paced, show_pace
 from pmabench.cli.common import Ui
-from pmabench.cli.main import main
 from pmabench.model import cascade
 from pmabench.model.cascade import PrintedMuscle, Step, simulate
 from pmabench.model.muscle import quadratic
@@ -27,15 +26,13 @@ from pmabench.protocol.cascade import read_cascade
 from pmabench.report.cascade_drawing import Scene, moments_of, snapshots
 from pmabench.report.cascade_page import frame_rows
 from pmabench.report.cascade_record import Result, read_result
+from tests import calls
 
 ROOT = Path(__file__).resolve().parents[2]
 SHIPPED = ROOT / "fixtures" / "cascades"
 
 
-def call(*args, code=0):
-    result = CliRunner().invoke(main, ["model", "cascade", *map(str, args)])
-    assert result.exit_code == code, result.output
-    return result
+call = partial(calls.call, "model", "cascade")
 
 
 @pytest.fixture(scope="module")

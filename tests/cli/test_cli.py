@@ -8,20 +8,14 @@ import sys
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
 
-from pmabench.cli.main import COMMANDS, main
+from pmabench.cli.main import COMMANDS
 from pmabench.store.analyses.made_from import RECORD
+from tests.calls import call
 
 ROOT = Path(__file__).resolve().parents[2]
 SMALL = ["--set", "sweep.matrix.load=[6 kg, 16 kg]", "--set", "sweep.matrix.pressure=[200 kPa, 300 kPa]"]
 MOCK = ["--bench", "mock", "--specimen", "mas-20-250-paper0"]
-
-
-def call(*args, code=0):
-    result = CliRunner().invoke(main, [str(arg) for arg in args], catch_exceptions=False)
-    assert result.exit_code == code, result.output
-    return result
 
 
 def test_help_lists_every_command_from_the_table():

@@ -3,15 +3,8 @@
 import json
 
 import pytest
-from click.testing import CliRunner
 
-from pmabench.cli.main import main
-
-
-def call(*args, code=0):
-    result = CliRunner().invoke(main, [str(arg) for arg in args], catch_exceptions=False)
-    assert result.exit_code == code, result.output
-    return result
+from tests.calls import call
 
 
 def test_a_closed_muscle_tells_its_volume(tmp_path):

@@ -5,19 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
-from pmabench.cli.main import main
 from pmabench.store.analyses.folder import write_analysis
 from pmabench.store.analyses.results import Analysis, Estimate, Parts, Trace
+from tests.calls import call
 
 EVIL = '<script>alert(1)</script>"\x1b[31m=1+1'
-
-
-def call(*args, code=0):
-    result = CliRunner().invoke(main, [str(arg) for arg in args], catch_exceptions=False)
-    assert result.exit_code == code, result.output
-    return result
 
 
 def estimates(K, F_ce, half=20.0):

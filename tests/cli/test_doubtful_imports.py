@@ -4,10 +4,9 @@ import json
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
-from pmabench.cli.main import main
 from pmabench.store.importers import apart
+from tests.calls import call
 from tests.store.plausible_files import damaged, isometric
 
 MAP = """\
@@ -31,12 +30,6 @@ analysis: {force_above: 20 N}
 def no_child_stays():
     yield
     apart.close_readers()
-
-
-def call(*args, code=0):
-    result = CliRunner().invoke(main, [str(arg) for arg in args], catch_exceptions=False)
-    assert result.exit_code == code, result.output
-    return result
 
 
 def processed(folder, files, more="", code=0):

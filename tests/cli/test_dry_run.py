@@ -64,15 +64,42 @@ def test_trials_that_cannot_lift_are_named_and_dropped(tmp_path):
     assert "accept:" in out.read_text()
     human = check("contraction-relaxation", "--bench", "labjack", *OF).stdout
     assert "!  90 of 176 trials are not expected to lift their load, 2 more may not" in human
-    assert "trial 16: 108 N needs 154 kPa, commanded are 150 kPa" in human
+    assert "!  trial 16: 108 N needs 154 kPa, commanded are 150 kPa" in human
     again = check("contraction-relaxation", "--bench", "labjack", *OF, "--drop-idle", "-o", out, code=2)
     assert "is there already" in again.stderr
 
 
-def test_without_expected_coefficients_it_says_what_to_write(tmp_path):
+def test_without_expected_coefficients_the_type_is_simulated_and_says_so(tmp_path, no_device):
+    """The force of a DMSP-20 at 500 kPa is 756 N at 8 % and 262 N at 19.5 % (the maker's catalogue)."""
     text = (ROOT / "fixtures" / "specimens" / "mas-20-250-paper0.yaml").read_text()
     (tmp_path / "new.yaml").write_text(text[: text.index("expected:")])
     words = ["contraction-relaxation", "--bench", "labjack", "--specimen", tmp_path / "new.yaml"]
-    assert "write `expected` into it" in check(*words, "--simulate", code=2).stderr
-    assert "write `expected` into it" in check(*words, "--drop-idle", "-o", tmp_path / "p.yaml", code=2).stderr
-    assert json.loads(check(*words, "--json").stdout)["idle"] is None
+    sweep = [
+        "--set",
+        "sweep.repeat.count=1",
+        "--set",
+        "sweep.matrix.load=[26 kg]",
+        "--set",
+        "sweep.matrix.pressure=[500 kPa]",
+    ]
+    told = json.loads(check(*words, *sweep, "--simulate", "--json").stdout)["simulated"]
+    assert "type MAS-20 of the library" in told["muscle"]
+    (trial,) = told["predicted"]
+    assert trial["highest"]["displacement"] == pytest.approx(0.25 * 0.195, rel=0.05)  # 255 N, less half of the loop
+    assert [other["force"] for other in told["others"]] == [0.8, 1.2]
+    weak, strong = (other["contraction"] for other in told["others"])
+    assert weak < trial["highest"]["displacement"] < strong
+
+
+def test_intervals_of_the_plan_are_foreseen_and_more_trials_make_them_narrower():
+    """Where trials scatter alike, four repeats halve what one repeat leaves open."""
+    halves = []
+    for count in (1, 4):
+        sweep = ["--set", "sweep.matrix.load=[6 kg, 11 kg, 16 kg]", "--set", f"sweep.repeat.count={count}"]
+        told = json.loads(
+            check("contraction-relaxation", "--bench", "labjack", *OF, *sweep, "--simulate", "--json").stdout
+        )
+        found = {(one["symbol"], one["pressure"]): one for one in told["simulated"]["intervals"]}
+        assert found["K", 400e3]["value"] == pytest.approx(rig().muscle.K(400e3), rel=0.01)
+        halves.append(found["K", 400e3]["half"])
+    assert halves[1] == pytest.approx(0.5 * halves[0], rel=0.05)

@@ -1,4 +1,4 @@
-"""`init`: what it writes passes `check` where it lies, and it writes nowhere but into an empty folder."""
+"""`init`: questions and answer files give the same lab, which passes `check --simulate`; guesses stop a real bench."""
 
 from __future__ import annotations
 
@@ -7,132 +7,219 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
+from ruamel.yaml import YAML
 
+from pmabench.bench.lab.questions import MOST, QUESTIONS
 from pmabench.cli.main import main
 
-CHECK = ("check", "protocol.yaml", "--bench", "bench.yaml", "--specimen", "specimen.yaml")
+FILES = ("protocol.yaml", "--bench", "bench.yaml", "--specimen", "specimen.yaml")
+MUSCLE = {
+    "make": "Festo",
+    "type": "DMSP-20-250N",
+    "never_above": "700 kPa",
+    "supply": "800 kPa, relief 680 kPa",
+}
+LABJACK = MUSCLE | {"daq": "labjack", "dump_valve": "FIO0 closed"}
+OWN = {
+    "make": "our lab",
+    "type": "braid 3",
+    "serial": "B3",
+    "nominal_length": "180 mm",
+    "inner_diameter": "12 mm",
+    "never_above": "400 kPa",
+    "supply": "500 kPa, relief 390 kPa",
+    "stack": "hanger 0.5 kg, plates 10 x 1 kg + 1 x 0.5 kg",
+    "daq": "ni",
+    "dump_valve": "port1/line0 open",
+}
+MAP = Path(__file__).resolve().parents[2] / "fixtures" / "benches" / "registers" / "pressure-regulator.yaml"
+LABS = {
+    "simulated": MUSCLE,
+    "simulated with an actuator": MUSCLE | {"free_end": "actuator", "type": "MAS-40-300N"},
+    "labjack": LABJACK,
+    "ni": OWN,
+    "board": MUSCLE | {"daq": "board", "dump_valve": "v0 closed", "interlock": "d0", "protocol": "static-load"},
+    "no dump valve": LABJACK | {"dump_valve": "none", "supply": "800 kPa, relief none"},
+    "small": OWN | {"never_above": "150 kPa", "supply": "200 kPa, relief none", "daq": "none"},
+}
 
 
-def call(*arguments: str, code: int = 0) -> str:
-    result = CliRunner().invoke(main, arguments, catch_exceptions=False)
+def call(*arguments: str, code: int = 0, typed: str | None = None) -> str:
+    result = CliRunner().invoke(main, [str(word) for word in arguments], input=typed, catch_exceptions=False)
     assert result.exit_code == code, result.output
     return result.output
 
 
-def write_lab(folder: Path, bench: str) -> None:
-    told = json.loads(call("init", str(folder), "--bench", bench, "--json"))
-    assert told["files"] == sorted(str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file())
-    assert {"README.md", "bench.yaml", "specimen.yaml", "protocol.yaml"} < set(told["files"])
+def answered(folder: Path, answers: dict[str, str], code: int = 0) -> str:
+    words = [word for key, value in answers.items() for word in ("--answer", f"{key}={value}")]
+    return call("init", str(folder), *words, code=code)
 
 
-def test_a_simulated_lab_passes_check_where_it_lies(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    write_lab(tmp_path / "lab", "mock-linear")
+def contents(folder: Path) -> dict[str, str]:
+    return {str(path.relative_to(folder)): path.read_text() for path in folder.rglob("*") if path.is_file()}
+
+
+@pytest.mark.parametrize("lab", LABS)
+def test_a_lab_passes_check_and_holds_no_value_of_the_shipped_muscle(
+    lab: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    answers = LABS[lab]
+    answered(tmp_path / "by-options", answers)
+    monkeypatch.chdir(tmp_path / "by-options")
+    told = json.loads(
+        call("check", *FILES, "--json", code=0 if "daq" not in answers or answers["daq"] == "none" else 3)
+    )
+    assert told["trials"] >= 4
+    assert told["unconfirmed"]
+    text = "".join(text for name, text in contents(Path()).items() if not name.startswith("schemas"))
+    for word in ("MOCK", "paper0", "55.6 kg", "??"):
+        assert word not in text, word
+
+
+def test_typed_answers_and_an_answers_file_write_the_same_files(tmp_path: Path) -> None:
+    """Enter takes a default as an answer; what is left open with - is as if it had not been answered."""
+    lines = {
+        **{"make": "Festo", "type": "DMSP-20-250N", "serial": "?\nA017", "never_above": "\n-\n700\n700 kPa"},
+        **{"mounted": "-", "supply": "800 kPa, relief 900 kPa\n800 kPa, relief 680 kPa", "daq": "1"},
+        **{"dump_valve": "FIO0\nFIO0 closed", "contraction": "b\n700 kPa\n-"},
+    }
+    order = [key for key in QUESTIONS if key != "actuator"]
+    out = call("init", str(tmp_path / "typed"), typed="\n".join(lines.get(key, "") for key in order) + "\n")
+    assert len(order) == MOST == out.count(f" of at most {MOST}  ") - 2  # b: two questions are asked again
+    kept = tmp_path / "typed" / "answers.yaml"
+    given = YAML(typ="safe").load(kept.read_text())
+    assert given["serial"] == "A017"
+    assert given["mounted"] is None
+    assert given["inner_diameter"] == "20 mm"
+    assert given["contraction"] is None
+    assert given["daq"] == "labjack"
+    assert given["never_above"] == "700 kPa"
+    call("init", str(tmp_path / "again"), "--answers", str(kept))
+    assert contents(tmp_path / "typed") == contents(tmp_path / "again")
+    words = [word for key, value in given.items() if key != "asked" for word in ("--answer", f"{key}={value or ''}")]
+    call("init", str(tmp_path / "options"), *words)
+    assert contents(tmp_path / "options") == contents(tmp_path / "again")
+
+
+def test_an_interrupted_init_goes_on_where_it_was(tmp_path: Path) -> None:
+    folder = tmp_path / "lab"
+    out = call("init", str(folder), typed="Festo\nDMSP-20-250N\nA017\n", code=2)
+    assert "no answer to nominal_length" in out
+    assert [path.name for path in folder.iterdir()] == ["answers.yaml"]
+    rest = "\n\n700 kPa\n\n\n\n\n\n800 kPa, relief 680 kPa\n\n"
+    assert "next    cd " in call("init", str(folder), typed=rest)
+    assert 'serial: "A017"' in (folder / "specimen.yaml").read_text()
+
+
+@pytest.mark.parametrize("key", ["never_above", "supply", "dump_valve"])
+def test_what_protects_the_muscle_is_never_derived(key: str, tmp_path: Path) -> None:
+    told = answered(tmp_path / "lab", {name: value for name, value in LABJACK.items() if name != key}, code=2)
+    assert f"--answer {key}=..." in told
+    assert not (tmp_path / "lab").exists()
+
+
+@pytest.mark.parametrize(
+    ("answer", "told"),
+    [
+        ("supply=800 kPa, relief 700 kPa", "must open below the muscle's 700 kPa"),
+        ("inner_diameter=20", "is no length with a unit"),
+        ("dump_valve=FIO0", '"FIO0 closed", or "none"'),
+        ("daqs=ni", 'did you mean "daq"'),
+        ("sensors=pressure 0 V..10 V = 0 kPa..1 MPa", "displacement is missing"),
+    ],
+)
+def test_an_answer_that_cannot_be_is_refused_with_what_was_expected(answer: str, told: str, tmp_path: Path) -> None:
+    words = [word for key, value in LABJACK.items() for word in ("--answer", f"{key}={value}")]
+    assert told in call("init", str(tmp_path / "lab"), *words, "--answer", answer, code=2)
+    assert not (tmp_path / "lab").exists()
+
+
+def test_every_unconfirmed_value_is_refused_on_a_real_bench_and_none_on_a_simulated_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each of 20 or more keys, left alone in the list, stops `run` before any device is opened."""
+    answered(tmp_path / "lab", LABJACK)
     monkeypatch.chdir(tmp_path / "lab")
-    assert "nothing was sent to a bench" in call(*CHECK)
-    # nothing is taken from anywhere else: an own word in an own file is seen
-    calibration = next(Path("calibrations").glob("*-P.yaml"))
-    calibration.write_text("schema: pmabench.calibration/1\n")
-    assert calibration.name in call(*CHECK, code=3)
+    texts = {name: Path(name).read_text() for name in ("bench.yaml", "specimen.yaml")}
+    places = {name: YAML(typ="safe").load(text)["to_confirm"] for name, text in texts.items()}
+    assert sum(map(len, places.values())) >= 20
+    reviewed = "reviewed: {by: A. Reader, date: 2026-11-23}\n"
+    cleared = {name: text[: text.index("to_confirm:")] + "to_confirm: []\n" for name, text in texts.items()}
+    cleared["bench.yaml"] += reviewed
+    for name, text in cleared.items():
+        Path(name).write_text(text)
+    call("check", *FILES)
+    for name, keys in places.items():
+        for key in keys:
+            Path(name).write_text(cleared[name].replace("to_confirm: []", f"to_confirm: [{key}]"))
+            told = call("run", *FILES, "--yes", code=3)
+            assert f'nobody has confirmed "{key}"' in told
+        Path(name).write_text(cleared[name])
+    Path("bench.yaml").write_text(cleared["bench.yaml"].replace(reviewed, ""))
+    assert "who read them over" in call("run", *FILES, "--yes", code=3)
+    Path("bench.yaml").write_text(cleared["bench.yaml"].replace("to_confirm: []", "to_confirm: [limits.presure]"))
+    assert 'did you mean "pressure"' in call("check", *FILES, code=3)
+    assert not list(Path("runs").glob("*"))
 
 
-FILLED = {
-    "WIRES-P": ("2026-11-20", "[[0 kPa, 0 kPa], [1000 kPa, 1000 kPa]]", "1 kPa"),
-    "WIRES-X": ("2026-11-20", "[[0 mm, 0 mm], [90 mm, 90 mm]]", "20 um"),
-    "WIRES-F": ("2026-11-20", "[[0 N, 0 N], [1950 N, 1950 N]]", "1 N"),
-}
-"""What a lab writes into each calibration: date, points, uncertainty."""
-
-
-def test_a_lab_with_devices_is_refused_until_all_is_filled_in(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nothing of the simulated muscle goes along: neither its calibrations nor its coefficients nor its serial."""
-    write_lab(tmp_path / "lab", "wires")
+def test_a_lab_without_devices_runs_to_a_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    answered(tmp_path / "lab", MUSCLE)
     monkeypatch.chdir(tmp_path / "lab")
+    short = ("--set", "sweep.repeat.count=1")
+    assert "SIMULATED  FINISHED" in call("run", *FILES, "--yes", *short)
+
+
+def test_a_register_map_is_copied(tmp_path: Path) -> None:
+    answers = MUSCLE | {"daq": "modbus", "address": f"192.168.0.10, {MAP}", "dump_valve": "dump_valve closed"}
+    told = answered(tmp_path / "lab", answers, code=3)  # the shipped map is of a regulator: it measures no force
+    assert "no input" in told or "force" in told
+
+
+def test_a_shipped_bench_is_copied_with_like(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    call("init", str(tmp_path / "mock"), "--like", "mock-linear")
+    call("init", str(tmp_path / "wires"), "--like", "wires")
+    monkeypatch.chdir(tmp_path / "mock")
+    assert "nothing was sent to a bench" in call("check", *FILES)
+    monkeypatch.chdir(tmp_path / "wires")
     texts = "".join(path.read_text() for path in Path().rglob("*.yaml"))
     for word in ("simulated plant", "MOCK-P0", "F_ce:", "simulated muscle"):
         assert word not in texts, word
-    told = call(*CHECK, code=3)
-    for place in ("specimen.yaml:4:", "calibrations/WIRES-F.yaml:7:"):
-        assert place in told
-    assert told.count("not filled in yet (??): write here what is true at your bench") == 11 + 3 * 4
-    for name, values in FILLED.items():
-        path = Path("calibrations") / f"{name}.yaml"
-        text = path.read_text()
-        for key, value in zip(
-            ("reference", "date", "points", "expanded_uncertainty"), ("gauge 4711", *values), strict=True
-        ):
-            text = text.replace(f"\n{key}: ??", f"\n{key}: {value}")
-        path.write_text(text)
-    assert "calibrations" not in call(*CHECK, code=3)
-    shipped = Path(__file__).resolve().parents[2] / "fixtures" / "specimens" / "mas-20-250-paper0.yaml"
-    Path("specimen.yaml").write_text(shipped.read_text())
-    assert "nothing was sent to a bench" in call(*CHECK)
-
-
-def test_a_file_of_ones_own_is_copied_as_it_is(tmp_path: Path) -> None:
-    shipped = Path(__file__).resolve().parents[2] / "fixtures" / "specimens" / "mas-20-250-paper0.yaml"
-    (tmp_path / "mine.yaml").write_text(shipped.read_text().replace("MOCK-P0", "LAB-1"))
-    call("init", str(tmp_path / "lab"), "--bench", "wires", "--specimen", str(tmp_path / "mine.yaml"))
-    assert "serial: LAB-1" in (tmp_path / "lab" / "specimen.yaml").read_text()
+    assert call("check", *FILES, code=3).count("not filled in yet (??)") == 11 + 3 * 4
+    assert 'did you mean "mock"' in call("init", str(tmp_path / "new"), "--like", "mok", code=3)
+    assert not (tmp_path / "new").exists()
 
 
 def test_editors_find_the_schemas_in_the_folder(tmp_path: Path) -> None:
-    call("init", str(tmp_path / "lab"), "--bench", "wires")
+    answered(tmp_path / "lab", MUSCLE)
     for path in (tmp_path / "lab").rglob("*.yaml"):
         first = path.read_text().splitlines()[0]
-        if "$schema=" in first and path.parent.name != "registers":
+        if path.name != "answers.yaml":
             schema = json.loads((path.parent / first.partition("$schema=")[2]).read_text())
             assert "properties" in schema or "oneOf" in schema
 
 
-def test_the_commands_of_the_readme_are_told(tmp_path: Path) -> None:
-    out = call("init", str(tmp_path / "lab"))
-    readme = (tmp_path / "lab" / "README.md").read_text()
-    assert "simulated" in out
-    for command in ("check", "run"):
-        assert f"pmabench {command} {' '.join(CHECK[1:])}" in readme
-
-
 def test_a_folder_that_is_not_empty_is_left_alone(tmp_path: Path) -> None:
     (tmp_path / "mine").write_text("mine")
-    assert "not an empty folder" in call("init", str(tmp_path), code=2)
-    assert "not an empty folder" in call("init", str(tmp_path / "mine"), code=2)
+    assert "not an empty folder" in answered(tmp_path, MUSCLE, code=2)
+    assert "not an empty folder" in answered(tmp_path / "mine", MUSCLE, code=2)
     assert [path.name for path in tmp_path.iterdir()] == ["mine"]
-    assert (tmp_path / "mine").read_text() == "mine"
-    (tmp_path / "empty").mkdir()
-    call("init", str(tmp_path / "empty"))
-
-
-@pytest.mark.parametrize(
-    ("options", "told"),
-    [
-        (("--bench", "mok"), 'did you mean "mock"'),
-        (("--protocol", "arm-angle"), "arm"),
-        (("--specimen", "nothing"), "no shipped specimen"),
-    ],
-)
-def test_what_does_not_go_together_is_refused_and_nothing_is_written(
-    tmp_path: Path, options: tuple[str, str], told: str
-) -> None:
-    assert told in call("init", str(tmp_path / "lab"), *options, code=3)
-    assert not (tmp_path / "lab").exists()
 
 
 def test_where_nothing_can_be_written_that_is_told(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    assert "no lab folder can be written here" in call("init", str(tmp_path / "file" / "lab"), code=7)
+    assert "no lab folder can be written here" in answered(tmp_path / "file" / "lab", MUSCLE, code=7)
     assert list(tmp_path.iterdir()) == [tmp_path / "file"]
 
 
 def test_nothing_is_left_where_a_disk_fills_up_on_the_way(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     real, written = Path.write_text, []
 
-    def full(self: Path, text: str) -> int:
+    def full(self: Path, text: str, **options: str) -> int:
         written.append(self)
-        if len(written) > 5:
+        if len(written) > 4:
             raise OSError(28, "No space left on device")
-        return real(self, text)
+        return real(self, text, **options)
 
     monkeypatch.setattr(Path, "write_text", full)
-    assert "No space left on device" in call("init", str(tmp_path / "lab"), code=7)
-    assert len(written) == 6
+    assert "No space left on device" in answered(tmp_path / "lab", MUSCLE, code=7)
     assert not (tmp_path / "lab").exists()

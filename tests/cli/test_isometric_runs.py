@@ -6,20 +6,13 @@ import re
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
 
-from pmabench.cli.main import main
+from tests.calls import call
 
 TRUTH = {200e3: (167.0, 6188.0), 300e3: (275.0, 6773.0), 400e3: (383.0, 7552.0), 500e3: (491.0, 8525.0)}
 """Pressure [Pa] -> F_ce [N] and K [N/m] of the muscle of paper 0 (tests/model)."""
 BEGINS = 49e3 / 1.08
 """Where its force begins [Pa]."""
-
-
-def call(*args, code=0):
-    result = CliRunner().invoke(main, [str(arg) for arg in args], catch_exceptions=False)
-    assert result.exit_code == code, result.output
-    return result
 
 
 def analysed(folder, protocol, bench, specimen, *settings, code=0):

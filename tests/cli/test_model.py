@@ -6,6 +6,7 @@ import io
 import json
 import re
 import shlex
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -13,14 +14,12 @@ from click.testing import CliRunner
 
 from pmabench.cli.main import main
 from pmabench.model.library import MODELS
+from tests import calls
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 
 
-def call(*args, code=0):
-    result = CliRunner().invoke(main, ["model", *args])
-    assert result.exit_code == code, result.output
-    return result
+call = partial(calls.call, "model")
 
 
 def test_list_names_every_model():
@@ -130,15 +129,11 @@ def test_what_cannot_be_is_refused_in_a_sentence(options, told):
 # -- the pages ---------------------------------------------------------------------------------------------------
 
 
-def commands_in(page):
-    text = (DOCS / page).read_text()
+def test_every_command_of_the_page_works():
+    """Those of docs/papers.md are typed by tests/test_pages.py."""
+    text = (DOCS / "models.md").read_text()
     found = re.findall(r"`(pmabench model [^`]+)`", text) + re.findall(r"^(pmabench model .*)$", text, re.MULTILINE)
-    return [shlex.split(command.partition(">")[0], comments=True)[1:] for command in found]
-
-
-@pytest.mark.parametrize("page", ["models.md", "papers.md"])
-def test_every_command_of_the_pages_works(page):
-    commands = [command for command in commands_in(page) if "NAME" not in command]
+    commands = [shlex.split(each.partition(">")[0], comments=True)[1:] for each in found if "NAME" not in each]
     assert len(commands) >= 4
     for command in commands:
         result = CliRunner().invoke(main, command)

@@ -4,21 +4,18 @@ import csv
 import io
 import json
 import xml.etree.ElementTree as ET
+from functools import partial
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
 
-from pmabench.cli.main import main
+from tests import calls
 
 TABLES = Path(__file__).resolve().parents[2] / "fixtures" / "tables"
 STRAND = str(TABLES / "strand-stretch.csv")
 
 
-def call(*args, code=0):
-    result = CliRunner().invoke(main, ["model", "fit", *args])
-    assert result.exit_code == code, result.output
-    return result
+call = partial(calls.call, "model", "fit")
 
 
 def test_a_fit_in_all_its_forms(tmp_path):

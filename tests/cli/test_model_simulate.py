@@ -4,18 +4,14 @@ import csv
 import io
 import json
 import math
+from functools import partial
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
-from pmabench.cli.main import main
+from tests import calls
 
-
-def call(*args, code=0):
-    result = CliRunner().invoke(main, ["model", "simulate", *args])
-    assert result.exit_code == code, result.output
-    return result
+call = partial(calls.call, "model", "simulate")
 
 
 def simulated(*args):

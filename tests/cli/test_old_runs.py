@@ -5,17 +5,10 @@ import os
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
 
-from pmabench.cli.main import main
+from tests.calls import call
 
 OLD = Path(__file__).resolve().parents[2] / "fixtures" / "old-runs"
-
-
-def call(*args, code=0):
-    result = CliRunner().invoke(main, [str(arg) for arg in args], catch_exceptions=False)
-    assert result.exit_code == code, result.output
-    return result
 
 
 def test_isometric_files_become_runs_and_lines(tmp_path):

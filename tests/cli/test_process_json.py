@@ -39,6 +39,10 @@ RUNS = {
     "ultimate-gain-relay": ("mock-linear", *WEIGHTS, "--set", "sweep.repeat.count=1"),
     "isobaric-ramp": ("mock-daerden", *DRIVEN, "--set", "sweep.matrix.pressure=[300 kPa]"),
     "step-displacement": ("mock-daerden", *DRIVEN, "--set", "sweep.matrix.step=[5 mm]"),
+    "relaxation": (
+        "mock-daerden-relaxing", *DRIVEN, "--set", "sweep.matrix.pressure=[5 bar]", "--set", "trial.hold=60 s",
+        "--set", "trial.rest=60 s",
+    ),
     "positioning-pi": ("mock-ideal", *WEIGHTS, "--set", "sweep.matrix.setpoint=[20 mm]"),
     "validation": (
         "mock-ideal", *WEIGHTS, "--set", "model.coefficients=paper0 ideal", "--set", "sweep.matrix.pressure=[300 kPa]",
@@ -51,6 +55,22 @@ RUNS = {
     "free-contraction": (
         "mock-contractor-free-ideal", "--specimen", "contractor-30", "--set", "sweep.repeat.count=1",
         "--set", "sweep.matrix.pressure=[0 kPa, 60 kPa, 120 kPa, 180 kPa, 240 kPa, 300 kPa]",
+    ),
+    "joint-sweep": (
+        "mock-joint", "--specimen", "joint-daerden", "--set", "trial.cycles=2", "--set", "sweep.zip.pressure_1=[300 kPa]",
+        "--set", "sweep.zip.pressure_2=[300 kPa]", "--set", "sweep.zip.speed=[10 deg/s]",
+    ),
+    "platform": (
+        "mock-platform", "--specimen", "platform-daerden", "--set", "sweep.repeat.count=1",
+        "--set", "sweep.zip.phi=[10 deg]", "--set", "sweep.zip.psi=[0 deg]",
+    ),
+    "joint-step": (
+        "mock-joint-free", "--specimen", "joint-daerden", "--set", "sweep.repeat.count=1",
+        "--set", "sweep.zip.goal=[10 deg]", "--set", "sweep.zip.integral=[20 N.m/rad/s]",
+    ),
+    "joint-torque": (
+        "mock-joint", "--specimen", "joint-daerden", "--set", "sweep.matrix.pressure_1=[300 kPa]",
+        "--set", "sweep.matrix.pressure_2=[300 kPa]",
     ),
     "arm-angle": (
         "mock-arm-ideal", "--specimen", "arm-30", "--set", "sweep.matrix.load=[0 kg]", "--set", "sweep.repeat.count=1",

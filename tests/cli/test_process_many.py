@@ -6,10 +6,8 @@ import shutil
 
 import pyarrow.parquet as pq
 import pytest
-from click.testing import CliRunner
 
 import pmabench.report.many
-from pmabench.cli.main import main
 from pmabench.report.files.csv_files import csv_text
 from pmabench.report.many import process_many, process_one, table_rows
 from pmabench.store.analyses import made_from
@@ -17,15 +15,10 @@ from pmabench.store.analyses.folder import runs_of
 from pmabench.store.catalogue import tasks_below
 from pmabench.store.since import fingerprint
 from tests.benchmarks.archive import stiffness_and_damping, write_run
+from tests.calls import call
 from tests.store.runs import closed
 
 RUNS = 4
-
-
-def call(*args, code=0):
-    result = CliRunner().invoke(main, [str(arg) for arg in args], catch_exceptions=False)
-    assert result.exit_code == code, result.output
-    return result
 
 
 def files_of(folder):

@@ -4,7 +4,7 @@ The muscle of the mock bench is a published surface with hysteresis and creep; i
 """
 
 import json
-from math import exp
+from math import exp, log10
 from pathlib import Path
 
 import pytest
@@ -77,6 +77,24 @@ def test_a_campaign_becomes_one_muscle(runs):
     shown = CliRunner().invoke(main, ["report", folder, "-o", str(page)])
     assert shown.exit_code == 0, shown.output
     assert "Muscle as a surface" in page.read_text()
+
+
+def test_a_long_hold_tells_the_creep_and_the_stiffness_at_full_length(runs, tmp_path):
+    """c_x: 0.4 % of the contraction with each time constant, between 1 and 30 s; K at no contraction and 500 kPa."""
+    prepared = prepare("real-muscle-holds", "mock-real-actuator", "dmsp-20-250-real", [])
+    outcome = run_plan(prepared.plan, prepared.mounted, ConfirmedBeforehand(), out=tmp_path / "holds")
+    result = process(*runs, str(outcome.folder), "--form", "surface", "--json", "--out", str(tmp_path / "found"))
+    assert result.exit_code == 0, result.output
+    (analysis,) = json.loads(result.stdout)["analyses"]
+    (creep,) = [e for e in analysis["estimates"] if e["symbol"] == "c_x"]
+    true = sum(0.004 * (exp(-1 / T) - exp(-30 / T)) for T in (0.5, 1.58, 5.0, 15.8, 50.0, 158.0)) / log10(30)
+    assert creep["ci95"][0] <= true <= creep["ci95"][1]
+    assert creep["ci95"][1] - creep["ci95"][0] < 0.4 * true
+    K = [e for e in analysis["estimates"] if e["symbol"] == "K"]
+    assert all(e["value"] is not None for e in K)
+    for e in K:
+        at = e["at"]
+        assert e["ci95"][0] <= stiffness(at["contraction"], at["pressure"]) <= e["ci95"][1]
 
 
 def test_what_it_does_not_take_is_refused_with_the_reason(runs):

@@ -4,17 +4,9 @@ import json
 import shlex
 from pathlib import Path
 
-from click.testing import CliRunner
-
-from pmabench.cli.main import main
+from tests.calls import call
 
 OLD = Path(__file__).resolve().parents[2] / "fixtures" / "old-runs"
-
-
-def call(*args, code=0):
-    result = CliRunner().invoke(main, [str(arg) for arg in args], catch_exceptions=False)
-    assert result.exit_code == code, result.output
-    return result
 
 
 def test_a_file_of_which_nothing_enters_a_fit_exits_6(tmp_path):

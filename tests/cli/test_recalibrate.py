@@ -6,15 +6,14 @@ from dataclasses import replace
 from math import hypot
 
 import pytest
-from click.testing import CliRunner
 
 from pmabench.base.errors import InvalidFile
-from pmabench.cli.main import main
 from pmabench.report.document.content import content_of
 from pmabench.store.analyses.folder import read_analysis
 from pmabench.store.analyses.results import Analysis
 from pmabench.store.reader import NewScale, Recalibration, open_run, refound
 from tests.benchmarks.archive import write_run
+from tests.calls import call
 from tests.report.samples import render
 from tests.store.runs import closed
 
@@ -36,12 +35,6 @@ ONE_PERCENT = {
     "uncertainty": "1 um",
 }
 """The archive's displacement has 2 um a count: this is 1 % more."""
-
-
-def call(*args, code=0):
-    result = CliRunner().invoke(main, [str(arg) for arg in args], catch_exceptions=False)
-    assert result.exit_code == code, result.output
-    return result
 
 
 def file(folder, **changes):

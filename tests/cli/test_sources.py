@@ -3,16 +3,9 @@
 import shutil
 
 import pytest
-from click.testing import CliRunner
 
-from pmabench.cli.main import main
 from tests.benchmarks.archive import write_run
-
-
-def call(*args, code=0):
-    result = CliRunner().invoke(main, [str(arg) for arg in args], catch_exceptions=False)
-    assert result.exit_code == code, result.output
-    return result
+from tests.calls import call
 
 
 @pytest.fixture(scope="module")

@@ -5,20 +5,13 @@ import os
 import shutil
 
 import pytest
-from click.testing import CliRunner
 
 import pmabench.kinds.reduce
 import pmabench.report.document.content
-from pmabench.cli.main import main
 from pmabench.store.analyses import made_from
 from pmabench.store.analyses.folder import read_analysis, write_analysis
 from tests.benchmarks.archive import write_run
-
-
-def call(*args, code=0):
-    result = CliRunner().invoke(main, [str(arg) for arg in args], catch_exceptions=False)
-    assert result.exit_code == code, result.output
-    return result
+from tests.calls import call
 
 
 @pytest.fixture(scope="module")

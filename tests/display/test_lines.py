@@ -2,7 +2,10 @@
 
 import numpy as np
 import pytest
+from scipy.stats import linregress
+from scipy.stats import t as student_t
 
+from pmabench.display.lines import half_text, plain_line
 from pmabench.display.state import RunState
 from pmabench.display.verdicts import Verdicts
 from pmabench.store.reader import open_run
@@ -39,6 +42,23 @@ def test_numbers_of_a_trial_are_those_that_made_it(tmp_path):
     assert not two["K"].assumed
     assert two["K"].value == pytest.approx(K(P), rel=1e-3)
     assert two["F_ce"].value == pytest.approx(F_ce(P), rel=1e-3)
+
+
+def test_stiffness_has_the_interval_of_the_scatter_of_its_trials(tmp_path):
+    """By scipy's straight line through the contractions of five trials; without a degree of freedom there is none."""
+    loads, off = [40.0, 60.0, 80.0, 100.0, 120.0], [1.003, 0.998, 1.001, 0.996, 1.002]
+    run = Recorded(tmp_path, [(load, P) for load in loads])
+    for index, factor in enumerate(off):
+        run.trial(index, factor=factor)
+    lines = lines_of(run.close())
+    line = linregress(loads, [numbers(one)["x_inf"].value for one in lines])
+    K_last, half = -1 / line.slope, student_t.ppf(0.975, 3) * line.stderr / line.slope**2
+    assert numbers(lines[1])["K"].half is None
+    last = numbers(lines[4])["K"]
+    assert last.value == pytest.approx(K_last, rel=1e-6)
+    assert last.half == pytest.approx(half, rel=1e-6)
+    assert half_text(last) == f"±{100 * half / K_last:.1f}%"
+    assert f"N/mm ±{100 * half / K_last:.1f}%" in plain_line(lines[4], 5)
 
 
 @pytest.mark.parametrize(

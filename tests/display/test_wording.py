@@ -65,5 +65,5 @@ def test_every_coordinate_with_a_unit_is_shown_with_it():
     from pmabench.store.analyses.results import POINT_QUANTITIES
 
     counts = {"cycles", "side"}
-    assert {*POINT_QUANTITIES} - {*POINT} - counts == {"displacement"}  # a place in a trial, of no trial
+    assert {*POINT_QUANTITIES} - {*POINT} - counts == {"displacement", "angle"}  # places in a trial, of no trial
     assert point_text({"step": 0.005, "start": 0.01, "from": 1e5}) == "step 5 mm, start 10 mm, from 100 kPa"

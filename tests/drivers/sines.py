@@ -5,7 +5,8 @@ import subprocess
 import sys
 import time
 
-from tests.drivers.whole_run import LONGEST, until
+from tests.drivers.common import until
+from tests.drivers.whole_run import LONGEST
 
 SINES = """\
 schema: pmabench.protocol/1

@@ -2,19 +2,13 @@
 
 import contextlib
 import time
-from dataclasses import replace
 
 import pytest
-from pmabench_drivers.alicat import AlicatController
-from pmabench_drivers.emulator import Emulator
-from pmabench_drivers.labjack import LabJack
-from pmabench_drivers.modbus import ModbusDevice
-from pmabench_drivers.serial_line_daq import SerialLineDaq
 
-from pmabench.base.clock import RealClock
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import Segment, Supervised, Watchdog
 from tests.drivers.alicat import rigs as alicat
+from tests.drivers.common import in_front, opened
 from tests.drivers.labjack import rigs as labjack
 from tests.drivers.ni import rigs as ni
 from tests.drivers.rig import record as mock_record
@@ -44,22 +38,14 @@ class Rig:
 
 
 @contextlib.contextmanager
-def emulated(kind, record, output, valve=""):
-    emulator = Emulator([record], preset="ideal")
-    served = emulator.devices[record.name]
-    address = record.address if record.address.startswith("/") else served.address
-    device = kind(replace(record, address=address), RealClock())
-    try:
-        device.open()
-        yield Rig(
-            device,
-            lambda fault, value=None: emulator.act({"device": record.name, "fault": fault, "value": value}),
-            output,
-            valve,
-        )
-    finally:
-        device.close()
-        emulator.close()
+def emulated(record, output, valve=""):
+    """The device of a record in front of its emulator, or in front of that of `ni`."""
+    with ni.rig(record) if record.driver == ni.DRIVER else in_front(record) as (emulator, _served, device):
+
+        def do(fault, value=None):
+            emulator.act({"device": record.name, "fault": fault, "value": value})
+
+        yield Rig(device, do, output, valve)
 
 
 @contextlib.contextmanager
@@ -70,23 +56,12 @@ def mock(tmp_path):
         )
 
 
-@contextlib.contextmanager
-def ni_rig():
-    with ni.rig() as (emulator, _served, device):
-        yield Rig(
-            device,
-            lambda fault, value=None: emulator.act({"device": "daq", "fault": fault, "value": value}),
-            "ao0",
-            "port1/line0",
-        )
-
-
 RIGS = {
-    "modbus": lambda _tmp: emulated(ModbusDevice, wires.regulator(uptime={"table": "input", "address": 30, "type": "uint32"}, identity=SERIAL["identity"], timeout="200 ms"), "pressure", "dump"),
-    "labjack": lambda _tmp: emulated(LabJack, labjack.t7(), "DAC0", "FIO0"),
-    "line-daq": lambda tmp: emulated(SerialLineDaq, line_daq.board(tmp / "port"), "o0", "v0"),
-    "alicat": lambda tmp: emulated(AlicatController, alicat.controller(tmp / "port"), "pressure"),
-    "alicat on modbus": lambda tmp: emulated(AlicatController, alicat.controller(tmp / "port", "modbus"), "pressure"),
+    "modbus": lambda _tmp: emulated(wires.regulator(uptime={"table": "input", "address": 30, "type": "uint32"}, identity=SERIAL["identity"], timeout="200 ms"), "pressure", "dump"),
+    "labjack": lambda _tmp: emulated(labjack.t7(), "DAC0", "FIO0"),
+    "line-daq": lambda tmp: emulated(line_daq.board(tmp / "port"), "o0", "v0"),
+    "alicat": lambda tmp: emulated(alicat.controller(tmp / "port"), "pressure"),
+    "alicat on modbus": lambda tmp: emulated(alicat.controller(tmp / "port", "modbus"), "pressure"),
     "mock": mock,
 }  # fmt: skip
 WATCHED = ("modbus", "labjack", "line-daq", "mock")
@@ -189,7 +164,7 @@ def test_while_it_follows_a_ramp_the_value_of_the_moment_is_read(rig):
 
 
 def test_ni_says_what_it_cannot_ask_and_notices_a_restart_by_its_valve_line():
-    with ni_rig() as rig:
+    with emulated(ni.daq(), "ao0", "port1/line0") as rig:
         rig.device.write("ao0", 2.0)
         rig.device.switch("port1/line0", on=True)
         assert rig.held() == {"serial": "0"}
@@ -204,7 +179,7 @@ def test_ni_says_what_it_cannot_ask_and_notices_a_restart_by_its_valve_line():
 
 def test_ni_answers_while_a_ramp_is_stepped():
     """No step under way makes `read_back` say that it does not know."""
-    with ni_rig() as rig:
+    with emulated(ni.daq(), "ao0", "port1/line0") as rig:
         rig.device.write("ao0", 1.0)
         rig.device.follow("ao0", Segment("ramp", rig.device._clock.now(), 1.0, 5.0, rate=4.0))
         seen = [rig.device.read_back("ao0") for _ in range(300)]
@@ -218,7 +193,7 @@ def test_a_register_that_cannot_be_read_gives_what_was_written_last():
     }
     with (
         wires.emulated(wires.regulator(outputs=output), preset="ideal") as (emulator, [record]),
-        wires.opened(record) as device,
+        opened(record) as device,
     ):
         with pytest.raises(DeviceError, match="nothing was written"):
             device.read_back("pressure")

@@ -31,7 +31,9 @@ from pmabench.bench.interface import (
     Switch,
     Watchdog,
 )
+from tests.drivers import common
 from tests.drivers.alicat.rigs import controller
+from tests.drivers.common import timed
 from tests.drivers.dataq.rigs import daq
 from tests.drivers.festo import rigs as festo
 from tests.drivers.festo_cmmt import rigs as festo_cmmt
@@ -40,7 +42,6 @@ from tests.drivers.labjack import rigs as labjack
 from tests.drivers.ni import rigs as ni
 from tests.drivers.serial_line_daq.rigs import board
 from tests.drivers.wires import rigs as wires
-from tests.drivers.wires.rigs import timed
 
 pytestmark = pytest.mark.realtime
 
@@ -70,7 +71,7 @@ class Rig:
 def _modbus():
     with (
         wires.emulated(wires.regulator(), preset="ideal") as (emulator, [record]),
-        wires.opened(record) as device,
+        common.opened(record) as device,
     ):
         yield Rig(device, emulator, emulator.devices["regulator"], "pressure", "dump", "e_stop", 10.0, 200.0)
 

@@ -272,7 +272,8 @@ def test_the_clock_of_the_device_may_run_wrong(tmp_path):
         time.sleep(0.1)
         moments = client.collect().time
         assert 1.1 * before + 0.019 < moments[0] * 1e-9 < 1.1 * after + 0.021
-        assert {b - a for a, b in itertools.pairwise(moments)} == {2_200_000}
+        # stamps are whole nanoseconds of a product that is none
+        assert {b - a for a, b in itertools.pairwise(moments)} <= {2_199_999, 2_200_000, 2_200_001}
 
 
 @pytest.mark.parametrize("name", ["mock-realtime", "mock-realtime-actuator"])

@@ -20,6 +20,7 @@ from pathlib import Path
 
 import pandas as pd
 
+from tests.drivers.common import until
 from tests.drivers.emulated_bench import ask, emulate, own_bench
 
 SPECIMEN = "mas-20-250-paper0"
@@ -69,16 +70,6 @@ def coefficients(rate, repeats=1):
     """Two loads at two pressures, some 35 s: the least from which K, B and F_ce come with small intervals."""
     four = FOUR_TRIALS.replace("REPEATS", str(repeats))
     return HEAD.format(name="two loads, two pressures", rate=rate) + four
-
-
-def until(condition, within):
-    """Whether it comes true within a time [s]."""
-    deadline = time.monotonic() + within
-    while time.monotonic() < deadline:
-        if condition():
-            return True
-        time.sleep(0.02)
-    return False
 
 
 def children(pid, word):

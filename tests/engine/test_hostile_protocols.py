@@ -108,7 +108,7 @@ BENCHES_OF = {
     "ultimate-gain-relay": "weights", "positioning-pi": "weights", "validation": "weights", "free-contraction": "weights",
     "sinusoidal-displacement": "actuator", "isobaric-ramp": "actuator", "step-displacement": "actuator",
     "isometric-pressurisation": "actuator", "closed-volume": "closed", "ultimate-gain-open-loop": "weights",
-    "arm-angle": "arm",
+    "arm-angle": "arm", "relaxation": "closed",
 }  # fmt: skip
 REACH = {"actuator": (0.0, 50e-3), "closed": (-6e-3, 40e-3)}
 """Where the free end may be sent [m]; written out again here, as the pressure."""
@@ -217,6 +217,13 @@ SETTINGS = {
         "trial.speed": st.floats(-1, 1500).map(lambda v: f"{v:.3g} mm/s"),
         "trial.settle": seconds,
     },
+    "relaxation": {
+        "sweep.matrix.contraction": length.map(lambda v: f"[{v}]"),
+        "sweep.matrix.pressure": st.lists(pressure, min_size=1, max_size=2).map(lambda v: f"[{', '.join(v)}]"),
+        "trial.approach": st.floats(-1, 1500).map(lambda v: f"{v:.3g} mm/s"),
+        "trial.begin": seconds,
+        "trial.rest": st.floats(-1, 60).map(lambda v: f"{v:.3g} s"),
+    },
     "positioning-pi": {
         "controller.output": st.tuples(pressure, pressure).map(lambda v: f"[{v[0]}, {v[1]}]"),
         "controller.gains": st.builds(lambda K, T: f"{{K_p: {K:.4g} kPa/mm, T_i: {T}}}", st.floats(-1, 1e12), seconds),
@@ -252,6 +259,8 @@ SHORT = {
                                  "prepare.precondition.cycles": "0", "trial.settle": "0.1 s"},
     "closed-volume": {"sweep.matrix.pressure": "[300 kPa]", "sweep.repeat.count": "1", "prepare.precondition.cycles": "0",
                       "trial.cycles": "1", "trial.rest": "0.1 s", "trial.settle": "0.1 s"},
+    "relaxation": {"sweep.matrix.pressure": "[300 kPa]", "sweep.matrix.contraction": "[10 mm]",
+                   "prepare.precondition.cycles": "0", "trial.hold": "10 s", "trial.rest": "10 s"},
     "positioning-pi": {"prepare.precondition.cycles": "0", "trial.hold": "0.2 s", "trial.window": "[0.1 s, 0.2 s]",
                        "sweep.matrix.setpoint": "[30 mm]"},
     "validation": {"prepare.precondition.cycles": "0", "trial.hold": "0.2 s", "trial.window": "[0.1 s, 0.2 s]"},

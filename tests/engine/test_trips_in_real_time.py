@@ -12,7 +12,7 @@ from tests.engine.realtime_rig import Run, assert_safe_since, served, table
 from tests.realtime import eventually
 from tests.reliability.cases import VARIABLE, cases
 
-pytestmark = [pytest.mark.realtime, pytest.mark.alone]
+pytestmark = [pytest.mark.realtime, pytest.mark.singly]
 GENEROUS = 3.0
 PROMISED = 2 * REAL_BLOCK + 0.020
 """99 % of all trips: from the first sample that is wrong to the vent [s]."""

@@ -21,7 +21,7 @@ from tests.engine.realtime_rig import KINDS, Run, act_at, assert_safe_since, ser
 from tests.realtime import eventually
 from tests.reliability.cases import VARIABLE
 
-pytestmark = [pytest.mark.realtime, pytest.mark.alone]
+pytestmark = pytest.mark.realtime
 GENEROUS = 3.0
 STEPS = [kind for kind in KINDS if kind != "short"]
 TIMES = defaultdict(list)

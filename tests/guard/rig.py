@@ -87,6 +87,9 @@ class Rig:
         if not self.ignores:
             self.on[output] = on
 
+    def pulse(self, output: str, seconds: float) -> None:
+        self._note("pulse", output, seconds)
+
     def is_on(self, output: str) -> bool:
         self._note("is_on", output)
         return self.on[output]

@@ -110,16 +110,17 @@ PAUSES = np.array([CHANGE if (number + 1) % len(PRESSURES) == 0 else PAUSE for n
 STARTS = np.concatenate(([0.0], np.cumsum(DURATION + PAUSES)[:-1]))
 
 
-def muscle_of(cause: str, size: float) -> Muscle:
+def muscle_of(cause: str, size: float, seed: int) -> Muscle:
     """The muscle of a campaign: bend, creep and hysteresis are in it, the other causes are in the bench."""
-    if cause == "several":
-        return Muscle(**{name: size * amount for name, amount in SEVERAL.items()})
-    return Muscle(**{cause: size * FULL[cause]}) if cause in SEVERAL else Muscle()
+    amounts = SEVERAL if cause == "several" else {cause: FULL[cause]} if cause in SEVERAL else {}
+    if not amounts:
+        return Muscle()
+    return Muscle.drawn(np.random.default_rng([seed, 77]), **{name: size * amounts.get(name, 0.0) for name in SEVERAL})
 
 
-def truth(cause: str, size: float) -> dict[str, Callable[[Array], Range]]:
+def truth(cause: str, size: float, seed: int) -> dict[str, Callable[[Array], Range]]:
     """Symbol -> function from pressures [Pa] to the least and the greatest value that is right; see `Muscle.truth`."""
-    return muscle_of(cause, size).truth(MASSES[0] * GRAVITY, MASSES[-1] * GRAVITY, CONTRACT)
+    return muscle_of(cause, size, seed).truth(MASSES[0] * GRAVITY, MASSES[-1] * GRAVITY, CONTRACT)
 
 
 @lru_cache(maxsize=32)
@@ -140,7 +141,8 @@ def campaign(cause: str, size: float, seed: int) -> list[Trial]:
         each contraction is shorter. With odd seeds that of the displacement sensor: it reads that much less, at rest
         too. `slip` goes the other way with half of the seeds of each.
     creep
-        The muscle yields under load by up to this share of its contraction, in 0.2 to 60 s, and recovers at rest.
+        The muscle yields under load by this share of its contraction in about 0.2 to 60 s, and recovers at rest. Its
+        times are drawn, as the motions after which a braid slides (`Muscle.drawn`): each seed is another muscle.
     force-lag, pressure-lag, position-lag
         The sensor has a filter of first order with this time constant.
     force-late, pressure-late
@@ -161,7 +163,7 @@ def campaign(cause: str, size: float, seed: int) -> list[Trial]:
     amount = size * FULL[cause]
     chance = np.random.default_rng([seed, *cause.encode(), round(1000 * size)])
     sign = 1 - 2 * (seed % 2)
-    muscle, tube = muscle_of(cause, size), amount if cause == "tube" else 0.0
+    muscle, tube = muscle_of(cause, size, seed), amount if cause == "tube" else 0.0
     slips = int(chance.integers(3, 22)) if cause.startswith("slip") else len(PLAN)
     away = amount * (1 - 2 * (seed // 2 % 2)) if cause == "slip" else amount
     sound = _motion(muscle, 0.0, tube)

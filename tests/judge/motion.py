@@ -13,9 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tests.judge.muscle import (
-    CREEP_TIMES,
     FRICTION,
-    SLIDES,
     STROKE,
     Array,
     Muscle,
@@ -74,13 +72,17 @@ def hang(
     """
     t = np.arange(round(duration * RATE) * fine + 1) / (RATE * fine)
     P = np.array([lagged(pressure(steps, t), tube, RATE * fine) for steps in commands]).T
-    crept, strained = (np.zeros((len(of), len(masses))) for of in (CREEP_TIMES, SLIDES))
-    # each pass knows the creep and the strain that one more of the trials before has left
-    for _ in range(5 if muscle.creep else 2 if muscle.hysteresis else 1):
-        motion, crept, strained = _advance(muscle, masses, P, crept, strained, slack, fine)
-        crept, strained = np.roll(crept, 1, axis=1), np.roll(strained, 1, axis=1)
-        crept[:, 1:] *= np.exp(-pauses[:-1] / CREEP_TIMES[:, None])
-        crept[:, 0] = strained[:, 0] = 0.0
+    times = np.array(muscle.times)[:, None]
+    crept, strained = (np.zeros((len(of), len(masses))) for of in (muscle.times, muscle.slides))
+    # what a trial begins with changes little of how it creeps, so that few passes find what each leaves to the next
+    for _ in range(3 if muscle.creep else 2 if muscle.hysteresis else 1):
+        motion, end, strained = _advance(muscle, masses, P, crept, strained, slack, fine)
+        added = end - crept * np.exp(-duration / times)
+        for number in range(1, len(masses)):
+            left = crept[:, number - 1] * np.exp(-duration / times[:, 0]) + added[:, number - 1]
+            crept[:, number] = left * np.exp(-pauses[number - 1] / times[:, 0])
+        strained = np.roll(strained, 1, axis=1)
+        strained[:, 0] = 0.0
     return motion
 
 
@@ -90,47 +92,52 @@ def _advance(
     """Motion from rest on the support, and the creep and the strain of the braid at the end."""
     h = 1.0 / (RATE * fine)
     weight = masses * GRAVITY
-    slides = SLIDES[:, None]
+    slides = np.array(muscle.slides)[:, None]
     gap = muscle.gap(P)
     rubbed = np.zeros_like(masses)
     force, K, up, down = pull(P), stiffness(P), damping_up(P), damping_down(P)
     x, v = np.zeros_like(masses), np.zeros_like(masses)
-    share = muscle.creep / len(CREEP_TIMES)
-    follow = -np.expm1(-h / CREEP_TIMES)[:, None]
+    share = muscle.creep / len(muscle.times)
+    follow = -np.expm1(-h / np.array(muscle.times))[:, None]
     crept, strained = crept.copy(), strained.copy()
     offset = slack - crept.sum(axis=0)
-    places, forces = np.empty(((len(P) - 1) // fine + 1, len(x))), np.empty(((len(P) - 1) // fine + 1, len(x)))
+    shape = ((len(P) - 1) // fine + 1, len(x))
+    places, speeds, pulls, ways = np.empty(shape), np.empty(shape), np.empty(shape), np.empty(shape)
     for n in range(len(P)):
         u = x + offset
         if muscle.hysteresis:
-            rubbed = gap[n] * np.mean(strained / slides, axis=0)
+            rubbed = gap[n] * (np.add.reduce(strained / slides) / len(slides))
         elastic = force[n] - K[n] * u * (1 + muscle.bend * (1 - u / STROKE)) - rubbed
         excess = elastic - weight
         start = np.where(excess > FRICTION, 1.0, np.where((excess < -FRICTION) & (x > 0), -1.0, 0.0))
         way = np.where(v != 0, np.sign(v), start)
         if n % fine == 0:
-            moving = elastic - np.where(way > 0, up[n], down[n]) * v - FRICTION * way
-            resting = np.where(x > 0, weight, np.clip(elastic, 0.0, weight))
-            places[n // fine], forces[n // fine] = x, np.where(way != 0, moving, resting)
+            places[n // fine], speeds[n // fine], pulls[n // fine], ways[n // fine] = x, v, elastic, way
         if n + 1 == len(P):
             break
-        b0, b1 = np.where(way > 0, up[n : n + 2], down[n : n + 2])
-        ahead = u + 0.5 * h * v
-        bent = 1 + muscle.bend * (1 - ahead / STROKE)
-        k0, k1 = K[n] * bent, K[n + 1] * bent
-        if muscle.hysteresis:
-            rubbed = gap[n] * np.mean(np.clip(strained + 0.5 * h * v, -slides, slides) / slides, axis=0)
-        push = 0.5 * (force[n] + force[n + 1] - (k0 + k1) * u - k1 * 0.5 * h * v - b0 * v) - weight - FRICTION * way
-        push = push - rubbed
-        after = (masses * v / h + push) / (masses / h + 0.5 * b1 + 0.25 * h * k1)
-        after = np.where(after * way > 0, after, 0.0)
-        there = x + 0.5 * h * (v + after)
-        landed = there < 0
-        there, v = np.where(landed, 0.0, there), np.where(landed, 0.0, after)
+        there = x
+        if way.any():
+            b0, b1 = np.where(way > 0, up[n : n + 2], down[n : n + 2])
+            ahead = u + 0.5 * h * v
+            bent = 1 + muscle.bend * (1 - ahead / STROKE)
+            k0, k1 = K[n] * bent, K[n + 1] * bent
+            if muscle.hysteresis:
+                half = np.minimum(np.maximum(strained + 0.5 * h * v, -slides), slides)
+                rubbed = gap[n] * (np.add.reduce(half / slides) / len(slides))
+            push = 0.5 * (force[n] + force[n + 1] - (k0 + k1) * u - k1 * 0.5 * h * v - b0 * v) - weight - FRICTION * way
+            push = push - rubbed
+            after = (masses * v / h + push) / (masses / h + 0.5 * b1 + 0.25 * h * k1)
+            after = np.where(after * way > 0, after, 0.0)
+            there = x + 0.5 * h * (v + after)
+            landed = there < 0
+            there, v = np.where(landed, 0.0, there), np.where(landed, 0.0, after)
+            if muscle.hysteresis:
+                strained = np.minimum(np.maximum(strained + there - x, -slides), slides)
         if share:
             crept += follow * (share * 0.5 * (x + there) - crept)
-            offset = slack - crept.sum(axis=0)
-        if muscle.hysteresis:
-            strained = np.clip(strained + there - x, -slides, slides)
+            offset = slack - np.add.reduce(crept)
         x = there
+    moving = pulls - np.where(ways > 0, up[::fine], down[::fine]) * speeds - FRICTION * ways
+    resting = np.where(places > 0, weight, np.clip(pulls, 0.0, weight))
+    forces = np.where(ways != 0, moving, resting)
     return Motion(places.T.copy(), forces.T.copy()), crept, strained

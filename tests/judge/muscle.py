@@ -6,6 +6,7 @@ Repperger (2009), "Characterisation of a phenomenological model for commercial p
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -22,11 +23,11 @@ SLACK = 5e3
 """Scale of the pressure [Pa] below which a vented muscle carries no force; nothing is left of it at 50 kPa."""
 STROKE = 60e-3
 """Contraction [m] over which a bent muscle is softened: about what the paper reports at 550 kPa."""
-CREEP_TIMES = np.geomspace(0.2, 60.0, 8)
+CREEP_TIMES = tuple(np.geomspace(0.2, 60.0, 8).tolist())
 """Times of the chain that creeps [s], three in a decade: together nearly a logarithm of time."""
-CREEP_DECADES = float(len(CREEP_TIMES) * np.log10(CREEP_TIMES[1] / CREEP_TIMES[0]))
+CREEP_DECADES = len(CREEP_TIMES) * math.log10(CREEP_TIMES[1] / CREEP_TIMES[0])
 """Decades of time over which the chain creeps: its whole amount over these is its amount in a decade."""
-SLIDES = np.geomspace(0.12e-3, 6.5e-3, 10)
+SLIDES = tuple(np.geomspace(0.12e-3, 6.5e-3, 10).tolist())
 """Motions [m] after which the strands of the braid slide on each other, an equal share of them after each."""
 BRAIDED = 500e3
 """Pressure [Pa] at which the hysteresis of the braid has the force that it is named after."""
@@ -62,7 +63,7 @@ class Muscle:
     """F = F_ce(P) - K(P) u (1 + bend (1 - u/60 mm)) - B(P, direction) x' - F_c sign x' - H(P) s, u = contraction - creep.
 
     s is the mean over the strands of the braid of how far each is strained, from -1 to 1 where it slides; H(P) is
-    proportional to the pressure.
+    proportional to a power of the pressure.
     """
 
     bend: float = 0.0
@@ -71,10 +72,31 @@ class Muscle:
     """Share of a contraction that is added to it when the pull is held for ever."""
     hysteresis: float = 0.0
     """H [N] at 500 kPa: half the gap between relaxing and contracting that is left at any low speed."""
+    times: tuple[float, ...] = CREEP_TIMES
+    """Of the parts of the creep [s]; the amount is shared out evenly among them."""
+    slides: tuple[float, ...] = SLIDES
+    """Motions [m] after which the strands of the braid slide, an equal share of them after each."""
+    power: float = 1.0
+    """H is proportional to this power of the pressure."""
+
+    @classmethod
+    def drawn(cls, chance: np.random.Generator, bend: float, creep: float, hysteresis: float) -> Muscle:
+        """A muscle whose creep and braid have times, widths and a power that are drawn.
+
+        No fit can have been made for them. `creep` is what it would creep in the times of `CREEP_TIMES`: in a
+        decade of time it creeps as much as a muscle with these.
+        """
+        least, most = chance.uniform(0.08, 0.4), chance.uniform(30.0, 150.0)
+        times = tuple(np.geomspace(least, most, int(chance.integers(6, 14))).tolist())
+        decades = len(times) * math.log10(times[1] / times[0])
+        narrow, wide = chance.uniform(0.05e-3, 0.3e-3), chance.uniform(3e-3, 9e-3)
+        slides = tuple(np.geomspace(narrow, wide, int(chance.integers(5, 14))).tolist())
+        power = float(chance.uniform(0.85, 1.2))
+        return cls(bend, creep * decades / CREEP_DECADES, hysteresis, times, slides, power)
 
     def gap(self, P: Array) -> Array:
         """H [N] at pressures [Pa]."""
-        return self.hysteresis * np.maximum(P, 0.0) / BRAIDED
+        return self.hysteresis * (np.maximum(P, 0.0) / BRAIDED) ** self.power
 
     def truth(self, light: float, heavy: float, hold: float) -> dict[str, Callable[[Array], Range]]:
         """Symbol -> right values over pressure, of a test with loads from `light` to `heavy` [N], held for `hold` [s].
@@ -102,7 +124,7 @@ class Muscle:
             return lambda P: (line(P), line(P))
 
         def of_K(P: Array) -> Range:
-            slow = 1.0 / (1.0 + self.creep * float(np.mean(-np.expm1(-hold / CREEP_TIMES))))
+            slow = 1.0 / (1.0 + self.creep * float(np.mean(-np.expm1(-hold / np.array(self.times)))))
             low, high = (self._rest(P, load) / STROKE for load in (light, heavy))
             return (
                 stiffness(P) * slow * (1 + self.bend * (1 - 2 * low)),

@@ -14,12 +14,25 @@ from pmabench.model.library import MODELS
 ROOT = Path(__file__).resolve().parents[2]
 FOLDERS = sorted(path.parent for path in (ROOT / "pmabench/kinds").glob("*/__init__.py"))
 DEFAULTS = {
-    ("pmabench/cli/init.py", "contraction-relaxation"),
+    ("pmabench/cli/init_like.py", "contraction-relaxation"),
+    *(
+        ("pmabench/bench/lab/derived.py", name)
+        for name in (
+            "contraction-relaxation",
+            "static-load",
+            "isobaric-ramp",
+            "sinusoidal-displacement",
+            "isometric-pressurisation",
+        )
+    ),
+    ("pmabench/bench/lab/protocol_text.py", "surface"),
+    ("pmabench/bench/predicted_muscle.py", "surface"),
     ("pmabench/bench/plant.py", "surface"),
     ("pmabench/model/presets.py", "surface"),
     ("pmabench/model/library/real.py", "surface"),
+    ("pmabench/report/document/special_tables.py", "relaxation"),
 }
-"""Words that name a kind of test, too: the shipped protocol where `init` begins, a part of the plant of a muscle."""
+"""Words that name a kind of test, too: the shipped protocols that `init` offers, a part of the plant of a muscle."""
 
 
 def kinds_of(folder):

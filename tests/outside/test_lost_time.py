@@ -10,7 +10,7 @@ from tests.outside.freezes import LENGTHS, freeze, kill_both, seal
 from tests.outside.harness import once_begun
 from tests.reliability.cases import cases
 
-pytestmark = [pytest.mark.realtime, pytest.mark.alone, pytest.mark.timeout(3600)]
+pytestmark = [pytest.mark.realtime, pytest.mark.singly, pytest.mark.timeout(3600)]
 MOST = 20
 ON_DEMAND = cases(0) > 0
 

@@ -11,7 +11,7 @@ from tests.outside.harness import eventually, pmabench, regulator, run
 from tests.outside.strangers import STRANGERS, WAYS, false_guard
 from tests.reliability.cases import cases
 
-pytestmark = [pytest.mark.realtime, pytest.mark.alone]
+pytestmark = [pytest.mark.realtime, pytest.mark.singly]
 LASTS = 1.5
 """How long each stranger is there [s]."""
 SAMPLES = 0.15

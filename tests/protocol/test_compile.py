@@ -24,6 +24,7 @@ BENCH_OF = {
     "ultimate-gain-relay": "mock",
     "ultimate-gain-open-loop": "mock",
     "positioning-pi": "mock",
+    "positioning-path": "mock",
     "validation": "mock",
     "isometric-pressurisation": "mock-actuator",
     "isometric-pressurisation-paper3": "mock-daerden-ideal",
@@ -34,6 +35,13 @@ BENCH_OF = {
     "step-displacement": "mock-daerden",
     "closed-volume": "mock-daerden-closed",
     "isobaric-ramp-paper3": "mock-daerden-ideal",
+    "joint-sweep": "mock-joint",
+    "joint-torque": "mock-joint",
+    "platform": "mock-platform",
+    "platform-paper3": "mock-platform",
+    "joint-step": "mock-joint-free",
+    "relaxation": "mock-daerden-relaxing",
+    "isometric-pressurisation-flow": "mock-daerden-flow",
     "real-muscle-ramps": "mock-actuator",
     "real-muscle-pressurisation": "mock-actuator",
     "real-muscle-sines": "mock-actuator",
@@ -42,7 +50,14 @@ BENCH_OF = {
 
 
 def mounted(name="mock"):
-    stems = {"daerden": "daerden-20-200", "dmsp": "dmsp-40-305", "contractor": "contractor-30", "arm": "arm-30"}
+    stems = {
+        "daerden": "daerden-20-200",
+        "dmsp": "dmsp-40-305",
+        "contractor": "contractor-30",
+        "arm": "arm-30",
+        "joint": "joint-daerden",
+        "platform": "platform-daerden",
+    }
     stem = next((stem for part, stem in stems.items() if part in name), SPECIMEN.stem)
     return mount(ROOT / "fixtures" / "benches" / f"{name}.yaml", SPECIMEN.with_stem(stem))
 
@@ -101,8 +116,8 @@ def test_a_load_in_newtons_is_a_pure_force():
 def test_static_load_searches_both_directions_with_the_load_on_at_zero():
     compiled = plan("static-load")
     seeks = [step for step in compiled.steps if isinstance(step, Seek)]
-    assert [step.phase for step in seeks[:2]] == ["lift", "set-down"]
-    assert all(step.parameters["rate"] <= 2000.0 for step in seeks)
+    assert [step.phase for step in seeks[:4]] == ["lift", "raise", "lower", "set-down"]
+    assert all(step.parameters["rate"] <= 2000.0 for step in seeks if step.phase in ("lift", "set-down"))
     assert not compiled.hazards
 
 
@@ -239,9 +254,12 @@ def test_loads_that_the_bench_cannot_make_or_bear(load, says):
 
 @pytest.mark.parametrize("name", sorted(BENCH_OF))
 def test_a_record_without_what_the_fit_needs_is_refused(name):
-    channel = "angle" if name == "arm-angle" else "displacement"
+    several = ("joint-sweep", "joint-torque", "joint-step", "platform", "platform-paper3")
+    lacking = {"arm-angle": "angle", "relaxation": "force"} | dict.fromkeys(several, "pressure_1")
+    channel = lacking.get(name, "displacement")
+    record = "[pressure, displacement]" if name == "relaxation" else "[pressure, force]"
     with pytest.raises(InvalidFile, match=f'record:1:8  lacks "{channel}"'):
-        plan(name, ("record", "[pressure, force]"))
+        plan(name, ("record", record))
 
 
 @pytest.mark.parametrize("interval", ["-2 %", "0"])

@@ -43,6 +43,7 @@ PARTS = (
     Part("hostile", "hostile input", "damaged answers to each driver, and every promise of a driver", 10_000, ("tests/conformance/test_drivers.py", "tests/conformance/test_suite.py")),
     Part("mutants", "S16", "one fault in a driver: the conformance suite finds it", 1, ("tests/conformance/test_mutants.py",)),
     Part("imports", "R5, hostile input", "damaged files of each format: no number changed in silence", 10_000, ("tests/store/test_import_fuzz.py",)),
+    Part("platform", "S2, S5", "faults of a platform of three muscles: found within 1 s and vented, and no false trip", 16, ("tests/kinds/test_platform.py::test_a_fault_is_found_and_everything_is_vented_supply_first", "tests/kinds/test_platform.py::test_no_false_trip", "tests/kinds/test_platform.py::test_a_platform_that_swings_by_its_law_is_no_fault")),
     Part("clients", "S16, N5", "calls of clients that others wrote, each in an environment of its own", 1, ("tests/clients/test_clients.py", "tests/clients/own_environments.py")),
     Part("bugs", "all", "seeded bug makes its tests fail", 1, ("tests/reliability/seeded_bugs.py",)),
 )  # fmt: skip

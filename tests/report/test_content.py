@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from pmabench.plotting import pictures
 from pmabench.report.document.checklist import Issuer
 from pmabench.report.document.content import content_of
 from pmabench.report.document.deviations import deviations
@@ -185,3 +186,13 @@ def test_a_test_of_a_new_kind_has_its_figures_on_the_first_page():
     (item,) = content.front
     assert item.picture.title == "Angle"
     assert content.sections == [] or content.sections[0].figures == [], "each figure stands once"
+
+
+def test_only_what_is_shown_is_drawn(monkeypatch):
+    """A report looks through many figures for its first pages; drawing is most of what it costs."""
+    drawn = []
+    to_svg = pictures.to_svg
+    monkeypatch.setattr(pictures, "to_svg", lambda figure, alt: drawn.append(alt) or to_svg(figure, alt))
+    content = content_of(samples.all_analyses(), samples.all_runs())
+    shown = [*content.front, *(item for section in content.sections for item in section.figures)]
+    assert len(drawn) == sum(not item.picture.charts for item in shown) > 8

@@ -6,12 +6,14 @@ import warnings
 from pathlib import Path
 
 import control
+import matplotlib
 import mujoco
 import numpy as np
 import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner
+from matplotlib.ft2font import FT2Font
 from scipy.io import loadmat
 
 import pmabench
@@ -90,10 +92,37 @@ def test_latex_tables_hold_plain_numbers_and_balance(tmp_path):
     assert "(simulated)" in text
     assert "siunitx" not in text
     assert text.count("{") == text.count("}")
-    for body in re.findall(r"\\begin\{tabular\}\{([lr]+)\}(.*?)\\end\{tabular\}", text, re.DOTALL):
+    for body in re.findall(r"\\begin\{tabular\}\{([lr]+|(?:[lr]|p\{58pt\})+)\}(.*?)\\end\{tabular\}", text, re.DOTALL):
         columns, rows = body
         for row in re.findall(r"^(.*) \\\\$", rows, re.MULTILINE):
-            assert len(re.split(r"(?<!\\)&", row)) == len(columns)
+            assert len(re.split(r"(?<!\\)&", row)) == len(re.sub(r"p\{58pt\}", "p", columns))
+
+
+def wide(cell: str, size: float) -> float:
+    """Width [pt] of a cell, by the metrics of Computer Modern that matplotlib brings; its small sizes are wider."""
+    font = FT2Font(str(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / "cmr10.ttf"))
+    font.set_size(100, 72)
+    signs = len(re.findall(r"\\(pm|times|varepsilon|tau|theta|omega|ldots)", cell))
+    plain = re.sub(r"\\cdot", ".", re.sub(r"\\(pm|times|varepsilon|tau|theta|omega|ldots|mathrm|circ)", "", cell))
+    font.set_text(re.sub(r"[${}\\^_]", "", plain), 0.0)
+    return (font.get_width_height()[0] / 64 / 100 + 0.778 * signs) * size
+
+
+@pytest.mark.parametrize("column", [229.5, 252.0], ids=["article, two columns", "IEEEtran"])
+def test_latex_tables_fit_a_column(tmp_path, column):
+    """cmr8 is 1.063 times as wide as cmr10 at its size, cmr7 1.138 times (Knuth, Computer Modern Typefaces)."""
+    (path,) = export_results(RESULTS, "latex", tmp_path / "t.tex")
+    sizes = {"footnotesize": 8 * 1.063, "scriptsize": 7 * 1.138}
+    found = re.findall(
+        r"\\(\w+)\\setlength.*?\n\\begin\{tabular\}\{(.*?)\}\n(.*?)\\end\{tabular\}", path.read_text(), re.DOTALL
+    )
+    assert len(found) > 8
+    for size, looks, body in found:
+        columns = re.findall(r"p\{58pt|[lr]", looks)
+        rows = [re.split(r" (?<!\\)& ", row) for row in re.findall(r"^(.*) \\\\$", body, re.MULTILINE)]
+        widths = [58.0 if look.startswith("p") else max(wide(row[n], sizes[size]) for row in rows)
+                  for n, look in enumerate(columns)]  # fmt: skip
+        assert sum(widths) + 4 * len(widths) <= column, rows[0]
 
 
 def test_every_letter_of_a_symbol_and_sign_of_a_unit_is_one_that_plain_latex_knows():

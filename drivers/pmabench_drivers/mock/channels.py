@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pmabench.bench.interface import Block, ChannelRecord
 from pmabench.model.motion import NoiseSource
-from pmabench_drivers.mock.options import INPUTS, SENSORS, Faults, SensorError
+from pmabench_drivers.mock.options import ACCELERATIONS, INPUTS, SENSORS, Faults, SensorError
 
 GAP = 0.02
 NO_FAULTS = Faults()
@@ -58,13 +58,14 @@ class Channel:
 class Damage:
     """What is done to blocks that the channels gave: wrong readings, lost samples.
 
-    `stuck` is the value that the stuck pressure channel repeats [device units]; None while it does not.
+    `pressure` is the input that gets stuck.
+    `stuck` has the values that stuck channels repeat [device units], by input; a new one whenever one is added.
     """
 
-    def __init__(self, channels: Sequence[Channel]) -> None:
-        self._channels = channels
+    def __init__(self, channels: Sequence[Channel], pressure: str = "pressure") -> None:
+        self._channels, self._pressure = channels, pressure
         self._by_input = {channel.record.input: channel for channel in channels}
-        self.stuck: float | None = None
+        self.stuck: dict[str, float] = {}
         self._seen, self._none = NO_FAULTS, True
 
     def done(self, block: Block, faults: Faults, errors: Mapping[str, SensorError]) -> Block:
@@ -79,17 +80,21 @@ class Damage:
         self._errors(columns, seconds, errors)
         for channel in self._channels:
             column = columns[channel.record.name]
-            if faults.pressure_stuck_at is not None and channel.record.input == "pressure":
-                stuck = seconds >= faults.pressure_stuck_at
-                if stuck.any():
-                    self.stuck = float(column[stuck.argmax()]) if self.stuck is None else self.stuck
-                    column[stuck] = self.stuck
+            since = self._stuck_since(channel.record.input, faults)
+            if since is not None and (stuck := seconds >= since).any():
+                self.stuck = {channel.record.input: float(column[stuck.argmax()])} | self.stuck
+                column[stuck] = self.stuck[channel.record.input]
             if faults.nan_at is not None and channel.record.input in SENSORS:
                 column[seconds >= faults.nan_at] = channel.low if channel.counts else np.nan
         if faults.gap_at is not None:
             kept = (seconds < faults.gap_at) | (seconds >= faults.gap_at + GAP)
             time, columns = time[kept], {name: column[kept] for name, column in columns.items()}
         return as_block(time, columns)
+
+    def _stuck_since(self, name: str, faults: Faults) -> float | None:
+        return faults.accelerometer_frozen_at if name in ACCELERATIONS else (
+            faults.pressure_stuck_at if name == self._pressure else None
+        )  # fmt: skip
 
     def _errors(
         self, columns: dict[str, NDArray[Any]], seconds: NDArray[np.float64], errors: Mapping[str, SensorError]

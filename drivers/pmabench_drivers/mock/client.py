@@ -25,7 +25,7 @@ from typing import Any, TypeVar
 from pmabench.base.clock import Clock, RealClock
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import Block, DeviceRecord, Identity, Load, Segment
-from pmabench_drivers.mock.options import output_of, problems, read_options, split_service
+from pmabench_drivers.mock.options import PLATFORM, output_of, problems, read_options, split_service
 
 LONGEST_LINE = 1 << 20
 LONGEST_BYTES = 1 << 26
@@ -153,6 +153,8 @@ class MockClient:
             _service, plant = split_service(device.name, device.options)
         except DeviceError as error:
             return [(("options",), error.message)]
+        if plant.get("plant") == PLATFORM:
+            return [(("options", "plant"), "a platform is simulated in virtual time only: driver mock")]
         return problems(device, plant)
 
     def __init__(self, device: DeviceRecord, clock: Clock) -> None:

@@ -5,20 +5,26 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Iterable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 from pmabench.base.clock import Clock, RealClock
 from pmabench.base.errors import DeviceError, did_you_mean
 from pmabench.bench.interface import Block, DeviceRecord, Identity, Load, OutputRecord, Segment
-from pmabench_drivers.mock.options import E_STOP, VALVES, Options, output_of, problems, read_options
+from pmabench_drivers.mock.options import E_STOP, JOINT, PLATFORM, VALVES, Options, output_of, problems, read_options
 
 if TYPE_CHECKING:
+    from pmabench_drivers.mock.joint import JointSimulation
+    from pmabench_drivers.mock.platform import PlatformSimulation
     from pmabench_drivers.mock.simulation import Simulation
+
+    AnySimulation: TypeAlias = Simulation | JointSimulation | PlatformSimulation
 
 
 class MockBench:
     """A bench with the simulated plant in it: streams, takes set-points, ramps and sines, and has hands.
 
+    With the plant `joint` there are two muscles, with `platform` three: see `pmabench_drivers.mock.joint` and
+    `.platform`. With all others:
     Channel inputs: `pressure`, `displacement`, `force`, `supply`, and the set-points as the device holds them before
     the dead time, `pressure_set` and (free end driven) `displacement_set`. Outputs: `pressure` and (free end driven)
     `displacement`, and `dump_valve` to be switched: it is there when the bench names it as a valve, and open, so that
@@ -35,7 +41,7 @@ class MockBench:
     def __init__(self, device: DeviceRecord, clock: Clock) -> None:
         self._device, self._clock = device, clock
         self._options = self._read_options()
-        self._opened: Simulation | None = None
+        self._opened: AnySimulation | None = None
         self._closed = threading.Event()
 
     @classmethod
@@ -51,11 +57,16 @@ class MockBench:
 
     def open(self) -> Identity:
         """Build the plant at rest, without pressure, the load support under the carriage."""
-        from pmabench_drivers.mock.simulation import MEMORY, Simulation
+        from pmabench_drivers.mock.joint import JointSimulation
+        from pmabench_drivers.mock.platform import PlatformSimulation
+        from pmabench_drivers.mock.sampled import MEMORY
+        from pmabench_drivers.mock.simulation import Simulation
 
         try:
             memory = 0.0 if isinstance(self._clock, RealClock) else MEMORY
-            self._opened = Simulation(self._device, self._options, self._now(), memory)
+            several: dict[str, type[AnySimulation]] = {JOINT: JointSimulation, PLATFORM: PlatformSimulation}
+            made = several.get(self._options.plant, Simulation)
+            self._opened = made(self._device, self._options, self._now(), memory)
         except ValueError as error:
             raise DeviceError(self._device.name, str(error)) from error
         self._closed.clear()
@@ -113,6 +124,14 @@ class MockBench:
         self._valve(output)
         self.simulation().switch(output, on=on)
 
+    def pulse(self, output: str, seconds: float) -> None:
+        """Open a valve of a platform from now on for `seconds`."""
+        self._valve(output)
+        try:
+            self.simulation().pulse(output, seconds)
+        except ValueError as error:
+            raise DeviceError(self._device.name, str(error), output) from error
+
     def is_on(self, output: str) -> bool:
         """Whether a valve is energised."""
         self._valve(output)
@@ -142,7 +161,7 @@ class MockBench:
     def _now(self) -> float:
         return round(self._clock.now() * 1e9) / 1e9  # as `to_nanosecond`, which would import numpy
 
-    def simulation(self) -> Simulation:
+    def simulation(self) -> AnySimulation:
         """The simulation, brought to the clock's time: the truth that what the driver says is compared with."""
         if self._opened is None:
             raise DeviceError(self._device.name, "is not open")

@@ -13,12 +13,32 @@ from pmabench.model.overrides import Overrides
 
 ANGLE = "angle"
 """The channel input of an arm: the angle of its end."""
-SENSORS = ("pressure", "displacement", "force", ANGLE)
+TORQUE = "torque"
+"""The channel input of a joint: what its muscles pull it to positive angles with."""
+PRESSURES = ("pressure_1", "pressure_2")
+"""Of a joint, which has two muscles; as outputs, too."""
+OF_THREE = (*PRESSURES, "pressure_3")
+"""Of a platform, which has three."""
+ACCELERATIONS = ("acceleration_x", "acceleration_y", "acceleration_z")
+TURNS = ("turn_x", "turn_y")
+"""Of a gyroscope on the platform."""
+SENSORS = ("pressure", "displacement", "force", ANGLE, *OF_THREE, TORQUE, *ACCELERATIONS, *TURNS)
 """Channel inputs that are measured."""
-INPUTS = ("pressure", "displacement", "force", "supply", "pressure_set", "displacement_set", ANGLE)
+OF_ONE = ("pressure", "displacement", "force", "supply", "pressure_set", "displacement_set", ANGLE)
+"""Channel inputs of one muscle."""
+FLOW = "flow"
+"""The channel input of a mass flow meter: what the regulator lets into a driven muscle whose volume is known."""
+INPUTS = (
+    *OF_ONE, *PRESSURES, *(f"{name}_set" for name in PRESSURES), "angle_set", TORQUE, FLOW, "pressure_3",
+    *ACCELERATIONS, *TURNS,
+)  # fmt: skip
 """All channel inputs; the noise of each is by its place here."""
 ARM = "arm-30"
 """The plant that is an arm."""
+JOINT = "joint"
+"""The plant that is a joint of two muscles."""
+PLATFORM = "platform"
+"""The plant that is a platform of three muscles."""
 FREE_LENGTHS = (0.15, 0.40)
 """Of contractors whose length without load is in paper 2 [m]."""
 DUMP_VALVE = "dump_valve"
@@ -27,6 +47,12 @@ ISOLATION_VALVE = "isolation_valve"
 """The output that switches a valve between regulator and muscle: shut without power."""
 VALVES = (DUMP_VALVE, ISOLATION_VALVE)
 """All valves."""
+SUPPLY_VALVE = "supply_valve"
+"""The output that switches the air before the fill valves: shut without power."""
+FILLS, EXHAUSTS = (tuple(f"{kind}_{i}" for i in (1, 2, 3)) for kind in ("fill", "exhaust"))
+VALVES_OF = {JOINT: (DUMP_VALVE,), PLATFORM: (*FILLS, *EXHAUSTS, SUPPLY_VALVE, DUMP_VALVE)}
+"""Valves of plants of several muscles."""
+MUSCLES_OF = {JOINT: 2, PLATFORM: 3}
 E_STOP = "e_stop"
 """The digital input: high while the emergency stop is not pressed."""
 TEXT = {"plant", "preset", "free_end", "b_relax", "fce_eval", "reads", "end", "log"}
@@ -38,19 +64,20 @@ CONTRACTORS = tuple(f"contractor-{length}" for length in (15, 20, 25, 30, 40))
 CHOICES = {
     "free_end": ("weights", "actuator"),
     "preset": ("ideal", "bench"),
-    "plant": ("paper0", AIRY, "serres2009", "dmsp-40-305", "daerden", *CONTRACTORS, ARM, REAL),
+    "plant": ("paper0", AIRY, "serres2009", "dmsp-40-305", "daerden", *CONTRACTORS, ARM, REAL, JOINT, PLATFORM),
     "fce_eval": ("x0", "xmax"),
     "reads": SENSORS,
     "end": ("low", "high"),
 }
 DEPARTURES = ("hysteresis_x", "hysteresis_p", "creep", "bend", "first_cycle")
-FLOWS = ("hysteresis", "conductance_fill", "conductance_vent", "polytropic")
+FLOWS = ("hysteresis", "relaxes", "hose", "conductance_fill", "conductance_vent", "polytropic")
 STRAIGHT = (*FLOWS, *DEPARTURES)
 NOT_FOR = (
     {"daerden": ("F_s", "F_c", "b_relax", "fce_eval", *DEPARTURES), "dmsp-40-305": STRAIGHT}
     | dict.fromkeys((*CONTRACTORS, "contractor"), (*STRAIGHT, "F_s", "F_c", "b_relax", "fce_eval"))
-    | {ARM: (*STRAIGHT, "b_relax", "fce_eval"), AIRY: ("hysteresis", "fce_eval", *DEPARTURES)}
-    | {REAL: (*FLOWS, "F_s", "F_c", "fce_eval")}
+    | {ARM: (*STRAIGHT, "b_relax", "fce_eval"), AIRY: ("hysteresis", "relaxes", "hose", "fce_eval", *DEPARTURES)}
+    | {REAL: (*FLOWS, "parallel", "F_s", "F_c", "fce_eval")}
+    | dict.fromkeys((JOINT, PLATFORM), tuple(item.name for item in fields(Overrides)))
 )
 """Options that a plant has no use for; of all others what is for one plant only."""
 
@@ -63,7 +90,8 @@ class Faults:
     """
 
     burst_at: float | None = None
-    """The muscle bursts: pressure falls to 0 within some 10 ms and stays there."""
+    """The muscle bursts: pressure falls to 0 within some 10 ms and stays there; of a platform through a hole that is
+    ten times as wide as its exhaust valve."""
     regulator_stuck_at: float | None = None
     """The regulator takes set-points and ignores them: it holds the pressure that it has then."""
     supply_lost_at: float | None = None
@@ -72,6 +100,17 @@ class Faults:
     """The dump valve does not open any more; it still closes."""
     e_stop_at: float | None = None
     """The emergency stop is pressed: the digital input `e_stop` goes low. Nothing else happens by itself."""
+    fill_stuck_open_at: float | None = None
+    """The fill valve of a platform's muscle stays open; likewise below."""
+    fill_stuck_shut_at: float | None = None
+    exhaust_stuck_open_at: float | None = None
+    exhaust_stuck_shut_at: float | None = None
+    leak_at: float | None = None
+    """A platform's muscle leaks, half as wide as its exhaust valve."""
+    accelerometer_frozen_at: float | None = None
+    """The accelerometer of a platform repeats its last values from then on."""
+    accelerometer_level_at: float | None = None
+    """It shows what a level platform would, with its noise."""
     pressure_stuck_at: float | None = None
     """The pressure channel repeats one value from then on."""
     nan_at: float | None = None
@@ -111,7 +150,8 @@ class Options:
 
     plant: str = "paper0"
     """`paper0`, `serres2009`, `dmsp-40-305`, `contractor-15` (20, 25, 30, 40), the arm
-    `arm-30`, `real`, or for a driven free end `daerden`."""
+    `arm-30`, `real`, or for a driven free end `daerden`; `joint`: two muscles on a pulley, which `free_end: actuator`
+    turns, and any other leaves free; `platform`: three that tilt a platform, behind valves."""
     numbers: Mapping[str, Any] | None = None
     """Where the option `plant` names a plant file: what it says, as a compiled bench has it in place of the name."""
     preset: str = "bench"
@@ -137,6 +177,8 @@ class Options:
     actuator_force: float = 1500.0
     """The force at which it stalls [N]."""
     faults: Faults = field(default_factory=Faults)
+    faulty: int = 1
+    """Which muscle of several bursts, has the stuck regulator, valve or sensor."""
     errors: Mapping[str, SensorError] = field(default_factory=dict)
     """Errors of channel inputs, by input."""
     overrides: Overrides = field(default_factory=Overrides)
@@ -206,6 +248,14 @@ def _check_plant(device: str, options: Options, overrides: Mapping[str, Any]) ->
             raise DeviceError(device, f"option plant: {why}; write free_end: actuator, or another length")
     if law == ARM and options.free_end != "weights":
         raise DeviceError(device, f"option plant: the end of {ARM} carries loads; free_end can only be weights")
+    count = MUSCLES_OF.get(law, options.faulty)
+    if not 1 <= options.faulty <= count:
+        raise DeviceError(device, f"option faulty: the plant {law} has the muscles 1 to {count}, not {options.faulty}")
+    if law == PLATFORM and options.preset != "bench":
+        why = "without noise an accelerometer at rest counts as frozen; write preset: bench"
+        raise DeviceError(device, f"option preset: {why}")
+    if "parallel" in overrides and options.free_end != "actuator":
+        raise DeviceError(device, "option parallel is for a driven free end; write free_end: actuator, too")
     for name in NOT_FOR.get(law, (*STRAIGHT, "fce_eval")):
         if name in overrides:
             raise DeviceError(device, f"option {name}: the plant {options.plant} has no use for it")
@@ -213,23 +263,41 @@ def _check_plant(device: str, options: Options, overrides: Mapping[str, Any]) ->
 
 def inputs_of(free_end: str, plant: str) -> list[str]:
     """The channel inputs that there are with this free end and this plant."""
+    if plant == PLATFORM:
+        return [*OF_THREE, *ACCELERATIONS, *TURNS, "supply"]
+    if plant == JOINT:
+        own = (*PRESSURES, *(f"{name}_set" for name in PRESSURES), ANGLE, TORQUE, "supply")
+        return [*own, "angle_set"] if free_end == "actuator" else [*own]
     without = ([] if free_end == "actuator" else ["displacement_set"]) + ([] if plant == ARM else [ANGLE])
-    return [name for name in INPUTS if name not in without]
+    return [name for name in (*OF_ONE, *([FLOW] if free_end == "actuator" else [])) if name not in without]
+
+
+def outputs_of(free_end: str, plant: str) -> tuple[str, ...]:
+    """The outputs that there are with this free end and this plant."""
+    if plant == PLATFORM:
+        return ()
+    pressures, driven = (PRESSURES, ANGLE) if plant == JOINT else (("pressure",), "displacement")
+    return (*pressures, driven) if free_end == "actuator" else pressures
+
+
+def pressure_of(options: Options) -> str:
+    """The channel input of the pressure that gets stuck."""
+    return f"pressure_{options.faulty}" if options.plant in MUSCLES_OF else "pressure"
 
 
 def problems(device: DeviceRecord, own: Mapping[str, Any]) -> Iterator[tuple[tuple[str, ...], str]]:
     """What is wrong with the plant's options `own` and with the names of inputs and outputs, each with its place."""
-    driven = own.get("free_end") == "actuator"
+    free_end, plant = str(own.get("free_end", "weights")), str(own.get("plant", ""))
     try:
         read_options(device.name, own)
     except DeviceError as error:
         yield ("options",), error.message
-    known = inputs_of(str(own.get("free_end", "weights")), str(own.get("plant", "")))
-    places = ("pressure", "displacement") if driven else ("pressure",)
+    known, places = inputs_of(free_end, plant), outputs_of(free_end, plant)
     named: list[tuple[str, str, str, str, Sequence[str]]] = []
     named += [("channels", channel.name, "input", channel.input, known) for channel in device.channels]
     named += [("outputs", output.name, "output", output.output, places) for output in device.outputs]
-    named += [("outputs", valve.name, "valve", valve.output, VALVES) for valve in device.valves]
+    there_are = VALVES_OF.get(plant, VALVES)
+    named += [("outputs", valve.name, "valve", valve.output, there_are) for valve in device.valves]
     named += [("interlocks", lock.name, "digital input", lock.input, (E_STOP,)) for lock in device.interlocks]
     for kind, of, what, name, there in named:
         if name not in there:
@@ -310,4 +378,4 @@ def _value(device: str, name: str, value: Any) -> Any:
         return value
     if isinstance(value, bool) or not isinstance(value, int | float) or not value == value:
         raise DeviceError(device, f"option {name}: a number in SI is expected, not {value!r}")
-    return int(value) if name == "seed" else float(value)
+    return int(value) if name in {"seed", "faulty"} else float(value)

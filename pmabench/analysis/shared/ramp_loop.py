@@ -8,12 +8,13 @@ between ends `lower` and `upper` with E = exp(-(upper - lower)/w), and d1, d2 th
 
 What the muscle does without hysteresis is not in the gap, so h and w are found whatever it is.
 
-Knows one trial of slow ramps; no campaign and no fit over pressure or speed.
+Knows one trial of slow ramps; no campaign and no fit over pressure or speed. A joint's torque over its angle is the
+same with other `Axes`: its torque falls while the angle rises as the force does while the muscle contracts.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -22,15 +23,34 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pmabench.analysis.shared.samples import UNUSABLE_SHARE, NotUsable, noise_of, on_time
+from pmabench.analysis.shared.form import Doubt
+from pmabench.analysis.shared.samples import UNUSABLE_SHARE, NotUsable, lag_open, noise_of, on_time
 from pmabench.analysis.shared.sine_loop import lost_work
-from pmabench.base.quantities import show
+from pmabench.analysis.shared.turn_times import behind
+from pmabench.base.quantities import CHANNEL_QUANTITY, show
 from pmabench.store.records import Array, Command, Flag, RunData, TrialData
 
 BETTER = 0.5
 """Turns are accepted where they bring the rms of the gap below this share of that about a constant."""
+UNEVEN = 0.2
+"""Share by which the drift within a cycle may differ from that of a straight line through the cycles."""
+LATE = "time between what moves and what pulls"
 WIDEST = 0.4
 """Largest w, as a share of the stroke."""
+
+
+@dataclass(frozen=True)
+class Axes:
+    """Which channels a loop is made of, and how the phases of its ramps are called."""
+
+    moved: str = "displacement"
+    pulls: str = "force"
+    pressures: tuple[str, ...] = ("pressure",)
+    rises: str = "contract"
+    falls: str = "expand"
+
+
+OF_A_MUSCLE = Axes()
 
 
 @dataclass(frozen=True)
@@ -139,11 +159,17 @@ class Loop:
     """Displacement [m] and force [N] of the last cycle, as sampled."""
     noise: float
     """Of the force [N]."""
+    drift: Array
+    """What the force grows by over each cycle [N], shape (cycles,); it is not in the gap."""
+    late: Doubt
+    """Time by which the force may come behind the displacement, or before it [s]."""
+    ends: tuple[float, float]
+    """Of the stroke [m]."""
 
     @cached_property
     def gap(self) -> Array:
         """Force while expanding minus force while contracting [N]: above 0 where the contracting branch is lower."""
-        return np.asarray(self.expanding - self.contracting)
+        return np.asarray(self.expanding - self.contracting - _between_branches(self.x, self.drift, *self.ends))
 
     @cached_property
     def raw_mean(self) -> Array:
@@ -161,6 +187,16 @@ class Loop:
         return replace(self, x=self.x[kept], contracting=self.contracting[:, kept], expanding=self.expanding[:, kept])
 
     @property
+    def uneven_drift(self) -> float:
+        """By how much the drift of a cycle may differ from a straight line [N]."""
+        return max(UNEVEN * float(np.max(np.abs(self.drift))), float(np.ptp(self.drift)))
+
+    @property
+    def whole_drift(self) -> float:
+        """What the force may have gone away by since the trial began, in the mean of its cycles [N]."""
+        return 0.5 * float(np.sum(np.abs(self.drift))) * (1 + 1 / len(self.drift))
+
+    @property
     def middle_gap(self) -> Array:
         """The gap at mid stroke [N], the mean of the middle tenth of the grid; shape (cycles,)."""
         n = self.x.size
@@ -173,60 +209,103 @@ class Loop:
         return np.asarray(np.mean(self.gap, axis=1))
 
 
-def measure(run: RunData, trial: TrialData, discard: int, turn: float) -> Loop:
+def measure(run: RunData, trial: TrialData, discard: int, turn: float, axes: Axes = OF_A_MUSCLE) -> Loop:
     """One trial from its samples: `discard` cycles at the start and `turn` [m] at both ends are left out.
+
+    With other `axes` all units are those of their channels: rad for m and N m for N.
 
     Sensors' lags are taken off. Raises `NotUsable` where the trial ended early, lacks a channel or whole cycles, or
     went slack.
     """
-    cycles, whole = _usable_cycles(trial, discard)
+    cycles, whole = _usable_cycles(trial, discard, axes)
     lower, upper = cycles[0][0].before, cycles[0][0].value
     grid = np.linspace(lower + turn, upper - turn, POINTS)
     if not grid[-1] > grid[0]:
         raise NotUsable("nothing is left of the stroke between its ends")
-    values = {name: on_time(run, trial, name) for name in ("displacement", "force", "pressure")}
-    branches: dict[str, list[Array]] = {"contract": [], "expand": []}
-    pressures: dict[str, list[float]] = {"contract": [], "expand": []}
+    X, Y = on_time(run, trial, axes.moved), on_time(run, trial, axes.pulls)
+    P = np.mean([on_time(run, trial, name) for name in axes.pressures], axis=0)
+    branches: dict[str, list[Array]] = {axes.rises: [], axes.falls: []}
+    pressures: dict[str, list[float]] = {axes.rises: [], axes.falls: []}
     speeds, given, lost = [], [], []
     last: tuple[Array, Array] = (np.empty(0), np.empty(0))
     for contract, expand, end in cycles:
-        for phase, begin, until in (("contract", contract.t, expand.t), ("expand", expand.t, end)):
+        for phase, begin, until in ((axes.rises, contract.t, expand.t), (axes.falls, expand.t, end)):
             rows = _between(trial, begin, until)
-            x, F = values["displacement"][rows], values["force"][rows]
+            x, F = X[rows], Y[rows]
             moved = (x >= grid[0]) & (x <= grid[-1])
             if int(moved.sum()) < FEWEST:
                 raise NotUsable(f"fewer than {FEWEST} samples between the ends of a ramp")
             speeds.append(abs(float(np.polyfit(trial.t[rows][moved], x[moved], 1)[0])))
-            pressures[phase].append(float(np.mean(values["pressure"][rows][moved])))
+            pressures[phase].append(float(np.mean(P[rows][moved])))
             slack = (trial.flags[rows] & np.uint16(Flag.SLACK)) != 0
             branches[phase].append(on_grid(grid, x, np.where(slack, np.nan, F)))
         rows = _between(trial, contract.t, end)
-        last = values["displacement"][rows], values["force"][rows]
+        last = X[rows], Y[rows]
         lost.append(lost_work(*last))
-        one = _between(trial, contract.t, expand.t)
-        x, F = values["displacement"][one], values["force"][one]
-        given.append(float(np.sum(0.5 * (F[1:] + F[:-1]) * np.diff(x))))
-    contracting, expanding = np.array(branches["contract"]), np.array(branches["expand"])
-    known = np.isfinite(contracting + expanding).all(axis=0)
+        rows = _between(trial, contract.t, expand.t)
+        given.append(float(np.trapezoid(Y[rows], X[rows])))
+    contracting, expanding = np.array(branches[axes.rises]), np.array(branches[axes.falls])
+    known = _reached(contracting + expanding, trial, Y[whole], axes)
+    contracting, expanding, x = contracting[:, known], expanding[:, known], grid[known]
+    level = 0.5 * (contracting + expanding).mean(axis=1)
+    drift = np.gradient(level) if len(level) > 1 else np.zeros(1)
+    gap = (expanding - contracting - _between_branches(x, drift, lower, upper)).mean(axis=0)
+    turns, speed = turns_of(x, gap, lower, upper), float(np.mean(speeds))
+    fades = 0.02 * (upper - lower) if turns is None else turns.w
+    moments = sorted([expand.t for _, expand, _ in cycles] + [contract.t for contract, _, _ in cycles[1:]])
+    return Loop(
+        turns=turns,
+        x=x,
+        contracting=contracting,
+        expanding=expanding,
+        speed=speed,
+        pressure=float(np.mean(pressures[axes.rises] + pressures[axes.falls])),
+        apart=float(np.mean(pressures[axes.falls]) - np.mean(pressures[axes.rises])),
+        given=np.array(given),
+        lost=np.array(lost) - 0.5 * drift * (upper - lower),
+        last=last,
+        noise=noise_of(Y[whole]),
+        drift=drift,
+        late=_late(run, trial, (X, Y), moments, fades / speed, axes),
+        ends=(lower, upper),
+    )
+
+
+def _reached(forces: Array, trial: TrialData, seen: Array, axes: Axes) -> NDArray[np.bool_]:
+    """Points of the grid that all branches reach, of forces (cycles, n); raises `NotUsable` where these are too few."""
+    known = np.isfinite(forces).all(axis=0)
     if known.mean() < COVERED and trial.point.get("pressure", 1.0) > 0:
-        reached = show(float(np.nanmin(values["force"][whole])), "force", 3)
-        raise NotUsable(f"its branches cover {known.mean():.0%} of the stroke; force down to {reached}: slack?")
+        reached = show(float(np.nanmin(seen)), CHANNEL_QUANTITY[axes.pulls], 3)
+        raise NotUsable(f"its branches cover {known.mean():.0%} of the stroke; {axes.pulls} down to {reached}: slack?")
     if not known.any():
         raise NotUsable("the specimen was slack over the whole stroke")
-    gap = (expanding - contracting).mean(axis=0)
-    return Loop(
-        turns=turns_of(grid[known], gap[known], lower, upper),
-        x=grid[known],
-        contracting=contracting[:, known],
-        expanding=expanding[:, known],
-        speed=float(np.mean(speeds)),
-        pressure=float(np.mean(pressures["contract"] + pressures["expand"])),
-        apart=float(np.mean(pressures["expand"]) - np.mean(pressures["contract"])),
-        given=np.array(given),
-        lost=np.array(lost),
-        last=last,
-        noise=noise_of(values["force"][whole]),
+    return np.asarray(known)
+
+
+def _between_branches(x: Array, drift: Array, lower: float, upper: float) -> Array:
+    """What a drift makes of the gap [N], shape (cycles, n): the branches are a whole cycle apart at `lower`."""
+    return np.asarray(np.outer(drift, (upper - x) / (upper - lower)))
+
+
+def _late(
+    run: RunData, trial: TrialData, channels: tuple[Array, Array], moments: Sequence[float], span: float, axes: Axes
+) -> Doubt:
+    """What of the time between force and displacement is open: what the record leaves open, or the turns show."""
+    good, known, (x, F) = trial.usable, lag_open(run, axes.pulls), channels
+    shown = behind(trial.t[good], x[good], F[good], moments, span)
+    sample = float(np.median(np.diff(trial.t)))
+    if shown is None:
+        return Doubt(LATE, "method", max(known, 2 * sample), False)
+    doubtful = shown.half + 0.5 * sample
+    seen = not shown.within or abs(shown.time) > doubtful + known
+    way, channel = ("behind", axes.pulls) if shown.time > 0 else ("ahead of", axes.moved)
+    size = f"{1e3 * abs(shown.time):.2g} ms" if shown.within else "far"
+    reason = (
+        f"at its turns the {axes.pulls} is {size} {way} the {axes.moved}, and that looks like hysteresis or damping: "
+        f"look at the {channel} sensor (a filter, backlash, another clock), and declare its `sensor_lag`"
     )
+    most = 1.5 * abs(shown.time) + doubtful  # of a filter the turns may show a part
+    return Doubt(LATE, "method", max(known, most), seen, reason)
 
 
 def measure_as_planned(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> Loop:
@@ -236,14 +315,16 @@ def measure_as_planned(run: RunData, trial: TrialData, options: Mapping[str, Any
     return measure(run, trial, int(settings.get("discard", 1)), float(settings.get("turn", TURN * stroke)))
 
 
-def _usable_cycles(trial: TrialData, discard: int) -> tuple[list[tuple[Command, Command, float]], NDArray[np.bool_]]:
+def _usable_cycles(
+    trial: TrialData, discard: int, axes: Axes
+) -> tuple[list[tuple[Command, Command, float]], NDArray[np.bool_]]:
     """The cycles to measure, and which samples lie in them; raises `NotUsable`."""
     if trial.status != "finished":
         raise NotUsable(f"the trial is {trial.status}")
-    missing = [name for name in ("displacement", "force") if name not in trial.channels]
+    missing = [name for name in (axes.moved, axes.pulls) if name not in trial.channels]
     if missing:
         raise NotUsable(f"{' and '.join(missing)} not recorded")
-    cycles = _cycles(trial)[discard:]
+    cycles = _cycles(trial, axes)[discard:]
     if not cycles:
         raise NotUsable("it holds no whole cycle beyond those left out")
     whole = (trial.t >= cycles[0][0].t) & (trial.t < cycles[-1][2])
@@ -253,12 +334,12 @@ def _usable_cycles(trial: TrialData, discard: int) -> tuple[list[tuple[Command, 
     return cycles, whole
 
 
-def _cycles(trial: TrialData) -> list[tuple[Command, Command, float]]:
+def _cycles(trial: TrialData, axes: Axes) -> list[tuple[Command, Command, float]]:
     """Whole cycles: the ramp that contracts, the ramp that expands, and when that is over [s]."""
-    ramps = [c for c in trial.commands if c.output == "displacement" and c.kind == "ramp"]
+    ramps = [c for c in trial.commands if c.output == axes.moved and c.kind == "ramp"]
     found = []
     for one, two in pairwise(ramps):
-        if one.phase != "contract" or two.phase != "expand":
+        if one.phase != axes.rises or two.phase != axes.falls:
             continue
         rate = two.data.get("rate", 0.0)
         end = two.t + abs(two.value - two.before) / rate if rate > 0 else float(trial.t[-1])

@@ -62,11 +62,19 @@ def noise_of(y: Array) -> float:
 
 LAG_KNOWN = 0.2
 """Share to which the time constant of a sensor counts as known: data sheets give typical values, and one digit."""
+UNDECLARED = 5e-3
+"""Time constant [s] that the filter of a force cell may have where its channel declares no `sensor_lag`."""
 
 
 def lags_of(run: RunData, trial: TrialData) -> dict[str, float]:
     """Channel of the trial -> declared time constant of its sensor [s], 0 where none is declared."""
     return {name: run.channels[name].sensor_lag if name in run.channels else 0.0 for name in trial.channels}
+
+
+def lag_open(run: RunData, channel: str) -> float:
+    """By how much the declared time constant of a sensor may be off [s], or what it may be where none is declared."""
+    info = run.channels.get(channel)
+    return LAG_KNOWN * info.sensor_lag if info is not None and info.sensor_lag > 0 else UNDECLARED
 
 
 def on_time(run: RunData, trial: TrialData, name: str) -> Array:

@@ -16,6 +16,7 @@ from pmabench.analysis.shared.samples import Noise, Samples
 from pmabench.store.records import Array, RunData, TrialData
 
 if TYPE_CHECKING:  # plants import scipy, which takes longer than a reduction that needs none
+    from pmabench.model.identified.muscle import IdentifiedMuscle
     from pmabench.model.presets import Described
 
 SUBSTEPS = 2
@@ -217,6 +218,8 @@ def from_measured_pressure(
     """
     if not trials:
         return []
+    if model.surface is not None:
+        return [_surface_from_measured_pressure(model.surface, *one) for one in zip(trials, origins, strict=True)]
     grids = [np.arange(trial.t[0], trial.t[-1] + 0.5 * period, period) for trial in trials]
     P = np.empty((max(map(len, grids)), len(trials)))
     width = round(CALMED / period) if model.muscle.friction.F_c > 0 else 1
@@ -232,6 +235,18 @@ def from_measured_pressure(
     ]
 
 
+def _surface_from_measured_pressure(surface: IdentifiedMuscle, trial: TrialData, origin: float) -> Array:
+    """Contraction [m], shape (n,), of a muscle as a surface, driven by the measured pressure from rest at `origin` [m].
+
+    Its hysteresis is a spring for small moves, so that the noise of the pressure does not shake it loose.
+    """
+    from pmabench.model.identified.plant import free_run
+
+    measured = trial.channels["pressure"]
+    ok = trial.usable & np.isfinite(measured)
+    return free_run(surface, trial.t, np.interp(trial.t, trial.t[ok], measured[ok]), *load_of(trial), origin)[0]
+
+
 def from_commanded_pressure(model: Described, trial: TrialData, origin: float = 0.0) -> Array:
     """Contraction [m], shape (n,): muscle and regulator of the model, driven by the pressures that were commanded.
 
@@ -241,8 +256,7 @@ def from_commanded_pressure(model: Described, trial: TrialData, origin: float = 
 
     load, mass = load_of(trial)
     start = float(trial.t[0])
-    plant = model.plant(load, mass)
-    plant.x = min(max(0.0, origin), model.muscle.stop)
+    plant = model.plant(load, mass, x=origin)
     for command in trial.commands:
         if command.output == "pressure" and command.kind == "set" and command.t <= trial.t[-1]:
             plant.command(constant(max(0.0, command.t - start), command.value))
@@ -280,8 +294,7 @@ def closed_loop(model: Described, trial: TrialData, law: Mapping[str, Any], peri
         start=float(law["start"]),
     )
     setpoint = float(law["setpoint"])
-    plant = model.plant(load, mass, float(law["start"]))
-    plant.x = min(max(0.0, origin), model.muscle.stop)
+    plant = model.plant(load, mass, float(law["start"]), origin)
     count = round((end - begin) / period) + 1
     x, command = np.empty(count), np.empty(count)
     sent = float(law["start"])

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import lru_cache
 from math import cos, exp, lgamma, pi, sqrt, tan
+from statistics import NormalDist
 
 import numpy as np
 
 from pmabench.store.records import Array
 
 SHARES, FREEDOMS = (0.5, 0.99), (1.0, 300.0)
-"""Where the quadrature is as exact as scipy, to 1e-11; elsewhere scipy is used."""
+"""Where the quadrature is as exact as scipy, to 1e-11; over more degrees a series is, and elsewhere scipy is used."""
 OF_WHOLE = 0.999
 """The highest share where the degrees of freedom are a whole number."""
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(60)
@@ -36,6 +37,8 @@ def _quantile(share: float, freedom: float) -> float:
 
     The integral is concave in a: Newton's method from a = 0 comes to the value from below, until only rounding is left.
     """
+    if freedom > FREEDOMS[1] and SHARES[0] <= share <= OF_WHOLE:
+        return _of_many(NormalDist().inv_cdf(share), freedom)
     highest = OF_WHOLE if freedom == int(min(freedom, FREEDOMS[1])) else SHARES[1]
     if not (SHARES[0] <= share <= highest and FREEDOMS[0] <= freedom <= FREEDOMS[1]):
         from scipy.special import stdtrit
@@ -50,6 +53,17 @@ def _quantile(share: float, freedom: float) -> float:
         if step <= 1e-16 * angle:
             break
     return sqrt(freedom) * tan(angle)
+
+
+def _of_many(z: float, freedom: float) -> float:
+    """The quantile next to the normal one, z, by powers of 1 / freedom (Abramowitz and Stegun 1964, 26.7.5)."""
+    terms = (
+        (z**3 + z) / 4,
+        (5 * z**5 + 16 * z**3 + 3 * z) / 96,
+        (3 * z**7 + 19 * z**5 + 17 * z**3 - 15 * z) / 384,
+        (79 * z**9 + 776 * z**7 + 1482 * z**5 - 1920 * z**3 - 945 * z) / 92160,
+    )
+    return z + sum(term / freedom**power for power, term in enumerate(terms, 1))
 
 
 def half_width(se: float | None, freedom: int) -> float | None:

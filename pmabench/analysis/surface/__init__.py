@@ -4,4 +4,5 @@
 - `columns`: what each term makes of the past of a trial; `muscle`: the terms, and what a fitted muscle does
 - `fit`: bounded least squares of all trials
 - `choice`: which terms the data need, by trials that are left out; `spread`: how well a value is known
+- `replay`: measured trials next to a fitted muscle and to straight lines
 """

@@ -13,7 +13,7 @@ from math import sqrt
 
 import numpy as np
 
-from pmabench.analysis.surface.fit import Data, Sums, first_stiffness, misfit, muscle_of, solve, sums
+from pmabench.analysis.surface.fit import Data, Sums, first_stiffness, misfit, muscle_of, solve, split, sums
 from pmabench.analysis.surface.muscle import (
     ALWAYS,
     CREEP_P,
@@ -80,6 +80,8 @@ class Choice:
     """What the surface and damping alone would do."""
     straight: Score
     """What the straight form with damping and Coulomb friction would do."""
+    lines: Muscle
+    """That straight form, of all records."""
     folds: Array
     """Fold of each record."""
 
@@ -101,8 +103,10 @@ def choose(data: Data, passes: int = PASSES) -> Choice:
             known = sums(data, muscle.stiffness)
     undecided = _undecided(known, folds, best)
     form = (STRAIGHT, VISCOUS, SLIDING)
-    straight = scored(sums(data, muscle.stiffness, form), folds, form)
-    return Choice(data, known, muscle, best, tuple(tried), undecided, scored(known, folds, ALWAYS), straight, folds)
+    straight = scored(plain := sums(data, muscle.stiffness, form), folds, form)
+    lines = Muscle(data.frame, split(plain, form, solve(plain, form, every, straight.smooth)))
+    alone = scored(known, folds, ALWAYS)
+    return Choice(data, known, muscle, best, tuple(tried), undecided, alone, straight, lines, folds)
 
 
 def folds_of(data: Data) -> Array:

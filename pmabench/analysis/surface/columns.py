@@ -118,10 +118,14 @@ class Frame:
         """Derivative of the products over x [1/m]."""
         return _products(self.P.functions(P), self.x.functions(x, slope=True))
 
+    @property
+    def pressures(self) -> Array:
+        """Where the straight lines between pressures of the straight form meet [Pa], `STEP` apart."""
+        return np.linspace(self.P.low, self.P.high, max(2, round(self.P.span / STEP) + 1))
+
     def straight(self, P: Array, x: Array) -> Array:
-        """A straight line over contraction whose height and slope are straight lines between pressures `STEP` apart."""
-        knots = np.linspace(self.P.low, self.P.high, max(2, round(self.P.span / STEP) + 1))
-        hats = np.column_stack([np.interp(P, knots, one) for one in np.eye(len(knots))])
+        """A straight line over contraction whose height and slope are straight lines between `pressures`."""
+        hats = np.column_stack([np.interp(P, self.pressures, one) for one in np.eye(len(self.pressures))])
         return np.hstack([hats, -hats * x[:, None]])
 
     def bends(self) -> Array:

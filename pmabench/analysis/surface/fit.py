@@ -188,7 +188,12 @@ def bounded(H: Array, b: Array, free: NDArray[np.bool_]) -> Array:
 
 def muscle_of(sums: Sums, frame: Frame, terms: Collection[str], weights: Array) -> Muscle:
     """The muscle of the weights that `solve` gave."""
-    return Muscle(frame, {term: weights[sums.places[term]] for term in TERMS if term in terms})
+    return Muscle(frame, split(sums, [term for term in TERMS if term in terms], weights))
+
+
+def split(sums: Sums, terms: Collection[str], weights: Array) -> dict[str, Array]:
+    """The weights of each term."""
+    return {term: weights[sums.places[term]] for term in terms}
 
 
 def misfit(sums: Sums, weights: Array, of: Array) -> float:

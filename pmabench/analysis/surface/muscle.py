@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pmabench.analysis.surface.columns import LAW, TIMES, Frame, Memory, between, memory
+from pmabench.analysis.surface.columns import FAST, LAW, SETTLED, TIMES, Frame, Memory, between, memory
 from pmabench.analysis.surface.record import Record, Rows
+from pmabench.model.identified.muscle import IdentifiedMuscle, Splines, Weights
 from pmabench.store.records import Array
 
 SURFACE, VISCOUS, SLIDING, STOPS_X, STOPS_P, CREEP_X, CREEP_P = TERMS = (
@@ -103,6 +104,51 @@ class Muscle:
         weights = self.weights.get(SLIDING)
         share = self.frame.P.share(np.array([P]))
         return 0.0 if weights is None else float((between(share, np.ones((1, 1))) @ weights)[0])
+
+    def straight_form(self) -> dict[str, list[float]]:
+        """Pressures [Pa] and there F_ce [N], K [N/m], B_c, B_r [N.s/m] and F_c [N], of a muscle of straight lines."""
+        pressures = self.frame.pressures
+        F_ce, K = self.weights[STRAIGHT].reshape(2, -1)
+        damping = [self.damping(float(P)) for P in pressures]
+        return {
+            "pressure": pressures.tolist(),
+            "F_ce": F_ce.tolist(),
+            "K": K.tolist(),
+            "B_c": [both[0] for both in damping],
+            "B_r": [both[1] for both in damping],
+            "F_c": [self.friction(float(P)) for P in pressures],
+        }
+
+    def identified(self, name: str) -> IdentifiedMuscle:
+        """The same muscle as a model, which needs no record to go along."""
+        frame, weights = self.frame, self.weights
+        low, high = frame.P.low, frame.P.high
+
+        def of(term: str, number: int) -> Array:
+            return weights.get(term, np.zeros(2 * number)).reshape(2, -1)
+
+        number = len(frame.pressure_radii)
+        creep = LAW @ weights.get(CREEP_X, np.zeros(LAW.shape[1]))
+        under = of(CREEP_P, LAW.shape[1]) @ LAW.T / max(frame.P.span, 1.0)
+        ends = [self.damping(P) for P in (low, high)]
+        return IdentifiedMuscle(
+            name,
+            Splines(tuple(low + frame.P.span * share for share in frame.P.shares) if frame.P.span > 0 else (low,)),
+            Splines(
+                tuple(frame.x.low + frame.x.span * share for share in frame.x.shares)
+                if frame.x.span > 0
+                else (frame.x.low,)
+            ),
+            weights[SURFACE].reshape(frame.P.size, frame.x.size),
+            Weights(frame.radii, self._stops_x(low), self._stops_x(high)),
+            Weights(frame.pressure_radii, *of(STOPS_P, number)),
+            (ends[0][0], ends[1][0]),
+            (ends[0][1], ends[1][1]),
+            Weights(np.array(TIMES), creep, creep),
+            Weights(np.array(TIMES), *under),
+            FAST,
+            SETTLED,
+        )
 
     def _stops_x(self, P: float) -> Array:
         """Weight of each stop on contraction at a pressure [N]."""

@@ -35,8 +35,6 @@ class Record:
     """The length was set by hand, so that the force of the whole trial is off by a constant."""
     goes_on: bool = False
     """Follows the record before it on the same muscle: what the muscle remembers then goes on."""
-    cycles: Array | None = None
-    """Full cycles since a long rest; None where that is not known."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,5 +3,6 @@
 - next to its residual, and open questions of its runs: `checks`; limits of a protocol: `acceptance`
 - independent tests of one specimen against each other, by what each kind offers: `agreement`
 - two analyses coefficient by coefficient (`compare`), and what a recalibration changed: `comparison`
+- several muscles side by side, as one of them: `assembly`
 - a specimen over its runs (`history`): `life`
 """

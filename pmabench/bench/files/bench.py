@@ -5,21 +5,37 @@ from __future__ import annotations
 import datetime
 from typing import Annotated, Any, Literal
 
-from pydantic import Discriminator, Field, Tag, model_validator
+from pydantic import BeforeValidator, Discriminator, Field, Tag, WithJsonSchema, model_validator
 
+from pmabench.base.quantities import MUSCLES
 from pmabench.bench.files.specimen import (
     ConductanceAbove0,
     Name,
+    Place,
     PressureAbove0,
     PressureNotBelow0,
     RateAbove0,
     RatioAbove0,
     Reading,
+    SpecimenLimits,
     Text,
     TimeAbove0,
 )
 from pmabench.files.document import Strict
-from pmabench.files.quantity import Acceleration, Force, Length, Load, Mass, Plates, Pressure, Speed, Time
+from pmabench.files.numbered import among, schema_of
+from pmabench.files.quantity import (
+    Acceleration,
+    Angle,
+    AngularSpeed,
+    Force,
+    Length,
+    Load,
+    Mass,
+    Plates,
+    Pressure,
+    Speed,
+    Time,
+)
 
 Action = Literal["warn", "hold", "stop", "vent"]
 """What follows a crossed limit: a line in the record, no new command until it is over, a controlled stop, a vent."""
@@ -283,6 +299,55 @@ class Weights(Strict):
     """What follows when it is further: a line in the record, or a controlled stop."""
 
 
+class Joint(Strict):
+    """A joint that the muscles turn: how far its angle may go, and how fast a drive turns it where there is one."""
+
+    stroke: tuple[Angle, Angle]
+    speed: AngularSpeed = 0.0
+
+
+class PlatformFile(Strict):
+    """A platform that three muscles tilt about two axes: how far it may tilt, and what its control must know of it."""
+
+    tilt: Annotated[Angle, Field(gt=0)]
+    """The furthest that may be asked for."""
+    stops: Annotated[Angle, Field(gt=0)]
+    """Angle of either axis at which a stop holds it."""
+    circle: Annotated[Length, Field(gt=0)]
+    """Radius of the circle on which the muscles pull."""
+    contraction: RatioAbove0
+    """Of each muscle while it is level."""
+    mass: Mass
+    height: Length
+    """Of its centre of mass above the joint."""
+    accelerometer: Length = 0.0
+    """Height of the accelerometer above the joint."""
+
+    @model_validator(mode="after")
+    def _before_the_stops(self) -> PlatformFile:
+        if self.tilt >= self.stops:
+            raise ValueError('"tilt" must lie below "stops"')
+        return self
+
+
+class MuscleFile(Strict):
+    """One of several muscles on a bench: which it is, and what it bears."""
+
+    type: Text
+    serial: Text
+    limits: SpecimenLimits
+
+
+LIMITED = ("pressure", "force", "contraction", "displacement", "angle", "torque", "supply")
+"""What can be limited."""
+LIMITED_EACH = ("pressure", "force", "contraction", "displacement")
+"""Of it what each of several muscles has: `pressure_1`, `pressure_2` ..."""
+Limited = Annotated[
+    str, BeforeValidator(among(LIMITED, LIMITED_EACH)), WithJsonSchema(schema_of(LIMITED, LIMITED_EACH))
+]
+MuscleNumber = Annotated[str, Field(pattern=f"^[1-{MUSCLES}]$")]
+
+
 class Actuator(Strict):
     """A displacement actuator that drives the free end."""
 
@@ -371,6 +436,8 @@ class ValveFile(Strict):
     output: str
     energised: Literal["closed", "open"]
     """Its position while the output is on; without power it is the other one."""
+    pulse: TimeAbove0 | None = None
+    """It opens in pulses of at most so long, and is shut between them."""
 
 
 def _kind_of_output(value: Any) -> str:
@@ -388,16 +455,22 @@ class BenchFile(Strict):
 
     schema_: Annotated[Literal["pmabench.bench/1"], Field(alias="schema")]
     name: Text
-    free_end: Literal["weights", "actuator", "fixed", "free"]
+    free_end: Literal["weights", "actuator", "fixed", "free", "joint", "platform"]
     time: Literal["real", "virtual"] = "real"
     weights: Weights | None = None
     actuator: Actuator | None = None
+    joint: Joint | None = None
+    platform: PlatformFile | None = None
+    muscles: dict[MuscleNumber, MuscleFile] = {}
+    """Where there are several, by number from 1 on; their channels carry it: `pressure_1`, `pressure_2` ..."""
+    vents: Literal["together"] | Annotated[list[Name], Field(min_length=2, max_length=20)] | None = None
+    """In what order the safe state takes several muscles down: all at once, or the outputs and valves in order."""
     air: Air
     devices: dict[Name, DeviceFile]
     channels: dict[Name, ChannelFile]
     outputs: dict[Name, AnyOutput]
     interlocks: list[InterlockFile] = []
-    limits: dict[Literal["pressure", "force", "contraction", "displacement", "angle", "supply"], LimitFile]
+    limits: dict[Limited, LimitFile]
     watch: Annotated[list[WatchFile], Field(max_length=100)] = []
     safe_state: Annotated[list[SafeActionFile], Field(min_length=1, max_length=50)]
     stop: StopFile | None = None
@@ -409,12 +482,20 @@ class BenchFile(Strict):
     slack_below: Force = 0.0
     session: SessionFile | None = None
     reviewed: ReviewFile | None = None
+    to_confirm: list[Place] | None = None
+    """Keys whose values a program derived and nobody has confirmed; an empty list where all are, by `reviewed`."""
+    web_vent: bool = False
+    """Whether `watch --web --vent` shows a button that vents this bench."""
 
     @model_validator(mode="after")
     def _free_end(self) -> BenchFile:
-        for kind, given in (("weights", self.weights), ("actuator", self.actuator)):
-            if (self.free_end == kind) != (given is not None):
+        for kind in ("weights", "actuator", "joint", "platform"):
+            if (self.free_end == kind) != (getattr(self, kind) is not None):
                 raise ValueError(f'"free_end: {kind}" and the section "{kind}" belong together')
+        if list(self.muscles) != [str(number) for number in range(1, len(self.muscles) + 1)] or len(self.muscles) == 1:
+            raise ValueError('"muscles" are numbered from 1 on, and there are at least two: 1: {...}, 2: {...}')
+        if bool(self.muscles) != (self.vents is not None):
+            raise ValueError('"muscles" and "vents" (together, or what vents first) belong together')
         return self
 
     @property
@@ -430,5 +511,22 @@ class BenchFile(Strict):
     @property
     def normally_open_dump(self) -> bool:
         """Whether a dump valve opens when its power fails, switched by the program or not."""
-        valve = self.valves.get("dump_valve")
-        return self.air.dump_valve == "normally open" or (valve is not None and valve.energised == "closed")
+        return self.air.dump_valve == "normally open" or self.switched_dump
+
+    @property
+    def switched_dump(self) -> bool:
+        """Whether the program switches dump valves that empty every muscle when their power fails."""
+        empties = [name for name, valve in self.valves.items() if valve.energised == "closed"]
+        each = [f"dump_valve_{number}" for number in self.muscles]
+        return "dump_valve" in empties or (bool(each) and set(each) <= set(empties))
+
+    @property
+    def steered(self) -> list[str]:
+        """The pressures that valves bring about in pulses, and no output takes as a value."""
+        return [f"pressure_{number}" for number in self.muscles] if self.platform is not None else []
+
+    @property
+    def pressures(self) -> list[str]:
+        """What commands the pressure of a muscle: outputs, or a pressure that valves bring about."""
+        names = [f"pressure_{number}" for number in self.muscles] or ["pressure"]
+        return self.steered or [name for name in names if name in self.set_points]

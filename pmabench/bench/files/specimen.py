@@ -37,6 +37,8 @@ Reading = Annotated[
 
 Text = Annotated[str, Field(max_length=400)]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]{0,39}$")]
+Place = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,40}(\.[A-Za-z0-9_-]{1,40}){0,9}$")]
+"""Where a value is in a file: `limits.pressure.trip`."""
 
 
 def above_zero(value: float) -> float:
@@ -70,7 +72,7 @@ class CalibrationFile(Strict):
 
     schema_: Annotated[Literal["pmabench.calibration/1"], Field(alias="schema")]
     id: Text
-    quantity: Literal["pressure", "force", "length", "angle"]
+    quantity: Literal["pressure", "force", "length", "angle", "torque", "mass flow", "acceleration", "angular speed"]
     reference: Text
     date: datetime.date
     valid_until: datetime.date | None = None
@@ -127,6 +129,19 @@ class ExpectedFile(Strict):
     points: Annotated[list[ExpectedPoint], Field(min_length=1)]
 
 
+class AssemblyFile(Strict):
+    """Several like muscles tested as one specimen."""
+
+    parallel: Annotated[int, Field(ge=1, le=100)] = 1
+    """Side by side: their forces add up."""
+    series: Annotated[int, Field(ge=1, le=100)] = 1
+    """End to end: their lengths add up."""
+    section: LengthAbove0
+    """Nominal length of one muscle."""
+    connector: Annotated[Length, AfterValidator(not_below_zero)] = 0.0
+    """Length of all that connects muscles end to end; it does not contract."""
+
+
 class SpecimenFile(Strict):
     """The muscle under test."""
 
@@ -141,9 +156,28 @@ class SpecimenFile(Strict):
     mass: MassAbove0 | None = None
     """Of the muscle; half of its weight loads one that hangs (paper 1)."""
     cycles_before: int = 0
+    assembly: AssemblyFile | None = None
     mounted: MountedFile
     limits: SpecimenLimits
     expected: ExpectedFile | None = None
+    to_confirm: list[Place] = []
+    """Keys of this file whose values nobody has given yet: nothing runs in real time until a person deletes them."""
+
+    @model_validator(mode="after")
+    def _without_connectors(self) -> SpecimenFile:
+        """A contraction is a share of what contracts: of the muscles alone."""
+        if self.assembly is None:
+            return self
+        one = self.assembly
+        whole = one.series * one.section
+        for name, length in (("nominal_length", self.nominal_length), ("mounted: length", self.mounted.length)):
+            if abs(length - whole) > max(0.5 * one.connector, 0.02 * whole):
+                raise ValueError(
+                    f'"{name}" is {1e3 * length:g} mm, {one.series} x {1e3 * one.section:g} mm are {1e3 * whole:g} mm: '
+                    "give the length of the muscles without the connectors, which do not contract; every contraction "
+                    f"would come out {abs(1 - whole / length):.1%} too {'small' if length > whole else 'large'}"
+                )
+        return self
 
 
 def any_specimen() -> SpecimenFile:

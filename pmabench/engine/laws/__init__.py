@@ -1,7 +1,8 @@
 """Laws of seeks by name: what ships with pmabench, and entry points of the group `pmabench.laws`.
 
-A class is a small state machine that is fed one sample at a time (`pmabench.engine.seek.SampledLaw`); a function ramps
-and waits by the `pmabench.engine.moves.Moves` that it is handed. What they need comes as keywords from the plan's step.
+A class is a small state machine that is fed one sample at a time: `pmabench.engine.seek.SampledLaw` for one output,
+`pmabench.engine.laws.orders.LawOfSeveral` for several quantities and valves. A function ramps and waits by the
+`pmabench.engine.moves.Moves` that it is handed. What they need comes as keywords from the plan's step.
 """
 
 from __future__ import annotations
@@ -20,6 +21,8 @@ LAWS = {
     "pid": "position_loop:PositionLoop",
     "ramp-until": "ramp_until:ramp_until",
     "closed-strokes": "closed_strokes:closed_strokes",
+    "platform": "platform_loop:PlatformLoop",
+    "joint": "joint_loop:JointLoop",
 }
 """Name of a law in a plan -> its module here, and its class or function."""
 

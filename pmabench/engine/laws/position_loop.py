@@ -10,6 +10,7 @@ from math import inf, isfinite
 from typing import Any
 
 from pmabench.model.pid import ANTI_WINDUP, PID
+from pmabench.model.reference_path import ReferencePath
 
 
 class PositionLoop:
@@ -21,6 +22,8 @@ class PositionLoop:
     duration : how long to control [s]
     K_p, T_i, T_d, N, low, high, anti_windup, tracking, start : see `PID`; T_i and tracking may be None
     channel : measured channel
+    path : places [m], speed [m/s] and rest [s] of a `ReferencePath`, followed in place of the set-point
+    feedforward : values [SI of the output] at each multiple of `every` [s], added with straight lines between them
     """
 
     def __init__(
@@ -38,6 +41,8 @@ class PositionLoop:
         tracking: float | None = None,
         start: float = 0.0,
         channel: str = "displacement",
+        path: Mapping[str, Any] | None = None,
+        feedforward: Mapping[str, Any] | None = None,
     ) -> None:
         if not isfinite(setpoint):
             raise ValueError("the set-point is no number")
@@ -55,6 +60,9 @@ class PositionLoop:
             start=start,
         )
         self.setpoint, self.duration, self.channel = setpoint, duration, channel
+        self.path = None if path is None else ReferencePath(**path)
+        self._ahead = [] if feedforward is None else [float(value) for value in feedforward["values"]]
+        self._every = 1.0 if feedforward is None else float(feedforward["every"])
         self._settings: dict[str, Any] = {
             "K_p": K_p,
             "T_i": T_i,
@@ -66,6 +74,7 @@ class PositionLoop:
             "anti_windup": anti_windup,
             "tracking": tracking,
             "channel": channel,
+            **({} if path is None else {"path": dict(path), "feedforward": feedforward is not None}),
         }
         self.done = False
         self._ended = "limit"
@@ -89,13 +98,24 @@ class PositionLoop:
         if self._first is None:
             self._first = self._t = t
         h, self._t = t - self._t, t
-        self._error = self.setpoint - measured
-        command = controller.update(h, self.setpoint, measured)
+        since = t - self._first
+        setpoint = self.setpoint if self.path is None else self.path.place(since)
+        self._error = setpoint - measured
+        command = controller.update(h, setpoint, measured, self._ahead_at(since))
         self._samples += 1
         self._saturated += controller.saturated
         if t - self._first >= self.duration:
             self.done, self._ended = True, "time"
         return command
+
+    def _ahead_at(self, since: float) -> float:
+        """Feed-forward at a time after the first sample; the last value after its end."""
+        if not self._ahead:
+            return 0.0
+        place = min(max(since / self._every, 0.0), len(self._ahead) - 1.0)
+        left = min(int(place), len(self._ahead) - 2) if len(self._ahead) > 1 else 0
+        right = min(left + 1, len(self._ahead) - 1)
+        return self._ahead[left] + (place - left) * (self._ahead[right] - self._ahead[left])
 
     def result(self) -> dict[str, Any]:
         """What happened, as plain data: the settings, t0, t1 [s], last error and command, share of clamped samples.

@@ -6,6 +6,7 @@
 - the way of the papers, dead times: `exponentials`; the regulator: `bandwidth`; words and overlays: `view`
 - where asked for: chosen forms over pressure in `joint`; output error in `output_error`, `stretch`
 - by paper 1: `paper1`, made of `paper1_steps`; model against test in `paper1_view`
+- further trials: what they will tell in `predicted`, what is known so far in `known`, the choice in `next_trial`
 - protocol files: `protocol`; one trial on the display: `live`
 """
 
@@ -121,8 +122,10 @@ KIND = Kind(
     methods=METHODS,
     options=("forms", "bootstrap", "regulator", "polish"),
     parts={
+        "intervals of a plan": "pmabench.kinds.contraction_relaxation.predicted:intervals_of_plan",
         "check options": "pmabench.kinds.contraction_relaxation.joint:check",
         "slow rows": "pmabench.analysis.surface.trials:hanging",
+        "next trial": "pmabench.kinds.contraction_relaxation.next_trial:Chooser",
     },
     also=(PAPER_1,),
     figures={"overlay": "pmabench.plotting.motion:motions"},

@@ -23,7 +23,7 @@ from pmabench.analysis.shared.samples import Samples
 from pmabench.analysis.verdict.checks import Check
 from pmabench.base.quantities import show
 from pmabench.kinds.contraction_relaxation.intervals import NORMAL, Pooled
-from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, prior_of, spread
+from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, place, prior_of, spread
 from pmabench.kinds.contraction_relaxation.segments import Gate, Segments, velocity
 from pmabench.kinds.contraction_relaxation.trials import Campaign, strokes
 from pmabench.store.analyses.results import Estimate
@@ -188,7 +188,7 @@ def _identified(pooled: Pooled, symbol: str, P: Array) -> NDArray[np.bool_]:
     solved = pooled.fit
     k = len(solved.knots)
     mine = slice(solved.index(symbol), solved.index(symbol) + k)
-    hats = spread(P[:, None], np.ones((len(P), 1)), solved.knots)
+    hats = spread(place(P[:, None], solved.knots), np.ones((len(P), 1)), len(solved.knots))
     half = NORMAL * np.sqrt(np.maximum(0.0, np.sum(hats @ pooled.trust.covariance[mine, mine] * hats, axis=1)))
     size = float(np.median(np.abs(solved.theta[mine])))
     return np.asarray(half <= WIDE * np.maximum(np.abs(hats @ solved.theta[mine]), size))

@@ -64,9 +64,10 @@ class Hiding:
         return sqrt(float((combination @ self.change) ** 2 @ self.likely))
 
 
-PART = 0.3
+PART_OF_MUSCLE, PART_OF_BENCH = 0.3, 0.1
 """Share of a correction that is in the interval of what was corrected: loads that are left out do not show what biases
-all of them alike. Chosen and confirmed on campaigns with known faults."""
+all of them alike. Of what a muscle does no form is exact, of a delay, a drift or a slip nearly so. Chosen and confirmed
+on campaigns with known faults."""
 CORRECTED = "correction"
 
 
@@ -74,8 +75,8 @@ CORRECTED = "correction"
 class Correction:
     """What corrected samples owe to their correction."""
 
-    change: Array
-    """Of theta, by it; shape (p,)."""
+    changes: Array
+    """Of theta, the part of each of its steps that may be wrong; shape (m, p)."""
     spreads: tuple[Array, ...]
     """Covariances of theta, sizes of the correction among what is found anew, by loads and by trials; (p, p) each."""
     others: Array
@@ -90,7 +91,7 @@ class Correction:
     def half(self, combination: Array) -> float:
         """The part of the correction that may be wrong, and how far other explanations are away."""
         apart = float(np.max(np.abs(self.others @ combination), initial=0.0))
-        return hypot(PART * float(self.change @ combination), apart)
+        return hypot(float(np.linalg.norm(self.changes @ combination)), apart)
 
 
 @dataclass(frozen=True, eq=False)

@@ -231,7 +231,7 @@ def _design(segments: Segments, forms: Mapping[str, Form]) -> list[Array]:
 def _sums(P: Array, by: Array, form: Form) -> Array:
     """Sums over the second axis of the form's functions at P (n, w) times `by` (n, w); shape (n, size)."""
     if form.knots is not None:
-        return spread(P, by, form.knots)
+        return spread(place(P, form.knots), by, len(form.knots))
     z = (P - form.centre) / form.scale
     columns = []
     for _ in range(form.size):

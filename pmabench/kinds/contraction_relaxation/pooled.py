@@ -174,25 +174,38 @@ def place(P: Array, knots: Array) -> tuple[NDArray[np.intp], Array]:
     return left, (P - knots[left]) / (knots[left + 1] - knots[left])
 
 
-def spread(P: Array, by: Array, knots: Array) -> Array:
-    """Sums over the second axis of hat functions at P (n, w) times `by` (n, w); shape (n, len(knots))."""
-    left, share = place(P, knots)
-    n, k = len(P), len(knots)
-    rows = np.arange(n)[:, None] * k + left
-    total = np.bincount(rows.ravel(), (by * (1 - share)).ravel(), n * k).astype(np.float64)
-    total += np.bincount(rows.ravel() + 1, (by * share).ravel(), n * k)
-    return total.reshape(n, k)
+def spread(at: tuple[NDArray[np.intp], Array], by: Array, k: int) -> Array:
+    """Sums over the second axis of the hat functions of k knots `at` places (n, w) times `by` (n, w); shape (n, k)."""
+    left, share = at
+    rows = np.arange(len(left))[:, None] * k + left
+    total = np.bincount(rows.ravel(), (by * (1 - share)).ravel(), len(left) * k).astype(np.float64)
+    total += np.bincount(rows.ravel() + 1, (by * share).ravel(), len(left) * k)
+    return total.reshape(-1, k)
+
+
+def sums_of(segments: Segments, knots: Array) -> tuple[Array, Array, Array]:
+    """What F_ce, K and B at the knots are multiplied by, by their size, each of shape (n, k)."""
+    weights, k = np.broadcast_to(segments.weights, segments.P.shape), len(knots)
+    at = place(segments.P, knots)
+    return (
+        spread(at, weights, k),
+        spread(at, weights * segments.x, k),
+        spread(place(segments.P_mid, knots), segments.v / segments.v.shape[1], k),
+    )
 
 
 def design_of(segments: Segments, knots: Array) -> Array:
     """Regressors, shape (n, 4 k + 1), in the order of `Fit.theta`."""
-    weights = np.broadcast_to(segments.weights, segments.P.shape)
-    damping = spread(segments.P_mid, segments.v / segments.v.shape[1], knots)
+    return _design(segments, sums_of(segments, knots))
+
+
+def _design(segments: Segments, sums: tuple[Array, Array, Array]) -> Array:
+    force, spring, damping = sums
     contracting = segments.way[:, None] > 0
     return np.hstack(
         [
-            spread(segments.P, weights, knots),
-            -spread(segments.P, weights * segments.x, knots),
+            force,
+            -spring,
             -np.where(contracting, damping, 0.0),
             -np.where(contracting, 0.0, damping),
             -segments.way[:, None],
@@ -217,7 +230,13 @@ def carried(knots: Array, old: Array, new: Array) -> Array:
 
 def solve(segments: Segments, knots: Array, noise: float, halves: Array = NONE, added: Array = NONE) -> Fit:
     """Least squares with the weak prior; `noise` [N] is what a segment's residual should have."""
-    design = design_of(segments, knots)
+    return solve_design(segments, design_of(segments, knots), knots, noise, halves, added)
+
+
+def solve_design(
+    segments: Segments, design: Array, knots: Array, noise: float, halves: Array = NONE, added: Array = NONE
+) -> Fit:
+    """The same with the regressors (n, 4 k + 1) of these segments and knots, which do not depend on the force."""
     friction = bool((segments.way > 0).any() and (segments.way < 0).any())
     if not friction:
         design[:, -1] = 0.0
@@ -331,13 +350,26 @@ def rms_of(values: Array) -> float:
 
 
 def _with_knot(segments: Segments, solved: Fit, stretch: tuple[float, float], expected: float) -> Fit:
-    """The fit with one more knot in the stretch [Pa]: at the best of some places, then at the best near that one."""
+    """The fit with one more knot in the stretch [Pa]: at the best of some places, then at the best near that one.
+
+    Only segments that come into the stretch notice it.
+    """
     low, high = stretch
     found: list[tuple[float, Fit]] = []
+    number = int(np.searchsorted(solved.knots, low))
+    without = [np.insert(sums, number + 1, 0.0, axis=1) for sums in sums_of(segments, solved.knots)]
+    near = np.zeros(len(segments), bool)
+    for P in (segments.P, segments.P_mid):
+        near |= (place(P, solved.knots)[0] == number).any(axis=1)
+    inside = segments.where(near)
     for _ in range(2):
         apart = (high - low) / (PLACES + 1)
         for P in low + apart * np.arange(1, PLACES + 1):
-            found.append((float(P), solve(segments, np.sort(np.append(solved.knots, P)), expected)))
+            knots = np.insert(solved.knots, number + 1, P)
+            for sums, there in zip(without, sums_of(inside, knots), strict=True):
+                sums[near] = there
+            design = _design(segments, (without[0], without[1], without[2]))
+            found.append((float(P), solve_design(segments, design, knots, expected)))
         place_of, best = min(found, key=lambda one: float(one[1].residual @ one[1].residual))
         low, high = place_of - apart, place_of + apart
     return best

@@ -231,6 +231,8 @@ class ContractionRelaxation(ProtocolHead):
         relax = self.trial.relax
         if relax.by is None or relax.by <= 0:
             return []
+        if relax.then >= pressure:
+            return []
         count = (pressure - relax.then) / relax.by
         if count > MOST_RELAXATIONS:
             c.fault(("trial", "relax", "by"), f"makes more than {MOST_RELAXATIONS} steps a trial, the most allowed")

@@ -22,8 +22,9 @@ from pmabench.kinds.contraction_relaxation import RESULTS, drift, exponentials, 
 from pmabench.kinds.contraction_relaxation.bandwidth import regulator
 from pmabench.kinds.contraction_relaxation.checks import free_runs
 from pmabench.kinds.contraction_relaxation.curves import curve
+from pmabench.kinds.contraction_relaxation.diagnosis.columns import sensor_known
 from pmabench.kinds.contraction_relaxation.diagnosis.examination import examined
-from pmabench.kinds.contraction_relaxation.diagnosis.hiding import hidden, of_the_cell
+from pmabench.kinds.contraction_relaxation.diagnosis.hiding import hidden, of_the_cell, of_the_sensor
 from pmabench.kinds.contraction_relaxation.diagnosis.verdict import Diagnosis
 from pmabench.kinds.contraction_relaxation.intervals import Pooled, Trust, assess, replay_fits
 from pmabench.kinds.contraction_relaxation.joint import METHOD as JOINT
@@ -37,7 +38,7 @@ from pmabench.kinds.contraction_relaxation.pooled import (
     fit,
     rms_of,
 )
-from pmabench.kinds.contraction_relaxation.segments import Gate, Segments, cut, moved
+from pmabench.kinds.contraction_relaxation.segments import Cutter, Gate, Segments, moved
 from pmabench.kinds.contraction_relaxation.trials import Campaign, gather, strokes
 from pmabench.kinds.contraction_relaxation.values import FEWEST, METHOD, Solution, values
 from pmabench.store.analyses.results import Analysis, Curve, Dropped, Estimate, Finding, withhold
@@ -156,14 +157,15 @@ def segments_like(
     campaign: Campaign, options: Mapping[str, Any]
 ) -> tuple[Array, Callable[[Sequence[Samples]], Segments]]:
     """First knots of the fit [Pa], and what cuts samples into segments within their reach."""
-    gate = Gate(speed=float(options.get("speed", Gate.speed)))
+    cutter = Cutter(campaign.rate, Gate(speed=float(options.get("speed", Gate.speed))))
     commanded = np.unique([c.value for trial in campaign.trials for c in trial.commands if c.output == "pressure"])
     knots = first_knots(np.array(campaign.tested), commanded)
     low, high = knots[0] - 1e3, knots[-1] + (knots[-1] - knots[-2])
 
     def segments_of(samples: Sequence[Samples]) -> Segments:
-        found = cut(samples, campaign.rate, gate)
-        return found.where((found.P.min(axis=1) >= low) & (found.P.max(axis=1) <= high))
+        found = cutter.cut(samples)
+        within = (found.P.min(axis=1) >= low) & (found.P.max(axis=1) <= high)
+        return found if within.all() else found.where(within)
 
     return knots, segments_of
 
@@ -214,7 +216,8 @@ def pool(recorded: Campaign, options: Mapping[str, Any]) -> Pooled | None:
     def with_hidden(other: Solved, rows: NDArray[np.bool_], trust: Trust) -> Trust:
         mine, scales = segments.where(rows), Scales.of(campaign.runs)
         lines = diagnosis.hidden.lines(other, rows)
-        return replace(trust, hides=(*lines, *of_the_cell(diagnosis.weighed, scales, mine, other)))
+        sensor = of_the_sensor(sensor_known(campaign), mine, other)
+        return replace(trust, hides=(*lines, *of_the_cell(diagnosis.weighed, scales, mine, other), sensor))
 
     def trust_of(other: Solved, rows: NDArray[np.bool_], seen: Array) -> Trust:
         trust = trusted(other, rows, seen, lambda late: other.again(late, rms_of(seen)).theta)

@@ -10,7 +10,7 @@ sign in the velocity, so that much of its noise cancels in a stretch; means that
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -145,17 +145,19 @@ def moved(samples: Samples, channels: Sequence[str], by: float) -> Samples:
 
 def _later(t: Array, values: Array, by: float) -> Array:
     """Values [SI] at t + by [s], linear between neighbours; nan where samples are missing there."""
-    taken = np.interp(t + by, t, values)
-    right = np.clip(np.searchsorted(t, t + by), 1, len(t) - 1)
-    width = t[right] - t[right - 1]
-    taken[width > 1.5 * float(np.median(np.diff(t)))] = np.nan
+    taken, steps = np.interp(t + by, t, values), np.diff(t)
+    if steps.max() > 1.5 * steps.min():
+        right = np.clip(np.searchsorted(t, t + by), 1, len(t) - 1)
+        taken[steps[right - 1] > 1.5 * float(np.median(steps))] = np.nan
     return taken
 
 
 def _finite(samples: Samples) -> Samples:
     """The samples, of which those with a number in every channel are usable."""
-    ok = samples.ok & np.isfinite(samples.P) & np.isfinite(samples.x)
-    return replace(samples, ok=ok if samples.force is None else ok & np.isfinite(samples.force))
+    known = np.isfinite(samples.P) & np.isfinite(samples.x)
+    if samples.force is not None:
+        known &= np.isfinite(samples.force)
+    return samples if known[samples.ok].all() else replace(samples, ok=samples.ok & known)
 
 
 def velocity(t: Array, x: Array, reach: int) -> Array:
@@ -166,23 +168,62 @@ def velocity(t: Array, x: Array, reach: int) -> Array:
     return v
 
 
+@dataclass(frozen=True, eq=False)
+class _Places:
+    """Where the segments of a stretch lie, by these samples of it."""
+
+    x: Array
+    ok: NDArray[np.bool_]
+    v: Array
+    """Velocity at each sample [m/s]."""
+    start: NDArray[np.intp]
+    way: Array
+    """Shape (segments,) both."""
+
+
+@dataclass(frozen=True, eq=False)
+class Cutter:
+    """Cuts stretches into segments; where only pressures and forces of a trial differ from the last time, its places
+    are known.
+    """
+
+    rate: float
+    gate: Gate
+    known: dict[int, _Places] = field(default_factory=dict)
+    """Trial -> places."""
+
+    def cut(self, stretches: Sequence[Samples]) -> Segments:
+        """All segments of the stretches, in their order, contracting before relaxing in each."""
+        n, m = self.gate.samples(self.rate)
+        weights = np.convolve(np.ones(n), np.concatenate(([0.5], np.ones(2 * m - 1), [0.5]))) / (2 * m * n)
+        parts = [_taken(samples, self._places(samples, n, m), n, m, weights) for samples in stretches]
+        return _joined([part for part in parts if part is not None], n, m, weights, 1 / self.rate)
+
+    def _places(self, samples: Samples, n: int, m: int) -> _Places:
+        found = self.known.get(samples.trial)
+        if found is None or found.x is not samples.x or found.ok is not samples.ok:
+            found = self.known[samples.trial] = _places(samples, n, m, self.gate)
+        return found
+
+
 def cut(stretches: Sequence[Samples], rate: float, gate: Gate) -> Segments:
     """All segments of the stretches, in their order, contracting before relaxing in each."""
-    n, m = gate.samples(rate)
-    weights = np.convolve(np.ones(n), np.concatenate(([0.5], np.ones(2 * m - 1), [0.5]))) / (2 * m * n)
-    parts = [_cut_one(samples, n, m, gate, weights) for samples in stretches]
-    found = [part for part in parts if part is not None]
+    return Cutter(rate, gate).cut(stretches)
+
+
+def _joined(found: Sequence[tuple[Array, ...]], n: int, m: int, weights: Array, dt: float) -> Segments:
+    """Segments of columns as `_taken` gives them."""
     if not found:
         none = np.empty(0)
         wide, narrow = np.empty((0, n + 2 * m)), np.empty((0, n))
         first = np.empty(0, np.intp)
-        return Segments(first, none, none, wide, wide, narrow, narrow, narrow, none, none, weights, 1 / rate)
+        return Segments(first, none, none, wide, wide, narrow, narrow, narrow, none, none, weights, dt)
     trial, t, way, P, x, P_mid, v, F_mid, force, mass = (np.concatenate(column) for column in zip(*found, strict=True))
-    return Segments(trial.astype(np.intp), t, way, P, x, P_mid, v, F_mid, force, mass, weights, 1 / rate)
+    return Segments(trial.astype(np.intp), t, way, P, x, P_mid, v, F_mid, force, mass, weights, dt)
 
 
-def _cut_one(samples: Samples, n: int, m: int, gate: Gate, weights: Array) -> tuple[Array, ...] | None:
-    """Columns of `Segments` of one stretch, in the order of their declaration."""
+def _places(samples: Samples, n: int, m: int, gate: Gate) -> _Places:
+    """Segments of `n` samples that a velocity over `m` samples to both sides allows."""
     v = velocity(samples.t, samples.x, m)
     usable = samples.ok & (samples.x > gate.lift)
     starts: list[Array] = []
@@ -196,9 +237,15 @@ def _cut_one(samples: Samples, n: int, m: int, gate: Gate, weights: Array) -> tu
             if count > 0:
                 starts.append(begin + n * np.arange(count))
                 ways.append(np.full(count, way))
-    if not starts:
+    none = np.empty(0, np.intp)
+    return _Places(samples.x, samples.ok, v, np.concatenate((none, *starts)), np.concatenate((none, *ways)))
+
+
+def _taken(samples: Samples, places: _Places, n: int, m: int, weights: Array) -> tuple[Array, ...] | None:
+    """Columns of `Segments` of one stretch, in the order of their declaration; None without any."""
+    start, way_of, v = places.start, places.way, places.v
+    if not len(start):
         return None
-    start, way_of = np.concatenate(starts), np.concatenate(ways)
     middle = start[:, None] + np.arange(n)
     around = start[:, None] + np.arange(-m, n + m)
     mass = np.zeros(len(start))

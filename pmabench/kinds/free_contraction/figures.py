@@ -13,7 +13,7 @@ from pmabench.analysis.model_fit import ModelFit
 from pmabench.base.quantities import show
 from pmabench.model.library import MODELS
 from pmabench.plotting.pictures import Picture, bound, has, label, numbers, panel, picture
-from pmabench.plotting.plots import BLUE, CROSSES, HALF, INK, RED, Panel, blank, few_ticks, grid
+from pmabench.plotting.plots import BLUE, BROWN, CROSSES, HALF, INK, Panel, blank, few_ticks, grid
 from pmabench.store.analyses.results import Analysis, Finding, Trace
 from pmabench.store.records import Array
 
@@ -198,7 +198,7 @@ def trace(curve: Curves, length: float) -> Trace:
 
 NAMES = {"pressure": "pressure", "length": "length", "below": "below", "above": "above", "fit": "fit", "model": "model"}
 STYLES = {"below": ("^", "reached from below"), "above": ("v", "reached from above"), "length": ("o", "measured")}
-LINES = {"fit": (RED, "-", "sigmoid, a to e fitted"), "model": (BLUE, (0, (4, 2)), "paper 2's formula")}
+LINES = {"fit": (BROWN, "-", "sigmoid, a to e fitted"), "model": (BLUE, (0, (4, 2)), "paper 2's formula")}
 
 
 def lengths(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:

@@ -53,6 +53,7 @@ KIND = Kind(
     name="isobaric-ramp",
     title="Isobaric ramps",
     order=50,
+    reverses=True,
     results=RESULTS,
     reduction="pmabench.kinds.isobaric_ramp.reduction:reduce",
     papers=("paper 3, isobaric loops",),
@@ -88,6 +89,8 @@ KIND = Kind(
                 ("cycles", "pairs"),
                 ("pressure", "held"),
             ),
-        )
+        ),
+        follows="force",
+        shown="length ramps",
     ),
 )

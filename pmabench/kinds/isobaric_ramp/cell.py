@@ -12,11 +12,13 @@ import numpy as np
 
 from pmabench.analysis.shared import skew
 from pmabench.analysis.shared.calibration import Scales, sentences
+from pmabench.analysis.shared.form import Doubt, weighed
 from pmabench.analysis.shared.lines import PROPORTIONAL, Line, mean_half, weighted_line
 from pmabench.analysis.shared.ramp_loop import Loop
+from pmabench.analysis.shared.samples import lag_open
 from pmabench.analysis.shared.sine_loop import RECOVERED
 from pmabench.base.quantities import show
-from pmabench.store.analyses.results import Estimate, Finding, Parts, Trace
+from pmabench.store.analyses.results import Estimate, Finding, Parts, Trace, withhold
 from pmabench.store.records import Array, RunData, TrialData
 
 CURVE, RAW, LOCAL = "mean-curve", "mean-curve, turns left in", "mean-curve, local"
@@ -32,6 +34,12 @@ UNEVEN = 0.05
 """Share of the gap that unequal pressure of the branches may be worth before it is doubted."""
 GUESSED = 1.5
 """dF/dP may be so many times F/P, which is taken where one pressure was tested."""
+LEFT_OF_TURNS = 0.2
+"""Share of what taking off the turns changes that may still be in a value: they need not fade as an exponential."""
+UPSIDE_DOWN = (
+    "the force is larger while contracting than while expanding, and no muscle gives work back like that: look for a "
+    "wrong sign, or force and displacement that are apart in time"
+)
 LONGEST_TRACE = 1500
 BETWEEN = "displacement and force"
 CYCLES = "one trial a speed: the repeats part is the scatter of its cycles, and repeated tests may scatter more"
@@ -190,11 +198,12 @@ class Cell:
 
         newton, stiffness = ("N", "force"), ("N/m", "stiffness")
         uneven = self._uneven(dF_dP)
+        by_turns = self._of_turns(lambda curve: float(np.polyfit(x, curve, 1)[0]))
         kinds = [(CURVE, lambda loop: loop.mean), (RAW, lambda loop: loop.raw_mean)]
         for method, curve in kinds if any(m.loop.turns is not None for m in self.members) else kinds[:1]:
             estimate(
                 "K", stiffness, method, lambda loop, of=curve: -np.polyfit(x, of(loop).T, 1)[0], -1,  # type: ignore[misc]
-                extra=self.change, note=BENT_NOTE if self.bent else "",
+                extra=hypot(self.change, by_turns), note=BENT_NOTE if self.bent else "",
             )  # fmt: skip
             if lower <= 0 <= upper and P > 0:
                 estimate(
@@ -213,9 +222,48 @@ class Cell:
                 "K", stiffness, LOCAL, lambda loop, p=float(place): -_locals(x, loop.mean, p)[1], -1, at=at,  # type: ignore[misc]
                 extra=error[1],
             )  # fmt: skip
-        K = -float(np.polyfit(x, self.curve, 1)[0])
-        found += self._gap_lines(scales, abs(K), uneven, self._rising(dF_dP))
-        return found + self._work(scales, abs(K), uneven, float(upper - lower))
+        K = abs(-float(np.polyfit(x, self.curve, 1)[0]))
+        found += self._gap_lines(scales, K, uneven, self._rising(dF_dP))
+        found += self._work(scales, K, uneven, float(upper - lower))
+        if self.upside_down:
+            return [withhold(e, UPSIDE_DOWN) if e.value is not None else e for e in found]
+        return [weighed(e, self._doubts(e, K, float(upper - lower))) for e in found]
+
+    def _doubts(self, e: Estimate, K: float, stroke: float) -> list[Doubt]:
+        """What a late force, backlash and a drift do to an estimate; `K` [N/m] turns times into forces."""
+        late, slowest = self._late, min(m.speed for m in self.members)
+        gap = 2 * K * (e.at.get("speed", 0.0) or slowest) * late.half
+        uneven = 0.5 * max(m.loop.uneven_drift for m in self.members)
+        whole = max(m.loop.whole_drift for m in self.members)
+        taken = max(float(np.mean([np.mean(m.loop.given + m.loop.lost) for m in self.members])), 1e-9)
+        effects = {
+            "H": (gap, uneven), "F_c": (gap / 2, uneven / 2), "B": (K * late.half, 0.0), "K": (0.0, uneven / stroke),
+            "W": (gap * stroke, uneven * stroke), "W_c": (gap * stroke / 2, whole * stroke),
+            "eta": (gap * stroke / taken, uneven * stroke / taken), "F": (0.0, whole), "F_ce": (0.0, whole),
+        }  # fmt: skip
+        by_time, by_drift = effects.get(e.symbol, (0.0, 0.0))
+        return [replace(late, half=by_time), Doubt("drift", "drift", by_drift, False)]
+
+    @cached_property
+    def _late(self) -> Doubt:
+        """Time by which the force may come late [s], by turns of the slowest loops, or where turns fade over time."""
+        slowest = min(m.speed for m in self.members)
+        known = [m.loop.late for m in self.members if m.speed == slowest]
+        late = replace(
+            max(known, key=lambda one: (one.seen, one.half)), half=float(np.mean([one.half for one in known]))
+        )
+        faded = [(m.speed, m.loop.turns.w) for m in self.members if m.loop.turns is not None]
+        if self.one_speed or len({speed for speed, _ in faded}) < 2:
+            return late
+        speeds, ways = np.array(faded).T
+        longer = float(np.polyfit(speeds, ways, 1)[0])
+        if longer <= max(lag_open(m.run, "force") for m in self.members):
+            return late
+        reason = (
+            f"the faster the motion, the longer the way on which its turns fade, by {1e3 * longer:.2g} ms: the force "
+            "comes through a filter, which looks like damping; declare the `sensor_lag` of the force cell"
+        )
+        return replace(late, half=max(late.half, 2 * longer), seen=True, reason=reason)
 
     def _work(self, scales: Scales, K: float, uneven: float, stroke: float) -> list[Estimate]:
         """Gap and work at each speed, and the share of the work that comes back; `uneven` as `_uneven` gives it."""
@@ -298,10 +346,16 @@ class Cell:
         found = Estimate(symbol, value, *kind, method, dict(at), parts, len(trials), note=note, trials=trials)
         return skew.settled(found, BETWEEN, self.skew)
 
+    def _of_turns(self, of: Callable[[Array], float]) -> float:
+        """What the turns may still make of a number of the mean curve [as the number]."""
+        pairs = [(m.loop.mean.mean(axis=0), m.loop.raw_mean.mean(axis=0)) for m in self.members]
+        return LEFT_OF_TURNS * max(abs(of(mean) - of(raw)) for mean, raw in pairs)
+
     def _window_error(self, place: float) -> tuple[float, float]:
-        """What the width of the cubic makes of force [N] and slope [N/m] at a place."""
+        """What the width of the cubic, and the turns, make of force [N] and slope [N/m] at a place."""
         wide, narrow = _local(self.x, self.curve, place), _local(self.x, self.curve, place, WINDOW / 2)
-        return 2 * abs(wide[0] - narrow[0]), 2 * abs(wide[1] - narrow[1])
+        turns = [self._of_turns(lambda curve, i=i: _local(self.x, curve, place)[i]) for i in (0, 1)]  # type: ignore[misc]
+        return hypot(2 * (wide[0] - narrow[0]), turns[0]), hypot(2 * (wide[1] - narrow[1]), turns[1])
 
     def _uneven(self, dF_dP: float | None) -> float:
         """What of the gap unequal pressure of the two branches may be worth [N]."""

@@ -1,7 +1,7 @@
 """Force over pressure at set contractions: slopes, S(eps), dead band, hysteresis, F_ce and K.
 
-- `reduction`, made of `curve`, `daerden` (S over contraction), `sections` (all contractions at one pressure);
-  whether the tests have the form that is assumed: `form`
+- `reduction`, made of `curve`, `daerden` (S over contraction), `sections` (all contractions at one pressure), `flow`
+  (volume by a mass flow meter); whether the tests have the form that is assumed: `form`
 - protocol files: `protocol`; one trial on the display: `live`; words and figures: `figures`
 """
 
@@ -21,6 +21,8 @@ RESULTS = (
     Result("D_0", "free diameter", "length", headline=True),
     Result("theta_0", "braid angle at the nominal length", "angle", headline=True),
     Result("alpha", "exponent of S(ε)", "count", headline=True),
+    Result("V", "volume inside the muscle", "volume", headline=True),
+    Result("q", "mass flow of air while filling", "mass flow"),
 )
 METHODS = {
     "isometric-line": (
@@ -46,6 +48,11 @@ METHODS = {
     "daerden-section, alpha = 2": "The same with α = 2, the force of Tondu and Lopez.",
     "daerden-section, D_0 of the specimen": "The same with D0 given by the specimen's inner_diameter.",
     "daerden-section, theta_0 of the specimen": "The same with θ0 given by the specimen's braid_angle.",
+    "mass flow, filling": (
+        "V = r T ∫q dt/ΔP − V_dead over the ramp up and the rest at its top, r 287 J/(kg K); the zero of the meter, "
+        "its mean before and after both ramps, is taken off."
+    ),
+    "mass flow, mean while filling": "Mean of the measured flow from 15 to 95 % of the ramp up, its zero taken off.",
     "corrected-force": (
         "F = π r0² (p − p0) [a (1 − q ε)² − b], q = 1 + e^(−p/bar), with p0 by least squares over all contractions, D0 "
         "and θ0 of the specimen (paper 2)."
@@ -69,6 +76,7 @@ KIND = Kind(
     methods=METHODS,
     figures={
         "isometric": "pmabench.plotting.isometric:lines",
+        "flow-volume": "pmabench.kinds.isometric_pressurisation.figures:volumes",
         "section": "pmabench.kinds.isometric_pressurisation.figures:sections",
     },
     front={"isometric": "pmabench.plotting.isometric:lines"},

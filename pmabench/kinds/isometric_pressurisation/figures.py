@@ -323,3 +323,18 @@ def _section(trace: Trace, simulated: bool) -> Picture:
     draw = bound(plots.coefficients, [points], *labels)
     title = "Force by pressure, S, over contraction"
     return picture(draw, title, caption, alt, numbers([("", trace)]), wide=False, simulated=simulated)
+
+
+def volumes(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
+    """Volume by mass flow over contraction."""
+    found = []
+    for trace in (one for one in traces if has(one, "contraction", "volume", "half")):
+        x, V, half = (column(trace, name) for name in ("contraction", "volume", "half"))
+        labels = (unit_of(trace, "contraction").label("contraction x"), unit_of(trace, "volume").label("V"))
+        points = Points("by mass flow", x, V, half, half, primary=True, group=0, mark=0)
+        caption = "Volumes from the mass of air that a slow ramp of pressure lets in, with their 95 % intervals."
+        alt = f"{labels[1]} over {labels[0]}: {len(V)} volumes from {V.min():.4g} to {V.max():.4g}."
+        draw = bound(plots.coefficients, [points], *labels)
+        title, table = "Volume by mass flow", numbers([("", trace)])
+        found.append(picture(draw, title, caption, alt, table, wide=False, simulated=analysis.simulated))
+    return found

@@ -13,7 +13,7 @@ from pydantic import BeforeValidator, Field, WithJsonSchema
 
 from pmabench.base.quantities import show
 from pmabench.files.document import Location, Strict
-from pmabench.files.quantity import Length, Pressure, PressureRate, Speed, Time, parse_quantity
+from pmabench.files.quantity import Length, Pressure, PressureRate, Speed, Temperature, Time, Volume, parse_quantity
 from pmabench.protocol.accept import OF_TRIALS
 from pmabench.protocol.common import Compilation, ProtocolHead
 from pmabench.protocol.driven import VENT_HOLD, not_too_fast, predicted_force
@@ -24,6 +24,10 @@ FEWEST_SAMPLES = 200
 """Samples that one slow ramp must have."""
 REST = 1.0
 """Rest before and after the ramps, the level from which the force begins [s]."""
+SHORTEST_TOP = 2.0
+"""Rest at the top in which the air takes the wall's temperature, where its mass is measured [s]."""
+ROOM = (250.0, 350.0)
+"""Temperatures of a room [K]."""
 SIDES = {"straight": (0,), "from-both-sides": (-1, 1)}
 """Approach -> the sides from which each contraction is reached: -1 from below, 1 from above."""
 
@@ -53,6 +57,13 @@ else:
             }
         ),
     ]
+
+
+class Dead(Strict):
+    """Volume between the meter and the muscle: line, fittings, sensor."""
+
+    volume: Volume
+    uncertainty: Volume
 
 
 class IsometricAxes(Strict):
@@ -93,6 +104,28 @@ class Pressurise(Strict):
     """For the surface of a muscle with hysteresis; the reduction of this kind of test leaves it out."""
 
 
+class Vessel(Strict):
+    """A vessel of known volume that this test was done with in place of the muscle."""
+
+    volume: Volume
+    uncertainty: Volume
+    """Of it (95 %), with that of `found`."""
+    found: Volume
+    """The volume that the test gave."""
+
+
+class Flow(Strict):
+    """A mass flow meter before the muscle, whose record gives its volume."""
+
+    dead: Dead
+    zero: Time = 5.0
+    """Rest before the ramps and after them, for the zero of the meter."""
+    temperature: Temperature = 293.15
+    """Of the air in the muscle, that of the room."""
+    temperature_uncertainty: Temperature = 3.0
+    vessel: Vessel | None = None
+
+
 class IsometricTrial(Strict):
     """One trial at one contraction."""
 
@@ -100,6 +133,7 @@ class IsometricTrial(Strict):
     settle: Time
     """Time at rest at the contraction, besides one second before the ramp and one after it."""
     pressurise: Pressurise
+    flow: Flow | None = None
 
 
 class IsometricPressurisation(ProtocolHead):
@@ -134,8 +168,42 @@ class IsometricPressurisation(ProtocolHead):
                 c.steps += _steps(self.trial, x, side, index)
         c.steps += [Set("vent", "pressure", 0.0), Hold("vent", VENT_HOLD)]
         pressurise = self.trial.pressurise
-        settings = {name: getattr(pressurise, name) for name in ("start", "stop", "rate")}
+        settings = {name: getattr(pressurise, name) for name in ("start", "stop", "rate")} | self._flow(c)
         return c.plan(self.kind, settings)
+
+    def _flow(self, c: Compilation) -> dict[str, object]:
+        """What the reduction needs to make a volume of the flow; nothing without a meter."""
+        flow, where = self.trial.flow, ("trial", "flow")
+        if flow is None:
+            return {}
+        if "flow" not in self.record:
+            c.fault(where, 'needs the channel "flow" among those recorded')
+        c.positive(flow.zero, (*where, "zero"))
+        if self.trial.pressurise.hold < SHORTEST_TOP:
+            c.fault(
+                ("trial", "pressurise", "hold"), f"the air settles at the top: {show(SHORTEST_TOP, 'time')} or more"
+            )
+        if min(flow.dead.volume, flow.dead.uncertainty) < 0:
+            c.fault((*where, "dead"), "a volume is not below zero")
+        if not ROOM[0] <= flow.temperature <= ROOM[1] or not 0 <= flow.temperature_uncertainty < 50:
+            c.fault((*where, "temperature"), f"a temperature from {ROOM[0]:g} to {ROOM[1]:g} K is expected")
+        gain, half = 1.0, 0.0
+        if (vessel := flow.vessel) is not None:
+            if min(vessel.volume, vessel.found, vessel.uncertainty) <= 0:
+                c.fault((*where, "vessel"), "volumes and an uncertainty above zero are expected")
+                return {}
+            gain = (vessel.volume + flow.dead.volume) / (vessel.found + flow.dead.volume)
+            half = vessel.uncertainty / (vessel.volume + flow.dead.volume)
+        return {
+            "flow": {
+                "dead": flow.dead.volume,
+                "dead_half": flow.dead.uncertainty,
+                "temperature": flow.temperature,
+                "temperature_half": flow.temperature_uncertainty,
+                "gain": gain,
+                "gain_half": half,
+            }
+        }
 
     def _checked(self, c: Compilation) -> None:
         """Check what holds for every trial."""
@@ -216,15 +284,16 @@ def _steps(of: IsometricTrial, x: float, side: int, index: int) -> list[Step]:
         if abs(end - begin) > 1e-9
     ]
     apart = abs(ramp.start - move.pressure) > 1e-6
+    zero = 0.0 if of.flow is None else of.flow.zero
     return [
         Record("move", True, index),
         *there,
         *([Ramp("rest", "pressure", move.pressure, ramp.start, ramp.rate)] if apart else []),
-        Hold("rest", of.settle + REST),
+        Hold("rest", of.settle + REST + zero),
         Ramp("fill", "pressure", ramp.start, ramp.stop, ramp.rate),
         Hold("top", ramp.hold),
         Ramp("empty", "pressure", ramp.stop, ramp.start, ramp.rate),
-        Hold("end", REST),
+        Hold("end", REST + zero),
         *_minor(ramp),
         *([Ramp("return", "pressure", ramp.start, move.pressure, ramp.rate)] if apart else []),
         *([Ramp("return", "displacement", x, 0.0, move.speed)] if abs(x) > 1e-9 else []),

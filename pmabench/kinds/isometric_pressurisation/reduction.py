@@ -30,6 +30,7 @@ from pmabench.analysis.verdict.agreement import Offer, at_pressures, everywhere,
 from pmabench.base.quantities import show
 from pmabench.kinds.isometric_pressurisation import RESULTS, daerden, figures
 from pmabench.kinds.isometric_pressurisation.curve import LEAST, PHASES, begins, mean_of, straight_from
+from pmabench.kinds.isometric_pressurisation.flow import by_flow
 from pmabench.kinds.isometric_pressurisation.form import departures, late, scatter_of
 from pmabench.kinds.isometric_pressurisation.sections import (
     BEYOND,
@@ -79,6 +80,8 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     given = {**given_of(runs[0].manifest.get("specimen") if runs else None), **options}
     found = _found(groups, given, scales)
     estimates, cells = _weighed(found, groups, given, scales), found.cells
+    volumes, words, volume_traces, without = by_flow(runs, scales)
+    estimates += volumes
     findings = [
         *figures.of_threshold([e for e in estimates if e.symbol == "p_0" and e.method != CORRECTED], given),
         *figures.of_sections(found.sections, given),
@@ -86,6 +89,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         *figures.of_corrected(found.corrected, given),
         *figures.of_cells(cells),
         *skew.findings(runs, CHANNELS, skew.apart(runs, CHANNELS), estimates),
+        *words,
     ]
     if estimates and (missing := scales.lack(CHANNELS)):
         findings.append(Finding("note", missing))
@@ -97,9 +101,9 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         results=RESULTS,
         estimates=estimates,
         curves=_curves(cells, estimates),
-        dropped=dropped,
+        dropped=[*dropped, *without],
         findings=findings,
-        traces=[*figures.traces(cells, found.sections, given), *blocked_trace(cells)],
+        traces=[*figures.traces(cells, found.sections, given), *blocked_trace(cells), *volume_traces],
         facts={
             "options": dict(options),
             "specimen": given,

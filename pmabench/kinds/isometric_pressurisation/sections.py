@@ -24,6 +24,7 @@ from pmabench.analysis.shared.isometric_lines import Pooled, Test, by_repeat, sp
 from pmabench.analysis.shared.lines import PROPORTIONAL, Line, weighted_line
 from pmabench.analysis.shared.student import mean_with_half
 from pmabench.analysis.shared.trials import session_of
+from pmabench.analysis.verdict.assembly import side_by_side
 from pmabench.base.quantities import show
 from pmabench.kinds.isometric_pressurisation.curve import Mean
 from pmabench.model.library.contractor import corrected_force
@@ -247,12 +248,18 @@ def corrected(cells: Sequence[Cell], length: float, diameter: float, braid_angle
 
 
 def given_of(specimen: object) -> Mapping[str, float]:
-    """What a manifest's specimen tells: `nominal_length`, `inner_diameter` [m], `braid_angle` [rad]; numbers only."""
+    """What a manifest's specimen gives: `nominal_length`, `inner_diameter` [m], `braid_angle` [rad]; numbers only.
+
+    The diameter of muscles side by side is that of one muscle with the force of all.
+    """
     entries = specimen if isinstance(specimen, Mapping) else {}
     names = ("nominal_length", "inner_diameter", "braid_angle")
-    return {
+    given = {
         name: float(entries[name]) for name in names if isinstance(entries.get(name), int | float) and entries[name] > 0
     }
+    if "inner_diameter" in given:
+        given["inner_diameter"] *= sqrt(side_by_side(specimen))
+    return given
 
 
 BLOCKED = "blocked"

@@ -1,7 +1,7 @@
 """Positions held in closed loop: error, overshoot, settling, limit cycle.
 
-- `reduction`, made of `response`
-- protocol files: `protocol` and `controller`; one trial on the display: `live`; figures: `figures`
+- `reduction`; of trials along a path `tracking`
+- protocol files: `protocol`, `controller` and `following`; one trial on the display: `live`; figures: `figures`
 """
 
 from pmabench.base.imported import Imported
@@ -9,6 +9,8 @@ from pmabench.base.kind import Kind, Result
 
 RESULTS = (
     Result("e_ss", "steady-state error", "ratio", headline=True),
+    Result("e_rms", "error along a path, rms", "length", headline=True),
+    Result("e_max", "largest error along a path", "length"),
     Result("OS", "overshoot", "ratio", headline=True),
     Result("t_r", "rise time", "time"),
     Result("t_s", "settling time", "time", headline=True),
@@ -26,6 +28,15 @@ METHODS = {
         "The same controller, sample by sample, around the model that the protocol names; e_sim is the rms difference "
         "of measured and simulated contraction from the step on."
     ),
+    "along a path": (
+        "The controller follows places over time: e_rms and e_max are of contraction minus the place that was wanted "
+        "at the same moment, from the first sample to the last; OS is the most that a move goes beyond its place "
+        "before the next one begins, over the move."
+    ),
+    "along a path, with feed-forward": (
+        "The same, with the pressure added that the inverse of a muscle as a surface gives for the path, hysteresis "
+        "and creep included, and led by the dead time and the lag of the regulator."
+    ),
 }
 KIND = Kind(
     name="positioning",
@@ -41,9 +52,11 @@ KIND = Kind(
     methods=METHODS,
     figures={
         "position": "pmabench.kinds.positioning.figures:positions",
+        "path": "pmabench.kinds.positioning.figures:paths",
     },
     front={
         "position": "pmabench.kinds.positioning.figures:positions",
+        "path": "pmabench.kinds.positioning.figures:paths",
     },
     imported=Imported(),
     loop=True,

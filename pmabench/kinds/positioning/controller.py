@@ -98,6 +98,8 @@ class Controller(Strict):
     """Tracking time of back-calculation."""
     output: tuple[Pressure, Pressure]
     """Range that the command cannot leave."""
+    feedforward: bool = False
+    """Add the pressure that the protocol's model, a muscle as a surface, needs for the path of the trial."""
 
 
 def schedule(c: Compilation, controller: Controller, at: Location) -> list[tuple[float, Settings]]:

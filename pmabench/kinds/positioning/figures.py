@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pmabench.plotting import time_plots
 from pmabench.plotting.pictures import (
     Picture,
     bound,
@@ -23,11 +24,11 @@ from pmabench.plotting.pictures import (
 )
 from pmabench.plotting.plots import (
     BLUE,
+    BROWN,
     FAINT,
     FULL,
     INK,
     QUIET,
-    RED,
     Array,
     Panel,
     blank,
@@ -81,6 +82,23 @@ def positions(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     return [picture(draw, "Positions in closed loop", caption, alt, table, wide=True, simulated=analysis.simulated)]
 
 
+def paths(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
+    """Wanted and measured place along each path."""
+    able = [t for t in traces if has(t, "t", "displacement", "model") and t.figure == "path"]
+    if not able:
+        return []
+    chosen = spread(able, MOST)
+    panels = [panel(t, {"t": "t", "measured": "displacement", "model": "model"}, head(t)) for t in chosen]
+    unit = unit_of(chosen[0], "displacement").unit
+    labels = {"t": label(chosen[0], "t"), "measured": f"contraction [{unit}]", "residual": f"error [{unit}]"}
+    caption = f"Grey: measured; red: the place that was wanted. Below: their difference.{how_many(chosen, able)}"
+    alt = f"Contraction over time along a path, measured and wanted, at {'; '.join(p.title for p in panels)}."
+    draw = bound(time_plots.overlay, panels, labels)
+    table = numbers([(head(t), t) for t in chosen])
+    wide = len(chosen) > 1
+    return [picture(draw, "Along a path", caption, alt, table, wide=wide, simulated=analysis.simulated)]
+
+
 def held(panels: Sequence[Panel], approach: float, labels: dict[str, str]) -> Figure:
     """Above: reference, measured and simulated position up to `approach` [s]; below: measured and simulated distance
     from the set-point over the whole hold, on one scale for all panels.
@@ -112,7 +130,7 @@ def _approach(axes: Axes, panel: Panel, until: float) -> None:
     t = panel.columns["t"][early]
     axes.plot(t, panel.columns["measured"][early], color=FAINT, linewidth=2.6, label="measured")
     if "model" in panel.columns:
-        axes.plot(t, panel.columns["model"][early], color=RED, linewidth=1.0, label="simulated")
+        axes.plot(t, panel.columns["model"][early], color=BROWN, linewidth=1.0, label="simulated")
     axes.step(
         t, panel.columns["setpoint"][early], where="post", color=INK, linewidth=0.8, linestyle=DASHED, label="reference"
     )
@@ -127,7 +145,7 @@ def _distance(axes: Axes, panel: Panel, reach: float) -> None:
     axes.axhline(0, color=INK, linewidth=0.8, linestyle=DASHED)
     axes.plot(t, panel.columns["measured"][after] - aim, color=BLUE, linewidth=0.8)
     if "model" in panel.columns:
-        axes.plot(t, panel.columns["model"][after] - aim, color=RED, linewidth=0.7, alpha=0.8)
+        axes.plot(t, panel.columns["model"][after] - aim, color=BROWN, linewidth=0.7, alpha=0.8)
     if panel.marks.get("window", 0.0) > 0:
         axes.axvline(panel.marks["window"], color=QUIET, linewidth=0.7, linestyle=(0, (1, 2)))
     axes.set_ylim(-reach, reach)

@@ -11,6 +11,8 @@ from pmabench.base.quantities import show
 from pmabench.files.document import Strict
 from pmabench.files.quantity import Load, Ratio, Time
 from pmabench.kinds.positioning.controller import MODEL, Controller, gains_at, model_for_gains, of_model, schedule
+from pmabench.kinds.positioning.following import PathFile, as_parameters, feedforward, path_of
+from pmabench.model.reference_path import ReferencePath
 from pmabench.protocol.common import Compilation, ProtocolHead
 from pmabench.protocol.plan import Hold, Plan, Record, Seek, Set, TrialRecord
 from pmabench.protocol.reference_model import ReferenceModel, described
@@ -28,7 +30,7 @@ class PositioningAxes(Strict):
 
 
 class PositioningTrial(Strict):
-    """One run: from rest at no pressure to the set-point, and hold."""
+    """One run: from rest at no pressure to the set-point, or along a path to shares of it, and hold."""
 
     baseline: Time = 0.2
     hold: Time
@@ -38,6 +40,8 @@ class PositioningTrial(Strict):
     """Band around the set-point that counts as settled, as a share of the step."""
     rest: Time = 3.0
     """Time without pressure between two runs."""
+    path: PathFile | None = None
+    """Places to follow in place of one step; then the hold comes after it."""
 
 
 class Positioning(ProtocolHead):
@@ -78,22 +82,28 @@ class Positioning(ProtocolHead):
             if c.too_long():
                 break
             c.trials.append(TrialRecord(index, values, point.repeat))
+            follows = self._following(c, values, model)
+            if follows is None:
+                continue
+            path, extra = follows
+            duration = trial.hold if path is None else trial.hold + path.duration
             parameters: dict[str, Any] = {
                 "setpoint": setpoint,
-                "duration": trial.hold,
+                "duration": duration,
                 "low": low,
                 "high": high,
                 "start": min(max(0.0, low), high),
                 "N": controller.filter,
                 "anti_windup": controller.anti_windup,
                 **gains,
+                **extra,
             }
             if controller.tracking is not None:
                 parameters["tracking"] = controller.tracking
             c.steps += [
                 Record("rest", True, index),
                 Hold("rest", trial.baseline),
-                Seek("position", "pid", "pressure", low, high, trial.hold + SLACK, parameters),
+                Seek("position", "pid", "pressure", low, high, duration + SLACK, parameters),
                 Record("position", False, index),
                 Set("vent", "pressure", 0.0),
                 Hold("vent", trial.rest),
@@ -103,6 +113,26 @@ class Positioning(ProtocolHead):
             settings["gains_of"] = table[0][0]
         settings |= {"model": model} if model is not None else {}
         return c.plan("positioning", settings)
+
+    def _following(
+        self, c: Compilation, point: dict[str, float], model: dict[str, Any] | None
+    ) -> tuple[ReferencePath | None, dict[str, Any]] | None:
+        """The path of a trial, and its parameters of the law; None with a problem noted."""
+        file, ahead = self.trial.path, ("controller", "feedforward")
+        if file is None:
+            if self.controller.feedforward:
+                c.fault(ahead, "a feed-forward is for a trial with a path: give trial.path")
+            return None if self.controller.feedforward else (None, {})
+        path = path_of(c, file, point["setpoint"], ("trial", "path"))
+        if path is None:
+            return None
+        extra: dict[str, Any] = {"path": as_parameters(path, file)}
+        if self.controller.feedforward:
+            values = feedforward(c, model, path, point["load"], self.controller.output, ahead)
+            if values is None:
+                return None
+            extra["feedforward"] = values
+        return path, extra
 
     def _sound(self, c: Compilation) -> None:
         """Check hold, window, band and the controller's output by themselves."""

@@ -15,10 +15,10 @@ import numpy as np
 from pmabench.analysis.shared import student
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.form import Doubt, weighed
+from pmabench.analysis.shared.response import SMALLEST, Response, respond
 from pmabench.analysis.shared.simulated import closed_loop, model_of
 from pmabench.base.quantities import show
-from pmabench.kinds.positioning import RESULTS
-from pmabench.kinds.positioning.response import SMALLEST, Response, respond
+from pmabench.kinds.positioning import RESULTS, tracking
 from pmabench.model.presets import Described
 from pmabench.store.analyses.results import Analysis, Dropped, Estimate, Finding, Parts, Trace
 from pmabench.store.records import Array, RunData, TrialData
@@ -71,13 +71,17 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     the limit cycle of every set-point (paper 0, control).
 
     Where the plan carries a model, the same loop is simulated around it (method `closed-loop, simulated`), and e_sim is
-    the rms difference of the two contractions [m].
+    the rms difference of the two contractions [m]. Trials along a path are in `tracking`.
     """
     dropped: list[Dropped] = []
     cells: dict[tuple[tuple[str, float], ...], list[Hold]] = {}
+    paths: list[tuple[RunData, TrialData, Mapping[str, Any]]] = []
     for run in runs:
         model = model_of(run)
         for trial in run.trials:
+            if _followed(trial):
+                paths.append((run, trial, trial.found["position"]))
+                continue
             hold = hold_of(run, trial, model)
             if isinstance(hold, str):
                 dropped.append(Dropped(trial.name, trial.point, hold))
@@ -86,23 +90,31 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
             cells.setdefault(key, []).append(hold)
     order = sorted(cells, key=lambda key: (dict(key).get("load", 0.0), dict(key).get("setpoint", 0.0)))
     holds = [cells[key] for key in order]
+    along, notes, ways, unused = tracking.reduced(paths)
     estimates = [e for key, members in zip(order, holds, strict=True) for e in _estimates(dict(key), members)]
     return Analysis.of(
         KIND,
         runs,
         results=RESULTS,
-        estimates=estimates,
-        dropped=dropped,
-        findings=_findings(runs, holds),
-        traces=[_trace(members[0]) for members in holds],
+        estimates=[*estimates, *along],
+        dropped=[*dropped, *unused],
+        findings=[*_findings(runs, holds), *notes],
+        traces=[*(_trace(members[0]) for members in holds), *ways],
         facts={
             "options": dict(options or {}),
-            "trials": sum(len(members) for members in holds),
+            "trials": sum(len(members) for members in holds) + len(paths),
             "cells": len(holds),
             "model": next((model.source for run in runs if (model := model_of(run)) is not None), None),
             "controllers": [_controller(members[0]) for members in holds],
         },
     )
+
+
+def _followed(trial: TrialData) -> bool:
+    """Whether a trial went along a path to its end."""
+    law = trial.found.get("position") or {}
+    whole = trial.status == "finished" and law.get("ended") == "time" and "displacement" in trial.channels
+    return bool(whole and law.get("path"))
 
 
 def hold_of(run: RunData, trial: TrialData, model: Described | None = None) -> Hold | str:

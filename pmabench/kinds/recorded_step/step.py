@@ -111,6 +111,8 @@ def measure(run: RunData, trial: TrialData, late: tuple[float, float]) -> Step |
     if np.any(trial.flags & np.uint16(Flag.TIME_JUMP)):
         return "its clock jumps"
     good = trial.usable
+    if not good.any():
+        return f"no usable samples (flagged: {unusable_because(trial)})"
     t = trial.t[good] - command.t
     read, x = trial.channels["pressure"][good], trial.channels["displacement"][good]
     lags = lags_of(run, trial)
@@ -118,8 +120,12 @@ def measure(run: RunData, trial: TrialData, late: tuple[float, float]) -> Step |
     P = before_sensor(t, read, lags["pressure"], over) if over else read
     within = command.data.get("within", 0.0)
     before, after = (t >= -BEFORE) & (t < -within), t > 0
-    if np.count_nonzero(before) < FEWEST or np.count_nonzero(after) < FEWEST or t[-1] < AFTER:
-        return f"too few usable samples around the step (flagged: {unusable_because(trial)})"
+    if min(np.count_nonzero(before), np.count_nonzero(after)) < FEWEST or t[-1] < AFTER:
+        seen = (
+            f"{np.count_nonzero(before)} in {BEFORE:g} s before it, {np.count_nonzero(after)} in {t[-1]:.2g} s after it"
+        )
+        needed = f"{FEWEST} each and {AFTER:g} s are needed, so {FEWEST / BEFORE:g} Hz or more"
+        return f"too few usable samples around the step: {seen}; {needed} (flagged: {unusable_because(trial)})"
     settled = t > max(AFTER, t[-1] - 1.0)
     size = float(np.median(P[settled]) - np.median(P[before])) if settled.any() else 0.0
     stroke = float(np.median(x[settled]) - np.median(x[before])) if settled.any() else 0.0

@@ -1,6 +1,7 @@
 """A driven end moved as a sine at constant pressure: K, B, F_c, loops.
 
-- `reduction`, made of `fit`, `mean_force`, `form` (what the harmonics correct and contradict), `centres`, `pressure`
+- `reduction`, made of `fit`, `mean_force`, `form` (what the harmonics correct and contradict), `creep`,
+  `centres`, `pressure`, `late` (a force that comes late)
 - protocol files: `protocol`; one trial on the display: `live`; figures: `figures`
 """
 
@@ -84,6 +85,8 @@ KIND = Kind(
             "displacement",
             point=(("frequency", "frequency"), ("mean", "mean"), ("amplitude", "amplitude"), ("pressure", "held")),
             sine=True,
-        )
+        ),
+        follows="force",
+        shown="length sine",
     ),
 )

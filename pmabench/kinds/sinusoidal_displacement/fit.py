@@ -17,6 +17,7 @@ from pmabench.analysis.shared.lines import Line, mean_half, weighted_line
 from pmabench.analysis.shared.sine_loop import Sine, replay
 from pmabench.analysis.shared.skew import courses, settled
 from pmabench.base.quantities import show
+from pmabench.kinds.sinusoidal_displacement.creep import lost
 from pmabench.store.analyses.results import Estimate, Finding, Parts
 from pmabench.store.records import Array, RunData, TrialData
 
@@ -177,15 +178,16 @@ class Fitted:
         parents = tuple(member.name for member in self.group)
         P = at.get("pressure", 0.0)
 
-        skewed = self._skewed()
+        skewed, crept = self._skewed(), self._crept()
 
         def estimate(
             symbol: str, kind: tuple[str, str], method: str, value: float, half: float | None, bias: float, *,
-            per_length: float, skew: float, slope: float | None = None, note: str = "", where: Mapping[str, float] = at,
+            per_length: float, skew: float, creep: float, slope: float | None = None, note: str = "",
+            where: Mapping[str, float] = at,
         ) -> Estimate:  # fmt: skip
             if np.isnan(value):
                 return Estimate(symbol, None, *kind, method, where, note=ALONE, n=len(parents), trials=parents)
-            doubt = hypot(bias, apart.get(symbol, 0.0))
+            doubt = hypot(bias, apart.get(symbol, 0.0), creep)
             part = _calibration(scales, {"force": value, "displacement": per_length * value}, slope, P)
             found = Estimate(
                 symbol, value - bias, *kind, method, where, Parts(half, doubt, part, skew), len(parents),
@@ -203,30 +205,55 @@ class Fitted:
         half_stiffness, loss_start, loss_slope, width_start, width_slope = self._halves()
         return [
             estimate(
-                "K", stiffness, HARMONIC, K, half_stiffness, self.bias["K"], per_length=-1, skew=skewed["K"], slope=dK
+                "K", stiffness, HARMONIC, K, half_stiffness, self.bias["K"], per_length=-1, skew=skewed["K"],
+                creep=crept["K"], slope=dK,
             ),
             estimate(
-                "B", damping, HARMONIC, B, loss_slope, self.bias["B"], per_length=-1, skew=skewed["B"], slope=dB,
+                "B", damping, HARMONIC, B, loss_slope, self.bias["B"], per_length=-1, skew=skewed["B"],
+                creep=crept["B"], slope=dB,
                 note=mean,
             ),
             estimate(
                 "F_c", newton, HARMONIC, pi / 4 * self.loss.start, _times(loss_start, pi / 4), self.bias["F_c"],
-                per_length=0, skew=skewed["F_c"], slope=dF,
+                per_length=0, skew=skewed["F_c"], creep=crept["F_c"], slope=dF,
             ),
             estimate(
                 "B", damping, WIDTH, w.slope / 2, _times(width_slope, 0.5), self.bias["B width"], per_length=-1,
-                skew=skewed["B width"], slope=dB, note=mean,
+                skew=skewed["B width"], creep=crept["B width"], slope=dB, note=mean,
             ),
             estimate(
                 "F_c", newton, WIDTH, w.start / 2, _times(width_start, 0.5), self.bias["F_c width"], per_length=0,
-                skew=skewed["F_c width"], slope=dF,
+                skew=skewed["F_c width"], creep=crept["F_c width"], slope=dF,
             ),
             estimate(
                 "H", newton, WIDTH, w.start, width_start, 2 * self.bias["F_c width"], per_length=0,
-                skew=2 * skewed["F_c width"], slope=None if dF is None else 2 * dF,
+                skew=2 * skewed["F_c width"], creep=2 * crept["F_c width"], slope=None if dF is None else 2 * dF,
                 note="loop width at 0 Hz: true hysteresis", where=H,
             ),
         ]  # fmt: skip
+
+    def _crept(self) -> dict[str, float]:
+        """What creep may do to K, B and F_c (both ways): half of what it does to K, the lines without its loss."""
+        sines = [member.sine for member in self.group]
+        most = dict.fromkeys(self.bias, 0.0)
+        for loss, softer in lost(sines, [cycle for sine in sines for cycle in each_cycle(sine)]):
+            points = [
+                Point(s.frequency, s.speed, s.stiffness, s.ratio, s.loss - part, s.width - 2 * part)
+                for s, part in zip(sines, loss * np.array([sine.amplitude for sine in sines]), strict=True)
+            ]
+            changes = self._changes(*lines(points)) | {"K": 0.5 * float(np.ptp(softer))}
+            most = {name: max(most[name], abs(change)) for name, change in changes.items()}
+        return most
+
+    def _changes(self, K: Line, loss: Line, width: Line) -> dict[str, float]:
+        """How far other lines give another K, B and F_c (both ways)."""
+        return {
+            "K": K.start - self.K.start,
+            "B": loss.slope - self.loss.slope,
+            "F_c": pi / 4 * (loss.start - self.loss.start),
+            "B width": (width.slope - self.width.slope) / 2,
+            "F_c width": (width.start - self.width.start) / 2,
+        }
 
     def _skewed(self) -> dict[str, float]:
         """What the time between displacement and force may do to K, B and F_c (both ways): the lines once more."""
@@ -234,14 +261,7 @@ class Fitted:
         both = self.skew * courses([member.trial for member in self.group])
         for course in (*both, *-both) if self.skew else ():
             moved = [turned(member.sine, float(by)) for member, by in zip(self.group, course, strict=True)]
-            K, loss, width = lines(moved)
-            changes = {
-                "K": K.start - self.K.start,
-                "B": loss.slope - self.loss.slope,
-                "F_c": pi / 4 * (loss.start - self.loss.start),
-                "B width": (width.slope - self.width.slope) / 2,
-                "F_c width": (width.start - self.width.start) / 2,
-            }
+            changes = self._changes(*lines(moved))
             most = {name: max(most[name], abs(change)) for name, change in changes.items()}
         return most
 

@@ -17,6 +17,7 @@ from dataclasses import replace
 from math import hypot, isfinite, nan, pi
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.lines import Line, mean_half, weighted_line
@@ -29,7 +30,6 @@ from pmabench.store.records import Array
 
 SINE_MEAN = "sine-mean"
 ALONE = "one frequency only: that B_c and B_r may differ is in the method part"
-TOO_FEW = "no repeats part: no more trials than the line over speed needs"
 AT_MEAN = "at the mean contraction, at speed 0"
 NO_SLOPE = "as at the measured pressure: with one pressure nothing tells what F_ce there is at the set one"
 
@@ -68,13 +68,14 @@ def mean_force_estimates(
     speed = float(np.mean([member.sine.speed for member in members]))
     K_half, K_bias = fitted.half_stiffness, fitted.bias["K"]
     doubt = abs(fitted.muscle.B or members[0].sine.loss / speed) * speed / pi if fitted.alone else 0.0
-    half = None if line.half_start is None or K_half is None else hypot(line.half_start, K_half * mean)
+    scatter = line.half_start if line.half_start is not None else _half_by_cycles(fitted)
+    half = None if scatter is None or K_half is None else hypot(scatter, K_half * mean)
     gains, offsets = {"force": line.start}, {"force": 1.0, "displacement": fitted.K.start}
     if slope is not None:
         gains["pressure"], offsets["pressure"] = slope * wanted, slope
     one_each = len(members) == len({member.sine.frequency for member in members})
-    scatter = TOO_FEW if half is None else CYCLES_OF_EACH if one_each else ""
-    note = sentences(ALONE if fitted.alone else "", NO_SLOPE if slope is None else "", scatter)
+    repeats = CYCLES if len(members) == 1 else CYCLES_OF_EACH if one_each else ""
+    note = sentences(ALONE if fitted.alone else "", NO_SLOPE if slope is None else "", repeats)
     off, off_half = form.carried
     open_half = hypot(min(off_half, abs(line.start)), REMAINS * off)
     parts = Parts(
@@ -85,13 +86,16 @@ def mean_force_estimates(
     F_ce = Estimate("F_ce", line.start + off, "N", "force", SINE_MEAN, dict(at), parts, n, note=note, trials=names)
     F = line.start - (fitted.K.start - K_bias) * mean - form.h2
     there = Parts(
-        line.half_start,
+        scatter,
         hypot(doubt, form.half[0] if isfinite(form.half[0]) else abs(F), REMAINS * form.h2),
         scales.part(gains | {"force": F}, offsets),
     )
     mean_force = replace(F_ce, symbol="F", value=F, parts=there, note=sentences(AT_MEAN, note))
     if reason := form.why_no_tangent():
         mean_force = withhold(mean_force, reason)
+    if half is None:
+        F_ce, mean_force = (replace(one, value=None, parts=Parts(), note=NO_REPEATS) for one in (F_ce, mean_force))
+        return F_ce, mean_force
     why, contradicted = form.why_no_f_ce()
     if contradicted:
         F_ce = withhold(F_ce, why)
@@ -108,6 +112,23 @@ def _line(fitted: Fitted, slope: float, wanted: float) -> Line:
     frequency = np.array([member.sine.frequency for member in members])
     speed = None if fitted.alone else np.array([member.sine.speed for member in members])
     return weighted_line(frequency, speed, rest, _sizes(members))
+
+
+def _half_by_cycles(fitted: Fitted) -> float | None:
+    """Half width of the line's begin [N] by the scatter of cycles, where each trial is needed for the line; None for
+    trials of one cycle.
+    """
+    K, cycles = fitted.K.start - fitted.bias["K"], []
+    for member in fitted.group:
+        sine = member.sine
+        number = _cycle_of(sine)
+        count = np.bincount(number)
+        cycles.append((np.bincount(number, sine.F + K * sine.x) / np.maximum(1, count))[count > 0])
+    if fitted.alone:
+        return mean_half(np.array([each.mean() for each in cycles]), cycles)
+    of_each = [(one.frequency, one.speed, abs(one.force)) for one in (member.sine for member in fitted.group)]
+    frequency, speed, size = np.repeat(of_each, [len(each) for each in cycles], axis=0).T
+    return weighted_line(frequency, speed, np.concatenate(cycles), size).half_start
 
 
 def _at_rest(member: Member, K: float, slope: float, wanted: float) -> float:
@@ -129,12 +150,17 @@ def work(sine: Sine) -> tuple[Array, Array]:
     The rate is that of the displacement's first five harmonics, so that noise is not counted as motion.
     """
     _, v = moving(sine)
-    cycle = np.floor((sine.t - sine.t[0]) * sine.frequency + 1e-6).astype(int)
+    cycle = _cycle_of(sine)
     rows = [cycle == c for c in range(int(cycle.max()) + 1)]
     period = 1 / sine.frequency
     given = [float(np.mean(sine.F[one] * np.maximum(v[one], 0.0))) * period for one in rows if one.any()]
     taken = [float(np.mean(sine.F[one] * np.maximum(-v[one], 0.0))) * period for one in rows if one.any()]
     return np.array(given), np.array(taken)
+
+
+def _cycle_of(sine: Sine) -> NDArray[np.intp]:
+    """Number of the cycle of each sample."""
+    return np.asarray(np.floor((sine.t - sine.t[0]) * sine.frequency + 1e-6), dtype=np.intp)
 
 
 def work_estimates(at: Mapping[str, float], members: Sequence[Member], scales: Scales, skew: float) -> list[Estimate]:

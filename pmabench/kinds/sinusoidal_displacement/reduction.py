@@ -23,6 +23,7 @@ from pmabench.kinds.sinusoidal_displacement.centres import SINE_CENTRES, Centre,
 from pmabench.kinds.sinusoidal_displacement.figures import traces_of
 from pmabench.kinds.sinusoidal_displacement.fit import HARMONIC, Fitted, Member, Muscle
 from pmabench.kinds.sinusoidal_displacement.form import Form, judged
+from pmabench.kinds.sinusoidal_displacement.late import with_late_force
 from pmabench.kinds.sinusoidal_displacement.mean_force import (
     SINE_MEAN,
     force_slopes,
@@ -53,8 +54,8 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     The higher harmonics of the force correct K and F to those at the mean, and withhold what they contradict (`form`).
 
     `options`: `discard` (cycles at the start; else the plan's setting, else 1), `time_skew` [s] (bound on the time
-    between displacement and force, to which that of the clocks of their streams is added; else the plan's setting,
-    else 0), `force_per_pressure` dF/dP [N/Pa].
+    between displacement and force, to which that of the clocks of their streams is added; else the plan's setting;
+    without either, the lag of the force cell is open), `force_per_pressure` dF/dP [N/Pa].
     """
     options = options or {}
     members, dropped = _members(runs, options)
@@ -63,7 +64,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     estimates: list[Estimate] = []
     traces: list[Trace] = []
     lines: list[dict[str, Any]] = []
-    fits = {key: Fitted.of(group, _skew(group, options)) for key, group in sorted(_grouped(members, CELL).items())}
+    fits, stated = _fits(members, options)
     rising = force_slopes(fits)
     centres: dict[float, list[Centre]] = {}
     for key, fitted in fits.items():
@@ -71,10 +72,10 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         form = Form.of([member.sine for member in fitted.group], fitted.replayed.B)
         found = judged(fitted.estimates(dict(key), scales, slopes), form)
         found += mean_force_estimates(dict(key), fitted, form, scales, rising.get(key))
-        estimates += found
+        found += work_estimates(dict(key), fitted.group, scales, fitted.skew)
+        estimates += with_late_force(found, fitted) if stated[key] == 0 else found
         if (centre := centre_of(found, form)) is not None and "pressure" in dict(key):
             centres.setdefault(dict(key)["pressure"], []).append(centre)
-        estimates += work_estimates(dict(key), fitted.group, scales, fitted.skew)
         findings += [*fitted.findings(dict(key)), *form.findings(dict(key))]
         lines.append({"at": dict(key), **fitted.facts(), "h2/h1": form.h2 / form.h1, "h3/h1": form.h3 / form.h1})
         symbols = {e.symbol for e in found if e.method == HARMONIC and e.at == dict(key) and e.value is not None}
@@ -102,6 +103,14 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
             "lines": lines,
         },
     )
+
+
+def _fits(members: Sequence[Member], options: Mapping[str, Any]) -> tuple[dict[Key, Fitted], dict[Key, float]]:
+    """The lines of each cell, and what is stated of the time between displacement and force there [s]."""
+    cells = sorted(_grouped(members, CELL).items())
+    stated = {key: max(_setting(one.run, options, "time_skew", 0.0) for one in group) for key, group in cells}
+    clocks = {key: skew.apart([one.run for one in group], CHANNELS) for key, group in cells}
+    return {key: Fitted.of(group, stated[key] + clocks[key]) for key, group in cells}, stated
 
 
 def _with_centres(estimates: Sequence[Estimate], centres: Mapping[float, Sequence[Centre]]) -> list[Estimate]:
@@ -139,12 +148,6 @@ def _setting(run: RunData, options: Mapping[str, Any], name: str, default: float
     """A setting: the option, else what the plan says, else the default."""
     settings = run.plan.get("settings") or {}
     return float(options.get(name, settings.get(name, default)))
-
-
-def _skew(group: Sequence[Member], options: Mapping[str, Any]) -> float:
-    """Bound of the time between displacement and force [s]: what is stated, and that of the clocks of their streams."""
-    stated = max(_setting(member.run, options, "time_skew", 0.0) for member in group)
-    return stated + skew.apart([member.run for member in group], CHANNELS)
 
 
 def _members(runs: Sequence[RunData], options: Mapping[str, Any]) -> tuple[list[Member], list[Dropped]]:

@@ -1,6 +1,7 @@
 """The pressures at which loads lift off and set down: F_ce over pressure.
 
-- `reduction`, made of `points` (lift and set-down, carried to x = 0)
+- `reduction`, made of `points` (lift and set-down, carried to x = 0), `loops` (hysteresis of loads that are raised),
+  `line` (F_ce over pressure) and `mean` (that of both directions)
 - protocol files: `protocol`; one trial on the display: `live`; words and figures: `figures`
 """
 

@@ -29,7 +29,8 @@ from pmabench.store.analyses.results import Analysis, Finding, Trace
 from pmabench.store.records import RunData, TrialData
 
 if TYPE_CHECKING:
-    from pmabench.kinds.static_load.reduction import Line
+    from pmabench.kinds.static_load.line import Line
+    from pmabench.kinds.static_load.mean import Mean
 
 LONGEST_TRACE = 1500
 SHOWN = 3
@@ -51,16 +52,35 @@ def line_findings(line: Line) -> list[Finding]:
     return found
 
 
-def of_place(points: Points, uncorrected: Line | None, line: Line) -> Finding:
+def of_place(mean: Mean) -> Finding:
     """Whether K x at set-down was taken off, with its size."""
-    if uncorrected is None:
+    points = mean.points
+    if not mean.carried:
         text = "a lifted load hangs above its support when it breaks away again, and half of K x there is still in F_ce"
         text += " (within the method part): lift it by 2 mm and more, and record its way down"
         return Finding("note", f"{text}; or process a test of K together, which takes it off")
-    middle = float(np.nanmean(0.5 * (points.lift + points.set_down)))
-    off = show(line(middle) - uncorrected(middle), "force", 2)
     text = f"set-down broke away at a contraction of {show(points.place, 'length', 2)} on average"
+    if mean.kept is not None:
+        return Finding("note", f"{text}: lift and set-down are carried to x = 0")
+    middle = float(np.nanmean(0.5 * (points.lift + points.set_down)))
+    off = show(mean.line(middle) - mean.before(middle), "force", 2)
     return Finding("note", f"{text}: lift and set-down are carried to x = 0, {off} at {show(middle, 'pressure', 3)}")
+
+
+def of_hysteresis(mean: Mean) -> Finding:
+    """What of the braid's hysteresis was taken off, or why it could not be."""
+    if mean.kept is None:
+        if mean.why:
+            return Finding("doubt", f"F_ce is withheld: {mean.why}")
+        text = "no load was raised, so that hysteresis of the braid does not show: the interval of F_ce holds more than"
+        text += (
+            " the half difference for it; raise the loads by 10 mm and more before they set down (trial.search.stroke)"
+        )
+        return Finding("note", text)
+    force = mean.kept.force[mean.kept.on]
+    least, most = (show(float(one), "force", 2) for one in (force.min(), force.max()))
+    text = "a load that is raised comes down at less pressure than it went up, most in the middle: "
+    return Finding("note", f"{text}{least} to {most} of hysteresis are in lift and set-down alike, and taken off F_ce")
 
 
 def table(points: Points) -> list[dict[str, float | int | None]]:

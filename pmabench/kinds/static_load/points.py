@@ -11,10 +11,11 @@ largest on the way up, are of the break-away.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pmabench.analysis.shared.samples import noise_of
 from pmabench.analysis.verdict.agreement import Offer
@@ -37,6 +38,12 @@ class Points:
     """What the half width of K makes of a set-down that was carried to x = 0 [Pa], the mean over trials."""
     place: float = 0.0
     """Contraction at which set-down broke away [m], the mean over trials."""
+
+    def only(self, rows: NDArray[np.bool_], later: Array) -> Points:
+        """Those `rows`, lift and set-down at pressures higher by `later` [Pa]; both of shape (n,)."""
+        names = tuple(name for name, use in zip(self.names, rows, strict=True) if use)
+        lift, set_down = (side[rows] + later[rows] for side in (self.lift, self.set_down))
+        return replace(self, names=names, load=self.load[rows], lift=lift, set_down=set_down)
 
     def side(self, method: str) -> Array:
         """Pressures of a method [Pa]."""
@@ -71,6 +78,11 @@ def pressure_of(result: Mapping[str, Any]) -> float:
     """Pressure of a search's result [Pa]; nan where it found nothing."""
     value = result.get("pressure")
     return float(value) if result.get("found", True) and isinstance(value, int | float) else float("nan")
+
+
+def times_of(trial: TrialData) -> dict[str, float]:
+    """When lift and set-down were found [s], by phase; NaN where they were not."""
+    return {phase: float((trial.found.get(phase) or {}).get("t", float("nan"))) for phase in PHASES}
 
 
 def mean_pressure(run: RunData, trial: TrialData) -> float | None:
@@ -146,22 +158,12 @@ class Carried:
     """Contraction at which set-down broke away [m]; NaN where it could not be carried."""
 
 
-def carried(trial: TrialData, found: Mapping[str, float], slope: float, stiffness: Stiffness | None) -> Carried:
-    """Lift and set-down of a trial; `found`: phase -> pressure [Pa] of its search, `slope` dF_ce/dP [N/Pa].
+def along_ways(trial: TrialData, found: Mapping[str, float]) -> Carried | None:
+    """Lift and set-down of a trial by a line through the load's way up and one through its way down.
 
-    Along the load's own ways where both are long enough, else by `stiffness` of another test; without one nothing is
-    carried.
+    `found`: phase -> pressure [Pa] of its search. None where a way is too short.
     """
-    times = {phase: float((trial.found.get(phase) or {}).get("t", float("nan"))) for phase in found}
-    if (own := _along_ways(trial, found, times)) is not None:
-        return own
-    if stiffness is not None:
-        return _by_stiffness(trial, found, times, slope, stiffness)
-    return Carried(found["lift"], found["set-down"], 0.0, float("nan"))
-
-
-def _along_ways(trial: TrialData, found: Mapping[str, float], times: Mapping[str, float]) -> Carried | None:
-    """By a line through the way up and one through the way down; None where one of them is too short."""
+    times = times_of(trial)
     if not {"pressure", "displacement"} <= set(trial.channels) or not np.isfinite(list(times.values())).all():
         return None
     good = trial.usable
@@ -209,9 +211,9 @@ def _at_0(P: Array, x: Array, least: float) -> tuple[float, float, float] | None
     return at_0, steep, float(np.hypot(4 * left / np.sqrt(slips), curved)) * steep
 
 
-def _by_stiffness(
-    trial: TrialData, found: Mapping[str, float], times: Mapping[str, float], slope: float, stiffness: Stiffness
-) -> Carried:
+def by_stiffness(trial: TrialData, found: Mapping[str, float], slope: float, stiffness: Stiffness) -> Carried:
+    """Lift and set-down of a trial by K of another test; `slope` is dF_ce/dP [N/Pa], the rest as `along_ways`."""
+    times = times_of(trial)
     lift, set_down, half, place = found["lift"], found["set-down"], 0.0, float("nan")
     for phase, up in (("lift", True), ("set-down", False)):
         if not np.isfinite(found[phase]):

@@ -14,11 +14,15 @@ from pmabench.files.document import Strict
 from pmabench.files.quantity import Length, Load, Pressure, PressureRate, Time
 from pmabench.protocol.accept import OF_TRIALS
 from pmabench.protocol.common import Compilation, ProtocolHead
-from pmabench.protocol.plan import Ask, Hold, Plan, Record, Seek, Set, TrialRecord
+from pmabench.protocol.plan import Ask, Hold, Plan, Record, Seek, Set, Step, TrialRecord
 from pmabench.protocol.sweep import Point, PressureAxis, Sweep, expand
 
 VENT_HOLD = 3.0
 """Time after the vent before the next trial [s]."""
+
+
+NEAR = 1e-3
+"""Contraction down to which the load is lowered at the rate of the stroke [m]."""
 
 
 class StaticAxes(Strict):
@@ -40,6 +44,9 @@ class Search(Strict):
     """Displacement that counts as having left the support."""
     window: Time
     """How long the displacement stays beyond it."""
+    stroke: Length = 0.0
+    """Contraction to which the load is raised before it is set down, for hysteresis of the braid; 0: not raised."""
+    stroke_rate: PressureRate = 5e3
 
 
 class StaticTrial(Strict):
@@ -68,6 +75,8 @@ class StaticLoad(ProtocolHead):
         c.needs_channel("pressure_command")
         for name in ("rate", "approach_rate", "back_off", "settle", "moved", "window"):
             c.positive(getattr(search, name), ("trial", "search", name))
+        if search.stroke:
+            c.positive(search.stroke_rate, ("trial", "search", "stroke_rate"))
         c.within("pressure", search.up_to, ("trial", "search", "up_to"))
         points = expand(self.sweep, c.document)
         if self.trial.order == "hands-at-pressure":
@@ -79,21 +88,40 @@ class StaticLoad(ProtocolHead):
     def _seek(self, c: Compilation, phase: str, direction: str, highest: float, approach: float) -> Seek:
         search = self.trial.search
         limit = 5.0 + search.settle
-        if search.rate > 0:
-            limit += highest / search.rate
         if approach > 0:
             limit += highest / approach + search.back_off / approach + 2.0
+        return self._ramp(phase, direction, highest, search.moved, search.rate, limit, approach_rate=approach)
+
+    def _ramp(
+        self, phase: str, direction: str, highest: float, threshold: float, rate: float, limit: float, *,
+        approach_rate: float = 0.0, at_limit: str = "fail",
+    ) -> Seek:  # fmt: skip
+        search = self.trial.search
+        limit += highest / rate if rate > 0 else 0.0
         parameters: dict[str, Any] = {
             "channel": "displacement",
-            "threshold": search.moved,
+            "threshold": threshold,
             "direction": direction,
-            "rate": search.rate,
-            "approach_rate": approach,
+            "rate": rate,
+            "approach_rate": approach_rate,
             "back_off": search.back_off,
             "window": search.window,
             "settle": search.settle,
         }
-        return Seek(phase, "ramp-until", "pressure", 0.0, highest, limit, parameters)
+        return Seek(phase, "ramp-until", "pressure", 0.0, highest, limit, parameters, at_limit)
+
+    def _stroke(self) -> list[Step]:
+        """Up to the contraction of the stroke, or as far as the pressure goes, and down again to near the support."""
+        search = self.trial.search
+        if not search.stroke:
+            return []
+        highest, rate = search.up_to, search.stroke_rate
+        near = min(search.stroke, max(NEAR, 2.0 * search.moved))
+        return [
+            self._ramp("raise", "up", highest, search.stroke, rate, 5.0, at_limit="flag"),
+            Hold("raised", search.settle),
+            self._ramp("lower", "down", highest, near, rate, 5.0),
+        ]
 
     def _at_zero(self, c: Compilation, points: list[Point]) -> None:
         search = self.trial.search
@@ -112,6 +140,7 @@ class StaticLoad(ProtocolHead):
                 Hold("rest", 0.2),
                 self._seek(c, "lift", "up", search.up_to, search.approach_rate),
                 Hold("lifted", search.settle),
+                *self._stroke(),
                 self._seek(c, "set-down", "down", search.up_to, 0.0),
                 Record("set-down", False, index),
                 Set("vent", "pressure", 0.0),

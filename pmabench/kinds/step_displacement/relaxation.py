@@ -10,7 +10,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 from scipy.signal import lfilter
 
-from pmabench.analysis.shared.samples import UNUSABLE_SHARE, Held, NotUsable, noise_of, on_time
+from pmabench.analysis.shared.samples import UNDECLARED, UNUSABLE_SHARE, Held, NotUsable, noise_of, on_time
 from pmabench.store.records import Array, Command, RunData, TrialData
 
 LAST = 0.2
@@ -19,8 +19,6 @@ SEEN = 6.0
 """A recovery counts where it is larger than so many standard deviations of the noise."""
 THERE = 0.01
 """Share of the step by which the displacement may still be off when its motion counts as over."""
-UNDECLARED = 5e-3
-"""Time constant [s] that the filter of a force cell may have where its channel declares no `sensor_lag`."""
 FEWEST = 8
 """Samples that a recovery needs within three time constants."""
 

@@ -37,6 +37,7 @@ KIND = Kind(
     name="surface",
     title="Muscle as a surface",
     order=160,
+    reverses=True,
     results=RESULTS,
     reduction="pmabench.kinds.surface.reduction:reduce",
     methods=METHODS,

@@ -132,7 +132,8 @@ def facts(choice: Choice) -> dict[str, Any]:
         "smoothness": choice.score.smooth,
         "tried": [{"terms": list(score.terms), "held_out_rms": score.rms} for score in choice.tried],
         "undecided": [list(pair) for pair in choice.undecided],
-        "weights": {term: [float(w) for w in weights] for term, weights in choice.muscle.weights.items()},
+        "muscle": choice.muscle.identified("surface").to_dict(),
+        "straight_form": choice.lines.straight_form(),
     }
 
 

@@ -196,7 +196,7 @@ def _loop(found: StepsFound, period: float, off: float) -> Loop | None:
     root = complex(tau * tau - 4 * moved.beta) ** 0.5
     pair = [(tau + root) / 2, (tau - root) / 2] if moved.beta > 0 else [complex(tau)]
     lags = [complex((regulator.fill + regulator.vent) / 2), complex(regulator.second), *pair]
-    dead_time = max(0.0, regulator.dead_time) + period / 2
+    dead_time = max(0.0, regulator.dead_time + moved.late) + period / 2
     try:
         loop = Loop(gain, dead_time, tuple(lag if lag.imag else lag.real for lag in lags if lag))
         ultimate(loop)

@@ -25,6 +25,8 @@ MOVING = 0.1
 """Share of the largest speed above which the sign of Coulomb friction is certain."""
 BETTER = 10.0
 """Sum of squares over the variance, by which a second lag must make the fit better to be taken."""
+LIKE_DELAY = 0.5e-3
+"""A lag below it acts on loops of up to 50 rad/s as a delay does, within 0.1 % of their gain [s]."""
 OVER = 30.0
 """Lags after which a step response has ended."""
 SLIGHT = 1e-6
@@ -59,7 +61,7 @@ class Regulator:
 class Moved:
     """Pressure to displacement about the operating point.
 
-    beta x'' + tau x' + x = x0 + k_g p + curvature p^2, p = P - bias, tau by direction.
+    beta x'' + tau x' + x = x0 + k_g p + curvature p^2 at a time `late` before, p = P - bias, tau by direction.
     """
 
     x0: float
@@ -74,12 +76,14 @@ class Moved:
     """[s^2]."""
     residual: float
     """Standard deviation [m]."""
+    late: float = 0.0
+    """What is later than the lags say [s], in place of an inertia that noise hides; below 0 where it is earlier."""
 
     def fitted(self, t: Array, P: Array, steps: Sequence[Step]) -> Array:
         """Displacement [m] at even times `t` [s], driven by the pressure `P` over the bias [Pa]; same shape."""
         drive, parts = _driven(t, P, steps)
         made = _simulated(drive, parts, self.tau, max(self.beta, SLIGHT / 10), float(t[1] - t[0]))
-        return np.asarray(self.x0 + made @ [self.gain, self.curvature])
+        return np.interp(t - self.late, t, self.x0 + made @ [self.gain, self.curvature])
 
 
 @dataclass(frozen=True)
@@ -214,15 +218,26 @@ def balance(t: Array, x: Array, P: Array, *, friction: bool) -> Balance:
 
 
 def _moved(t: Array, x: Array, P: Array, steps: Sequence[Step], start: Balance) -> Moved:
-    """Least squares of a simulated displacement, driven by the measured pressure; `start` tells where to begin."""
+    """Least squares of a simulated displacement, driven by the measured pressure; `start` tells where to begin.
+
+    An inertia cannot be below 0, so that noise alone would make it larger than it is and the loop slower. Where its lag
+    is short a delay of either sign takes its place.
+    """
     period = float(t[1] - t[0])
     swing = float(np.ptp(P))
     drive, parts = _driven(t, P / swing, steps)
 
     def solved(p: Array) -> tuple[Array, Array]:
         made = np.column_stack([np.ones_like(t), _simulated(drive, parts, (p[0], p[1]), p[2], period)])
+        return against(made)
+
+    def against(made: Array) -> tuple[Array, Array]:
         linear = np.asarray(np.linalg.solve(made.T @ made, made.T @ x), dtype=np.float64)
         return linear, (made @ linear - x) / float(np.ptp(x))
+
+    def delayed(p: Array) -> tuple[Array, Array]:
+        made = _simulated(drive, parts, (p[0], p[1]), SLIGHT / 10, period)
+        return against(np.column_stack([np.ones_like(t), made, -np.gradient(made[:, 0], period)]))
 
     guess = [
         *np.clip(np.nan_to_num(start.tau), 1e-3, 20.0),
@@ -233,12 +248,28 @@ def _moved(t: Array, x: Array, P: Array, steps: Sequence[Step], start: Balance) 
     def misfit(p: Array) -> Array:
         return solved(p)[1]
 
+    def late_misfit(p: Array) -> Array:
+        return delayed(p)[1]
+
     found = least_squares(misfit, guess, x_scale=[0.1, 0.1, 1e-3], bounds=bounds, xtol=1e-5, ftol=1e-7)
     (x0, gain, curvature), residual = solved(found.x)
     up, down, beta = (float(value) for value in found.x)
+    late = 0.0
+    if 2 * beta < LIKE_DELAY * (up + down):
+        bounds = ([1e-4] * 2, [50.0] * 2)
+        found = least_squares(late_misfit, [up, down], x_scale=0.1, bounds=bounds, xtol=1e-5, ftol=1e-7)
+        (x0, gain, curvature, late), residual = delayed(found.x)
+        late, beta = float(late / gain), 0.0
+        up, down = (float(value) for value in found.x)
     rms = float(np.std(residual)) * float(np.ptp(x))
     return Moved(
-        float(x0), float(gain) / swing, float(curvature) / swing**2, (up, down), beta if beta > SLIGHT else 0.0, rms
+        float(x0),
+        float(gain) / swing,
+        float(curvature) / swing**2,
+        (up, down),
+        beta if beta > SLIGHT else 0.0,
+        rms,
+        late,
     )
 
 

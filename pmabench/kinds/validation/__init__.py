@@ -20,6 +20,10 @@ METHODS = {
         "As with the commanded pressure, but the model gets the pressure that was measured, so that the regulator's "
         "errors are none of the model's."
     ),
+    "measured pressure, straight lines": (
+        "Where the model is a muscle as a surface: F_ce - K x - B x' - F_c sign x', fitted to the same tests as the "
+        "surface, and driven by the measured pressure, for comparison."
+    ),
 }
 KIND = Kind(
     name="validation",

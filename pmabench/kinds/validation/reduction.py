@@ -24,7 +24,9 @@ COMMANDED = "commanded pressure"
 """As paper 0: the simulation gets the pressure that was asked for."""
 MEASURED = "measured pressure"
 """The simulation gets the pressure that was there: what the regulator does wrong is none of the model's."""
-METHODS = (COMMANDED, MEASURED)
+STRAIGHT = "measured pressure, straight lines"
+"""Where the model is a muscle as a surface: the straight form of the same tests, for comparison."""
+METHODS = (COMMANDED, MEASURED, STRAIGHT)
 ALONE = "one run: no repeats part"
 NO_MODEL = "the plan holds no model to compare with"
 FEWEST = 8
@@ -77,7 +79,13 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         KIND,
         runs,
         results=RESULTS,
-        estimates=[e for method in METHODS for key in order for e in _estimates(dict(key), cells[key], method, full)],
+        estimates=[
+            e
+            for method in METHODS
+            for key in order
+            if method in cells[key][0].window
+            for e in _estimates(dict(key), cells[key], method, full)
+        ],
         dropped=dropped,
         findings=_findings(runs, steps, full),
         traces=[_trace(cells[key][0]) for key in order],
@@ -141,9 +149,13 @@ def _steps(run: RunData, trials: Sequence[TrialData], model: Described) -> list[
     origins = [_rest(trial) for trial in trials]
     driven = from_measured_pressure(model, trials, 1.0 / run.rate, origins)
     scaled = _by_pressure(run, trials, model, origins)
+    form = replace(model, surface=None)
+    lines = from_measured_pressure(form, trials, 1.0 / run.rate, origins) if model.surface else None
     for place, (trial, by_measured, origin) in enumerate(zip(trials, driven, origins, strict=True)):
         ok, inside = _usable(trial), inside_window(run, trial)
         simulated = {COMMANDED: from_commanded_pressure(model, trial, origin), MEASURED: by_measured}
+        if lines is not None:
+            simulated[STRAIGHT] = lines[place]
         means = {method: float(values[inside].mean()) for method, values in simulated.items()}
         x = trial.channels["displacement"]
         t = trial.t - (_begin(trial) or 0.0)
@@ -179,7 +191,7 @@ def _estimates(at: dict[str, float], members: Sequence[_Step], method: str, full
         spread = student.ppf(0.975, len(values) - 1) * np.std(values, ddof=1) / sqrt(len(values)) if several else None
         channels = ("displacement",) if method == COMMANDED else ("displacement", "pressure")
         part = scales.part({"displacement": 1.0}, {"displacement": by}) if symbol != "e_sim" else None
-        if part is not None and method == MEASURED:
+        if part is not None and method != COMMANDED:
             part = hypot(part, *(by * max(step.by_pressure[n] for step in members) for n in (0, 1)))
         return Estimate(
             symbol,
@@ -212,7 +224,7 @@ def _findings(runs: Sequence[RunData], steps: Sequence[_Step], full: float) -> l
         return []
     window = _window(runs[0])
     lines = []
-    for method in METHODS:
+    for method in steps[0].window:
         worst = max(steps, key=lambda step: abs(step.error(method) / step.measured))
         off = 100 * abs(worst.error(method)) / worst.measured
         lines.append(
@@ -228,12 +240,31 @@ def _findings(runs: Sequence[RunData], steps: Sequence[_Step], full: float) -> l
     low, high = model.domain
     outside = sorted({p for step in steps if not low <= (p := step.trial.point.get("pressure", low)) <= high})
     lines.append(Finding("note", f"simulated with: {model.source}"))
+    if model.surface is not None:
+        lines += _next_to_straight(steps, model)
     if outside:
         places = ", ".join(show(p, "pressure") for p in outside)
         lines.append(Finding("doubt", f"the coefficients are continued beyond what is known of them at {places}"))
     if any(step.trial.point.get("load", 0.0) == 0 for step in steps) and model.source.startswith("analysis"):
         lines.append(Finding("note", "without load: the model was identified under loads and is continued to 0 N"))
     return lines
+
+
+def _next_to_straight(steps: Sequence[_Step], model: Described) -> list[Finding]:
+    """How far a surface and the straight form of the same tests are off, and where either goes beyond its tests."""
+    off = [float(np.sqrt(np.mean([_rms(step, method) ** 2 for step in steps]))) for method in (MEASURED, STRAIGHT)]
+    surface, lines = (show(value, "length", 3) for value in off)
+    text = f"from the step on the surface is {surface} rms off, the straight form of the same tests {lines} rms"
+    found = [Finding("note", text)]
+    low, high = model.surface.reach if model.surface else (0.0, 0.0)
+    beyond = sorted({step.trial.point.get("pressure", 0.0) for step in steps if step.simulated[MEASURED].max() > high})
+    if beyond:
+        places = ", ".join(show(P, "pressure") for P in beyond)
+        text = (
+            f"the model was tested from {show(low, 'length')} to {show(high, 'length')}; it goes on beyond at {places}"
+        )
+        found.append(Finding("doubt", text))
+    return found
 
 
 def _trace(step: _Step) -> Trace:
@@ -244,6 +275,8 @@ def _trace(step: _Step) -> Trace:
     where = show(pressure, "pressure") + (f", {show(load, 'force')}" if load else "")
     columns = {"t": step.t, "displacement": step.x, "model": step.simulated[MEASURED]}
     columns["model, commanded pressure"] = step.simulated[COMMANDED]
+    if STRAIGHT in step.simulated:
+        columns["model, straight lines"] = step.simulated[STRAIGHT]
     return Trace(
         f"validation-{pressure * 1e-3:g}-{load:g}",
         "validation",

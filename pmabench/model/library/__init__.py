@@ -12,6 +12,8 @@
 | `regulators` | first and second order, limits of rate and flow, filling against venting, amplitude of a sine |
 | `loads` | end stops, force, hanging mass, spring, imposed displacement; Coulomb friction, hysteresis |
 | `real` | bent force, loops and creep of plant `real` |
+| `joint` | two muscles that pull on a pulley against each other: torque, stiffness, pressures for both, rest |
+| `platform` | three muscles under a tilting platform: pose, moments, pressures, tilt from an accelerometer |
 | `compositions` | parallel, series, cascade; the loop that a controller sees |
 
 `description` says what a model is. A new model is a function decorated with `described`, in one of these modules or in
@@ -28,7 +30,9 @@ from pmabench.model.library import (  # noqa: F401  each enters its models
     contractor,
     daerden,
     fitted,
+    joint,
     loads,
+    platform,
     real,
     regulators,
     three_element,

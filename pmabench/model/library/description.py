@@ -28,6 +28,8 @@ FAMILIES = (
     "friction and hysteresis",
     "load",
     "composition",
+    "joint",
+    "platform",
     "loop",
 )
 """The families in the order in which they are listed."""

@@ -15,17 +15,17 @@ creep is exact for an x on a straight line. The step is short where the speed ch
 
 from __future__ import annotations
 
-import copy
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from pmabench.model.curve import Array
 from pmabench.model.motion import NOTHING, Motion
 from pmabench.model.real.muscle import RealMuscle
-from pmabench.model.regulator import Regulated, Regulator, Trace, Wave
+from pmabench.model.regulator import Regulated, Regulator, Trace
+from pmabench.model.supplied import Loaded
 
 BEND = 1e-6
 """Change of speed times step, at which a step is as long as it may be [m]."""
@@ -67,7 +67,7 @@ class AtPressure(NamedTuple):
     height: float
 
 
-class RealPlant:
+class RealPlant(Loaded):
     """A muscle with hysteresis and creep behind its regulator, with a load F_L = `force` [N] of moving `mass` [kg].
 
     `time` [s], contraction `x` [m], speed `v` [m/s].
@@ -113,31 +113,8 @@ class RealPlant:
 
     def load(self, force: float, mass: float) -> None:
         """From now on the free end carries F_L = `force` [N >= 0] and moves with `mass` [kg > 0]."""
-        if not force >= 0 or not mass > 0:
-            raise ValueError(f"a load needs a force of at least 0 and a mass above 0, not {force} N and {mass} kg")
-        self.force, self.mass = force, mass
+        super().load(force, mass)
         self._longest, self._trend = SHORTEST, 0.0
-
-    @property
-    def pressure(self) -> float:
-        """Gauge pressure in the muscle at this moment [Pa]."""
-        return self.supply.value(self.time)
-
-    def command(self, waves: tuple[Wave, ...]) -> None:
-        """Command pressure [Pa] along `waves`, the first of which starts now or later."""
-        self.supply.command(waves)
-
-    def shut(self, *, shut: bool) -> None:
-        """From now on a valve keeps the regulator from the muscle's air, or no longer; without a chamber no matter."""
-
-    def snapshot(self) -> dict[str, Any]:
-        """Everything that `restore` needs to come back to this moment."""
-        return {**self.__dict__, "supply": copy.copy(self.supply)}
-
-    def restore(self, snapshot: dict[str, Any]) -> None:
-        """Go back to the moment of a snapshot; it can be used again."""
-        self.__dict__.update(snapshot)
-        self.supply = copy.copy(self.supply)
 
     def reading(self) -> tuple[float, float, float]:
         """Contraction [m], gauge pressure [Pa] and force at the fixed end [N] at this moment."""

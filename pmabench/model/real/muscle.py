@@ -27,8 +27,6 @@ from pmabench.model.overrides import Overrides
 
 N_PER_KPA, N_PER_MM = 1e-3, 1e3
 """[N/Pa], [N/m]; the latter also for N.s/mm."""
-LEAST_STIFFNESS = 1.0
-"""Below it a muscle counts as one that does not hold a load [N/m]."""
 
 
 @dataclass(frozen=True)

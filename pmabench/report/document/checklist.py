@@ -67,11 +67,11 @@ def checklist(
         _asked("7.8.2.1 e", "the customer", issuer.customer, "--customer"),
         _either("7.8.2.1 f", "the method", sources, "Protocol, Methods", "name the source in the protocol"),
         _either("7.8.2.1 g", "the item, unmistakably", bool(specimen), specimen, "give make, type and serial number"),
-        _either("7.8.2.1 g", "its condition", mounted, "Summary", "give the specimen's `mounted` in its file"),
+        _either("7.8.2.1 g", "its condition", mounted, "first page", "give the specimen's `mounted` in its file"),
         _either("7.8.2.1 i", "dates of the tests", bool(when), when, "the runs are not at hand"),
         _asked("7.8.2.1 j", "date of issue", issuer.issued, "--issued"),
         ("7.8.2.1 l", "“relates only to the items tested”", True, "Provenance"),
-        _either("7.8.2.1 m", "results with units", bool(estimates), "Coefficients", "there is no result"),
+        _either("7.8.2.1 m", "results with units", bool(estimates), "first page, All values", "there is no result"),
         (
             "7.8.2.1 n",
             "deviations, additions, exclusions",
@@ -90,7 +90,7 @@ def checklist(
             "7.8.3.1 b",
             "conformity, where it is asked for",
             True,
-            "What was found" if accepted else "not asked for: the protocols set no acceptance limits (`accept`)",
+            "first page" if accepted else "not asked for: the protocols set no acceptance limits (`accept`)",
         ),
         *_measurement(estimates, runs),
     ]

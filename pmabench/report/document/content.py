@@ -19,13 +19,16 @@ from pmabench.analysis.verdict.acceptance import limits_of
 from pmabench.kinds import registry
 from pmabench.kinds.reduce import verdicts
 from pmabench.plotting import wording
+from pmabench.plotting.chart import to_svg
 from pmabench.plotting.pictures import Picture
 from pmabench.plotting.svg import drawing
 from pmabench.plotting.wording import printed
+from pmabench.report.certificate.interactive import assets, chart_data
+from pmabench.report.certificate.sheet import Sheet, sheet_of
 from pmabench.report.document import provenance, tables
 from pmabench.report.document.checklist import Issuer, Item, checklist
 from pmabench.report.document.deviations import Said, deviations, notes_of
-from pmabench.report.document.front import Tile, Verdict, first_findings, tiles_of, verdict_of
+from pmabench.report.document.front import Tile, Verdict, tiles_of, verdict_of
 from pmabench.report.document.grids import Grid, grid
 from pmabench.report.document.provenance import citation, methods_paragraph
 from pmabench.report.document.special_tables import Parents, budget_table, change_tables, check_tables, reduced_with
@@ -33,8 +36,8 @@ from pmabench.report.document.special_tables import who as who_changed
 from pmabench.report.document.tables import narrow
 from pmabench.report.figures import overlays
 from pmabench.report.figures.characteristic_figures import characteristic
-from pmabench.report.figures.figures import front_pictures, kind_pictures
-from pmabench.report.words import described, distinct, kind_title
+from pmabench.report.figures.figures import kind_pictures
+from pmabench.report.words import declared, described, distinct, kind_title
 from pmabench.report.writing import render, write_file
 from pmabench.store.analyses.results import AGREEMENT, Analysis
 from pmabench.store.folder import plain
@@ -84,12 +87,13 @@ class Content:
     verdict: Verdict
     failed: list[str]
     accept: list[str]
-    verdicts: list[tuple[str, str, str]]
-    """Level, test and text of the findings of the first page."""
-    more_findings: int
     findings: list[list[str]]
+    """Level, test and text."""
     tiles: list[Tile]
+    """Key numbers, for the workbook."""
+    sheet: Sheet
     front: list[Numbered]
+    """Figures of the first page, then of the second."""
     protocol: Grid
     deviations: list[str]
     notes: list[Said]
@@ -139,11 +143,11 @@ def content_of(
     identity = _identity(analyses, runs, published)
     failed = [wording.clean(text) for text in verdicts(runs, analyses)]
     analyses, theirs, compared = overlays.with_published(distinct(analyses), published, overlays.length_of(runs))
-    front, used = front_pictures([*analyses, *theirs])
-    first_page = [figures.add(p) for p in front]
-    sections = _together(analyses, figures)
-    sections += [_section(a, figures, used, parents) for a in analyses if a.estimates or a.kind != AGREEMENT]
     judged = _judged(analyses, runs, names, failed)
+    sheet = sheet_of(analyses, theirs, runs, names, judged["verdict"], failed)
+    front = [figures.add(p) for p in (*sheet.first, *sheet.second)]
+    sections = _together(analyses, figures)
+    sections += [_section(a, figures, sheet.used, parents) for a in analyses if a.estimates or a.kind != AGREEMENT]
     about_runs = _about_runs(runs, names)
     when = about_runs["when"]
     specimen = next((specimen for specimen, _ in about_runs["specimens"]), "")
@@ -160,7 +164,8 @@ def content_of(
         mixed=any(simulated) and not all(simulated),
         tested=", ".join(title.lower() if n else title for n, title in enumerate(kinds)),
         missing=[wording.clean(run, 200) for run in ids if run not in {r.id for r in runs}],
-        front=first_page,
+        sheet=sheet,
+        front=front,
         deviations=remarks,
         sections=sections,
         published=grid(overlays.comparison_table(compared)),
@@ -178,14 +183,16 @@ def content_of(
     )
 
 
-def write_page(content: Content, path: Path) -> Path:
+def write_page(content: Content, path: Path, *, long: bool = False) -> Path:
     """Write a report's content as a page; raises RecordError where it cannot be written."""
-    return write_file(path, page_of(content), "the report")
+    return write_file(path, page_of(content, long=long), "the report")
 
 
-def page_of(content: Content) -> str:
-    """The content as an HTML page."""
-    return render("report.html.j2", vars(content) | {"levels": LEVELS})
+def page_of(content: Content, *, long: bool = False) -> str:
+    """The content as an HTML page: two pages, and appendices, which are folded, or open and printed with `long`."""
+    charts = chart_data([(item.n, item.picture) for item in content.front])
+    more = {"levels": LEVELS, "long": long, "charts": charts, "assets": assets(), "chart_svg": to_svg}
+    return render("report.html.j2", vars(content) | more)
 
 
 def _judged(
@@ -196,13 +203,10 @@ def _judged(
     findings = tables.findings_table(analyses)
     for row in findings.rows:
         row["finding"] = _named(row["finding"], names)
-    shown, more = first_findings(findings)
     return {
         "verdict": verdict_of(analyses, runs, failed, accepted=bool(accept)),
         "failed": failed,
         "accept": accept,
-        "verdicts": shown,
-        "more_findings": more,
         "findings": findings.cells(),
         "tiles": tiles_of(analyses),
     }
@@ -270,6 +274,10 @@ def _section(analysis: Analysis, figures: _Figures, used: Sequence[str], parents
     if isinstance(trials, int) and not isinstance(trials, bool):
         counts += f", {trials} trials used"
     counts += f", {dropped} not used" if dropped else ", all trials used" if isinstance(trials, int) else ""
+    titles = {result.symbol: result.title for result in declared([analysis]).values()}
+    given = dict.fromkeys(e.symbol for e in analysis.estimates if titles.get(e.symbol))
+    if given:
+        counts += ". " + "; ".join(f"{wording.symbol_text(one)}: {wording.clean(titles[one], 80)}" for one in given)
     section = Section(kind_title(analysis.kind), analysis.simulated, counts)
     values = [part for table in tables.other_tables(analysis) for part in narrow(table)]
     shown = (*values, *check_tables(analysis), *change_tables(analysis))

@@ -1,4 +1,4 @@
-"""The first page for a busy person: is it good, the key numbers, the gravest findings; computes no estimate."""
+"""Whether the results are good, in a word and a sentence, and their key numbers; computes no estimate."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from pmabench.plotting import wording
-from pmabench.plotting.frame import Frame
 from pmabench.plotting.wording import WITHHELD, rounded
 from pmabench.report.document import tables
 from pmabench.report.words import declared, is_headline
@@ -14,9 +13,6 @@ from pmabench.store.analyses.results import AGREEMENT, Analysis, Estimate
 from pmabench.store.records import RunData
 
 TILES = 8
-FRONT_FINDINGS = 3
-MOST_FRONT_FINDINGS = 9
-"""Where so many are faults or doubts."""
 
 
 @dataclass(frozen=True)
@@ -29,14 +25,6 @@ class Tile:
     unit: str
     where: str
     reach: str
-
-
-def first_findings(findings: Frame) -> tuple[list[tuple[str, str, str]], int]:
-    """The findings for the first page, gravest first, and how many more there are."""
-    rows = [(level, test, text) for level, test, text in findings.cells()]
-    grave = sum(level in ("fault", "doubt") for level, _, _ in rows)
-    shown_there = min(len(rows), max(FRONT_FINDINGS, min(grave, MOST_FRONT_FINDINGS)))
-    return rows[:shown_there], len(rows) - shown_there
 
 
 def tiles_of(analyses: Sequence[Analysis]) -> list[Tile]:
@@ -114,9 +102,7 @@ def verdict_of(
     """
     faults, doubts = (sum(f.level == level for a in analyses for f in a.findings) for level in ("fault", "doubt"))
     unfinished = sum(run.status != "finished" for run in runs)
-    reasons = (
-        [_many(len(failed), "reason, which comes first below", "reasons, which come first below")] if failed else []
-    )
+    reasons = [_many(len(failed), "reason", "reasons")] if failed else []
     reasons += [_many(faults, "fault", "faults")] if faults else []
     reasons += [_many(unfinished, "run did not finish", "runs did not finish")] if unfinished else []
     reasons += [_many(doubts, "doubt", "doubts")] if doubts else []

@@ -80,25 +80,23 @@ class _Data:
 
     def all(self) -> dict[str, Any]:
         c = self.content
-        banner = "Some of these results come" if c.mixed else "All of these results come"
-        facts = [("Specimen", f"{name} ({about})" if about else name) for name, about in c.specimens]
-        facts += [("Bench", "; ".join(name for name, _ in c.benches)), ("Tested", c.tested or "nothing")]
-        facts += [("Date", c.when), ("Laboratory", c.issuer.laboratory), ("Customer", c.issuer.customer)]
-        facts += [("Operator", c.operators), ("Record", c.statuses)]
         return {
             "title": c.title,
             "report_id": c.report_id,
             "version": c.version,
             "simulated": c.simulated,
-            "banner": f"{banner} from a simulated bench, not from a real muscle.",
+            "banner": f"{'some' if c.mixed else 'all'} of these values come from a simulated bench, no real muscle",
             "verdict": vars(c.verdict),
-            "facts": self.pairs(facts),
-            "front_findings": self.front_findings(),
-            "tiles": [
-                {**vars(tile), "symbol": symbol_parts(tile.symbol), "where": symbol_parts(tile.where)}
-                for tile in c.tiles
+            "said": [
+                c.issuer.laboratory,
+                f"for {c.issuer.customer}" if c.issuer.customer else "",
+                c.issuer.issued or c.when,
             ],
-            "front": self.figures(c.front),
+            "operators": c.operators,
+            "statuses": c.statuses,
+            "sheet": self.sheet(),
+            "first": self.figures(c.front[: len(c.sheet.first)]),
+            "second": self.figures(c.front[len(c.sheet.first) :]),
             "protocol": self.grid(c.protocol, "What was tested"),
             "benches": self.pairs([(name, about or "No devices are recorded.") for name, about in c.benches]),
             "deviations": [symbol_parts(text) for text in c.deviations],
@@ -138,16 +136,42 @@ class _Data:
             "parents": [self.grid(grid) for grid in c.parents],
         }
 
-    def front_findings(self) -> list[dict[str, Any]]:
-        """Level, word and text of what the first page says of the results."""
-        c = self.content
-        front = [("fault", "Not accepted", text) for text in c.failed]
-        if c.accept and not c.failed:
-            front.append(("good", "Accepted", f"All limits of the protocol are kept: {', '.join(c.accept)}."))
-        front += [(level, LEVELS.get(level, level), text) for level, _, text in c.verdicts]
-        if c.more_findings:
-            front.append(("note", "", f"{c.more_findings} more under Findings."))
-        return [{"level": _level(level), "word": word, "text": symbol_parts(text)} for level, word, text in front]
+    def sheet(self) -> dict[str, Any]:
+        """The two pages without their figures."""
+        s = self.content.sheet
+        covered = s.coverage and {
+            "down": symbol_parts(s.coverage.down),
+            "across": symbol_parts(s.coverage.across),
+            "columns": s.coverage.columns,
+            "rows": [[name, [[box.look, box.text] for box in boxes]] for name, boxes in s.coverage.rows],
+            "words": symbol_parts(f"Left out: {s.coverage.words}." if s.coverage.words else ""),
+            "counts": f"{s.coverage.used} used, {s.coverage.left} left out",
+        }
+        bars = s.sources and {
+            "where": s.sources.where,
+            "causes": s.sources.causes,
+            "bars": [{**vars(bar), "symbol": symbol_parts(bar.symbol)} for bar in s.sources.bars],
+        }
+        return {
+            "item": s.item,
+            "about": s.about or self.content.title,
+            "sentence": symbol_parts(s.sentence),
+            "columns": [[head, [symbol_parts(line) for line in lines]] for head, lines in s.columns],
+            "heads": [symbol_parts(f"{head} [{unit}]" if unit else head) for head, unit in s.table.heads],
+            "rows": [[[symbol_parts(v.text), v.half, v.words] for v in row] for row in s.table.rows],
+            "notes": [symbol_parts(note) for note in s.table.notes],
+            "table_title": s.table_title,
+            "also": self.pairs(s.also),
+            "limits": self.pairs(s.limits),
+            "coverage": covered,
+            "sources": bars,
+            "statistics": self.pairs(s.statistics),
+            "checks": s.checks,
+            "findings": [symbol_parts(text) for text in s.findings],
+            "more": s.more,
+            "method": symbol_parts(s.method),
+            "seals": s.seals,
+        }
 
     def pairs(self, items: Sequence[tuple[str, str]]) -> list[list[Any]]:
         return [[symbol_parts(head), symbol_parts(text)] for head, text in items if text]
@@ -177,7 +201,8 @@ class _Data:
             head = f'<svg xmlns="http://www.w3.org/2000/svg" font-family="{FONT}" '
             (self.folder / name).write_text(p.svg.replace("<svg ", head, 1), encoding="utf-8")
             title, caption = symbol_parts(p.title), symbol_parts(p.caption)
-            found.append({"n": item.n, "file": name, "alt": p.alt, "title": title, "caption": caption, "wide": p.wide})
+            look = {"wide": p.wide, "charted": bool(p.charts)}
+            found.append({"n": item.n, "file": name, "alt": p.alt, "title": title, "caption": caption, **look})
         return found
 
     def note(self, note: Said) -> dict[str, Any]:

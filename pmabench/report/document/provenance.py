@@ -225,36 +225,55 @@ def calibration_table(
 
 
 def methods_paragraph(analyses: Sequence[Analysis], runs: Sequence[RunData]) -> str:
-    """Specimen, bench, each test with its points, the primary method of each, what was left out."""
+    """A paragraph on methods for a paper: specimen, bench, tests with their ranges, evaluation, what was left out."""
     sentences = []
     for name, about in specimens(runs):
         sentences.append(f"The specimen was a {name}" + (f" ({about})" if about else "") + ".")
-    for name, about in benches(runs):
-        sentences.append(f"It was tested on the bench “{name}”" + (f" ({about})" if about else "") + ".")
+    names = [name for name, _ in benches(runs)]
+    if names:
+        sentences.append(f"All tests were carried out on {'; '.join(f'the {n}' if ' ' in n else n for n in names)}.")
     if any(a.simulated for a in analyses) or any(run.simulated for run in runs):
         alone = all(a.simulated for a in analyses) and all(run.simulated for run in runs)
-        sentences.append(f"{'All' if alone else 'Some'} of the tests are simulated; no real muscle moved in them.")
-    for row in protocol_table(runs, {}).rows:
-        points = f" at {row['operating points']}" if row["operating points"] else ""
-        rate = f", sampled at {row['rate']}" if row["rate"] else ""
-        sentences.append(f"{row['test']}, protocol “{row['protocol']}”{points}{rate}; {row['trials']} trials finished.")
+        sentences.append(f"{'All' if alone else 'Some'} tests were simulated; no real muscle moved in them.")
+    tests = [_test(kind, [run for run in runs if run.kind == kind]) for kind in dict.fromkeys(r.kind for r in runs)]
+    if tests:
+        sentences.append(f"The test programme comprised {'; '.join(tests)}.")
     seen: set[str] = set()
     for analysis in (a for a in analyses if a.kind != AGREEMENT and a.estimates):
         method = analysis.estimates[0].method
-        how = described(method)
-        named = f"{kind_title(analysis.kind)} was evaluated by the method “{clean(method, 120)}”"
-        sentences.append(f"{named}: {how.rstrip('.')}." if how and method not in seen else f"{named}.")
+        how = described(method).partition(". ")[0].rstrip(".")
+        how = f"{how[:1].lower()}{how[1:]}" if how[1:2].islower() else how
+        named = f"The {kind_title(analysis.kind).lower()} tests were evaluated by the {clean(method, 120)} method"
+        sentences.append(f"{named} ({how})." if how and method not in seen else f"{named}.")
         seen.add(method)
     dropped = sum(len(a.dropped) for a in analyses)
     if any(e.ci95 for a in analyses for e in a.estimates):
         sentences.append(
-            "Intervals are 95 % intervals: the scatter between trials, what the estimator itself adds and the "
-            "calibration of the channels, added as squares as far as each was assessed."
+            "Uncertainties are 95 % intervals that combine, as root sum of squares, the scatter between trials, the "
+            "contribution of the estimator and the calibration of the channels, as far as each was assessed."
         )
     if dropped:
-        sentences.append(f"{dropped} trials did not enter a fit; the report lists each with its reason.")
-    sentences.append(f"Tests were run and evaluated with pmabench {__version__}.")
+        sentences.append(f"{dropped} trial{'s were' if dropped > 1 else ' was'} excluded from the evaluation.")
+    sentences.append(f"Data were acquired and evaluated with pmabench {__version__}.")
     return clean(" ".join(sentences), 12_000)
+
+
+def _test(kind: str, runs: Sequence[RunData]) -> str:
+    """One kind of test with its trials, ranges and rate, as part of a sentence."""
+    trials = [trial for run in runs for trial in run.trials]
+    parts = []
+    for name in in_order((key for trial in trials for key in trial.point), POINTS):
+        if name in ("mass", "cycles"):
+            continue
+        label, unit = point_shown(name)
+        ends = [trial.point[name] / unit.scale for trial in trials if name in trial.point]
+        low, high = (number(float(f"{end:.4g}")) for end in (min(ends), max(ends)))
+        parts.append(f"{label} = {low if low == high else f'{low} to {high}'} {unit.unit}".rstrip())
+    done = sum(trial.status == "finished" and not trial.again for trial in trials)
+    rates = sorted({run.rate for run in runs if run.rate})
+    rate = f", sampled at {number(rates[0])} Hz" if len(rates) == 1 else ""
+    where = f" at {', '.join(parts)}" if parts else ""
+    return f"{kind_title(kind).lower()} ({done} trial{'s' if done != 1 else ''}{where}{rate})"
 
 
 def citation(title: str, report_id: str, when: str, simulated: bool) -> tuple[str, str]:

@@ -12,7 +12,7 @@ from pmabench.base.kind import Result
 from pmabench.plotting import plots
 from pmabench.plotting.frame import Frame
 from pmabench.plotting.pictures import Picture, bound, column, has, numbers, picture, unit_of
-from pmabench.plotting.plots import FAINT, HALF, PALETTE, QUIET, RED, Array, Points, blank, few_ticks, grid
+from pmabench.plotting.plots import BROWN, FAINT, HALF, PALETTE, QUIET, Array, Points, blank, few_ticks, grid
 from pmabench.plotting.wording import (
     POINTS,
     RAISED,
@@ -126,7 +126,7 @@ def _figure(
         title,
         _caption(points, members, over, x_unit),
         alt,
-        _table([e for _, e in members], over),
+        table_of([e for _, e in members], over),
         wide=False,
         simulated=any(analysis.simulated for analysis, _ in members),
     )
@@ -150,19 +150,19 @@ def _points(members: Sequence[tuple[Analysis, Estimate]], over: str, unit: Shown
         name_text = symbol_text(symbol, coordinate)
         name = clean(method, 60)
         at = sorted(series[key], key=lambda member: member[1].at[over])
-        reach_of = np.array([_reach(e) for _, e in at]) / unit.scale
+        reaches = np.array([reach_of(e) for _, e in at]) / unit.scale
         mark = methods.index(method) if several and len(methods) > 1 else len(points)
         points.append(
             Points(
                 label=(name_text if len(methods) == 1 else f"{name_text}, {name}") if several else name,
                 x=np.array([e.at[over] for _, e in at]) / x_unit.scale,
                 y=np.array([e.value for _, e in at], dtype=np.float64) / unit.scale,
-                below=reach_of[:, 0],
-                above=reach_of[:, 1],
+                below=reaches[:, 0],
+                above=reaches[:, 1],
                 primary=key not in theirs and (method in first or len(methods) == 1),
                 group=variants.index(key[:2]) if several else methods.index(method),
                 mark=theirs.index(key) if key in theirs else mark,
-                curve=_curve(at, over, unit.scale, x_unit.scale),
+                curve=curve_of(at, over, unit.scale, x_unit.scale),
                 published=key in theirs,
             )
         )
@@ -199,13 +199,13 @@ def _and(words: Sequence[str]) -> str:
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}" if words else ""
 
 
-def _reach(e: Estimate) -> tuple[float, float]:
+def reach_of(e: Estimate) -> tuple[float, float]:
     """How far the interval reaches below and above the value [SI]; NaN without one."""
     ends = e.ci95
     return (nan, nan) if ends is None or e.value is None else (max(0.0, e.value - ends[0]), ends[1] - e.value)
 
 
-def _curve(
+def curve_of(
     members: Sequence[tuple[Analysis, Estimate]], over: str, scale: float, x_scale: float
 ) -> tuple[Array, Array, Array] | None:
     """The analysis' closest curve through these points with its band, in display units; None without one.
@@ -224,13 +224,14 @@ def _curve(
     x = np.linspace(*closest.domain, CURVE_POINTS)
     y = closest.values(x)
     at = np.array([e.at[over] for _, e in members])
-    half = np.interp(x, at, [_reach(e)[1] for _, e in members])
+    half = np.interp(x, at, [reach_of(e)[1] for _, e in members])
     residual = closest.residual_rms if np.isfinite(closest.residual_rms) else 0.0
     band = np.hypot(half, 1.96 * residual)
     return np.asarray(x / x_scale), np.asarray(y / scale), np.asarray(band / scale)
 
 
-def _table(estimates: Sequence[Estimate], over: str) -> Frame:
+def table_of(estimates: Sequence[Estimate], over: str) -> Frame:
+    """The numbers of a plot: one row for each estimate; text."""
     head, unit = point_shown(over)
     rows = [
         {
@@ -283,10 +284,10 @@ def drawing_of(t: Array, values: Array, mean: Array, x_label: str, word: str, un
     cells = grid(figure, 1, 1, top=0.42, left=0.6)[0].subgridspec(2, 1, height_ratios=(1.6, 1), hspace=0.12)
     upper = figure.add_subplot(cells[0])
     lower = figure.add_subplot(cells[1], sharex=upper)
-    others = [color for color in PALETTE if color != RED]
+    others = [color for color in PALETTE if color != BROWN]
     lower.axhline(0, color=FAINT, linewidth=0.6, zorder=0)
     for i in reversed(range(len(values))):
-        color = RED if i == 0 else others[(i - 1) % len(others)] if len(values) < 4 else QUIET
+        color = BROWN if i == 0 else others[(i - 1) % len(others)] if len(values) < 4 else QUIET
         width = 1.0 if i == 0 else 0.8
         label = ("first" if i == 0 else "second" if len(values) == 2 else "later") if i < 2 else None
         upper.plot(t, values[i], color=color, linewidth=width, label=label)

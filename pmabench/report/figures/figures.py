@@ -41,32 +41,36 @@ REPEATS = {"repeats": "pmabench.report.figures.coefficient_figures:repeats"}
 """Traces that every kind of test may have."""
 GENERIC = 6
 """Most figures of traces that no kind of test draws."""
-FRONT, FEW = 4, 2
-"""Plots of the first page; and those of a report whose tests have none of its kinds."""
 
 
-def front_pictures(analyses: Sequence[Analysis]) -> tuple[list[Picture], list[str]]:
-    """The plots of the first page, and the names of the traces that are in them."""
+def front_pictures(
+    analyses: Sequence[Analysis], most: int, without: Sequence[str] = ()
+) -> tuple[list[Picture], list[str]]:
+    """At most so many plots for the first pages, by what the kinds declare, and the names of the traces in them.
+
+    `without` names traces that are shown already.
+    """
     analyses = [drawable(analysis) for analysis in analyses]
-    found = coefficient_figures.over_pressure(analyses)[: FRONT - 1]
+    found: list[Picture] = []
     used: list[str] = []
     for analysis in analyses:
-        if len(found) < FRONT and any(t.figure in loop_figures.TOGETHER for t in analysis.traces):
+        if len(found) < most and any(t.figure in loop_figures.TOGETHER for t in analysis.traces):
             found += loop_figures.together(analysis.traces, analysis.simulated)
             break
     for analysis in analyses:
         kind = registry.find(analysis.kind)
         for wanted, target in kind.front.items() if kind else ():
-            traces = [t for t in analysis.traces if t.figure == wanted]
-            if not traces or len(found) >= FRONT:
+            traces = [t for t in analysis.traces if t.figure == wanted and t.name not in without]
+            if not traces or len(found) >= most or (without and wanted == "overlay"):
                 continue
             hero = max(traces, key=_stroke)
             pictures = load(target)([hero], analysis)
             found += pictures[:1]
             used += [hero.name] if pictures and wanted == "overlay" and len(traces) > 2 else []
-    for analysis in analyses if not found else ():
-        found += kind_pictures(analysis)[: FEW - len(found)]
-    return found, used
+    titles = {picture.title for picture in found}
+    for analysis in analyses if len(found) < most else ():
+        found += [one for one in kind_pictures(analysis, [*without, *used]) if one.title not in titles]
+    return found[:most], used
 
 
 def _stroke(trace: Trace) -> float:

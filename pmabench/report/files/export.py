@@ -23,6 +23,7 @@ from pmabench.report.document import tables
 from pmabench.report.files import latex
 from pmabench.report.files.csv_files import inert, write_tables
 from pmabench.report.files.simulator_models import control_model, control_text, mujoco_model, mujoco_text, suits
+from pmabench.report.files.surface_model import suits_surface, surface_text
 from pmabench.report.words import kind_title
 from pmabench.report.writing import write_file, writing
 from pmabench.store.analyses.folder import file_names
@@ -216,17 +217,23 @@ def _results_json(results: Results, out: Path) -> list[Path]:
 
 def _results_control(results: Results, out: Path) -> list[Path]:
     analysis, runs = _modelled(results)
-    return [write_file(out, control_text(control_model(analysis, runs), analysis), "the export")]
+    text = surface_text(analysis) if suits_surface(analysis) else control_text(control_model(analysis, runs), analysis)
+    return [write_file(out, text, "the export")]
 
 
 def _results_mujoco(results: Results, out: Path) -> list[Path]:
     analysis, runs = _modelled(results)
+    if suits_surface(analysis):
+        raise UsageError(
+            "a muscle as a surface remembers its past, which an actuator of MuJoCo does not; "
+            "give --format python-control"
+        )
     return [write_file(out, mujoco_text(mujoco_model(analysis, runs), analysis), "the export")]
 
 
 def _modelled(results: Results) -> tuple[Analysis, list[RunData]]:
     """The first analysis that a model can be made of, else the first, with its runs."""
-    able = [a for a in results.analyses if suits(a)] or list(results.analyses)[:1]
+    able = [a for a in results.analyses if suits(a) or suits_surface(a)] or list(results.analyses)[:1]
     if not able:
         raise UsageError("there is no analysis to make a model of")
     return able[0], [run for run in results.runs if run.id in able[0].runs]

@@ -76,14 +76,86 @@ def typeset(text: object) -> str:
     return out
 
 
+COLUMN = 229.0
+"""Width of a column [pt]: of `article` with two columns; that of IEEEtran is 252 pt."""
+SIZES = (("footnotesize", 4.25), ("scriptsize", 3.98))
+"""Sizes of text with the width of a digit of Computer Modern in them [pt]."""
+GAP = 2.0
+"""Half the space between columns [pt], `\\tabcolsep`."""
+_WIDE = ((".,:;il'| []()·", 0.56), ("±×−mw%", 1.67), ("0123456789", 1.0), ("MWK", 2.06))
+"""Signs with their width in digits."""
+WRAPPED = 58.0
+"""Width of a column of words that is broken into lines [pt]."""
+
+
 def table(frame: Frame, caption: str, label: str, *, texts: Sequence[str] = ()) -> str:
-    """A frame of text cells as one `table` with `tabular`; columns in `texts` are set left, the others right."""
+    """A frame of text cells as `table`s with `tabular`, none wider than a column of a page.
+
+    Columns in `texts` are set left, the others right. What is too wide becomes several tables: one for each method,
+    then some of the columns each, the first repeated; long words are broken into lines.
+    """
+    whole = []
+    methods = list(dict.fromkeys(frame["method"])) if "method" in frame.columns else []
+    if len(methods) > 1 and _width(frame, texts, 0) > COLUMN:
+        rows = [frame.where(cell == method for cell in frame["method"]) for method in methods]
+        whole = [
+            (part.without("method").filled(), f"{caption}; {name}") for part, name in zip(rows, methods, strict=True)
+        ]
+    elif len(methods) == 1 and len(frame.columns) > 2:
+        whole = [(frame.without("method"), f"{caption}; {methods[0]}")]
+    found = [(part, words) for one, words in whole or [(frame, caption)] for part, words in _narrow(one, words, texts)]
+    labels = [label if n == 0 else f"{label}-{n + 1}" for n in range(len(found))]
+    return "\n".join(_table(part, words, name, texts) for (part, words), name in zip(found, labels, strict=True))
+
+
+def _narrow(frame: Frame, caption: str, texts: Sequence[str]) -> list[tuple[Frame, str]]:
+    """The frame, or parts of its columns that fit, each with the first column."""
+    if _width(frame, texts, len(SIZES) - 1) <= COLUMN or len(frame.columns) < 3:
+        return [(frame, caption)]
+    first, *rest = frame.columns
+    parts: list[list[str]] = [[]]
+    for column in rest:
+        if parts[-1] and _width(frame.select([first, *parts[-1], column]), texts, 0) > COLUMN:
+            parts.append([])
+        parts[-1].append(column)
+    words = [caption, *[f"{caption} (continued)"] * (len(parts) - 1)]
+    return [(frame.select([first, *part]), text) for part, text in zip(parts, words, strict=True)]
+
+
+def _width(frame: Frame, texts: Sequence[str], size: int) -> float:
+    """Width of the tabular [pt] in one of `SIZES`."""
+    digit = SIZES[size][1]
+    columns = [max(_letters(text) for text in (c, *frame[c])) * digit for c in frame.columns]
+    wide = [min(w, WRAPPED) if c in texts else w for c, w in zip(frame.columns, columns, strict=True)]
+    return sum(wide) + 2 * GAP * len(wide)
+
+
+def _letters(text: object) -> float:
+    """Length of a text in digits of Computer Modern."""
+    words = clean(text, 10_000).replace("_", "")
+    return sum(
+        next((wide for signs, wide in _WIDE if sign in signs), 1.5 if sign.isupper() else 1.06) for sign in words
+    )
+
+
+def _table(frame: Frame, caption: str, label: str, texts: Sequence[str]) -> str:
     columns = frame.columns
+    size = next((n for n in range(len(SIZES)) if _width(frame, texts, n) <= COLUMN), len(SIZES) - 1)
+    digit = SIZES[size][1]
+    looks = [
+        "r"
+        if c not in texts
+        else rf"p{{{WRAPPED:.0f}pt}}"
+        if max(_letters(text) for text in (c, *frame[c])) * digit > WRAPPED
+        else "l"
+        for c in columns
+    ]
     lines = [
         r"\begin{table}",
         rf"\caption{{{typeset(caption)}}}",
         rf"\label{{{re.sub(r'[^A-Za-z0-9:-]', '-', label)}}}",
-        rf"\begin{{tabular}}{{{''.join('l' if c in texts else 'r' for c in columns)}}}",
+        rf"\{SIZES[size][0]}\setlength{{\tabcolsep}}{{{GAP:.0f}pt}}",
+        rf"\begin{{tabular}}{{{''.join(looks)}}}",
         r"\hline",
         " & ".join(typeset(c) for c in columns) + r" \\",
         r"\hline",

@@ -89,7 +89,7 @@ def _scores(differences: Sequence[Difference], *, simulated: bool) -> Picture | 
             for score in scores[name]:
                 far = abs(score) > FAR
                 mark = "o" if not far else ">" if score > 0 else "<"
-                color = plots.BLUE if abs(score) <= 1 else plots.RED
+                color = plots.BLUE if abs(score) <= 1 else plots.FAULT
                 axes.plot(max(-FAR, min(FAR, score)), row, mark, color=color, markersize=4, clip_on=False)
         axes.set_yticks(range(len(names)), names)
         axes.set_ylim(len(names) - 0.4, -0.6)

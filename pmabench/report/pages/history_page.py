@@ -107,7 +107,7 @@ def _control(one: References, *, simulated: bool) -> Picture:
         axes.plot(place, strokes, "-", color=plots.FAINT, linewidth=0.8)
         for alarm in (False, True):
             rows = [i for i in range(len(strokes)) if (i in alarms) == alarm]
-            axes.plot(place[rows], strokes[rows], "s" if alarm else "o", color=plots.RED if alarm else plots.BLUE,
+            axes.plot(place[rows], strokes[rows], "s" if alarm else "o", color=plots.FAULT if alarm else plots.BLUE,
                       markersize=4, linestyle="none")  # fmt: skip
         axes.set(xlabel="reference trial, in order of time", ylabel="stroke [mm]")
         axes.locator_params(axis="x", integer=True)

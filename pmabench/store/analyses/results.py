@@ -21,6 +21,8 @@ from pmabench.store.records import RunData
 SCHEMA = "pmabench.analysis/1"
 POINT_QUANTITIES = {
     "pressure": "pressure",
+    "pressure_1": "pressure",
+    "pressure_2": "pressure",
     "from": "pressure",
     "contraction": "length",
     "setpoint": "length",
@@ -37,6 +39,14 @@ POINT_QUANTITIES = {
     "mass": "mass",
     "tip_mass": "mass",
     "displacement": "length",
+    "angle": "angle",
+    "goal": "angle",
+    "lowest_angle": "angle",
+    "highest_angle": "angle",
+    "angular_speed": "angular speed",
+    "phi": "angle",
+    "psi": "angle",
+    "integral": "angular integral gain",
     "cycles": "count",
     "side": "count",
 }

@@ -340,8 +340,9 @@ class Sampling(Strict):
 class Trials(Strict):
     """How a file is cut into trials."""
 
-    by: Literal["file", "step", "ramp", "sine", "gap", "column", "command", "record"]
-    """The whole file; every step, or sine, of the command (of the measured pressure where none was recorded); every
+    by: Literal["file", "step", "level", "ramp", "sine", "gap", "column", "command", "record"]
+    """The whole file; every step, or sine, of the command (of the measured pressure where none was recorded); `level`:
+    every stretch between such steps, at one pressure; every
     rise of the measured pressure with the fall after it; or between gaps in time. `column`: where the column of trials
     has the same number, not 0. `command`: from each rise of the pressure command out of its lowest level to the next.
     `record`: as run.json next to the file says, which `pmabench export` writes.
@@ -358,7 +359,7 @@ class Trials(Strict):
 
     @model_validator(mode="after")
     def _fits(self) -> Trials:
-        if self.by in {"step", "ramp", "sine", "command"} and not self.smallest:
+        if self.by in {"step", "level", "ramp", "sine", "command"} and not self.smallest:
             raise ValueError(f'"by: {self.by}" needs "smallest", for instance "10 kPa"')
         if (self.by == "gap") != (self.longer_than is not None):
             raise ValueError('"by: gap" and "longer_than" belong together')

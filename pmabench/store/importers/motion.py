@@ -69,6 +69,8 @@ class Wave:
     frequency: float
     mean: float
     amplitude: float
+    left: float = 0.0
+    """What the sine leaves of the signal over the signal, both rms; a triangle leaves 0.12."""
 
 
 def later(t: Array) -> NDArray[np.bool_]:
@@ -80,6 +82,12 @@ def runs(where: NDArray[np.bool_]) -> list[tuple[int, int]]:
     """First and one past the last index of each run of True."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], where, [False]]).astype(np.int8)))
     return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
+
+
+def _parted(begin: int, end: int, at: NDArray[np.intp]) -> list[tuple[int, int]]:
+    """The stretch from `begin` to `end` in parts that begin at the indices `at` that lie in it."""
+    edges = [begin, *at[(at > begin) & (at < end)].tolist(), end]
+    return list(pairwise(edges))
 
 
 def levels(t: Array, values: Array, smallest: float) -> list[Level]:
@@ -96,8 +104,10 @@ def levels(t: Array, values: Array, smallest: float) -> list[Level]:
     flat = np.zeros(n, dtype=bool)
     for k in np.flatnonzero(quiet):
         flat[k : k + width] = True
+    jumps = np.flatnonzero(flat[:-1] & flat[1:] & (np.abs(np.diff(values)) > 0.5 * smallest)) + 1
+    parts = [part for begin, end in runs(flat) for part in _parted(begin, end, jumps)]
     found = []
-    for (begun, leave), (arrive, end) in pairwise(runs(flat)):
+    for (begun, leave), (arrive, end) in pairwise(parts):
         before = float(np.median(values[max(begun, leave - HELD * width) : leave]))
         after = float(np.median(values[max(arrive, end - HELD * width) : end]))
         size = after - before
@@ -202,9 +212,10 @@ def _fitted(t: Array, values: Array, begin: int, end: int, halves: int) -> list[
     mean, amplitude = _amplitude(times, part, frequency)
     model = mean + np.real(amplitude * np.exp(2j * np.pi * frequency * times))
     resolved = 0 < frequency * SAMPLES * float(np.median(np.diff(times))) <= 1.0
-    if not resolved or np.std(part - model) > IMPURE * np.std(part):
+    left = float(np.std(part - model) / np.std(part))
+    if not resolved or left > IMPURE:
         return []
-    return [Wave(float(times[0]), float(times[-1]), frequency, mean, abs(amplitude))]
+    return [Wave(float(times[0]), float(times[-1]), frequency, mean, abs(amplitude), left)]
 
 
 def _amplitude(t: Array, values: Array, frequency: float) -> tuple[float, complex]:
@@ -224,6 +235,10 @@ MOVING_SAMPLES = 2
 STILL = 1e-3
 """Share of the span of a channel that it may move over that time and be held (a measured one: `NOISY`)."""
 NOISY = 0.01
+MOST, LONGEST = 0.8, 0.1
+"""Share of the travel that changes must make up, and the longest time of `changes` as a share of the record."""
+CLEARLY = 3.0
+"""So many times further than what is held a measured ramp moves over that time."""
 AT_ONCE = 0.06
 """A change that is over in this time [s] is a step."""
 LIFTED = 0.02e-3
@@ -297,17 +312,50 @@ def commands_of(how: Commanded, t: Array, channels: Mapping[str, Array], smalles
 def changes(t: Array, values: Array, smallest: float, *, measured: bool = False) -> list[Change]:
     """Changes from one held or turning value to the next, by at least `smallest`.
 
-    Their beginnings and ends are extrapolated from where a tenth and nine tenths of them are reached.
+    Their beginnings and ends are extrapolated from where a tenth and nine tenths of them are reached. A measured ramp
+    may be so slow that it hardly moves over `MOVING`: times are doubled until the changes make up most of its travel.
     """
     period = float(np.median(np.diff(t)))
     if not period > 0 or not np.isfinite(values).all():
         return []
-    reach = max(MOVING_SAMPLES, round(MOVING / 2 / period)) if measured else MOVING_SAMPLES
-    span = float(np.ptp(values))
+    if not measured:
+        return _changes(t, values, smallest, MOVING_SAMPLES, STILL)
+    travel = float(np.abs(np.diff(values[turns(values, smallest)])).sum())
+    reach = max(MOVING_SAMPLES, round(MOVING / 2 / period))
+    first = _changes(t, values, smallest, reach, NOISY)
+    while 2 * reach < len(values) * LONGEST:
+        pieces = _changes(t, values, smallest, reach, NOISY)
+        found = [one for one in pieces if not _in_another(one, pieces)]
+        travelled = sum(abs(one.value - one.before) for one in found)
+        if MOST * travel <= travelled <= travel / MOST and _clear(values, reach):
+            return found
+        reach *= 2
+    return first
+
+
+def _moves(values: Array, reach: int) -> Array:
+    """How far values move from `reach` samples before each to `reach` after it; 0 at both ends."""
     moved = np.zeros(len(values))
     moved[reach:-reach] = values[2 * reach :] - values[: -2 * reach]
-    still = (NOISY if measured else STILL) * span
-    if not measured:
+    return moved
+
+
+def _clear(values: Array, reach: int) -> bool:
+    """Whether what moves does so clearly: near the limit a slow ramp falls to pieces."""
+    moved, still = np.abs(_moves(values, reach)), NOISY * float(np.ptp(values))
+    return bool((moved > still).any() and np.median(moved[moved > still]) > CLEARLY * still)
+
+
+def _in_another(one: Change, found: list[Change]) -> bool:
+    """Whether the middle of a change lies in a larger one: an end of it that was seen twice."""
+    middle, size = 0.5 * (one.t + one.end), abs(one.value - one.before)
+    return any(other.t < middle < other.end and abs(other.value - other.before) > size for other in found)
+
+
+def _changes(t: Array, values: Array, smallest: float, reach: int, share: float) -> list[Change]:
+    """Changes of values that move by more than a `share` of their span between `reach` samples before and after."""
+    moved, still = _moves(values, reach), share * float(np.ptp(values))
+    if share == STILL:
         # a slow ramp goes on by less than `still` from sample to sample: what never rests is a ramp, too
         jumps = np.abs(np.diff(values))
         still = min(still, 0.5 * float(jumps[jumps > 0].min(initial=np.inf)))

@@ -205,6 +205,15 @@ def _by_step(rows: _Rows) -> list[_Span]:
     ]
 
 
+def _by_level(rows: _Rows) -> list[_Span]:
+    """Stretches of one pressure, from where it has arrived to where it leaves."""
+    seen, (begin, end) = rows.rising, rows.whole
+    changes = motion.levels(rows.t[seen], rows.values[rows.driven][seen], rows.smallest)
+    begins = [begin, *(change.settled for change in changes)]
+    ends = [*(change.t - 1e-5 for change in changes), end]
+    return [(at, until, dict(rows.point), [], []) for at, until in zip(begins, ends, strict=True)]
+
+
 def _by_ramp(rows: _Rows) -> list[_Span]:
     """Rises of the measured pressure, `fill`, each with the fall after it, `exhaust`."""
     seen = rows.rising & ((rows.flags & np.uint16(Flag.OVERRANGE)) == 0)
@@ -269,6 +278,7 @@ def _by_command(rows: _Rows) -> list[_Span]:
 
 CUTS: Mapping[str, Callable[[_Rows], list[_Span]]] = {
     "step": _by_step,
+    "level": _by_level,
     "ramp": _by_ramp,
     "sine": _by_sine,
     "gap": _by_gap,

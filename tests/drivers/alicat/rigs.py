@@ -1,15 +1,11 @@
 """A controller as a record, its driver and its emulator, and a peer on a pseudo-terminal that answers by hand."""
 
-import contextlib
 import os
 import select
 import threading
 import tty
 from dataclasses import replace
 
-from pmabench_drivers.alicat import AlicatController
-
-from pmabench.base.clock import RealClock
 from pmabench.bench.interface import ChannelRecord, DeviceRecord, OutputRecord, Scale
 
 DRIVER = "pmabench_drivers.alicat:AlicatController"
@@ -32,17 +28,6 @@ def controller(address, protocol="ascii", unit="kPa", **options):
         ),
         (OutputRecord("pressure", "pressure", "controller", "pressure", scale, 0.01, 0.0, 0.0, 6e5),),
     )
-
-
-@contextlib.contextmanager
-def opened(record):
-    """The driver of a device, open."""
-    driver = AlicatController(record, RealClock())
-    try:
-        driver.open()
-        yield driver
-    finally:
-        driver.close()
 
 
 class HandPeer:
@@ -89,4 +74,4 @@ def listing(*rows, head="A D00 ID_ NAME______________________ TYPE_______ WIDTH 
     ]
 
 
-__all__ = ["DRIVER", "HandPeer", "controller", "listing", "opened", "replace"]
+__all__ = ["DRIVER", "HandPeer", "controller", "listing", "replace"]

@@ -18,8 +18,9 @@ from pymodbus.framer import FramerRTU
 from pmabench.base.clock import RealClock
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import Segment
-from tests.drivers.alicat.rigs import HandPeer, controller, listing, opened, replace
-from tests.drivers.wires.rigs import emulated, timed
+from tests.drivers.alicat.rigs import HandPeer, controller, listing, replace
+from tests.drivers.common import opened, timed, until
+from tests.drivers.wires.rigs import emulated
 from tests.reliability.cases import cases
 
 pytestmark = pytest.mark.realtime
@@ -54,15 +55,6 @@ def failure(device, within=3.0):
             return str(outcome)
         time.sleep(0.01)
     return ""
-
-
-def until(condition, within=3.0):
-    deadline = time.monotonic() + within
-    while time.monotonic() < deadline:
-        if condition():
-            return True
-        time.sleep(0.01)
-    return False
 
 
 def behind(emulator):

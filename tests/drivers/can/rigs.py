@@ -1,14 +1,7 @@
 """A bus with a drive and a transducer as a record, emulated and opened."""
 
-import contextlib
-import time
-from dataclasses import replace
-
-from pmabench_drivers.canbus import CanBus
-from pmabench_drivers.emulator import Emulator
-
-from pmabench.base.clock import RealClock
 from pmabench.bench.interface import ChannelRecord, DeviceRecord, InterlockRecord, OutputRecord, Scale
+from tests.drivers.common import in_front
 
 DRIVER = "pmabench_drivers.canbus:CanBus"
 COUNT = 1e-6
@@ -51,29 +44,6 @@ def bus(address="slcan:socket://127.0.0.1:0", channels=CHANNELS, watchdog=0.5, *
     )
 
 
-@contextlib.contextmanager
-def rig(record=None, *, opened=True, **options):
+def rig(record=None, **options):
     """An emulated bus and its driver: emulator, emulated bus, driver."""
-    record = record or bus()
-    emulator = Emulator([record], preset="ideal", **options)
-    driver = None
-    try:
-        served = emulator.devices["bus"]
-        driver = CanBus(replace(record, address=served.address), RealClock())
-        if opened:
-            driver.open()
-        yield emulator, served, driver
-    finally:
-        if driver is not None:
-            driver.close()
-        emulator.close()
-
-
-def until(condition, within=3.0):
-    """Whether it comes true within a time [s]."""
-    deadline = time.monotonic() + within
-    while time.monotonic() < deadline:
-        if condition():
-            return True
-        time.sleep(0.005)
-    return False
+    return in_front(record or bus(), **options)

@@ -10,8 +10,9 @@ from pmabench_drivers.canbus.link import PythonCan, Slcan
 
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import Scale
-from tests.drivers.can.rigs import bus, channel, rig, until
+from tests.drivers.can.rigs import bus, channel, rig
 from tests.drivers.can.test_dbc import LOAD_CELL
+from tests.drivers.common import until
 
 pytestmark = pytest.mark.realtime
 

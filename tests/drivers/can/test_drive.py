@@ -12,7 +12,8 @@ from pmabench_drivers.canbus.frames import State
 from pmabench.base.clock import RealClock
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import Segment
-from tests.drivers.can.rigs import CHANNELS, bus, rig, until
+from tests.drivers.can.rigs import CHANNELS, bus, rig
+from tests.drivers.common import until
 
 pytestmark = pytest.mark.realtime
 POSITION = "drive.position"

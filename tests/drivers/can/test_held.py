@@ -6,8 +6,8 @@ import pytest
 
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import Supervised
-from tests.drivers.can.rigs import bus, rig, until
-from tests.drivers.wires.rigs import timed
+from tests.drivers.can.rigs import bus, rig
+from tests.drivers.common import timed, until
 
 pytestmark = pytest.mark.realtime
 

@@ -17,7 +17,8 @@ from pmabench_drivers.emulator.faults import LINK, Faults
 
 from pmabench.base.clock import RealClock
 from pmabench.bench.interface import Segment
-from tests.drivers.can.rigs import bus, rig, until
+from tests.drivers.can.rigs import bus, rig
+from tests.drivers.common import until
 
 pytestmark = pytest.mark.realtime
 

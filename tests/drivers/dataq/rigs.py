@@ -2,11 +2,8 @@
 
 import contextlib
 
-from pmabench_drivers.dataq import Dataq
-from pmabench_drivers.emulator import Emulator
-
-from pmabench.base.clock import RealClock
 from pmabench.bench.interface import ChannelRecord, DeviceRecord, Scale
+from tests.drivers.common import in_front
 
 DRIVER = "pmabench_drivers.dataq:Dataq"
 
@@ -21,13 +18,7 @@ def daq(address, inputs=("a0", "a3"), unit="V", **options):
 
 
 @contextlib.contextmanager
-def rig(record, preset="ideal"):
+def rig(record, **options):
     """The emulator of a device and its open driver."""
-    emulator = Emulator([record], preset=preset)
-    driver = Dataq(record, RealClock())
-    try:
-        driver.open()
+    with in_front(record, **options) as (emulator, _served, driver):
         yield emulator, driver
-    finally:
-        driver.close()
-        emulator.close()

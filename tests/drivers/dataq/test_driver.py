@@ -4,12 +4,9 @@ import itertools
 import time
 
 import pytest
-from pmabench_drivers.dataq import Dataq
-from pmabench_drivers.emulator import Emulator
 
-from pmabench.base.clock import RealClock
-from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import Device, SetPoint, Stream
+from tests.drivers.common import refused
 from tests.drivers.dataq.rigs import daq, rig
 from tests.drivers.ild1420.test_driver import failure
 
@@ -141,19 +138,6 @@ def test_a_scan_that_a_dead_program_left_is_stopped(bench):
     assert not device.streaming
     driver.start(500.0)
     assert failure(driver, 0.2) is None
-
-
-def refused(record, prepare):
-    emulator = Emulator([record])
-    try:
-        prepare(emulator.devices["daq"])
-        start = time.monotonic()
-        with pytest.raises(DeviceError) as caught:
-            Dataq(record, RealClock()).open()
-        assert time.monotonic() - start < 2.0
-        return str(caught.value)
-    finally:
-        emulator.close()
 
 
 def test_what_does_not_answer_or_is_another_model_is_not_opened(tmp_path):

@@ -1,13 +1,9 @@
 """A CPX-E as a record, open in front of its emulator, and what is done to single requests."""
 
 import contextlib
-from dataclasses import replace
 
-from pmabench_drivers.emulator import Emulator
-from pmabench_drivers.festo_cpx_e import FestoCpxE
-
-from pmabench.base.clock import RealClock
 from pmabench.bench.interface import ChannelRecord, DeviceRecord, InterlockRecord, OutputRecord, Scale, ValveRecord
+from tests.drivers.common import in_front
 
 DRIVER = "pmabench_drivers.festo_cpx_e:FestoCpxE"
 KPA = Scale(1e6 / 32000)
@@ -39,11 +35,9 @@ def terminal(address="127.0.0.1:0", **changes):
 class Rig:
     """Emulator and driver of one terminal."""
 
-    def __init__(self, emulator, record):
-        self.emulator, self.record = emulator, record
-        self.server = emulator.devices["terminal"]
-        self.inside = self.server.terminal
-        self.device = FestoCpxE(record, RealClock())
+    def __init__(self, emulator, server, device):
+        self.emulator, self.server, self.device = emulator, server, device
+        self.inside = server.terminal
 
     def log(self, kind):
         return self.emulator.log.of(kind, "terminal")
@@ -66,15 +60,7 @@ class Rig:
 
 
 @contextlib.contextmanager
-def served(record=None):
+def served(record=None, **options):
     """A rig whose driver is not open."""
-    emulator = Emulator([record or terminal()], preset="ideal")
-    rig = None
-    try:
-        address = emulator.devices["terminal"].address
-        rig = Rig(emulator, replace(record or terminal(), address=address))
-        yield rig
-    finally:
-        if rig is not None:
-            rig.device.close()
-        emulator.close()
+    with in_front(record or terminal(), opened=False, **options) as parts:
+        yield Rig(*parts)

@@ -4,8 +4,8 @@ import pytest
 
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import Supervised
+from tests.drivers.common import timed
 from tests.drivers.festo.rigs import served
-from tests.drivers.wires.rigs import timed
 
 pytestmark = pytest.mark.realtime
 

@@ -2,6 +2,7 @@
 
 import random
 import struct
+from contextlib import closing
 from dataclasses import replace
 from time import monotonic
 
@@ -10,8 +11,9 @@ from pmabench_drivers.festo_cpx_e import FestoCpxE
 
 from pmabench.base.clock import RealClock
 from pmabench.base.errors import DeviceError
+from tests.drivers.common import timed
 from tests.drivers.festo.rigs import terminal
-from tests.drivers.wires.rigs import Peer, timed
+from tests.drivers.wires.rigs import Heart, Peer
 from tests.reliability.cases import cases
 
 
@@ -68,6 +70,14 @@ def says(request, answer):
     return list(struct.unpack(f">{count}H", answer[9 : 9 + size]))
 
 
+def _device(peer):
+    """A terminal whose line is made and not yet open, and which waits 10 ms for an answer."""
+    device = FestoCpxE(replace(terminal(peer.address), address=peer.address), RealClock())
+    device._map = replace(device._map, timeout=0.01)
+    device._line = device._new_line()
+    return device
+
+
 def test_no_answer_is_taken_for_what_it_is_not():
     chance, answers = random.Random(20261121), []
 
@@ -77,11 +87,7 @@ def test_no_answer_is_taken_for_what_it_is_not():
         return answer
 
     outcomes = {"value": 0, "sentence": 0}
-    with Peer(reply) as peer:
-        record = replace(terminal(peer.address), address=peer.address)
-        device = FestoCpxE(record, RealClock())
-        device._map = replace(device._map, timeout=0.01)
-        device._line = device._new_line()
+    with Peer(reply) as peer, closing(_device(peer)) as device, Heart() as heart:
         device._streaming = True
         reads = {
             "ao4.0": lambda: device.read_back("ao4.0"),
@@ -92,16 +98,16 @@ def test_no_answer_is_taken_for_what_it_is_not():
             name = chance.choice([*reads, "poll", "feed", "names"])
             answers.clear()
             if name in reads:
-                took, outcome = timed(reads[name])
+                took, outcome = heart.timed(reads[name])
             elif name == "poll":
                 device._samples.take()
-                took, outcome = timed(device._poll)
+                took, outcome = heart.timed(device._poll)
                 block = device._samples.take()
                 outcome = list(block.columns["pressure"]) or outcome
             elif name == "feed":
-                took, outcome = timed(device.feed_watchdog)
+                took, outcome = heart.timed(device.feed_watchdog)
             else:
-                took, outcome = timed(device._line.identification, monotonic() + 0.1)
+                took, outcome = heart.timed(device._line.identification, monotonic() + 0.1)
             assert took < 0.3
             if isinstance(outcome, Exception):
                 assert isinstance(outcome, DeviceError), f"case {number}: {name}: {answers}"
@@ -111,7 +117,7 @@ def test_no_answer_is_taken_for_what_it_is_not():
             if name == "names":
                 assert all(isinstance(text, str) and text.isprintable() for text in outcome.values())
                 continue
-            words = says(*answers[-1])
+            words = says(*max(answers, key=lambda pair: pair[0][:2]))  # an older connection may be served late
             assert words is not None, f"case {number}: {name} took {answers} for {outcome}"
             if name == "ao4.0":
                 assert outcome == words[0] - (words[0] >> 15 << 16)
@@ -119,7 +125,6 @@ def test_no_answer_is_taken_for_what_it_is_not():
                 assert outcome is bool(words[0] & 1)
             elif name == "poll":
                 assert outcome == [words[4] - (words[4] >> 15 << 16)]  # 45399: four registers after the first
-        device.close()
     assert min(outcomes.values()) > cases(300) / 30, outcomes
 
 
@@ -130,16 +135,13 @@ def test_an_answer_to_a_question_never_asked_is_none():
     def reply(request):
         return request[:4] + struct.pack(">HBB", len(rest) + 2, 1, function) + rest
 
-    with Peer(reply) as peer:
-        device = FestoCpxE(replace(terminal(peer.address), address=peer.address), RealClock())
-        device._map = replace(device._map, timeout=0.01)
-        device._line = device._new_line()
+    with Peer(reply) as peer, closing(_device(peer)) as device:
         for function in [*range(3), *range(4, 256)]:
             _took, outcome = timed(device._line.read, "holding", 45404, 1, monotonic() + 0.1)
             assert isinstance(outcome, DeviceError), f"{function}: {outcome!r}"
+        device._line._timeout = 0.5  # a busy machine needs longer than 10 ms for a sentence to be this one
         function, rest = 43, b"\x0e\1\x82\0\0\1\0\5Festo"  # names, where a register was asked for
         with pytest.raises(DeviceError, match="an answer that makes no sense"):
-            device._line.read("holding", 45404, 1, monotonic() + 0.1)
+            device._line.read("holding", 45404, 1, monotonic() + 1.0)
         function, rest = 3, b"\2\1\1"
-        assert device._line.read("holding", 45404, 1, monotonic() + 0.1) == [0x0101]
-        device.close()
+        assert device._line.read("holding", 45404, 1, monotonic() + 1.0) == [0x0101]

@@ -5,8 +5,8 @@ from pymodbus.client import ModbusTcpClient
 
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import UNPROVEN
+from tests.drivers.common import timed
 from tests.drivers.festo.rigs import served, terminal
-from tests.drivers.wires.rigs import timed
 
 pytestmark = pytest.mark.realtime
 
@@ -24,7 +24,7 @@ def test_it_tells_who_answers_and_that_it_is_emulated():
 def test_another_stack_reads_the_same():
     """pymodbus by itself in front of our frames, with the maker's addresses written out."""
     with served() as rig:
-        host, port = rig.record.address.split(":")
+        host, port = rig.server.address.split(":")
         client = ModbusTcpClient(host, port=int(port), timeout=1, retries=0)
         try:
             names = client.read_device_information(read_code=2, object_id=0).information

@@ -1,13 +1,9 @@
 """A CMMT as a record, open in front of its emulator."""
 
 import contextlib
-from dataclasses import replace
 
-from pmabench_drivers.emulator import Emulator
-from pmabench_drivers.festo_cmmt import FestoCmmt
-
-from pmabench.base.clock import RealClock
 from pmabench.bench.interface import ChannelRecord, DeviceRecord, OutputRecord, Scale
+from tests.drivers.common import in_front
 
 DRIVER = "pmabench_drivers.festo_cmmt:FestoCmmt"
 UM = Scale(1e-6)
@@ -34,11 +30,9 @@ def drive(address="127.0.0.1:0", watchdog=0.5, **options):
 class Rig:
     """Emulator and driver of one drive."""
 
-    def __init__(self, emulator, record):
-        self.emulator, self.record = emulator, record
-        self.server = emulator.devices["drive"]
-        self.inside = self.server.drive
-        self.device = FestoCmmt(record, RealClock())
+    def __init__(self, emulator, server, device):
+        self.emulator, self.server, self.device = emulator, server, device
+        self.inside = server.drive
 
     def log(self, kind):
         return self.emulator.log.of(kind, "drive")
@@ -51,15 +45,7 @@ class Rig:
 
 
 @contextlib.contextmanager
-def served(record=None, preset="ideal"):
+def served(record=None, **options):
     """A rig whose driver is not open."""
-    emulator = Emulator([record or drive()], preset=preset)
-    rig = None
-    try:
-        address = emulator.devices["drive"].address
-        rig = Rig(emulator, replace(record or drive(), address=address))
-        yield rig
-    finally:
-        if rig is not None:
-            rig.device.close()
-        emulator.close()
+    with in_front(record or drive(), opened=False, **options) as parts:
+        yield Rig(*parts)

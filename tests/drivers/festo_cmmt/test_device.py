@@ -7,9 +7,8 @@ import pytest
 
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import Segment
+from tests.drivers.common import timed, until
 from tests.drivers.festo_cmmt.rigs import drive, served
-from tests.drivers.whole_run import until
-from tests.drivers.wires.rigs import timed
 
 pytestmark = pytest.mark.realtime
 

@@ -6,8 +6,8 @@ import pytest
 
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import Segment, Supervised
+from tests.drivers.common import timed
 from tests.drivers.festo_cmmt.rigs import served
-from tests.drivers.wires.rigs import timed
 
 pytestmark = pytest.mark.realtime
 

@@ -2,6 +2,7 @@
 
 import random
 import struct
+from contextlib import closing
 from dataclasses import replace
 from time import monotonic
 
@@ -13,12 +14,17 @@ from pmabench_drivers.festo_cmmt.link import DriveLink
 
 from pmabench.base.clock import RealClock
 from pmabench.base.errors import DeviceError
+from tests.drivers.common import timed
 from tests.drivers.festo.test_hostile import says, spoiled
 from tests.drivers.festo_cmmt.rigs import drive
-from tests.drivers.wires.rigs import Peer, timed
+from tests.drivers.wires.rigs import Heart, Peer
 from tests.reliability.cases import cases
 
 pytestmark = pytest.mark.realtime
+
+
+def _device(peer):
+    return FestoCmmt(replace(drive(), address=peer.address), RealClock())
 
 
 def test_no_answer_is_taken_for_what_it_is_not(monkeypatch):
@@ -32,8 +38,7 @@ def test_no_answer_is_taken_for_what_it_is_not(monkeypatch):
         return answer
 
     outcomes = {"value": 0, "sentence": 0}
-    with Peer(reply) as peer:
-        device = FestoCmmt(replace(drive(), address=peer.address), RealClock())
+    with Peer(reply) as peer, closing(_device(peer)) as device, Heart() as heart:
         link = device._line = DriveLink("drive", peer.address)
         calls = {
             "look": lambda: link.look(monotonic() + 0.05),
@@ -48,7 +53,7 @@ def test_no_answer_is_taken_for_what_it_is_not(monkeypatch):
             [name] = chance.choices(list(calls), weights)
             answers.clear()
             device._command = None
-            took, outcome = timed(calls[name])
+            took, outcome = heart.timed(calls[name])
             assert took < 0.4
             if isinstance(outcome, Exception):
                 assert isinstance(outcome, DeviceError), f"case {number}: {name}: {outcome!r}: {answers}"
@@ -64,21 +69,21 @@ def test_no_answer_is_taken_for_what_it_is_not(monkeypatch):
                     assert outcome.fault == words[9]
                 else:
                     assert outcome == words[0] + (words[1] << 16)
-        device.close()
     assert min(outcomes.values()) > cases(300) / 30, outcomes
 
 
 def test_a_command_is_never_sent_twice_by_one_call(monkeypatch):
     """Only the cycle repeats process data, and it does not run here."""
     monkeypatch.setattr(link_module, "ANSWER", 0.02)
-    with Peer(lambda request: b"" if request[7] == 16 else says_ready(request)) as peer:
-        device = FestoCmmt(replace(drive(), address=peer.address), RealClock())
+    with (
+        Peer(lambda request: b"" if request[7] == 16 else says_ready(request)) as peer,
+        closing(_device(peer)) as device,
+    ):
         device._line = DriveLink("drive", peer.address)
         device._command = t.Command(on=True, task=True)
         assert isinstance(timed(device.write, "position", 123.0)[1], DeviceError)
         sent = [request for request in peer.requests if request[7] == 16]
         assert len(sent) == 1
-        device.close()
 
 
 def says_ready(request):

@@ -8,9 +8,8 @@ from pymodbus.client import ModbusTcpClient
 
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import UNPROVEN, Scale
+from tests.drivers.common import timed, until
 from tests.drivers.festo_cmmt.rigs import drive, served
-from tests.drivers.whole_run import until
-from tests.drivers.wires.rigs import timed
 
 
 def problems(record):
@@ -116,7 +115,7 @@ def test_another_stack_reads_and_moves_the_same():
     """pymodbus by itself in front of our frames, with the maker's addresses and bits written out."""
     with served() as rig:
         rig.inside.timeout = 0
-        host, port = rig.record.address.split(":")
+        host, port = rig.server.address.split(":")
         client = ModbusTcpClient(host, port=int(port), timeout=1, retries=0)
 
         def told():

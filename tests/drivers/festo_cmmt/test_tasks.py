@@ -6,8 +6,8 @@ import struct
 import pytest
 from pymodbus.client import ModbusTcpClient
 
+from tests.drivers.common import until
 from tests.drivers.festo_cmmt.rigs import served
-from tests.drivers.whole_run import until
 
 pytestmark = pytest.mark.realtime
 
@@ -62,7 +62,7 @@ def program(*, on=True):
     """A program in front of a drive that is under power at 0."""
     with served() as rig:
         rig.inside.timeout = 0
-        it = Program(rig.record.address)
+        it = Program(rig.server.address)
         try:
             if on:
                 it.send(ON & ~1)

@@ -2,11 +2,8 @@
 
 import contextlib
 
-from pmabench_drivers.emulator import Emulator
-from pmabench_drivers.ild1420 import Ild1420
-
-from pmabench.base.clock import RealClock
 from pmabench.bench.interface import ChannelRecord, DeviceRecord, Scale
+from tests.drivers.common import in_front
 
 DRIVER = "pmabench_drivers.ild1420:Ild1420"
 
@@ -20,13 +17,7 @@ def laser(address, **changes):
 
 
 @contextlib.contextmanager
-def rig(record, preset="ideal"):
+def rig(record, **options):
     """The emulator of a laser and its open driver."""
-    emulator = Emulator([record], preset=preset)
-    driver = Ild1420(record, RealClock())
-    try:
-        driver.open()
+    with in_front(record, **options) as (emulator, _served, driver):
         yield emulator, driver
-    finally:
-        driver.close()
-        emulator.close()

@@ -8,13 +8,13 @@ import time
 from dataclasses import replace
 
 import pytest
-from pmabench_drivers.emulator import Emulator
 from pmabench_drivers.ild1420 import Ild1420
 from pmabench_drivers.ild1420.wire import WRAP, encode
 
 from pmabench.base.clock import RealClock
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import Device, SetPoint, Stream
+from tests.drivers.common import refused
 from tests.drivers.ild1420.rigs import laser, rig
 
 pytestmark = pytest.mark.realtime
@@ -185,19 +185,6 @@ def test_a_stream_that_a_dead_program_left_is_quieted(tmp_path):
         _times, values = gather(driver, 0.2)
         assert len(values) > 200
         assert all(value == pytest.approx(5.0, abs=0.002) for value in values)
-
-
-def refused(record, prepare):
-    emulator = Emulator([record])
-    try:
-        prepare(emulator.devices["laser"])
-        start = time.monotonic()
-        with pytest.raises(DeviceError) as caught:
-            Ild1420(record, RealClock()).open()
-        assert time.monotonic() - start < 2.0
-        return str(caught.value)
-    finally:
-        emulator.close()
 
 
 def test_what_does_not_answer_or_refuses_is_not_opened(tmp_path):

@@ -1,13 +1,7 @@
 """A T7 as a record, emulated and opened; and stream packets written byte by byte."""
 
-import contextlib
-from dataclasses import replace
-
-from pmabench_drivers.emulator import Emulator
-from pmabench_drivers.labjack import LabJack
-
-from pmabench.base.clock import RealClock
 from pmabench.bench.interface import ChannelRecord, DeviceRecord, InterlockRecord, OutputRecord, Scale, ValveRecord
+from tests.drivers.common import in_front
 from tests.ports import free_port
 
 DRIVER = "pmabench_drivers.labjack:LabJack"
@@ -40,22 +34,9 @@ def t7(channels=4, watchdog=1.0, address="127.0.0.1:0", **options):
     )
 
 
-@contextlib.contextmanager
-def rig(record=None, *, opened=True, **options):
+def rig(record=None, **options):
     """An emulated T7 and its driver: emulator, emulated device, driver."""
-    record = record or t7()
-    emulator = Emulator([record], preset="ideal", **options)
-    driver = None
-    try:
-        served = emulator.devices["t7"]
-        driver = LabJack(replace(record, address=served.address), RealClock())
-        if opened:
-            driver.open()
-        yield emulator, served, driver
-    finally:
-        if driver is not None:
-            driver.close()
-        emulator.close()
+    return in_front(record or t7(), **options)
 
 
 def packet(transaction, samples, status=0, info=0, backlog=0):

@@ -11,9 +11,8 @@ from pymodbus.client import ModbusTcpClient
 
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import Scale, Segment
+from tests.drivers.common import timed, until
 from tests.drivers.labjack.rigs import CHANNELS, rig, t7
-from tests.drivers.whole_run import until
-from tests.drivers.wires.rigs import timed
 
 FULL = {"T4": 5.0, "T8": 10.0}
 STEP = {"T4": 5.0 / 1024, "T8": 10.0 / 65536}

@@ -13,8 +13,9 @@ from pymodbus.client import ModbusTcpClient
 from pmabench.base.clock import RealClock
 from pmabench.base.errors import DeviceError, UsageError
 from pmabench.bench.interface import EMULATED, ValveRecord
+from tests.drivers.common import timed, until
 from tests.drivers.labjack.rigs import rig, t7
-from tests.drivers.wires.rigs import Peer, timed
+from tests.drivers.wires.rigs import Peer
 from tests.ports import free_port
 from tests.reliability.cases import cases
 
@@ -32,13 +33,6 @@ def _bench():
 
 def sent(emulator, kind="set"):
     return emulator.log.of(kind, "t7")
-
-
-def until(condition, within=3.0):
-    deadline = time.monotonic() + within
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
 
 
 def test_it_says_who_it_is(bench):
@@ -94,7 +88,7 @@ def test_another_stack_reads_the_same(bench):
         assert f32(60000) == 7.0
         assert client.read_holding_registers(2800, count=2, device_id=1).registers[1] & 1 == 1
         assert client.read_holding_registers(2850, count=2, device_id=1).registers == [0, 1]
-        until(lambda: f32(0) == pytest.approx(2.5, abs=1e-3))  # AIN0, 100 kPa a volt
+        assert until(lambda: f32(0) == pytest.approx(2.5, abs=1e-3))  # AIN0, 100 kPa a volt
         assert client.read_holding_registers(3000, count=2, device_id=1).exception_code == 2
         assert client.write_register(1000, 1, device_id=1).exception_code == 4  # half of a float
         assert client.read_holding_registers(55000, count=1, device_id=1).registers == [2315]
@@ -111,7 +105,7 @@ def test_a_dac_is_set_and_read_back_and_the_muscle_is_filled(bench):
     device.write("DAC0", 1.5)
     assert device.read_back("DAC0") == 1.5
     assert [(e["output"], e["raw"], e["si"]) for e in sent(emulator)] == [("pressure", 1.5, pytest.approx(300e3))]
-    until(lambda: emulator.plant.quantities()["pressure"] > 295e3)
+    assert until(lambda: emulator.plant.quantities()["pressure"] > 295e3)
 
 
 def test_the_line_of_the_valve_stays_an_output_however_it_is_looked_at(bench):
@@ -223,7 +217,7 @@ def test_the_watchdog_vents_when_its_key_is_missing(bench):
     assert 0.99 < bite["t"] - fed < 1.3
     assert device.read_back("DAC0") == 0.0
     assert not device.is_on("FIO0")
-    until(lambda: emulator.plant.quantities()["pressure"] < 20e3)
+    assert until(lambda: emulator.plant.quantities()["pressure"] < 20e3)
     assert served.t7._directions & 1
 
 

@@ -8,8 +8,8 @@ import pytest
 from pmabench_drivers.labjack import registers as r
 
 from pmabench.base.errors import DeviceError
+from tests.drivers.common import timed
 from tests.drivers.labjack.rigs import rig, t7
-from tests.drivers.wires.rigs import timed
 
 pytestmark = pytest.mark.realtime
 

@@ -7,12 +7,10 @@ from unittest.mock import patch
 
 import grpc
 import nidaqmx
-from pmabench_drivers.emulator import Emulator
-from pmabench_drivers.ni_daq import NiDaq
 
-from pmabench.base.clock import RealClock
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import ChannelRecord, DeviceRecord, InterlockRecord, OutputRecord, Scale, ValveRecord
+from tests.drivers.common import in_front
 
 DRIVER = "pmabench_drivers.ni_daq:NiDaq"
 CHANNELS = (
@@ -64,23 +62,7 @@ def rig(record=None, *, opened=True, slack=True):
         if slack:
             stack.enter_context(patch.multiple("pmabench_drivers.ni_daq.driver", **SLACK))
             stack.enter_context(patch("pmabench_drivers.ni_daq.driver.FETCH", 0.6))
-        yield stack.enter_context(_rig(record, opened))
-
-
-@contextlib.contextmanager
-def _rig(record, opened):
-    emulator = Emulator([record], preset="ideal")
-    driver = None
-    try:
-        served = emulator.devices["daq"]
-        driver = NiDaq(at(record, served.address), RealClock())
-        if opened:
-            driver.open()
-        yield emulator, served, driver
-    finally:
-        if driver is not None:
-            driver.close()
-        emulator.close()
+        yield stack.enter_context(in_front(record, opened=opened, at=at))
 
 
 def start(device, rate):

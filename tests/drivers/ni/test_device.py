@@ -16,8 +16,8 @@ from pmabench_drivers.ni_daq import NiDaq
 from pmabench.base.clock import RealClock
 from pmabench.base.errors import DeviceError, UsageError
 from pmabench.bench.interface import EMULATED, UNPROVEN, Segment, ValveRecord
+from tests.drivers.common import timed, until
 from tests.drivers.ni.rigs import STEP, at, daq, patiently, rig, start, task
-from tests.drivers.wires.rigs import timed
 
 pytestmark = pytest.mark.realtime
 
@@ -41,13 +41,6 @@ def _prompt():
 
 def sent(emulator, kind="set"):
     return emulator.log.of(kind, "daq")
-
-
-def until(condition, within=3.0):
-    deadline = time.monotonic() + within
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
 
 
 # -- who it is ------------------------------------------------------------------------------------------------------
@@ -143,7 +136,7 @@ def test_an_output_is_set_and_the_muscle_is_filled(bench):
     assert device.read_back("ao0") == 3.0
     assert served.board.volts["ao0"] == pytest.approx(3.0, abs=STEP / 2)
     assert [(e["output"], e["raw"], e["si"]) for e in sent(emulator)] == [("pressure", 3.0, pytest.approx(300e3))]
-    until(lambda: emulator.plant.quantities()["pressure"] > 295e3)
+    assert until(lambda: emulator.plant.quantities()["pressure"] > 295e3)
 
 
 def test_another_program_sees_the_same(bench):
@@ -159,7 +152,7 @@ def test_another_program_sees_the_same(bench):
             other.ai_channels.add_ai_voltage_chan(f"Dev1/{terminal}", min_val=-10.0, max_val=10.0)
         other.timing.cfg_samp_clk_timing(1000.0, sample_mode=AcquisitionType.CONTINUOUS, samps_per_chan=1000)
         other.start()
-        until(lambda: other.in_stream.avail_samp_per_chan > 700, 5.0)
+        assert until(lambda: other.in_stream.avail_samp_per_chan > 700, 5.0)
         data = np.zeros((2, 700))
         reader = nidaqmx.stream_readers.AnalogMultiChannelReader(other.in_stream)
         reader.verify_array_shape = False
@@ -196,7 +189,7 @@ def test_a_command_ends_a_ramp_for_good(bench, monkeypatch):
 
     monkeypatch.setattr("pmabench_drivers.shared.device.stepped", interrupted)
     device.follow("ao0", Segment("ramp", 0.0, 0.0, 5.0, rate=1.0))
-    until(lambda: seen)
+    assert until(lambda: seen)
     time.sleep(0.1)
     assert {entry["raw"] for entry in sent(emulator)} == {0.0}
     assert len(seen) == 1
@@ -307,7 +300,7 @@ def test_a_program_that_died_leaves_no_task_behind(bench):
         start(device, 200.0)
         patiently(lambda: device.write("ao0", 0.0))
         patiently(lambda: device.switch("port1/line0", on=False))
-        until(lambda: len(patiently(device.collect).time))
+        assert until(lambda: len(patiently(device.collect).time))
         assert sent(emulator)[-1]["raw"] == 0.0
     finally:
         device.close()
@@ -341,7 +334,7 @@ def test_with_nis_driver_on_this_computer_everything_goes_through_it(bench, monk
         device.switch("port1/line0", on=True)
         device.write("ao0", 1.0)
         start(device, 200.0)
-        until(lambda: len(patiently(device.collect).time))
+        assert until(lambda: len(patiently(device.collect).time))
         device.rescue("ao0", 0.0)
         device.rescue("port1/line0", 0.0)
         assert sent(emulator)[-1]["raw"] == 0.0

@@ -14,8 +14,8 @@ from pmabench_drivers.ni_daq.emulated import SERVICE
 
 from pmabench.base.clock import RealClock
 from pmabench.base.errors import DeviceError
+from tests.drivers.common import timed
 from tests.drivers.ni.rigs import daq, rig
-from tests.drivers.wires.rigs import timed
 from tests.reliability.cases import cases
 
 pytestmark = pytest.mark.realtime

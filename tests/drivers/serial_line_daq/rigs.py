@@ -15,11 +15,9 @@ import pmabench_drivers.serial_line_daq as package
 import pytest
 from pmabench_drivers.emulator.faults import CommandLog
 from pmabench_drivers.emulator.plant import RealPlant
-from pmabench_drivers.serial_line_daq import SerialLineDaq
 from pmabench_drivers.serial_line_daq.emulator import EmulatedBoard
 from pmabench_drivers.serial_line_daq.wire import encode
 
-from pmabench.base.clock import RealClock
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import ChannelRecord, DeviceRecord, InterlockRecord, OutputRecord, Scale, ValveRecord
 
@@ -101,17 +99,6 @@ def emulated(path, boot_micros=0):
         served.close()
 
 
-@contextlib.contextmanager
-def opened(record):
-    """The driver of a board, open."""
-    driver = SerialLineDaq(record, RealClock())
-    try:
-        driver.open()
-        yield driver
-    finally:
-        driver.close()
-
-
 IDENTITY = ("line-daq", 1, "emulated by hand", "1", 3, 1, 1, 1, 4095, 2000)
 
 
@@ -158,16 +145,6 @@ def proper(letter, number, values):
     if letter == "I":
         return encode("A", number, *IDENTITY)
     return encode("A", number, int(values[-1]) if values else 1)
-
-
-def timed(call, *arguments, **keywords):
-    """How long a call takes [s], and what it gave or raised."""
-    start = time.monotonic()
-    try:
-        outcome = call(*arguments, **keywords)
-    except Exception as error:
-        outcome = error
-    return time.monotonic() - start, outcome
 
 
 def gather(driver, seconds):

@@ -14,18 +14,8 @@ from pmabench_drivers.serial_line_daq import SerialLineDaq
 from pmabench.base.clock import RealClock
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import Device, Follower, Inputs, Rescue, Segment, SetPoint, Stream, Switch, Watchdog
-from tests.drivers.serial_line_daq.rigs import (
-    LATE,
-    SKETCH,
-    board,
-    collected,
-    compiled,
-    emulated,
-    gather,
-    opened,
-    sketch,
-    timed,
-)
+from tests.drivers.common import opened, timed
+from tests.drivers.serial_line_daq.rigs import LATE, SKETCH, board, collected, compiled, emulated, gather, sketch
 from tests.reliability.cases import cases
 
 pytestmark = pytest.mark.realtime

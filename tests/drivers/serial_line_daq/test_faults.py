@@ -10,7 +10,8 @@ from pmabench_drivers.serial_line_daq.wire import encode
 
 from pmabench.base.clock import RealClock
 from pmabench.base.errors import DeviceError
-from tests.drivers.serial_line_daq.rigs import IDENTITY, LATE, Hand, board, collected, emulated, gather, opened, timed
+from tests.drivers.common import opened, timed
+from tests.drivers.serial_line_daq.rigs import IDENTITY, LATE, Hand, board, collected, emulated, gather
 from tests.reliability.cases import cases
 
 pytestmark = pytest.mark.realtime

@@ -11,8 +11,8 @@ from itertools import pairwise
 import pytest
 
 from pmabench.bench.compile import mount
+from tests.drivers.common import opened
 from tests.drivers.emulated_bench import ask, emulate
-from tests.drivers.wires.rigs import opened
 from tests.drivers.wires.test_options import SPECIMEN, bench
 from tests.ports import free_port
 

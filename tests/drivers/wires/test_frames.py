@@ -15,7 +15,8 @@ from pmabench_drivers.modbus.adapter import Line, Unanswered
 
 from pmabench.base.clock import RealClock
 from pmabench.base.errors import DeviceError
-from tests.drivers.wires.rigs import Peer, regulator, timed
+from tests.drivers.common import timed
+from tests.drivers.wires.rigs import Peer, regulator
 
 pytestmark = pytest.mark.realtime
 

@@ -15,7 +15,8 @@ from pymodbus.client import ModbusTcpClient
 from pmabench.base.clock import RealClock
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import Segment
-from tests.drivers.wires.rigs import MAP, Peer, emulated, opened, regulator, timed
+from tests.drivers.common import opened, timed
+from tests.drivers.wires.rigs import MAP, Peer, emulated, regulator
 
 pytestmark = pytest.mark.realtime
 

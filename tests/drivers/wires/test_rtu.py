@@ -9,7 +9,8 @@ from pmabench_drivers.modbus import ModbusDevice
 
 from pmabench.base.clock import RealClock
 from pmabench.base.errors import DeviceError
-from tests.drivers.wires.rigs import emulated, opened, regulator, timed
+from tests.drivers.common import opened, timed
+from tests.drivers.wires.rigs import emulated, regulator
 
 pytestmark = pytest.mark.realtime
 

@@ -13,7 +13,8 @@ from pmabench_drivers.serial_ascii import SerialIndicator
 from pmabench.base.clock import RealClock
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import Device, SetPoint, Stream
-from tests.drivers.wires.rigs import cell, emulated, gauge, opened, timed
+from tests.drivers.common import opened, timed
+from tests.drivers.wires.rigs import cell, emulated, gauge
 
 pytestmark = pytest.mark.realtime
 

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.analysis.shared import skew
+from pmabench.analysis.shared.calibration import Scales
 from pmabench.kinds.contraction_relaxation.drift import zero_drifts
 from pmabench.kinds.contraction_relaxation.pooled import Solved, force_by_pressure
 from pmabench.kinds.contraction_relaxation.segments import Segments
@@ -22,22 +23,31 @@ from pmabench.store.records import Array
 
 MOST_PLACES = 40
 """Most trials before which a slip is looked for."""
-FADES = 10.0
-"""A lag is summed over so many time constants at once; over more, what has faded would lose its digits.
-
-scipy.signal has this filter, but takes longer to import than a reduction."""
-GONE = 1e-8
-"""A lag that keeps less than this share of a row until the next keeps nothing."""
+GONE = 1e-16
+"""A lag that keeps less than this share of a row keeps nothing."""
 STROKE = 1e-6
 """Contractions that differ by less count as one [m]."""
 GRID = 0.004
 """Period at which hysteresis and creep follow the contraction [s]."""
 RADII = (0.3e-3, 1e-3, 3e-3, 8e-3)
 """Contraction over which a stop gives way [m]: those of a braid lie between."""
-TIMES = ((0.16, 0.5), (1.6, 5.0), (16.0, 50.0))
-"""Time constants of creep [s], two a decade."""
+TIMES = (0.16, 0.5, 1.6, 5.0, 16.0, 50.0, 160.0, 500.0)
+"""Time constants of creep [s], two a decade, up to the length of a campaign: a trial goes on in the next ones."""
 TYPICAL = 350e3
 """Pressure [Pa] by which what grows with pressure is scaled."""
+LOADED = 250.0
+"""Force [N] by which what grows with the load is scaled."""
+BY_LOAD = "by time and load"
+"""Variant of creep that is put in only where creep that is the same at all loads is found, and is not enough."""
+STEEP = 0.15
+"""Share of the contractions tested over which K falls that is steep near none: from three contractions of a fluidic
+muscle of 20 mm on, K is nearly straight, and its force falls with exp(-x / 3 % of the length)."""
+WHEELS = (6e-3, 8e-3, 11e-3, 15e-3, 20e-3)
+"""Radii of wheels that turn an encoder [m]; with larger ones an error is nearly a straight line over a stroke."""
+PHASES = (0.0, 0.25, 0.5, 0.75)
+"""Where on the wheel the stroke begins [half turns]; the other half differs by the sign."""
+UNDECLARED = 0.05e-3
+"""What a displacement sensor may read off [m], depending on the way that it came, where its record gives nothing."""
 
 
 def order(campaign: Campaign) -> Array:
@@ -126,6 +136,49 @@ def bend_as_stiffness(followed: Followed, segments: Segments, fit: Solved) -> Ar
     return np.asarray(fit.values("K", segments.pressure) * x * (x - 2 * middle) / (2 * reach))[:, None]
 
 
+def steep(followed: Followed, segments: Segments, fit: Solved) -> Array:
+    """The same as `bend`, and K that falls by 1 N/m near no contraction (see `STEEP`), and by that in proportion to
+    pressure; shape (n, 4). F_ce stays the force without contraction.
+    """
+    x, middle, reach = _middle(segments)
+    length = STEEP * reach
+    fallen = np.exp(-middle / length) * x + length * np.expm1(-np.maximum(x, -length) / length)
+    return np.hstack((bend(followed, segments, fit), np.column_stack((fallen, fallen * segments.pressure / TYPICAL))))
+
+
+def turned(segments: Segments, falls: Array) -> Array:
+    """K greater by half of what it `falls` by over the contractions that were tested (n,) [N/m], and F_ce such that
+    the force in the middle of them stays; shape (n,).
+    """
+    x, middle, _ = _middle(segments)
+    return np.asarray(-0.5 * falls * (x - middle))
+
+
+def bent_sensor(followed: Followed, segments: Segments, fit: Solved) -> Array:
+    """K and B fall alike over the contractions that were tested, by their own size: so it looks where the displacement
+    sensor is not straight; shape (n, 1).
+    """
+    x, middle, reach = _middle(segments)
+    contracts, P = segments.way > 0, segments.pressure
+    damping = np.where(contracts, fit.values("B_c", P), fit.values("B_r", P)) * segments.v.mean(axis=1)
+    return np.asarray(bend_as_stiffness(followed, segments, fit) + (damping * (x - middle) / reach)[:, None])
+
+
+def off_straight(segments: Segments, fit: Solved, radius: float, phase: float) -> Array:
+    """The displacement sensor reads off by a sine of the contraction of 1 m, as an encoder on a wheel of `radius` [m]
+    that turns about a point off its middle; `phase` in half turns; shape (n,).
+    """
+    x, P = segments.x @ segments.weights, segments.pressure
+    damping = np.where(segments.way > 0, fit.values("B_c", P), fit.values("B_r", P)) * segments.v.mean(axis=1)
+    angle, begin = x / radius + np.pi * phase, np.pi * phase
+    return np.asarray(fit.values("K", P) * (np.sin(angle) - np.sin(begin)) + damping * np.cos(angle) / radius)
+
+
+def play(segments: Segments, fit: Solved) -> Array:
+    """The displacement sensor reads less by 1 m while it contracts, and more while it relaxes; shape (n,)."""
+    return np.asarray(-fit.values("K", segments.pressure) * segments.way)
+
+
 def hysteresis(followed: Followed, segments: Segments, fit: Solved) -> Array:
     """Frictions of 1 N that need some contraction after each turn, of each of `RADII` constant and in proportion to
     pressure; shape (n, 8). What F_c holds of it is taken off.
@@ -138,10 +191,15 @@ def hysteresis(followed: Followed, segments: Segments, fit: Solved) -> Array:
 
 
 def creep_parts(followed: Followed, segments: Segments, fit: Solved) -> Array:
-    """The muscle goes on contracting by its whole contraction in a decade of time, of `TIMES` each; shape (n, 3)."""
+    """The muscle goes on contracting by its whole contraction in a decade of time, of each of `TIMES`; shape (n, 8)."""
     K = fit.values("K", segments.pressure)
-    slow = 0.5 * K[:, None] * followed.slow(segments)
-    return np.asarray(slow[:, 0::2] + slow[:, 1::2])
+    return np.asarray(0.5 * K[:, None] * followed.slow(segments))
+
+
+def creep_decades(followed: Followed, segments: Segments, fit: Solved) -> Array:
+    """The same of each decade, two of `TIMES`; shape (n, 4)."""
+    parts = creep_parts(followed, segments, fit)
+    return np.asarray(parts[:, 0::2] + parts[:, 1::2])
 
 
 def creep(followed: Followed, segments: Segments, fit: Solved) -> Array:
@@ -149,12 +207,19 @@ def creep(followed: Followed, segments: Segments, fit: Solved) -> Array:
     return np.asarray(creep_parts(followed, segments, fit).sum(axis=1, keepdims=True))
 
 
+def creep_by_load(followed: Followed, segments: Segments, fit: Solved) -> Array:
+    """The same as `creep_parts` at every load, and in proportion to the load; shape (n, 16)."""
+    even = creep_parts(followed, segments, fit)
+    return np.hstack((even, even * (segments.force / LOADED)[:, None]))
+
+
 OF_MUSCLE: Mapping[str, Mapping[str, Callable[[Followed, Segments, Solved], Array]]] = {
-    "bend": {"as K": bend_as_stiffness, "line": bend},
+    "bend": {"as K": bend_as_stiffness, "line": bend, "steep": steep},
+    "sensor": {"": bent_sensor},
     "hysteresis": {"": hysteresis},
-    "creep": {"even": creep, "by decade": creep_parts},
+    "creep": {"even": creep, "by decade": creep_decades, "by time": creep_parts, BY_LOAD: creep_by_load},
 }
-"""Property of a muscle -> variant -> its columns."""
+"""Property of a muscle -> variant -> its columns; `sensor` is either the muscle or the displacement sensor."""
 
 
 def allowed(campaign: Campaign, segments: Segments, fit: Solved) -> Array:
@@ -176,6 +241,11 @@ def zero_known(campaign: Campaign) -> float:
     """Largest drift of the zero of the cell [N] in the checks at the end of the runs; 0 without cell."""
     drifts = (abs(drift) for run in campaign.runs for drift in zero_drifts(run, "force"))
     return max(drifts, default=0.0) if campaign.cell else 0.0
+
+
+def sensor_known(campaign: Campaign) -> float:
+    """What a reading of the displacement may be off by according to its calibration [m]; 0 where it gives nothing."""
+    return Scales.of(campaign.runs).offsets.get("displacement", 0.0)
 
 
 def clock_bounds(campaign: Campaign) -> dict[str, float]:
@@ -222,18 +292,26 @@ class Followed:
             usable = samples.ok if samples.ok.any() else np.ones(len(samples.t), bool)
             x[:, column] = np.interp(grid, samples.t[usable] - begins[column], samples.x[usable])
         x -= x[0]
-        times = np.array(TIMES).ravel()
-        slow = np.stack([lagged(x, time / GRID) for time in times], axis=1)
-        stops, kept = _strained(x, np.zeros((len(RADII), x.shape[1]))), np.zeros(len(times))
-        ends = np.zeros((len(RADII), x.shape[1]))
-        last = stops[-1]
+        times = np.array(TIMES)
+        sums = np.empty((len(grid), len(RADII) + len(times), x.shape[1]))
+        strained, slow = sums[:, : len(RADII)], sums[:, len(RADII) :]
+        for few in (slice(i, i + 8) for i in range(0, x.shape[1], 8)):  # what a processor keeps at hand
+            for number, time in enumerate(times):
+                slow[:, number, few] = lagged(x[:, few], time / GRID)
+        _strain(strained, x, np.zeros(strained.shape[1:]))
+        last = strained[-1].copy()
+        fades = np.exp(-grid[:, None] / times)
+        kept, ends = np.zeros((len(times), x.shape[1])), np.zeros((len(RADII), x.shape[1]))
         for (i, pause), (after, _) in pairwise([*_followers(campaign), (-1, 0.0)]):
-            slow[:, :, i] += kept * np.exp(-grid[:, None] / times)
-            end = slow[min(len(grid) - 1, round(float(lasts[i]) / GRID)), :, i]
-            kept = end * np.exp(-pause / times)
             if after >= 0 and np.isfinite(pause):
+                row = min(len(grid) - 1, round(float(lasts[i]) / GRID))
+                kept[:, after] = (slow[row, :, i] + kept[:, i] * fades[row]) * np.exp(-pause / times)
                 ends[:, after] = last[:, i]
-        return cls(begins, np.cumsum(np.concatenate((_strained(x, ends), slow), axis=1), axis=0) * GRID)
+        slow += fades[:, :, None] * kept
+        _strain(strained, x, ends)
+        np.cumsum(sums, axis=0, out=sums)
+        sums *= GRID
+        return cls(begins, sums)
 
     def stops(self, segments: Segments) -> Array:
         """Mean over each segment of a friction that needs one of `RADII` after each turn, shape (n, radii)."""
@@ -259,38 +337,34 @@ class Followed:
         return np.asarray((1 - share) * self.sums[left, :, trial] + share * self.sums[left + 1, :, trial])
 
 
-def _strained(x: Array, begin: Array) -> Array:
-    """Frictions of all `RADII` by their size while contractions x (rows, trials) [m] go on, from those at the begin on,
-    shape (radii, trials), both from -1 to 1; shape (rows, radii, trials).
+def _strain(found: Array, x: Array, begin: Array) -> None:
+    """Into `found` (rows, radii, trials), frictions of all `RADII` by their size while contractions x (rows, trials)
+    [m] go on, from those at the begin on, shape (radii, trials), both from -1 to 1.
     """
-    found = np.empty((len(x), *begin.shape))
-    steps = np.diff(x, axis=0, prepend=x[:1])[:, None, :] / np.array(RADII)[:, None]
+    np.divide(np.diff(x, axis=0, prepend=x[:1])[:, None, :], np.array(RADII)[:, None], out=found)
     now = begin
-    for row, step in enumerate(steps):
-        now = np.minimum(np.maximum(now + step, -1.0), 1.0)
-        found[row] = now
-    return found
+    for row in found:
+        row += now
+        now = np.minimum(np.maximum(row, -1.0, out=row), 1.0, out=row)
 
 
 def lagged(values: Array, constant: float) -> Array:
-    """Rows of `values` (n, ...) after a filter of first order, its time constant in rows; exact for straight lines."""
+    """Rows of `values` (n, ...) after a filter of first order, its time constant in rows; exact for straight lines.
+
+    Each pass adds what twice as many rows before have left (a recursion by doubling): scipy.signal has this filter, but
+    takes longer to import than a reduction.
+    """
     keep = float(np.exp(-1 / constant))
     now = 1 - (1 - keep) * constant
     change = values - values[:1]
-    drive = now * change
-    drive[1:] += (1 - keep - now) * change[:-1]
-    if keep < GONE:
-        return np.asarray(drive + values[:1])
-    span = max(1, int(FADES * constant))
-    fading = keep ** np.arange(1, span + 1).reshape(-1, *[1] * (values.ndim - 1))
-    found = np.empty_like(drive)
-    last = np.zeros_like(drive[:1])
-    for begin in range(0, len(drive), span):
-        part = drive[begin : begin + span]
-        fade = fading[: len(part)]
-        found[begin : begin + span] = fade * (last + np.cumsum(part / fade, axis=0))
-        last = found[begin : begin + span][-1:]
-    return np.asarray(found + values[:1])
+    found = now * change
+    found[1:] += (1 - keep - now) * change[:-1]
+    span, kept = 1, np.empty_like(found)
+    while span < len(values) and keep > GONE:
+        found[span:] += np.multiply(keep, found[:-span], out=kept[span:])
+        span, keep = 2 * span, keep * keep
+    found += values[:1]
+    return found
 
 
 def _followers(campaign: Campaign) -> Iterator[tuple[int, float]]:

@@ -23,6 +23,8 @@ SOFTEST = 1.0
 MOST_LATE = 0.06
 """Longest time that a stream is moved or filtered by [s]."""
 CHANNELS = ("pressure", "displacement", "force")
+AGAINST = 0.3
+"""Share of the largest part of a creep that another may go against it, by noise and by time constants between ours."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +32,7 @@ class Explanation:
     """One cause with its sizes."""
 
     kind: str
-    """`drift`, `gain`, `slip`, `late`, `lag`, `bend`, `hysteresis` or `creep`."""
+    """`drift`, `gain`, `slip`, `late`, `lag`, `bend`, `sensor`, `hysteresis` or `creep`."""
     which: str = ""
     """Channel that is late or lagged, number of the first trial after a slip, or variant."""
     sizes: tuple[float, ...] = ()
@@ -38,13 +40,36 @@ class Explanation:
 
     @property
     def of_muscle(self) -> bool:
-        """Whether it is a property of the muscle, not a fault of the bench."""
+        """Whether it is, or may be, a property of the muscle: a force that the straight form lacks."""
         return self.kind in columns.OF_MUSCLE
 
     @property
-    def family(self) -> str:
-        """What counts as one kind: a delay and a filter of one channel do, and slips at any trial."""
+    def cause(self) -> str:
+        """What counts as one cause: a delay and a filter of one channel do, and slips at any trial."""
         return f"late {self.which}" if self.kind in ("late", "lag") else self.kind
+
+    @property
+    def creeps(self) -> Array:
+        """Sizes of a creep at a load of `LOADED`, one for each of its times."""
+        return np.asarray(np.array(self.sizes).reshape(2 if self.which == columns.BY_LOAD else 1, -1).sum(axis=0))
+
+    @property
+    def family(self) -> str:
+        """Causes of which a model needs one at most: a bend of the muscle and of the displacement sensor are."""
+        return "bend" if self.kind == "sensor" else self.cause
+
+
+def plausible(one: Explanation) -> bool:
+    """Whether a muscle can be so: it creeps the way that it went, hysteresis takes work away, and where K is steep near
+    no contraction it falls.
+    """
+    if one.kind == "creep":
+        near = np.array([0.5, 0.5] if one.which.startswith("by time") else [1.0])
+        decades = np.convolve(one.creeps, near, "valid")
+        return bool(decades.min() > -AGAINST * decades.max())
+    if one.kind == "hysteresis":
+        return sum(one.sizes) > 0
+    return one.which != "steep" or sum(one.sizes[2:]) > 0
 
 
 def columns_of(
@@ -65,7 +90,7 @@ def _of_muscle(
     one: Explanation, followed: columns.Followed, segments: Segments, fit: Solved, others: Sequence[Explanation]
 ) -> Array:
     """Columns of a property of the muscle: what creeps is not strained, and does not bend the force."""
-    creeps = [other for other in others if other.kind == "creep"] if one.kind == "bend" else []
+    creeps = [other for other in others if other.kind == "creep"] if one.family == "bend" else []
     for other in creeps:
         forces = columns.OF_MUSCLE["creep"][other.which](followed, segments, fit) @ np.array(other.sizes)
         crept = forces / np.maximum(fit.values("K", segments.pressure), SOFTEST)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from math import sqrt
+from math import inf, sqrt
 from statistics import NormalDist
 
 import numpy as np
@@ -36,6 +36,7 @@ two more coefficients cost by Akaike's criterion."""
 MOST_HIDDEN = 0.02
 """A significant departure that could change a coefficient by more than this share is not left to its interval."""
 GAIN, ZERO = "gain of the force cell against the weights", "zero of the force cell against the weights"
+REVERSAL = "backlash of the displacement sensor"
 ALONE = 1e-6
 """A column of which the coefficients leave a smaller share than this cannot be distinguished from them."""
 HARDLY = 0.01
@@ -58,6 +59,8 @@ class Way:
     """Change of F_L by size 1 [N per SI unit of the size], shape (n,)."""
     known: float = 0.0
     """Size [SI] that other lines of the budget hold already."""
+    most: float = inf
+    """Size [SI] that a calibration allows; a larger one that is sure counts all the same."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +97,8 @@ class Size:
     @property
     def hidden(self) -> float:
         """Largest size that could hide [SI of the way]."""
-        return max(0.0, abs(self.size) + HIDES * self.error - self.way.known)
+        least, most = abs(self.size) - HIDES * self.error, abs(self.size) + HIDES * self.error
+        return max(0.0, (most if least > self.way.most else min(most, self.way.most)) - self.way.known)
 
     @property
     def text(self) -> str:
@@ -106,7 +110,7 @@ class Size:
 
 def causes(test: Test, followed: Followed) -> tuple[Cause, ...]:
     """All causes that the channels of the campaign allow."""
-    found = [make(test, followed) for make in (_drift, _slip, _late, _bend, _hysteresis, _creep)]
+    found = [make(test, followed) for make in (_drift, _slip, _late, _bend, _hysteresis, _creep, _crooked, _play)]
     return tuple(cause for cause in found if cause.ways)
 
 
@@ -160,13 +164,35 @@ def _hysteresis(test: Test, followed: Followed) -> Cause:
 
 def _creep(test: Test, followed: Followed) -> Cause:
     """The muscle goes on contracting: a share of x per decade of time (two time constants)."""
-    parts = columns.creep_parts(followed, test.segments, test.fit).T
+    parts = columns.creep_decades(followed, test.segments, test.fit).T
     every = Way("the muscle creeps by {size} of its contraction in a decade of time", "ratio", np.sum(parts, axis=0))
     some = (
-        Way(f"the muscle creeps by {{size}} of its contraction within about {pair[1]:g} s", "ratio", column)
-        for pair, column in zip(TIMES, parts, strict=True)
+        Way(f"the muscle creeps by {{size}} of its contraction within about {time:g} s", "ratio", column)
+        for time, column in zip(TIMES[1::2], parts, strict=True)
     )
     return Cause("creep that the fit does not exclude", "method", (every, *some))
+
+
+def _crooked(test: Test, followed: Followed) -> Cause:
+    """The displacement sensor is not straight: then its slope over the stroke is not known either."""
+    known = columns.sensor_known(test.campaign)
+    text = "the displacement sensor is off its straight line by {{size}}, as on a wheel of {:g} mm off its middle"
+    ways = tuple(
+        Way(text.format(1e3 * radius), "length", columns.off_straight(test.segments, test.fit, radius, phase),
+            most=known or inf)
+        for radius in columns.WHEELS
+        for phase in columns.PHASES
+    )  # fmt: skip
+    return Cause("error of the displacement sensor that the fit does not exclude", "method", ways)
+
+
+def _play(test: Test, followed: Followed) -> Cause:
+    """The displacement sensor follows late after each turn, by a length: nearly a friction that grows with K."""
+    text = "the displacement sensor lags by {size} behind the motion, either way (backlash)"
+    known = columns.sensor_known(test.campaign)
+    column = columns.play(test.segments, test.fit)
+    way = Way(text, "length", column, known or columns.UNDECLARED, known or inf)
+    return Cause("backlash of the displacement sensor that the fit does not exclude", "method", (way,))
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,6 +241,17 @@ def of_the_cell(weights: Weighed, scales: Scales, segments: Segments, fit: Solve
             seen = abs(found[0]) > known.get("force", 0.0) + SURE * found[1]
             lines.append(Hiding(name, "calibration", size * fit.change(column[:, None]), np.ones(1), seen))
     return lines
+
+
+def of_the_sensor(known: float, segments: Segments, fit: Solved) -> Hiding:
+    """Backlash of the displacement sensor: what its calibration allows, `known` [m], else an assumed one.
+
+    It looks like Coulomb friction of K times its size: where K is the same at all pressures, no data tell them apart.
+    """
+    size = known or columns.UNDECLARED
+    name = REVERSAL if known else f"{REVERSAL}, assumed {show(size, 'length', 2)}: the record gives no uncertainty"
+    change = size * fit.change(columns.play(segments, fit)[:, None])
+    return Hiding(name, "method", change, np.ones(1), False)
 
 
 def _sizes(test: Test, known: Sequence[Cause]) -> list[Size]:

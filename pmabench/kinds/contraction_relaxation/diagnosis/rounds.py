@@ -8,7 +8,7 @@ others are tried in its place: where one does nearly as well, nobody can tell wh
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -21,18 +21,21 @@ from pmabench.kinds.contraction_relaxation.diagnosis.corrections import (
     columns_of,
     in_samples,
     off_forces,
+    plausible,
 )
 from pmabench.kinds.contraction_relaxation.diagnosis.held_out import Test
-from pmabench.kinds.contraction_relaxation.pooled import Fit, Solved, fit, rms_of, solve
+from pmabench.kinds.contraction_relaxation.pooled import Fit, Solved, fit, rms_of, solve, solve_design
 from pmabench.kinds.contraction_relaxation.segments import Segments
 from pmabench.kinds.contraction_relaxation.trials import Campaign
 from pmabench.store.records import Array
 
+MOST_CUTS = 3
+"""Corrected campaigns that are kept: what a round tries has most of them in common."""
 MOST_ROUNDS = 4
 EXPLAINS = 0.7
 """Share of the excess that an explanation removes to be one."""
 FURTHER = 0.25
-"""Share of what is left that another round removes to be kept."""
+"""Share of what is left that another round removes to be kept, by a property of the muscle."""
 ALONE = 2.0
 """So many times the excess is left by the best of another kind where an explanation is the only one ..."""
 LEAST_EXCESS = 0.15
@@ -41,18 +44,18 @@ PASSES = 3
 """Times that sizes are found anew with the samples as the last ones corrected them."""
 PLACES = 2
 """Places of a slip that are tried in whole, the best by first order."""
+MOST_COMPARED = 3
+"""Most explanations of a round that are compared with knots of their own."""
 TIMES = ("late", "lag")
 """Explanations whose size is a time of a stream."""
 STEPS = (5e-3, 1.5e-3)
 """Steps of the search for a time [s]; from a size that is known on, the last alone."""
-AGAINST = 0.3
-"""Share of the largest part of a creep that another may go against it, by noise and by time constants between ours."""
 WORTH = 0.9
 """An explanation that by first order leaves more than this share of the excess is not tried in whole."""
 ALL_OF_MUSCLE = (
     Explanation("bend", "as K"),
     Explanation("hysteresis"),
-    Explanation("creep", "by decade"),
+    Explanation("creep", "by time"),
 )
 
 
@@ -64,6 +67,8 @@ class State:
     test: Test
     straight: Fit
     """The fit by whose K the properties of the muscle were made forces."""
+    own_knots: bool = False
+    """Whether its knots were put where its own residual asks for them."""
 
     @property
     def excess(self) -> float:
@@ -99,6 +104,10 @@ class Search:
     """That a fit begins with [Pa]."""
     drifts: bool = True
     """Whether the cell may have drifted: not where weights show it, and it is taken off already."""
+    cuts: dict[tuple[Explanation, ...], tuple[Campaign, Segments]] = field(default_factory=dict)
+    """Faults of the bench -> campaign and segments without them, of the last few."""
+    fits: list[tuple[Fit, Segments, Array, float]] = field(default_factory=list)
+    """The last fit to segments without a force taken off, with its knots and noise."""
 
     def fitted(self, explanations: tuple[Explanation, ...], begin: State | None = None) -> State:
         """Explanations corrected, from the sizes of `begin` on, with knots where the rest asks for them."""
@@ -106,8 +115,13 @@ class Search:
         solved, noise = fit(segments, self.knots, self.campaign.noise)
         if begin is None:
             campaign = in_samples(self.campaign, explanations)
-            return State(explanations, Test.of(campaign, segments, solved, rms_of(noise)), solved)
-        return self.state(explanations, solved, rms_of(noise))
+            return State(explanations, Test.of(campaign, segments, solved, rms_of(noise)), solved, True)
+        return replace(self.state(explanations, solved, rms_of(noise)), own_knots=True)
+
+    @property
+    def uncorrected(self) -> Segments:
+        """Segments of the campaign as it was recorded."""
+        return self._corrected(())[1]
 
     @cached_property
     def followed(self) -> columns.Followed:
@@ -130,20 +144,42 @@ class Search:
                 explanations = self._timed(explanations, i, straight, expected)
             if linear:
                 campaign, segments = self._corrected(explanations)
-                raw = solve(segments, solved.knots, expected, solved.halves, solved.added)
+                raw = self._solved(segments, solved, expected)
                 forces = [self.columns(explanations[i], campaign, segments, straight, explanations) for i in linear]
-                sizes = sizes_of(raw, np.hstack(forces))
-                explanations = _sized(explanations, linear, sizes)
-                left = off_forces(self.followed, segments, straight, explanations)
-                straight = solve(left, solved.knots, expected, solved.halves, solved.added)
-        campaign, segments = self._corrected(explanations)
+                explanations = _sized(explanations, linear, sizes_of(raw, np.hstack(forces)))
+                straight = self._rest(explanations, straight, solved, expected)[1]
+        left, final = self._rest(explanations, straight, solved, expected)
+        return State(explanations, Test.of(self._corrected(explanations)[0], left, final, expected), straight)
+
+    def _rest(
+        self, explanations: tuple[Explanation, ...], straight: Fit, like: Fit, noise: float
+    ) -> tuple[Segments, Fit]:
+        """What is left when all is corrected, and the fit to it at the knots of `like`."""
+        segments = self._corrected(explanations)[1]
         left = off_forces(self.followed, segments, straight, explanations)
-        final = solve(left, solved.knots, expected, solved.halves, solved.added)
-        return State(explanations, Test.of(campaign, left, final, expected), straight)
+        design = self._solved(segments, like, noise).design
+        return left, solve_design(left, design, like.knots, noise, like.halves, like.added)
+
+    def _solved(self, segments: Segments, like: Fit, noise: float) -> Fit:
+        """The fit to segments at the knots of `like`; the last one is kept."""
+        for known, of, knots, expected in self.fits:
+            if of is segments and knots is like.knots and expected == noise:
+                return known
+        found = solve(segments, like.knots, noise, like.halves, like.added)
+        self.fits[:] = [(found, segments, like.knots, noise)]
+        return found
 
     def _corrected(self, explanations: Sequence[Explanation]) -> tuple[Campaign, Segments]:
-        campaign = in_samples(self.campaign, explanations)
-        return campaign, self.cut(campaign.samples)
+        """The campaign with what is wrong with the bench corrected, and its segments; the last few are kept."""
+        faults = tuple(one for one in explanations if not one.of_muscle)
+        found = self.cuts.pop(faults, None)
+        if found is None:
+            campaign = in_samples(self.campaign, faults)
+            found = campaign, self.cut(campaign.samples)
+            while len(self.cuts) >= MOST_CUTS:
+                del self.cuts[next(iter(self.cuts))]
+        self.cuts[faults] = found
+        return found
 
     def columns(
         self, one: Explanation, campaign: Campaign, segments: Segments, fit: Solved, others: Sequence[Explanation] = ()
@@ -183,7 +219,7 @@ class Search:
     def left(self, explanations: tuple[Explanation, ...], fit: Fit, noise: float) -> tuple[Segments, Array]:
         """Corrected segments and the residual of the fit to them; sizes of properties of the muscle are found anew."""
         campaign, segments = self._corrected(explanations)
-        raw = solve(segments, fit.knots, noise, fit.halves, fit.added)
+        raw = self._solved(segments, fit, noise)
         mine = [self.columns(one, campaign, segments, fit, explanations) for one in explanations if one.of_muscle]
         if not mine:
             return segments, raw.residual
@@ -192,7 +228,7 @@ class Search:
         return segments.pulled(-off), raw.residual - (off - raw.design @ raw.change(off[:, None])[:, 0])
 
     def others(self, now: State) -> list[State]:
-        """`now` with one more explanation each, the best of every family that it has none of, the best first."""
+        """`now` with one more explanation each, the best of every cause that it has none of, the best first."""
         known = {one.family for one in now.explanations}
         tried = [one for one in self._possible(now) if one.family not in known]
         test = now.test
@@ -202,16 +238,27 @@ class Search:
         best: dict[str, State] = {}
         for one in _promising(tried, first, now):
             if one.kind == "lag":
-                late = best.get(one.family)
+                late = best.get(one.cause)
                 if late is None or late.excess > WORTH * now.excess:
                     continue
                 one = replace(one, sizes=late.last.sizes)
             state = self._added(now, one)
             if not plausible(state.last):
                 continue
-            if one.family not in best or state.excess < best[one.family].excess:
-                best[one.family] = state
+            if one.cause not in best or state.excess < best[one.cause].excess:
+                best[one.cause] = state
         return sorted(best.values(), key=lambda state: state.test.ratio)
+
+    def compared(self, tried: Sequence[State]) -> list[State]:
+        """The same, the best first, where several are near the best: those with knots of their own, for the residual
+        of none of them asked for the knots that they were tried with.
+        """
+        limit = ALONE * max(tried[0].excess, LEAST_EXCESS) if tried else 0.0
+        near = [state for state in tried[:MOST_COMPARED] if state.excess < limit]
+        if len(near) < 2:
+            return list(tried)
+        again = [self.fitted(state.explanations, state) for state in near]
+        return sorted((*again, *tried[len(near) :]), key=lambda state: state.test.ratio)
 
     def _added(self, now: State, one: Explanation) -> State:
         explanations, test = (*now.explanations, one), now.test
@@ -228,7 +275,17 @@ class Search:
         for channel in ("pressure", "displacement", *(("force",) if cell else ())):
             yield from (Explanation(kind, channel) for kind in ("late", "lag"))
         for kind, variants in columns.OF_MUSCLE.items():
-            yield from (Explanation(kind, variant) for variant in variants)
+            yield from (Explanation(kind, variant) for variant in variants if variant != columns.BY_LOAD)
+
+    def by_load(self, now: State) -> State | None:
+        """`now` with creep that may grow with the load in place of one that is the same at all loads; None without."""
+        creeps = [one for one in now.explanations if one.kind == "creep" and one.which != columns.BY_LOAD]
+        if not creeps:
+            return None
+        rest = tuple(one for one in now.explanations if one is not creeps[0])
+        finer = Explanation("creep", columns.BY_LOAD, (0.0,) * 2 * len(columns.TIMES))
+        state = self.state((*rest, finer), now.test.fit, now.test.expected, timed=False)
+        return state if plausible(state.last) else None
 
     def all_of_muscle(self, now: State) -> State:
         """`now` with all properties of the muscle that it has not."""
@@ -253,15 +310,6 @@ def _promising(tried: Sequence[Explanation], ratios: Sequence[float], now: State
         if one.kind in ("late", "lag") or ratio**2 - 1 < WORTH * now.excess:
             found.append(one)
     return found
-
-
-def plausible(one: Explanation) -> bool:
-    """Whether a muscle can be so: it creeps the way that it went, and hysteresis takes work away."""
-    if one.kind == "creep":
-        return min(one.sizes) > -AGAINST * max(one.sizes)
-    if one.kind == "hysteresis":
-        return sum(one.sizes) > 0
-    return True
 
 
 def sizes_of(solved: Fit, forces: Array) -> Array:
@@ -312,15 +360,19 @@ def explained(search: Search, before: State) -> Rounds:
     for number in range(MOST_ROUNDS):
         if not now.test.doubted:
             break
-        tried = search.others(now)
-        best = tried[0] if tried else now
+        found = search.compared(search.others(now))
+        best = found[0] if found and _worth(found[0], now, number) else now
+        finer = search.by_load(now)
+        if finer is not None and ALONE * finer.excess < best.excess:
+            now = search.fitted(finer.explanations, finer)
+            continue
         if now.excess - best.excess < EXPLAINS * now.excess:
             together = search.all_of_muscle(now)
             if together.excess < 0.5 * best.excess and all(plausible(one) for one in together.explanations):
                 best = together
-        if now.excess - best.excess < (FURTHER if number else 0.0) * now.excess:
+        if best is now:
             break
-        now = search.fitted(best.explanations, best)
+        tried, now = found, best if best.own_knots else search.fitted(best.explanations, best)
     if now.test.doubted and now is not before:
         together = search.all_of_muscle(now)
         if together.excess < (1 - FURTHER) * now.excess and all(plausible(one) for one in together.explanations):
@@ -331,8 +383,18 @@ def explained(search: Search, before: State) -> Rounds:
     return _without_needless(search, before, now)
 
 
+def _worth(found: State, now: State, number: int) -> bool:
+    """Whether an explanation of the round of this number removes enough to be kept.
+
+    A fault of the bench has an exact form, and removes nearly all of what it makes. A small part of a misfit that
+    something else makes always looks like some delay.
+    """
+    further = FURTHER if found.last.of_muscle else EXPLAINS
+    return now.excess - found.excess >= (further if number else 0.0) * now.excess
+
+
 def _rivals(without: State, now: State, kept: Explanation, tried: Sequence[State]) -> Rivals:
-    others = tuple(state for state in tried if state.last.family != kept.family)
+    others = tuple(state for state in tried if state.last.cause != kept.cause)
     limit = ALONE * max(now.excess, LEAST_EXCESS)
     alone = not others or others[0].excess >= limit
     return Rivals(kept, without.test.ratio, others, alone)

@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.analysis.shared import student
+from pmabench.kinds.contraction_relaxation.diagnosis.columns import TYPICAL, turned
 from pmabench.kinds.contraction_relaxation.diagnosis.corrections import Explanation
 from pmabench.kinds.contraction_relaxation.diagnosis.rounds import TIMES, Search, State
-from pmabench.kinds.contraction_relaxation.intervals import Correction
+from pmabench.kinds.contraction_relaxation.intervals import PART_OF_BENCH, PART_OF_MUSCLE, Correction
 from pmabench.kinds.contraction_relaxation.pooled import Solved
 from pmabench.kinds.contraction_relaxation.segments import Segments
 from pmabench.store.records import Array
@@ -43,11 +44,28 @@ class Spread:
 
     def of(self, fit: Solved, rows: NDArray[np.bool_], noise: float) -> Correction:
         """What a fit to some `rows` of the corrected segments, whose residual should be `noise` [N], owes to it."""
-        change = fit.theta - fit.again(self.recorded, noise).theta
         others = [fit.again(state.test.segments, noise).theta - fit.theta for state in self.others]
         groups = (self._loads[rows], self._trials[rows])
         spreads = [self._spread(fit, rows, group, noise) for group in groups if len(np.unique(group)) >= FEWEST]
-        return Correction(change, tuple(spreads), np.array(others).reshape(-1, len(fit.theta)), self.factor)
+        others_of = np.array(others).reshape(-1, len(fit.theta))
+        return Correction(self._unsure(fit, rows, noise), tuple(spreads), others_of, self.factor)
+
+    def _unsure(self, fit: Solved, rows: NDArray[np.bool_], noise: float) -> Array:
+        """The part of each step of the correction that may be wrong, as changes of theta, shape (m, p): by the weights,
+        by the fit, and of a bend how far K goes to both ends of the contractions.
+        """
+        muscle = any(one.of_muscle for one in self.state.explanations)
+        weighed = fit.again(self.search.uncorrected, noise).theta
+        by_weights = weighed - fit.again(self.recorded, noise).theta
+        found = [PART_OF_BENCH * by_weights, (PART_OF_MUSCLE if muscle else PART_OF_BENCH) * (fit.theta - weighed)]
+        segments, straight = self.state.test.segments, self.state.straight
+        for one in self.state.explanations:
+            if one.kind == "bend":
+                P, sizes = segments.pressure, np.array(one.sizes)
+                by_K = sizes[0] * straight.values("K", P)
+                parts = [by_K] if len(sizes) == 1 else [p[0] + p[1] * P / TYPICAL for p in sizes.reshape(-1, 2)]
+                found += [PART_OF_MUSCLE * fit.change(turned(segments, falls)[rows, None])[:, 0] for falls in parts]
+        return np.array(found)
 
     @property
     def _loads(self) -> Array:
@@ -64,6 +82,8 @@ class Spread:
         Not without each load: a slip is seen from one load on, and has no size without it.
         """
         fit, segments, group = self.state.test.fit, self.state.test.segments, self._trials
+        if not self.state.explanations:
+            return ()
         if len(np.unique(group)) < FEWEST:
             return tuple(np.zeros((1, len(one.sizes))) for one in self.state.explanations)
         left, begin, found = self._left_out(fit, np.ones(len(segments), bool), group)[1], 0, []

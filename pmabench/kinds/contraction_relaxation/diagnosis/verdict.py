@@ -22,11 +22,15 @@ from pmabench.store.records import Array
 
 STILL_TOLD = 1.25
 """Up to so many times the ratio at which the form is doubted, corrected values are printed, though not accepted."""
+NEARLY = 0.9
+"""Share of the excess that an explanation removes of which values are printed though the form is still doubted."""
 SURE = 2.0
 """An explanation whose size is not beyond so many of its standard deviations explains nothing."""
 REMEDY = "Look for the cause, mend it and measure again, or repeat trials if they differ by themselves"
 SURFACE = "`pmabench process RUN... --form surface` describes a muscle that does not follow this form"
 MOST_NAMED = 3
+MANY = 3
+"""From so many causes on values are not accepted: several seldom act at once, and each takes up a part of another."""
 QUANTITIES = {"F_ce": "force", "K": "stiffness", "B_c": "damping", "B_r": "damping"}
 
 
@@ -79,18 +83,29 @@ class Diagnosis:
         test, before = self._last.test, self.rounds.before
         if not before.test.doubted:
             return "corrected" if self.of_cell else "sound"
-        explained = self._last.excess <= (1 - EXPLAINS) * before.excess
+        explained = self._last.excess <= (1 - (NEARLY if test.doubted else EXPLAINS)) * before.excess
         sure = all(abs(one.size) > SURE * one.error for one in self.of_fit)
         if not self.of_fit or not explained or not sure or test.ratio >= STILL_TOLD * test.most_ratio:
             return "withheld"
-        if test.doubted or self.mixed:
+        alone = all(one.alone for one in self.rounds.rivals)
+        if self.suspect or (test.ratio >= test.most_ratio and not alone):
+            return "withheld"
+        if test.doubted or len(self.of_fit) >= MANY:
             return "doubtful"
-        return "corrected" if all(one.alone for one in self.rounds.rivals) else "undecided"
+        return "corrected" if alone else "undecided"
 
     @property
-    def mixed(self) -> bool:
-        """Whether the fit needs a fault of the bench next to something else: a cause may be missing in the list."""
-        return len(self.of_fit) > 1 and not all(one.of_muscle for one in self.of_fit)
+    def suspect(self) -> bool:
+        """Whether a cause may be missing in the list: the fit needs a fault of the bench next to something else, or a
+        bend that may be one of the displacement sensor, whose scale is then not known.
+        """
+        mixed = len(self.of_fit) > 1 and not all(one.of_muscle for one in self.of_fit)
+        return mixed or any(one.key == "sensor" for one in self.of_fit)
+
+    @property
+    def bent(self) -> bool:
+        """Whether K changes over the contractions that were tested: then it is not one number."""
+        return any(one.key == "bend" for one in self.of_fit)
 
     @property
     def factor(self) -> float:
@@ -125,7 +140,13 @@ class Diagnosis:
         if self.state != "withheld":
             return ""
         fits = "no explanation that is looked for fits it: the cause is unknown"
-        if self.of_fit:
+        if len(self.of_fit) == 1 and self.suspect:
+            rest = f", which leaves {self.ratio:.3g} times the noise" if self._last.test.doubted else ""
+            fits = f"{self.of_fit[0].text}: these data do not tell the two apart{rest}"
+        elif self.suspect:
+            titles = ", ".join(TITLES[one.key] for one in self.of_fit)
+            fits = f"several causes at once would fit it, of which none is sure: undecided between {titles}"
+        elif self.of_fit:
             best = "; and that ".join(one.text for one in self.of_fit)
             fits = (
                 f"it fits best that {best}, which still leaves {self.ratio:.3g} times the noise: the cause is unknown"
@@ -138,12 +159,14 @@ class Diagnosis:
         if self.state == "undecided":
             return f"the misfit is explained, but {self.between}: intervals reach over both"
         if self.state == "doubtful" and not self._last.test.doubted:
-            return f"corrected for {self.titles}: so many causes at once are seldom right, look for another one"
+            return f"the straight form does not hold; it is corrected for {self.titles}, which are not sure all at once"
         if self.state == "doubtful":
             return (
                 f"corrected for {self.titles}, {self.missed} still {self.ratio:.3g} times what the noise allows: "
                 "intervals are wider by that"
             )
+        if self.state == "corrected" and self.bent:
+            return "K changes over the contractions tested: it belongs to their middle, and is not one number"
         return ""
 
     @property
@@ -156,8 +179,7 @@ class Diagnosis:
         """What is said of every value; empty where nothing was corrected."""
         if self.state == "withheld" or not self.named:
             return ""
-        bent = any(one.key == "bend" for one in self.named)
-        slope = "; K is the slope in the middle of the contractions at its pressure" if bent else ""
+        slope = "; K is the slope in the middle of the contractions at its pressure" if self.bent else ""
         return f"corrected for {self.titles}{slope}"
 
     @property
@@ -234,9 +256,9 @@ def _rival(diagnosis: Diagnosis, one: Named) -> dict[str, Any]:
 
 def _title(state: State) -> str:
     last = state.last
-    if last.family == "late pressure" and last.sizes[0] < 0:
+    if last.cause == "late pressure" and last.sizes[0] < 0:
         return TITLES["tube"]
-    return TITLES[last.family]
+    return TITLES[last.cause]
 
 
 def name(state: State, off: Sequence[Array], names: Sequence[str]) -> tuple[Named, ...]:

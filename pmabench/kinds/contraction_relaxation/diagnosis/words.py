@@ -9,11 +9,13 @@ from math import sqrt
 import numpy as np
 
 from pmabench.base.quantities import show
-from pmabench.kinds.contraction_relaxation.diagnosis.columns import TYPICAL
+from pmabench.kinds.contraction_relaxation.diagnosis.columns import BY_LOAD, LOADED, TIMES, TYPICAL
 from pmabench.kinds.contraction_relaxation.diagnosis.corrections import Explanation
 from pmabench.kinds.contraction_relaxation.pooled import Solved
 from pmabench.store.records import Array
 
+LASTING = 100.0
+"""Creep is stated for the decades of time below this one [s]: what is slower hardly shows in one trial."""
 KIND_IS_A_GUESS = 8e-3
 """Below so long a time [s] nobody can tell a delay from a filter."""
 TITLES: Mapping[str, str] = {
@@ -21,6 +23,7 @@ TITLES: Mapping[str, str] = {
     "gain": "gain of the force cell",
     "slip": "slip of a mount",
     "bend": "bend of the force over contraction",
+    "sensor": "bend of the force over contraction, or of the displacement sensor",
     "hysteresis": "hysteresis",
     "creep": "creep",
     "late pressure": "time of the pressure",
@@ -39,10 +42,12 @@ ADVICE: Mapping[str, str] = {
     "tube": "put the gauge at the muscle, or shorten and widen the tube between them; see that the gauge's clock is "
     "not ahead",
     "bend": "report K with the contraction that it belongs to",
+    "sensor": "calibrate the displacement sensor at several places; a muscle whose K and B change alike looks the same",
     "hysteresis": "repeat with strokes of other sizes: it belongs to the muscle",
     "creep": "state how long pressures were held: it belongs to the muscle",
 }
-SIZES = {"drift": "force", "gain": "ratio", "slip": "length", "bend": "ratio", "hysteresis": "force", "creep": "ratio"}
+SIZES = {"drift": "force", "gain": "ratio", "slip": "length", "bend": "ratio", "sensor": "ratio",
+         "hysteresis": "force", "creep": "ratio"}  # fmt: skip
 """Kind -> quantity of its size; others are times."""
 
 
@@ -63,7 +68,7 @@ class Named:
     @property
     def of_muscle(self) -> bool:
         """Whether it is a property of the muscle."""
-        return self.explanation.of_muscle
+        return self.explanation.of_muscle and self.explanation.kind != "sensor"
 
     @property
     def advice(self) -> str:
@@ -86,16 +91,19 @@ def named(one: Explanation, off: Array, fit: Solved, highest: float, trial: str 
     count = max(1, len(off))
     error = sqrt(float(np.sum((off @ weights) ** 2)) * (count - 1) / count)
     text = _text(one, size, error, highest, trial)
-    key = one.family if one.kind in ("late", "lag") else one.kind
-    return Named(one, "tube" if key == "late pressure" and size < 0 else key, size, error, text)
+    return Named(one, "tube" if one.cause == "late pressure" and size < 0 else one.cause, size, error, text)
 
 
 def _weights(one: Explanation, fit: Solved, highest: float) -> Array:
     """What makes one size of all, shape (sizes,)."""
     if one.kind == "hysteresis":
         return np.tile([1.0, highest / TYPICAL], len(one.sizes) // 2)
-    if one.kind == "bend" and len(one.sizes) == 2:
-        return np.array([1.0, highest / TYPICAL]) / float(fit.values("K", np.array([highest]))[0])
+    if one.kind == "bend" and len(one.sizes) > 1:
+        by_pressure = np.array([1.0, highest / TYPICAL]) / float(fit.values("K", np.array([highest]))[0])
+        return np.tile(by_pressure, len(one.sizes) // 2)
+    if one.kind == "creep" and len(one.sizes) > 1:
+        felt = np.array(TIMES)[:: len(TIMES) // len(one.creeps)] < LASTING
+        return np.tile(felt / felt.sum(), len(one.sizes) // len(one.creeps))
     return np.full(len(one.sizes), 1 / len(one.sizes))
 
 
@@ -111,10 +119,14 @@ def _text(one: Explanation, size: float, error: float, highest: float, trial: st
     if one.kind == "bend":
         way = "falls" if size > 0 else "rises"
         return f"the force over contraction is bent: K {way} by {much} over the contractions tested"
+    if one.kind == "sensor":
+        way = "fall" if size > 0 else "rise"
+        return f"K and B {way} alike by {much} over the contractions tested, or the displacement sensor is not straight"
     if one.kind == "hysteresis":
         return f"the muscle has hysteresis of {much} at {show(highest, 'pressure', 3)}"
     if one.kind == "creep":
-        return f"the muscle creeps by {much} of its contraction in a decade of time"
+        load = f" under a load of {show(LOADED, 'force', 3)}" if one.which == BY_LOAD else ""
+        return f"the muscle creeps by {much} of its contraction in a decade of time{load}"
     if one.which == "pressure" and size < 0:
         return f"the pressure in the muscle is {much} behind the gauge, or the gauge's clock is ahead"
     how = "behind" if size > 0 else "ahead of"

@@ -11,11 +11,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from pmabench.store.importers import motion
+from pmabench.store.importers.found import correlation
 from pmabench.store.importers.guess.columns import Guess, held, lone
 from pmabench.store.records import Array
 
 LONG_PAUSE = 2.0
 """Seconds; a log that pauses so long several times was switched off between its parts."""
+STEADY = 0.15
+"""Span of a steady pressure, as a share of it: a regulator lets it move a little while the muscle is drawn out."""
+TOGETHER = 0.5
+"""Correlation of force and length at a steady pressure, where hysteresis or damping opens the loop."""
+PURE = 0.06
+"""A sine leaves less of itself than this (`motion.Wave.left`)."""
+FEWEST = 50
+"""Samples in which cycles are looked for."""
 
 
 @dataclass(frozen=True)
@@ -63,6 +72,8 @@ def signs(guess: Guess) -> Iterator[Sign]:
             reason += f"\nthe pressure rises and falls {cycles} times: each is a trial"
             trials = {"by": "ramp", "smallest": f"{5 * share(guess, 'pressure'):.3g}"}
         yield Sign("held length", trials, reason, "pressure" if cycles > 1 else "pressure_command")
+    if (driven := _driven(guess)) is not None:
+        yield driven
     sine = sine_of(t, command.values) if command is not None and t is not None else 0.0
     if sine:
         reason = f"the command is a sine of {sine:.3g} Hz ({sine * 2 * np.pi:.3g} rad/s)"
@@ -80,6 +91,49 @@ def signs(guess: Guess) -> Iterator[Sign]:
         trials = {"by": "step", "smallest": f"{share(guess, 'pressure'):.3g}", "lead": _lead(guess)}
         yield Sign("steps", trials, reason, "pressure")
     yield Sign("steps", {"by": "file"}, "neither steps nor sines were found: the file is one trial")
+
+
+def _driven(guess: Guess) -> Sign | None:
+    """A length that is driven up and down at one pressure or several, each held; None where that is not seen.
+
+    The force then changes with the length at equal pressure, and the length more often than the pressure.
+    """
+    x, force, pressure, t = guess.role("displacement"), guess.role("force"), guess.role("pressure"), guess.seconds
+    if x is None or force is None or t is None or guess.role("pressure_command") is not None:
+        return None
+    steps = count(guess, "step") if pressure is not None and not _steady(pressure.good) else 0
+    smallest = 5 * share(guess, "displacement") / (2 if steps else 1)
+    good = np.isfinite(x.values) & np.isfinite(force.values) & motion.later(t)
+    by = np.ones((len(t), 1))
+    if pressure is not None:
+        if not steps and not _steady(pressure.good):
+            return None
+        good &= np.isfinite(pressure.values)
+        by = np.column_stack([by, pressure.values])
+    t, by, values, pull = t[good], by[good], x.values[good], force.values[good]
+    if smallest <= 0 or len(t) < FEWEST or len(motion.cycles(t, values, smallest)) <= 1 + steps:
+        return None
+    left = [one - by @ np.linalg.lstsq(by, one, rcond=None)[0] for one in (values, pull)]
+    if abs(correlation(*left)) < TOGETHER:
+        return None
+    pure = _pure(t, values, smallest)
+    reason = f"the length goes through {'sines' if pure else 'cycles'} at "
+    reason += f"{steps + 1} pressures" if steps else "one pressure"
+    reason += " while the force falls and rises: it is driven"
+    trials = {"by": "level", "smallest": f"{share(guess, 'pressure'):.3g}"} if steps else {"by": "file"}
+    return Sign("length sine" if pure else "length ramps", trials, reason, "pressure")
+
+
+def _steady(P: Array) -> bool:
+    """Whether a pressure, shape (n,), is held throughout."""
+    low, middle, high = np.quantile(P, [0.02, 0.5, 0.98])
+    return bool(high - low <= STEADY * abs(middle))
+
+
+def _pure(t: Array, values: Array, smallest: float) -> bool:
+    """Whether a signal, shape (n,), is one sine, and no triangle."""
+    waves = motion.waves(t, values, smallest)
+    return bool(waves) and max(wave.left for wave in waves) < PURE
 
 
 def _lead(guess: Guess) -> str:

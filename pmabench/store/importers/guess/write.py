@@ -123,6 +123,10 @@ class Span:
     unit: str
 
 
+SHARE = r"%|percent|per cent|strain"
+"""What makes the name of a length that of a share of one."""
+
+
 def map_text(guess: Guess, spans: Mapping[str, Span]) -> str:
     """The map as YAML. `spans`: role -> what its sensor measures over its usual range."""
     lines = [
@@ -249,6 +253,9 @@ def _measured(column: Proposal, guess: Guess, spans: Mapping[str, Span]) -> tupl
 def _scale(column: Proposal, guess: Guess, span: Span | None) -> tuple[list[str], list[str]]:
     """Unit, calibration and range of a column, and why."""
     quantity, unit = quantity_of(column), column.unit
+    if quantity == "length" and unit in (None, "", "%") and re.search(SHARE, column.name, re.IGNORECASE):
+        text = f'"{column.name}" is a share: of which length? The slope is what one unit of it is, as "2.5 mm/count"'
+        return ["unit: count", question(Asked("", text)), f'line: {{slope: "{OPEN}", offset: 0 mm}}'], []
     if (unit_asked := asked.unit_of(column, guess)) is not None:
         return [question(unit_asked), f"unit: {unit_asked.scalar}"], []
     if QUANTITY.get(unit) == quantity:
@@ -277,7 +284,7 @@ def _from_reading(column: Proposal, quantity: str, span: Span | None) -> tuple[l
             points = f'points: [[{begin:g} {unit}, {low}], [{end:g} {unit}, "{high}"]]'
             text = f'which {quantity} is {end:g} {unit} of "{column.name}"? For instance {example}'
             lines = [points] if span else [question(Asked("", text)), points]
-            return [f"unit: {unit}", *lines, *(["range: [3.5 mA, 20.5 mA]"] if unit == "mA" else [])], [why]
+            return [f"unit: {scalar(unit)}", *lines, *(["range: [3.5 mA, 20.5 mA]"] if unit == "mA" else [])], [why]
     ends = (float(column.good.min()), float(column.good.max())) if len(column.good) else (0.0, 0.0)
     text = f'"{column.name}" reads {ends[0]:.4g} to {ends[1]:.4g} {unit}: '
     if span is not None:
@@ -286,7 +293,7 @@ def _from_reading(column: Proposal, quantity: str, span: Span | None) -> tuple[l
     else:
         text += f"which line makes a {quantity} of it? Slope in {edge}/{unit}, offset in {edge}"
         line = f'line: {{slope: "{OPEN}", offset: "{OPEN}"}}'
-    return [f"unit: {unit}", question(Asked("", text)), line], []
+    return [f"unit: {scalar(unit)}", question(Asked("", text)), line], []
 
 
 def _contraction(column: Proposal, guess: Guess) -> tuple[list[str], list[str]]:
@@ -314,7 +321,10 @@ def _contraction(column: Proposal, guess: Guess) -> tuple[list[str], list[str]]:
         except np.linalg.LinAlgError:
             return open_sign, []
         rises, zero = less < 0, float(np.quantile(x, 0.01 if less < 0 else 0.99))
-        why = f"at equal pressure the force falls where it {'rises' if rises else 'falls'}; zero is its end there"
+        why = f"at equal pressure the force falls where it {'rises' if rises else 'falls'}"
+        if guess.test.commanded is not None:
+            return _zero(column, unit, x, rises), [why]
+        why += "; zero is its end there"
     else:
         together = float(np.corrcoef(P, x)[0, 1])
         if abs(together) < 0.5:
@@ -324,6 +334,20 @@ def _contraction(column: Proposal, guess: Guess) -> tuple[list[str], list[str]]:
         if rises and QUANTITY.get(unit) == "length" and abs(zero) < 0.05 * np.ptp(x):
             return [], []
     return [f"contraction: {{reading: {'rises' if rises else 'falls'}, zero: {zero:.5g} {unit}}}"], [why]
+
+
+def _zero(column: Proposal, unit: str, x: np.ndarray, rises: bool) -> list[str]:
+    """The entry `contraction` of a length that is driven; where it begins is asked for, unless the file says it.
+
+    F_ce and x of every result count from there. Contractions that begin at 0 begin at full length.
+    """
+    reading = "rises" if rises else "falls"
+    if rises and abs(float(np.quantile(x, 0.01))) < 0.05 * np.ptp(x):
+        return [f"contraction: {{reading: {reading}, zero: 0 {unit}}}"]
+    taken = f"0 {unit}" if rises and x.min() > 0 else f"{float(np.quantile(x, 0.01 if rises else 0.99)):.5g} {unit}"
+    text = f'what does "{column.name}" read where the muscle has its full length? F_ce and x of all results begin there'
+    asking = Asked(taken, text)
+    return [question(asking), f"contraction: {{reading: {reading}, zero: {asking.scalar}}}"]
 
 
 def _blip(values: np.ndarray) -> float | None:

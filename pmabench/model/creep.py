@@ -1,4 +1,4 @@
-"""Creep along a path of contraction, in closed form; knows no muscle."""
+"""What creeps after a path, in closed form: a length after a contraction, a pressure after a pressure."""
 
 from __future__ import annotations
 
@@ -9,8 +9,16 @@ from pmabench.model.real.muscle import Creep
 from pmabench.model.regulator import Regulated, Trace, answer
 
 
+def rubber(per_decade: float) -> Creep:
+    """The pressure that rubber no longer passes on as force: `per_decade` of it [1] in each decade, 0.1 s to 1e5 s.
+
+    Two exponentials a decade: their sum is straight over the logarithm of time within 1 % of a decade.
+    """
+    return Creep(per_decade / 2, tuple(10.0 ** (0.5 * k) for k in range(-2, 11)))
+
+
 class CreepAlong:
-    """The length x_c that creeps after a path x: the sum of x_j, T_j x_j' = share x - x_j, all 0 at `start` [s].
+    """What creeps after a path x, the sum of x_j with T_j x_j' = share x - x_j, all 0 at `start` [s].
 
     Time only goes forward. A copy made with `copy.copy` is independent.
     """
@@ -21,7 +29,7 @@ class CreepAlong:
         self._lengths = tuple(Trace(start, 0.0) for _ in creep.times)
 
     def along(self, path: Regulated, t: Array) -> Array:
-        """x_c [m] at rising times t [s]; every piece of `path` [m] since the last call counts."""
+        """The sum [as the path] at rising times t [s]; every piece of `path` since the last call counts."""
         result = np.empty(t.shape)
         last, done = float(t[-1]), 0
         while True:

@@ -1,0 +1,268 @@
+"""A plant in bench time, sampled and put on channels; goes back in time when asked; knows no clock and no link."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmabench.base.errors import DeviceError, did_you_mean
+from pmabench.bench.interface import Block, ChannelRecord, DeviceRecord, Scale, Segment
+from pmabench.model.regulator import Wave, constant, ramp, sine
+from pmabench_drivers.mock import options as o
+from pmabench_drivers.mock.channels import Channel, Column, Damage, as_block
+from pmabench_drivers.mock.options import Options, SensorError
+
+MEMORY = 2.5
+"""How far the plant can be taken back [s]; a block of virtual time is at most 1 s."""
+OF_THE_PLANT = (
+    "burst_at", "supply_lost_at", "regulator_stuck_at", "dump_stuck_at", "leak_at", "fill_stuck_open_at",
+    "fill_stuck_shut_at", "exhaust_stuck_open_at", "exhaust_stuck_shut_at", "accelerometer_level_at",
+)  # fmt: skip
+"""Faults at which a simulation brings its plant in line."""
+BUFFER = 20_000
+"""Blocks of samples kept for whoever collects; older ones are lost, as in any device."""
+
+
+@dataclass(frozen=True)
+class _Moment:
+    """The plant as it was at a time [s], before it went on from there."""
+
+    time: float
+    plant: dict[str, Any]
+    due: int
+    valve: Any
+    stuck: dict[str, float]
+
+
+class Sampled:
+    """What all simulated benches share: time, memory, channels, faults of sensors.
+
+    A bench on top of it has a `_plant`, says what each input is exposed to (`_at`, `_along`), and brings valves and
+    faults of the plant in line (`_settle`). `memory` says how far it can be taken back [s].
+    """
+
+    _plant: Any
+    _valve: Any
+    """How valves and faults of the plant are, in records that do not change."""
+
+    def __init__(self, device: DeviceRecord, options: Options, sigma: Mapping[str, float], memory: float) -> None:
+        self._name, self._options, self._keep_for = device.name, options, memory
+        self.faults, self.errors = options.faults, dict(options.errors)
+        self._channels = [
+            Channel(record, sigma.get(self._input(record), 0.0), options.seed) for record in device.channels
+        ]
+        self._damage = Damage(self._channels, o.pressure_of(options))
+        self._memory: deque[_Moment] = deque()
+        self._rate, self._start_ns, self._due = 0.0, 0, 0
+        self._pending: deque[Block] = deque(maxlen=BUFFER)
+        refuse_unknown(device.name, "digital input", [item.input for item in device.interlocks], (o.E_STOP,))
+        for error in self.errors.values():
+            self._check_error(error)
+
+    def _input(self, record: ChannelRecord) -> str:
+        known = o.inputs_of(self._options.free_end, self._options.plant)
+        if record.input not in known:
+            raise DeviceError(self._name, f'no input "{record.input}"{did_you_mean(record.input, known)}', record.name)
+        return record.input
+
+    def _check_error(self, error: SensorError) -> None:
+        if error.reads and error.reads not in {channel.record.input for channel in self._channels}:
+            raise DeviceError(self._name, f'errors: no channel has the input "{error.reads}"')
+
+    @property
+    def time(self) -> float:
+        """The time that the plant has reached [s]."""
+        return float(self._plant.time)
+
+    def pulse(self, output: str, seconds: float) -> None:
+        """Open a valve for so long; ValueError where none opens in pulses."""
+        raise ValueError("no valve of this plant opens in pulses")
+
+    def _settle(self) -> None:
+        """Bring the air in line with valves and faults as they are at this moment."""
+        raise NotImplementedError
+
+    def _at(self, time: float) -> dict[str, float]:
+        """What each input is exposed to at `time` [s], to which the plant is brought."""
+        raise NotImplementedError
+
+    def _along(self, until: float, times: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
+        """The same at rising `times` [s] on the way to `until` [s]."""
+        raise NotImplementedError
+
+    # -- faults ---------------------------------------------------------------------------------------------------
+
+    def e_stop_high(self) -> bool:
+        """Whether the emergency stop's contact is closed."""
+        return not self._is_due(self.faults.e_stop_at)
+
+    def fail(self, fault: str, at: float | None) -> None:
+        """Let a fault (field of `Faults`) happen at `at` [s]; None: it is over."""
+        self.faults = replace(self.faults, **{fault: at})
+        self._settle()
+
+    def disturb(self, channel: str, error: SensorError | None) -> None:
+        """Give a channel input an error from now on; None: it is right again."""
+        self.errors.pop(channel, None)
+        if error is not None:
+            self._check_error(error)
+            self.errors[channel] = error
+
+    def _is_due(self, at: float | None) -> bool:
+        return at is not None and at <= self._plant.time
+
+    # -- samples --------------------------------------------------------------------------------------------------
+
+    def start(self, rate: float) -> None:
+        """Take sample 0 now."""
+        self._rate, self._start_ns, self._due = rate, round(self._plant.time * 1e9), 0
+        self._pending.clear()
+
+    def stop(self) -> None:
+        """Take no more samples."""
+        self._rate = 0.0
+
+    def collect(self) -> Block:
+        """The samples taken since the last call."""
+        self._sample(self._plant.time)
+        blocks = list(self._pending)
+        self._pending.clear()
+        if len(blocks) == 1:
+            return blocks[0]
+        if not blocks:
+            return Block([], {channel.record.name: [] for channel in self._channels})
+        return as_block(
+            np.concatenate([block.time for block in blocks]),
+            {name: np.concatenate([block.columns[name] for block in blocks]) for name in blocks[0].columns},
+        )
+
+    # -- time -----------------------------------------------------------------------------------------------------
+
+    def catch_up(self, now: float) -> None:
+        """Bring plant and samples to bench time `now` [s]: forwards, or back when the clock was taken back."""
+        if now < self._plant.time:
+            self._go_back(now)
+        if now > self._plant.time:
+            if self._keep_for:
+                self._remember()
+            self._run(now)
+
+    def skip(self, until: float) -> None:
+        """Go on to `until` [s] without samples, and take the next one at its time: a long rest costs little."""
+        if until <= self._plant.time:
+            return
+        rate, self._rate = self._rate, 0.0
+        self._run(until)
+        self._rate = rate
+        if rate:
+            self._due = max(self._due, int((round(until * 1e9) - self._start_ns) * rate / 1e9) + 1)
+
+    def _remember(self) -> None:
+        time = self._plant.time
+        self._memory.append(_Moment(time, self._plant.snapshot(), self._due, self._valve, self._damage.stuck))
+        while len(self._memory) > 1 and self._memory[1].time < time - self._keep_for:
+            self._memory.popleft()
+
+    def _go_back(self, now: float) -> None:
+        """Restore the last moment before `now` and run up to it again; samples up to `now` have been delivered."""
+        while self._memory and self._memory[-1].time > now:
+            self._memory.pop()
+        if not self._memory:
+            raise DeviceError(self._name, f"cannot go back to {now} s")
+        moment = self._memory[-1]
+        self._plant.restore(moment.plant)
+        self._due, self._valve, self._damage.stuck = moment.due, moment.valve, moment.stuck
+        self._run(now)
+        self._pending.clear()
+
+    def _run(self, until: float) -> None:
+        """Advance to `until`, stopping where a fault of the plant begins; samples up to there are made and kept."""
+        faults = self.faults
+        for at in sorted(
+            at
+            for at in (getattr(faults, name) for name in OF_THE_PLANT)
+            if at is not None and self._plant.time < at <= until
+        ):
+            self._sample(at)
+            self._settle()
+        self._sample(until)
+
+    def _sample(self, until: float) -> None:
+        """Advance to `until` and put the samples on the way on the channels; one at `until` sees what is done now."""
+        first, last = self._due, self._due
+        until_ns = round(until * 1e9)
+        if self._rate:
+            last = max(first, int((until_ns - self._start_ns) * self._rate / 1e9) + 1)
+            while last > first and self._time_ns(last - 1) > until_ns:
+                last -= 1
+        self._due = last
+        if last - first > 2:
+            self._many(first, last, until)
+            return
+        for number in range(first, last):
+            self._one(number)
+        if until > self._plant.time:
+            self._plant.advance(until)
+
+    def _time_ns(self, number: int) -> int:
+        return self._start_ns + round(number * 1e9 / self._rate)
+
+    def _many(self, first: int, last: int, until: float) -> None:
+        time_ns = self._start_ns + np.rint(np.arange(first, last) * (1e9 / self._rate)).astype(np.int64)
+        values = self._along(until, time_ns / 1e9)
+        number = self._number(int(time_ns[0]))
+        columns = {c.record.name: c.raw(values[c.record.input], number) for c in self._channels}
+        self._keep(time_ns, columns)
+
+    def _one(self, number: int) -> None:
+        time_ns = self._time_ns(number)
+        values = self.quantities(time_ns / 1e9)
+        noise = self._number(time_ns)
+        columns: dict[str, Column] = {c.record.name: [c.raw_one(values[c.record.input], noise)] for c in self._channels}
+        self._keep([time_ns], columns)
+
+    def quantities(self, time: float | None = None) -> dict[str, float]:
+        """What each input is exposed to [SI], without any sensor; the plant is brought to `time` [s] first."""
+        return self._at(self.time if time is None else time)
+
+    def _number(self, time_ns: int) -> int:
+        """Number of a sample counted from bench time 0: the noise belongs to the moment."""
+        return round(time_ns * self._rate / 1e9)
+
+    def _supply(self) -> float:
+        return 0.0 if self._is_due(self.faults.supply_lost_at) else self._options.supply
+
+    def _keep(self, time_ns: list[int] | NDArray[np.int64], columns: dict[str, Column]) -> None:
+        self._pending.append(self._damage.done(as_block(time_ns, columns), self.faults, self.errors))
+
+
+def refuse_unknown(device: str, word: str, names: list[str], known: tuple[str, ...]) -> None:
+    """Raise DeviceError where one of the names is not known."""
+    for name in names:
+        if name not in known:
+            raise DeviceError(device, f'no {word} "{name}" that can be switched or read{did_you_mean(name, known)}')
+
+
+def waves_of(segment: Segment, scale: Scale, now: float, limits: tuple[float, float]) -> tuple[Wave, ...]:
+    """A segment in device units as waves in SI within `limits`; it begins now if its start has passed."""
+    start, origin = max(segment.start, now), _inside(float(scale.to_si(segment.origin)), limits)
+    if segment.kind == "ramp":
+        target = _inside(float(scale.to_si(segment.target)), limits)
+        return ramp(start, origin, target, abs(segment.rate * scale.slope))
+    if segment.kind == "sine":
+        amplitude = segment.amplitude * scale.slope
+        low, high = origin - abs(amplitude), origin + abs(amplitude)
+        slack = 1e-4 * (limits[1] - limits[0])
+        if low < limits[0] - slack or high > limits[1] + slack:
+            raise ValueError(f"a sine from {low:.6g} to {high:.6g} is outside of what can be set")
+        return sine(start, origin, amplitude, segment.frequency, segment.cycles)
+    return constant(start, origin)
+
+
+def _inside(value: float, limits: tuple[float, float]) -> float:
+    return min(max(value, limits[0]), limits[1])

@@ -1,0 +1,141 @@
+"""How far what pulls comes behind what is moved, by the moments at which both turn.
+
+Hysteresis and damping change the force at the moment at which the motion turns, however slowly its branches go over
+into each other. A filter of the force cell, another clock or backlash of the displacement sensor part the two moments;
+on the branches each of them looks like hysteresis or damping.
+
+Knows samples and moments; no test.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmabench.analysis.shared import student
+from pmabench.store.records import Array
+
+FEWEST = 6
+"""Samples that are needed on either side of a turn."""
+TRIED = 41
+"""Delays that are tried either way."""
+REACH = 0.6
+"""Longest delay that is tried, as a share of the time that is looked at on either side of a turn."""
+WIDER = 3.0
+"""The motion may turn so many of these times before or after its command."""
+ORDER = 3
+
+
+SURE = 4.0
+"""A filter is taken for a delay that leaves so many standard deviations more."""
+
+
+@dataclass(frozen=True)
+class Behind:
+    """Time by which the force comes behind the motion [s], its half width, whether it lies within what was tried."""
+
+    time: float
+    half: float
+    within: bool
+
+
+@dataclass(frozen=True)
+class _Best:
+    """What one way to be late leaves [square of what pulls], its variance by sample, and how late it is."""
+
+    left: float
+    variance: float
+    late: Behind
+
+
+def behind(t: Array, moved: Array, pulls: Array, turns: Sequence[float], span: float) -> Behind | None:
+    """The time by which `pulls` is behind `moved`; None where too few samples show a turn.
+
+    `t`, `moved`, `pulls` have shape (n,), `turns` are the commanded ones [s]. Half of `span` [s] before and after each
+    turn is looked at: before it a straight line, after it a polynomial of third order from a jump on, late by a delay
+    or through a filter of first order. What the whole of `span` gives says how much that form matters.
+    """
+    near, wide = (_of_turns(t, moved, pulls, turns, share * span) for share in (0.5, 1.0))
+    if near is None or wide is None:
+        return wide
+    return replace(near, half=float(np.hypot(near.half, abs(near.time - wide.time))))
+
+
+def _of_turns(t: Array, moved: Array, pulls: Array, turns: Sequence[float], span: float) -> Behind | None:
+    windows = [window for turn in turns if (window := _window(t, moved, pulls, turn, span)) is not None]
+    if not windows:
+        return None
+    delayed, filtered = (_best(windows, REACH * span, of) for of in (_delayed, _filtered))
+    return filtered.late if delayed.left - filtered.left > SURE**2 * filtered.variance else delayed.late
+
+
+def _window(t: Array, moved: Array, pulls: Array, turn: float, span: float) -> tuple[Array, Array] | None:
+    """Times from the turn of the motion on [s], and what pulls."""
+    wide = _about(t, turn, WIDER * span)
+    begin = None if wide is None else corner(t[wide] - turn, moved[wide])
+    near = None if begin is None else _about(t, turn + begin, span)
+    if near is None or begin is None:
+        return None
+    return t[near] - turn - begin, pulls[near]
+
+
+def _about(t: Array, moment: float, span: float) -> NDArray[np.intp] | None:
+    rows = np.flatnonzero(np.abs(t - moment) <= span)
+    before = int(np.count_nonzero(t[rows] < moment))
+    return rows if min(before, len(rows) - before) >= FEWEST else None
+
+
+def corner(t: Array, y: Array) -> float | None:
+    """When y(t) goes over from one straight line to another [s], shape (n,) each; None where that is at an end."""
+    tried = np.linspace(0.7 * float(t[0]), 0.7 * float(t[-1]), 2 * TRIED)
+    left = np.array([_left(np.column_stack([np.ones_like(t), t, np.maximum(t - k, 0.0)]), y) for k in tried])
+    place = int(np.argmin(left))
+    return None if place in (0, len(tried) - 1) else float(tried[place] + _vertex(left, place) * (tried[1] - tried[0]))
+
+
+def _vertex(left: Array, place: int) -> float:
+    """Where the parabola through three neighbours is lowest, in steps from the middle one."""
+    low, mid, high = left[place - 1 : place + 2]
+    bend = low - 2 * mid + high
+    return float(0.5 * (low - high) / bend) if bend > 0 else 0.0
+
+
+def _left(design: Array, y: Array) -> float:
+    terms, *_ = np.linalg.lstsq(design, y, rcond=None)
+    return float(np.sum((y - design @ terms) ** 2))
+
+
+def _delayed(t: Array, late: float) -> list[Array]:
+    """1, t, t2, t3 from `late` on, shape (n,) each."""
+    since = np.maximum(t - late, 0.0)
+    return [np.where(t >= late, 1.0, 0.0), *(since**n for n in range(1, ORDER + 1))]
+
+
+def _filtered(t: Array, constant: float) -> list[Array]:
+    """1, t, t2, t3 from 0 on through a filter of first order with this time constant, shape (n,) each."""
+    if constant <= 0:
+        return _delayed(t, constant)
+    since = np.maximum(t, 0.0)
+    found = [1 - np.exp(-since / constant)]
+    for n in range(1, ORDER + 1):
+        found.append(since**n - n * constant * found[-1])
+    return found
+
+
+def _best(windows: Sequence[tuple[Array, Array]], reach: float, of: Callable[[Array, float], list[Array]]) -> _Best:
+    tried = np.linspace(-reach, reach, 2 * TRIED - 1)
+    left = np.array([
+        sum(_left(np.column_stack([np.ones_like(t), t, *of(t, float(late))]), y) for t, y in windows) for late in tried
+    ])  # fmt: skip
+    place = int(np.clip(np.argmin(left), 1, len(tried) - 2))
+    step = float(tried[1] - tried[0])
+    freedom = sum(len(t) for t, _ in windows) - len(windows) * (ORDER + 3) - 1
+    bend = float(left[place - 1] - 2 * left[place] + left[place + 1]) / step**2
+    variance = float(left.min()) / max(freedom, 1)
+    half = float(student.ppf(0.975, max(freedom, 1))) * (2 * variance / bend) ** 0.5 if bend > 0 else reach
+    inside = bool(0 < np.argmin(left) < len(tried) - 1)
+    time = float(tried[place]) + _vertex(left, place) * step
+    return _Best(float(left.min()), variance, Behind(time, min(half, reach), inside))

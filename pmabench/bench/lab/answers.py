@@ -1,0 +1,112 @@
+"""The answers of a lab: what was said, what is derived where nothing was, and the file that keeps them."""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from pmabench.base.errors import InvalidFile, UsageError, did_you_mean
+from pmabench.bench.lab.questions import QUESTIONS, Question
+from pmabench.files.document import Document, read_document
+
+ASKED = "asked"
+"""Key of the day on which the questions were asked."""
+
+
+class Answers:
+    """Answers to `QUESTIONS` by key, as typed; None for "not known yet". Gives parsed values, derived where missing."""
+
+    def __init__(self, given: Mapping[str, str | None], asked: datetime.date) -> None:
+        self.given = dict(given)
+        self.asked = asked
+
+    def said(self, key: str) -> bool:
+        """Whether a person gave this answer."""
+        return self.given.get(key) is not None
+
+    def text(self, key: str) -> str:
+        """The answer as typed, or the derived one; KeyError where there is neither."""
+        found = self.given.get(key)
+        question = QUESTIONS[key]
+        found = question.default(self) if found is None else found
+        if found is None:
+            raise KeyError(key)
+        return found
+
+    def value(self, key: str) -> Any:
+        """The parsed answer, given or derived; ValueError where it cannot be read."""
+        return QUESTIONS[key].read(self.text(key), self)
+
+    def questions(self) -> list[Question]:
+        """Those that belong to the answers so far, in their order."""
+        return [question for question in QUESTIONS.values() if question.asked(self)]
+
+    def missing(self) -> list[str]:
+        """Keys of answers that only a person can give, and nobody has."""
+        found = []
+        for question in self.questions():
+            if not self.said(question.key) and (question.needed or not self._derivable(question)):
+                found.append(question.key)
+        return found
+
+    def _derivable(self, question: Question) -> bool:
+        """Whether an answer can be derived, once the others are there."""
+        try:
+            return question.default(self) is not None
+        except KeyError:
+            return True
+
+    def text_of_file(self) -> str:
+        """The answers as a file that `init --answers` takes."""
+        lines = [
+            "# Answers to the questions of `pmabench init`; `init DIR --answers FILE` writes the same files again."
+        ]
+        lines.append(f"{ASKED}: {self.asked.isoformat()}")
+        for key, value in self.given.items():
+            lines.append(f"{key}: {'null' if value is None else quoted(value)}")
+        return "\n".join(lines) + "\n"
+
+
+def read_answers(path: Path) -> tuple[dict[str, str | None], datetime.date | None]:
+    """Answers in a file, and the day on which they were given; `InvalidFile` with every unknown key."""
+    document = read_document(path)
+    known = [ASKED, *QUESTIONS]
+    problems = [
+        document.problem((key,), f'unknown key "{key}"{did_you_mean(key, known)}', key=True)
+        for key in document.data
+        if key not in known
+    ]
+    day = None
+    try:
+        day = datetime.date.fromisoformat(str(document.data[ASKED])) if ASKED in document.data else None
+    except ValueError:
+        problems.append(document.problem((ASKED,), "a day such as 2026-11-23 is expected"))
+    if problems:
+        raise InvalidFile(problems)
+    given = {key: None if value is None else str(value) for key, value in document.data.items() if key != ASKED}
+    check_answers(Answers(given, day or datetime.date.today()), document)
+    return given, day
+
+
+def check_answers(answers: Answers, document: Document | None = None) -> None:
+    """Raise what cannot be read of the given answers: `InvalidFile` at its place, or `UsageError` without a file."""
+    problems = []
+    for key, typed in answers.given.items():
+        try:
+            if typed is not None:
+                QUESTIONS[key].read(typed, answers)
+        except KeyError:
+            continue  # reported as missing
+        except ValueError as error:
+            if document is None:
+                raise UsageError(f"--answer {key}={typed}: {error}") from error
+            problems.append(document.problem((key,), str(error)))
+    if problems:
+        raise InvalidFile(problems)
+
+
+def quoted(value: str) -> str:
+    """A text as YAML between double quotes."""
+    return '"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"'

@@ -1,0 +1,198 @@
+"""The dry run of `check --simulate`: whose muscle is simulated, what the plan does on it, and that in a few lines."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from textwrap import wrap
+from typing import TYPE_CHECKING, Any
+
+from pmabench.base.quantities import CHANNEL_QUANTITY, in_words, show
+from pmabench.bench.dry_run import dry_run, highest_pressure, options_of
+from pmabench.bench.predicted_muscle import PredictedMuscle, as_expected, of_specimen
+from pmabench.cli.common import fields
+from pmabench.cli.outcome import WIDTH, cut
+from pmabench.engine.operator import ConfirmedBeforehand
+from pmabench.engine.run import run_plan
+from pmabench.engine.trial_peaks import TrialPeaks
+from pmabench.protocol.idle import foreseen
+
+if TYPE_CHECKING:
+    from pmabench.bench.compile import Mounted
+    from pmabench.engine.executor import Progress
+    from pmabench.engine.run import Outcome
+    from pmabench.protocol.plan import Plan
+
+PART = "intervals of a plan"
+"""Part of a kind of test: what a plan will tell."""
+ANALYSES = Path("analyses")
+"""Where `process` puts analyses, in the folder in which it is called."""
+PEAKS = ("pressure", "displacement", "force")
+MOST_FINDINGS = 3
+RATE = 100.0
+"""Highest rate of samples of a muscle with hysteresis [Hz]: its contractions stay within 0.01 mm of those at 500 Hz."""
+
+
+def muscle_of(mounted: Mounted, given: Path | None) -> PredictedMuscle:
+    """The best known muscle: an analysis or plant file that was `given`, else the newest analysis of this specimen.
+
+    Then `expected` of the specimen file, then its type, then its braid.
+    """
+    from pmabench.cli.muscle_of_analysis import newest_of, of_file
+
+    specimen, highest = mounted.specimen_file, highest_pressure(mounted)
+    if given is not None:
+        return of_file(given, specimen, highest)
+    earlier = newest_of(ANALYSES, specimen, highest)
+    if earlier is not None:
+        return earlier
+    if specimen.expected is not None:
+        source = f"as expected in the specimen file: {specimen.expected.source}"
+        return as_expected(specimen.expected, specimen, highest, source)
+    return of_specimen(specimen, highest)
+
+
+def simulate(
+    plan: Plan,
+    mounted: Mounted,
+    muscle: PredictedMuscle | None,
+    progress: Callable[[Progress], None] = lambda _progress: None,
+) -> dict[str, Any]:
+    """Run the plan in virtual time: on the simulated muscle of the bench file (`muscle` None), else on `muscle`.
+
+    Where its force is uncertain, the others that it may have are looked at without simulation.
+    """
+    if muscle is None:
+        outcome, peaks = _tried(_at_most(plan) if _slow(mounted) else plan, mounted, progress)
+        return {"muscle": "", "left_out": (), **_result(outcome), "predicted": _predicted(peaks), "others": []}
+    dry = dry_run(mounted, options_of(muscle, mounted), muscle.source)
+    left_out = dry.left_out
+    if muscle.numbers["law"] == "real" and plan.rate > RATE:
+        left_out = (*left_out, f"samples are taken at {RATE:g} Hz: this kind of simulated muscle needs long")
+        plan = _at_most(plan)
+    outcome, peaks = _tried(plan, dry.mounted, progress)
+    others = [_at_rest(plan, muscle.times(factor / muscle.factors[0]), factor) for factor in muscle.factors[1:]]
+    return {
+        "muscle": muscle.source,
+        "left_out": left_out,
+        **_result(outcome),
+        "predicted": _predicted(peaks),
+        "others": others,
+    }
+
+
+def _at_rest(plan: Plan, muscle: PredictedMuscle, factor: float) -> dict[str, Any]:
+    """Without simulation: what a muscle of another force cannot lift, and how far it contracts at most [m]."""
+    points = [trial.point for trial in plan.trials if {"load", "pressure"} <= set(trial.point)]
+    far = [muscle.contraction(point["pressure"], point["load"]) for point in points]
+    idle = foreseen(plan, muscle.expected) if muscle.expected is not None else None
+    return {
+        "force": factor,
+        "idle": None if idle is None else len(idle.idle),
+        "contraction": max((x for x in far if x is not None), default=None),
+    }
+
+
+def expected_intervals(plan: Plan, mounted: Mounted, muscle: PredictedMuscle | None) -> list[dict[str, Any]]:
+    """The 95 % interval that the plan is expected to give for each coefficient, of a muscle known by coefficients.
+
+    Empty for kinds of test that do not say it, and for muscles that are known by a surface, to which no straight line
+    fits.
+    """
+    from pmabench.analysis.shared.samples import Noise
+    from pmabench.base.kind import load
+    from pmabench.kinds import registry
+
+    kind = registry.all_kinds().get(plan.kind)
+    if muscle is None or muscle.expected is None or muscle.numbers["law"] != "three-element" or kind is None:
+        return []
+    if PART not in kind.parts:
+        return []
+    noise = options_of(muscle, mounted)["plant"]["noise"]
+    expected = muscle.expected.model_dump(mode="json")
+    return [vars(one) for one in load(kind.parts[PART])(plan.to_dict(), expected, Noise(**noise))]
+
+
+def _intervals(found: list[dict[str, Any]]) -> Iterator[str]:
+    """One line: the widest interval of each coefficient, as a share of its value."""
+    widest: dict[str, float] = {}
+    for one in found:
+        if one["value"]:
+            share = one["half"] / abs(one["value"])
+            widest[one["symbol"]] = max(share, widest.get(one["symbol"], 0.0))
+    if widest:
+        yield cut(
+            "   intervals of at most " + ", ".join(f"{symbol} {100 * share:.2g} %" for symbol, share in widest.items())
+        )
+
+
+def _slow(mounted: Mounted) -> bool:
+    """Whether the muscle of a simulated bench is one with hysteresis."""
+    plants = [device.options.get("plant") for device in mounted.bench.devices]
+    return any(plant == "real" or (isinstance(plant, dict) and plant.get("law") == "real") for plant in plants)
+
+
+def _at_most(plan: Plan) -> Plan:
+    return replace(plan, rate=min(plan.rate, RATE))
+
+
+def _tried(
+    plan: Plan, mounted: Mounted, progress: Callable[[Progress], None] = lambda _progress: None
+) -> tuple[Outcome, TrialPeaks]:
+    peaks = TrialPeaks(mounted.bench)
+    return run_plan(plan, mounted, ConfirmedBeforehand(), out=None, progress=progress, trying=peaks), peaks
+
+
+def _result(outcome: Outcome) -> dict[str, Any]:
+    return {
+        **fields(outcome, "status", "exit_code", "why"),
+        "duration": outcome.bench_seconds,
+        "measured": {name: {"lowest": low, "highest": high} for name, (low, high) in outcome.extremes.items()},
+        "trials_failed": [index + 1 for index in outcome.trials_failed],
+    }
+
+
+def _predicted(peaks: TrialPeaks) -> list[dict[str, Any]]:
+    return [
+        {"trial": peak.trial + 1, "point": peak.point, "highest": peak.highest, "duration": peak.duration}
+        for peak in peaks.trials
+    ]
+
+
+def report(
+    plan: Plan, mounted: Mounted, simulated: dict[str, Any], findings: list[str], then: list[str]
+) -> Iterator[str]:
+    """At most 25 lines of 80 columns: how it ended, on which muscle, what to look at, peaks against limits, next."""
+    yield cut(f"SIMULATED  {plan.name}, {plan.kind}: {len(plan.trials)} trials")
+    ending = f"{simulated['status']}, {in_words(simulated['duration'])}"
+    yield from wrap(f"{ending}{': ' + simulated['why'] if simulated['why'] else ''}", WIDTH, max_lines=3)
+    muscle = simulated["muscle"] or "that of the bench file"
+    yield from wrap(f"muscle: {muscle}", WIDTH, subsequent_indent="   ", max_lines=3)
+    for other in simulated["others"]:
+        lifts = f"{other['idle']} trials cannot lift" if other["idle"] is not None else ""
+        far = f"contracts up to {show(other['contraction'], 'length', 3)}" if other["contraction"] is not None else ""
+        yield f"   with {other['force']:.2g} times the force: " + ", ".join(part for part in (lifts, far) if part)
+    yield from _peaks(mounted, simulated)
+    yield from _intervals(simulated["intervals"])
+    for finding in findings[:MOST_FINDINGS]:
+        yield from wrap(finding, WIDTH, initial_indent="!  ", subsequent_indent="   ", max_lines=2, placeholder=" …")
+    if len(findings) > MOST_FINDINGS:
+        yield f"   {len(findings) - MOST_FINDINGS} more findings: -v"
+    yield from then
+
+
+def _peaks(mounted: Mounted, simulated: dict[str, Any]) -> Iterator[str]:
+    trips: dict[str, float] = {}
+    for trip in mounted.bench.trips:
+        if trip.high is not None and trip.kind == "range":
+            trips[trip.channel] = min(trip.high, trips.get(trip.channel, trip.high))
+    shown = []
+    for name in PEAKS:
+        if name in simulated["measured"]:
+            quantity = CHANNEL_QUANTITY[name]
+            top = show(simulated["measured"][name]["highest"], quantity, 3)
+            limit = f" of {show(trips[name], quantity, 4)}" if name in trips else ""
+            shown.append(f"{top}{limit}")
+    if shown:
+        yield f"   highest {', '.join(shown)}"

@@ -1,0 +1,202 @@
+"""`pmabench model simulate joint` and `platform`: plants of several muscles in time, from commands of each."""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from pmabench.base.errors import UsageError
+from pmabench.base.quantities import show
+from pmabench.cli.common import Ui
+from pmabench.cli.model_inputs import column_of, print_csv, print_table
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from pmabench.model.many.platform import Opening
+    from pmabench.model.regulator import Wave
+
+PLANTS = ("joint", "platform")
+LONGEST, MOST_ROWS = 100.0, 20_000
+"""Longest time that is simulated [s], and most rows."""
+HIGHEST = 7e5
+"""Most gauge pressure that is commanded [Pa]."""
+MOST_TURN = math.radians(45.8)
+"""To either side a muscle of the joint reaches the end of the contractions for which it is described [rad]."""
+MOST_TILT = math.radians(20)
+SAMPLE = 0.002
+"""Period of the platform's loop [s]."""
+OF_MUSCLE = re.compile(r"\s*([12])\s*:\s*(.+)")
+OPEN = re.compile(r"\s*(fill|exhaust)\s+([123])\s*,\s*(.+?)\s+to\s+(.+?)\s*")
+TURNED = re.compile(r"(?P<mean>[^,]+?)\s*\+-\s*(?P<amplitude>[^,]+),(?P<frequency>[^,]+)")
+
+
+def simulate_several(
+    ui: Ui, plant: str, steps: Sequence[str], openings: Sequence[str], drive: str | None, chain: str,
+    every: str | None, duration: str, *, as_csv: bool,
+) -> None:  # fmt: skip
+    """Simulate a joint or a platform of the library from rest, and print it."""
+    from pmabench.files.quantity import parse_quantity
+
+    said = ""
+    try:
+        seconds = _within(duration, "time", 1e-3, LONGEST)
+        spacing = seconds / 25 if every is None else parse_quantity(every, "time")
+        if not spacing > 0 or seconds / spacing > MOST_ROWS:
+            raise ValueError(f'--every "{every}": from 1 to {MOST_ROWS} rows are made')
+        times = [number * spacing for number in range(int(seconds / spacing * (1 + 1e-9)) + 1)]
+        if plant == "joint":
+            columns = _joint(_courses(steps, _refused(openings, "--open", "platform")), drive, times)
+        else:
+            if drive is not None:
+                raise ValueError("--drive is for the joint; the platform is free")
+            columns, said = _platform(steps, openings, chain, times)
+    except ValueError as error:
+        raise UsageError(str(error)) from error
+    if as_csv and ui.json:
+        raise UsageError("--csv or --json, not both")
+    data = {"schema": "pmabench.model-simulation/1", "simulated": True, "plant": plant, "columns": columns}
+
+    def human() -> None:
+        if as_csv:
+            print_csv(columns)
+            return
+        if not ui.quiet:
+            click.echo(f"SIMULATED: plant {plant}; true values, no sensors\n")
+        print_table(ui, columns, keys=1)
+        if said and not ui.quiet:
+            click.echo(f"\n{said}")
+
+    ui.result(data, human)
+
+
+def _refused(given: Sequence[str], option: str, plant: str) -> Sequence[str]:
+    if given:
+        raise ValueError(f"{option} is for the {plant}")
+    return given
+
+
+def _within(text: str, quantity: str, least: float, most: float) -> float:
+    from pmabench.files.quantity import parse_quantity
+
+    value = parse_quantity(text.strip(), quantity)
+    if not least <= value <= most * (1 + 1e-9):
+        raise ValueError(f'"{text.strip()}" is outside {show(least, quantity)} to {show(most, quantity)}')
+    return value
+
+
+def _courses(steps: Sequence[str], _none: Sequence[str]) -> tuple[tuple[Wave, ...], tuple[Wave, ...]]:
+    """Commanded pressures of both muscles, from 0 on."""
+    from pmabench.model.regulator import constant, to_nanosecond
+
+    courses: tuple[list[Wave], list[Wave]] = list(constant(0.0, 0.0)), list(constant(0.0, 0.0))
+    for text in steps:
+        match = OF_MUSCLE.fullmatch(text)
+        level, _, at = (match[2] if match else "").partition(" at ")
+        if match is None or not at:
+            raise ValueError(f'"{text}" is no step of a muscle; write --step "1: 300 kPa at 0.5 s"')
+        course = courses[int(match[1]) - 1]
+        begin = to_nanosecond(_within(at, "time", 0.0, LONGEST))
+        if begin < course[-1].start:
+            raise ValueError(f'"{text}" begins before the one before it; give the steps in order of time')
+        if begin == course[-1].start:
+            course.pop()
+        course += constant(begin, _within(level, "pressure", 0.0, HIGHEST))
+    return tuple(courses[0]), tuple(courses[1])
+
+
+def _joint(courses: tuple[tuple[Wave, ...], tuple[Wave, ...]], drive: str | None, times: list[float]) -> list[Any]:
+    from pmabench.model.many.joint import Joint, JointPlant
+    from pmabench.model.regulator import sine
+
+    plant = JointPlant(Joint())
+    for muscle, course in enumerate(courses):
+        plant.command(muscle, course)
+    if drive is not None:
+        match = TURNED.fullmatch(drive.strip())
+        if match is None:
+            raise ValueError(f'"{drive}" is no drive of a joint; write --drive "0 deg +- 30 deg, 0.05 Hz"')
+        mean = _within(match["mean"], "angle", -MOST_TURN, MOST_TURN)
+        amplitude = _within(match["amplitude"], "angle", 0.0, MOST_TURN - abs(mean))
+        frequency = _within(match["frequency"], "frequency", 1e-6, 10.0)
+        plant.angle = mean
+        plant.drive(sine(0.0, mean, amplitude, frequency, math.ceil(times[-1] * frequency) + 1))
+    found = plant.advance(times[-1], times)
+    quantities = ("angle", "angular speed", "torque", "pressure", "pressure")
+    return [
+        column_of("time", "time", times),
+        *(column_of(name, quantity, getattr(found, name).tolist())
+          for name, quantity in zip(found._fields, quantities, strict=True)),
+    ]  # fmt: skip
+
+
+def _opening(text: str) -> Opening:
+    from pmabench.model.many.platform import Opening
+
+    match = OPEN.fullmatch(text)
+    if match is None:
+        raise ValueError(f'"{text}" is no opening of a valve; write --open "fill 1, 100 ms to 130 ms"')
+    begin, end = (_within(part, "time", 0.0, LONGEST) for part in match.groups()[2:])
+    if end <= begin:
+        raise ValueError(f'"{text}" shuts before it opens')
+    return Opening(match[1], int(match[2]) - 1, begin, end)
+
+
+def _attitude(text: str) -> list[float]:
+    """Time [s], phi and psi [rad] of a step of attitude."""
+    angles, _, at = text.partition(" at ")
+    phi, comma, psi = angles.partition(",")
+    if not comma or not at:
+        raise ValueError(f'"{text}" is no step of a platform; write --step "10 deg, 0 deg at 1 s"')
+    return [_within(at, "time", 0.0, LONGEST), *(_within(part, "angle", -MOST_TILT, MOST_TILT) for part in (phi, psi))]
+
+
+def _controlled(goals: list[list[float]], chain: str, times: list[float]) -> tuple[list[Any], str]:
+    """The platform under its law at 500 Hz, level at first; and what its largest goal was like, in a sentence."""
+    from pmabench.engine.laws.platform_loop import PlatformLoop
+    from pmabench.model.many.moving_platform import PlatformPlant
+
+    plant, states, wanted = PlatformPlant(), [], sorted(goals)
+    loop = PlatformLoop(goals=[[0.0, 0.0, 0.0], *wanted], duration=times[-1] + 1.0, chain=chain)
+    farthest, far = 0.0, 0
+    samples = math.ceil(times[-1] / SAMPLE)
+    for number in range(samples + 1):
+        t = number * SAMPLE
+        while far < len(times) and times[far] <= t + 1e-9:
+            plant.advance(max(plant.time, times[far]))
+            states.append(plant.state)
+            far += 1
+        plant.advance(max(plant.time, t))
+        farthest = max(farthest, math.acos(math.cos(plant.state[0]) * math.cos(plant.state[1])))
+        for pulse in loop.update(plant.time, plant.measure()).pulses:
+            kind, _, muscle = pulse.valve.partition("_")
+            plant.pulse(kind, int(muscle) - 1, pulse.seconds)
+    most = max(plant.openings.values()) / max(times[-1], SAMPLE)
+    steepest = max(math.acos(math.cos(phi) * math.cos(psi)) for _, phi, psi in wanted)
+    said = f"steepest goal {show(steepest, 'angle', 3)}, steepest tilt {show(farthest, 'angle', 3)}"
+    return _columns(times, states), f"{said}; a valve opened {most:.1f} times a second at most"
+
+
+def _platform(steps: Sequence[str], openings: Sequence[str], chain: str, times: list[float]) -> tuple[list[Any], str]:
+    """A platform under its law, or with valves opened by hand: its columns, and a sentence about its law."""
+    from pmabench.model.many.platform import Platform
+
+    if steps and openings:
+        raise ValueError("a platform is controlled, with --step, or its valves are opened, with --open; not both")
+    if steps:
+        return _controlled([_attitude(text) for text in steps], chain, times)
+    if chain != "reference":
+        raise ValueError("--chain is for a platform with --step")
+    return _columns(times, Platform().simulate([_opening(text) for text in openings], times)), ""
+
+
+def _columns(times: list[float], states: Sequence[Sequence[float]]) -> list[Any]:
+    """Attitude and pressures of a platform."""
+    heads = (("phi", "angle", 0), ("psi", "angle", 1), *((f"pressure_{i + 1}", "pressure", 4 + i) for i in range(3)))
+    return [
+        column_of("time", "time", times),
+        *(column_of(name, quantity, [state[place] for state in states]) for name, quantity, place in heads),
+    ]

@@ -1,0 +1,163 @@
+"""`run --until`: a run whose trials are chosen until a goal is reached; in real time by a separate process.
+
+What is chosen depends on the record alone, so that a run that goes on after another chooses the same.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import time
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pmabench.base.errors import PmaError, UsageError
+from pmabench.base.kind import load
+from pmabench.cli.common import Ui, read_quantity
+from pmabench.cli.goals import goals_of
+from pmabench.engine.choosing import CHANGED, Chosen, NoMore
+from pmabench.protocol.plan import TrialRecord
+
+if TYPE_CHECKING:
+    from pmabench.cli.prepare import Prepared
+    from pmabench.store.records import RunData
+
+PART = "next trial"
+"""Of `Kind.parts`: what chooses the trials of a kind of test."""
+PATIENCE = 5.0
+"""Longest time until the samples of a trial that ended are in the record [s]."""
+NICE = 5
+"""A process that chooses leaves the processor to the bench."""
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What a chooser is made of; plain data, for another process."""
+
+    part: str
+    plan: Mapping[str, Any]
+    expected: Mapping[str, Any] | None
+    goals: tuple[Any, ...]
+    seconds: float | None
+
+
+def asked_of(prepared: Prepared, goal: str, length: str) -> Asked:
+    """The chooser of a prepared plan; UsageError where its kind of test has none, or a goal is none."""
+    from pmabench.kinds import registry
+
+    kind = registry.kind_of(prepared.plan.kind)
+    if PART not in kind.parts:
+        able = ", ".join(registry.with_part(PART))
+        raise UsageError(f"--until chooses trials of kind {able}; this protocol is of kind {kind.name}")
+    expected = prepared.mounted.specimen_file.expected
+    if expected is None:
+        raise UsageError(
+            "--until needs to know what is expected of the specimen, to choose the first trials: write `expected` into"
+            " its file, from an earlier analysis or the data sheet"
+        )
+    seconds = read_quantity("--time", length, "time") if length else None
+    made = Asked(
+        kind.parts[PART], prepared.plan.to_dict(), expected.model_dump(mode="json"), goals_of(goal, kind), seconds
+    )
+    if refusal := _chooser(made).refusal:
+        raise UsageError(f"--until: {refusal}")
+    return made
+
+
+def _chooser(asked: Asked) -> Any:
+    return load(asked.part)(asked.plan, asked.expected, asked.goals, asked.seconds)
+
+
+class Until:
+    """Chooses trials by what a run folder holds."""
+
+    def __init__(self, ui: Ui, asked: Asked, pool: ProcessPoolExecutor | None) -> None:
+        self.ui, self.asked, self.pool = ui, asked, pool
+        self.shown = pool is not None and not ui.quiet and not ui.json
+        """Whether a display shows each choice."""
+        self.folder: Path | None = None
+        """Of the run; known when it begins."""
+
+    def choose(self, wait: Callable[[], None]) -> Chosen | NoMore:
+        """See `pmabench.engine.choosing.Chooser`."""
+        if self.folder is None:
+            raise UsageError("a run that is not recorded cannot choose its trials")
+        answer = self._answer(self.folder, wait)
+        if self.shown:
+            return answer
+        if isinstance(answer, NoMore):
+            self.ui.note(f"no further trial: {answer.why}")
+        else:
+            self.ui.note(f"next: {answer.why}")
+        return answer
+
+    def _answer(self, folder: Path, wait: Callable[[], None]) -> Chosen | NoMore:
+        if self.pool is None:
+            return decide(self.asked, folder)
+        future = self.pool.submit(decide, self.asked, folder)
+        while not future.done():
+            wait()
+        try:
+            return future.result()
+        except BrokenProcessPool as error:
+            raise PmaError("the process that chooses the trials ended; pmabench continue goes on") from error
+
+
+@contextmanager
+def choosing(ui: Ui, asked: Asked, *, realtime: bool) -> Iterator[Until]:
+    """A chooser for one run: in real time a process, which a busy moment of cannot stop the bench."""
+    if not realtime:
+        yield Until(ui, asked, None)
+        return
+    context = multiprocessing.get_context("spawn")
+    pool = ProcessPoolExecutor(1, context, _begin)
+    try:
+        yield Until(ui, asked, pool)
+    finally:
+        pool.shutdown(wait=False, cancel_futures=True)
+
+
+def _begin() -> None:
+    """Of the process that chooses: Ctrl-C is for the run."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    os.nice(NICE)
+
+
+_choosers: dict[Path, Any] = {}
+"""The chooser of this process, which keeps its fits."""
+
+
+def decide(asked: Asked, folder: Path) -> Chosen | NoMore:
+    """The decision after what the run in `folder`, and those that it continues, hold."""
+    chooser = _choosers.get(folder)
+    if chooser is None:
+        _choosers.clear()
+        chooser = _chooser(asked)
+        _choosers[folder] = chooser
+    answer = chooser.decide(_recorded(folder))
+    if not hasattr(answer, "trial"):
+        return NoMore(answer.reached, answer.why)
+    trial = TrialRecord(answer.trial, answer.point, answer.repeat, answer.reference)
+    return Chosen(trial, answer.like, answer.why, {"role": answer.role, "predicted": dict(answer.predicted)})
+
+
+def _recorded(folder: Path) -> tuple[RunData, ...]:
+    """The runs of the chain, once the samples of the last chosen trial are in it."""
+    from pmabench.store.chain import open_chain
+
+    until = time.monotonic() + PATIENCE
+    while True:
+        runs = open_chain(folder)
+        chosen = [int(event.data["trial"]) for event in runs[-1].events if event.kind == CHANGED]
+        whole = {trial.index for trial in runs[-1].trials if trial.status != "interrupted"}
+        if not chosen or chosen[-1] in whole:
+            return runs
+        if time.monotonic() > until:
+            raise PmaError(f"the samples of trial {chosen[-1] + 1} did not reach {folder}")
+        time.sleep(0.05)

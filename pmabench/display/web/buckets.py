@@ -1,0 +1,143 @@
+"""Least and greatest value of each channel in short pieces of time, at several widths; knows no run.
+
+A bucket holds the least and the greatest of its samples, never a mean and never every n-th: a spike of 4 ms is seen at
+any zoom. Samples that a fit would leave out count as missing, not as zero. Buckets without samples are not kept.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmabench.store.records import UNUSABLE, Array, Flags
+
+WIDTHS = (0.02, 0.1, 0.4, 1.6, 6.4, 25.6)
+"""Widths [s]. Each is a whole multiple of the one before."""
+FINE = 180.0
+"""The narrowest buckets are kept for so long [s]: they are for curves that grow."""
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """Buckets of one stream: `k` of shape (n,) is begin over width; `low` and `high` [SI] have shape (n, channels)."""
+
+    names: tuple[str, ...]
+    k: NDArray[np.int64]
+    low: NDArray[np.float32]
+    high: NDArray[np.float32]
+
+
+class _Level:
+    """The buckets of one width, in the order of time."""
+
+    def __init__(self, channels: int) -> None:
+        self.count = 0
+        self._k = np.empty(256, np.int64)
+        self._ends = np.empty((2, 256, channels), np.float32)
+
+    def add(self, k: NDArray[np.int64], low: Array, high: Array) -> None:
+        """Append buckets; the first is merged with the last that is there, where both are the same."""
+        last = self.count - 1
+        if last >= 0 and k[0] <= self._k[last]:
+            self._ends[0, last] = np.fmin(self._ends[0, last], low[0])
+            self._ends[1, last] = np.fmax(self._ends[1, last], high[0])
+            k, low, high = k[1:], low[1:], high[1:]
+        needed = self.count + len(k)
+        if needed > len(self._k):
+            more = max(needed, 2 * len(self._k))
+            self._k = np.concatenate([self._k, np.empty(more - len(self._k), np.int64)])
+            ends = np.empty((2, more, self._ends.shape[2]), np.float32)
+            ends[:, : self.count] = self._ends[:, : self.count]
+            self._ends = ends
+        self._k[self.count : needed] = k
+        self._ends[0, self.count : needed], self._ends[1, self.count : needed] = low, high
+        self.count = needed
+
+    def forget(self, before: int) -> None:
+        """Drop buckets before number `before`, once they are more than half of all."""
+        first = int(np.searchsorted(self._k[: self.count], before))
+        if 2 * first > self.count > 1024:
+            left = self.count - first
+            self._k[:left] = self._k[first : self.count].copy()
+            self._ends[:, :left] = self._ends[:, first : self.count].copy()
+            self.count = left
+
+    def between(self, first: int, last: int) -> tuple[NDArray[np.int64], NDArray[np.float32], NDArray[np.float32]]:
+        """Copies of the buckets from number `first` to number `last`."""
+        k = self._k[: self.count]
+        cut = slice(int(np.searchsorted(k, first)), int(np.searchsorted(k, last, side="right")))
+        return k[cut].copy(), self._ends[0, cut].copy(), self._ends[1, cut].copy()
+
+    @property
+    def ends(self) -> tuple[int, int]:
+        """Numbers of the first and the last bucket."""
+        return int(self._k[0]), int(self._k[self.count - 1])
+
+
+class Buckets:
+    """The buckets of all streams of a run. One thread adds, others ask."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._levels: dict[str, tuple[tuple[str, ...], tuple[_Level, ...]]] = {}
+
+    def add(self, stream: str, t: Array, values: Mapping[str, Array], flags: Flags) -> None:
+        """Samples of a stream in order: `t` [s], `flags` and each of `values` [SI] of shape (n,)."""
+        names = tuple(values)
+        y = np.column_stack([np.asarray(values[name], float) for name in names]) if names else np.empty((len(t), 0))
+        y[(flags & np.uint16(UNUSABLE)) != 0] = np.nan
+        known = np.isfinite(t)
+        t, y = t[known], y[known]
+        if not len(t) or not names:
+            return
+        numbers = np.floor(np.maximum.accumulate(t) / WIDTHS[0] + 1e-6).astype(np.int64)
+        low, high = y, y
+        with self._lock:
+            levels = self._levels.setdefault(stream, (names, tuple(_Level(len(names)) for _ in WIDTHS)))[1]
+            for n, level in enumerate(levels):
+                if n:
+                    numbers //= round(WIDTHS[n] / WIDTHS[n - 1])
+                starts = np.flatnonzero(np.diff(numbers, prepend=numbers[0] - 1))
+                numbers = numbers[starts]
+                low, high = np.fmin.reduceat(low, starts), np.fmax.reduceat(high, starts)
+                level.add(numbers, low, high)
+            levels[0].forget(levels[0].ends[1] - round(FINE / WIDTHS[0]))
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """Time of the first and the last sample [s], to the width of a bucket; (0, 0) where there is none."""
+        with self._lock:
+            ends = [levels[1].ends for _, levels in self._levels.values() if levels[1].count]
+        if not ends:
+            return 0.0, 0.0
+        return min(end[0] for end in ends) * WIDTHS[1], (max(end[1] for end in ends) + 1) * WIDTHS[1]
+
+    def between(self, begin: float, end: float, level: int) -> dict[str, Piece]:
+        """Buckets of a level that have a part of a time [s], by stream."""
+        width = WIDTHS[level]
+        with self._lock:
+            return {
+                stream: Piece(names, *levels[level].between(int(begin // width), int(end // width)))
+                for stream, (names, levels) in self._levels.items()
+            }
+
+    def newest(self, since: Mapping[str, int]) -> dict[str, Piece]:
+        """The narrowest buckets of each stream from number `since` on, which may have been incomplete; else the last.
+
+        Streams without anything new are left out.
+        """
+        with self._lock:
+            found = {}
+            for stream, (names, levels) in self._levels.items():
+                last = levels[0].ends[1]
+                found[stream] = Piece(names, *levels[0].between(since.get(stream, last), last))
+        return found
+
+
+def level_for(span: float, most: int) -> int:
+    """The narrowest level that has at most so many buckets in a time [s]; the widest where none has."""
+    return next((n for n, width in enumerate(WIDTHS) if span / width <= most), len(WIDTHS) - 1)

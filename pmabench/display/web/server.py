@@ -1,0 +1,331 @@
+"""Requests of browsers: who may ask, the page, streams of what is new, history, and the vent button.
+
+Every answer but the page needs the token. The page itself holds no data, and the token comes in the fragment of its
+address, which browsers do not send. A request by another name of this computer (one that was made to lead here), or
+from a page of somewhere else, is refused.
+"""
+
+from __future__ import annotations
+
+import gzip
+import hmac
+import ipaddress
+import json
+import socket
+import threading
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from typing import Any
+from urllib.parse import parse_qs, urlsplit
+
+from pmabench.display.web.feed import Feed, Seen
+from pmabench.display.web.page import page
+from pmabench.display.web.room import Room
+from pmabench.display.web.vent import COMMAND, vent
+
+LONGEST_WAIT = 20.0
+"""A connection that does not take or send anything for so long is closed [s]."""
+MOST_CONNECTIONS = 48
+MOST_STREAMS = 4
+"""Streams of one computer that stay open. A browser opens six connections to one address and lets all others wait, so
+further pages get what is new and ask again after `AGAIN` [ms]."""
+AGAIN = 1000
+TICK = 1.0
+"""A viewer hears something so often [s], so that it knows that the link is there."""
+HEADERS = {
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+    "Cache-Control": "no-store",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Connection": "close",
+}
+
+
+class Refused(Exception):
+    """A request that is not answered, with its HTTP status."""
+
+    def __init__(self, status: int, why: str) -> None:
+        self.status, self.why = status, why
+        super().__init__(why)
+
+
+class Server(ThreadingHTTPServer):
+    """The view of one folder of runs at one address."""
+
+    daemon_threads = True
+    block_on_close = False
+
+    def __init__(
+        self, room: Room, token: str, address: str = "127.0.0.1", port: int = 0, *, vent: bool = False
+    ) -> None:
+        """Listens at once, answers from `start` on. Port 0 takes a free one. Raises OSError where it is in use."""
+        self.address_family = socket.AF_INET6 if ":" in address else socket.AF_INET
+        super().__init__((address, port), _Handler)
+        self.room = room
+        self.token = token
+        self.local = ipaddress.ip_address(address).is_loopback
+        self.may_vent = vent and self.local
+        self.vent_command = COMMAND
+        number = self.server_address[1]
+        written = f"[{address}]" if ":" in address else address
+        self.hosts = {f"{written}:{number}"} | ({f"localhost:{number}"} if self.local else set())
+        self.url = f"http://{written}:{number}"
+        self.streams: Counter[str] = Counter()
+        self._places = threading.BoundedSemaphore(MOST_CONNECTIONS)
+        self._lock = threading.Lock()
+
+    def start(self) -> None:
+        """Answer from now on, in other threads."""
+        self.room.start()
+        threading.Thread(target=self.serve_forever, args=(0.2,), daemon=True).start()
+
+    def stop(self) -> None:
+        """End all streams and close."""
+        self.room.stop()
+        self.shutdown()
+        self.server_close()
+
+    def link(self, path: str = "/") -> str:
+        """The address with its token."""
+        return f"{self.url}{path}#t={self.token}"
+
+    def process_request(self, request: Any, client_address: Any) -> None:
+        """Answer in a thread, unless too many are at work."""
+        if not self._places.acquire(blocking=False):
+            self.shutdown_request(request)
+            return
+        super().process_request(request, client_address)
+
+    def process_request_thread(self, request: Any, client_address: Any) -> None:
+        """As it is inherited; then the place is free for another."""
+        try:
+            super().process_request_thread(request, client_address)
+        finally:
+            self._places.release()
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """A browser that leaves is no error."""
+
+    @contextmanager
+    def stream(self, computer: str) -> Iterator[bool]:
+        """While a stream is written; whether it may stay open."""
+        with self._lock:
+            self.streams[computer] += 1
+            stays = self.streams[computer] <= MOST_STREAMS
+        try:
+            yield stays
+        finally:
+            with self._lock:
+                self.streams[computer] -= 1
+
+
+class _Handler(BaseHTTPRequestHandler):
+    """One request."""
+
+    protocol_version = "HTTP/1.1"
+    server_version = "pmabench"
+    sys_version = ""
+    timeout = LONGEST_WAIT
+    server: Server
+
+    def log_message(self, format: str, *args: Any) -> None:
+        """Nothing: an address may hold what nobody should read in a log."""
+
+    def do_GET(self) -> None:
+        """The page, a stream, or history."""
+        self._answer({"/api/stream": self._stream, "/api/history": self._history})
+
+    def do_POST(self) -> None:
+        """The vent button."""
+        self._answer({"/api/vent": self._vent})
+
+    def _answer(self, known: dict[str, Any]) -> None:
+        with suppress(ConnectionError, TimeoutError):
+            try:
+                parts = urlsplit(self.path)
+                self._of_here()
+                if parts.path in known:
+                    self._allowed()
+                    query = {name: values[-1] for name, values in parse_qs(parts.query).items()}
+                    known[parts.path](query)
+                elif self.command == "GET" and _is_page(parts.path):
+                    body, policy = page()
+                    self._send(200, body, "text/html; charset=utf-8", {"Content-Security-Policy": policy})
+                else:
+                    raise Refused(404, "there is nothing at this address")
+            except Refused as refused:
+                self._send(refused.status, f"{refused.why}\n".encode(), "text/plain; charset=utf-8")
+            except ValueError:
+                self._send(400, b"this request cannot be read\n", "text/plain; charset=utf-8")
+
+    def _of_here(self) -> None:
+        """Refuse other names of this computer, and pages of somewhere else."""
+        host = self.headers.get_all("Host") or []
+        if len(host) != 1 or host[0].lower() not in self.server.hosts:
+            raise Refused(421, "this server has another name; use the address that pmabench printed")
+        origin = self.headers.get("Origin")
+        if origin is not None and origin.lower() != f"http://{host[0].lower()}":
+            raise Refused(403, "another page asks for this")
+
+    def _allowed(self) -> None:
+        """Refuse who has not the token, and requests that a page of somewhere else has caused."""
+        if self.headers.get("Sec-Fetch-Site", "same-origin") != "same-origin":
+            raise Refused(403, "another page asks for this")
+        given = self.headers.get("Authorization", "")
+        if not hmac.compare_digest(given.encode("utf-8", "replace"), f"Bearer {self.server.token}".encode()):
+            raise Refused(401, "the token is missing or not the one of this server; open the printed address again")
+
+    def _send(self, status: int, body: bytes, kind: str, more: dict[str, str] | None = None) -> None:
+        packed = len(body) > 1000 and "gzip" in self.headers.get("Accept-Encoding", "")
+        if packed:
+            body = gzip.compress(body, 4)
+        self.send_response(status)
+        headers = HEADERS | {"Content-Type": kind, "Content-Length": str(len(body))} | (more or {})
+        for name, value in (headers | ({"Content-Encoding": "gzip"} if packed else {})).items():
+            self.send_header(name, value)
+        self.end_headers()
+        self.wfile.write(body)
+
+    # -- data ---------------------------------------------------------------------------------------------------------
+
+    def _feed(self, address: str) -> Feed | None:
+        place = self.server.room.places
+        folder = self.server.room.newest() if address in {"", "/"} else place.run_at(address)
+        return None if folder is None else self.server.room.feed_of(folder)
+
+    def _history(self, query: dict[str, str]) -> None:
+        """Buckets of a time; of a run that is looked at."""
+        feed = self._feed(query.get("at", "/"))
+        if feed is None:
+            raise Refused(404, "there is no such run")
+        begin, end, span = (_seconds(query.get(name)) for name in ("begin", "end", "span"))
+        data = feed.history(begin, end, span, max(10, int(query.get("most", "1500"))))
+        self._send(200, json.dumps(data, separators=(",", ":")).encode(), "application/json")
+
+    def _stream(self, query: dict[str, str]) -> None:
+        """What is new, as server-sent events, until the viewer leaves."""
+        self.send_response(200)
+        for name, value in (HEADERS | {"Content-Type": "text/event-stream; charset=utf-8"}).items():
+            self.send_header(name, value)
+        self.end_headers()
+        self.close_connection = True
+        with self.server.stream(str(self.client_address[0])) as stays:
+            _Viewer(self, query.get("at", "/"), stays=stays).show()
+
+    def feed_at(self, address: str) -> Feed | None:
+        """The feed that an address means now."""
+        return self._feed(address)
+
+    # -- vent ---------------------------------------------------------------------------------------------------------
+
+    def _vent(self, _query: dict[str, str]) -> None:
+        """Start `pmabench vent` for the bench of the newest run, where that is allowed, and answer with its result."""
+        length = int(self.headers.get("Content-Length") or 0)
+        if not 0 < length <= 1000:
+            raise Refused(400, "a vent names its run")
+        wanted = json.loads(self.rfile.read(length))
+        feed = self._feed("/")
+        if not self.server.may_vent or feed is None or not feed.may_vent:
+            raise Refused(403, "venting from a browser needs `web_vent: true` in the bench file, and --vent")
+        if not isinstance(wanted, dict) or wanted.get("run") != feed.id:
+            raise Refused(409, "another run has begun; look at it first")
+        if self.headers.get("Sec-Fetch-Site") != "same-origin" or self.headers.get("Origin") is None:
+            raise Refused(403, "another page asks for this")
+        result = vent(str(feed.state.files.bench.get("name", "")), self.server.vent_command)
+        self._send(200, json.dumps(result).encode(), "application/json")
+
+
+def _seconds(text: str | None) -> float | None:
+    """A time [s]; ValueError where it is no number."""
+    value = None if text is None else float(text)
+    if value is not None and not abs(value) < 1e9:
+        raise ValueError(text)
+    return value
+
+
+def _is_page(path: str) -> bool:
+    what, _, rest = path.lstrip("/").partition("/")
+    return (not what and not rest) or (what in {"run", "campaign", "session"} and bool(rest) and "/" not in rest)
+
+
+class _Viewer:
+    """One stream: follows an address, which may come to mean another run."""
+
+    def __init__(self, handler: _Handler, address: str, *, stays: bool) -> None:
+        self._handler = handler
+        self._address = address
+        self._stays = stays
+        self._room = handler.server.room
+        self._feed: Feed | None = None
+        self._seen = Seen()
+        self._list = ""
+
+    def show(self) -> None:
+        """Write until the viewer leaves or the room is closed."""
+        try:
+            if not self._stays:
+                self._write(f"retry: {AGAIN}\n\n")
+            ticks = 0
+            while not self._room.over:
+                self._choose(look=ticks % 10 == 0)
+                self._write(self._news(tick=ticks % 10 == 0))
+                if not self._stays and self._feed is not None and self._feed.state.files.there:
+                    return
+                with self._room.changed:
+                    self._room.changed.wait(TICK)
+                ticks += 1
+        finally:
+            if self._feed is not None:
+                self._room.leave(self._feed)
+
+    def _choose(self, *, look: bool) -> None:
+        """Change to another run where the address means another one now; looked up once a second."""
+        if not look and self._feed is not None:
+            return
+        feed = self._handler.feed_at(self._address)
+        if feed is not self._feed and feed is not None:
+            if self._feed is not None:
+                self._room.leave(self._feed)
+            self._room.enter(feed)
+            self._feed, self._seen = feed, Seen()
+
+    def _news(self, *, tick: bool) -> str:
+        if self._feed is None:
+            root = self._room.places.root
+            waiting = json.dumps({"there": False, "problem": f"no such run in {root}, or none yet", "id": ""})
+            return f"event: run\ndata: {waiting}\n\n" if tick else ""
+        messages = self._feed.fresh(self._seen)
+        if tick:
+            listed = self._room.list_of(self._address, self._feed.folder)
+            if listed != self._list:
+                self._list = listed
+                messages.append(("list", listed))
+        text = "".join(f"event: {name}\ndata: {data}\n\n" for name, data in messages)
+        return text or (": \n\n" if tick else "")
+
+    def _write(self, text: str) -> None:
+        if text:
+            self._handler.wfile.write(text.encode())
+
+
+def start(
+    root: Path, token: str, address: str = "127.0.0.1", ports: tuple[int, ...] = (0,), *, vent: bool = False
+) -> Server:
+    """A server of the runs below `root`, at the first of `ports` that is free; it answers already.
+
+    Raises OSError where none is free, or the address is not one of this computer.
+    """
+    failed: OSError | None = None
+    for port in ports:
+        try:
+            server = Server(Room(root, vent=vent), token, address, port, vent=vent)
+        except OSError as error:
+            failed = error
+            continue
+        server.start()
+        return server
+    raise failed or OSError("no port was given")

@@ -1,0 +1,180 @@
+"""The law `platform`: three muscles with two valves each turn a platform to attitudes and hold it there.
+
+Paper 3's chain: angle error, moment, inverse kinematics, forces, inverse muscle, valves. The paper takes kinematics and
+contraction from the measured attitude; that undoes the muscles' own stiffness through a late sensor and overshoots. So
+they come from the reference here unless `chain` asks for the paper's. Knows no device and no plan.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from pmabench.engine.laws.orders import Orders, Pulse
+from pmabench.model.many.platform import described
+from pmabench.model.platform_control import Inverse, Lags, Pair, on_time, tilt
+
+CHAINS = ("reference", "measured")
+PRESSURES = tuple(f"pressure_{i}" for i in (1, 2, 3))
+ACCELERATIONS = ("acceleration_x", "acceleration_y", "acceleration_z")
+TURNS = ("turn_x", "turn_y", "turn_z")
+"""Angular speeds about the platform's own axes [rad/s], where there is a gyroscope."""
+APART = 1e-3
+"""Both valves of a muscle are shut for so long before one opens after the other [s]."""
+STEEPEST = math.radians(20)
+"""Paper 3's platform tilts so far."""
+
+
+class PlatformLoop:
+    """M = K_p e + K_i (integral of e), pressures that make it, and on-times that bring the muscles there.
+
+    Parameters
+    ----------
+    goals : attitudes as (begin [s], phi [rad], psi [rad]), in order; begin counts from the first sample
+    duration : how long to control [s]
+    K_p, K_i : [N.m/rad], [N.m/(rad s)]
+    most : largest moment of the integral [N.m]
+    reference_lag : time constant of each of the two lags of the reference [s]
+    attitude_lag : of each of the two lags of the measured attitude [s]
+    period, least : of the pulses, and the shortest that is sent [s]
+    mean, low, high : mean of the three pressures, their least and greatest [Pa]
+    chain : where kinematics and contraction come from, `reference` or `measured`
+    gyro_time : time constant of the complementary filter where `turn_x` and `turn_y` are measured [s]
+    platform : what it is made of, as in `model.many.platform.described`
+    """
+
+    def __init__(
+        self,
+        *,
+        goals: Sequence[Sequence[float]],
+        duration: float,
+        K_p: float = 10.0,
+        K_i: float = 180.0,
+        most: float = 10.0,
+        reference_lag: float = 1 / 20,
+        attitude_lag: float = 1 / (2 * math.pi * 10),
+        period: float = 0.02,
+        least: float = 0.002,
+        mean: float = 2.5e5,
+        low: float = 0.2e5,
+        high: float = 5.5e5,
+        chain: str = CHAINS[0],
+        gyro_time: float = 0.5,
+        platform: Mapping[str, float] | None = None,
+    ) -> None:
+        if chain not in CHAINS:
+            raise ValueError(f'chain "{chain}" is neither {CHAINS[0]} nor {CHAINS[1]}')
+        if not goals or not duration > 0:
+            raise ValueError("a platform needs an attitude to go to, and a duration above 0 s")
+        steep = max(math.acos(math.cos(phi) * math.cos(psi)) for _, phi, psi in goals)
+        if not steep <= STEEPEST * (1 + 1e-9):
+            raise ValueError(f"a tilt of {math.degrees(steep):.3g} deg is beyond {math.degrees(STEEPEST):.3g} deg")
+        self.platform = described(platform or {})
+        self._inverse = Inverse(self.platform, low, high, mean)
+        self.goals = [(float(begin), (float(phi), float(psi))) for begin, phi, psi in goals]
+        self.duration, self.K_p, self.K_i, self.most = duration, K_p, K_i, most
+        self._period, self.least, self.chain, self.gyro_time = period, least, chain, gyro_time
+        self._lags = reference_lag, attitude_lag
+        self._reference: Lags | None = None
+        self._filtered: Lags | None = None
+        self._turned: Pair | None = None
+        """Attitude of the complementary filter [rad]."""
+        self._integral: Pair = (0.0, 0.0)
+        self._first: float | None = None
+        self._t = self._next = 0.0
+        self._clipped = self._periods = 0
+        self._shuts: dict[str, float] = {}
+        """When the last pulse of each valve ends [s]."""
+        self.done = False
+        self._ended = "limit"
+
+    def update(self, t: float, values: Mapping[str, float]) -> Orders:
+        """Set-points and pulses for the sample `values` [SI] taken at `t` [s].
+
+        Without a number on one of its channels it ends and sends nothing.
+        """
+        if self.done:
+            return Orders()
+        if not all(math.isfinite(values.get(name, math.nan)) for name in (*PRESSURES, *ACCELERATIONS)):
+            self.done, self._ended = True, "no signal"
+            return Orders()
+        if self._first is None:
+            self._first = self._t = t
+            self._next = t + self._period + APART  # a pulse of the loop before may still be open for so long
+        h, self._t = t - self._t, t
+        reference, attitude = self._follow(h, t - self._first, values)
+        error = (reference[0] - attitude[0], reference[1] - attitude[1])
+        self._integral = (
+            self._clamped(self._integral[0] + self.K_i * h * error[0]),
+            self._clamped(self._integral[1] + self.K_i * h * error[1]),
+        )
+        if t - self._first >= self.duration:
+            self.done, self._ended = True, "time"
+            return Orders()
+        if t < self._next - 1e-9:
+            return Orders()
+        self._next += self._period
+        goal = self._goal(t - self._first) or reference
+        moment = self.K_p * error[0] + self._integral[0], self.K_p * error[1] + self._integral[1]
+        return self._orders(t, goal, reference if self.chain == "reference" else attitude, moment, values)
+
+    def _follow(self, h: float, since: float, values: Mapping[str, float]) -> tuple[Pair, Pair]:
+        """The reference, and the attitude as it is known, `h` [s] after the sample before."""
+        measured = tilt(*(values[name] for name in ACCELERATIONS))
+        if self._reference is None or self._filtered is None:
+            self._reference, self._filtered = Lags(self._lags[0], measured), Lags(self._lags[1], measured)
+        reference = self._reference.update(h, self._goal(since) or measured)
+        if not all(math.isfinite(values.get(name, math.nan)) for name in TURNS[:2]):
+            return reference, self._filtered.update(h, measured)
+        return reference, self._complementary(h, measured, values)
+
+    def _goal(self, since: float) -> Pair | None:
+        """Where to go, so long after the first sample [s]; None before the first goal."""
+        return next((at for begin, at in reversed(self.goals) if since >= begin - 1e-9), None)
+
+    def _complementary(self, h: float, measured: Pair, values: Mapping[str, float]) -> Pair:
+        """What the gyroscope says quickly and the accelerometer slowly."""
+        before = measured if self._turned is None else self._turned
+        turned = before[0] + h * values["turn_x"] / math.cos(before[1]), before[1] + h * values["turn_y"]
+        keep = math.exp(-h / self.gyro_time)
+        self._turned = (measured[0] + (turned[0] - measured[0]) * keep, measured[1] + (turned[1] - measured[1]) * keep)
+        return self._turned
+
+    def _clamped(self, moment: float) -> float:
+        return max(-self.most, min(self.most, moment))
+
+    def _orders(self, t: float, goal: Pair, attitude: Pair, moment: Pair, values: Mapping[str, float]) -> Orders:
+        """Pressures that make `moment` [N.m] at `attitude` [rad], and the pulses that bring the muscles there."""
+        wanted = self._inverse.wanted(attitude, moment)
+        self._periods += 1
+        self._clipped += wanted.clipped
+        pulses = []
+        for i, aim in enumerate(wanted.pressures):
+            P = values[PRESSURES[i]]
+            seconds = min(on_time(self.platform, P, aim, wanted.contractions[i]), self._period)
+            seconds = max(seconds, -self._period)
+            valve, other = ("fill", "exhaust") if seconds > 0 else ("exhaust", "fill")
+            if abs(seconds) >= self.least and self._shuts.get(f"{other}_{i + 1}", -math.inf) <= t - APART:
+                pulses.append(Pulse(f"{valve}_{i + 1}", abs(seconds)))
+                self._shuts[f"{valve}_{i + 1}"] = t + abs(seconds)
+        aims = dict(zip(PRESSURES, wanted.pressures, strict=True))
+        return Orders(aims | {"tilt": math.acos(math.cos(goal[0]) * math.cos(goal[1]))}, tuple(pulses))
+
+    def result(self) -> dict[str, Any]:
+        """What happened, as plain data: times [s], share of periods in which limits forbade the moment, why it ended.
+
+        `ended` is `time` (as planned), `no signal`, or `limit` where the caller stopped it.
+        """
+        data: dict[str, Any] = {
+            "goals": [[begin, *at] for begin, at in self.goals],
+            "chain": self.chain,
+            "reference_lag": self._lags[0],
+            "t0": self._first,
+            "t1": self._t,
+            "saturated": self._clipped / self._periods if self._periods else 0.0,
+            "ended": self._ended,
+        }
+        if self._ended == "no signal":
+            data |= {"found": False, "reason": "an accelerometer or a pressure gave no number"}
+        return data

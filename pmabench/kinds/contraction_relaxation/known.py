@@ -1,0 +1,228 @@
+"""How well a contraction test knows its coefficients so far, and what further trials in each cell would add."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from math import sqrt
+from typing import Any
+
+import numpy as np
+
+from pmabench.analysis.design import FEWEST, NORMAL, SCATTER, scatter_like
+from pmabench.analysis.next_trial import SWEEP, Aim, Goal
+from pmabench.analysis.shared.samples import NotUsable
+from pmabench.kinds.contraction_relaxation.intervals import Pooled
+from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, design_of, rms_of
+from pmabench.kinds.contraction_relaxation.predicted import (
+    Cell,
+    Outlook,
+    as_expected,
+    cell_key,
+    outlook,
+    scattered,
+    simulated_trials,
+)
+from pmabench.kinds.contraction_relaxation.reduction import estimates_of, pool, withheld
+from pmabench.kinds.contraction_relaxation.segments import Gate, Segments, cut
+from pmabench.kinds.contraction_relaxation.trials import Campaign, gather
+from pmabench.store.analyses.results import Estimate
+from pmabench.store.records import Array, RunData, TrialData
+
+NOISE = 1e-3
+"""Noise of a row before anything was measured, of the typical force; scatter between trials is far more."""
+
+BY_CHANCE = 3.0
+"""A misfit is sure beyond so many standard deviations of the scatter that repeats show: it is looked at ten times."""
+
+
+@dataclass(frozen=True, eq=False)
+class Known:
+    """What is known after some trials."""
+
+    outlook: Outlook
+    """Its wanted values are those with a goal."""
+    aim: Aim
+    freedom: int
+    """Degrees of freedom among repeats."""
+    misfit: str
+    """Why nothing may be promised: the data contradict the form of the fit; empty where they do not."""
+    pooled: Pooled | None
+    """None before there is a fit."""
+    reported: Mapping[tuple[str, float], Estimate]
+    """Symbol and pressure [Pa] -> the value, as the analysis of these trials reports it."""
+    as_reported: bool = True
+    """Whether values must be reported within their goals; else the design's prediction counts."""
+
+    def counts(self, trials: Sequence[TrialData]) -> Array:
+        """How many of the trials are in each cell of the outlook, shape (cells,)."""
+        place = {cell.key: number for number, cell in enumerate(self.outlook.cells)}
+        counts = np.zeros(len(place))
+        for trial in trials:
+            if (number := place.get(cell_key(trial.point))) is not None:
+                counts[number] += 1
+        return counts
+
+    def narrowed(self, kept: Sequence[int]) -> Known:
+        """The same for some of the wanted values."""
+        rows, seen, aim = list(kept), self.outlook, self.aim
+        design = replace(seen.design, wanted=seen.design.wanted[rows])
+        fewer = replace(seen, names=tuple(seen.names[n] for n in rows), values=seen.values[rows], design=design)
+        return replace(self, outlook=fewer, aim=Aim(aim.goal[rows], aim.factor[rows], aim.rest[rows]))
+
+    @property
+    def sure(self) -> bool:
+        """Whether a misfit is no chance of the few repeats that its scatter is estimated from."""
+        if self.pooled is None or self.freedom < FEWEST:
+            return False
+        test = self.pooled.diagnosis.reported.test
+        excess = max((test.ratio / test.most_ratio) ** 2, (1 + test.alike) / (1 + test.most_alike))
+        return excess > 1 + BY_CHANCE * sqrt(2 / self.freedom)
+
+    def reached(self, counts: Array) -> bool:
+        """Whether `counts` (cells,) trials reach every goal, and the values are reported so."""
+        if not self.outlook.names or not self.aim.reached(self.outlook.design.variances(counts)).all():
+            return False
+        if not self.as_reported:
+            return self.pooled is not None and not self.misfit
+        for name, goal in zip(self.outlook.names, self.aim.goal, strict=True):
+            one = self.reported.get(name)
+            half = None if one is None or one.value is None else one.parts.combined
+            if half is None or half > goal:
+                return False
+        return True
+
+
+def finished(runs: Sequence[RunData]) -> list[TrialData]:
+    """The trials of the runs that count, in the order that they were done."""
+    return [trial for run in runs for trial in run.trials if trial.status == "finished" and not trial.again]
+
+
+def of_trials(runs: Sequence[RunData], trials: Sequence[TrialData]) -> list[RunData]:
+    """The runs with these of their trials alone."""
+    wanted = {(trial.run, trial.index) for trial in trials}
+    return [replace(run, trials=tuple(t for t in run.trials if t.again or (t.run, t.index) in wanted)) for run in runs]
+
+
+def known_after(
+    cells: Sequence[Cell], goals: Sequence[Goal], runs: Sequence[RunData], expected: Mapping[str, Any] | None
+) -> Known | None:
+    """What the runs know of the coefficients with a goal; from what is `expected` where nothing can be fitted yet.
+
+    None where neither says anything.
+    """
+    campaign, _ = gather(runs) if finished(runs) else (None, [])
+    pooled = None
+    if campaign is not None:
+        try:
+            pooled = pool(campaign, {})
+        except NotUsable:
+            pooled = None
+    if pooled is not None:
+        return _measured(cells, goals, pooled)
+    if expected is None:
+        return None
+    fit = as_expected(expected, cells)
+    noise = NOISE * rms_of(simulated_trials(fit, cells).force)
+    return _with_goals(outlook(fit, cells, noise), goals, {}, None)
+
+
+def _measured(cells: Sequence[Cell], goals: Sequence[Goal], pooled: Pooled) -> Known:
+    """What is known by a fit."""
+    campaign = pooled.campaign
+    estimates, _ = estimates_of(campaign, pooled)
+    names = [(e.symbol, e.at.get("pressure", 0.0)) for e in estimates]
+    reported = dict(zip(names, withheld(estimates, pooled.diagnosis), strict=True))
+    used = np.unique(pooled.segments.trial)
+    trials = [campaign.trials[number] for number in used]
+    freedom = len(used) - len(np.unique(campaign.cells[used]))
+    seen = outlook(pooled.fit, cells, pooled.expected)
+    still = {cell_key(t.point) for t in campaign.trials} - {cell_key(campaign.trials[number].point) for number in used}
+    seen = _without(seen, still)
+    every = _with_goals(seen, [Goal(symbol, 1.0, True) for symbol in (*SYMBOLS, "F_c")], reported, None)
+    rows = [n for n, name in enumerate(every.outlook.names) if _repeats(reported.get(name)) > 0]
+    whole = scattered(pooled.fit, 1.0)
+    alike = replace(seen.design, wanted=every.outlook.design.wanted[rows], between=whole)
+    halves = np.array([_repeats(reported[every.outlook.names[n]]) for n in rows])
+    share = scatter_like(alike, every.counts(trials), halves, SCATTER) if freedom >= FEWEST else SCATTER
+    design = replace(seen.design, between=share**2 * whole)
+    found = _with_goals(replace(seen, design=design), goals, reported, pooled)
+    gone = [e for e in reported.values() if e.withheld and (e.symbol, e.at.get("pressure", 0.0)) in found.outlook.names]
+    misfit = pooled.diagnosis.refusal or (gone[0].note if gone else "")
+    return replace(found, freedom=freedom, misfit=misfit)
+
+
+def _repeats(estimate: Estimate | None) -> float:
+    """The part of a half width that noise and scatter make; 0 without a value."""
+    return 0.0 if estimate is None or estimate.value is None else estimate.parts.repeats or 0.0
+
+
+def _without(seen: Outlook, still: set[tuple[float, float]]) -> Outlook:
+    """The outlook without cells in which nothing moved."""
+    kept = [number for number, cell in enumerate(seen.cells) if cell.key not in still]
+    if len(kept) == len(seen.cells):
+        return seen
+    gone = tuple(cell for cell in seen.cells if cell.key in still)
+    design = replace(seen.design, cells=seen.design.cells[kept])
+    return replace(seen, cells=tuple(seen.cells[n] for n in kept), idle=(*seen.idle, *gone), design=design)
+
+
+def _with_goals(
+    seen: Outlook, goals: Sequence[Goal], reported: Mapping[tuple[str, float], Estimate], pooled: Pooled | None
+) -> Known:
+    """The outlook on the values that have a goal, and how their intervals follow from the design."""
+    wanted: dict[int, float] = {}
+    whole_sweep = np.array([len(cell.trials) for cell in seen.cells], float)
+    spread = np.sqrt(seen.design.variances(whole_sweep)) if seen.cells else np.empty(0)
+    for number, (name, value) in enumerate(zip(seen.names, seen.values, strict=True)):
+        whole = NORMAL * float(spread[number])
+        halves = [half for goal in goals if (half := goal.of(name, float(value), whole)) is not None]
+        if halves:
+            wanted[number] = min(halves)
+    aim = Aim(np.array([wanted.get(n, np.inf) for n in range(len(seen.names))]), *_no_more(len(seen.names)))
+    as_reported = not any(goal.symbol == SWEEP for goal in goals)
+    found = Known(seen, aim, 0, "", pooled, reported, as_reported).narrowed(list(wanted))
+    if pooled is None or not wanted or not as_reported:
+        return found
+    seen, factor, rest = found.outlook, found.aim.factor, found.aim.rest
+    trials = [pooled.campaign.trials[number] for number in np.unique(pooled.segments.trial)]
+    spread = np.sqrt(seen.design.variances(found.counts(trials)))
+    for number, name in enumerate(seen.names):
+        one = reported.get(name)
+        if one is None or one.value is None or not one.parts.combined:
+            continue
+        fixed = sum((part or 0.0) ** 2 for part in (one.parts.calibration, one.parts.skew))
+        rest[number] = sqrt(min(fixed, one.parts.combined**2))
+        factor[number] = sqrt(one.parts.combined**2 - rest[number] ** 2) / spread[number]
+    return found
+
+
+def _no_more(count: int) -> tuple[Array, Array]:
+    """Factor and rest of an `Aim` where nothing was measured."""
+    return np.full(count, NORMAL), np.zeros(count)
+
+
+def missed_by(before: Known, fitted: Sequence[TrialData], runs: Sequence[RunData]) -> float:
+    """Mean square of what a fit misses trials by that had no part in it, over what noise and scatter explain.
+
+    `before` is by the trials `fitted`; the others are in `runs`. 1.0 where samples were corrected for the fit: what is
+    recorded would not follow it then, and the fit to all of them is the test.
+    """
+    campaign, _ = gather(runs)
+    if campaign is None or before.pooled is None or before.pooled.diagnosis.state != "sound":
+        return 1.0
+    segments = _segments(campaign, before.pooled)
+    if not len(segments):
+        return 1.0
+    fit, design = before.pooled.fit, before.outlook.design
+    rows = design_of(segments, fit.knots)
+    spread = design.covariance(before.counts(fitted)) + design.between
+    residual = segments.force - rows @ fit.theta
+    return float(residual @ residual / (len(segments) * design.noise**2 + np.sum((rows @ spread) * rows)))
+
+
+def _segments(campaign: Campaign, pooled: Pooled) -> Segments:
+    """Segments within the reach of a fit."""
+    found, knots = cut(campaign.samples, campaign.rate, Gate()), pooled.fit.knots
+    low, high = knots[0] - 1e3, knots[-1] + (knots[-1] - knots[-2])
+    return found.where((found.P.min(axis=1) >= low) & (found.P.max(axis=1) <= high))

@@ -1,0 +1,409 @@
+"""The next trial of a contraction test, or why there is none: what `pmabench run --until` asks after each trial.
+
+A decision depends on the record alone (trials, and the decisions before it): asked again, also by a run that goes on
+after another, the answer is the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from pmabench.analysis.design import FEWEST as FEWEST_FREEDOM
+from pmabench.analysis.next_trial import (
+    CONFIRM,
+    RANDOM,
+    REFERENCE,
+    REPEAT,
+    Choice,
+    Field,
+    Goal,
+    Step,
+    choose,
+    fewest,
+    middle,
+    out_of_reach,
+    propose,
+)
+from pmabench.base.quantities import show
+from pmabench.kinds.contraction_relaxation.known import Known, finished, known_after, missed_by, of_trials
+from pmabench.kinds.contraction_relaxation.predicted import Cell, cell_key, cells_of
+from pmabench.store.records import Array, RunData, TrialData
+
+FIRST_FIT = 8
+"""Trials before the first fit."""
+FIT_EVERY = 4
+"""Trials from one fit to the next, or a fifth of those done, if that is more; in between their effect is predicted."""
+REPEATS_FROM = 16
+"""After so many trials cells are repeated until scatter can be told from misfit."""
+CONFIRMING = 3
+"""Trials in cells that had no part in the fit, before a goal counts as reached."""
+MISSED = 4.0
+"""Mean square of what these are missed by, over what noise and scatter explain: by chance more in 1 of 150."""
+CHANGE = 60.0
+"""What another load takes at the bench [s]."""
+CHANGED = "plan-change"
+"""Kind of the event that holds a decision."""
+
+
+@dataclass(frozen=True)
+class Next:
+    """A trial to be done."""
+
+    trial: int
+    """Its index."""
+    like: int
+    """Index of the plan's trial in the same cell: whose steps are done."""
+    role: str
+    why: str
+    """In words: the value that it is for, its interval now and as predicted."""
+    predicted: Mapping[str, Any]
+    """Symbol, pressure [Pa], half widths [SI] before and after."""
+    point: Mapping[str, float] = field(default_factory=dict)
+    repeat: int = 0
+    reference: bool = False
+
+
+@dataclass(frozen=True)
+class Stop:
+    """No more trials."""
+
+    reached: bool
+    why: str
+
+
+@dataclass(frozen=True, eq=False)
+class Proposal:
+    """Trials that are worth doing after a run."""
+
+    why: str
+    """Why there are none: `reached`, `out of reach`, or a sentence; empty where there are some."""
+    known: Known | None = None
+    """About the values whose goals can be reached."""
+    counts: Array = field(default_factory=lambda: np.empty(0))
+    """Trials in each cell so far."""
+    beyond: tuple[str, ...] = ()
+    """The other values, in words."""
+    steps: tuple[Step, ...] = ()
+    lines: tuple[tuple[str, Mapping[str, Any]], ...] = ()
+    """Of each step why it is done, in words and as data."""
+
+    def trials(self) -> list[int]:
+        """Index of a trial of the plan in the cell of each step."""
+        return [] if self.known is None else [self.known.outlook.cells[s.choice.cell].trials[0] for s in self.steps]
+
+
+@dataclass(frozen=True)
+class Chooser:
+    """Decisions about the trials of one plan."""
+
+    plan: Mapping[str, Any]
+    """As it is kept with the run."""
+    expected: Mapping[str, Any] | None
+    """`expected` of the specimen file as plain data [SI]."""
+    goals: tuple[Goal, ...]
+    seconds: float | None = None
+    """Longest time of all trials together, changes of load counted [s]."""
+    fits: dict[tuple[str, ...], Known | Stop] = field(default_factory=dict, compare=False)
+    """What was found for trials before: fits take a second."""
+    targets: dict[tuple[str, ...], Array] = field(default_factory=dict, compare=False)
+    """Trials in each cell that were found to be needed, after the same trials."""
+
+    @property
+    def refusal(self) -> str:
+        """Why trials of this plan cannot be chosen; empty where they can."""
+        if (self.plan.get("settings") or {}).get("reduction"):
+            return "trials of a protocol with the reduction of paper 1 cannot be chosen one by one"
+        return ""
+
+    def decide(self, runs: Sequence[RunData]) -> Next | Stop:
+        """The decision after what the runs hold, which continue one another."""
+        course = Course.of(self, runs)
+        if course.pending is not None:
+            return course.pending
+        fitted = self._fitted(course)
+        known = self._known(runs, fitted)
+        if not isinstance(known, Stop) and not course.held and len(fitted) < len(course.done):
+            counts = known.counts(course.done)
+            if known.aim.reached(known.outlook.design.variances(counts)).all():
+                fitted = course.done  # the goal should be reached: see
+                known = self._known(runs, fitted)
+        if isinstance(known, Stop):
+            return known
+        stop = self._misfit(known, runs, course, len(fitted)) or self._over(known, course)
+        if stop is not None:
+            return stop
+        held = len(course.held)
+        if held == CONFIRMING:
+            after = self._confirmed(known, runs, course)
+            if isinstance(after, Stop):
+                return after
+            return self._next(self._within_reach(after, course), course, course.done, "")
+        if held:
+            return self._next(known, course, fitted, CONFIRM)
+        if known.freedom < FEWEST_FREEDOM:
+            return self._next(known, course, fitted, REPEAT if len(course.done) >= REPEATS_FROM else "")
+        near = self._within_reach(known, course)
+        if len(fitted) == len(course.done) and near.reached(known.counts(fitted)):
+            return self._next(near, course, fitted, CONFIRM)
+        return self._next(near, course, fitted, "")
+
+    def propose(self, runs: Sequence[RunData], most: int) -> Proposal:
+        """At most `most` trials after those of the runs, which need not have been chosen one by one."""
+        done = finished(runs)
+        known = self._known(runs, done)
+        if isinstance(known, Stop):
+            return Proposal(known.why)
+        counts = known.counts(done)
+        if known.misfit and known.sure:
+            return Proposal(f"nothing is promised: {known.misfit}", known, counts)
+        beyond = out_of_reach(known.outlook.design, known.aim, counts)
+        far = tuple(self._of(known, n, counts) for n in beyond)
+        near = known.narrowed([n for n in range(len(known.outlook.names)) if n not in beyond])
+        if near.freedom >= FEWEST_FREEDOM and near.reached(counts):
+            return Proposal("reached", near, counts, far)
+        if not near.outlook.names:
+            return Proposal("out of reach", near, counts, far)
+        cells, load = near.outlook.cells, done[-1].point.get("load") if done else None
+        field = replace(self.field(cells), reference=None)
+        seconds = np.inf if self.seconds is None else self.seconds
+        steps = propose(near.outlook.design, near.aim, field, counts, len(done), load, most=most, seconds=seconds)
+        lines = tuple(described(near, step.choice) for step in steps)
+        return Proposal("", near, counts, far, tuple(steps), lines)
+
+    def _fitted(self, course: Course) -> list[TrialData]:
+        """The trials that the fit is made of."""
+        if course.held:
+            held = {trial.index for trial in course.held}
+            return [trial for trial in course.done if trial.index not in held]
+        return course.done[: _last_fit(len(course.done))]
+
+    def _known(self, runs: Sequence[RunData], trials: Sequence[TrialData]) -> Known | Stop:
+        """What is known by these trials, or why nothing can be chosen."""
+        key = tuple(trial.name for trial in trials)
+        if key not in self.fits:
+            self.fits[key] = self._fit(runs, trials)
+        return self.fits[key]
+
+    def _fit(self, runs: Sequence[RunData], trials: Sequence[TrialData]) -> Known | Stop:
+        known = known_after(cells_of(self.plan), self.goals, of_trials(runs, trials), self.expected)
+        if known is None:
+            return Stop(False, "nothing is known of this specimen: its file says nothing of what is expected")
+        if not known.outlook.cells:
+            return Stop(False, "no trial of this plan is expected to move its load")
+        if not known.outlook.names:
+            wanted = ", ".join(goal.symbol for goal in self.goals)
+            return Stop(False, f"all trials of this plan together do not tell {wanted}")
+        return known
+
+    def _misfit(self, known: Known, runs: Sequence[RunData], course: Course, fitted: int) -> Stop | None:
+        """The end where the data contradict the form: surely, in two fits; or still after as many as the sweep has."""
+        if not known.misfit:
+            return None
+        lasting = len(course.done) >= sum(len(cell.trials) for cell in known.outlook.cells)
+        if known.sure and not lasting:
+            before = self._known(runs, course.done[: _last_fit(fitted - 1)])
+            lasting = not isinstance(before, Stop) and bool(before.misfit) and before.sure
+        return Stop(False, f"nothing is promised: {known.misfit}") if lasting else None
+
+    def _over(self, known: Known, course: Course) -> Stop | None:
+        """Why no further trial is done, apart from a goal that is reached."""
+        counts = known.counts(course.done)
+        if len(course.held) == CONFIRMING:
+            return None
+        if len(course.changes) >= len(self.plan["trials"]):
+            return Stop(False, f"as many trials are done as the plan has; {self._far(known, counts)}")
+        if self.seconds is not None and course.spent + self._shortest(known) > self.seconds:
+            return Stop(False, f"the time is over; {self._far(known, counts)}")
+        if known.freedom < FEWEST_FREEDOM or course.held:
+            return None
+        near = self._within_reach(known, course)
+        if not near.outlook.names:
+            return Stop(False, f"out of reach: {self._far(known, counts)}")
+        return None
+
+    def _within_reach(self, known: Known, course: Course) -> Known:
+        """What is known of the values whose goals further trials can reach."""
+        beyond = set(out_of_reach(known.outlook.design, known.aim, known.counts(course.done)))
+        return known.narrowed([n for n in range(len(known.outlook.names)) if n not in beyond])
+
+    def _shortest(self, known: Known) -> float:
+        return min(cell.seconds for cell in known.outlook.cells)
+
+    def _of(self, known: Known, number: int, counts: Array) -> str:
+        """A value, its interval and its goal, in words."""
+        half = float(known.aim.halves(known.outlook.design.variances(counts))[number])
+        size, wanted = _size(half, known.outlook.values[number]), _wanted(known, number)
+        rest = float(known.aim.rest[number])
+        fixed = ""
+        if rest > known.aim.goal[number]:
+            fixed = f", {_size(rest, known.outlook.values[number])} of it by calibration or skew"
+        return f"{name_of(known.outlook.names[number])} has {size} where {wanted} is wanted{fixed}"
+
+    def _far(self, known: Known, counts: Array) -> str:
+        """The value that is farthest from its goal, in words."""
+        halves = known.aim.halves(known.outlook.design.variances(counts))
+        return self._of(known, int(np.argmax(halves / known.aim.goal)), counts)
+
+    def _confirmed(self, before: Known, runs: Sequence[RunData], course: Course) -> Known | Stop:
+        """The end where the trials that were held out confirm it; else what is known by all trials."""
+        fitted = self._fitted(course)
+        missed = missed_by(before, fitted, of_trials(runs, course.held))
+        if missed > MISSED:
+            return Stop(
+                False,
+                f"nothing is promised: trials that had no part in the fit are missed by {missed**0.5:.1f} times what"
+                " noise and scatter explain",
+            )
+        known = self._known(runs, course.done)
+        if isinstance(known, Stop):
+            return known
+        near = self._within_reach(known, course)
+        if known.misfit and known.sure:
+            return Stop(False, f"nothing is promised: {known.misfit}")
+        if not near.reached(known.counts(course.done)):
+            return known
+        trials = f"after {len(course.done)} trials, {CONFIRMING} of them to confirm it"
+        if len(near.outlook.names) < len(known.outlook.names):
+            far = self._far(known, known.counts(course.done))
+            return Stop(False, f"reached as far as it can be, {trials}; out of reach: {far}")
+        return Stop(True, f"the goal is reached {trials}")
+
+    def _next(self, known: Known, course: Course, fitted: Sequence[TrialData], only: str) -> Next:
+        cells, counts = known.outlook.cells, known.counts(course.done)
+        design, aim, field = known.outlook.design, known.aim, self.field(cells)
+        key = tuple(trial.name for trial in fitted)
+        if key not in self.targets:
+            self.targets[key] = fewest(design, aim, known.counts(fitted), field.reference)
+        choice = choose(design, aim, field, counts, self.targets[key], len(course.changes), course.load, only)
+        cell = cells[choice.cell]
+        free = [index for index in cell.trials if index not in course.used]
+        index = free[0] if free else max([len(self.plan["trials"]) - 1, *course.used]) + 1
+        record = next(t for t in self.plan["trials"] if t["index"] == (index if free else cell.trials[0]))
+        return Next(
+            index,
+            cell.trials[0],
+            choice.role,
+            *described(known, choice),
+            dict(record["point"]),
+            record["repeat"] if free else int(counts[choice.cell]),
+            choice.role == REFERENCE or bool(free and record["reference"]),
+        )
+
+    def field(self, cells: Sequence[Cell]) -> Field:
+        """The cells as the choice sees them."""
+        places = tuple((cell.load, cell.pressure) for cell in cells)
+        wanted = {cell_key(t["point"]) for t in self.plan["trials"] if t["reference"]}
+        reference = next((n for n, cell in enumerate(cells) if cell.key in wanted), None)
+        return Field(
+            places,
+            np.array([cell.seconds for cell in cells]),
+            CHANGE,
+            middle(places) if reference is None else reference,
+            str(self.plan["name"]),
+        )
+
+
+@dataclass(frozen=True)
+class Course:
+    """What was decided and done so far."""
+
+    changes: tuple[Mapping[str, Any], ...]
+    """The decisions whose trials came to an end, in their order."""
+    done: list[TrialData]
+    """Trials that are finished."""
+    pending: Next | None
+    """The last decision, where its trial did not come to an end."""
+    held: list[TrialData]
+    """The last trials that are to confirm that a goal is reached."""
+    used: frozenset[int]
+    """Indices that are taken."""
+    load: float | None
+    """[N], of the last trial."""
+    spent: float
+    """[s]"""
+
+    @classmethod
+    def of(cls, chooser: Chooser, runs: Sequence[RunData]) -> Course:
+        """From the record of runs that continue one another."""
+        changes: dict[int, Mapping[str, Any]] = {}
+        for run in runs:
+            for event in run.events:
+                if event.kind == CHANGED:
+                    changes.setdefault(int(event.data["trial"]), event.data)
+        ended = {t.index for run in runs for t in run.trials if t.status in ("finished", "failed", "excluded")}
+        through = [change for index, change in changes.items() if index in ended]
+        waiting = [change for index, change in changes.items() if index not in ended]
+        cells = {cell.key: cell for cell in cells_of(chooser.plan)}
+        spent, load = 0.0, None
+        held: list[int] = []
+        for change in through:
+            cell = cells[cell_key(change["point"])]
+            spent += cell.seconds + (CHANGE if cell.load != load else 0.0)
+            load = cell.load
+            if change["role"] == CONFIRM:
+                held.append(int(change["trial"]))
+            elif change["role"] != REFERENCE:
+                held.clear()
+        done = finished(runs)
+        return cls(
+            tuple(through),
+            done,
+            _again(waiting[-1]) if waiting else None,
+            [trial for trial in done if trial.index in held],
+            frozenset(t.index for run in runs for t in run.trials),
+            load,
+            spent,
+        )
+
+
+def _last_fit(done: int) -> int:
+    """After how many of `done` trials the last fit was made; 0 before the first."""
+    number, after = 0, FIRST_FIT
+    while after <= done:
+        number, after = after, after + max(FIT_EVERY, after // 5)
+    return number
+
+
+FIELDS = ("trial", "like", "role", "why", "predicted", "point", "repeat", "reference")
+
+
+def _again(change: Mapping[str, Any]) -> Next:
+    return Next(**{name: change[name] for name in FIELDS})
+
+
+ROLES = {
+    REFERENCE: "reference trial, for drift",
+    RANDOM: "drawn by lot, to show a misfit",
+    REPEAT: "once more, to know how trials scatter",
+    CONFIRM: "not in the fit, to confirm the goal",
+}
+
+
+def described(known: Known, choice: Choice) -> tuple[str, Mapping[str, Any]]:
+    """Why a trial is done, in words and as data."""
+    name, value = known.outlook.names[choice.worst], float(known.outlook.values[choice.worst])
+    cell = known.outlook.cells[choice.cell]
+    change = f"{name_of(name)}, {_size(choice.before, value)} to {_size(choice.after, value)}"
+    where = f"{show(cell.load, 'force', 3)}, {show(cell.pressure, 'pressure', 4)}"
+    data = {"symbol": name[0], "pressure": name[1], "before": choice.before, "after": choice.after, "value": value}
+    return f"{where}: {ROLES.get(choice.role, change)}", data
+
+
+def name_of(name: tuple[str, float]) -> str:
+    """`K at 300 kPa`."""
+    symbol, P = name
+    return f"{symbol} at {show(P, 'pressure', 4)}" if P else symbol
+
+
+def _wanted(known: Known, number: int) -> str:
+    return _size(float(known.aim.goal[number]), float(known.outlook.values[number]))
+
+
+def _size(half: float, value: float) -> str:
+    """A half width, as a share of its value."""
+    share = 100 * half / abs(value) if value else np.inf
+    return f"{share:.2g} %" if share < 99.5 else "more than 100 %"

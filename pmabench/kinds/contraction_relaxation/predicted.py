@@ -1,0 +1,283 @@
+"""What trials that were not done yet will tell: the fit's rows from a simulated trial in each cell of a plan.
+
+The muscle is that of `expected` in a specimen file, or a fit. Knows the plan as it is kept with a run, and no run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from math import sqrt
+from typing import Any
+
+import numpy as np
+
+from pmabench.analysis.design import NORMAL, SCATTER, Design
+from pmabench.analysis.shared import simulated
+from pmabench.analysis.shared.samples import Noise, Samples
+from pmabench.kinds.contraction_relaxation.checks import WIDE
+from pmabench.kinds.contraction_relaxation.pooled import (
+    SYMBOLS,
+    Fit,
+    design_of,
+    expected_noise,
+    first_knots,
+    prior_of,
+    rms_of,
+)
+from pmabench.kinds.contraction_relaxation.segments import ASSUMED_MASS, Gate, Segments, cut
+from pmabench.kinds.contraction_relaxation.values import FEWEST
+from pmabench.store.records import Array
+
+RATE = 250.0
+"""Samples a second of simulated trials [Hz]; a segment is 40 ms."""
+LONGEST_HOLD = 1.2
+"""All motion is over so long after a step of the pressure [s]."""
+LAG, DEAD_TIME = 0.1, 0.02
+"""Of the simulated regulator [s]: those of proportional valves on small muscles."""
+MARGIN = 2.0
+"""A load that F_ce exceeds by fewer times the Coulomb friction than this may not be lifted."""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One load and pressure of a plan, and what is commanded there [SI]."""
+
+    load: float
+    mass: float
+    pressure: float
+    steps: tuple[tuple[float, float], ...]
+    """Pressures commanded [Pa] and how long each is held [s]."""
+    trials: tuple[int, ...]
+    """Indices of the plan's trials in this cell."""
+    seconds: float
+    """Duration of a trial [s]."""
+
+    @property
+    def key(self) -> tuple[float, float]:
+        """Load [N] and pressure [Pa], as trials are sorted into cells."""
+        return cell_key({"load": self.load, "pressure": self.pressure})
+
+
+def cell_key(point: Mapping[str, float]) -> tuple[float, float]:
+    """Load [N] and pressure [Pa] of a trial, rounded."""
+    return round(point.get("load", 0.0), 3), round(point["pressure"])
+
+
+def cells_of(plan: Mapping[str, Any]) -> list[Cell]:
+    """The cells of a plan of plain data, in the order of their first trials."""
+    done: dict[int, list[Mapping[str, Any]]] = {}
+    inside = None
+    for step in plan["steps"]:
+        if step["step"] == "record":
+            inside = step["trial"] if step["on"] else None
+        elif inside is not None:
+            done.setdefault(inside, []).append(step)
+    found: dict[tuple[float, float], Cell] = {}
+    for trial in plan["trials"]:
+        point, key = trial["point"], cell_key(trial["point"])
+        before = found.get(key)
+        held = _held(done.get(trial["index"], ()))
+        found[key] = Cell(
+            load=point.get("load", 0.0),
+            mass=point.get("mass", ASSUMED_MASS) or ASSUMED_MASS,
+            pressure=point["pressure"],
+            steps=before.steps if before is not None else tuple(held[1:]),
+            trials=(*(before.trials if before is not None else ()), trial["index"]),
+            seconds=sum(seconds for _, seconds in held),
+        )
+    return list(found.values())
+
+
+def _held(steps: Sequence[Mapping[str, Any]]) -> list[tuple[float, float]]:
+    """Pressures [Pa] and how long each is held [s], from no pressure on."""
+    held = [(0.0, 0.0)]
+    for step in steps:
+        if step["step"] == "set" and step["output"] == "pressure":
+            held.append((float(step["value"]), 0.0))
+        elif step["step"] == "hold":
+            held[-1] = held[-1][0], held[-1][1] + float(step["duration"])
+    return held
+
+
+def as_expected(expected: Mapping[str, Any], cells: Sequence[Cell]) -> Fit:
+    """A fit with the coefficients that a specimen file expects, as plain data [SI], at the knots of these cells."""
+    points = sorted(expected["points"], key=lambda point: float(point["pressure"]))
+    at = np.array([point["pressure"] for point in points], float)
+    knots = first_knots(np.array([cell.pressure for cell in cells]), np.array([P for c in cells for P, _ in c.steps]))
+    values = []
+    for symbol in SYMBOLS:
+        known = np.array([point[symbol] for point in points], float)
+        line = np.interp(knots, at, known)
+        if symbol == "F_ce" and len(at) > 1:  # beyond the points straight on, never below 0
+            low, high = (known[1] - known[0]) / (at[1] - at[0]), (known[-1] - known[-2]) / (at[-1] - at[-2])
+            line = np.where(knots < at[0], known[0] + low * (knots - at[0]), line)
+            line = np.maximum(0.0, np.where(knots > at[-1], known[-1] + high * (knots - at[-1]), line))
+        values.append(line)
+    theta = np.concatenate((*values, [float(expected.get("F_c", 0.0))]))
+    none = np.empty((0, len(theta)))
+    return Fit(theta, np.eye(len(theta)), none, np.empty(0), True, knots)
+
+
+def simulated_trials(fit: Fit, cells: Sequence[Cell]) -> Segments:
+    """Segments of one trial in each cell, without noise; `trial` is the number of the cell."""
+    courses = []
+    for cell in cells:
+        held = [(0.0, 0.1), *((P, min(seconds, LONGEST_HOLD)) for P, seconds in cell.steps)]
+        course, begin = [], 0.0
+        for target, seconds in held:
+            t = np.arange(1, round(seconds * RATE) + 1) / RATE
+            lagged = np.where(t < DEAD_TIME, begin, target + (begin - target) * np.exp(-(t - DEAD_TIME) / LAG))
+            course.append(lagged)
+            begin = float(lagged[-1]) if len(lagged) else begin
+        courses.append(np.concatenate(course))
+    most = max(map(len, courses))
+    P = np.array([np.pad(course, (0, most - len(course)), mode="edge") for course in courses]).T
+    load, mass = np.array([[cell.load, cell.mass] for cell in cells]).T
+    moved = simulated.run(fit, P, 1 / RATE, load, mass, np.zeros(len(cells)))
+    t, good = np.arange(most) / RATE, np.ones(most, bool)
+    samples = [
+        Samples(n, t, P[:, n], moved.x[:, n], moved.force[:, n], good, cell.load, cell.mass)
+        for n, cell in enumerate(cells)
+    ]
+    found = cut(samples, RATE, Gate())
+    low, high = fit.knots[0] - 1e3, fit.knots[-1] + (fit.knots[-1] - fit.knots[-2])
+    return found.where((found.P.min(axis=1) >= low) & (found.P.max(axis=1) <= high))
+
+
+@dataclass(frozen=True, eq=False)
+class Outlook:
+    """A plan's cells as the fit will see them."""
+
+    cells: tuple[Cell, ...]
+    """Those that are expected to move."""
+    idle: tuple[Cell, ...]
+    names: tuple[tuple[str, float], ...]
+    """Symbol and pressure [Pa] of each value that all trials of the plan together can tell."""
+    values: Array
+    """[SI], shape (m,)."""
+    design: Design
+    """Its wanted combinations are those values."""
+
+
+def outlook(fit: Fit, cells: Sequence[Cell], noise: float) -> Outlook:
+    """What trials in `cells` tell of F_ce [N], K [N/m], B_c, B_r [N.s/m] at the tested pressures, and of F_c [N].
+
+    Parameters
+    ----------
+    fit
+        The muscle, by a fit or `as_expected`.
+    noise
+        Standard deviation of a row [N].
+
+    Trials count as scattered by `SCATTER`.
+    """
+    lifts = [
+        float(fit.values("F_ce", np.array([cell.pressure]))[0]) - cell.load > MARGIN * fit.coulomb for cell in cells
+    ]
+    segments = simulated_trials(fit, cells)
+    count = np.bincount(segments.trial, minlength=len(cells))
+    moves = [number for number in range(len(cells)) if count[number] >= FEWEST and lifts[number]]
+    rows = design_of(segments, fit.knots)
+    normals = np.array([rows[segments.trial == n].T @ rows[segments.trial == n] for n in moves])
+    prior = prior_of(segments, rows, fit.knots, noise)
+    between = scattered(fit, SCATTER)
+    tested = sorted({cells[n].pressure for n in moves})
+    names = [(symbol, P) for symbol in SYMBOLS for P in tested] + [("F_c", 0.0)]
+    wanted = np.array([fit.row(symbol, P) for symbol, P in names])
+    normals = normals.reshape(len(moves), len(fit.theta), len(fit.theta))
+    whole = Design(prior.T @ prior, normals, noise, between, wanted)
+    values = wanted @ fit.theta
+    known = np.array([_near(segments, fit, name) for name in names])
+    if moves:
+        counts = np.array([len(cells[n].trials) for n in moves], float)
+        known = known & (NORMAL * np.sqrt(whole.variances(counts)) <= WIDE * _size(names, values))
+    kept = [n for n in range(len(names)) if known[n]] if moves else []
+    return Outlook(
+        tuple(cells[n] for n in moves),
+        tuple(cell for n, cell in enumerate(cells) if n not in moves),
+        tuple(names[n] for n in kept),
+        values[kept],
+        Design(whole.prior, whole.cells, noise, between, wanted[kept]),
+    )
+
+
+def scattered(fit: Fit, share: float) -> Array:
+    """Covariance of the unknowns from trial to trial, shape (p, p): a trial differs by a constant force, and by K, B_c
+    and B_r as a whole, each with the standard deviation `share` of its size.
+    """
+    directions = np.zeros((len(fit.theta), len(SYMBOLS)))
+    for place, symbol in enumerate(SYMBOLS):
+        columns = fit.columns(symbol)
+        directions[columns, place] = np.median(fit.theta[columns]) if symbol == "F_ce" else fit.theta[columns]
+    covariance: Array = share**2 * (directions @ directions.T)
+    return covariance
+
+
+def _near(segments: Segments, fit: Fit, name: tuple[str, float]) -> bool:
+    """Whether there are segments near a pressure, as the reduction wants them for a value there."""
+    symbol, P = name
+    if symbol == "F_c":
+        return True
+    others = fit.knots[np.abs(fit.knots - P) > 1e-6 * P]
+    near = np.abs(segments.pressure - P) <= 0.5 * float(np.min(np.abs(others - P)))
+    if symbol in ("B_c", "B_r"):
+        near &= (segments.way > 0) == (symbol == "B_c")
+    return bool(near.sum() >= FEWEST)
+
+
+def _size(names: Sequence[tuple[str, float]], values: Array) -> Array:
+    """The size of each value, at least the median of its symbol; shape (m,)."""
+    symbols = np.array([symbol for symbol, _ in names])
+    median = {symbol: float(np.median(np.abs(values[symbols == symbol]))) for symbol in set(symbols.tolist())}
+    least: Array = np.array([median[symbol] for symbol in symbols.tolist()])
+    return np.asarray(np.maximum(np.abs(values), least))
+
+
+@dataclass(frozen=True)
+class Predicted:
+    """A coefficient's expected 95 % interval."""
+
+    symbol: str
+    pressure: float
+    """[Pa]; 0 for F_c, which has none."""
+    value: float
+    half: float
+    """Half width [SI]."""
+
+
+def row_noise(fit: Fit, cells: Sequence[Cell], noise: Noise, rate: float) -> float:
+    """Standard deviation of a row of the fit [N] from white noise of the channels [SI], sampled at `rate` [Hz]."""
+    segments = simulated_trials(fit, cells)
+    factor = sqrt(RATE / rate)
+    seen = Noise(noise.pressure * factor, noise.displacement * factor, noise.force * factor)
+    return max(1e-4 * rms_of(segments.force), rms_of(expected_noise(segments, fit, seen))) if len(segments) else 0.0
+
+
+def intervals_of_plan(plan: Mapping[str, Any], expected: Mapping[str, Any], noise: Noise) -> list[Predicted]:
+    """The 95 % intervals that a whole plan is expected to give for F_ce, K, B_c, B_r over pressure and for F_c.
+
+    By C = N^-1 (sum S_i) N^-1 of `pmabench.analysis.design`, with a scatter between trials of 2 %: what the noise and
+    the scatter make; calibration, drift and what the muscle does beyond the form come on top. Values that the plan
+    cannot tell (no motion near their pressure) are left out.
+
+    Parameters
+    ----------
+    plan
+        As `Plan.to_dict` gives it, of kind contraction-relaxation.
+    expected
+        `expected` of the specimen file as plain data: `F_c` [N], `points` with `pressure` [Pa], `F_ce` [N], `K` [N/m],
+        `B_c`, `B_r` [N.s/m].
+    noise
+        White noise of the channels, standard deviation of a sample [Pa, m, N].
+    """
+    cells = cells_of(plan)
+    fit = as_expected(expected, cells)
+    seen = outlook(fit, cells, row_noise(fit, cells, noise, float(plan["rate"])))
+    if not seen.cells:
+        return []
+    variances = seen.design.variances(np.array([len(cell.trials) for cell in seen.cells], float))
+    return [
+        Predicted(symbol, P, float(value), NORMAL * sqrt(variance))
+        for (symbol, P), value, variance in zip(seen.names, seen.values, variances, strict=True)
+    ]

@@ -1,0 +1,237 @@
+"""Volume of the muscle from the mass flow while it is pressurised at a set contraction (paper 3).
+
+V = r T m/ΔP_abs - V_dead, m = ∫ q dt over the ramp and the rest at its top: slow, so that the air takes the room's
+temperature. The zero of the meter is its mean while the pressure rests, before the ramp and after it, on a straight
+line between; 0.5 % of the range would be 3.5 % of the mass. Knows the samples of a trial and the plan, no force.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from math import hypot, sqrt
+from typing import Any
+
+import numpy as np
+
+from pmabench.analysis.shared.calibration import Scales
+from pmabench.analysis.shared.form import Doubt, weighed
+from pmabench.analysis.shared.isometric_lines import SAME, ends, spread
+from pmabench.analysis.shared.samples import NotUsable, noise_of
+from pmabench.base.quantities import show
+from pmabench.store.analyses.results import Dropped, Estimate, Finding, Parts, Trace
+from pmabench.store.records import Array, RunData, TrialData
+
+FLOW = "flow"
+METHOD, MEAN = "mass flow, filling", "mass flow, mean while filling"
+R_AIR = 287.0
+"""Gas constant of air [J/(kg K)] (paper 3)."""
+ANR = 1.185e-3 / 60
+"""One litre a minute of air at 20 degC, 1 bar and 65 % humidity, ANR (ISO 8778) [kg/s]."""
+SETTLED = 0.5
+"""Share of each rest at its end whose mean counts: before that the regulator and the meter come to rest."""
+PARTS = (0.15, 0.55, 0.95)
+"""Shares of the ramp's pressure between which two volumes are compared."""
+FEWEST = 20
+SEEN = 5.0
+"""Standard errors from which on a difference is seen."""
+ONE = "one ramp: the repeats part is the noise of the meter, and repeated tests may scatter more"
+
+
+@dataclass(frozen=True, eq=False)
+class Filling:
+    """What one ramp let in, with the zero of the meter taken off; volumes hold the dead one."""
+
+    trial: TrialData
+    P: Array
+    q: Array
+    """Gauge pressure [Pa] and flow [kg/s] along the ramp up, shape (n,)."""
+    volume: float
+    """r T m/ΔP while filling [m3]."""
+    emptied: float
+    """The same while emptying: a leak and a wrong zero make it smaller where they make the other larger [m3]."""
+    low: float
+    high: float
+    """Volumes by the lower and the upper half of the ramp [m3]."""
+    zero: tuple[float, float]
+    """Before and after [kg/s]."""
+    noise: float
+    """Standard error of `volume` from the noise of the meter, its zero included [m3]."""
+    drift: float
+    """What the change of the zero from before to after makes of `volume`, at most [m3]."""
+
+    @property
+    def both_ways(self) -> bool:
+        """Whether the meter sees air that leaves."""
+        return self.emptied > 0.5 * self.volume
+
+
+def measured(run: RunData, trial: TrialData, rT: float) -> Filling:
+    """One trial; `NotUsable` where it has no flow, no whole ramps or no rests, with r T [J/kg]."""
+    missing = [name for name in (FLOW, "pressure") if name not in trial.channels]
+    if missing or trial.status != "finished":
+        raise NotUsable(f"{' and '.join(missing)} not recorded" if missing else f"the trial is {trial.status}")
+    commands = [c for c in trial.commands if c.output == "pressure" and c.kind == "ramp"]
+    ramps = {c.phase: c for c in commands if c.phase in ("fill", "empty")}
+    moved = [ends(c) for c in trial.commands if "fill" in ramps and c.kind == "ramp" and c.t < ramps["fill"].t - 1e-9]
+    if len(ramps) < 2:
+        raise NotUsable("it holds no ramp up and down")
+    fill, empty = ramps["fill"], ramps["empty"]
+    later = [c.t for c in trial.commands if c.t > ends(empty) + 1e-9]
+    use = trial.usable & np.isfinite(trial.channels[FLOW]) & np.isfinite(trial.channels["pressure"])
+    t, q, P = trial.t[use], trial.channels[FLOW][use], trial.channels["pressure"][use]
+
+    def rest(begin: float, end: float) -> np.ndarray[Any, np.dtype[np.bool_]]:
+        rows = (t >= end - SETTLED * (end - begin)) & (t < end - 1e-9)
+        if rows.sum() < FEWEST:
+            raise NotUsable(f"fewer than {FEWEST} usable samples in a rest before, between or after the ramps")
+        return np.asarray(rows)
+
+    before = rest(max(moved, default=float(trial.t[0])), fill.t)
+    top, after = rest(ends(fill), empty.t), rest(ends(empty), min(later, default=float(trial.t[-1])))
+    zeros = float(q[before].mean()), float(q[after].mean())
+    middle = float(t[before].mean()), float(t[after].mean())
+    q = q - np.interp(t, middle, zeros)
+    levels = [float(P[rows].mean()) for rows in (before, top, after)]
+    if levels[1] - max(levels[0], levels[2]) <= 20 * noise_of(P[top]):
+        raise NotUsable("the pressure does not rise along the ramp")
+    mass = np.concatenate(([0.0], np.cumsum(0.5 * (q[1:] + q[:-1]) * np.diff(t))))
+    at = [float(mass[rows].mean()) for rows in (before, top, after)]
+    per = rT / (levels[1] - levels[0])
+    up = (t >= fill.t) & (t <= ends(fill))
+    low, high = _halves(P[up], mass[up], levels[0], levels[1])
+    duration, n = float(t[top].mean() - t[before].mean()), float(min(before.sum(), after.sum()))
+    scatter = noise_of(q[up])
+    noise = per * scatter * hypot(duration / sqrt(2 * n), sqrt(duration * float(np.median(np.diff(t)))))
+    drift = per * 0.5 * abs(zeros[1] - zeros[0]) * duration
+    return Filling(
+        trial, P[up], q[up], per * (at[1] - at[0]), rT * (at[1] - at[2]) / (levels[1] - levels[2]), rT * low, rT * high,
+        zeros, noise, drift,
+    )  # fmt: skip
+
+
+def _halves(P: Array, mass: Array, bottom: float, top: float) -> tuple[float, float]:
+    """Slopes of mass over pressure along the lower and the upper half of a ramp [kg/Pa]."""
+    share = (P - bottom) / (top - bottom)
+    found = []
+    for begin, end in pairwise(PARTS):
+        rows = (share >= begin) & (share < end)
+        if rows.sum() < FEWEST:
+            raise NotUsable("too few samples along the ramp")
+        found.append(float(np.polyfit(P[rows] - P[rows].mean(), mass[rows], 1)[0]))
+    return found[0], found[1]
+
+
+def by_flow(
+    runs: Sequence[RunData], scales: Scales
+) -> tuple[list[Estimate], list[Finding], list[Trace], list[Dropped]]:
+    """V [m3] and the mean flow [kg/s] at each contraction, where the plan says that a meter is there."""
+    cells: dict[float, list[Filling]] = {}
+    dropped: list[Dropped] = []
+    given: Mapping[str, Any] = {}
+    for run in runs:
+        settings = (run.plan.get("settings") or {}).get(FLOW)
+        if not settings or (given and settings != given):
+            continue
+        given = settings
+        for trial in run.trials:
+            try:
+                filling = measured(run, trial, R_AIR * float(settings["temperature"]))
+                cells.setdefault(round(trial.point["contraction"], SAME), []).append(filling)
+            except NotUsable as reason:
+                dropped.append(Dropped(trial.name, trial.point, f"no volume by mass flow: {reason}"))
+    estimates: list[Estimate] = []
+    findings: list[Finding] = []
+    for x, group in sorted(cells.items()):
+        estimates += _estimates(x, group, given, scales)
+        findings.append(_words(x, group))
+    if estimates:
+        dead, half = (show(given[name], "volume", 4) for name in ("dead", "dead_half"))
+        vessel = f", scaled by a known vessel ({given['gain']:.4f})" if given["gain"] != 1 else ""
+        text = f"volumes by mass flow: {dead} +- {half} between meter and muscle taken off, air at "
+        findings.append(Finding("note", f"{text}{given['temperature']:g} +- {given['temperature_half']:g} K{vessel}"))
+        if lack := scales.lack((FLOW, "pressure")):
+            findings.append(Finding("note", f"{lack}: a known vessel in place of the muscle shows it"))
+    return estimates, findings, _traces(estimates, cells), dropped
+
+
+def _estimates(x: float, group: Sequence[Filling], given: Mapping[str, Any], scales: Scales) -> list[Estimate]:
+    """V and mean flow of one contraction."""
+    gain = float(given["gain"])
+    whole = gain * float(np.mean([one.volume for one in group]))
+    noise = sqrt(float(np.mean([one.noise**2 for one in group])) / len(group)) * 2.0
+    scatter = spread([one.volume for one in group]) or 0.0
+    air = whole * float(given["temperature_half"]) / float(given["temperature"])
+    method = hypot(float(given["dead_half"]), air, whole * float(given["gain_half"]))
+    # a known vessel has shown the gains of meter and pressure at once
+    calibration = 0.0 if given["gain_half"] else scales.part({FLOW: whole, "pressure": -whole})
+    names = tuple(one.trial.name for one in group)
+    note = ONE if len(group) == 1 else ""
+    V = Estimate(
+        "V", whole - float(given["dead"]), "m3", "volume", METHOD, {"contraction": x},
+        Parts(max(noise, scatter), method, calibration), len(group), note=note, trials=names,
+    )  # fmt: skip
+    flows = [float(one.q[_middle(one)].mean()) * gain for one in group]
+    flow_noise = 2.0 * abs(flows[0]) * noise / whole if whole > 0 else 0.0
+    q = Estimate(
+        "q", float(np.mean(flows)), "kg/s", "mass flow", MEAN, {"contraction": x},
+        Parts(max(flow_noise, spread(flows) or 0.0), calibration=scales.part({FLOW: float(np.mean(flows))})),
+        len(group), note=note, trials=names,
+    )  # fmt: skip
+    return [weighed(V, _doubts(group)), q]
+
+
+def _middle(one: Filling) -> Array:
+    """The rows of the ramp between the shares of pressure that count."""
+    share = (one.P - one.P.min()) / np.ptp(one.P)
+    return np.asarray((share >= PARTS[0]) & (share <= PARTS[-1]))
+
+
+def _doubts(group: Sequence[Filling]) -> list[Doubt]:
+    """What departs from a tight muscle whose volume does not depend on the pressure, and from a steady zero."""
+    noise = sqrt(float(np.mean([one.noise**2 for one in group])) / len(group))
+    apart = float(np.mean([one.high - one.low for one in group]))
+    # the flow of half of the ramp has the same error of the zero, over half of the mass
+    found = [
+        Doubt("dependence on pressure", "method", abs(apart) / 2, abs(apart) > 3 * SEEN * noise,
+              f"the upper half of the ramp gives {show(apart, 'volume', 3)} more than the lower: the volume depends on "
+              "the pressure, air leaks, or the zero of the meter is wrong. Look for the leak, and take a longer zero"),
+        Doubt("zero of the meter", "drift", max(one.drift for one in group), seen=False),
+    ]  # fmt: skip
+    if all(one.both_ways for one in group):
+        back = float(np.mean([one.volume - one.emptied for one in group]))
+        text = (
+            f"emptying gives {show(back, 'volume', 3)} less than filling: air leaks between meter and muscle, or the "
+        )
+        reason = f"{text}meter is not alike in both directions. Look for the leak, and try a known vessel"
+        found.append(Doubt("filling and emptying", "method", abs(back) / 2, abs(back) > 2 * SEEN * noise, reason))
+    return found
+
+
+def _words(x: float, group: Sequence[Filling]) -> Finding:
+    """Flow in litres, the zero, and the three volumes of one contraction."""
+    flow = float(np.mean([one.q[_middle(one)].mean() for one in group])) / ANR
+    before, after = (float(np.mean([one.zero[i] for one in group])) / ANR for i in (0, 1))
+    low, high, back = (float(np.mean([getattr(one, name) for one in group])) for name in ("low", "high", "emptied"))
+    other = f", while emptying {show(back, 'volume', 4)}" if all(one.both_ways for one in group) else ""
+    text = (
+        f"{show(x, 'length')}: {flow:.4g} l/min (ANR) while filling; zero of the meter {before:.4g} before and "
+        f"{after:.4g} after, taken off; with what is dead {show(low, 'volume', 4)} by the lower half of the ramp, "
+        f"{show(high, 'volume', 4)} by the upper{other}"
+    )
+    return Finding("note", text)
+
+
+def _traces(estimates: Sequence[Estimate], cells: Mapping[float, Sequence[Filling]]) -> list[Trace]:
+    """V over contraction."""
+    volumes = [e for e in estimates if e.symbol == "V" and e.value is not None]
+    if not volumes:
+        return []
+    columns = {
+        "contraction": np.array([e.at["contraction"] for e in volumes]),
+        "volume": np.array([e.value for e in volumes], dtype=np.float64),
+        "half": np.array([np.nan if e.parts.combined is None else e.parts.combined for e in volumes]),
+    }
+    quantities = {"contraction": "length", "volume": "volume", "half": "volume"}
+    return [Trace("flow-volume", "flow-volume", "volume by mass flow over contraction", columns, quantities)]

@@ -1,0 +1,115 @@
+"""One trial of a joint in closed loop: its step, or its sine."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import pi
+from typing import Any
+
+import numpy as np
+
+from pmabench.analysis.shared.joint import settings_of
+from pmabench.analysis.shared.response import Response, respond
+from pmabench.analysis.shared.samples import UNUSABLE_SHARE, NotUsable, three_parameter
+from pmabench.base.quantities import show
+from pmabench.store.records import Array, RunData, TrialData
+
+BEFORE = 0.3
+"""So long before the step its origin is taken [s]."""
+FEWEST_CYCLES = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Course:
+    """What both have in common; `t` counts from the step, or from the begin of the sine [s]."""
+
+    run: RunData
+    trial: TrialData
+    t: Array
+    angle: Array
+    """[rad]."""
+    reference: Array
+    """[rad]."""
+    saturated: float
+    """Share of the samples with a pressure at a limit [1]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Stepped(Course):
+    """A step."""
+
+    sign: float
+    """Of the step."""
+    size: float
+    """Of the step [rad]."""
+    response: Response
+    """Of `sign` times the angle."""
+
+
+@dataclass(frozen=True, eq=False)
+class Swung(Course):
+    """A sine."""
+
+    answers: Array
+    """Complex ratio of angle and reference in each cycle, shape (cycles,)."""
+    errors: Array
+    """Rms of angle minus reference in each cycle [rad], shape (cycles,)."""
+
+
+def course_of(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> Stepped | Swung:
+    """One trial measured; raises `NotUsable`."""
+    if trial.status != "finished":
+        raise NotUsable(f"the trial is {trial.status}")
+    law = trial.found.get("hold")
+    if "angle" not in trial.channels or law is None or law.get("t0") is None:
+        raise NotUsable("the angle or what the loop did is not recorded")
+    if (bad := float(np.mean(~trial.usable))) > UNUSABLE_SHARE:
+        raise NotUsable(f"{bad:.0%} of the samples are flagged")
+    settings = settings_of(run, options)
+    t = trial.t - (float(law["t0"]) + float(settings["begin"]))
+    angle, ok = trial.channels["angle"], trial.usable
+    window = (float(settings["window"][0]), float(settings["window"][1]))
+    saturated = float(law.get("saturated", 0.0))
+    if "frequency" in trial.point:
+        return _swung(run, trial, t[ok], angle[ok], window, saturated)
+    goal, lag = trial.point["goal"], float(law["reference_lag"])
+    before, after = ok & (t >= -BEFORE) & (t < 0), ok & (t >= 0)
+    if before.sum() < 8:
+        raise NotUsable(f"fewer than 8 samples in the {BEFORE:g} s before the step")
+    origin = float(angle[before].mean())
+    sign = 1.0 if goal > 0 else -1.0
+    step = sign * (goal - origin)
+    if step <= float(settings["band"]):
+        raise NotUsable(
+            f"before the step it was at {show(origin, 'angle', 3)}, which leaves no step to {show(goal, 'angle', 3)}"
+        )
+    late = np.maximum(t, 0.0) / lag if lag > 0 else np.where(t > 0, np.inf, 0.0)
+    reference = goal * (1 - (1 + np.minimum(late, 700.0)) * np.exp(-np.minimum(late, 700.0)))
+    try:
+        response = respond(
+            t[after], sign * angle[after], sign * goal, window, float(settings["band"]) / step, origin=sign * origin
+        )
+    except ValueError as error:
+        raise NotUsable(str(error)) from error
+    return Stepped(run, trial, t[ok], angle[ok], reference[ok], saturated, sign, step, response)
+
+
+def _swung(
+    run: RunData, trial: TrialData, t: Array, angle: Array, window: tuple[float, float], saturated: float
+) -> Swung:
+    frequency, amplitude = trial.point["frequency"], trial.point["goal"]
+    reference = amplitude * np.sin(2 * pi * frequency * np.maximum(t, 0.0))
+    whole = int((window[1] - window[0]) * frequency * (1 + 1e-9))
+    if whole < FEWEST_CYCLES:
+        raise NotUsable(f"{whole} whole cycles in the window; an interval needs {FEWEST_CYCLES}")
+    answers, errors = [], []
+    for cycle in range(whole):
+        begin = window[0] + cycle / frequency
+        rows = (t >= begin) & (t < begin + 1 / frequency)
+        if rows.sum() < 20:
+            raise NotUsable("fewer than 20 samples in a cycle of the sine")
+        _, signals = three_parameter(t[rows], np.column_stack([angle[rows], reference[rows]]), frequency)
+        answers.append(complex(signals[0] / signals[1]))
+        errors.append(float(np.sqrt(np.mean((angle[rows] - reference[rows]) ** 2))))
+    return Swung(run, trial, t, angle, reference, saturated, np.array(answers), np.array(errors))

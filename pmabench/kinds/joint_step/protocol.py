@@ -1,0 +1,185 @@
+"""Steps and sines of a joint's angle in closed loop: both muscles pull, as stiff as the protocol wants it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Literal
+
+import numpy as np
+from pydantic import Field
+
+from pmabench.base.quantities import show
+from pmabench.files.document import Strict
+from pmabench.files.quantity import (
+    Angle,
+    AngularIntegralGain,
+    Force,
+    Frequency,
+    Length,
+    Pressure,
+    Ratio,
+    Time,
+    TorsionalStiffness,
+)
+from pmabench.kinds.joint_step.inverse import by_map, by_model
+from pmabench.protocol.common import Compilation, ProtocolHead
+from pmabench.protocol.joint import MUSCLES, vented
+from pmabench.protocol.plan import Control, Hold, Plan, Record, Set, TrialRecord
+from pmabench.protocol.sweep import AngleAxis, Point, Sweep, expand
+
+SLACK = 5.0
+"""Time beyond the trial after which a loop counts as hung [s]."""
+
+
+class StepAxes(Strict):
+    """What is swept: angles to go to, and the gain of the integral action; with `frequency` sines of that amplitude."""
+
+    goal: AngleAxis
+    integral: Annotated[list[AngularIntegralGain], Field(min_length=1)]
+    frequency: Annotated[list[Frequency], Field(min_length=1)] | None = None
+
+
+class JointModel(Strict):
+    """Muscles and pulley of which the feed-forward is made, as in the model `joint-inverse`."""
+
+    pulley_radius: Length
+    preload: Ratio
+    diameter: Length
+    length: Length
+    braid_angle: Angle
+    alpha: float
+    A: Force
+    B1: Ratio
+    B2: Ratio
+
+
+class StepController(Strict):
+    """How the joint is held."""
+
+    stiffness: TorsionalStiffness
+    """Of the joint, by co-contraction."""
+    output: tuple[Pressure, Pressure]
+    """Least and greatest pressure."""
+    reference_lag: Time
+    """Time constant of each of the two lags through which the reference goes to the goal."""
+
+
+class StepTrial(Strict):
+    """From angle 0 to the goal, or a sine about 0."""
+
+    settle: Time
+    """Time at the pressures of angle 0 before the loop closes."""
+    approach: Annotated[list[Angle], Field(max_length=50)] = []
+    """Angles to go to before the baseline, `dwell` at each: muscles remember which way they came."""
+    dwell: Time = 1.0
+    baseline: Time
+    """Time in the loop at angle 0 before the step."""
+    hold: Time
+    """Time from the step on; of a sine the time that it lasts."""
+    window: tuple[Time, Time]
+    """Part of the hold in which the end error is taken; of a sine the part that is looked at."""
+    band: Angle
+    """About the goal; within it the joint counts as settled."""
+    rest: Time
+    """Time without pressure between two trials."""
+
+
+class JointStep(ProtocolHead):
+    """Protocol of kind joint-step."""
+
+    cannot_do_without: ClassVar[tuple[str, ...]] = (*MUSCLES, "angle")
+    kind: Literal["joint-step"]
+    sweep: Sweep[StepAxes]
+    model: JointModel | None = None
+    map: Annotated[str, Field(max_length=400)] | None = None
+    """Folder of an analysis of kind joint-torque, in place of `model`."""
+    controller: StepController
+    trial: StepTrial
+
+    def compile(self, c: Compilation) -> Plan:
+        """The plan: per trial both muscles to the pressures of angle 0, the loop, a vent and a rest."""
+        self._sound(c)
+        trial, controller = self.trial, self.controller
+        low, high = controller.output
+        for index, point in enumerate(expand(self.sweep, c.document)):
+            values = self._values(point)
+            table = self._table(c, point)
+            if table is None or c.problems or c.too_long():
+                continue
+            if index == 0:
+                c.precondition()
+            middle = {name: float(np.interp(0.0, table["angle"], table[name])) for name in MUSCLES}
+            ready = trial.dwell * len(trial.approach)
+            begin, duration = ready + trial.baseline, ready + trial.baseline + trial.hold
+            goals = [[trial.dwell * n, angle] for n, angle in enumerate([*trial.approach, 0.0])]
+            if "frequency" not in values:
+                goals.append([begin, values["goal"]])
+            parameters: dict[str, Any] = {
+                "goals": goals, "duration": duration, "table": table, "K_i": values["integral"],
+                "reference_lag": controller.reference_lag, "low": low, "high": high,
+            }  # fmt: skip
+            if "frequency" in values:
+                swing = {"begin": begin, "amplitude": values["goal"], "frequency": values["frequency"]}
+                parameters["sine"] = swing
+            c.trials.append(TrialRecord(index, values, point.repeat))
+            c.steps += [
+                *(Set("pressurise", name, value) for name, value in middle.items()),
+                Hold("pressurise", trial.settle),
+                Record("hold", True, index),
+                Control("hold", "joint", dict.fromkeys(MUSCLES, (low, high)), duration + SLACK, parameters),
+                Record("hold", False, index),
+                *(Set("vent", name, 0.0) for name in MUSCLES),
+                Hold("vent", trial.rest),
+            ]
+        c.steps += vented()
+        settings = {
+            "window": list(trial.window),
+            "band": trial.band,
+            "begin": trial.dwell * len(trial.approach) + trial.baseline,
+        }
+        return c.plan("joint-step", {**settings, "stiffness": controller.stiffness})
+
+    @staticmethod
+    def _values(point: Point) -> dict[str, float]:
+        return {name: float(value) for name, value in point.values.items() if value is not None}
+
+    def _sound(self, c: Compilation) -> None:
+        """Check everything that does not depend on the point."""
+        trial, (low, high) = self.trial, self.controller.output
+        if (self.model is None) == (self.map is None):
+            c.fault(("kind",), "needs one of model and map: what the pressures are computed from")
+        for name in ("settle", "dwell", "baseline", "hold", "band"):
+            c.positive(getattr(trial, name), ("trial", name))
+        begin, end = trial.window
+        if not 0 <= begin < end <= trial.hold:
+            c.fault(("trial", "window"), "must rise and lie inside the hold")
+        for name in MUSCLES:
+            c.within(name, low, ("controller", "output", 0))
+            c.within(name, high, ("controller", "output", 1))
+        if not low < high:
+            c.fault(("controller", "output"), "must rise")
+        if any(output.name == "angle" for output in c.mounted.bench.outputs):
+            c.fault(("needs",), "a drive holds the joint of this bench; steps need one that turns freely")
+
+    def _table(self, c: Compilation, point: Point) -> dict[str, list[float]] | None:
+        """Pressures of both muscles over the angles from 0 to the goal; None with a problem noted."""
+        goal, place = float(point.values["goal"]), point.places["goal"]
+        joint, approach = c.mounted.bench_file.joint, self.trial.approach
+        ends = (-abs(goal), abs(goal)) if point.values.get("frequency") else (min(goal, 0.0), max(goal, 0.0))
+        for places, at in ((ends, place), (approach, ("trial", "approach"))):
+            if joint is not None and not all(joint.stroke[0] <= angle <= joint.stroke[1] for angle in places):
+                stroke = " to ".join(show(end, "angle") for end in joint.stroke)
+                c.fault(at, f"must lie in the stroke of the joint, {stroke}")
+                return None
+        if goal == 0:
+            c.fault(place, "must not be 0: nothing would move")
+            return None
+        ends = min(*ends, *approach), max(*ends, *approach)
+        stiffness, limits = self.controller.stiffness, self.controller.output
+        try:
+            if self.model is not None:
+                return by_model(self.model.model_dump(), ends, stiffness, limits)
+            return by_map(Path(self.map or ""), ends, stiffness, limits)
+        except ValueError as error:
+            c.fault(place, f"the joint cannot be held there: {error}")
+            return None

@@ -1,0 +1,219 @@
+"""From sweeps of a joint to its torque, stiffness, gap and loop area, each with an interval."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from pmabench.analysis.shared import skew
+from pmabench.analysis.shared.calibration import Scales
+from pmabench.analysis.shared.form import Doubt, weighed
+from pmabench.analysis.shared.joint import AXES, BY_PRESSURE, CUT, MUSCLES, refuse_turns, settings_of
+from pmabench.analysis.shared.lines import mean_half
+from pmabench.analysis.shared.ramp_loop import Loop, Turns, measure
+from pmabench.analysis.shared.samples import NotUsable
+from pmabench.base.quantities import show
+from pmabench.kinds.joint_sweep import RESULTS
+from pmabench.store.analyses.results import Analysis, Dropped, Estimate, Finding, Parts, Trace
+from pmabench.store.records import Array, RunData, TrialData
+
+KIND = "joint-sweep"
+BRANCHES, LOOP, MEAN = "branches, 3 w cut", "loop", "mean curve"
+TURN = 0.02
+"""Share of the sweep that is left out at each end before anything is looked at."""
+HALF_SWEEP = 4.0
+"""Least half sweep, in w: of a shorter one a branch would not be itself at mid sweep."""
+PLACES = 5
+"""Places along the sweep at which the mean curve is given."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sweep:
+    """One usable trial: its loop, the stiffness of its cycles [N m/rad], and by how much the turns matter there."""
+
+    run: RunData
+    trial: TrialData
+    loop: Loop
+    stiffness: Array
+    taken_off: float
+    """What taking off the rest of the turns changed [N m/rad]."""
+
+
+def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) -> Analysis:
+    """Stiffness K_th [N m/rad], gap H_tau [N m], loop area W [J] and torque tau [N m] of sweeps at held pressures.
+
+    The stiffness is minus the slope of the torque at mid sweep (joints-endurance of muscles against each other: a small
+    sweep gives the slope of the hysteresis instead, three times as much). A sweep that is too small is refused with the
+    reason. `options`: `discard` (cycles at the start; else the plan's setting, else 1).
+    """
+    options = options or {}
+    sweeps, dropped = _sweeps(runs, options)
+    scales = Scales.of(runs)
+    estimates, findings, traces = list[Estimate](), list[Finding](), list[Trace]()
+    for at, members in _cells(sweeps).items():
+        estimates += _estimates(dict(at), members, scales)
+        traces.append(_trace(dict(at), members[-1]))
+    findings += [Finding("doubt", f"{one.trial}: {one.reason}") for one in dropped]
+    findings += [_words(one) for one in sweeps if one.loop.turns is not None]
+    if estimates and (lack := scales.lack(("torque", "angle", *MUSCLES))):
+        findings.append(Finding("note", lack))
+    apart = skew.apart(runs, ("angle", "torque")) if runs else 0.0
+    findings += skew.findings(runs, ("angle", "torque"), apart, estimates)
+    facts = {"options": dict(options), "trials": len(sweeps)}
+    return Analysis.of(
+        KIND, runs, results=RESULTS, estimates=estimates, dropped=dropped, findings=findings, traces=traces, facts=facts
+    )
+
+
+def stiffness_of(run: RunData, trial: TrialData) -> float:
+    """Stiffness of one trial [N m/rad]; raises `NotUsable`."""
+    return float(sweep_of(run, trial, {}).stiffness.mean())
+
+
+def sweep_of(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> Sweep:
+    """One trial measured; raises `NotUsable`, for a sweep that is too small with what would be enough."""
+    low, high = (trial.point.get(name) for name in ("lowest_angle", "highest_angle"))
+    if low is None or high is None:
+        raise NotUsable("its plan names no lowest and highest angle, so its turns are not known")
+    loop = measure(run, trial, int(settings_of(run, options).get("discard", 1)), TURN * (high - low), AXES)
+    half, gap = 0.5 * (high - low), float(loop.middle_gap.mean())
+    refuse_turns(loop.turns, half, gap, _noise(loop))
+    if loop.turns is not None and half < HALF_SWEEP * loop.turns.w:
+        least, w = show(HALF_SWEEP * loop.turns.w, "angle", 3), show(loop.turns.w, "angle", 3)
+        raise NotUsable(
+            f"the sweep of +-{show(half, 'angle', 3)} is too small for the hysteresis: a turn fades on {w}, 3 of which "
+            f"are cut after each turn, and mid sweep must lie one more beyond them; sweep at least +-{least}"
+        )
+    stiffness = _slopes(loop, loop.turns)
+    plain = _slopes(loop, loop.turns, keep=True)
+    return Sweep(run, trial, loop, stiffness, abs(float(stiffness.mean() - plain.mean())))
+
+
+def _noise(loop: Loop) -> float:
+    """Of a point of the gap [N m], as neighbouring points differ."""
+    steps = np.diff(loop.gap, axis=1)
+    return float(np.sqrt(0.5 * np.mean(steps**2)))
+
+
+def _slopes(loop: Loop, turns: Turns | None, *, keep: bool = False) -> Array:
+    """Stiffness of each cycle [N m/rad], the mean of its two branches; with `keep` the rest of the turns stays in."""
+    x, middle = loop.x, 0.5 * (loop.x[0] + loop.x[-1])
+    found = []
+    for branches, rising in ((loop.contracting, True), (loop.expanding, False)):
+        way = np.ones_like(x) if turns is None else (x - turns.lower if rising else turns.upper - x) / turns.w
+        kept = np.ones(x.shape, bool) if turns is None else way >= CUT
+        rest = np.zeros_like(x)
+        if turns is not None and not keep:
+            size = 2 * turns.h / (1 + np.exp(-(turns.upper - turns.lower) / turns.w))
+            rest = (size if rising else -size) * np.exp(-way)
+        terms = np.polyfit(x[kept] - middle, (branches - rest)[:, kept].T, 3)
+        found.append(-terms[2])
+    return np.asarray(np.mean(found, axis=0))
+
+
+def _sweeps(runs: Sequence[RunData], options: Mapping[str, Any]) -> tuple[list[Sweep], list[Dropped]]:
+    sweeps: list[Sweep] = []
+    dropped: list[Dropped] = []
+    for run in runs:
+        for trial in run.trials:
+            try:
+                sweeps.append(sweep_of(run, trial, options))
+            except NotUsable as reason:
+                dropped.append(Dropped(trial.name, trial.point, str(reason)))
+    return sweeps, dropped
+
+
+def _cells(sweeps: Sequence[Sweep]) -> dict[tuple[tuple[str, float], ...], list[Sweep]]:
+    """The trials of one operating point together."""
+    cells: dict[tuple[tuple[str, float], ...], list[Sweep]] = {}
+    names = (*MUSCLES, "angular_speed", "lowest_angle", "highest_angle")
+    varied = [name for name in names[3:] if len({one.trial.point[name] for one in sweeps}) > 1]
+    for one in sweeps:
+        at = tuple((name, round(one.trial.point[name], 9)) for name in (*names[:3], *varied))
+        cells.setdefault(at, []).append(one)
+    return dict(sorted(cells.items()))
+
+
+def _estimates(at: Mapping[str, float], members: Sequence[Sweep], scales: Scales) -> Iterator[Estimate]:
+    """Everything of one operating point; calibration to first order, a pressure that is off changes the stiffness."""
+    trials = tuple(one.trial.name for one in members)
+    total = sum(at[name] for name in MUSCLES)
+
+    def made(
+        symbol: str, kind: tuple[str, str], method: str, values: Sequence[Array], extra: float,
+        angles: int, by_pressure: float = 0.0, where: Mapping[str, float] | None = None,
+    ) -> Estimate:  # fmt: skip
+        means = np.array([float(v.mean()) for v in values])
+        value = float(means.mean())
+        gains = {"torque": value} | ({"angle": angles * value} if angles else {})
+        gains |= {name: by_pressure * at[name] for name in MUSCLES if by_pressure}
+        offsets = dict.fromkeys(MUSCLES, by_pressure) if by_pressure else {}
+        part = scales.part(gains, offsets)
+        note = "one trial: the repeats part is the scatter of its cycles" if len(members) == 1 else ""
+        parts = Parts(mean_half(means, values), extra, part)
+        return Estimate(symbol, value, *kind, method, where or at, parts, len(members), note=note, trials=trials)
+
+    late = max((one.loop.late for one in members), key=lambda doubt: (doubt.seen, doubt.half))
+    K = float(np.mean([one.stiffness.mean() for one in members]))
+    gap = 2 * abs(K) * max(one.loop.speed for one in members) * late.half
+    drift = 0.5 * max(one.loop.uneven_drift for one in members)
+    sweep = max(one.loop.ends[1] - one.loop.ends[0] for one in members)
+
+    def doubted(e: Estimate, share: float) -> Estimate:
+        """With what a torque that comes late, backlash and a drift do to a gap, or so many times that."""
+        drifts = Doubt("drift", "drift", share * drift, False)
+        return weighed(e, [replace(late, half=share * gap), drifts])
+
+    torque = ("N.m", "torque")
+    stiffness = [one.stiffness for one in members]
+    slope = BY_PRESSURE * K / total if total > 0 else 0.0
+    taken_off = max(one.taken_off for one in members)
+    yield made("K_th", ("N.m/rad", "torsional stiffness"), BRANCHES, stiffness, taken_off, -1, slope)
+    unclosed = max(_unclosed(one.loop) for one in members)
+    yield doubted(made("H_tau", torque, LOOP, [one.loop.middle_gap for one in members], unclosed, 0), 1.0)
+    corners = max(2 * abs(float(m.loop.middle_gap.mean())) * m.loop.speed / m.run.rate for m in members)
+    yield doubted(made("W", ("J", "work"), LOOP, [one.loop.lost for one in members], corners, 1), sweep)
+    x = members[0].loop.x
+    for place in np.linspace(x[0], x[-1], PLACES):
+        curves = [np.array([np.interp(place, one.loop.x, cycle) for cycle in one.loop.mean]) for one in members]
+        where = {**at, "angle": round(float(place), 7)}
+        off = max(float(np.interp(place, one.loop.x, _of_turns(one.loop))) for one in members)
+        # torque is no more than what both muscles pull: a share of it for each pressure that is off
+        whole = max(abs(float(np.mean(curve))) for curve in curves) + slope * total / BY_PRESSURE * float(np.ptp(x))
+        yield made("tau", torque, MEAN, curves, 0.1 * off, 0, whole / total if total > 0 else 0.0, where)
+
+
+def _unclosed(loop: Loop) -> float:
+    """How far the fitted open gap is from that at mid sweep [N m]: what the turns still leave there."""
+    return 0.0 if loop.turns is None else abs(2 * loop.turns.h - float(loop.middle_gap.mean()))
+
+
+def _of_turns(loop: Loop) -> Array:
+    return np.zeros_like(loop.x) if loop.turns is None else np.abs(loop.turns.of_mean(loop.x))
+
+
+def _words(one: Sweep) -> Finding:
+    turns = one.loop.turns
+    assert turns is not None  # noqa: S101  (asked before)
+    text = f"{one.trial.name}: a turn fades on w = {show(turns.w, 'angle', 3)}; 3 w are cut after each"
+    return Finding("note", text)
+
+
+def _trace(at: Mapping[str, float], one: Sweep) -> Trace:
+    """The last loop of an operating point, and its mean curve on the loop's own samples."""
+    angle, torque = one.loop.last
+    mean = np.interp(angle, one.loop.x, one.loop.mean.mean(axis=0), left=np.nan, right=np.nan)
+    shown = " and ".join(show(at[name], "pressure") for name in MUSCLES)
+    name = "joint-loop-" + "-".join(f"{at[name] / 1e3:g}" for name in MUSCLES)
+    marks = {**at, "K_th": float(one.stiffness.mean()), "H_tau": float(one.loop.middle_gap.mean())}
+    return Trace(
+        f"{name}-{one.trial.number}",
+        "joint-loop",
+        f"Torque over angle at {shown}",
+        {"angle": angle, "torque": torque, "mean": mean},
+        {"angle": "angle", "torque": "torque", "mean": "torque"},
+        marks,
+    )

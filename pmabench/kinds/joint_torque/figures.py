@@ -1,0 +1,45 @@
+"""Figures of isometric torques of a joint: torque and stiffness over angle for each pair of pressures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from pmabench.plotting import time_plots
+from pmabench.plotting.pictures import Picture, bound, has, label, numbers, panel, picture, unit_of
+from pmabench.store.analyses.results import Analysis, Trace
+
+MOST = 6
+"""Most pairs of pressures in the figure."""
+
+
+def maps(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
+    """Torque above, stiffness below, a line for each pair of pressures."""
+    found = []
+    for trace in traces:
+        names = [name.removeprefix("torque at ") for name in trace.columns if name.startswith("torque at ")]
+        able = [name for name in names if has(trace, f"torque at {name}")]
+        if not able:
+            continue
+        chosen = [able[i] for i in np.unique(np.linspace(0, len(able) - 1, min(len(able), MOST)).astype(int))]
+        panels = [
+            panel(
+                trace,
+                {"x": "angle", "y": f"torque at {name}", "gap": f"stiffness at {name}"},
+                name.replace(" kPa and ", ", "),
+            )
+            for name in chosen
+        ]
+        units = (unit_of(trace, f"{what} at {chosen[0]}").label(what) for what in ("torque", "stiffness"))
+        labels = dict(zip(("x", "y", "gap"), (label(trace, "angle"), *units), strict=True))
+        some = f" {len(chosen)} of {len(able)} are shown." if len(chosen) < len(able) else ""
+        caption = (
+            "Above the torque that the joint holds at each angle, the mean of both sides; below its stiffness, minus "
+            f"the slope of that torque. A line for each pair of pressures of muscle 1 and muscle 2.{some}"
+        )
+        alt = f"{labels['y']} and {labels['gap']} over {labels['x']} at {', '.join(chosen)}."
+        drawn, table = bound(time_plots.means, panels, labels), numbers([("", trace)])
+        title = "Torque and stiffness over angle"
+        found.append(picture(drawn, title, caption, alt, table, wide=False, simulated=analysis.simulated))
+    return found

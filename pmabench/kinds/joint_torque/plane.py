@@ -1,0 +1,68 @@
+"""Torque of a joint by its two pressures at one angle: a plane through a map, withheld where the map is none."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from pmabench.analysis.shared import student
+from pmabench.analysis.shared.calibration import Scales
+from pmabench.base.quantities import show
+from pmabench.store.analyses.results import Estimate, Parts, withhold
+
+LEVELS = 3
+"""Of each pressure: with two of them a muscle that is slack at one is not seen, for a plane fits whatever it does."""
+FEWEST = 5
+"""Pairs of pressures, so that two are left to contradict the plane."""
+OFF = 2.0
+"""A torque may be off the plane by so many half widths of its interval."""
+COEFFICIENTS = (
+    ("tau_0", "N.m", "torque", 1.0),
+    ("s_1", "N.m/Pa", "torque per pressure", 1.0),
+    ("s_2", "N.m/Pa", "torque per pressure", -1.0),
+)
+
+
+def plane_estimates(torques: Sequence[Estimate], scales: Scales) -> Iterator[Estimate]:
+    """tau_0 [N m], s_1 and s_2 [N m/Pa] of tau = tau_0 + s_1 P_1 - s_2 P_2 at each angle with pairs enough.
+
+    With muscles whose force is S P + F_e these are R S_1, R S_2 and R (F_e1 - F_e2). Intervals: the wider of the
+    scatter about the plane and of the torques' own intervals, and the gains of the scales.
+    """
+    for angle in sorted({e.at["angle"] for e in torques}):
+        rows = [e for e in torques if e.at["angle"] == angle and e.value is not None]
+        design = np.array([[1.0, e.at["pressure_1"], e.at["pressure_2"]] for e in rows]).reshape(-1, 3)
+        levels = [len({e.at[name] for e in rows}) for name in ("pressure_1", "pressure_2")]
+        if len(rows) < FEWEST or min(levels) < LEVELS or np.linalg.matrix_rank(design / [1.0, 1e5, 1e5]) < 3:
+            continue
+        yield from _plane(angle, rows, design, scales)
+
+
+def _plane(angle: float, rows: Sequence[Estimate], design: np.ndarray, scales: Scales) -> Iterator[Estimate]:
+    tau = np.array([e.value for e in rows])
+    own = np.array([replace(e.parts, calibration=None).combined or 0.0 for e in rows])
+    inverse = np.linalg.pinv(design / np.array([1.0, 1e5, 1e5])) / np.array([[1.0], [1e5], [1e5]])
+    terms = inverse @ tau
+    residual = tau - design @ terms
+    freedom = len(rows) - 3
+    spread = float(student.ppf(0.975, freedom)) * float(np.sqrt(residual @ residual / freedom))
+    worst = int(np.argmax(np.abs(residual) - OFF * own))
+    why = ""
+    if abs(residual[worst]) > OFF * own[worst]:
+        where = " and ".join(show(rows[worst].at[name], "pressure") for name in ("pressure_1", "pressure_2"))
+        off, half = (show(float(value), "torque", 2) for value in (abs(residual[worst]), own[worst]))
+        why = (
+            f"the torque at {where} is {off} off a plane over the pressures, "
+            f"and known to {half}: a muscle is slack, or not linear in its pressure"
+        )
+    trials = tuple(name for e in rows for name in e.trials)
+    for (symbol, unit, quantity, sign), term, row in zip(COEFFICIENTS, terms, inverse, strict=True):
+        repeats = max(spread * float(np.linalg.norm(row)), float(np.linalg.norm(row * own)))
+        value = sign * float(term)
+        gains = {"torque": value} | ({} if symbol == "tau_0" else {f"pressure_{symbol[-1]}": value})
+        offsets = {name: float(terms[n]) for n, name in ((1, "pressure_1"), (2, "pressure_2")) if symbol == "tau_0"}
+        parts = Parts(repeats, None, scales.part(gains, offsets))
+        one = Estimate(symbol, value, unit, quantity, "plane", {"angle": angle}, parts, len(rows), trials=trials)
+        yield withhold(one, why) if why else one

@@ -1,0 +1,98 @@
+"""Torque of a joint at locked angles, from both sides, for pairs of pressures that regulators hold."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Annotated, ClassVar, Literal
+
+from pydantic import Field
+
+from pmabench.files.document import Strict
+from pmabench.files.quantity import Angle, AngularSpeed, Time
+from pmabench.protocol.accept import OF_TRIALS
+from pmabench.protocol.common import Compilation, ProtocolHead
+from pmabench.protocol.joint import MUSCLES, not_faster, vented
+from pmabench.protocol.plan import Hold, Plan, Ramp, Record, Set, Step, TrialRecord
+from pmabench.protocol.sweep import Point, PressureAxis, Sweep, expand
+
+
+class TorqueAxes(Strict):
+    """What is swept."""
+
+    pressure_1: PressureAxis
+    pressure_2: PressureAxis
+
+
+class TorqueTrial(Strict):
+    """One pair of pressures: the angles one after another, rising and then falling."""
+
+    angles: Annotated[list[Angle], Field(min_length=2, max_length=200)]
+    """Where the joint is locked, rising."""
+    overrun: Angle
+    """How far beyond the first and last angle the joint turns round, so that each branch is open at every angle."""
+    cycles: Annotated[int, Field(ge=2, le=1000)] = 2
+    settle: Time
+    """Time at pressure before the first motion."""
+    rest: Time
+    """Time at each angle; its second half is averaged."""
+    speed: AngularSpeed
+    """From angle to angle."""
+
+
+class JointTorque(ProtocolHead):
+    """Protocol of kind joint-torque."""
+
+    cannot_do_without: ClassVar[tuple[str, ...]] = (*MUSCLES, "angle", "torque")
+    checks: ClassVar[tuple[str, ...]] = OF_TRIALS
+    kind: Literal["joint-torque"]
+    sweep: Sweep[TorqueAxes]
+    trial: TorqueTrial
+
+    def compile(self, c: Compilation) -> Plan:
+        """The plan: both muscles to pressure at angle 0, then the angles up and down, and back to 0."""
+        trial = self.trial
+        for name in ("settle", "rest", "overrun"):
+            c.positive(getattr(trial, name), ("trial", name))
+        not_faster(c, trial.speed, ("trial", "speed"))
+        if any(b <= a for a, b in pairwise(trial.angles)):
+            c.fault(("trial", "angles"), "must rise")
+        lowest, highest = trial.angles[0] - trial.overrun, trial.angles[-1] + trial.overrun
+        c.within("angle", lowest, ("trial", "overrun"))
+        c.within("angle", highest, ("trial", "overrun"))
+        for index, point in enumerate(expand(self.sweep, c.document)):
+            for name in MUSCLES:
+                c.within(name, point.values[name], point.places[name])
+            if c.problems or c.too_long():
+                continue
+            if index == 0:
+                c.precondition()
+            held = {name: point.values[name] for name in MUSCLES}
+            ends = {"lowest_angle": lowest, "highest_angle": highest, "cycles": float(trial.cycles)}
+            c.trials.append(TrialRecord(index, held | ends, point.repeat))
+            c.steps += self._steps(index, point, lowest, highest)
+        c.steps += vented()
+        return c.plan("joint-torque", {"angles": list(trial.angles)})
+
+    def _steps(self, index: int, point: Point, lowest: float, highest: float) -> Sequence[Step]:
+        trial = self.trial
+        return [
+            *(Set("pressurise", name, point.values[name]) for name in MUSCLES),
+            Hold("pressurise", trial.settle),
+            Ramp("approach", "angle", 0.0, lowest, trial.speed),
+            Record("rise", True, index),
+            *(
+                *self._branch("rise", [lowest, *trial.angles, highest]),
+                *self._branch("fall", [highest, *reversed(trial.angles), lowest]),
+            )
+            * trial.cycles,
+            Record("fall", False, index),
+            Ramp("return", "angle", lowest, 0.0, trial.speed),
+        ]
+
+    def _branch(self, phase: str, places: Sequence[float]) -> list[Step]:
+        """From the first place to the last, with a rest at each in between."""
+        steps: list[Step] = []
+        for here, there in pairwise(places):
+            steps += [Ramp(phase, "angle", here, there, self.trial.speed), Hold(phase, self.trial.rest)]
+        return steps[:-1]

@@ -1,0 +1,188 @@
+"""One trial of isometric torques: what the joint held at each angle, reached from below and from above."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from pmabench.analysis.shared.joint import AXES, CUT, MUSCLES, refuse_turns, settings_of
+from pmabench.analysis.shared.ramp_loop import Turns, on_grid, turns_of
+from pmabench.analysis.shared.samples import UNUSABLE_SHARE, NotUsable, noise_of, on_time
+from pmabench.base.quantities import show
+from pmabench.store.records import Array, Command, RunData, TrialData
+
+POINTS = 81
+"""Points of the gap that show how a turn fades."""
+FEWEST = 7
+"""Angles that a stiffness needs: its slope is that of a polynomial of order 5."""
+ORDERS = 5, 3
+"""Of the polynomial of torque over angle, and of the one that shows what the choice of an order changes."""
+UNEVEN = 0.25
+"""A gap that changes by a larger share over the angles is not that of two taut muscles at all of them."""
+LEAST_SAMPLES = 10
+ELSEWHERE = 0.25
+"""Share of the way between angles by which the joint may be off its place."""
+
+
+@dataclass(frozen=True, eq=False)
+class Staircase:
+    """One usable trial; angles [rad] of shape (n,), torques [N m] of shape (cycles, n)."""
+
+    run: RunData
+    trial: TrialData
+    angles: Array
+    """Where the joint was, as measured: means of all cycles."""
+    nominal: Array
+    """Where it was to be."""
+    rising: Array
+    falling: Array
+    turns: Turns | None
+    open: Array
+    """True where both turns are far enough away."""
+    pressures: Array
+    """Mean pressures of both muscles as measured [Pa], shape (2,)."""
+    noise: float
+    """Of the torque [N m]."""
+
+    @cached_property
+    def gap(self) -> Array:
+        """Torque while falling minus torque while rising [N m], shape (cycles, n)."""
+        return np.asarray(self.falling - self.rising)
+
+    @cached_property
+    def left(self) -> Array:
+        """What the turns leave in the mean of both sides [N m], shape (n,)."""
+        return np.zeros_like(self.angles) if self.turns is None else self.turns.of_mean(self.angles)
+
+    @cached_property
+    def mean(self) -> Array:
+        """Torque without hysteresis [N m], shape (cycles, n)."""
+        return np.asarray(0.5 * (self.falling + self.rising) - self.left)
+
+    @cached_property
+    def why_no_stiffness(self) -> str:
+        """Why there is no slope of torque over angle; empty where there is one."""
+        if self.open.sum() < FEWEST:
+            return f"{self.open.sum()} angles are far enough from the turns, and a slope needs {FEWEST}"
+        return self.slack
+
+    @cached_property
+    def slack(self) -> str:
+        """What the gap says of a slack muscle; empty where it says nothing.
+
+        A muscle that pulls on one of the two ways only makes a smaller gap, and the mean is not free of hysteresis.
+        """
+        gap = self.gap.mean(axis=0)[self.open]
+        if np.ptp(gap) > UNEVEN * np.median(gap) + 4 * self.noise:
+            ends = " to ".join(show(float(end), "torque", 3) for end in (gap.min(), gap.max()))
+            return f"the gap between both sides is {ends}: a muscle is slack at some of the angles"
+        return ""
+
+    def stiffness(self, order: int = ORDERS[0]) -> Array:
+        """Minus the slope of a polynomial of torque over angle [N m/rad], at open angles; shape (cycles, open)."""
+        x = self.angles[self.open]
+        terms = np.polyfit(x - x.mean(), self.mean[:, self.open].T, order)
+        powers = np.arange(order, 0, -1)
+        return np.asarray([-np.polyval(column[:-1] * powers, x - x.mean()) for column in terms.T])
+
+
+def staircase_of(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> Staircase:
+    """One trial measured; raises `NotUsable` with the reason, for angles near the turns with what would be enough."""
+    if trial.status != "finished":
+        raise NotUsable(f"the trial is {trial.status}")
+    missing = [name for name in ("angle", "torque", *MUSCLES) if name not in trial.channels]
+    if missing:
+        raise NotUsable(f"{' and '.join(missing)} not recorded")
+    if (bad := float(np.mean(~trial.usable))) > UNUSABLE_SHARE:
+        raise NotUsable(f"{bad:.0%} of the samples are flagged")
+    nominal = np.array(settings_of(run, options)["angles"], dtype=np.float64)
+    angle, torque = on_time(run, trial, "angle"), on_time(run, trial, "torque")
+    places, means, noise = _rests(trial, nominal, angle, torque)
+    _refuse_elsewhere(places, nominal)
+    lowest, highest = trial.point["lowest_angle"], trial.point["highest_angle"]
+    turns = _turns(trial, angle, torque, lowest, highest)
+    found = Staircase(
+        run,
+        trial,
+        places.mean(axis=(0, 1)),
+        nominal,
+        means[:, 0],
+        means[:, 1],
+        turns,
+        _far(nominal, turns, lowest, highest),
+        np.array([float(np.mean(trial.channels[name][trial.usable])) for name in MUSCLES]),
+        noise,
+    )
+    gap = float(np.median(found.gap))
+    refuse_turns(turns, 0.5 * (highest - lowest), gap, noise)
+    if turns is not None and not found.open.any():
+        least = show(CUT * turns.w, "angle", 3)
+        raise NotUsable(
+            f"a turn fades on {show(turns.w, 'angle', 3)}, and no angle is 3 times that away from both turns: the "
+            f"torque there is that of the turns; give an overrun of at least {least}"
+        )
+    return found
+
+
+def _rests(trial: TrialData, nominal: Array, angle: Array, torque: Array) -> tuple[Array, Array, float]:
+    """Mean angles and torques of the later half of each rest, shape (cycles, 2, n), and the noise of these means."""
+    ramps = _ramps(trial)
+    cycles = int(trial.point["cycles"])
+    places, means = (np.full((cycles, 2, len(nominal)), np.nan) for _ in range(2))
+    counts = {"rise": [0] * len(nominal), "fall": [0] * len(nominal)}
+    noise = 0.0
+    for ramp, after in pairwise(ramps):
+        at = np.flatnonzero(np.abs(nominal - ramp.value) < 1e-9)
+        if not len(at):
+            continue
+        begin = ramp.t + abs(ramp.value - ramp.before) / ramp.data["rate"]
+        rows = (trial.t >= 0.5 * (begin + after.t)) & (trial.t < after.t) & trial.usable
+        if rows.sum() < LEAST_SAMPLES:
+            raise NotUsable(f"fewer than {LEAST_SAMPLES} samples in the later half of a rest")
+        cycle, n = counts[ramp.phase][at[0]], int(at[0])
+        counts[ramp.phase][n] += 1
+        side = 0 if ramp.phase == "rise" else 1
+        places[cycle, side, n], means[cycle, side, n] = angle[rows].mean(), torque[rows].mean()
+        noise = max(noise, noise_of(torque[rows]) / float(np.sqrt(rows.sum())))
+    if not np.isfinite(means).all():
+        raise NotUsable("not every angle was reached from both sides in every cycle")
+    return places, means, noise
+
+
+def _refuse_elsewhere(places: Array, nominal: Array) -> None:
+    """Raise `NotUsable` where the joint was not where it was sent."""
+    off = np.abs(places - nominal).max(axis=(0, 1))
+    worst = int(np.argmax(off))
+    if off[worst] > ELSEWHERE * float(np.diff(nominal).min()):
+        raise NotUsable(
+            f"the joint was {show(float(off[worst]), 'angle', 3)} off where it was to be at "
+            f"{show(float(nominal[worst]), 'angle', 3)}: look at the encoder's zero and sign, and at the drive"
+        )
+
+
+def _ramps(trial: TrialData) -> list[Command]:
+    return [c for c in trial.commands if c.output == "angle" and c.kind == "ramp" and c.phase in ("rise", "fall")]
+
+
+def _turns(trial: TrialData, angle: Array, torque: Array, lowest: float, highest: float) -> Turns | None:
+    """How a turn fades, from the torque while the joint moves; None where no turns show."""
+    moving = {"rise": np.zeros(trial.t.shape, bool), "fall": np.zeros(trial.t.shape, bool)}
+    for ramp in _ramps(trial):
+        end = ramp.t + abs(ramp.value - ramp.before) / ramp.data["rate"]
+        moving[ramp.phase] |= (trial.t >= ramp.t) & (trial.t < end) & trial.usable
+    grid = np.linspace(lowest, highest, POINTS)[1:-1]
+    up, down = (on_grid(grid, angle[moving[phase]], torque[moving[phase]]) for phase in (AXES.rises, AXES.falls))
+    known = np.isfinite(up + down)
+    return turns_of(grid[known], (down - up)[known], lowest, highest) if known.sum() > LEAST_SAMPLES else None
+
+
+def _far(nominal: Array, turns: Turns | None, lowest: float, highest: float) -> Array:
+    if turns is None:
+        return np.ones(nominal.shape, bool)
+    way = CUT * turns.w * (1 - 1e-9)
+    return np.asarray((nominal - lowest >= way) & (highest - nominal >= way))

@@ -1,0 +1,108 @@
+"""Steps of attitude of a platform: from level to phi and psi, held there, and back to level."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, ClassVar, Literal
+
+from pydantic import AfterValidator, Field
+
+from pmabench.base.quantities import show
+from pmabench.bench.files.specimen import above_zero
+from pmabench.files.document import Strict
+from pmabench.files.quantity import Pressure, Time, TorqueRate, TorsionalStiffness
+from pmabench.protocol.accept import OF_TRIALS
+from pmabench.protocol.common import Compilation, ProtocolHead
+from pmabench.protocol.plan import Control, Plan, Record, TrialRecord
+from pmabench.protocol.sweep import AngleAxis, Point, Sweep, expand
+
+MUSCLES = ("pressure_1", "pressure_2", "pressure_3")
+ACCELERATIONS = ("acceleration_x", "acceleration_y", "acceleration_z")
+BACK = 1.0
+"""After the hold it goes back to level for so long [s]: vented there, it does not fall on a stop."""
+LEAST_LEVEL, LEAST_HOLD = 1.6, 1.5
+"""Shortest times [s]: from a stop to level, and to see an attitude settle."""
+SLOWEST = 100.0
+"""The law steers at each sample; with fewer a second [Hz] its lags mean nothing."""
+
+
+class PlatformAxes(Strict):
+    """Attitudes: phi about the axis that is fixed to the base, psi about the other."""
+
+    phi: AngleAxis
+    psi: AngleAxis
+
+
+class PlatformTrial(Strict):
+    """One step: level, to the attitude at once, hold, back to level."""
+
+    level: Annotated[Time, Field(ge=LEAST_LEVEL, le=3600)]
+    hold: Annotated[Time, Field(ge=LEAST_HOLD, le=3600)]
+    chain: Literal["reference", "measured"] = "reference"
+    """Where the muscles' contractions come from: the wanted attitude, or the measured one, as paper 3 prints it."""
+    K_p: Annotated[TorsionalStiffness, AfterValidator(above_zero)] = 10.0
+    """Moment by error of the attitude."""
+    K_i: Annotated[TorqueRate, Field(ge=0)] = 180.0
+    """Moment by the integral of the error: 180 N.m/rad/s."""
+    mean_pressure: Annotated[Pressure, AfterValidator(above_zero)] = 250e3
+    """Mean of the three pressures, where their limits allow it."""
+
+
+class PlatformSteps(ProtocolHead):
+    """Protocol of kind platform."""
+
+    cannot_do_without: ClassVar[tuple[str, ...]] = (*MUSCLES, *ACCELERATIONS)
+    gives: ClassVar[tuple[str, ...]] = ("t_1", "OS_q", "e_q", "n_v")
+    checks: ClassVar[tuple[str, ...]] = OF_TRIALS
+    kind: Literal["platform-step"]
+    sweep: Sweep[PlatformAxes]
+    trial: PlatformTrial
+
+    def compile(self, c: Compilation) -> Plan:
+        """The plan: one closed loop a trial, recorded whole; the valves are shut between trials."""
+        bench, trial = c.mounted.bench, self.trial
+        if self.sample_rate < SLOWEST:
+            c.fault(("sample_rate",), f"the law steers at every sample; at least {SLOWEST:g} Hz")
+        if not {"tilt", *MUSCLES} <= set(bench.commanded):
+            return c.plan("platform-step", {})  # not a platform: said by `needs`
+        for name in MUSCLES:
+            c.within(name, trial.mean_pressure, ("trial", "mean_pressure"))
+        for index, point in enumerate(expand(self.sweep, c.document)):
+            self._tilt(c, point)
+            if c.too_long():
+                break
+            attitude = {name: point.values[name] for name in ("phi", "psi")}
+            if math.hypot(*attitude.values()) == 0:
+                c.fault(point.places["phi"], "phi and psi are both 0 deg: that is no step")
+            c.trials.append(TrialRecord(index, attitude, point.repeat))
+            c.steps += [Record("step", True, index), self._control(c, attitude), Record("step", False, index)]
+        height = bench.platform.get("accelerometer", 0.0)
+        return c.plan(
+            "platform-step", {"level": trial.level, "hold": trial.hold, "chain": trial.chain, "height": height}
+        )
+
+    @staticmethod
+    def _tilt(c: Compilation, point: Point) -> None:
+        """Tilt against its limit; both angles together tilt further than either."""
+        tilt = math.acos(math.cos(point.values["phi"]) * math.cos(point.values["psi"]))
+        limit = c.mounted.bench.commanded["tilt"]
+        if tilt > limit.high * (1 + 1e-9):
+            shown = f"phi and psi together are a tilt of {show(tilt, 'angle', 3)}, above the limit"
+            c.fault(point.places["phi"], f"{shown} {show(limit.high, 'angle')} ({limit.high_from})")
+
+    def _control(self, c: Compilation, attitude: dict[str, float]) -> Control:
+        bench, trial = c.mounted.bench, self.trial
+        duration = trial.level + trial.hold + BACK
+        ranges = {name: (record.low, record.high) for name, record in bench.commanded.items()}
+        parameters = {
+            "goals": [[0.0, 0.0, 0.0], [trial.level, *attitude.values()], [trial.level + trial.hold, 0.0, 0.0]],
+            "duration": duration,
+            "K_p": trial.K_p,
+            "K_i": trial.K_i,
+            "mean": trial.mean_pressure,
+            "low": max(ranges[name][0] for name in MUSCLES),
+            "high": min(ranges[name][1] for name in MUSCLES),
+            "chain": trial.chain,
+            "platform": dict(bench.platform),
+        }
+        return Control("step", "platform", ranges, duration + 0.1, parameters)

@@ -1,0 +1,175 @@
+"""From steps of a platform's attitude to time, overshoot, end error and openings of valves, each with an interval."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from pmabench.analysis.shared.calibration import Scales
+from pmabench.analysis.shared.lines import mean_half
+from pmabench.analysis.shared.samples import NotUsable
+from pmabench.base.errors import UsageError
+from pmabench.base.quantities import show
+from pmabench.kinds.platform_step import RESULTS
+from pmabench.kinds.platform_step.course import (
+    ACCELERATIONS,
+    BAND,
+    LAST,
+    MUSCLES,
+    VALVES,
+    Course,
+    G,
+    course_of,
+    wanted,
+)
+from pmabench.model.platform_control import Lags
+from pmabench.store.analyses.results import Analysis, Dropped, Estimate, Finding, Parts, Trace, withhold
+from pmabench.store.records import Array, RunData
+
+KIND = "platform-step"
+HEIGHTS = (0.8, 1.2)
+"""The accelerometer's height is known this well: what comes out differently with either is in the interval."""
+PEAK = 3.0
+"""The highest of many smoothed samples is up to so many of their standard deviations too high."""
+THINNED = 100.0
+"""Samples a second of a figure [Hz]."""
+
+
+def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) -> Analysis:
+    """t_1 [s], OS_q [rad], e_q [rad] and n_v [Hz] of each attitude and chain.
+
+    t_1 is withheld where one of the trials did not settle in the first half of its hold.
+    """
+    chains = sorted({str((run.plan.get("settings") or {}).get("chain", "")) for run in runs})
+    if len(chains) > 1:
+        raise UsageError(
+            f"runs with the chains {' and '.join(chains)} are no repeats of each other: process each by itself, then "
+            "compare the two analyses"
+        )
+    scales = Scales.of(runs)
+    courses, dropped = list[Course](), list[Dropped]()
+    for run in runs:
+        for trial in run.trials:
+            try:
+                courses.append(course_of(run, trial))
+            except NotUsable as reason:
+                dropped.append(Dropped(trial.name, trial.point, str(reason)))
+    estimates, findings, traces = list[Estimate](), list[Finding](), list[Trace]()
+    for (chain, *at), members in _cells(courses).items():
+        estimates += _estimates(f"chain {chain}", dict(zip(("phi", "psi"), at, strict=True)), members, scales)
+        traces.append(_trace(chain, members[-1]))
+    findings += [Finding("doubt", f"{one.trial}: {one.reason}") for one in dropped]
+    findings += [_saturated(one) for one in courses if one.law["saturated"] > 0]
+    if estimates and (lack := scales.lack((), ACCELERATIONS[:2])):
+        findings.append(Finding("note", lack))
+    facts = {"options": dict(options or {}), "trials": len(courses)}
+    return Analysis.of(
+        KIND, runs, results=RESULTS, estimates=estimates, dropped=dropped, findings=findings, traces=traces, facts=facts
+    )
+
+
+def _cells(courses: Sequence[Course]) -> dict[tuple[Any, ...], list[Course]]:
+    """The trials of one chain and attitude together, as they were run."""
+    cells: dict[tuple[Any, ...], list[Course]] = {}
+    for one in courses:
+        cells.setdefault((str(one.law["chain"]), *(round(angle, 9) for angle in one.goal)), []).append(one)
+    return cells
+
+
+def _estimates(method: str, at: Mapping[str, float], members: Sequence[Course], scales: Scales) -> Iterator[Estimate]:
+    """Everything of one cell."""
+    others = [[course_of(one.run, one.trial, heights) for heights in HEIGHTS] for one in members]
+    offset = max(scales.offsets.get(name, 0.0) for name in ACCELERATIONS) / G
+
+    def made(
+        symbol: str, quantity: tuple[str, str], values: Sequence[float], extra: float, known: float | None
+    ) -> Estimate:
+        numbers = np.array(values)
+        parts = Parts(mean_half(numbers, []), extra, known)
+        note = "" if len(values) > 1 else "one trial: how far another one would be off is not known"
+        trials = tuple(one.trial.name for one in members)
+        return Estimate(
+            symbol, float(numbers.mean()), *quantity, method, at, parts, len(values), note=note, trials=trials
+        )
+
+    yield _time(made, members, others, offset)
+    beyond = [one.overshoot for one in members]
+    pairs = [(one, other) for one, both in zip(members, others, strict=True) for other in both]
+    shape = max(abs(other.overshoot - one.overshoot) for one, other in pairs)
+    shape = math.hypot(shape, PEAK * max(one.noise for one in members))
+    yield made("OS_q", ("rad", "angle"), beyond, shape, offset or None)
+    misses = [math.hypot(*one.ends()) for one in members]
+    drifts = max(math.dist(one.ends(LAST, 0.5 * LAST), one.ends(0.5 * LAST)) / 2 for one in members)
+    yield made("e_q", ("rad", "angle"), misses, drifts, offset or None)
+    busiest = [max(one.openings().values()) for one in members]
+    yield made("n_v", ("Hz", "frequency"), busiest, max(1 / one.hold for one in members), 0.0)
+
+
+def _time(made: Any, members: Sequence[Course], others: Sequence[Sequence[Course]], offset: float) -> Estimate:
+    """Time to within 1 deg; its interval holds the times of a band that is wider and narrower by what is not known."""
+    off = [math.hypot(offset, 2 * one.noise) for one in members]
+    times = [one.settled() for one in members]
+    sure = [[one.settled(BAND + sign * by) for sign in (-1, 1)] for one, by in zip(members, off, strict=True)]
+    shaped = [[other.settled() for other in both] for both in others]
+    known = [time for time in times if time is not None]
+    estimate: Estimate = made("t_1", ("s", "time"), known or [math.inf], 0.0, None)
+    if len(known) < len(members):
+        many = f"{len(members) - len(known)} of {len(members)} trials"
+        return withhold(estimate, f"{many} did not stay within 1 deg in the second half of the hold")
+    changed = [*zip(known, sure, strict=True), *zip(known, shaped, strict=True)]
+    if any(time is None for _, several in changed for time in several):
+        return withhold(
+            estimate, "whether it settles depends on how well the attitude is known: it ends near 1 deg off"
+        )
+    by_band, by_height = (
+        max(abs(time - own) for own, several in zip(known, cases, strict=True) for time in several if time is not None)
+        for cases in (sure, shaped)
+    )
+    return made("t_1", ("s", "time"), known, by_height + 0.5 / members[0].run.rate, by_band)  # type: ignore[no-any-return]
+
+
+def _saturated(one: Course) -> Finding:
+    share = show(float(one.law["saturated"]), "ratio", 2)
+    return Finding("note", f"{one.trial.name}: in {share} of the periods limits of pressures forbade the wanted moment")
+
+
+def _trace(chain: str, one: Course) -> Trace:
+    """The whole of one trial, thinned."""
+    stride = max(1, round(one.run.rate / THINNED))
+    aims, reference = wanted(one), _reference(one)
+    columns = {"t": one.t, "phi": one.phi, "psi": one.psi, "reference_phi": reference[0], "reference_psi": reference[1]}
+    columns |= {name: np.asarray(one.trial.channels[name]) for name in MUSCLES}
+    columns |= {f"wanted_{i + 1}": aims[name] for i, name in enumerate(MUSCLES)}
+    thin = {name: values[::stride] for name, values in columns.items()}
+    thin |= {valve: _open_share(one, valve, thin["t"], stride / one.run.rate) for valve in VALVES}
+    quantities = {"t": "time", **dict.fromkeys(("phi", "psi", "reference_phi", "reference_psi"), "angle")}
+    quantities |= dict.fromkeys((*MUSCLES, *(f"wanted_{i}" for i in (1, 2, 3))), "pressure")
+    quantities |= dict.fromkeys(VALVES, "ratio")
+    phi, psi = (show(angle, "angle", 4) for angle in one.goal)
+    marks = {"phi": one.goal[0], "psi": one.goal[1], "hold": one.hold}
+    name = f"attitude-{chain}-{one.trial.number}"
+    return Trace(name, "attitude", f"To phi {phi}, psi {psi}, chain {chain}", thin, quantities, marks)
+
+
+def _reference(one: Course) -> tuple[Array, Array]:
+    """What the attitude is to follow, at each sample: the goals through the law's two lags."""
+    lags = Lags(float(one.law["reference_lag"]), (float(one.phi[0]), float(one.psi[0])))
+    goals = [(float(begin), (float(phi), float(psi))) for begin, phi, psi in one.law["goals"]]
+    start = float(one.law["t0"])
+    rows = []
+    for t, h in zip(one.trial.t, np.diff(one.trial.t, prepend=one.trial.t[0]), strict=True):
+        goal = next((at for begin, at in reversed(goals) if t - start >= begin - 1e-9), goals[0][1])
+        rows.append(lags.update(float(h), goal))
+    return np.array([row[0] for row in rows]), np.array([row[1] for row in rows])
+
+
+def _open_share(one: Course, valve: str, t: Array, step: float) -> Array:
+    """Share of each interval of `step` [s] from `t` on in which a valve is commanded open."""
+    share = np.zeros(len(t))
+    for begin, name, seconds in one.pulses:
+        if name == valve:
+            share += np.clip(np.minimum(begin + seconds, t + step) - np.maximum(begin, t), 0.0, step) / step
+    return np.minimum(share, 1.0)

@@ -1,0 +1,43 @@
+"""A step to a pressure at a set contraction, held for minutes: how the rubber relaxes.
+
+- `reduction`, made of `course` (one trial) and `fit` (straight line over log t, exponentials, their noise)
+- protocol files: `protocol`; one trial on the display: `live`; figure: `figures`
+"""
+
+from pmabench.base.imported import Imported
+from pmabench.base.kind import Kind, Result
+
+RESULTS = (
+    Result("s", "relaxation of the force per decade of time", "ratio", headline=True),
+    Result("F_1", "force one second after the step", "force"),
+    Result("g", "share of the force that relaxes with a time constant", "ratio"),
+)
+METHODS = {
+    "relaxation, log t": (
+        "F = F_1 (1 − s log10(t/1 s)) from a begin on, F multiplied by the mean pressure over the measured one; a "
+        "straight line through means over equal parts of log t. The noise of neighbouring samples counts with its "
+        "correlation."
+    ),
+    "relaxation, Prony": (
+        "F = F_1 [g_0 + Σ g_j exp(−t/T_j)] with T_j of 1, 10, 100 and 1000 s, non-negative least squares through the "
+        "same means. Time constants that the hold does not show are withheld."
+    ),
+}
+KIND = Kind(
+    name="relaxation",
+    title="Relaxation",
+    order=65,
+    results=RESULTS,
+    reduction="pmabench.kinds.relaxation.reduction:reduce",
+    papers=("paper 4, relaxation of the rubber",),
+    protocol="pmabench.kinds.relaxation.protocol:Relaxation",
+    live="pmabench.kinds.relaxation.live:measure",
+    moves="force",
+    compares="force",
+    repeated="pmabench.kinds.relaxation.reduction:per_decade",
+    repeated_is="relaxation per decade",
+    word="relaxation",
+    methods=METHODS,
+    figures={"relaxation": "pmabench.kinds.relaxation.figures:courses"},
+    imported=Imported(),
+)

@@ -1,0 +1,334 @@
+"""Two muscles that pull on a pulley against each other: torque, stiffness, pressures for both, angle of rest.
+
+Muscle 1 shortens with a positive angle. Both are muscles of the modified Daerden model; alpha = 2 and A = 0 make them
+those of Tondu and Lopez. Stiffness is isobaric, at pressures that regulators hold, unless it says shut.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import brentq
+
+from pmabench.model.curve import Array
+from pmabench.model.library.braid import BAR, BRAID_ANGLE, DEG, MM
+from pmabench.model.library.daerden import (
+    ALPHA,
+    ATMOSPHERE,
+    B1,
+    B2,
+    DIAMETER,
+    LENGTH,
+    A,
+    muscle_volume,
+    rubber_force,
+    section_factor,
+)
+from pmabench.model.library.description import Output, Parameter, Reference, Values, described, refuse
+from pmabench.model.presets import paper0, serres2009
+
+FAMILY = "joint"
+LEAST, MOST = -0.03, 0.20
+"""Contractions between which the muscles are known [1]."""
+SOURCE = "computed from the equations of paper 3; no paper prints a pair"
+BY_HAND = "computed from the equations, by another program"
+ANGLE = Parameter("angle", "th", "angle", 0.0, "of the pulley; above 0 muscle 1 is shorter", -math.pi, math.pi,
+                  "no pulley with two muscles turns further")  # fmt: skip
+PULLEY = Parameter(
+    "pulley_radius", "R", "length", 25 * MM, "lever arm of both muscles", 0.0, 1.0, "no joint", above=True
+)
+PRELOAD = Parameter("preload", "e0", "ratio", 0.10, "contraction of both at angle 0", LEAST, MOST,
+                    "paper 3 measured -3 to 20 %")  # fmt: skip
+MUSCLE = (DIAMETER, LENGTH, BRAID_ANGLE, ALPHA, A, B1, B2)
+TONDU = {"alpha": 2.0, "A": 0.0}
+"""What makes both muscles those of Tondu and Lopez."""
+LOWEST, HIGHEST = 0.2 * BAR, 5.5 * BAR
+
+
+def _pressure(number: int) -> Parameter:
+    return Parameter(f"pressure_{number}", f"P{number}", "pressure", 2 * BAR, f"gauge pressure of muscle {number}",
+                     0.0, 1e6, "no pressure of a muscle")  # fmt: skip
+
+
+class _Side(NamedTuple):
+    """One muscle at its contraction: S and F_e, and their slopes over the contraction."""
+
+    section: Array
+    rubber: Array
+    section_slope: Array
+    rubber_slope: Array
+
+
+def _side(eps: Array, diameter: Array, braid_angle: Array, alpha: Array, A: Array, B1: Array, B2: Array) -> _Side:
+    steep = -math.pi / 4 * diameter**2 * 3 * alpha * (1 - eps) ** (alpha - 1) / np.tan(braid_angle) ** 2
+    bent = A * ((2 * eps - B1) * (eps + B2) - eps * (eps - B1)) / (eps + B2) ** 2
+    return _Side(section_factor(eps, diameter, braid_angle, alpha), rubber_force(eps, A, B1, B2), steep, bent)
+
+
+def _contractions(angle: Array, radius: Array, preload: Array, length: Array) -> tuple[Array, Array]:
+    """Of muscles 1 and 2; refused where the model of the muscle does not hold."""
+    way = radius * angle / length
+    both = np.asarray(preload + way), np.asarray(preload - way)
+    for eps in both:
+        refuse("angle", "a muscle would be outside -3 to 20 % of contraction, where it is known",
+               (eps < LEAST - 1e-9) | (eps > MOST + 1e-9), np.broadcast_to(angle, eps.shape))  # fmt: skip
+    return both
+
+
+def _forces(sides: tuple[_Side, _Side], P1: Array, P2: Array) -> tuple[Array, Array]:
+    """Pull of each [N]; a slack muscle neither pushes nor holds."""
+    first, second = sides
+    return (
+        np.maximum(0.0, first.section * P1 + first.rubber),
+        np.maximum(0.0, second.section * P2 + second.rubber),
+    )
+
+
+@described(
+    "joint", FAMILY, "Torque and stiffness of a pulley between two muscles",
+    equation=(
+        "eps_1 = e0 + R th / l0,  eps_2 = e0 - R th / l0;  F_i = max(0, S P_i + F_e), as in daerden-force",
+        "tau = R (F_1 - F_2);  K = -(R^2 / l0) sum over taut muscles of S'(eps_i) P_i + F_e'(eps_i)",
+        "shut valves add K_air = (R^2 / l0) n sum S(eps_i) (P_i + P_atm) V'(eps_i) / V(eps_i)",
+    ),
+    source=SOURCE,
+    parameters=(
+        ANGLE, _pressure(1), _pressure(2), PULLEY, PRELOAD, *MUSCLE,
+        Parameter("polytropic", "n", "count", 1.2, "1 isothermal, 1.4 adiabatic", 1.0, 1.4, "no air behaves so"),
+        ATMOSPHERE,
+    ),
+    outputs=(
+        Output("torque", "tau", "torque", "of both muscles, towards a positive angle"),
+        Output("stiffness", "K", "torsional stiffness", "isobaric: -d tau / d th"),
+        Output("air_stiffness", "K_air", "torsional stiffness", "what shut valves add to K"),
+        Output("force_1", "F_1", "force", "pull of muscle 1"),
+        Output("force_2", "F_2", "force", "pull of muscle 2"),
+    ),
+    references=tuple(
+        Reference(output, printed, unit, 1.0, BY_HAND,
+                  {"angle": angle * DEG, "pressure_1": p1 * BAR, "pressure_2": p2 * BAR} | muscle)
+        for angle, p1, p2, muscle, torque, K, K_air in (
+            (0, 2, 2, {}, None, "9.554", "12.833"), (0, 4, 2, {}, "7.684", "15.505", "17.092"),
+            (0, 4, 4, {}, None, "21.456", "21.350"), (15, 4, 2, {}, "3.629", "15.648", "16.935"),
+            (30, 2, 4, {}, "-16.380", "18.884", "31.261"),
+            (0, 2, 2, TONDU, None, "9.752", "13.092"), (0, 4, 2, TONDU, "8.759", "14.629", "17.436"),
+            (0, 4, 4, TONDU, None, "19.505", "21.781"), (15, 4, 2, TONDU, "4.953", "14.451", "17.035"),
+            (30, 2, 4, TONDU, "-16.512", "14.983", "27.432"), (45, 4, 4, TONDU, "-15.319", "19.505", "41.613"),
+            (45, 4, 4, {}, "-18.903", "34.260", "53.209"),
+        )
+        for output, printed, unit in (
+            ("torque", torque, "N.m"), ("stiffness", K, "N.m/rad"), ("air_stiffness", K_air, "N.m/rad")
+        )
+        if printed is not None
+    ),
+    notes=(
+        "At angle 0 both muscles are slack below 0.446 bar and hold nothing: a vented joint does not stay where it is.",
+        "Hysteresis of the muscles makes a small perturbation look stiffer than this: at +-0.25 deg three times as "
+        "stiff.",
+    ),
+)  # fmt: skip
+def joint(
+    angle: Array, pressure_1: Array, pressure_2: Array, pulley_radius: Array, preload: Array, diameter: Array,
+    length: Array, braid_angle: Array, alpha: Array, A: Array, B1: Array, B2: Array, polytropic: Array,
+    atmosphere: Array,
+) -> Values:  # fmt: skip
+    """Tau [N.m], K and K_air [N.m/rad], F_i [N] from th [rad], P_i [Pa gauge], R and l0 [m], e0 [1] and the muscle."""
+    shape = (diameter, braid_angle, alpha, A, B1, B2)
+    both = _contractions(angle, pulley_radius, preload, length)
+    sides = _side(both[0], *shape), _side(both[1], *shape)
+    forces, pressures = _forces(sides, pressure_1, pressure_2), (pressure_1, pressure_2)
+    arm, K, air = pulley_radius**2 / length, np.zeros(()), np.zeros(())
+    for eps, side, force, P in zip(both, sides, forces, pressures, strict=True):
+        taut = force > 0
+        K = K - arm * np.where(taut, side.section_slope * P + side.rubber_slope, 0.0)
+        volume = muscle_volume(eps, diameter, length, braid_angle, alpha)
+        size = math.pi / 4 * diameter**2 * length
+        slope = size * ((alpha + 1) * (1 - eps) ** alpha / np.tan(braid_angle) ** 2 - 1 / np.sin(braid_angle) ** 2)
+        air = air + arm * polytropic * np.where(taut, side.section * (P + atmosphere) * slope / volume, 0.0)
+    torque = pulley_radius * (forces[0] - forces[1])
+    return {"torque": torque, "stiffness": K, "air_stiffness": air, "force_1": forces[0], "force_2": forces[1]}
+
+
+@described(
+    "joint-inverse", FAMILY, "Both pressures for a torque and a stiffness at an angle",
+    equation=(
+        "[S_1, -S_2; -S_1', -S_2'] (P_1, P_2) = (tau / R - F_e1 + F_e2, K l0 / R^2 + F_e1' + F_e2')",
+        "linear, because S P + F_e is; F_i >= 0 and P_i within limits, else refused",
+    ),
+    source=SOURCE,
+    parameters=(
+        ANGLE,
+        Parameter("torque", "tau", "torque", 0.0, "wanted"),
+        Parameter("stiffness", "K", "torsional stiffness", 20.0, "wanted, isobaric"),
+        PULLEY, PRELOAD, *MUSCLE,
+        Parameter("pressure_min", "P_min", "pressure", LOWEST, "least gauge pressure of a regulator", 0.0, 1e6),
+        Parameter("pressure_max", "P_max", "pressure", HIGHEST, "greatest gauge pressure", 0.0, 1e6, above=True),
+    ),
+    outputs=(
+        Output("pressure_1", "P1", "pressure", "gauge pressure of muscle 1"),
+        Output("pressure_2", "P2", "pressure", "gauge pressure of muscle 2"),
+    ),
+    references=(
+        Reference("pressure_1", "4.5543", "bar", BAR, BY_HAND, {"angle": 20 * DEG}),
+        Reference("pressure_2", "2.7775", "bar", BAR, BY_HAND, {"angle": 20 * DEG}),
+        Reference("pressure_1", "5.2628", "bar", BAR, BY_HAND, {"angle": 20 * DEG, "torque": 5.0}),
+        Reference("pressure_2", "2.1709", "bar", BAR, BY_HAND, {"angle": 20 * DEG, "torque": 5.0}),
+        Reference("pressure_1", "6.727", "bar", BAR, BY_HAND,
+                  {"angle": 20 * DEG, "stiffness": 30.0, "pressure_max": 7 * BAR}),
+        Reference("pressure_2", "4.033", "bar", BAR, BY_HAND,
+                  {"angle": 20 * DEG, "stiffness": 30.0, "pressure_max": 7 * BAR}),
+    ),
+    notes=(
+        "What is outside the limits is refused with the stiffness that this torque can have there.",
+        "Hysteresis is left out: with a perfect model the joint still misses by 2.5 to 4.6 deg without feedback.",
+    ),
+)  # fmt: skip
+def joint_inverse(
+    angle: Array, torque: Array, stiffness: Array, pulley_radius: Array, preload: Array, diameter: Array,
+    length: Array, braid_angle: Array, alpha: Array, A: Array, B1: Array, B2: Array, pressure_min: Array,
+    pressure_max: Array,
+) -> Values:  # fmt: skip
+    """P_1 and P_2 [Pa gauge] from th [rad], tau [N.m], K [N.m/rad], R and l0 [m], e0 [1], the muscle, limits."""
+    shape = (diameter, braid_angle, alpha, A, B1, B2)
+    both = _contractions(angle, pulley_radius, preload, length)
+    one, two = (_side(eps, *shape) for eps in both)
+    for side in (one, two):
+        refuse("angle", "S is not above 0: no pressure gives a pull there", side.section <= 0)
+    pull = torque / pulley_radius - one.rubber + two.rubber
+    slope = stiffness * length / pulley_radius**2 + one.rubber_slope + two.rubber_slope
+    determinant = -one.section * two.section_slope - two.section * one.section_slope
+    P1 = (-pull * two.section_slope + slope * two.section) / determinant
+    P2 = (slope * one.section + pull * one.section_slope) / determinant
+    # along a constant torque P1 and P2 rise together, and the stiffness with them: what the limits leave is an interval
+    low = np.maximum(pressure_min, (pull + two.section * pressure_min) / one.section)
+    high = np.minimum(pressure_max, (pull + two.section * pressure_max) / one.section)
+    ends = [
+        pulley_radius**2
+        / length
+        * (
+            -one.section_slope * P
+            - two.section_slope * (one.section * P - pull) / two.section
+            - one.rubber_slope
+            - two.rubber_slope
+        )
+        for P in (low, high)
+    ]
+    outside = (
+        (np.minimum(P1, P2) < pressure_min - 1e-6)
+        | (np.maximum(P1, P2) > pressure_max + 1e-6)
+        | (one.section * P1 + one.rubber < -1e-9)
+        | (two.section * P2 + two.rubber < -1e-9)
+    )
+    if np.any(outside):
+        where = np.unravel_index(int(np.argmax(outside)), np.shape(outside))
+        least, most, P_1, P_2 = (float(np.broadcast_to(v, np.shape(outside))[where]) for v in (*ends, P1, P2))
+        reach = f"from {least:.3g} to {most:.3g} N.m/rad" if most > least else "at no stiffness"
+        refuse(
+            "stiffness",
+            f"it would take {P_1 / BAR:.4g} and {P_2 / BAR:.4g} bar; within the limits this torque can be had {reach}",
+            outside, np.broadcast_to(stiffness, np.shape(outside)),
+        )  # fmt: skip
+    return {"pressure_1": P1, "pressure_2": P2}
+
+
+@described(
+    "joint-rest", FAMILY, "Angle at which two muscles hold each other without a load",
+    equation=("tau(th) = 0, tau as in joint, at the angle where it is stable",),
+    source=SOURCE,
+    parameters=(
+        Parameter("pressure_1", "P1", "pressure", 3.5 * BAR, "gauge pressure of muscle 1", 0.0, 1e6),
+        Parameter("pressure_2", "P2", "pressure", 2.5 * BAR, "gauge pressure of muscle 2", 0.0, 1e6),
+        PULLEY, PRELOAD, *MUSCLE,
+    ),
+    outputs=(Output("angle", "th", "angle", "rest angle"),),
+    references=(
+        Reference("angle", "14.145", "deg", DEG, BY_HAND),
+        Reference("angle", "27.843", "deg", DEG, BY_HAND, {"pressure_1": 4 * BAR, "pressure_2": 2 * BAR}),
+        Reference("angle", "17.214", "deg", DEG, BY_HAND, TONDU),
+        Reference("angle", "34.798", "deg", DEG, BY_HAND, {"pressure_1": 4 * BAR, "pressure_2": 2 * BAR} | TONDU),
+    ),
+    notes=("Refused where the torque has the same sign at all angles at which both muscles are known.",),
+)  # fmt: skip
+def joint_rest(
+    pressure_1: Array, pressure_2: Array, pulley_radius: Array, preload: Array, diameter: Array, length: Array,
+    braid_angle: Array, alpha: Array, A: Array, B1: Array, B2: Array,
+) -> Values:  # fmt: skip
+    """Th [rad] from P_i [Pa gauge], R and l0 [m], e0 [1] and the muscle."""
+    inputs = np.broadcast_arrays(
+        pressure_1, pressure_2, pulley_radius, preload, diameter, length, braid_angle, alpha, A, B1, B2
+    )
+    found = [_rest(*map(float, row)) for row in zip(*map(np.ravel, inputs), strict=True)]
+    return {"angle": np.array(found).reshape(inputs[0].shape)}
+
+
+def _rest(P1: float, P2: float, R: float, e0: float, D0: float, l0: float, *shape: float) -> float:
+    """Rest angle [rad] of one joint."""
+    farthest = min(e0 - LEAST, MOST - e0) * l0 / R
+
+    def torque(angle: float) -> float:
+        way = R * angle / l0
+        one, two = (_side(np.asarray(eps), np.asarray(D0), *map(np.asarray, shape)) for eps in (e0 + way, e0 - way))
+        first, second = _forces((one, two), np.asarray(P1), np.asarray(P2))
+        return R * float(first - second)
+
+    refuse("pressure_1", f"no rest within {farthest / DEG:.1f} deg to either side",
+           torque(-farthest) <= 0 or torque(farthest) >= 0, P1)  # fmt: skip
+    angle = float(brentq(torque, -farthest, farthest, xtol=1e-12))
+    refuse("pressure_1", f"the joint balances at {angle / DEG:.2f} deg and does not rest there: it is unstable",
+           torque(angle + 1e-4) >= torque(angle - 1e-4), P1)  # fmt: skip
+    return angle
+
+
+MUSCLES = {"mas-20-250-paper0": paper0, "mas-20-250-serres2009": serres2009}
+
+
+@described(
+    "joint-three-element", FAMILY, "Torque, stiffness and rest of a pulley between two three-element muscles",
+    equation=(
+        "F_i = max(0, F_ce(P_i) - K(P_i) x_i),  x_1 = x_0 + R th,  x_2 = x_0 - R th;  tau = R (F_1 - F_2)",
+        "K = R^2 (K(P_1) + K(P_2)), at any angle;  th_0 where F_1 = F_2",
+    ),
+    source="the straight form of paper 0 on a pulley; no paper prints a pair",
+    parameters=(
+        Parameter("muscle", "", "", "mas-20-250-paper0", "published lines", choices=tuple(MUSCLES)),
+        ANGLE, _pressure(1), _pressure(2), PULLEY,
+        Parameter("preload", "x0", "length", 30 * MM, "contraction of both at angle 0", 0.0, 1.0),
+    ),
+    outputs=(
+        Output("torque", "tau", "torque", "of both muscles, towards a positive angle"),
+        Output("stiffness", "K", "torsional stiffness", "of both while they are taut"),
+        Output("rest_angle", "th_0", "angle", "where it rests without a load, both taut"),
+        Output("rest_force", "F_0", "force", "pull of each there; below 0 they are slack and it does not rest"),
+    ),
+    references=(
+        *(Reference("stiffness", printed, "N.m/rad", 1.0, BY_HAND, {"pressure_1": P * 1e3, "pressure_2": P * 1e3})
+          for P, printed in ((200, "7.735"), (300, "8.466"), (400, "9.440"), (500, "10.656"))),
+        *(Reference("stiffness", printed, "N.m/rad", 1.0, BY_HAND,
+                    {"muscle": "mas-20-250-serres2009", "pressure_1": P * 1e3, "pressure_2": P * 1e3})
+          for P, printed in ((150, "34.9"), (200, "32.9"), (314, "28.3"), (450, "31.3"), (550, "33.6"))),
+        Reference("rest_angle", "29.20", "deg", DEG, BY_HAND, {"pressure_1": 4 * BAR}),
+        Reference("rest_force", "60.2", "N", 1.0, BY_HAND, {"pressure_1": 4 * BAR}),
+        Reference("rest_force", "-18.6", "N", 1.0, BY_HAND),
+    ),
+    notes=(
+        "Co-contraction hardly stiffens the first; K of the second falls to 314 kPa and rises again, so that a wanted "
+        "stiffness has two answers.",
+    ),
+)  # fmt: skip
+def joint_three_element(
+    muscle: str, angle: Array, pressure_1: Array, pressure_2: Array, pulley_radius: Array, preload: Array
+) -> Values:
+    """Tau [N.m], K [N.m/rad], th_0 [rad], F_0 [N] from th [rad], P_i [Pa gauge], R and x_0 [m]."""
+    lines = MUSCLES[muscle]()
+    way = pulley_radius * angle
+    F1, F2, K1, K2 = (curve.values(np.asarray(P)) for curve in (lines.F_ce, lines.K) for P in (pressure_1, pressure_2))
+    rest = (F1 - F2 - (K1 - K2) * preload) / (pulley_radius * (K1 + K2))
+    pulls = np.maximum(0.0, F1 - K1 * (preload + way)), np.maximum(0.0, F2 - K2 * (preload - way))
+    return {
+        "torque": pulley_radius * (pulls[0] - pulls[1]),
+        "stiffness": pulley_radius**2 * (K1 + K2) + 0 * way,
+        "rest_angle": rest + 0 * way,
+        "rest_force": F1 - K1 * (preload + pulley_radius * rest) + 0 * way,
+    }

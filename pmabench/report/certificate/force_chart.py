@@ -1,0 +1,173 @@
+"""The second figure of the certificate: force over contraction at each pressure, measured dots on the fitted lines.
+
+What no trial reached is grey. The lines are F = F_ce(P) − K(P) x of the first method that gives both; dots are where
+strokes ended under a load, or forces at held contractions, as the analyses hold them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pmabench.plotting.chart import Chart, Series
+from pmabench.plotting.frame import Frame
+from pmabench.plotting.pictures import Picture, has, of_charts
+from pmabench.plotting.plots import Array
+from pmabench.plotting.wording import rounded
+from pmabench.report.document.tables import is_number, mappings
+from pmabench.report.figures.characteristic_figures import FIGURE, MODELS
+from pmabench.store.analyses.results import Analysis, Estimate
+
+WIDTH, HEIGHT = 510.0, 158.0
+FEWEST = 2
+"""Pressures that the figure needs."""
+MOST = 8
+"""Pressures that are drawn, evenly chosen."""
+PALE, DEEP = (0x9D, 0xB7, 0xD5), (0x06, 0x2C, 0x52)
+"""Ends of the sequence of blues, from the least to the largest pressure."""
+READABLE = 0.45
+"""Share of the way to `DEEP` from which on a blue is dark enough for text."""
+SAME = 500.0
+"""Pressures that differ by less are one [Pa]."""
+
+
+@dataclass(frozen=True)
+class Level:
+    """What is known at one pressure [Pa], SI."""
+
+    P: float
+    F_ce: float
+    K: float
+    rest: Array
+    """Ends of contracting strokes and held forces: contraction and force, shape (n, 2)."""
+    back: Array
+    """Ends of relaxing strokes, as `rest`."""
+
+
+def blue(share: float) -> str:
+    """A colour between the palest (0) and the deepest blue (1)."""
+    parts = (round(a + (b - a) * min(1.0, max(0.0, share))) for a, b in zip(PALE, DEEP, strict=True))
+    return "#" + "".join(f"{part:02x}" for part in parts)
+
+
+def force_picture(analyses: Sequence[Analysis], less: float = 0.0) -> Picture | None:
+    """The figure, lower by `less` [pt].
+
+    None where F_ce and K are not known at two pressures, or nothing was measured on their lines.
+    """
+    levels = _levels(analyses)
+    if len(levels) < FEWEST or not any(len(level.rest) for level in levels):
+        return None
+    if len(levels) > MOST:
+        levels = [levels[i] for i in np.unique(np.linspace(0, len(levels) - 1, MOST).astype(int))]
+    dots = np.concatenate([np.concatenate([level.rest, level.back]) for level in levels])
+    low, high, far = float(dots[:, 1].min()), float(dots[:, 1].max()), float(dots[:, 0].max())
+    simulated = any(a.simulated for a in analyses)
+    reach = max(far * 1.12, min(max(level.F_ce / level.K for level in levels), 1.6 * far))
+    series = [one for n, level in enumerate(levels) for one in _series(level, n / (len(levels) - 1), reach)]
+    ends = f"{_shown(levels[0].P)} to {_shown(levels[-1].P)} kPa"
+    alt = (
+        f"Force over contraction at {len(levels)} pressures from {ends}: straight lines with slope −K, "
+        f"from {levels[0].F_ce:.4g} N and {levels[-1].F_ce:.4g} N at no contraction; "
+        f"measured from {low:.3g} to {high:.3g} N."
+    )
+    chart = Chart(
+        x_label="contraction x [mm]",
+        y_label="F [N]",
+        series=tuple(series),
+        width=WIDTH,
+        height=HEIGHT - less,
+        alt=alt,
+        tested=_tested(levels, low, high),
+        zero=True,
+        stamp="SIMULATED" if simulated else "",
+    )
+    friction = next((e for a in analyses for e in a.estimates if e.symbol == "F_c" and not e.at and e.value), None)
+    size = rounded(friction.value, None, 3) if friction else ""
+    off = f" Friction lets a muscle rest up to F_c = {size} N off its line." if size else ""
+    hollow = " Hollow: where relaxing strokes ended." if any(len(level.back) for level in levels) else ""
+    caption = f"Lines: F = F_ce − K x of the fit. Dots: where strokes ended under each load.{hollow}{off}"
+    title = f"Force over contraction, {ends}"
+    return of_charts((chart,), title, caption, alt, _table(levels), simulated=simulated)
+
+
+def _levels(analyses: Sequence[Analysis]) -> list[Level]:
+    """Pressures at which F_ce and K of one method are known, rising."""
+    for method, _ in MODELS:
+        F_ce, K = (_over_pressure(analyses, symbol, method) for symbol in ("F_ce", "K"))
+        both = sorted(P for P in set(F_ce) & set(K) if K[P] > 0)
+        if len(both) >= FEWEST:
+            return [Level(P, F_ce[P], K[P], *_measured(analyses, P)) for P in both]
+    return []
+
+
+def _over_pressure(analyses: Sequence[Analysis], symbol: str, method: str) -> dict[float, float]:
+    found: list[Estimate] = [
+        e for a in analyses for e in a.estimates if (e.symbol, e.method) == (symbol, method) and not e.coordinate
+    ]
+    return {e.at["pressure"]: e.value for e in found if e.value is not None and set(e.at) == {"pressure"}}
+
+
+def _measured(analyses: Sequence[Analysis], P: float) -> tuple[Array, Array]:
+    """Contraction [m] and force [N] at rest near a pressure, after contracting (or held), and after relaxing."""
+    rest: list[tuple[float, float]] = []
+    back: list[tuple[float, float]] = []
+    for a in analyses:
+        for step in mappings(a.facts.get("steps")):
+            if _is_end(step) and abs(step["pressure"] - P) < SAME:
+                (rest if step.get("phase") == "contract" else back).append((step["x_inf"], step["load"]))
+        for t in a.traces:
+            if t.figure == FIGURE and has(t, "pressure", "displacement", "force"):
+                near = np.abs(t.columns["pressure"] - P) < SAME
+                rest += list(zip(t.columns["displacement"][near], t.columns["force"][near], strict=True))
+    return np.array(rest, dtype=np.float64).reshape(-1, 2), np.array(back, dtype=np.float64).reshape(-1, 2)
+
+
+def _is_end(step: Mapping[str, object]) -> bool:
+    return all(is_number(step.get(name)) for name in ("pressure", "load", "x_inf"))
+
+
+def _series(level: Level, share: float, reach: float) -> list[Series]:
+    """The line with its name at its end, and the dots."""
+    color, text = blue(share), blue(max(share, READABLE))
+    end = min(reach, level.F_ce / level.K)
+    x = np.linspace(0.0, end, 25)
+    name = f"{_shown(level.P)} kPa"
+    found = [Series(name, 1e3 * x, level.F_ce - level.K * x, color, width=1.6, name_color=text, named_first=True)]
+    for marks, hollow in ((level.rest, False), (level.back, True)):
+        if len(marks):
+            order = np.argsort(marks[:, 0], kind="stable")
+            said = f"{name}, {'relaxed' if hollow else 'measured'}"
+            found.append(Series("", 1e3 * marks[order, 0], marks[order, 1], color, True, hollow=hollow, said=said))
+    return found
+
+
+def _tested(levels: Sequence[Level], low: float, high: float) -> Array:
+    """Corners of the zone between the least and the largest pressure and load [mm, N]."""
+    force = np.linspace(low, high, 40)
+    near, far = ((level.F_ce - force) / level.K for level in (levels[0], levels[-1]))
+    inside = far >= 0
+    left, right = np.maximum(near, 0.0)[inside], far[inside]
+    return 1e3 * np.array([[*left, *right[::-1]], [*(1e-3 * force[inside]), *(1e-3 * force[inside])[::-1]]]).T
+
+
+def _table(levels: Sequence[Level]) -> Frame:
+    rows = [
+        {
+            "P [kPa]": _shown(level.P),
+            "x [mm]": rounded(1e3 * x, None, 4),
+            "F [N]": rounded(F, None, 4),
+            "line [N]": rounded(level.F_ce - level.K * x, None, 4),
+            "after": word,
+        }
+        for level in levels
+        for marks, word in ((level.rest, "contracting, or held"), (level.back, "relaxing"))
+        for x, F in marks
+    ]
+    return Frame(rows)
+
+
+def _shown(P: float) -> str:
+    return f"{P / 1e3:.4g}"

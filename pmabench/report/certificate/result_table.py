@@ -1,0 +1,161 @@
+"""The one table of the certificate: the coefficients of the test with most values, each with its interval.
+
+Its rows come from `foremost.richest`, its cells from `tables.cell`, as on the terminal and in the appendices.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from pmabench.plotting.wording import clean, number, point_shown, shown, symbol_text
+from pmabench.report.document.tables import cell
+from pmabench.report.foremost import richest
+from pmabench.report.terminal_coefficients import reasons
+from pmabench.report.words import declared
+from pmabench.store.analyses.results import AGREEMENT, Analysis, Estimate
+
+MOST_ROWS = 11
+MOST_LETTERS = 66
+"""Letters of a row that fit its column of the page."""
+MOST_NOTES = 3
+FIGURE, POINT, THIN = "\u2007", "\u2008", "\u2009"
+"""Spaces as wide as a digit, as a point, and a thin one."""
+_PAIR = re.compile(r"(−?[\d.]+) ± ([\d.]+)")
+
+
+@dataclass(frozen=True)
+class Value:
+    """A cell: value and half width padded so that points are below each other; or words in their place."""
+
+    text: str
+    half: str = ""
+    words: bool = False
+
+
+@dataclass(frozen=True)
+class ResultTable:
+    """The table with its heads (symbol, unit) and notes; without rows there is no result."""
+
+    heads: list[tuple[str, str]] = field(default_factory=list)
+    rows: list[list[Value]] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    symbols: frozenset[str] = frozenset()
+    """Whose values it has."""
+
+
+def result_table(analyses: Sequence[Analysis]) -> tuple[ResultTable, list[Estimate], str]:
+    """The table, the estimates in it, and the coordinate over which they are; without any the key values instead."""
+    tests = [a for a in analyses if a.kind != AGREEMENT]
+    members, over = richest(tests)
+    places = sorted({_place(e, over) for e in members})
+    if len(places) < 2:
+        return _whole(tests), [], ""
+    order = list(declared(tests))
+    symbols = sorted(dict.fromkeys(e.symbol for e in members), key=order.index)
+    by = {(_place(e, over), e.symbol): e for e in members}
+    stride = -(-len(places) // MOST_ROWS)
+    chosen = places[::stride]
+    columns = {s: _aligned([cell(by[p, s]) if (p, s) in by else "not measured" for p in chosen]) for s in symbols}
+    kept = list(symbols)
+    while len(kept) > 1 and sum(_letters(columns[s]) for s in kept) > MOST_LETTERS:
+        kept.pop()
+    label, unit = point_shown(over)
+    others = sorted({name for e in members for name in e.at} - {over, "mass"})
+    heads = [(label, unit.unit), *((point_shown(name)[0], point_shown(name)[1].unit) for name in others)]
+    heads += [(symbol_text(s), _unit(members, s)) for s in kept] + [("n", "")]
+    rows: list[list[Value]] = []
+    for n, place in enumerate(chosen):
+        mine = [by[place, s] for s in kept if (place, s) in by]
+        at = [Value(number(v / point_shown(name)[1].scale)) for name, v in zip((over, *others), place, strict=True)]
+        rows.append([*at, *(columns[s][n] for s in kept), Value(str(max(e.n for e in mine)) if mine else "0")])
+    notes = [clean(note, 160) for note in reasons([by[p, s] for p in chosen for s in kept if (p, s) in by])]
+    if stride > 1:
+        notes.append(f"One of {stride} rows; all are in appendix B")
+    if len(kept) < len(symbols):
+        hidden = ", ".join(symbol_text(s) for s in symbols if s not in kept)
+        notes.append(f"{hidden}: in appendix B")
+    return ResultTable(heads, rows, notes[:MOST_NOTES], frozenset(symbols)), members, over
+
+
+def _place(e: Estimate, over: str) -> tuple[float, ...]:
+    names = [over, *sorted(set(e.at) - {over, "mass"})]
+    return tuple(round(e.at[name], 9) for name in names)
+
+
+def _unit(members: Sequence[Estimate], symbol: str) -> str:
+    first = next(e for e in members if e.symbol == symbol)
+    return shown(first.quantity, first.unit).unit
+
+
+def _letters(column: Sequence[Value]) -> int:
+    return max(len(value.text) + len(value.half) + 2 for value in column)
+
+
+def _whole(tests: Sequence[Analysis]) -> ResultTable:
+    """Where no test has values at several places: its headline values, a row each."""
+    rows: list[list[Value]] = []
+    seen: set[str] = set()
+    held: list[Estimate] = []
+    results = declared(tests)
+    for analysis in tests:
+        for e in analysis.estimates:
+            result = results.get(e.symbol)
+            if e.coordinate or result is None or not result.headline or len(rows) >= MOST_ROWS:
+                continue
+            seen.add(e.symbol)
+            held.append(e)
+            name = clean(result.title, 60)
+            unit = shown(e.quantity, e.unit).unit
+            at = ", ".join(
+                f"{point_shown(k)[0]} {number(v / point_shown(k)[1].scale)} {point_shown(k)[1].unit}".strip()
+                for k, v in e.at.items()
+                if k != "mass"
+            )
+            [value] = _aligned([cell(e)])
+            rows.append([Value(symbol_text(e.symbol)), Value(name), value, Value(unit), Value(at), Value(str(e.n))])
+    heads = [("", ""), ("quantity", ""), ("value ± U", ""), ("unit", ""), ("at", ""), ("n", "")]
+    notes = [clean(note, 160) for note in reasons(held)]
+    return ResultTable(heads, rows, notes[:MOST_NOTES], frozenset(seen)) if rows else ResultTable()
+
+
+def _aligned(cells: Sequence[str]) -> list[Value]:
+    """Pairs with spaces before and after, so that their points are below each other; other texts are words."""
+    pairs = [_PAIR.fullmatch(text) for text in cells]
+    before = max((len(_split(p[1])[0]) for p in pairs if p), default=0)
+    after = max((len(_split(p[1])[1]) for p in pairs if p), default=0)
+    half_before = max((len(_split(p[2])[0]) for p in pairs if p), default=0)
+    half_after = max((len(_split(p[2])[1]) for p in pairs if p), default=0)
+    found = []
+    for text, pair in zip(cells, pairs, strict=True):
+        if pair:
+            value, half = _padded(pair[1], before, after), _padded(pair[2], half_before, half_after)
+            found.append(Value(value, half))
+        else:
+            plain = re.fullmatch(r"−?[\d.]+", text)
+            found.append(Value(_padded(text, before, after)) if plain else Value(text, words=True))
+    return found
+
+
+def _split(text: str) -> tuple[str, str]:
+    whole, _, rest = text.partition(".")
+    return whole, rest
+
+
+def _padded(text: str, before: int, after: int) -> str:
+    whole, rest = _split(text)
+    left = FIGURE * (before - len(whole)) + thousands(whole)
+    if not after:
+        return left
+    return f"{left}.{rest}{FIGURE * (after - len(rest))}" if rest else f"{left}{POINT}{FIGURE * after}"
+
+
+def thousands(whole: str) -> str:
+    """Digits in groups of three with thin spaces, from five digits on."""
+    sign, digits = ("−", whole[1:]) if whole.startswith("−") else ("", whole)
+    if len(digits) < 5:
+        return whole
+    head = len(digits) % 3
+    groups = [digits[:head]] * bool(head) + [digits[n : n + 3] for n in range(head, len(digits), 3)]
+    return sign + THIN.join(groups)

@@ -1,0 +1,237 @@
+"""Everything that the two pages of the certificate say, put together from analyses and runs; computes no estimate.
+
+A kind of test without K, B or F_ce over pressure gets the same pages with what it has: its values in the one table, its
+own figures, its limits. What is not there has no frame.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from pmabench.plotting.pictures import Picture, drawable
+from pmabench.plotting.wording import clean, number
+from pmabench.report.certificate import limits as not_for
+from pmabench.report.certificate import quality
+from pmabench.report.certificate.coefficient_charts import coefficient_picture
+from pmabench.report.certificate.coverage import Coverage, coverage
+from pmabench.report.certificate.force_chart import force_picture
+from pmabench.report.certificate.result_table import ResultTable, result_table
+from pmabench.report.certificate.sources import Sources, sources
+from pmabench.report.certificate.stroke_chart import stroke_picture
+from pmabench.report.document import provenance
+from pmabench.report.document.front import Verdict, tiles_of
+from pmabench.report.figures.figures import front_pictures
+from pmabench.report.foremost import how_well, left_out
+from pmabench.report.words import described, kind_title
+from pmabench.store.analyses.results import AGREEMENT, Analysis, Estimate
+from pmabench.store.records import RunData
+
+FIGURES = 3
+MOST_ALSO = 6
+USUAL, ROW = 9, 16.0
+"""Rows of the table with its notes for which page 1 is laid out; height of each further one [pt]."""
+MOST_WORDS = 75
+INTERVALS = (
+    "U is the half width of the 95 % interval: scatter between trials, what the estimator adds and calibrations, added "
+    "as squares."
+)
+FORMULA = re.compile(r": ([^:;.]{5,90}? = [^,;:.]{2,60})")
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """The two pages; texts are plain and may hold symbols (`F_ce`)."""
+
+    item: str
+    """Make and type."""
+    about: str
+    """Serial number and size."""
+    sentence: str
+    columns: list[tuple[str, list[str]]]
+    """Tested, conditions, traceable to, model: a head and its lines."""
+    table: ResultTable
+    table_title: str
+    also: list[tuple[str, str]]
+    """Key values of other tests: symbol, value with its unit."""
+    limits: list[tuple[str, str]]
+    first: list[Picture]
+    """Figures of page 1."""
+    second: list[Picture]
+    coverage: Coverage | None
+    sources: Sources | None
+    statistics: list[tuple[str, str]]
+    checks: list[tuple[str, str, str]]
+    findings: list[str]
+    more: int
+    method: str
+    seals: list[tuple[str, str]]
+    """Run, and the hash of its seal, shortened."""
+    used: list[str]
+    """Names of the traces that are drawn here."""
+
+
+def sheet_of(
+    analyses: Sequence[Analysis],
+    published: Sequence[Analysis],
+    runs: Sequence[RunData],
+    names: Mapping[str, str],
+    verdict: Verdict,
+    failed: Sequence[str],
+) -> Sheet:
+    """The sheet of `analyses`, with `published` values in its figures; `failed`: why results are not accepted."""
+    tests = [drawable(a) for a in analyses if a.kind != AGREEMENT]
+    table, members, over = result_table(tests)
+    main = _main(tests, members)
+    less = ROW / 2 * max(0, len(table.rows) + len(table.notes) - USUAL)
+    pictures, used = _pictures([*analyses, *published], members, over, less)
+    tiles = [tile for tile in tiles_of(analyses) if tile.symbol not in table.symbols]
+    item, about = _item(runs)
+    title = kind_title(main.kind) if main else ""
+    covered = coverage(main, runs) if main else None
+    return Sheet(
+        item=item,
+        about=about,
+        sentence=_sentence(verdict, main, how_well(members, over) if members else "", failed),
+        columns=_columns(tests, main, runs),
+        table=table,
+        table_title=title,
+        also=[(tile.symbol, f"{tile.value} {tile.unit}".strip()) for tile in tiles][:MOST_ALSO] if members else [],
+        limits=not_for.limits(main, tests, runs),
+        first=pictures[:2],
+        second=pictures[2:FIGURES],
+        coverage=covered if covered and (covered.used or covered.left) else None,
+        sources=sources(members, over) if members else None,
+        statistics=quality.statistics(main) if main else [],
+        checks=quality.checks(main) if main else [],
+        findings=quality.findings(tests, failed)[0],
+        more=quality.findings(tests, failed)[1],
+        method=_method(main),
+        seals=_seals(runs, names),
+        used=used,
+    )
+
+
+def _main(tests: Sequence[Analysis], members: Sequence[Estimate]) -> Analysis | None:
+    """The analysis whose values the table has; without a table the one with most values."""
+    if members:
+        found = [(sum(_same(e, m) for e in a.estimates for m in members[:3]), a) for a in tests]
+        return max(found, key=lambda pair: pair[0])[1]
+    return max(tests, key=lambda a: sum(e.value is not None for e in a.estimates), default=None)
+
+
+def _same(e: Estimate, member: Estimate) -> bool:
+    return replace(e, at={}) == replace(member, at={})
+
+
+def _pictures(
+    analyses: Sequence[Analysis], members: Sequence[Estimate], over: str, less: float
+) -> tuple[list[Picture], list[str]]:
+    """Up to three figures, and the traces in them: coefficients, force over contraction, a stroke; else others.
+
+    The first two are lower by `less` [pt] each.
+    """
+    analyses = [drawable(a) for a in analyses]
+    found: list[Picture] = []
+    used: list[str] = []
+    panels = coefficient_picture(analyses, members, over, less) if members else None
+    found += [panels] if panels else []
+    force = force_picture(analyses, less)
+    found += [force] if force else []
+    stroke = stroke_picture(analyses)
+    if stroke is not None:
+        found.append(stroke[0])
+        used.append(stroke[1].name)
+    if len(found) < FIGURES:
+        more, traces = front_pictures(analyses, FIGURES, without=used)
+        more = [one for one in more if panels is None or not _is_in(one.title, panels.title)][: FIGURES - len(found)]
+        if stroke is not None:
+            found[-1:-1] = more
+        else:
+            found += more
+        used += traces
+    return found[:FIGURES], used
+
+
+def _is_in(title: str, panels: str) -> bool:
+    """Whether a plot of one coefficient is among the panels: `Stiffness K over pressure` in `stiffness K and ...`."""
+    return title.partition(" over ")[0].lower() in panels.lower()
+
+
+def _item(runs: Sequence[RunData]) -> tuple[str, str]:
+    """What was tested: make and type; serial and size. Several specimens are counted."""
+    known = provenance.specimens(runs)
+    if not known:
+        return "Pneumatic muscle", ""
+    if len(known) > 1:
+        return f"{len(known)} specimens", "; ".join(name for name, _ in known[:4])
+    name, about = known[0]
+    head, _, serial = name.partition(", serial ")
+    size = [part for part in about.split(", ") if not part.startswith(("mounted", "braid")) and "cycles" not in part]
+    return head, ", ".join([f"serial {serial}"] * bool(serial) + size)
+
+
+def _sentence(verdict: Verdict, main: Analysis | None, known: str, failed: Sequence[str]) -> str:
+    """How well, in what range, what was left out; first of all why not, where it is not good."""
+    parts = []
+    if verdict.level != "good":
+        why = clean(failed[0], 200) if failed else verdict.text.rstrip(".")
+        parts.append(f"{why[:1].upper()}{why[1:]}.")
+    if known:
+        parts.append(f"{known} (95 % intervals).")
+    elif verdict.level == "good":
+        parts.append(verdict.text)
+    if main is not None and main.dropped:
+        parts.append(f"{len(main.dropped)} trials are left out: {left_out(main.dropped)}.")
+    text = " ".join(part.replace("..", ".") for part in parts)
+    return text if known else f"{text[:1].upper()}{text[1:]}"
+
+
+def _columns(tests: Sequence[Analysis], main: Analysis | None, runs: Sequence[RunData]) -> list[tuple[str, list[str]]]:
+    """Four columns of short lines; one without a line is left out."""
+    rates = sorted({run.rate for run in runs if run.rate})
+    mounted = next((about for _, about in provenance.specimens(runs) if "mounted" in about), "")
+    mounted = mounted[mounted.find("mounted") :].partition(" (")[0].partition(", ")[0]
+    benches = [name for name, _ in provenance.benches(runs)]
+    conditions = [f"{benches[0]}{f' and {len(benches) - 1} more' if len(benches) > 1 else ''}" if benches else ""]
+    rate = f"sampled at {number(rates[0])} Hz" if len(rates) == 1 else ""
+    conditions += [", ".join(part for part in (mounted, rate) if part)]
+    when, who = provenance.when(runs), provenance.operators(runs)
+    tested = [", ".join(kind_title(a.kind) if not n else kind_title(a.kind).lower() for n, a in enumerate(tests))]
+    tested += [" by ".join(part for part in (when, who) if part)]
+    model = described(main.estimates[0].method) if main and main.estimates else ""
+    formula = FORMULA.search(model)
+    fitted = [formula[1].strip()] if formula else []
+    fitted += [f"method: {clean(main.estimates[0].method, 60)}"] if main and main.estimates else []
+    found = [
+        ("Tested", tested),
+        ("Conditions", conditions),
+        ("Traceable to", _traceable(runs)),
+        ("Model", fitted),
+    ]
+    return [(head, kept) for head, lines in found if (kept := [clean(line, 160) for line in lines if line])]
+
+
+def _traceable(runs: Sequence[RunData]) -> list[str]:
+    """Calibrations of the measured channels, each once; what has none is named."""
+    measured = [c for run in runs for c in run.channels.values() if not c.name.endswith("_command")]
+    if not measured:
+        return []
+    with_one = dict.fromkeys(f"{clean(c.name, 40)}: {clean(c.calibration, 40)}" for c in measured if c.calibration)
+    without = dict.fromkeys(clean(c.name, 40) for c in measured if not c.calibration)
+    lines = list(with_one)[:4]
+    return lines + ([f"no calibration: {', '.join(list(without)[:4])}"] if without else [])
+
+
+def _method(main: Analysis | None) -> str:
+    """How the numbers were got, in at most about 75 words and a sentence on U."""
+    text = described(main.estimates[0].method) if main and main.estimates else ""
+    words = text.split()
+    cut = text if len(words) <= MOST_WORDS else " ".join(words[:MOST_WORDS]).rstrip(",;:") + " …"
+    return f"{cut} {INTERVALS}".strip() if main and main.estimates else ""
+
+
+def _seals(runs: Sequence[RunData], names: Mapping[str, str]) -> list[tuple[str, str]]:
+    rows = provenance.run_table(runs, names).rows
+    return [(str(row["run"]), str(row["sha256 of seal.json"])[:16]) for row in rows if row.get("sha256 of seal.json")]

@@ -1,0 +1,303 @@
+"use strict";
+// Draws the charts of a report anew with uPlot: zoom, linked cursors, values, methods on and off.
+// The static pictures stay in the page for print, and for browsers without scripts.
+(function () {
+  var store = document.getElementById("charts");
+  if (!store || !window.uPlot || !window.ResizeObserver) return;
+  var INK = "#16202a", QUIET = "#52606d", GRID = "#e8edf2", UNTESTED = "#eef1f5", STAMP = "#8a4b00";
+  var SYMBOL = /([A-Za-z]+)_([A-Za-z0-9]{1,4})/g;
+
+  function element(tag, name, parent) {
+    var made = document.createElement(tag);
+    if (name) made.className = name;
+    if (parent) parent.appendChild(made);
+    return made;
+  }
+
+  function number(value) {
+    if (value === null || !isFinite(value)) return "";
+    return String(+(+value).toPrecision(5)).replace("-", "\u2212");
+  }
+
+  function pieces(text) {  // text cut into [words, lowered]
+    var found = [], end = 0;
+    text.replace(SYMBOL, function (all, base, sub, at) {
+      found.push([text.slice(end, at) + base, sub]);
+      end = at + all.length;
+      return all;
+    });
+    found.push([text.slice(end), ""]);
+    return found;
+  }
+
+  function say(parent, text, tag) {
+    var into = tag ? element(tag, "", parent) : parent;
+    pieces(text).forEach(function (piece) {
+      into.appendChild(document.createTextNode(piece[0]));
+      if (piece[1]) element("sub", "", into).textContent = piece[1];
+    });
+  }
+
+  function write(ctx, text, x, y, size, color, bold, end) {
+    var font = function (s) { return (bold ? "600 " : "") + s + "px Inter, sans-serif"; };
+    var cut = pieces(text), wide = 0;
+    cut.forEach(function (piece) {
+      ctx.font = font(size); wide += ctx.measureText(piece[0]).width;
+      ctx.font = font(0.75 * size); wide += ctx.measureText(piece[1]).width;
+    });
+    ctx.fillStyle = color;
+    ctx.textAlign = "left";
+    ctx.textBaseline = "middle";
+    if (end) x -= wide;
+    cut.forEach(function (piece) {
+      ctx.font = font(size); ctx.fillText(piece[0], x, y); x += ctx.measureText(piece[0]).width;
+      ctx.font = font(0.75 * size); ctx.fillText(piece[1], x, y + 0.25 * size); x += ctx.measureText(piece[1]).width;
+    });
+  }
+
+  function unit(label) { var found = /\[([^\]]*)\]/.exec(label); return found ? "\u2009" + found[1] : ""; }
+
+  function union(series) {
+    var all = new Set();
+    series.forEach(function (s) { s.x.forEach(function (x) { if (x !== null) all.add(x); }); });
+    return Array.from(all).sort(function (a, b) { return a - b; });
+  }
+
+  function shown(chart, on) {
+    return chart.series.filter(function (s) { return !s.method || on[s.method]; });
+  }
+
+  function reach(chart, on, low, high) {  // least and largest y between two x, with room
+    var near = 1e-4 * (chart.range[1] - chart.range[0]);
+    var whole = low == null || (low <= chart.range[0] + near && high >= chart.range[1] - near), ends = whole ? chart.range.slice(2) : [];
+    shown(chart, on).forEach(function (s) {
+      if (whole && !s.method) return;
+      s.x.forEach(function (x, i) {
+        if (s.y[i] === null || x < low || x > high) return;
+        var half = s.half && s.half[i] || 0;
+        ends.push(s.y[i] - half, s.y[i] + half);
+      });
+    });
+    if (!ends.length) return chart.range.slice(2);
+    var least = Math.min.apply(null, ends), most = Math.max.apply(null, ends);
+    var room = whole && ends.length === 2 ? 0 : 0.06 * (most - least || Math.abs(most) || 1);
+    return [least - room, most + room];
+  }
+
+  function under(u, chart, on) {  // drawn below the curves: what was not tested, bands
+    var ctx = u.ctx, box = u.bbox;
+    var X = function (v) { return u.valToPos(v, "x", true); }, Y = function (v) { return u.valToPos(v, "y", true); };
+    ctx.save();
+    ctx.beginPath(); ctx.rect(box.left, box.top, box.width, box.height); ctx.clip();
+    if (chart.tested) {
+      ctx.fillStyle = UNTESTED; ctx.fillRect(box.left, box.top, box.width, box.height);
+      ctx.fillStyle = "#fff"; ctx.beginPath();
+      chart.tested[0].forEach(function (x, i) { ctx[i ? "lineTo" : "moveTo"](X(x), Y(chart.tested[1][i])); });
+      ctx.fill();
+    }
+    shown(chart, on).forEach(function (s) {
+      if (s.dots || !s.half) return;
+      ctx.globalAlpha = 0.16; ctx.fillStyle = s.color; ctx.beginPath();
+      for (var i = 0; i < s.x.length; i++) ctx[i ? "lineTo" : "moveTo"](X(s.x[i]), Y(s.y[i] + (s.half[i] || 0)));
+      for (i = s.x.length - 1; i >= 0; i--) ctx.lineTo(X(s.x[i]), Y(s.y[i] - (s.half[i] || 0)));
+      ctx.fill(); ctx.globalAlpha = 1;
+    });
+    ctx.restore();
+  }
+
+  function over(u, chart, on) {  // dots with bars; names at the curves
+    var ctx = u.ctx, box = u.bbox, p = window.devicePixelRatio || 1, names = [], firsts = [];
+    var X = function (v) { return u.valToPos(v, "x", true); }, Y = function (v) { return u.valToPos(v, "y", true); };
+    ctx.save();
+    ctx.beginPath(); ctx.rect(box.left - 4 * p, box.top - 4 * p, box.width + 8 * p, box.height + 8 * p); ctx.clip();
+    shown(chart, on).forEach(function (s) {
+      var last = null;
+      s.x.forEach(function (x, i) {
+        if (s.y[i] === null || x < u.scales.x.min || x > u.scales.x.max) return;
+        if (last === null || x >= s.x[last]) last = i;
+        if (!s.dots) return;
+        var a = X(x), b = Y(s.y[i]), half = s.half && s.half[i], r = 3.2 * p;
+        ctx.strokeStyle = s.color; ctx.fillStyle = s.hollow ? "#fff" : s.color; ctx.lineWidth = 1.6 * p;
+        ctx.beginPath();
+        if (half) { ctx.moveTo(a, Y(s.y[i] - half)); ctx.lineTo(a, Y(s.y[i] + half)); ctx.stroke(); ctx.beginPath(); }
+        if (s.cross) {
+          ctx.moveTo(a - r, b - r); ctx.lineTo(a + r, b + r); ctx.moveTo(a - r, b + r); ctx.lineTo(a + r, b - r);
+          ctx.stroke();
+          return;
+        }
+        ctx.arc(a, b, r, 0, 7); ctx.fill();
+        if (s.hollow) { ctx.lineWidth = 1.3 * p; ctx.stroke(); }
+      });
+      var text = s.method ? s.said : s.label;
+      if (text && s.first) firsts.push({ text: text, y: Y(s.y[0]), color: s.name });
+      else if (text && last !== null) names.push({ text: text, x: X(s.x[last]), y: Y(s.y[last]), color: s.name });
+    });
+    ctx.restore();
+    [names, firsts].forEach(function (list) {
+      list.sort(function (a, b) { return a.y - b.y; });
+      for (var round = 0; round < 60; round++)
+        for (var n = 0; n + 1 < list.length; n++) {
+          var lack = 13 * p - (list[n + 1].y - list[n].y);
+          if (lack > 0) { list[n].y -= lack / 2; list[n + 1].y += lack / 2; }
+        }
+    });
+    if (u.scales.x.min <= chart.range[0]) firsts.forEach(function (name) {
+      write(ctx, name.text, box.left - 6 * p, name.y, 11.5 * p, name.color, true, true);
+    });
+    var edge = u.ctx.canvas.width - 2 * p;
+    names.forEach(function (name) {
+      ctx.font = 11.5 * p + "px Inter, sans-serif";
+      var wide = 1.05 * ctx.measureText(name.text).width;
+      write(ctx, name.text, Math.min(Math.min(name.x, box.left + box.width) + 6 * p, edge - wide), name.y, 11.5 * p,
+        name.color, true);
+    });
+    write(ctx, chart.y, 1, 8 * p, 12 * p, INK, false);
+    write(ctx, chart.stamp, edge, 8 * p, 10.5 * p, STAMP, true, true);
+    if (chart.words) write(ctx, chart.words, edge - (chart.stamp ? 86 * p : 0), 8 * p, 11 * p, QUIET, false, true);
+  }
+
+  function at(s, x) {  // [x, y, half] of a line at x, or of the nearest dot
+    var best = -1;
+    for (var i = 0; i < s.x.length; i++)
+      if (s.y[i] !== null && (best < 0 || Math.abs(s.x[i] - x) < Math.abs(s.x[best] - x))) best = i;
+    if (best < 0) return null;
+    if (s.dots) return [s.x[best], s.y[best], s.half && s.half[best]];
+    var first = Math.min.apply(null, s.x.slice(0, 1)), end = s.x[s.x.length - 1];
+    if (x < first || x > end) return null;
+    var next = s.x[best] < x ? best + 1 : best - 1;
+    if (next < 0 || next >= s.x.length || s.y[next] === null) return [x, s.y[best], null];
+    var share = (x - s.x[best]) / (s.x[next] - s.x[best] || 1);
+    return [x, s.y[best] + share * (s.y[next] - s.y[best]), null];
+  }
+
+  function values(line, charts, chart, on, x) {
+    line.textContent = "";
+    var linked = charts.filter(function (c) { return c === chart || (c.together && c.together === chart.together); });
+    var texts = [], place = x;
+    linked.forEach(function (c) {
+      var lines = shown(c, on).filter(function (s) { return !s.dots && !s.hidden; });
+      var from = lines.length ? lines : shown(c, on).filter(function (s) { return s.dots; });
+      from.forEach(function (s) {
+        var found = at(s, x), span = c.range[1] - c.range[0];
+        if (!found || Math.abs(found[0] - x) > 0.08 * span) return;
+        if (s.dots) place = found[0];
+        var half = found[2] ? " \u00b1\u2009" + number(+(+found[2]).toPrecision(2)) : "";
+        texts.push((s.said || c.y.replace(/ \[.*/, "")) + " " + number(found[1]) + half + unit(c.y));
+      });
+    });
+    say(line, chart.x.replace(/ \[.*/, "") + " = " + number(place) + unit(chart.x), "b");
+    texts.forEach(function (text) { say(line, text, "span"); });
+  }
+
+  function plot(chart, box, on, charts, line, moved) {
+    var lines = chart.series.filter(function (s) { return !s.dots; });
+    var xs = union(lines.length ? lines : chart.series), place = new Map();
+    if (lines.length && chart.series.length > lines.length) xs = union(chart.series);
+    xs.forEach(function (x, i) { place.set(x, i); });
+    var data = [xs];
+    lines.forEach(function (s) {
+      var column = new Array(xs.length);
+      s.x.forEach(function (x, i) { column[place.get(x)] = s.y[i]; });
+      data.push(column);
+    });
+    if (!lines.length) data.push(new Array(xs.length).fill(null));
+    var longest = Math.max.apply(null, chart.series.map(function (s) {
+      return s.method || s.first ? 0 : s.label.length;
+    }));
+    var gutter = 7.6 * Math.max.apply(null, chart.series.map(function (s) { return s.first ? s.label.length : 0; }));
+    var series = [{}].concat(lines.map(function (s) {
+      return { stroke: s.color, width: 1.25 * s.width, dash: s.dashed ? [5, 4] : undefined, spanGaps: true, pxAlign: 0,
+        points: { show: false } };
+    }));
+    if (!lines.length) series.push({ points: { show: false } });
+    var size = function () {
+      var wide = Math.max(200, box.clientWidth);
+      return { width: wide, height: Math.round(Math.max(charts.length > 1 ? 170 : 270, Math.min(wide * chart.ratio, 420))) };
+    };
+    var ticks = function (u, splits) { return splits.map(number); };
+    var axis = { stroke: QUIET, font: "11px Inter, sans-serif", values: ticks };
+    var options = Object.assign(size(), {
+      padding: [22, chart.sides ? 1.4 * chart.sides[1] : 12 + 6.4 * longest, chart.named ? 2 : 6, 2],
+      legend: { show: false },
+      cursor: { y: false, points: { show: false }, drag: { x: true, y: false },
+        sync: chart.together ? { key: box.dataset.key + chart.together } : undefined },
+      scales: {
+        x: { time: false, range: function (u, low, high) {
+          var whole = low == null || high - low >= 0.999 * (xs[xs.length - 1] - xs[0]);
+          return whole ? chart.range.slice(0, 2) : [low, high];
+        } },
+        y: { range: function (u) { return reach(chart, on, u.scales.x.min, u.scales.x.max); } }
+      },
+      axes: [
+        Object.assign({ grid: { show: false }, ticks: { stroke: QUIET, width: 1, size: 3 }, gap: 3, space: 60,
+          border: { show: true, stroke: QUIET, width: 1 }, label: chart.named ? chart.x : undefined, labelSize: 18,
+          labelFont: "12px Inter, sans-serif", size: chart.named ? 24 : 8 }, axis,
+          chart.named ? {} : { values: function (u, splits) { return splits.map(function () { return ""; }); } }),
+        Object.assign({ grid: { stroke: GRID, width: 1 }, ticks: { show: false }, gap: 6 + gutter, space: 34,
+          size: function (u, texts) {
+            if (chart.sides) return 1.6 * chart.sides[0];
+            return texts ? 12 + gutter + 6.6 * Math.max.apply(null, texts.map(function (t) { return t.length; })) : 40;
+          } }, axis)
+      ],
+      series: series,
+      hooks: {
+        drawClear: [function (u) { under(u, chart, on); }],
+        draw: [function (u) { over(u, chart, on); }],
+        setCursor: [function (u) {
+          if (u.cursor.event && u.cursor.left >= 0) values(line, charts, chart, on, u.posToVal(u.cursor.left, "x"));
+        }],
+        setScale: [function (u, key) {
+          var near = 1e-4 * (chart.range[1] - chart.range[0]);
+          if (key === "x")
+            moved(u.scales.x.min > chart.range[0] + near || u.scales.x.max < chart.range[1] - near);
+        }]
+      }
+    });
+    var made = new uPlot(options, data, element("div", "live", box));
+    new ResizeObserver(function () {
+      var wanted = size();
+      if (wanted.width !== made.width || wanted.height !== made.height) made.setSize(wanted);
+    }).observe(box);
+    return made;
+  }
+
+  function figure(entry) {
+    var whole = document.getElementById("figure-" + entry.n);
+    if (!whole) return;
+    var holder = whole.querySelector(".charts"), boxes = holder.querySelectorAll(".chart"), on = {}, plots = [];
+    var bar = element("div", "controls"), line = element("p", "values");
+    holder.after(bar, line);
+    var hint = "Point at a curve for its values; drag to zoom.";
+    line.textContent = hint;
+    var reset = element("button", "", bar);
+    reset.type = "button"; reset.textContent = "Whole range"; reset.hidden = true;
+    reset.addEventListener("click", function () {
+      plots.forEach(function (u) { u.setScale("x", { min: u.data[0][0], max: u.data[0][u.data[0].length - 1] }); });
+    });
+    var methods = new Set();
+    entry.charts.forEach(function (c) { c.series.forEach(function (s) { if (s.method) methods.add(s.method); }); });
+    methods.forEach(function (method) {
+      var button = element("button", "", bar);
+      button.type = "button"; button.setAttribute("aria-pressed", "false");
+      say(button, method);
+      button.addEventListener("click", function () {
+        on[method] = !on[method];
+        button.setAttribute("aria-pressed", String(on[method]));
+        plots.forEach(function (u) { u.setScale("x", { min: u.scales.x.min, max: u.scales.x.max }); u.redraw(false); });
+      });
+    });
+    entry.charts.forEach(function (chart, i) {
+      var picture = boxes[i].querySelector("svg desc");
+      boxes[i].dataset.key = entry.n + "-";
+      plots.push(plot(chart, boxes[i], on, entry.charts, line, function (zoomed) { reset.hidden = !zoomed; }));
+      var live = boxes[i].querySelector(".live");
+      live.setAttribute("role", "img");
+      live.setAttribute("aria-label", picture ? picture.textContent : "");
+    });
+    holder.addEventListener("mouseleave", function () { line.textContent = hint; });
+    document.documentElement.classList.add("drawn");
+  }
+
+  function start() { JSON.parse(store.textContent).forEach(figure); }
+  if (document.fonts && document.fonts.ready) document.fonts.ready.then(start, start); else start();
+})();

@@ -1,0 +1,92 @@
+"""`pmabench model` with the muscle of an analysis: shown, evaluated, simulated, next to runs that it was not fitted to.
+
+The truth is the muscle of the mock bench, whose force is written out in `test_process_surface`.
+"""
+
+import json
+
+import pytest
+from click.testing import CliRunner
+
+from pmabench.cli.main import main
+from tests.cli.conftest import ran
+from tests.cli.test_process_surface import force, stiffness
+
+STEPS = [
+    ("sweep.matrix.load", "[20.6 kg]"),
+    ("sweep.matrix.pressure", "[250 kPa, 400 kPa]"),
+    ("sample_rate", "100 Hz"),
+    ("trial.hold", "4 s"),
+    ("trial.window", "[3 s, 4 s]"),
+]
+
+
+def model(*arguments):
+    return CliRunner().invoke(main, ["model", *map(str, arguments)])
+
+
+def answer(*arguments):
+    result = model(*arguments, "--json")
+    assert result.exit_code == 0, result.output
+    return {column["name"]: column["values"] for column in json.loads(result.stdout)["columns"]}
+
+
+def test_force_and_stiffness_are_those_of_the_muscle(surface):
+    table = answer("eval", surface, "--set", "pressure=350 kPa", "--over", "displacement=10 mm..30 mm by 5 mm")
+    for x, F, K in zip(table["displacement"], table["force"], table["stiffness"], strict=True):
+        assert force(x, 350e3) == pytest.approx(F, abs=8.0)
+        assert stiffness(x, 350e3) == pytest.approx(K, rel=0.04)
+    shown = model("show", surface)
+    assert shown.exit_code == 0, shown.output
+    assert "Trials that were left out of the fit were predicted to" in shown.stdout
+    beyond = model("eval", surface, "--set", "pressure=700 kPa")
+    assert beyond.exit_code == 2
+    assert "beyond what was tested" in beyond.output
+
+
+def test_steps_of_a_run_that_it_was_not_fitted_to(surface, tmp_path):
+    """A free end under a weight: within 1 % of the stroke, a fifth of the straight form of the same tests."""
+    run = ran(tmp_path / "runs", "validation", "mock-real", [("model.coefficients", str(surface)), *STEPS])
+    table = answer("simulate", surface, "--along", run)
+    assert table["pressure"] == [250e3, 400e3]
+    for off, lines in zip(table["surface_rms"], table["straight_rms"], strict=True):
+        assert off < 0.4e-3
+        assert lines > 5 * off
+    printed = model("simulate", surface, "--along", run).stdout
+    assert "straight form of the same tests" in printed
+    samples = answer("simulate", surface, "--along", run, "--trial", 2)
+    assert samples["of_surface"][-1] == pytest.approx(samples["displacement_measured"][-1], abs=0.5e-3)
+    processed = CliRunner().invoke(main, ["process", run, "--json"])
+    (analysis,) = json.loads(processed.stdout)["analyses"]
+    rms = {
+        e["method"]: e["value"] for e in analysis["estimates"] if (e["symbol"], e["at"]["pressure"]) == ("e_sim", 4e5)
+    }
+    assert rms["measured pressure"] < 0.4e-3
+    assert rms["measured pressure, straight lines"] > 5 * rms["measured pressure"]
+    assert "the straight form of the same tests" in " ".join(found["text"] for found in analysis["findings"])
+
+
+def test_force_of_a_driven_end_next_to_what_was_measured(surface, tmp_path):
+    settings = [("sweep.zip.pressure", "[300 kPa]"), ("sweep.zip.upper", "[30 mm]"), ("sweep.zip.lower", "[5 mm]")]
+    settings += [("sweep.zip.speed", "[15 mm/s]"), ("trial.minor", "{lower: 12 mm, upper: 20 mm}")]
+    run = ran(tmp_path / "runs", "real-muscle-ramps", "mock-real-actuator", settings)
+    table = answer("simulate", surface, "--along", run)
+    assert table["surface_rms"][0] < 5.0
+    assert table["straight_rms"][0] > 4 * table["surface_rms"][0]
+
+
+def test_pressures_and_loads_may_be_made_up(surface):
+    table = answer("simulate", surface, "--step", "300 kPa at 0.1 s", "--load", "20 kg", "--for", "6 s")
+    assert table["force"][-1] == pytest.approx(20 * 9.81, abs=0.5)
+    x = table["displacement"][-1]
+    held = 5.0 + 0.05 * 300 + 18.0  # both loops at their ends on the way there
+    assert force(x, 300e3) - held == pytest.approx(20 * 9.81, abs=6.0)
+    high = model("simulate", surface, "--step", "700 kPa at 0.1 s")
+    assert high.exit_code == 2
+    assert "up to which it was tested" in high.output
+    both = model("simulate", surface, "--along", "runs/none", "--step", "300 kPa at 0 s")
+    assert both.exit_code == 2
+
+
+def test_an_analysis_without_a_surface_is_refused(tmp_path):
+    assert "no muscle as a surface" in model("show", tmp_path).output

@@ -1,0 +1,161 @@
+"""Sweeps of a joint through protocol, guard and reduction, against numbers of another program and closed forms."""
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pmabench.base.errors import InvalidFile
+from pmabench.bench.compile import mount
+from pmabench.engine.operator import ConfirmedBeforehand
+from pmabench.engine.run import run_plan
+from pmabench.kinds.compile import make_plan
+from pmabench.kinds.joint_sweep.reduction import reduce, sweep_of
+from pmabench.store.reader import open_run
+
+ROOT = Path(__file__).resolve().parents[2]
+SPECIMEN = ROOT / "fixtures" / "specimens" / "joint-daerden.yaml"
+PROTOCOL = ROOT / "protocols" / "joint-sweep.yaml"
+HYSTERESIS, LENGTH, RADIUS, W = 30.0, 0.2, 0.025, 0.006
+"""Of the simulated muscles: half gap [N], length [m]; of the pulley [m]; contraction on which a turn fades."""
+
+
+def bench(name="mock-joint"):
+    return mount(ROOT / "fixtures" / "benches" / f"{name}.yaml", SPECIMEN)
+
+
+def compiled(*changes, mounted=None):
+    return make_plan(PROTOCOL, mounted or bench(), changes)[0]
+
+
+def swept(folder, degrees, pressures=("300 kPa", "300 kPa"), cycles=3, seed=1):
+    plan = compiled(
+        ("sweep.zip.pressure_1", f"[{pressures[0]}]"), ("sweep.zip.pressure_2", f"[{pressures[1]}]"),
+        ("sweep.zip.speed", "[2 deg/s]"), ("trial.cycles", str(cycles)),
+        ("trial.lower", f"-{degrees} deg"), ("trial.upper", f"{degrees} deg"),
+    )  # fmt: skip
+    made = bench()
+    devices = tuple(replace(d, options={**d.options, "seed": seed}) for d in made.bench.devices)
+    made = replace(made, bench=replace(made.bench, devices=devices))
+    outcome = run_plan(plan, made, ConfirmedBeforehand(), out=folder)
+    assert (outcome.status, outcome.vent.result) == ("finished", "confirmed")
+    return open_run(outcome.folder)
+
+
+def value(analysis, symbol):
+    (found,) = [e for e in analysis.estimates if e.symbol == symbol and "angle" not in e.at]
+    return found
+
+
+@pytest.fixture(scope="module")
+def wide(tmp_path_factory):
+    return swept(tmp_path_factory.mktemp("runs"), 30)
+
+
+def test_the_bench_preset_gives_the_numbers_of_another_program(wide):
+    analysis = reduce([wide])
+    K, H, lost = (value(analysis, symbol) for symbol in ("K_th", "H_tau", "W"))
+    assert K.value == pytest.approx(15.5, rel=0.02)
+    assert H.value == pytest.approx(3.00, rel=0.03)
+    assert lost.value == pytest.approx(2.85, rel=0.03)
+    assert K.ci95[0] < 15.505 < K.ci95[1]  # by the equations: half of 9.554 + 21.456
+    assert K.parts.combined < 0.02 * K.value
+
+
+def test_gap_and_loop_are_those_of_the_closed_forms(wide):
+    analysis = reduce([wide])
+    viscous = 2 * RADIUS**2 * 2 * 150.0 * math.radians(2)
+    assert value(analysis, "H_tau").value == pytest.approx(4 * RADIUS * HYSTERESIS + viscous, rel=0.003)
+    way = RADIUS * math.radians(30) / LENGTH
+    area = 8 * HYSTERESIS * LENGTH * (way - W) + viscous * 2 * math.radians(30)
+    assert value(analysis, "W").value == pytest.approx(area, rel=0.005)
+    turns = sweep_of(wide, wide.trials[0], {}).loop.turns
+    assert turns.w == pytest.approx(W * LENGTH / RADIUS, rel=0.03)
+
+
+def section_and_rubber(eps):
+    """Paper 3, eqs. 8-10, written anew: force by pressure [m2], and the rubber's force [N]."""
+    angle = math.radians(25)
+    area = math.pi / 4 * 0.02**2
+    section = area * (3 * (1 - eps) ** 2.6 / math.tan(angle) ** 2 - 1 / math.sin(angle) ** 2)
+    return section, 800.0 * eps * (eps - 0.22) / (eps + 0.04)
+
+
+def test_the_mean_curve_is_the_torque_without_hysteresis(wide):
+    curve = [e for e in reduce([wide]).estimates if e.symbol == "tau"]
+    assert len(curve) == 5
+    for e in curve:
+        way = RADIUS * e.at["angle"] / LENGTH
+        one, two = section_and_rubber(0.1 + way), section_and_rubber(0.1 - way)
+        true = RADIUS * (3e5 * (one[0] - two[0]) + one[1] - two[1])
+        low, high = e.ci95
+        assert low < true < high
+        assert e.value == pytest.approx(true, abs=0.1)
+
+
+def test_a_torque_of_the_wrong_sign_is_refused(wide):
+    (trial,) = wide.trials
+    turned = replace(trial, channels={**trial.channels, "torque": -trial.channels["torque"]})
+    analysis = reduce([replace(wide, trials=(turned,))])
+    assert not analysis.estimates
+    assert "wrong sign" in analysis.dropped[0].reason
+
+
+@pytest.mark.parametrize("degrees", [0.25, 1, 3, 10])
+def test_a_sweep_too_small_for_the_hysteresis_is_refused_with_the_reason(tmp_path, degrees):
+    """Slopes of 46.6 N.m/rad at 0.25 deg to 21.9 at 10 deg by another program; 15.5 is true."""
+    analysis = reduce([swept(tmp_path, degrees, cycles=2)])
+    assert not analysis.estimates
+    (dropped,) = analysis.dropped
+    assert "too small for the hysteresis" in dropped.reason
+    assert "sweep at least" in dropped.reason
+
+
+def test_a_sweep_of_15_degrees_is_in_its_own_interval(tmp_path):
+    K = value(reduce([swept(tmp_path, 15)]), "K_th")
+    assert K.ci95[0] < 15.505 < K.ci95[1]
+
+
+def test_what_the_bench_does_not_allow_is_refused_with_its_place():
+    wrong = {
+        "trial.lower": ("-50 deg", "below the limit for commanded angle"),
+        "sweep.zip.pressure_2": ("[300 kPa, 600 kPa, 400 kPa]", "above the limit for commanded pressure_2"),
+        "trial.approach": ("90 deg/s", "faster than the drive"),
+        "trial.discard": ("3", "leaves nothing"),
+        "record": ("[pressure_1, angle, torque]", 'lacks "pressure_2"'),
+    }
+    with pytest.raises(InvalidFile) as caught:
+        compiled(*((name, text) for name, (text, _told) in wrong.items()))
+    assert len(caught.value.problems) == len(wrong)
+    for _text, told in wrong.values():
+        assert told in str(caught.value)
+
+
+def test_a_free_joint_and_a_bench_of_one_muscle_are_refused():
+    with pytest.raises(InvalidFile, match='needs the output "angle"'):
+        compiled(mounted=bench("mock-joint-free"))
+    one = mount(ROOT / "fixtures" / "benches" / "mock.yaml", ROOT / "fixtures" / "specimens" / "mas-20-250-paper0.yaml")
+    with pytest.raises(InvalidFile, match='needs a bench whose free end is "joint"'):
+        compiled(mounted=one)
+
+
+def test_both_pressures_of_a_trial_are_set_before_anything_moves():
+    steps = compiled().steps
+    moves = next(n for n, step in enumerate(steps) if step.kind == "ramp")
+    assert [step.output for step in steps[:moves] if step.kind == "set"] == ["pressure_1", "pressure_2"]
+    assert np.all([set(step.commands()) <= {"pressure_1", "pressure_2", "angle"} for step in steps])
+
+
+@pytest.mark.study
+def test_intervals_hold_the_truth_on_16_seeds(tmp_path):
+    true = {"K_th": 15.505, "H_tau": 3.0131, "W": 2.8536 + 0.0137}
+    inside = dict.fromkeys(true, 0)
+    for seed in range(16):
+        analysis = reduce([swept(tmp_path / str(seed), 30, seed=seed)])
+        for symbol, truth in true.items():
+            low, high = value(analysis, symbol).ci95
+            inside[symbol] += low < truth < high
+    print(inside)
+    assert min(inside.values()) >= 14

@@ -1,0 +1,140 @@
+"""The report in a real browser: two sheets of A4, a phone, without scripts, zoom and values; nothing is asked for."""
+
+import io
+import re
+from dataclasses import replace
+
+import pypdf
+import pytest
+
+from . import samples
+from .samples import render
+from .test_hostile import analyses as hostile_analyses
+from .test_hostile import runs as hostile_runs
+from .test_names import echo, withheld
+
+A4 = (595.3, 841.9)
+
+
+def fine():
+    """Contraction and relaxation at 15 pressures, with the ends of its strokes, so that page 1 is as full as can be."""
+    made = samples.contraction()
+    more = [
+        replace(e, at={"pressure": e.at["pressure"] + off})
+        for e in made.estimates
+        for off in (0.0, 25e3)
+        if set(e.at) == {"pressure"} and e.at["pressure"] + off <= 500e3
+    ]
+    steps = [{"pressure": P, "load": F, "phase": "contract", "x_inf": (samples.truth("F_ce", P) - F) / samples.truth("K", P)}
+             for P in samples.PRESSURES for F in (60.0, 250.0)]  # fmt: skip
+    return [replace(made, estimates=tuple(more), facts={**made.facts, "steps": steps})]
+
+
+REPORTS = {
+    "many pressures": (fine, lambda: [samples.run("contraction-relaxation")]),
+    "all four tests": (samples.all_analyses, samples.all_runs),
+    "static load": (lambda: [samples.static_load()], lambda: [samples.run("static-load")]),
+    "sines": (lambda: [samples.sine()], lambda: []),
+    "ultimate gain": (lambda: [samples.ultimate_gain()], lambda: [samples.run("ultimate-gain")]),
+    "withheld": (lambda: [withheld()], lambda: [samples.run("contraction-relaxation")]),
+    "a foreign kind": (lambda: [echo()], lambda: []),
+    "nothing": (lambda: [], lambda: []),
+    "hostile": (hostile_analyses, hostile_runs),
+}
+CUT = """[...document.querySelectorAll('.sheet')].flatMap(sheet => [sheet, ...sheet.querySelectorAll('figure, .two, .main')])
+.filter(e => e.scrollHeight > e.clientHeight + 2).map(e => e.className + ' ' + e.scrollHeight + ' ' + e.clientHeight)"""
+OVERLAP = """[...document.querySelectorAll('.sheet')].flatMap(sheet => {
+  const boxes = [...sheet.children].map(e => e.getBoundingClientRect());
+  return boxes.slice(1).filter((box, n) => box.top < boxes[n].bottom - 2).map(box => box.top);
+})"""
+
+
+@pytest.fixture(scope="module")
+def pages(tmp_path_factory):
+    """The report of a name as an address, written once."""
+    folder = tmp_path_factory.mktemp("reports")
+
+    def address(name: str) -> str:
+        path = folder / f"{name.replace(' ', '-')}.html"
+        if not path.exists():
+            analyses, runs = REPORTS[name]
+            path.write_text(render(analyses(), runs()), encoding="utf-8")
+        return path.as_uri()
+
+    return address
+
+
+def sheets(page, path) -> pypdf.PdfReader:
+    page.pdf(path)
+    return pypdf.PdfReader(io.BytesIO(path.read_bytes()))
+
+
+@pytest.mark.parametrize("name", REPORTS)
+def test_the_certificate_is_two_sheets_and_nothing_is_cut(browser, pages, tmp_path, name):
+    page = browser.open(pages(name), width=680, height=1000)
+    page.media(printed=True)
+    assert page.run(CUT) == []
+    assert page.run(OVERLAP) == []
+    page.media()
+    printed = sheets(page, tmp_path / "p.pdf")
+    assert len(printed.pages) == 2
+    for n, sheet in enumerate(printed.pages, 1):
+        assert (float(sheet.mediabox.width), float(sheet.mediabox.height)) == pytest.approx(A4, abs=1.5)
+        assert f"page {n} of 2" in sheet.extract_text()
+    page.size(390, 844, mobile=True)
+    assert page.run("document.documentElement.scrollWidth") == 390
+    assert page.problems == []
+    assert all(address.startswith(("file:", "data:")) for address in page.requests)
+    page.close()
+
+
+def test_appendices_that_are_open_are_printed(browser, tmp_path):
+    path = tmp_path / "long.html"
+    from pmabench.report.document.content import content_of, page_of
+
+    path.write_text(page_of(content_of([samples.static_load()], []), long=True), encoding="utf-8")
+    page = browser.open(path.as_uri())
+    printed = sheets(page, tmp_path / "p.pdf")
+    assert len(printed.pages) > 3
+    assert any("Checklist" in sheet.extract_text() for sheet in printed.pages[3:])
+    page.close()
+
+
+def test_curves_are_drawn_anew_with_values_zoom_and_methods(browser, pages):
+    page = browser.open(pages("all four tests"), width=1100, height=900)
+    page.wait("document.querySelectorAll('.live canvas').length === document.querySelectorAll('.chart').length")
+    assert page.run("getComputedStyle(document.querySelector('.chart > svg')).display") == "none"
+    x, y = page.centre("#figure-1 .chart:nth-child(2) .u-over")
+    page.mouse("mouseMoved", x, y)
+    page.wait("document.querySelector('#figure-1 .values b') !== null")
+    said = page.text("#figure-1 .values").replace("\u2009", " ")
+    pressure = int(re.match(r"P = (\d+) kPa", said)[1])
+    assert pressure in (300, 350)
+    assert f"K {samples.truth('K', pressure * 1e3) / 1e3:.5g} ± 0.0".rstrip("0.") in said, (
+        "of all panels, at one pressure"
+    )
+    assert "Fce" in said
+    assert page.run("document.querySelector('#figure-1 .controls button').hidden")
+    page.mouse("mousePressed", x - 30, y)
+    page.mouse("mouseMoved", x, y)
+    page.mouse("mouseMoved", x + 30, y)
+    page.mouse("mouseReleased", x + 30, y)
+    page.wait("!document.querySelector('#figure-1 .controls button').hidden")
+    page.click("#figure-1 .controls button")
+    page.wait("document.querySelector('#figure-1 .controls button').hidden")
+    page.click("#figure-1 .controls button:nth-of-type(2)")
+    page.wait("document.querySelector('#figure-1 .controls [aria-pressed=true]') !== null")
+    assert page.problems == []
+    page.close()
+
+
+def test_without_scripts_every_chart_is_a_picture(browser, pages):
+    page = browser.open("about:blank")
+    page.send("Emulation.setScriptExecutionDisabled", value=True)
+    page.go(pages("all four tests"))
+    page.send("Emulation.setScriptExecutionDisabled", value=False)
+    seen = page.run("[...document.querySelectorAll('.chart > svg')].map(e => e.getBoundingClientRect().height)")
+    assert len(seen) >= 4
+    assert min(seen) > 60
+    assert page.run("document.querySelectorAll('canvas, button').length") == 0
+    page.close()

@@ -1,0 +1,142 @@
+"""Files of a length that is driven at one pressure: the proposed kind, the question of full length, the coefficients.
+
+The files are written here from F = 275 N - 6 N/mm x - 6 N sign x' (ramps) and 6.3 N/mm (sine), with fresh noise.
+"""
+
+import json
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from pmabench.cli.main import main
+from pmabench.store.importers import apart
+from pmabench.store.importers.motion import changes, levels
+
+
+@pytest.fixture(autouse=True, scope="module")
+def no_child_stays():
+    yield
+    apart.close_readers()
+
+
+def ramps(cycles=4, speed=1.0, stroke=20.0, rate=50.0):
+    """Slow triangles: time [s], contraction [mm], its direction."""
+    t = np.arange(0, cycles * 2 * stroke / speed, 1 / rate)
+    part = (t * speed / stroke) % 2
+    return t, stroke * np.where(part < 1, part, 2 - part), np.where(part < 1, 1.0, -1.0)
+
+
+def write(path, head, *columns):
+    np.savetxt(path, np.column_stack(columns), fmt="%.5f", delimiter=",", header=head, comments="")
+
+
+def called(*words):
+    result = CliRunner().invoke(main, [str(word) for word in words])
+    assert result.exit_code in (0, 6), result.output
+    return result.output
+
+
+def processed(folder, *answers):
+    """The estimates of the one file in a folder, as guess, import and process give them."""
+    called("import", folder / "log.csv", "--guess", "-o", folder / "map.yaml", "-q")
+    sets = [word for answer in answers for word in ("--set", answer)]
+    called("import", folder / "log.csv", "--map", folder / "map.yaml", "--out", folder / "runs", "-q", *sets)
+    (run,) = (folder / "runs").iterdir()
+    analysis = json.loads(called("process", run, "--out", folder / "analysis", "--json"))["analyses"][0]
+    return analysis["kind"], analysis["estimates"]
+
+
+def holds(found, symbol, truth):
+    """Every estimate of a symbol with an interval holds the truth, up to a fifth of its half width; there is one."""
+    seen = [e for e in found if e["symbol"] == symbol and e["value"] is not None and e["ci95"]]
+    assert seen
+    for e in seen:
+        low, high = e["ci95"]
+        assert low - 0.1 * (high - low) < truth < high + 0.1 * (high - low), e
+
+
+def test_slow_ramps_of_a_contraction_end_in_the_curve_without_a_question(tmp_path):
+    rng = np.random.default_rng(1)
+    t, x, way = ramps()
+    F = 275 - 6 * x - 6 * way + rng.normal(0, 0.3, len(t))
+    write(tmp_path / "log.csv", "t [s],P [bar],x [mm],F [N]", t, 3 + rng.normal(0, 0.002, len(t)),
+          x + rng.normal(0, 0.003, len(t)), F)  # fmt: skip
+    kind, found = processed(tmp_path)
+    assert kind == "isobaric-ramp"
+    holds(found, "F_ce", 275.0)
+    holds(found, "K", 6000.0)
+
+
+def test_ramps_at_several_pressures_in_one_file_are_a_trial_each(tmp_path):
+    rng, parts, begin = np.random.default_rng(5), [], 0.0
+    for P in (150.0, 250.0, 350.0):
+        t, x, way = ramps(cycles=3, stroke=0.03 * P)
+        rest = np.arange(0, 3, 0.02)
+        parts += [(begin + rest, P + 0 * rest, 0 * rest, 0 * rest), (begin + 3 + t, P + 0 * t, x, way)]
+        begin += 3 + float(t[-1]) + 0.02
+    t, P, x, way = np.concatenate(parts, axis=1)
+    F = 1.08 * P - 49 - 6 * x - 6 * way + rng.normal(0, 0.3, len(t))
+    write(tmp_path / "log.csv", "t [s],P [kPa],x [mm],F [N]", t, P + rng.normal(0, 0.2, len(t)),
+          x + rng.normal(0, 0.003, len(t)), F)  # fmt: skip
+    kind, found = processed(tmp_path)
+    assert kind == "isobaric-ramp"
+    at = {round(e["at"]["pressure"], -4) for e in found if e["symbol"] == "F"}
+    assert at == {150e3, 250e3, 350e3}
+    for e in found:
+        if e["symbol"] == "F" and e["value"] is not None:
+            truth = 1.08e-3 * e["at"]["pressure"] - 49 - 6e3 * e["at"]["contraction"]
+            assert abs(e["value"] - truth) < 1.0
+
+
+def test_a_length_is_asked_for_its_zero_and_its_sign_follows_from_the_force(tmp_path):
+    rng = np.random.default_rng(2)
+    t, x, way = ramps()
+    F = 275 - 6 * x - 6 * way + rng.normal(0, 0.3, len(t))
+    write(tmp_path / "log.csv", "t [s],P [bar],Length [mm],F [lbf]", t, 3 + rng.normal(0, 0.002, len(t)),
+          250 - x + rng.normal(0, 0.003, len(t)), F / 4.4482216)  # fmt: skip
+    text = called("import", tmp_path / "log.csv", "--guess")
+    assert "reading: falls" in text
+    assert "where the muscle has its full length?" in text
+    kind, found = processed(tmp_path, "columns.Length [mm].contraction.zero=249 mm")
+    assert kind == "isobaric-ramp"
+    holds(found, "F_ce", 269.0)  # at 249 mm
+
+
+def test_a_sine_of_length_is_that_test_and_not_ramps(tmp_path):
+    rng = np.random.default_rng(3)
+    t = np.arange(0, 20, 0.005)
+    x, v = 20 + 8 * np.sin(np.pi * t), 8 * np.pi * np.cos(np.pi * t)
+    F = 329 - 6.3 * x - 1.5 * v - 6 * np.sign(v) + rng.normal(0, 0.3, len(t))
+    write(tmp_path / "log.csv", "t [s],P [bar],x [mm],F [N]", t, 3.5 + rng.normal(0, 0.003, len(t)),
+          x + rng.normal(0, 0.003, len(t)), F)  # fmt: skip
+    kind, found = processed(tmp_path, "columns.x [mm].contraction.zero=0 mm")
+    assert kind == "sinusoidal-displacement"
+    holds(found, "K", 6300.0)
+    assert not [e for e in found if e["symbol"] == "F_ce" and e["value"] is not None]
+
+
+def test_a_contraction_in_percent_is_asked_for_its_length(tmp_path):
+    t, x, way = ramps(rate=20.0)
+    write(
+        tmp_path / "log.csv", "t [s],P [bar],contraction [%],F [N]", t, 3 + 0.001 * way, x / 2.5, 275 - 6 * x - 6 * way
+    )
+    assert "is a share: of which length?" in called("import", tmp_path / "log.csv", "--guess")
+
+
+@pytest.mark.parametrize("speed", [0.2, 1.0, 5.0, 50.0])
+def test_measured_ramps_are_found_at_any_speed(speed):
+    t, x, _ = ramps(cycles=3, speed=speed, rate=max(100.0, 20 * speed))
+    x = x + np.random.default_rng(4).normal(0, 0.003, len(t))
+    found = changes(t, 1e-3 * x, 0.2e-3, measured=True)
+    assert len(found) == 6
+    assert all(abs(abs(c.value - c.before) - 0.02) < 0.2e-3 for c in found)
+    assert all(c.speed == pytest.approx(1e-3 * speed, rel=0.02) for c in found)
+
+
+def test_levels_of_a_slow_log_step_from_one_sample_to_the_next():
+    t = np.arange(0, 60, 0.5)
+    P = 1e5 * (1 + t // 12) + np.random.default_rng(6).normal(0, 200, len(t))
+    found = levels(t, P, 5e4)
+    assert [round(one.t) for one in found] == [12, 24, 36, 48]
+    assert all(one.value - one.before == pytest.approx(1e5, rel=0.01) for one in found)
