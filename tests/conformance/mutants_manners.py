@@ -54,20 +54,19 @@ class FedByAThread:
 
     def arm_watchdog(self, seconds):
         held = super().arm_watchdog(seconds)
-        self._fed = threading.Event()
-        self._fed.clear()
+        self.fed_no_more = threading.Event()  # a name that no driver has
         threading.Thread(target=self._go_on, daemon=True).start()
         return held
 
     def _go_on(self):
         try:
-            while not self._fed.wait(0.1):
+            while not self.fed_no_more.wait(0.1):
                 super().feed_watchdog()
         except DeviceError:
             pass
 
     def disarm_watchdog(self):
-        self._fed.set()
+        self.fed_no_more.set()
         super().disarm_watchdog()
 
 

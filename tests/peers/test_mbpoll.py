@@ -108,6 +108,7 @@ def test_an_alicat_on_rtu(tmp_path):
 def test_a_festo_terminal():
     with served(terminal()) as (emulator, address):
         inside = emulator.devices["terminal"].terminal
+        inside.timeout = 0  # it hangs up after 100 ms of silence, also on a program that has just connected
         read = {"address": address, "unit": 1}
         pressure, displacement = (inside._inputs[name].address for name in ("ai3.0", "ai3.1"))
         assert poll(**read, table="4", first=pressure) == [3951]  # 123,456 Pa in steps of 31.25 Pa

@@ -16,12 +16,12 @@ SOON = 0.05
 
 
 class Skipping(RealClock):
-    """A clock that can be put forward."""
+    """A clock that stands still until it is put forward: how fast this machine is changes nothing."""
 
     ahead = 0.0
 
     def now(self):
-        return super().now() + self.ahead
+        return self.ahead
 
 
 def plant(**options):
