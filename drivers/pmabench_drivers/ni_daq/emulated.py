@@ -36,6 +36,8 @@ VERSION = {0x1272: 24, 0x1923: 5, 0x2F22: 0}
 """Attributes of the system: major, minor, update."""
 ALL_LINES, FINITE, CONTINUOUS = 1, 10178, 10123
 """One channel for all lines; kinds of timing."""
+WORKERS = 16
+"""So many calls at once."""
 GIVE_UP = 10.0
 """Longest wait for a client to give up [s]."""
 
@@ -80,7 +82,8 @@ class EmulatedServer:
 
         import grpc
 
-        server = grpc.server(ThreadPoolExecutor(16), options=[("grpc.so_reuseport", 0)])
+        workers = ThreadPoolExecutor(WORKERS)
+        server = grpc.server(workers, options=[("grpc.so_reuseport", 0)])
         known = {name: self._handler(grpc, name) for name in CALLS}
         server.add_generic_rpc_handlers((grpc.method_handlers_generic_handler(SERVICE, known),))
         try:
@@ -89,6 +92,9 @@ class EmulatedServer:
             port = 0
         if not port:
             raise UsageError(f"cannot serve {self.board.device.name} at {self.address}: the port is taken")
+        all_there = threading.Barrier(WORKERS)
+        for _ in range(WORKERS):  # now: one that begins later would look like a thread that a driver left behind
+            workers.submit(all_there.wait)
         self.address = f"{self.address.rpartition(':')[0]}:{port}"
         self._server = server
 
