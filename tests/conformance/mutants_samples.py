@@ -18,11 +18,11 @@ class _Channels:
     def _channel(self, name):
         return next(channel for channel in self._device.channels if channel.name == name)
 
-    def _count(self, name, value):
+    def _in_counts(self, name, value):
         return float(round(value)) if self._channel(name).raw_type == "int32" else value
 
     def _raw(self, name, si):
-        return self._count(name, self._channel(name).scale.to_raw(si))
+        return self._in_counts(name, self._channel(name).scale.to_raw(si))
 
 
 # -- values -----------------------------------------------------------------------------------------------------------
@@ -39,7 +39,7 @@ class ValuesHundredth(_Channels):
     """Bar is taken for kilopascal."""
 
     def collect(self):
-        return changed(super().collect(), lambda n, v: [self._count(n, x / 100) for x in v])
+        return changed(super().collect(), lambda n, v: [self._in_counts(n, x / 100) for x in v])
 
 
 @fault("Stream", "values", "unit")
@@ -47,7 +47,7 @@ class ValuesAreSi(_Channels):
     """It scales by itself, and the bench once more."""
 
     def collect(self):
-        return changed(super().collect(), lambda n, v: [self._count(n, self._channel(n).scale.to_si(x)) for x in v])
+        return changed(super().collect(), lambda n, v: [self._in_counts(n, self._channel(n).scale.to_si(x)) for x in v])
 
 
 @fault("Stream", "values")
@@ -64,7 +64,7 @@ class ValuesOffset(_Channels):
         def off(name, values):
             channel = self._channel(name)
             step = (channel.high - channel.low) / 100 / channel.scale.slope
-            return [self._count(name, x + step) for x in values]
+            return [self._in_counts(name, x + step) for x in values]
 
         return changed(super().collect(), off)
 
@@ -87,7 +87,7 @@ class ValuesSwapped(_Channels):
         block = super().collect()
         names = list(block.columns)
         columns = {name: list(block.columns[other]) for name, other in zip(names, [*names[1:], names[0]], strict=True)}
-        return Block(block.time, {n: [self._count(n, x) for x in v] for n, v in columns.items()}, block.host)
+        return Block(block.time, {n: [self._in_counts(n, x) for x in v] for n, v in columns.items()}, block.host)
 
 
 @fault("Stream", "values", "old value")
@@ -214,7 +214,7 @@ class ValuesSmoothed(_Channels):
             first = len(both) - len(values)
             self.kept = {**(self.kept or {}), name: both[-8:]}
             return [
-                self._count(name, sum(w) / len(w))
+                self._in_counts(name, sum(w) / len(w))
                 for w in (both[max(0, first + i - 7) : first + i + 1] for i in range(len(values)))
             ]
 
