@@ -18,8 +18,7 @@ from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.verdict.agreement import SAME, Offer, Place, anywhere, at_pressures, between
 from pmabench.base.quantities import show
 from pmabench.kinds.static_load import RESULTS, figures
-from pmabench.kinds.static_load.line import Line, fit_side
-from pmabench.kinds.static_load.mean import Mean, mean_of
+from pmabench.kinds.static_load.line import Line, Mean, fit_side, mean_of
 from pmabench.kinds.static_load.points import LIFT, MEAN, SET_DOWN, Points, Stiffness, points_of
 from pmabench.store.analyses.results import Analysis, Curve, Estimate, Finding, Parts, withhold
 from pmabench.store.records import Array, RunData
