@@ -11,8 +11,7 @@ from scipy.interpolate import BSpline
 
 from pmabench.model.driven import Actuator
 from pmabench.model.identified.muscle import SCHEMA, IdentifiedMuscle, Splines
-from pmabench.model.identified.path import Path, force_along
-from pmabench.model.identified.plant import IdentifiedDrivenPlant, IdentifiedPlant, free_run
+from pmabench.model.identified.plant import IdentifiedDrivenPlant, IdentifiedPlant, Path, force_along, free_run
 from pmabench.model.regulator import Regulator, constant, sine
 
 P_KNOTS, X_KNOTS = (0.0, 100e3, 600e3), (0.0, 5e-3, 20e-3, 60e-3)

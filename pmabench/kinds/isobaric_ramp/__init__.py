@@ -1,7 +1,7 @@
 """Slow ramps of displacement at constant pressure: F over contraction, K, loop gap and work; the rubber at 0 kPa.
 
 - `reduction`, made of `cell` and `first_cycle`
-- protocol files: `protocol`; one trial on the display: `live`; figures: `figures`
+- protocol files: `protocol`; figures and one trial on the display: `figures`
 """
 
 from pmabench.base.imported import Commanded, Imported
@@ -60,7 +60,7 @@ KIND = Kind(
     reduction="pmabench.kinds.isobaric_ramp.reduction:reduce",
     papers=("paper 3, isobaric loops",),
     protocol="pmabench.kinds.isobaric_ramp.protocol:IsobaricRamp",
-    live="pmabench.kinds.isobaric_ramp.live:measure",
+    live="pmabench.kinds.isobaric_ramp.figures:measure",
     moves="displacement",
     compares="force",
     repeated="pmabench.analysis.shared.ramp_loop:stiffness_of",

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from pmabench import __version__
-from pmabench.model.identified.described import holds_surface
+from pmabench.model.identified.library import holds_surface
 from pmabench.model.identified.muscle import IdentifiedMuscle, Weights
 from pmabench.report.files.simulator_models import inside
 from pmabench.store.analyses.results import Analysis

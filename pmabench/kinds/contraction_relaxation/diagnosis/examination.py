@@ -11,7 +11,7 @@ from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.samples import Samples
 from pmabench.kinds.contraction_relaxation.diagnosis.cell import readings, weighed
 from pmabench.kinds.contraction_relaxation.diagnosis.columns import zero_known
-from pmabench.kinds.contraction_relaxation.diagnosis.corrections import in_samples, off_forces
+from pmabench.kinds.contraction_relaxation.diagnosis.corrections import forces_of, in_samples
 from pmabench.kinds.contraction_relaxation.diagnosis.rounds import Search, explained
 from pmabench.kinds.contraction_relaxation.diagnosis.spread import Spread
 from pmabench.kinds.contraction_relaxation.diagnosis.verdict import Diagnosis, name
@@ -33,7 +33,7 @@ class Examined:
     def corrected(self, segments: Segments) -> Segments:
         """Segments of corrected samples without the forces that the muscle has beyond the straight form."""
         state = self.diagnosis.reported
-        return off_forces(self.search.followed, segments, state.straight, state.explanations)
+        return segments.pulled(-forces_of(self.search.followed, segments, state.straight, state.explanations))
 
 
 def examined(

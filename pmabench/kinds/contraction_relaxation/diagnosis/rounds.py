@@ -19,18 +19,22 @@ from pmabench.kinds.contraction_relaxation.diagnosis.corrections import (
     MOST_LATE,
     Explanation,
     columns_of,
+    forces_of,
     in_samples,
-    off_forces,
     plausible,
 )
 from pmabench.kinds.contraction_relaxation.diagnosis.held_out import Test
-from pmabench.kinds.contraction_relaxation.pooled import Fit, Solved, fit, rms_of, solve, solve_design
+from pmabench.kinds.contraction_relaxation.pooled import Fit, Solved, fit, rms_of, solve
 from pmabench.kinds.contraction_relaxation.segments import Segments
 from pmabench.kinds.contraction_relaxation.trials import Campaign
 from pmabench.store.records import Array
 
 MOST_CUTS = 3
 """Corrected campaigns that are kept: what a round tries has most of them in common."""
+EVERY = 3
+"""Of the trials, in the order of pressures and loads, so few are looked at in the first search for a time."""
+FEWEST_TRIALS = 8
+"""Fewest trials of a search for a time."""
 MOST_ROUNDS = 4
 EXPLAINS = 0.7
 """Share of the excess that an explanation removes to be one."""
@@ -141,7 +145,7 @@ class Search:
         streams = [i for i, one in enumerate(explanations) if one.kind in TIMES]
         for _ in range(PASSES if linear else min(1, len(streams))):
             for i in streams if timed else []:
-                explanations = self._timed(explanations, i, straight, expected)
+                explanations, _ = self._timed(explanations, i, straight, expected)
             if linear:
                 campaign, segments = self._corrected(explanations)
                 raw = self._solved(segments, solved, expected)
@@ -156,9 +160,8 @@ class Search:
     ) -> tuple[Segments, Fit]:
         """What is left when all is corrected, and the fit to it at the knots of `like`."""
         segments = self._corrected(explanations)[1]
-        left = off_forces(self.followed, segments, straight, explanations)
-        design = self._solved(segments, like, noise).design
-        return left, solve_design(left, design, like.knots, noise, like.halves, like.added)
+        off = forces_of(self.followed, segments, straight, explanations)
+        return segments.pulled(-off), self._solved(segments, like, noise).pulled(-off)
 
     def _solved(self, segments: Segments, like: Fit, noise: float) -> Fit:
         """The fit to segments at the knots of `like`; the last one is kept."""
@@ -169,9 +172,14 @@ class Search:
         self.fits[:] = [(found, segments, like.knots, noise)]
         return found
 
-    def _corrected(self, explanations: Sequence[Explanation]) -> tuple[Campaign, Segments]:
-        """The campaign with what is wrong with the bench corrected, and its segments; the last few are kept."""
+    def _corrected(self, explanations: Sequence[Explanation], few: bool = False) -> tuple[Campaign, Segments]:
+        """The campaign with what is wrong with the bench corrected, and its segments, of `few` trials or of all; the
+        last ones of all are kept.
+        """
         faults = tuple(one for one in explanations if not one.of_muscle)
+        if few:
+            campaign = in_samples(self.campaign, faults, self._few)
+            return campaign, self.cut([campaign.samples[i] for i in self._few])
         found = self.cuts.pop(faults, None)
         if found is None:
             campaign = in_samples(self.campaign, faults)
@@ -181,6 +189,13 @@ class Search:
         self.cuts[faults] = found
         return found
 
+    @cached_property
+    def _few(self) -> list[int]:
+        """Trials that are looked at in the first search for a time: some of all pressures and loads."""
+        points = [(trial.point.get("pressure", 0.0), trial.point.get("load", 0.0)) for trial in self.campaign.trials]
+        every = min(EVERY, max(1, len(points) // FEWEST_TRIALS))
+        return sorted(sorted(range(len(points)), key=lambda i: points[i])[::every])
+
     def columns(
         self, one: Explanation, campaign: Campaign, segments: Segments, fit: Solved, others: Sequence[Explanation] = ()
     ) -> Array:
@@ -189,22 +204,23 @@ class Search:
 
     def _timed(
         self, explanations: tuple[Explanation, ...], place: int, fit: Fit, noise: float
-    ) -> tuple[Explanation, ...]:
-        """The explanations with the size of one of them, a time, where the squares of the residual are least."""
+    ) -> tuple[tuple[Explanation, ...], bool]:
+        """The explanations with the size of one of them, a time, where the squares of the residual are least, and
+        whether it explains anything.
 
-        def at(size: float) -> tuple[Explanation, ...]:
-            return _with(explanations, place, (size,))
-
-        known: dict[float, float] = {}
-
-        def squares(size: float) -> float:
-            size = min(max(size, -MOST_LATE), MOST_LATE)
-            if size not in known:
-                known[size] = float(np.mean(self.left(at(size), fit, noise)[1] ** 2))
-            return known[size]
-
+        A time that is not known yet is searched for in few trials first; it stays there if it explains next to nothing.
+        """
         best = explanations[place].sizes[0]
-        for step in STEPS if best == 0 else STEPS[-1:]:
+        for few, step in ((True, STEPS[0]), (False, STEPS[1])) if best == 0 else ((False, STEPS[1]),):
+            known: dict[float, float] = {}
+
+            def squares(size: float, few: bool = few, known: dict[float, float] = known) -> float:
+                size = min(max(size, -MOST_LATE), MOST_LATE)
+                if size not in known:
+                    left = self.left(_with(explanations, place, (size,)), fit, noise, few)[1]
+                    known[size] = float(np.mean(left**2))
+                return known[size]
+
             way = step if squares(best + step) < squares(best - step) else -step
             while squares(best + way) < squares(best) and abs(best + way) < MOST_LATE:
                 best += way
@@ -212,23 +228,30 @@ class Search:
             curved = before + after - 2 * now
             squares(best + 0.5 * step * (before - after) / curved if curved > 0 else best)
             best = min(known, key=squares)
-            if squares(best) > WORTH * squares(0.0):
-                break
-        return at(best)
+            if few and squares(best) > WORTH * squares(0.0):
+                return _with(explanations, place, (best,)), False
+        return _with(explanations, place, (best,)), True
 
-    def left(self, explanations: tuple[Explanation, ...], fit: Fit, noise: float) -> tuple[Segments, Array]:
-        """Corrected segments and the residual of the fit to them; sizes of properties of the muscle are found anew."""
-        campaign, segments = self._corrected(explanations)
+    def left(
+        self, explanations: tuple[Explanation, ...], fit: Fit, noise: float, few: bool = False
+    ) -> tuple[Segments, Array]:
+        """Corrected segments, of `few` trials or of all, and the residual of the fit to them; sizes of properties of the
+        muscle are found anew.
+        """
+        campaign, segments = self._corrected(explanations, few)
         raw = self._solved(segments, fit, noise)
         mine = [self.columns(one, campaign, segments, fit, explanations) for one in explanations if one.of_muscle]
         if not mine:
             return segments, raw.residual
         forces = np.hstack(mine)
         off = forces @ sizes_of(raw, forces)
-        return segments.pulled(-off), raw.residual - (off - raw.design @ raw.change(off[:, None])[:, 0])
+        return segments.pulled(-off), raw.pulled(-off).residual
 
-    def others(self, now: State) -> list[State]:
-        """`now` with one more explanation each, the best of every cause that it has none of, the best first."""
+    def others(self, now: State, limit: float = ALONE * LEAST_EXCESS) -> list[State]:
+        """`now` with one more explanation each, the best of every cause that it has none of, the best first.
+
+        Without times that explain next to nothing and leave more than the excess `limit`.
+        """
         known = {one.family for one in now.explanations}
         tried = [one for one in self._possible(now) if one.family not in known]
         test = now.test
@@ -242,8 +265,8 @@ class Search:
                 if late is None or late.excess > WORTH * now.excess:
                     continue
                 one = replace(one, sizes=late.last.sizes)
-            state = self._added(now, one)
-            if not plausible(state.last):
+            state = self._added(now, one, limit)
+            if state is None or not plausible(state.last):
                 continue
             if one.cause not in best or state.excess < best[one.cause].excess:
                 best[one.cause] = state
@@ -260,10 +283,12 @@ class Search:
         again = [self.fitted(state.explanations, state) for state in near]
         return sorted((*again, *tried[len(near) :]), key=lambda state: state.test.ratio)
 
-    def _added(self, now: State, one: Explanation) -> State:
+    def _added(self, now: State, one: Explanation, limit: float) -> State | None:
         explanations, test = (*now.explanations, one), now.test
         if one.kind in TIMES:
-            explanations = self._timed(explanations, len(now.explanations), test.fit, test.expected)
+            explanations, explains = self._timed(explanations, len(now.explanations), test.fit, test.expected)
+            if not explains and WORTH * test.ratio**2 - 1 > limit:
+                return None
         return self.state(explanations, test.fit, test.expected, timed=False)
 
     def _possible(self, now: State) -> Iterator[Explanation]:
@@ -275,28 +300,34 @@ class Search:
         for channel in ("pressure", "displacement", *(("force",) if cell else ())):
             yield from (Explanation(kind, channel) for kind in ("late", "lag"))
         for kind, variants in columns.OF_MUSCLE.items():
-            yield from (Explanation(kind, variant) for variant in variants if variant != columns.BY_LOAD)
+            yield from (Explanation(kind, one) for one in variants if one != columns.FINER.get(kind))
 
-    def by_load(self, now: State) -> State | None:
-        """`now` with creep that may grow with the load in place of one that is the same at all loads; None without."""
-        creeps = [one for one in now.explanations if one.kind == "creep" and one.which != columns.BY_LOAD]
-        if not creeps:
-            return None
-        rest = tuple(one for one in now.explanations if one is not creeps[0])
-        finer = Explanation("creep", columns.BY_LOAD, (0.0,) * 2 * len(columns.TIMES))
-        state = self.state((*rest, finer), now.test.fit, now.test.expected, timed=False)
-        return state if plausible(state.last) else None
+    def finer(self, now: State) -> State | None:
+        """`now` with creep that may grow with the load, or hysteresis that may differ by direction, in place of one that
+        does not; None without.
+        """
+        found = []
+        for one in now.explanations:
+            variant = columns.FINER.get(one.kind, one.which)
+            if one.which == variant:
+                continue
+            rest = tuple(other for other in now.explanations if other is not one)
+            state = self._with_more(now, rest, [Explanation(one.kind, variant)])
+            if plausible(state.last):
+                found.append(state)
+        return min(found, key=lambda state: state.excess, default=None)
 
     def all_of_muscle(self, now: State) -> State:
         """`now` with all properties of the muscle that it has not."""
         known = {one.family for one in now.explanations}
+        return self._with_more(now, now.explanations, [one for one in ALL_OF_MUSCLE if one.family not in known])
+
+    def _with_more(self, now: State, kept: tuple[Explanation, ...], more: Sequence[Explanation]) -> State:
+        """`now` with the explanations that are `kept` and more properties of the muscle."""
         test = now.test
-        more = [
-            replace(one, sizes=(0.0,) * self.columns(one, test.campaign, test.segments, test.fit).shape[1])
-            for one in ALL_OF_MUSCLE
-            if one.family not in known
-        ]
-        return self.state((*now.explanations, *more), test.fit, test.expected, timed=False)
+        sizes = [self.columns(one, test.campaign, test.segments, test.fit).shape[1] for one in more]
+        sized = (replace(one, sizes=(0.0,) * many) for one, many in zip(more, sizes, strict=True))
+        return self.state((*kept, *sized), test.fit, test.expected, timed=False)
 
 
 def _promising(tried: Sequence[Explanation], ratios: Sequence[float], now: State) -> list[Explanation]:
@@ -357,12 +388,11 @@ def explained(search: Search, before: State) -> Rounds:
     """The explanations of a misfit; none where the form is right or nothing explains enough."""
     now = before
     tried: list[State] = []
-    for number in range(MOST_ROUNDS):
-        if not now.test.doubted:
-            break
+    given = len(before.explanations)
+    while now.test.doubted and len(now.explanations) < given + MOST_ROUNDS:
         found = search.compared(search.others(now))
-        best = found[0] if found and _worth(found[0], now, number) else now
-        finer = search.by_load(now)
+        best = found[0] if found and _worth(found[0], now, now is before) else now
+        finer = search.finer(now)
         if finer is not None and ALONE * finer.excess < best.excess:
             now = search.fitted(finer.explanations, finer)
             continue
@@ -377,20 +407,19 @@ def explained(search: Search, before: State) -> Rounds:
         together = search.all_of_muscle(now)
         if together.excess < (1 - FURTHER) * now.excess and all(plausible(one) for one in together.explanations):
             now = search.fitted(together.explanations, together)
-    given = len(before.explanations)
     if len(now.explanations) == given + 1 and tried:
         return Rounds(before, now, (_rivals(before, now, now.explanations[-1], tried),))
     return _without_needless(search, before, now)
 
 
-def _worth(found: State, now: State, number: int) -> bool:
-    """Whether an explanation of the round of this number removes enough to be kept.
+def _worth(found: State, now: State, first: bool) -> bool:
+    """Whether an explanation of a round, the first one or a further, removes enough to be kept.
 
     A fault of the bench has an exact form, and removes nearly all of what it makes. A small part of a misfit that
     something else makes always looks like some delay.
     """
     further = FURTHER if found.last.of_muscle else EXPLAINS
-    return now.excess - found.excess >= (further if number else 0.0) * now.excess
+    return now.excess - found.excess >= (0.0 if first else further) * now.excess
 
 
 def _rivals(without: State, now: State, kept: Explanation, tried: Sequence[State]) -> Rivals:
@@ -403,10 +432,11 @@ def _rivals(without: State, now: State, kept: Explanation, tried: Sequence[State
 def _without_needless(search: Search, before: State, now: State) -> Rounds:
     """Explanations that are not needed are taken out, the others compared with others in their place."""
     given, found = before.explanations, []
+    limit = ALONE * max(now.excess, LEAST_EXCESS)
     for one in now.explanations[len(given) :]:
         rest = tuple(other for other in now.explanations if other is not one)
         without = search.state(rest, now.test.fit, now.test.expected)
         if not without.test.doubted and not now.test.doubted:
             return _without_needless(search, before, search.fitted(rest, without))
-        found.append(_rivals(without, now, one, search.others(without)))
+        found.append(_rivals(without, now, one, search.others(without, limit)))
     return Rounds(before, now, tuple(found))
