@@ -15,8 +15,7 @@ from typing import Any
 
 from pmabench.base.errors import InvalidFile, Problem
 from pmabench.bench.channels import NAME, channels, outputs, valves
-from pmabench.bench.compilation import Compilation
-from pmabench.bench.confirmation import known_places, unconfirmed
+from pmabench.bench.compilation import Compilation, known_places, unconfirmed
 from pmabench.bench.driver_options import checked
 from pmabench.bench.files.bench import BenchFile, DeviceFile
 from pmabench.bench.files.specimen import SpecimenFile

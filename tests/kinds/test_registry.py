@@ -25,8 +25,8 @@ DEFAULTS = {
             "isometric-pressurisation",
         )
     ),
-    ("pmabench/bench/lab/protocol_text.py", "surface"),
-    ("pmabench/bench/predicted_muscle.py", "surface"),
+    ("pmabench/bench/lab/files.py", "surface"),
+    ("pmabench/bench/dry_run.py", "surface"),
     ("pmabench/bench/plant.py", "surface"),
     ("pmabench/model/presets.py", "surface"),
     ("pmabench/model/library/real.py", "surface"),

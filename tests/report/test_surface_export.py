@@ -6,8 +6,7 @@ import pytest
 
 from pmabench.base.errors import UsageError
 from pmabench.model.identified.muscle import IdentifiedMuscle
-from pmabench.model.identified.path import Path
-from pmabench.model.identified.plant import free_run
+from pmabench.model.identified.plant import Path, free_run
 from pmabench.notebook import Results
 from pmabench.report.files.export import export_results
 from pmabench.report.files.surface_model import force, parameters_of

@@ -17,8 +17,7 @@ from pmabench_drivers.alicat.ascii_link import AsciiLink
 from pmabench_drivers.alicat.modbus_link import ModbusLink
 from pmabench_drivers.alicat.options import ASCII, NO_VALUE, OVER, Options, Reading, read_options, trouble
 from pmabench_drivers.shared.device import Controlled
-from pmabench_drivers.shared.link import Still
-from pmabench_drivers.shared.polling import JOIN
+from pmabench_drivers.shared.link import JOIN, Still
 
 Link = AsciiLink | ModbusLink
 CALL = 0.18

@@ -16,9 +16,8 @@ from pmabench_drivers.canbus.link import Link, Rows, Signals, open_adapter
 from pmabench_drivers.canbus.node import Node, Transducer
 from pmabench_drivers.canbus.options import READY, Options, read_options
 from pmabench_drivers.shared.device import Driver, refuse_nonsense, stepped
-from pmabench_drivers.shared.link import opened
+from pmabench_drivers.shared.link import JOIN, Cycle, Samples, opened
 from pmabench_drivers.shared.options import Reader
-from pmabench_drivers.shared.polling import JOIN, Cycle, Samples
 
 CALL = 0.18
 """Longest time that a call takes [s]."""

@@ -1,7 +1,6 @@
 """DATAQ DI-2108, DI-4108 and DI-1110: analogue inputs sampled by the device's own clock, over a serial port (USB CDC).
 
-`wire`: models, options, scan list and scans as bytes; `driver`: the device interface; `emulator`: a device on a
-pseudo-terminal.
+`driver`: options, scans as bytes, the device interface; `emulator`: a device on a pseudo-terminal.
 """
 
 from pmabench_drivers.dataq.driver import Dataq

@@ -23,11 +23,10 @@ from pmabench_drivers.festo_cmmt.telegram import POSITION, SET_POINT, CmmtOption
 from pmabench_drivers.modbus.driver import CALL, Watched
 from pmabench_drivers.modbus.registers import Register, WatchdogRegisters
 from pmabench_drivers.shared.device import refuse_nonsense
-from pmabench_drivers.shared.link import Unanswered, opened
-from pmabench_drivers.shared.polling import JOIN
+from pmabench_drivers.shared.link import JOIN, Unanswered, opened
 
 if TYPE_CHECKING:
-    from pmabench_drivers.festo_cmmt.link import DriveLink
+    from pmabench_drivers.festo_cmmt.telegram import DriveLink
 
 OPEN = 1.9
 ANSWER = 0.1
@@ -70,7 +69,7 @@ class FestoCmmt(Watched):
 
     def open(self) -> Identity:
         """Connect, read who it is, and compare telegram and units with the bench file; takes no control."""
-        from pmabench_drivers.festo_cmmt.link import DriveLink
+        from pmabench_drivers.festo_cmmt.telegram import DriveLink
 
         self.close()
         line = self._line = DriveLink(self._device.name, self._device.address)

@@ -18,8 +18,7 @@ from pmabench_drivers.festo_cpx_e import terminal as t
 from pmabench_drivers.festo_cpx_e.terminal import DONE, STATUS, TIMEOUT, CpxOptions, read_options
 from pmabench_drivers.modbus.driver import CALL, OPEN, ModbusDevice
 from pmabench_drivers.modbus.registers import Register, decode
-from pmabench_drivers.shared.link import Unanswered
-from pmabench_drivers.shared.polling import Cycle
+from pmabench_drivers.shared.link import Cycle, Unanswered
 
 if TYPE_CHECKING:
     from pmabench_drivers.modbus.adapter import Line, NamedLine

@@ -1,7 +1,6 @@
 """The laser sensor Micro-Epsilon optoNCDT ILD1420: distances with their numbers, over RS422.
 
-`wire`: options, bytes as values, which measurement a value is, and what was lost; `driver`: the device interface;
-`emulator`: a sensor on a pseudo-terminal.
+`driver`: options, bytes as values, what was lost, the device interface; `emulator`: a sensor on a pseudo-terminal.
 """
 
 from pmabench_drivers.ild1420.driver import Ild1420

@@ -1,6 +1,6 @@
 """Modbus devices of any maker: a register map in YAML says what is where (TCP, and RTU on a serial port).
 
-`registers`: records, their words, and the device's own watchdog; `map_file`: the map as people write it; `adapter`: the
+`registers`: the map as people write it and as records, and their words; `adapter`: the
 connection, the only module that imports pymodbus; `driver`: the device interface; `emulated`: a device with any map.
 """
 

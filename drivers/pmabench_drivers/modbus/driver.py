@@ -14,12 +14,20 @@ from typing import TYPE_CHECKING, Any
 from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import COMPUTER, EMULATED, DeviceRecord, Identity
-from pmabench_drivers.modbus.map_file import Options, read_options, write_function
-from pmabench_drivers.modbus.registers import Register, WatchdogRegisters, decode, decode_text, encode, spans
+from pmabench_drivers.modbus.registers import (
+    Options,
+    Register,
+    WatchdogRegisters,
+    decode,
+    decode_text,
+    encode,
+    read_options,
+    spans,
+    write_function,
+)
 from pmabench_drivers.shared.device import Controlled, Polled
-from pmabench_drivers.shared.link import Still, Unanswered, always, opened
+from pmabench_drivers.shared.link import JOIN, PATIENCE, Still, Unanswered, always, opened
 from pmabench_drivers.shared.options import Reader
-from pmabench_drivers.shared.polling import JOIN, PATIENCE
 
 if TYPE_CHECKING:
     from pmabench_drivers.modbus.adapter import Line
@@ -123,7 +131,7 @@ class ModbusDevice(Watched, Controlled):
     @classmethod
     def map_schema(cls) -> dict[str, Any]:
         """The JSON Schema of the file that the option `map` names."""
-        from pmabench_drivers.modbus.map_file import map_schema
+        from pmabench_drivers.modbus.registers import map_schema
 
         return map_schema()
 

@@ -18,8 +18,7 @@ from pmabench.bench.interface import Block, DeviceRecord, Identity
 from pmabench_drivers.ni_daq.connection import Connection
 from pmabench_drivers.ni_daq.options import Input, Options, read_options
 from pmabench_drivers.shared.device import Led
-from pmabench_drivers.shared.link import Still, Unanswered, opened
-from pmabench_drivers.shared.polling import JOIN, Cycle, Pace, Samples
+from pmabench_drivers.shared.link import JOIN, Cycle, Pace, Samples, Still, Unanswered, opened
 
 FETCH = 0.17
 """Longest time of a look [s]."""

@@ -18,8 +18,7 @@ from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import EMULATED, Block, DeviceRecord, Identity
 from pmabench_drivers.serial_line_daq import wire as w
 from pmabench_drivers.shared.device import Led
-from pmabench_drivers.shared.link import Still, Unanswered, always, opened, turn
-from pmabench_drivers.shared.polling import JOIN, Samples
+from pmabench_drivers.shared.link import JOIN, Samples, Still, Unanswered, always, opened, turn
 from pmabench_drivers.shared.serial_port import SerialPort, Splitter, readable
 
 CALL = 0.17

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from pmabench.base.quantities import show
 from pmabench.bench.lab import derived, reading
-from pmabench.bench.lab.daqs import DAQS, NONE_YET
+from pmabench.bench.lab.derived import DAQS, NONE_YET
 
 if TYPE_CHECKING:
     from pmabench.bench.lab.answers import Answers

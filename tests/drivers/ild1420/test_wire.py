@@ -5,7 +5,7 @@ import random
 
 import pytest
 from pmabench_drivers.ild1420 import Ild1420
-from pmabench_drivers.ild1420.wire import (
+from pmabench_drivers.ild1420.driver import (
     SPANS,
     WRAP,
     CounterBroken,
