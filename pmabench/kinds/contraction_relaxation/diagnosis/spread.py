@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.analysis.shared import student
-from pmabench.kinds.contraction_relaxation.diagnosis.columns import TYPICAL, turned
+from pmabench.kinds.contraction_relaxation.diagnosis.columns import FINER, TYPICAL, turned
 from pmabench.kinds.contraction_relaxation.diagnosis.corrections import Explanation
 from pmabench.kinds.contraction_relaxation.diagnosis.search import TIMES, Search, State
 from pmabench.kinds.contraction_relaxation.intervals import Correction
@@ -77,8 +77,14 @@ class Spread:
 
     @property
     def _part(self) -> float:
-        """Share of the correction by the fit that may be wrong: as much as it leaves of the misfit."""
-        muscle = any(one.of_muscle for one in self.state.explanations)
+        """Share of the correction by the fit that may be wrong: as much as it leaves of the misfit.
+
+        The most where a coarser form of a muscle's property failed: nobody knows which one it has.
+        """
+        mine = self.state.explanations
+        muscle = any(one.of_muscle for one in mine)
+        if any(one.which == FINER.get(one.kind) for one in mine):
+            return PART_OF_MUSCLE[1]
         left = max(self.state.excess, CHANCE) / max(self.before.excess, CHANCE)
         return float(np.clip(np.sqrt(left), *(PART_OF_MUSCLE if muscle else PART_OF_BENCH)))
 
