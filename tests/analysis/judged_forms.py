@@ -26,7 +26,23 @@ from pmabench.kinds.step_displacement import reduction as step_displacement
 from pmabench.kinds.ultimate_gain import reduction as ultimate_gain
 from pmabench.store.analyses.results import Analysis
 from pmabench.store.records import ChannelInfo, Command, Event, RunData, TrialData
-from tests.judge import arm, closed, displaced, filled, free, held, loop, pair, placed, relaxing, rung, servo, sines, swept, tilted
+from tests.judge import (
+    arm,
+    closed,
+    displaced,
+    filled,
+    free,
+    held,
+    loop,
+    pair,
+    placed,
+    relaxing,
+    rung,
+    servo,
+    sines,
+    swept,
+    tilted,
+)
 from tests.judge.record import Trial, Truth
 
 CHANNELS = {
