@@ -31,9 +31,12 @@ class Channel:
 
     def raw(self, si: NDArray[np.float64], first: int) -> Column:
         """Device units of consecutive samples in SI, the first of which has the number `first`."""
-        if self._sigma:
-            si = si + self._sigma * self._noise.samples(first, len(si))
-        return self._given(self.scale.to_raw(si))
+        raw = self._noise.samples(first, len(si)) if self._sigma else np.zeros(len(si))
+        raw *= self._sigma
+        raw += si
+        raw -= self.scale.offset
+        raw /= self.scale.slope
+        return self._given(raw)
 
     def raw_one(self, si: float, number: int) -> float:
         """The same for one sample."""
@@ -52,7 +55,7 @@ class Channel:
     def _given(self, raw: Any) -> NDArray[Any]:
         if not self.counts:
             return np.asarray(raw, dtype=np.float64)
-        return np.asarray(np.minimum(np.maximum(np.rint(raw), self.low), self.high), dtype=np.int32)
+        return np.asarray(np.clip(np.rint(raw), self.low, self.high), dtype=np.int32)
 
 
 class Damage:
