@@ -189,7 +189,7 @@ class Sampled:
             self._memory.popleft()
 
     def _go_back(self, now: float) -> None:
-        """Restore the last moment before `now` and run up to it again; samples that were collected do not come again."""
+        """Restore the last moment before `now` and run up to it again; what was collected does not come again."""
         while self._memory and self._memory[-1].time > now:
             self._memory.pop()
         if not self._memory:
