@@ -21,8 +21,8 @@ METHODS = {
         "within 3 w of a turn has no value. What is left of the turns is taken off, and is in the interval."
     ),
     "gap": (
-        "Torque with the angle reached from above minus that from below, at the angle farthest from both turns. Without "
-        "a value where torques move in their rests, or pressures or angles differ between both sides, by more than 2 %."
+        "Torque with the angle reached from above minus that from below, at the angle farthest from both turns. "
+        "Withheld where torques move in their rests, or pressures or angles differ between the sides, by more than 2 %."
     ),
     "polynomial": (
         "Minus the slope of a polynomial of order 5 of torque over angle; its difference from that of order 3 is in "
