@@ -164,7 +164,10 @@ def test_a_footer_that_is_no_row_is_named_and_a_fault_in_the_last_row_is_refused
     footer = "\nStatistics\nMaximum,600.1,1380.2\nMean,281.4,640.0\n"
     (found,) = imported(tmp_path, HEAD + rows(plain) + footer)
     assert len(found.t) == ROWS
-    assert any("4 lines below the last row" in f.text and '"Statistics"' in f.text for f in found.findings)
+    assert any("3 lines below the last row" in f.text and '"Statistics"' in f.text for f in found.findings)
+    for blank_end in (",,\n" * 90, ",,\n" * 3 + footer):
+        (found,) = imported(tmp_path, HEAD + rows(plain) + blank_end)
+        assert len(found.t) == ROWS
     with pytest.raises(InvalidFile, match="the line is blank"):  # it is in the middle of the rows
         imported(tmp_path, HEAD + rows(plain) + footer + rows(plain))
     with pytest.raises(InvalidFile, match="1 columns, 3 are expected"):  # no footer is so long
