@@ -212,7 +212,7 @@ def guess_layout(path: str, content: bytes) -> TextGuess:
     reasons += ["numbers are in quotation marks"] if body.quoted else []
     reasons += [f"digits are grouped by {body.thousands}"] if body.thousands else []
     names, units, skip = _step_header(body, reasons) if body.above else _header(body, comment, reasons)
-    blank = any(not line.strip(EMPTY) for line in (*lines[:-1], *text[-TAIL:].split("\n")[:-1]))
+    blank = any(not line.strip(EMPTY) for line in (*lines[:-1], *text[-TAIL:].split("\n")[1:-1]))
     reasons += ["it has blank lines, which are skipped"] if blank else []
     texts, missing = _words(body, names, reasons)
     called = names or [f"column {k + 1}" for k in range(body.width)]
