@@ -176,6 +176,13 @@ def test_a_footer_that_is_no_row_is_named_and_a_fault_in_the_last_row_is_refused
         imported(tmp_path, HEAD + rows(plain) + "x1,2,3\n")
 
 
+def test_titles_of_tests_that_are_padded_with_delimiters_are_no_rows(tmp_path):
+    """As a spreadsheet writes them: the title has as many fields as a row."""
+    table = "time;pressure;force\ns;kPa;N\n" + rows(lambda t, p, f: f"{t:.2f};{p:.3f};{f:.3f}").replace(".", ",")
+    found = imported(tmp_path, "".join(f"Contraction = {x} mm;;\n{table}" for x in (0, 8)), unresolved=True)
+    assert [len(each.t) for each in found] == [ROWS, ROWS]
+
+
 def test_words_for_no_value_are_dropouts_and_zeros_at_the_end_are_said(tmp_path):
     lines = list(LINES)
     for row, text in ((40, "1.#INF"), (41, "-1.#IND"), (300, "OL")):

@@ -377,10 +377,10 @@ class TextReader:
     def _reads(self, name: str, fields: Sequence[str]) -> bool:
         """Whether a line has a value of a column."""
         try:
-            self._fields_of.value(fields[self._names.index(name)], (self.texts or {}).get(name, ""))
+            value = self._fields_of.value(fields[self._names.index(name)], (self.texts or {}).get(name, ""))
         except (ValueError, IndexError):
             return False
-        return True
+        return bool(np.isfinite(value))
 
     def _no_rows(self) -> None:
         """Raises InvalidFile for the lines that are no rows, since others follow them, or since they are too many."""
