@@ -199,7 +199,8 @@ def _pooled(estimates: Sequence[Estimate], cycles: int) -> list[Estimate]:
         if sum(freedom) == 0:
             continue
         deviations = [
-            (e.parts.repeats or 0.0) * np.sqrt(e.n) / student.ppf(0.975, f) for e, f in zip(several, freedom, strict=True)
+            (e.parts.repeats or 0.0) * np.sqrt(e.n) / student.ppf(0.975, f)
+            for e, f in zip(several, freedom, strict=True)
         ]
         together = np.sqrt(np.average(np.square(deviations), weights=freedom)) * student.ppf(0.975, sum(freedom))
         for place, e in enumerate(found):
