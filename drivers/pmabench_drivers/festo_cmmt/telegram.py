@@ -22,7 +22,6 @@ from time import monotonic, sleep
 
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import DeviceRecord, Segment
-from pmabench_drivers.festo_cmmt import telegram as t
 from pmabench_drivers.modbus.adapter import NamedLine
 from pmabench_drivers.modbus.registers import Register, decode, encode
 from pmabench_drivers.shared.device import stepped
@@ -271,17 +270,17 @@ class DriveLink(NamedLine):
         super().__init__(device, address, ANSWER)
         self._mailbox = threading.Lock()
 
-    def look(self, until: float) -> t.Status:
+    def look(self, until: float) -> Status:
         """What the drive reports now."""
-        return t.Status.of(self._again(t.PROCESS_IN, t.SIZE, until, "process data"))
+        return Status.of(self._again(PROCESS_IN, SIZE, until, "process data"))
 
-    def look_once(self, until: float) -> t.Status:
+    def look_once(self, until: float) -> Status:
         """The same in one transaction, whose time is known."""
-        return t.Status.of(self.read("holding", t.PROCESS_IN, t.SIZE, until, "process data"))
+        return Status.of(self.read("holding", PROCESS_IN, SIZE, until, "process data"))
 
     def send(self, words: Sequence[int], until: float, still: Still = always) -> None:
         """Write process data once, unless `still()` is false by the time the line is free."""
-        self.write(16, t.PROCESS_OUT, words, until, "process data", still)
+        self.write(16, PROCESS_OUT, words, until, "process data", still)
 
     def get(self, register: Register, until: float) -> float:
         """The value of a register."""
@@ -299,9 +298,9 @@ class DriveLink(NamedLine):
         """The value of a parameter; `kind` is a type of registers, or `int8`."""
         what = f"parameter {number}"
         words, size = self._fetch(number, until)
-        register = Register(what, "holding", t.DATA, "uint16" if kind == "int8" else kind, low_word_first=True)
+        register = Register(what, "holding", DATA, "uint16" if kind == "int8" else kind, low_word_first=True)
         if size == 0:
-            raise DeviceError(self._device, f"does not give its value (mailbox state {t.FAILED})", what)
+            raise DeviceError(self._device, f"does not give its value (mailbox state {FAILED})", what)
         if size != (1 if kind == "int8" else 2 * register.count):
             raise DeviceError(self._device, f"has {size} bytes, where {kind} was expected", what)
         value = decode(register, words)
@@ -317,18 +316,18 @@ class DriveLink(NamedLine):
         """Registers and bytes of a parameter, through the mailbox; nothing where the drive refuses it."""
         what = f"parameter {number}"
         with self._mailbox:
-            for address, word in ((t.NUMBER, number), (t.SUBINDEX, 0), (t.ELEMENTS, 1), (t.EXECUTE, t.READ)):
+            for address, word in ((NUMBER, number), (SUBINDEX, 0), (ELEMENTS, 1), (EXECUTE, READ)):
                 self.write(6, address, [word], until, what)
-            while (state := self.read("holding", t.EXECUTE, 1, until, what)[0]) != t.DONE:
-                if state == t.FAILED:
+            while (state := self.read("holding", EXECUTE, 1, until, what)[0]) != DONE:
+                if state == FAILED:
                     return [], 0
                 if monotonic() > until - LOOK:
                     raise DeviceError(self._device, f"does not give its value (mailbox state {state})", what)
                 sleep(LOOK)
-            [size] = self.read("holding", t.LENGTH, 1, until, what)
-            if not 0 < size <= t.LONGEST_TEXT:
+            [size] = self.read("holding", LENGTH, 1, until, what)
+            if not 0 < size <= LONGEST_TEXT:
                 raise DeviceError(self._device, f"has {size} bytes, which is no value that is read here", what)
-            return self.read("holding", t.DATA, (size + 1) // 2, until, what), size
+            return self.read("holding", DATA, (size + 1) // 2, until, what), size
 
     def _again(self, address: int, count: int, until: float, what: str) -> list[int]:
         """Registers; asked once more where no answer came in time: that moves nothing."""

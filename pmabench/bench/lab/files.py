@@ -16,7 +16,7 @@ from pmabench.bench.dry_run import PredictedMuscle, of_specimen, plant_text
 from pmabench.bench.files.specimen import SpecimenFile
 from pmabench.bench.lab.answers import Answers, Limits, limits_of, quoted
 from pmabench.bench.lab.bench_text import PLANT_FILE, Sheet, bench_text, calibration_texts
-from pmabench.bench.lab.derived import NONE_YET
+from pmabench.bench.lab.questions import NONE_YET
 from pmabench.bench.lab.reading import GRAVITY
 from pmabench.files.document import Document, read_document, validate
 from pmabench.model.real.muscle import Surface
