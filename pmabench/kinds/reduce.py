@@ -9,7 +9,7 @@ from typing import Any
 from pmabench.analysis.imported import without_doubtful
 from pmabench.analysis.shared.samples import with_motion
 from pmabench.analysis.shared.trials import repeat_traces
-from pmabench.analysis.verdict.acceptance import Pairs, not_accepted
+from pmabench.analysis.verdict.acceptance import Pairs, not_accepted, not_accepted_as_form
 from pmabench.analysis.verdict.agreement import KIND as AGREEMENT
 from pmabench.analysis.verdict.agreement import Offer, against_static, agreement, offers_of
 from pmabench.analysis.verdict.assembly import side_by_side, without_diameter
@@ -134,26 +134,27 @@ def verdicts(runs: Sequence[RunData], analyses: Sequence[Analysis]) -> list[str]
         if all(e.value is None and not e.withheld for e in analysis.estimates):
             failed.append(f"{analysis.kind}: nothing came out: {_why_nothing(analysis)}")
             continue
-        if analysis.kind in registry.with_part(FORM):  # limits of a protocol are for its own reduction
+        if analysis.kind in registry.with_part(FORM):
+            failed += not_accepted_as_form(runs, analysis, _named)
             continue
         failed += not_accepted(runs, analysis, _named, _static_of(analysis, analyses, tested))
     return failed
 
 
 def _withheld(analysis: Analysis) -> list[str]:
-    """One sentence for each reason to withhold, with the values that it concerns."""
-    found: dict[str, list[str]] = {}
+    """One sentence for each reason to withhold, with its values: where they are many, their symbols."""
+    found: dict[str, list[Estimate]] = {}
     for estimate in analysis.estimates:
         if estimate.withheld:
-            found.setdefault(estimate.note, []).append(_named(estimate))
-    return [f"{_first(names)}: withheld: {reason}" for reason, names in found.items()]
+            found.setdefault(estimate.note, []).append(estimate)
+    return [f"{_names(held)}: withheld: {reason}" for reason, held in found.items()]
 
 
-def _first(names: Sequence[str]) -> str:
-    """The first of many names, and how many more there are."""
-    names = list(dict.fromkeys(names))
-    more = f" and {len(names) - MOST_REASONS} more" if len(names) > MOST_REASONS else ""
-    return ", ".join(names[:MOST_REASONS]) + more
+def _names(estimates: Sequence[Estimate]) -> str:
+    names = list(dict.fromkeys(_named(estimate) for estimate in estimates))
+    if len(names) <= MOST_REASONS:
+        return ", ".join(names)
+    return f"{', '.join(dict.fromkeys(e.symbol for e in estimates))} ({len(names)} values)"
 
 
 def _static_of(analysis: Analysis, analyses: Sequence[Analysis], tested: Mapping[str, object]) -> Pairs | None:
