@@ -43,7 +43,7 @@ def characterise(recorded: Sequence[Path], place: Path, report: Path, title: str
     from pmabench.cli.process import analyse, chains, load_runs, write
     from pmabench.kinds.reduce import verdicts
     from pmabench.report.document.content import content_of, write_page
-    from pmabench.store.analyses.made_from import key_of
+    from pmabench.store.analyses.folder import key_of
 
     key = key_of(chains(recorded), {})
     runs = load_runs(recorded)

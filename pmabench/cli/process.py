@@ -119,7 +119,7 @@ def _process_together(
     from pmabench.kinds.reduce import reduce_together, verdicts
     from pmabench.plotting.wording import clean
     from pmabench.report.glance import glance
-    from pmabench.store.analyses.made_from import key_of
+    from pmabench.store.analyses.folder import key_of
 
     given = without_analyses(ui, runs)
     key = "" if form else key_of(chains(given), asked)  # before the runs are read: what is added meanwhile is a change
@@ -228,7 +228,7 @@ def stored(ui: Ui, runs: Sequence[Path]) -> list[Path]:
 
     What was made with options, or was changed afterwards, is not used, and the user is informed.
     """
-    from pmabench.store.analyses.made_from import Kept, kept, key_of
+    from pmabench.store.analyses.folder import Kept, kept, key_of
     from pmabench.store.since import as_sealed
 
     chain = chains(runs)
@@ -350,7 +350,7 @@ def write(
     With the `key` of runs and `options` they are used again as long as it is the same.
     """
     from pmabench.report.files.csv_files import write_with_tables
-    from pmabench.store.analyses.made_from import keep
+    from pmabench.store.analyses.folder import keep
 
     seen: dict[str, int] = {}
     written = []

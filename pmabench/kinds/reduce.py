@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -22,6 +23,7 @@ from pmabench.store.analyses.results import POINT_QUANTITIES, Analysis, Estimate
 from pmabench.store.records import RunData
 
 MOST_REASONS = 3
+NUMBER = re.compile(r"[-+]?\d[\d.,]*(e[-+]?\d+)?")
 
 
 def results_of(kind: str) -> tuple[Result, ...]:
@@ -142,19 +144,29 @@ def verdicts(runs: Sequence[RunData], analyses: Sequence[Analysis]) -> list[str]
 
 
 def _withheld(analysis: Analysis) -> list[str]:
-    """One sentence for each reason to withhold, with its values: where they are many, their symbols."""
-    found: dict[str, list[Estimate]] = {}
+    """One sentence for each reason to withhold, with the values that it concerns.
+
+    Reasons that differ in their numbers alone are one reason, with the numbers of the first value.
+    """
+    alike: dict[str, list[Estimate]] = {}
     for estimate in analysis.estimates:
         if estimate.withheld:
-            found.setdefault(estimate.note, []).append(estimate)
-    return [f"{_names(held)}: withheld: {reason}" for reason, held in found.items()]
+            alike.setdefault(NUMBER.sub("", estimate.note), []).append(estimate)
+    return [_sentence(estimates) for estimates in alike.values()]
 
 
-def _names(estimates: Sequence[Estimate]) -> str:
-    names = list(dict.fromkeys(_named(estimate) for estimate in estimates))
-    if len(names) <= MOST_REASONS:
-        return ", ".join(names)
-    return f"{', '.join(dict.fromkeys(e.symbol for e in estimates))} ({len(names)} values)"
+def _sentence(withheld: Sequence[Estimate]) -> str:
+    """What is withheld for one reason, and the reason: `F_ce (8 values), F_c: withheld: the force ...`."""
+    names: dict[str, list[str]] = {}
+    for estimate in withheld:
+        names.setdefault(estimate.symbol, []).append(_named(estimate))
+    each = {symbol: list(dict.fromkeys(of)) for symbol, of in names.items()}
+    few = sum(map(len, each.values())) <= MOST_REASONS
+    counted = [of if few or len(of) == 1 else [f"{symbol} ({len(of)} values)"] for symbol, of in each.items()]
+    first = withheld[0]
+    others = any(estimate.note != first.note for estimate in withheld)
+    alike = f" ({_named(first)}; alike for the others)" if others else ""
+    return f"{', '.join(name for of in counted for name in of)}: withheld: {first.note}{alike}"
 
 
 def _static_of(analysis: Analysis, analyses: Sequence[Analysis], tested: Mapping[str, object]) -> Pairs | None:

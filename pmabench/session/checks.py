@@ -10,7 +10,7 @@ from pmabench.base.quantities import show
 from pmabench.bench.compile import Mounted
 from pmabench.bench.interface import ChannelRecord
 from pmabench.bench.safety import SUPPLY_MARGIN
-from pmabench.session.listening import Series
+from pmabench.session.guided import Series
 
 OK, FAILED, NOT_MEASURED, NOT_CHECKED = "ok", "failed", "not measured", "not checked"
 

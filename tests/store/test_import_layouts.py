@@ -158,7 +158,17 @@ def test_a_file_that_ends_within_a_row_is_read_to_its_last_whole_row(tmp_path):
 def test_a_footer_that_is_no_row_is_named_and_a_fault_in_the_last_row_is_refused(tmp_path):
     (found,) = imported(tmp_path, HEAD + rows(plain) + "end of record\n")
     assert len(found.t) == ROWS
-    assert any("1 of 3 columns" in f.text for f in found.findings)
+    (doubt,) = [f for f in found.findings if f.kind == "cut-row"]
+    assert doubt.level == "doubt"
+    assert 'from line 502 ("end of record") on, are no rows' in doubt.text
+    footer = "\nStatistics\nMaximum,600.1,1380.2\nMean,281.4,640.0\n"
+    (found,) = imported(tmp_path, HEAD + rows(plain) + footer)
+    assert len(found.t) == ROWS
+    assert any("4 lines below the last row" in f.text and '"Statistics"' in f.text for f in found.findings)
+    with pytest.raises(InvalidFile, match="the line is blank"):  # it is in the middle of the rows
+        imported(tmp_path, HEAD + rows(plain) + footer + rows(plain))
+    with pytest.raises(InvalidFile, match="1 columns, 3 are expected"):  # no footer is so long
+        imported(tmp_path, HEAD + rows(plain) + "error\n" * 100)
     with pytest.raises(InvalidFile, match='"x1" is no number'):
         imported(tmp_path, HEAD + rows(plain) + "x1,2,3\n")
 

@@ -14,7 +14,7 @@ from pmabench.bench.interface import DeviceRecord, Load, Scale, Segment
 from pmabench.model.driven import Actuator, DrivenPlant
 from pmabench.model.plant import Plant
 from pmabench.model.presets import Arm, changed, preset, setup_of
-from pmabench.model.real.free import RealPlant
+from pmabench.model.real.plants import RealPlant
 from pmabench.model.regulator import Regulated, constant
 from pmabench_drivers.mock import options as o
 from pmabench_drivers.mock.options import Options
@@ -51,6 +51,8 @@ class Simulation(Sampled):
 
     It has a dump valve when the device has a valve on the output `dump_valve`: not energised it is open.
     """
+
+    AHEAD = 10.0
 
     def __init__(self, device: DeviceRecord, options: Options, start: float, memory: float = MEMORY) -> None:
         if options.numbers is None:

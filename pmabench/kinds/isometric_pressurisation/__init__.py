@@ -1,6 +1,6 @@
 """Force over pressure at set contractions: slopes, S(eps), dead band, hysteresis, F_ce and K.
 
-- `reduction`, made of `curve`, `daerden` (S over contraction), `sections` (all contractions at one pressure), `flow`
+- `reduction`, made of `curve` (with S over contraction), `sections` (all contractions at one pressure), `flow`
   (volume by a mass flow meter); whether the tests have the form that is assumed: `form`
 - protocol files: `protocol`; one trial on the display: `live`; words and figures: `figures`
 """

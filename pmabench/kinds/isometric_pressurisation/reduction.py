@@ -28,7 +28,7 @@ from pmabench.analysis.shared.isometric_lines import (
 )
 from pmabench.analysis.verdict.agreement import Offer, at_pressures, everywhere, exactly, straight, values_of
 from pmabench.base.quantities import show
-from pmabench.kinds.isometric_pressurisation import RESULTS, daerden, figures
+from pmabench.kinds.isometric_pressurisation import RESULTS, curve, figures
 from pmabench.kinds.isometric_pressurisation.curve import LEAST, PHASES, begins, mean_of, straight_from
 from pmabench.kinds.isometric_pressurisation.flow import by_flow
 from pmabench.kinds.isometric_pressurisation.form import departures, late, scatter_of
@@ -120,7 +120,7 @@ class _Found:
 
     cells: Sequence[Cell]
     across: Sequence[Across]
-    sections: Mapping[str, daerden.Section]
+    sections: Mapping[str, curve.Section]
     corrected: Corrected | None
     estimates: Sequence[Estimate]
 
@@ -365,13 +365,13 @@ def _three_elements(found: Sequence[Across], scales: Scales) -> list[Estimate]:
     return estimates
 
 
-def _sections(cells: Sequence[Cell], given: Mapping[str, Any]) -> dict[str, daerden.Section]:
+def _sections(cells: Sequence[Cell], given: Mapping[str, Any]) -> dict[str, curve.Section]:
     """S(eps) by method: all three free, and with what the specimen tells; empty where the length is not known."""
     usable = [(cell, cell.pooled) for cell in cells if cell.pooled is not None]
     if "nominal_length" not in given or not usable:
         return {}
     halves = [pooled.half("m") or 0.0 for _, pooled in usable]
-    slopes = daerden.Slopes(
+    slopes = curve.Slopes(
         np.array([float(cell.place.mean()) for cell, _ in usable]) / given["nominal_length"],
         np.array([pooled.line.m for _, pooled in usable]),
         np.array(halves) / 1.96,
@@ -381,11 +381,11 @@ def _sections(cells: Sequence[Cell], given: Mapping[str, Any]) -> dict[str, daer
         ways[f"{SECTION}, D_0 of the specimen"] = {"D_0": given["inner_diameter"]}
     if "braid_angle" in given:
         ways[f"{SECTION}, theta_0 of the specimen"] = {"theta_0": given["braid_angle"]}
-    fits = {name: daerden.fit(slopes, **known) for name, known in ways.items()}
+    fits = {name: curve.fit(slopes, **known) for name, known in ways.items()}
     return {name: one for name, one in fits.items() if one is not None}
 
 
-def _section_estimates(sections: Mapping[str, daerden.Section], scales: Scales) -> list[Estimate]:
+def _section_estimates(sections: Mapping[str, curve.Section], scales: Scales) -> list[Estimate]:
     """The free parameters of each way; no value where the slopes do not determine it."""
     found = []
     for method, one in sections.items():

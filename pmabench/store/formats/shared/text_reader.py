@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from pmabench.base.errors import InvalidFile, Problem, did_you_mean, invalid
 from pmabench.store.arrow import arrow_csv, pa
-from pmabench.store.formats.shared.times import MINUS, NUMBER, Fields, seconds_of
+from pmabench.store.formats.shared.times import MINUS, Fields, seconds_of
 from pmabench.store.formats.text import MARKS, TextLayout
 from pmabench.store.records import Array
 
@@ -27,7 +27,7 @@ LONGEST_LINE = 8_000_000
 SHOWN = 10
 """Faulty rows that are named of one file."""
 MOST_HEAD = 60
-"""Lines above the first row that are handed on, for what the file says in them."""
+"""Lines above the first row that are handed on, for what the file says in them; no more are left out below the last."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ class TextReader:
         self._seen = False
         """A line was kept."""
         self._titles: list[tuple[int, str]] = []
-        """Lines that are no rows, which may be above a repeated header only."""
+        """Lines that are no rows, which may be above a repeated header or below the last row only."""
         self._fields_of = Fields(self.layout, self.order)
 
     # -- pieces ------------------------------------------------------------------------------------------------
@@ -125,6 +125,12 @@ class TextReader:
         parts = [self._block(before)] if before else []
         if last:
             parts.append(self._last(last))
+        if any(line.strip() for _, line in self._titles[:MOST_HEAD]) and len(self._titles) <= MOST_HEAD:
+            at, first = next(title for title in self._titles if title[1].strip())
+            text = f'{len(self._titles)} lines below the last row, from line {at} ("{first.strip()[:40]}") on'
+            self.cut_row = f"{text}, are no rows: they were left out"
+        elif self._titles:
+            self._no_rows()
         if self._zeros:
             text = f"the file ends with {self._zeros} bytes of zero, as after an interrupted write: rows may be missing"
             self.cut_row = f"{self.cut_row}; {text}" if self.cut_row else text
@@ -319,19 +325,21 @@ class TextReader:
         starts: list[int] = []
         for line in block.removesuffix("\n").split("\n"):
             self._line += 1
-            if not self._counts(line, self._line):
+            begun = bool(self._rows or kept) or self.layout.repeated_header != "refuse"
+            blank = begun and not line.strip() and self.layout.blank_lines == "refuse"
+            if not blank and not self._counts(line, self._line):
                 continue
             if self._header and line.strip() == self._header:
                 self._again(starts, len(kept))
             elif self._below:
                 self._below -= 1
-            elif self._is_title(line):
+            elif blank or (begun and self._is_title(line)):
                 self._titles.append((self._line, line))
             else:
                 kept.append(line)
                 numbers.append(self._line)
-            if kept and self._titles and numbers[-1] > self._titles[0][0]:
-                self._rectangular([self._split(line) for _, line in self._titles], [at for at, _ in self._titles])
+                if self._titles:
+                    self._no_rows()
         if not kept:
             return Rows(self._none().columns, np.empty(0, np.int64), tuple(starts))
         self._seen = True
@@ -349,11 +357,34 @@ class TextReader:
         return Rows(found, np.array(numbers, dtype=np.int64), tuple(starts))
 
     def _is_title(self, line: str) -> bool:
-        """Whether a line may belong to the header of another test: it has not the fields of a row."""
-        if self.layout.repeated_header == "refuse":
+        """Whether a line may belong to the header of another test, or be below all rows: it has not a row's fields.
+
+        Below such a line it is enough that no time begins it, as in a table of means.
+        """
+        layout = self.layout
+        fields = next(csv.reader([line], delimiter=MARKS[layout.delimiter])) if layout.quoted else self._split(line)
+        other = len(fields) != len(self._names)
+        if other and layout.repeated_header != "refuse":
+            return True
+        reads = (self._reads(name, fields) for name in sorted(self.taken, key=self._names.index))
+        return not next(reads) and (other or bool(self._titles) or not any(reads))
+
+    def _reads(self, name: str, fields: Sequence[str]) -> bool:
+        """Whether a line has a value of a column."""
+        try:
+            self._fields_of.value(fields[self._names.index(name)], (self.texts or {}).get(name, ""))
+        except (ValueError, IndexError):
             return False
-        fields = self._split(line)
-        return len(fields) != len(self._names) or not any(NUMBER.fullmatch(text) for text in fields)
+        return True
+
+    def _no_rows(self) -> None:
+        """Raises InvalidFile for the lines that are no rows, since others follow them, or since they are too many."""
+        numbers, lines = zip(*self._titles, strict=True)
+        for number, line in self._titles:
+            self._counts(line, number)
+        rows = [self._split(line) for line in lines]
+        self._rectangular(rows, numbers)
+        self._each(rows, numbers)
 
     def _again(self, starts: list[int], row: int) -> None:
         """The header line once more: another test begins, where the map says so."""

@@ -38,6 +38,8 @@ SHARES = (0.0, 0.02, 0.05, 0.1)
 """Thresholds of force that are tried, as shares of the highest one."""
 CHANGES = 0.02
 """A threshold that moves the slope by more than this share is asked for."""
+LENGTH = re.compile(r"(?<![\d.,])\d+(?:[.,]\d+)?(?=[ _]?mm)")
+"""A length in the name of a file or of a test [mm]."""
 CONTRACTIONS = {"contraction", "disp", "displacement", "stroke", "shortening"}
 """Words of a column that is a contraction by its name."""
 
@@ -191,6 +193,11 @@ def contraction_of(guess: Guess) -> Asked | str:
         return ""
     column = guess.role("displacement")
     head = "at which contraction was the muscle held? No name gives it"
+    in_name = LENGTH.findall(guess.files[0].stem)
+    if len(set(in_name)) == 1 and column is None:
+        number = in_name[0].replace(",", ".")
+        text = f"at which contraction was the muscle held? The name has {number} mm, which may be another length, too"
+        return Asked(f"{number} mm", f"{text}: is that it?")
     if column is None or QUANTITY.get(column.unit) != "length":
         return Asked("", f"{head}; each slope is that of one contraction. For instance 8 mm")
     middle = f"{float(np.median(column.good)):.4g} {column.unit}"
