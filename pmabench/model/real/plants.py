@@ -33,7 +33,9 @@ from pmabench.model.regulator import Regulated, Regulator, Trace
 BEND = 1e-6
 """Change of speed times step, at which a step is as long as it may be [m]."""
 SHORTEST, LOOK, LONGEST = 2.5e-4, 2e-3, 1.0
-"""Least step, longest while the pressure changes, longest of all [s]."""
+"""Least step, longest while the pressure changes fast, longest of all [s]."""
+CHORD = 2.0
+"""Steps longer than `LOOK` miss the pressure, which goes on a straight line within a step, by less than this [Pa]."""
 SETTLED_PRESSURE = 1e-3
 """Worth less than 1 nm of contraction [Pa]."""
 NEAR = 2e-8
@@ -124,7 +126,10 @@ class RealPlant(Loaded, Stepped):
             end = min(end, until)
             settled = trace.settled(self.time, SETTLED_PRESSURE)
             pressure, start, most = trace.function(), trace.start, LONGEST if settled else LOOK
+            fading = not settled and trace.fading
             while self.time < end:
+                if fading:  # a chord of an exponential misses it by less than |P - level| (h / lag)^2 / 8
+                    most = max(LOOK, trace.lag * math.sqrt(8 * CHORD / max(abs(self._P - trace.level), CHORD)))
                 left = end - self.time
                 parts = math.ceil(left / min(self._longest, most) * (1 - 1e-9))
                 then = end if parts <= 1 else self.time + left / parts
