@@ -20,10 +20,13 @@ METHODS = {
         "each rest. w, the angle on which a turn fades to 1/e, is from the torque while the joint moves; an angle "
         "within 3 w of a turn has no value. What is left of the turns is taken off, and is in the interval."
     ),
-    "gap": "Torque with the angle reached from above minus that from below, at the angle farthest from both turns.",
+    "gap": (
+        "Torque with the angle reached from above minus that from below, at the angle farthest from both turns. "
+        "Withheld where torques move in their rests, or pressures or angles differ between the sides, by more than 2 %."
+    ),
     "polynomial": (
         "Minus the slope of a polynomial of order 5 of torque over angle; its difference from that of order 3 is in "
-        "the interval."
+        "the interval, and so is by how much encoder and drive disagree on the way."
     ),
     "plane": (
         "Least squares of tau = tau_0 + s_1 P_1 - s_2 P_2 over the pairs of pressures of one angle. Withheld where a "
