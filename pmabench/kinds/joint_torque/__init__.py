@@ -1,7 +1,7 @@
 """Isometric torque of a joint over its angle for pairs of pressures: maps of torque and stiffness.
 
 - `staircase`: one trial; `plane`: torque by pressure at one angle; `reduction`
-- protocol files: `protocol`; one trial on the display: `live`; figures: `figures`
+- protocol files: `protocol`; figures and one trial on the display: `figures`
 """
 
 from pmabench.base.kind import Kind, Result
@@ -41,7 +41,7 @@ KIND = Kind(
     results=RESULTS,
     reduction="pmabench.kinds.joint_torque.reduction:reduce",
     protocol="pmabench.kinds.joint_torque.protocol:JointTorque",
-    live="pmabench.kinds.joint_torque.live:measure",
+    live="pmabench.kinds.joint_torque.figures:measure",
     moves="angle",
     repeated="pmabench.kinds.joint_torque.reduction:gap_of",
     repeated_is="gap",
