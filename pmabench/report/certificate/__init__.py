@@ -2,6 +2,7 @@
 
 - `sheet`: everything on the two pages, put together
 - page 1: `result_table`, `limits` (what it does not hold for), `coefficient_charts`, `force_chart`
-- page 2: `stroke_chart`; `coverage` of the sweep; `sources` of uncertainty; `quality`: fit statistics, checks, findings
+- page 2: `stroke_chart`, `surface_chart`; `coverage` of the sweep; `sources` of uncertainty; `quality`: fit statistics,
+  checks, findings
 - `interactive`: the data and the script that draw the charts anew in a browser
 """
