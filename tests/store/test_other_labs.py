@@ -216,3 +216,28 @@ def test_names_with_blanks_or_that_begin_with_a_number_are_read(tmp_path):
     text = called("import", *sorted(tmp_path.glob("*.csv")), "--guess")
     assert '"{mass} kg iso {contraction} mm"' in text
     assert "at which contraction" not in text
+
+
+def crosshead(path, rng):
+    """Ramps at 3 bar on a machine whose crosshead falls by what the muscle shortens, and which reads pulling as negative."""
+    t = np.arange(0, 80, 0.02)
+    x = 20.0 * (1 - np.abs(1 - (t / 10.0) % 2))
+    F = force(300.0, x) - F_C * np.sign(np.gradient(x, t))
+    write(path, "Time (s),Crosshead (mm),Load (N)", t, 812.3 - x + rng.normal(0, 0.003, len(t)),
+          rng.normal(0, 0.3, len(t)) - F)  # fmt: skip
+
+
+def test_a_machine_that_reads_pulling_as_negative_is_asked_for(tmp_path):
+    """The length was taken the other way round, and F_ce came out as -510 N."""
+    crosshead(tmp_path / "3 bar.csv", np.random.default_rng(9))
+    found, _ = processed(tmp_path, ('"?? -1 N/N"', "-1 N/N"), ('"?? 812.1 mm"', "812.3 mm"))
+    for symbol, truth in (("F_ce", 510.0), ("K", 7600.0)):
+        (e,) = [e for e in found if e["symbol"] == symbol and e["method"] == "mean-curve"]
+        assert e["value"] == pytest.approx(truth, rel=0.005)
+
+
+def test_a_pull_that_is_negative_throughout_withholds_what_rests_on_it(tmp_path):
+    crosshead(tmp_path / "3 bar.csv", np.random.default_rng(10))
+    found, said = processed(tmp_path, ('"?? -1 N/N"', "1 N/N"), ('"?? 812.1 mm"', "812.3 mm"))
+    assert all(e["value"] is None for e in found if e["symbol"] in ("F_ce", "K", "F"))
+    assert "pulling is positive" in said

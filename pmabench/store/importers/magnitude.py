@@ -152,7 +152,8 @@ def _steep(report: Report, m: float, peak: float, muscle: Muscle, pressure: Chec
     """Compare the force per pressure [N/Pa] with the range that the inner diameter allows."""
     most = area_factor(STEEPEST)
     word = "slope of force over pressure" if muscle.held else "force over pressure"
-    if muscle.held and m < 0:
+    thinnest = 0.1 * area_factor(FLATTEST) * pi * DIAMETERS[0] ** 2 / 4.0
+    if m < 0 and (muscle.held or abs(m) > thinnest):
         text = f"{word} is {in_words(m, 'force')}: a muscle pulls harder at more pressure, and pulling is positive; "
         text += "where the cell reads it as negative say line: {slope: -1 N/N, offset: 0 N}"
         report.withhold("magnitude", text, "force")
@@ -160,7 +161,7 @@ def _steep(report: Report, m: float, peak: float, muscle: Muscle, pressure: Chec
     if muscle.diameter is None:
         size = sqrt(4.0 * abs(m) / (pi * area_factor(25.0)))
         limit = most * pi * DIAMETERS[1] ** 2 / 4.0
-        least = area_factor(FLATTEST) * pi * DIAMETERS[0] ** 2 / 4.0 * (1.0 if _stretched(muscle) else 0.1)
+        least = thinnest * (10.0 if _stretched(muscle) else 1.0)
         if least <= abs(m) <= limit or (not muscle.held and abs(m) < least):
             if muscle.held:
                 text = f"{word} of {in_words(m, 'force')} suits an inner diameter of about {show(size, 'length', 2)}"

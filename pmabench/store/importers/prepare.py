@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, time
 from fnmatch import fnmatchcase
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -180,8 +181,8 @@ def _with_constants(
             text = f'"{rule.column}" is the {coordinate} of the whole file, and neither its name nor the map gives one'
             where = f'trials: {{point: {{{coordinate}: ...}}}}, or {{{coordinate}}} in "name_tells"'
             raise invalid(path, f"{text}: say {where}")
-        value = (point[coordinate] - rule.offset) / rule.slope
-        table = with_made(table, rule.column, lambda row, value=value: np.full(len(row), value))
+        value = np.float64((point[coordinate] - rule.offset) / rule.slope)
+        table = with_made(table, rule.column, partial(np.full_like, fill_value=value, dtype=np.float64))
         text = f"{rule.role} was not recorded: {show(point[coordinate], rule.quantity)} throughout, as map or name says"
         known = bool(rule.calibration["offset_uncertainty"] or rule.calibration["gain_uncertainty"])
         more = "" if known else "; how far it was from that no result includes: say expanded_uncertainty"

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pmabench.base.errors import invalid
 from pmabench.base.text import printable
@@ -219,7 +220,7 @@ def read_table(
     return replace(made, units={**table.units, TIME: "s"})
 
 
-def with_made(table: Table, name: str, make: Callable[[Array], Array]) -> Table:
+def with_made(table: Table, name: str, make: Callable[[NDArray[np.intp]], Array]) -> Table:
     """The table with another column, which `make` gives for numbers of rows, shape (n,)."""
     columns = Columns()
     for begin in range(0, len(table), PIECE // 8):

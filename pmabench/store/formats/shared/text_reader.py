@@ -125,9 +125,10 @@ class TextReader:
         parts = [self._block(before)] if before else []
         if last:
             parts.append(self._last(last))
-        if any(line.strip() for _, line in self._titles[:MOST_HEAD]) and len(self._titles) <= MOST_HEAD:
-            at, first = next(title for title in self._titles if title[1].strip())
-            text = f'{len(self._titles)} lines below the last row, from line {at} ("{first.strip()[:40]}") on'
+        words = [title for title in self._titles if not self._blank(title[1])]
+        if words and len(self._titles) <= MOST_HEAD:
+            at, first = words[0]
+            text = f'{len(words)} lines below the last row, from line {at} ("{first.strip()[:40]}") on'
             self.cut_row = f"{text}, are no rows: they were left out"
         elif self._titles:
             self._no_rows()
@@ -206,7 +207,7 @@ class TextReader:
         if layout.delimiter != "blank" and not layout.quoted and not (layout.comment and layout.comment in block):
             count = block.count("\n")
             found = self._by_arrow(block, count, MARKS[layout.delimiter])
-            if found is not None and not self._titles:
+            if found is not None and not self._titles and not np.isnan(next(iter(found.values()), np.empty(0))).any():
                 lines = np.arange(self._line + 1, self._line + 1 + count)
                 self._line, self._rows = self._line + count, self._rows + count
                 return Rows(found, lines)
@@ -244,12 +245,16 @@ class TextReader:
         """Whether a line is neither a comment nor blank; raises InvalidFile for a blank one that is not expected."""
         if self.layout.comment and line.lstrip().startswith(self.layout.comment):
             return False
-        if line.strip():
+        if not self._blank(line):
             return True
         if self.layout.blank_lines == "refuse":
             text = 'the line is blank; if that is usual say "blank_lines: skip"'
             raise invalid(self.path, text, number, 1)
         return False
+
+    def _blank(self, line: str) -> bool:
+        """Whether a line holds nothing, or nothing but delimiters, as below a table of a spreadsheet."""
+        return not line.strip().strip(MARKS.get(self.layout.delimiter)).strip()
 
     def _name(self, line: str, number: int) -> None:
         """Names of the columns by the first line that counts, and which of them are read."""
@@ -326,7 +331,7 @@ class TextReader:
         for line in block.removesuffix("\n").split("\n"):
             self._line += 1
             begun = bool(self._rows or kept) or self.layout.repeated_header != "refuse"
-            blank = begun and not line.strip() and self.layout.blank_lines == "refuse"
+            blank = begun and self.layout.blank_lines == "refuse" and self._blank(line)
             if not blank and not self._counts(line, self._line):
                 continue
             if self._header and line.strip() == self._header:
@@ -372,10 +377,10 @@ class TextReader:
     def _reads(self, name: str, fields: Sequence[str]) -> bool:
         """Whether a line has a value of a column."""
         try:
-            self._fields_of.value(fields[self._names.index(name)], (self.texts or {}).get(name, ""))
+            value = self._fields_of.value(fields[self._names.index(name)], (self.texts or {}).get(name, ""))
         except (ValueError, IndexError):
             return False
-        return True
+        return bool(np.isfinite(value))
 
     def _no_rows(self) -> None:
         """Raises InvalidFile for the lines that are no rows, since others follow them, or since they are too many."""

@@ -138,17 +138,29 @@ def _counted(column: Proposal, guess: Guess) -> Asked | None:
 
 
 def pull_of(column: Proposal, guess: Guess) -> Asked | None:
-    """Whether a cell reads pulling as negative: the force of a held muscle rises with its pressure."""
+    """Whether a cell reads pulling as negative: the force of a held muscle rises with its pressure.
+
+    A muscle whose length is driven pulls throughout.
+    """
     pressure = guess.role("pressure")
-    if column.role != "force" or not guess.test.held or pressure is None:
+    if column.role != "force" or pressure is None:
         return None
-    P, F = _both(pressure.values, column.values)
-    low, high = _ends(P, F)
-    if not high < low or float(np.corrcoef(P, F)[0, 1]) > -0.8:
+    if guess.test.held:
+        P, F = _both(pressure.values, column.values)
+        low, high = _ends(P, F)
+        if not high < low or float(np.corrcoef(P, F)[0, 1]) > -0.8:
+            return None
+    elif guess.test.follows != "force" or not negative(column):
         return None
     pulls, pushes = (f"{sign} {column.unit}/{column.unit}" for sign in ("-1", "1"))
-    text = f'"{column.name}" falls while the pressure rises: does it read pulling as negative?'
+    how = "falls while the pressure rises" if guess.test.held else "is negative throughout"
+    text = f'"{column.name}" {how}: does it read pulling as negative?'
     return Asked(pulls, f"{text} Then the slope is {pulls}; with {pushes} the muscle pushes")
+
+
+def negative(column: Proposal) -> bool:
+    """Whether nearly all values of a column are below 0."""
+    return len(column.good) > 0 and float(np.quantile(column.good, 0.9)) < 0
 
 
 def _both(P: Array, F: Array) -> tuple[Array, Array]:

@@ -213,11 +213,11 @@ _PARTS = (
     (re.compile(r"(?<=\{date\}[_T -])\d{6}(?!\d)"), "clock", ""),
     (re.compile(r"(?<=rads[-_])\d+(?:[.,]\d+)?|(?<=rad-s[-_])\d+(?:[.,]\d+)?"), "frequency", "rad/s"),
     (re.compile(r"\d+(?:[.,]\d+)?(?=[_-]?Hz)"), "frequency", "Hz"),
-    (re.compile(r"(?<![\d.,])\d+(?:[.,]\d+)?(?=[ _]?kPa)"), "pressure", "kPa"),
-    (re.compile(r"(?<![\d.,])\d+(?:[.,]\d+)?(?=[ _]?bar)"), "pressure", "bar"),
-    (re.compile(r"(?<![\d.,])\d+(?:[.,]\d+)?(?=[ _]?psi)"), "pressure", "psi"),
-    (re.compile(r"(?<![\d.,])\d+(?:[.,]\d+)?(?=[ _]?kg)"), "mass", "kg"),
-    (re.compile(r"(?<=[A-Za-z_ -])\d+(?:[.,]\d+)?(?=[ _]?mm)"), "contraction", "mm"),
+    (re.compile(r"(?<![\d.,])\d+(?:[.,]\d+)?(?=[ _]?kPa(?![A-Za-z]))"), "pressure", "kPa"),
+    (re.compile(r"(?<![\d.,])\d+(?:[.,]\d+)?(?=[ _]?bar(?![A-Za-z]))"), "pressure", "bar"),
+    (re.compile(r"(?<![\d.,])\d+(?:[.,]\d+)?(?=[ _]?psi(?![A-Za-z]))"), "pressure", "psi"),
+    (re.compile(r"(?<![\d.,])\d+(?:[.,]\d+)?(?=[ _]?kg(?![A-Za-z]))"), "mass", "kg"),
+    (re.compile(r"(?<=[A-Za-z_ -])\d+(?:[.,]\d+)?(?=[ _]?mm(?![A-Za-z]))"), "contraction", "mm"),
     (re.compile(r"(?<=[Tt]est)\d{1,6}|(?<=[Rr]un)\d{1,6}|(?<=[Tt]rial)\d{1,6}"), "test", ""),
 )
 CONTRACTED = re.compile(

@@ -320,6 +320,7 @@ def _contraction(column: Proposal, guess: Guess) -> tuple[list[str], list[str]]:
         table = np.column_stack([np.ones(len(P)), P - P.mean(), x - x.mean()])
         try:
             less = float(np.linalg.lstsq(table, force.values[good], rcond=None)[0][2])
+            less *= -1.0 if asked.negative(force) else 1.0
         except np.linalg.LinAlgError:
             return open_sign, []
         rises, zero = less < 0, float(np.quantile(x, 0.01 if less < 0 else 0.99))
