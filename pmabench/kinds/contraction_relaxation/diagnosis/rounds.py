@@ -82,7 +82,7 @@ def explained(search: Search, before: State) -> Rounds:
 
 
 def _together(search: Search, before: State, now: State) -> State:
-    """`now` with all properties of the muscle, in their finest forms where one is found already and coarser ones fail."""
+    """`now` with all properties of the muscle, in finest forms where one is found already and coarser ones fail."""
     together, mine = search.all_of_muscle(now), now.explanations[len(before.explanations) :]
     if mine and all(one.of_muscle for one in mine) and together.test.ratio >= STILL_TOLD * together.test.most_ratio:
         finest = search.finest(before, now)
