@@ -35,6 +35,8 @@ SHOWN = {
     )
 }
 """What the commands of a page must show, on the terminal or in the report."""
+NUMBERS = {"docs/straight.md": ("followed/positioning", {"e_rms": 1e-3, "e_max": 1e-3, "OS": 1e-2})}
+"""Analysis behind a table of a page whose rows are methods: its columns, and their units [SI]."""
 TRIES = 3
 KILLED = Command(
     "a run that is killed",
@@ -135,6 +137,25 @@ def test_a_page_can_be_typed_from_top_to_bottom(page, tmp_path, monkeypatch, req
     if name(page) in SHOWN:
         printed += Path("report.html").read_text("utf-8")
         assert [text for text in SHOWN[name(page)] if text not in printed] == []
+    if name(page) in NUMBERS:
+        folder, columns = NUMBERS[name(page)]
+        assert_table_is_what_came_out(page, Path(folder) / "analysis.json", columns)
+
+
+def assert_table_is_what_came_out(page, analysis, columns):
+    """Each cell `VALUE +- HALF UNIT` of the rows that are named as a method: to half of the last digit."""
+    found = {(e["method"], e["symbol"]): e for e in json.loads(analysis.read_text())["estimates"]}
+    seen = 0
+    for row in page.read_text("utf-8").splitlines():
+        method, *cells = row.strip("| ").split(" | ")
+        for symbol, cell in zip(columns, cells if (method, "e_rms") in found else (), strict=False):
+            e, unit = found[method, symbol], columns[symbol]
+            value, half = re.match(r"([\d.]+) \+- ([\d.]+) ", cell).groups()
+            digit = 0.51 * 10.0 ** -len(value.partition(".")[2])
+            assert e["value"] / unit == pytest.approx(float(value), abs=digit), f"{method}: {cell}"
+            assert (e["ci95"][1] - e["value"]) / unit == pytest.approx(float(half), abs=digit), f"{method}: {cell}"
+            seen += 1
+    assert seen == len(columns) * len({method for method, _ in found})
 
 
 def type_all(to_type):

@@ -13,7 +13,7 @@ from typing import Any
 from pmabench.base.errors import did_you_mean
 from pmabench.base.quantities import show
 from pmabench.model.loop import Answer, Controller, Loop, Margins, dead_time_for, margins, set_point_step, ultimate
-from pmabench.model.rules.record import Rule, all_rules
+from pmabench.model.rules import Rule, all_rules
 from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts
 
 FOLLOWING: dict[str, tuple[tuple[str, str], tuple[str, str]]] = {

@@ -1,4 +1,9 @@
-"""A bench and a specimen while they are compiled: their models, where each value is written, every problem found."""
+"""A bench and a specimen while they are compiled: their models, where each value is written, every problem found.
+
+The key `to_confirm` lists values that a program derived and nobody has confirmed. Comments are no data: what must not
+be overlooked is a list in the file. A person confirms a value by deleting its entry; a bench file whose list is empty
+also needs a name under `reviewed`, because the safety values were among them.
+"""
 
 from __future__ import annotations
 
@@ -15,6 +20,46 @@ from pmabench.bench.files.specimen import SpecimenFile, SpecimenLimits, any_spec
 from pmabench.bench.interface import ChannelRecord, OutputRecord, ValveRecord
 from pmabench.files.document import Document, Location, Strict, document_text, validate
 from pmabench.files.quantity import unit_factor
+
+
+def known_places(c: Compilation) -> None:
+    """A problem for each entry of `to_confirm` that names no key of its file."""
+    for document in (c.bench_document, c.specimen_document):
+        for index, name in enumerate(_entries(document)):
+            data: Any = document.data if document is not None else {}
+            for part in name.split("."):
+                known = list(data) if isinstance(data, dict) else [str(place) for place in range(_length(data))]
+                if part not in known:
+                    message = f'there is no "{part}" in this file{did_you_mean(part, known)}'
+                    c.problems.append(_problem(document, ("to_confirm", index), message))
+                    break
+                data = data[part] if isinstance(data, dict) else data[int(part)]
+
+
+def unconfirmed(c: Compilation) -> Iterator[Problem]:
+    """A problem at each value that is listed in `to_confirm`, and one where nobody reviewed what was confirmed."""
+    for document in (c.bench_document, c.specimen_document):
+        for name in _entries(document):
+            location = tuple(int(part) if part.isdecimal() else part for part in name.split("."))
+            text = f'nobody has confirmed "{name}": look it up, correct it, and delete it from to_confirm'
+            yield _problem(document, location, text)
+    if c.bench.to_confirm is not None and c.bench.reviewed is None:
+        text = "limits and safe state were derived by a program; who read them over: reviewed: {by: NAME, date: DAY}"
+        yield c.bench_document.problem(("to_confirm",), text, key=True)
+
+
+def _entries(document: Document | None) -> list[str]:
+    found = document.data.get("to_confirm") if document is not None else None
+    return [str(name) for name in found] if isinstance(found, list) else []
+
+
+def _problem(document: Document | None, location: Location, message: str) -> Problem:
+    assert document is not None  # noqa: S101  (it has the entries)
+    return document.problem(location, message)
+
+
+def _length(data: Any) -> int:
+    return len(data) if isinstance(data, list) else 0
 
 
 class Written(Protocol):

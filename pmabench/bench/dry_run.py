@@ -1,20 +1,265 @@
 """A lab's own bench with the simulated plant in place of its devices, for `check --simulate`; opens nothing.
 
+The muscle is simulated by coefficients that are expected, else by its type, else by its braid. Coefficients are
+straight lines of force over contraction; a type or a braid is a surface (`pmabench.model.real`), whose friction and
+damping are assumed. `factors` says how far off its force may be: a dry run is made with each of them.
+
 Scales, counts, ranges, limits, trips and the safe state stay as the bench file has them. What has no place in a plant
 (other sensors, interlocks, watchdogs, the time that devices need) is left out and named.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import datetime
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
+
 from pmabench.base.errors import UsageError
+from pmabench.base.quantities import show
 from pmabench.bench.compile import Mounted
+from pmabench.bench.files.specimen import ExpectedFile, ExpectedPoint, SpecimenFile
 from pmabench.bench.interface import CompiledBench, DeviceRecord, TripRecord
-from pmabench.bench.predicted_muscle import PredictedMuscle
 from pmabench.bench.registry import driver_class
+from pmabench.model.published_muscles import USUAL_ANGLE as BRAID_ANGLE
+from pmabench.model.published_muscles import braid_surface, find_type
+from pmabench.model.real.muscle import Surface
+
+LAG, DEAD_TIME = 0.1, 0.02
+"""Of the simulated regulator [s]: those of proportional valves on small muscles."""
+TYPE_FACTORS = (1.0, 0.8, 1.2)
+"""Times the force of a type: muscles of one type differ, and lengths of 100 mm pull a fifth less than long ones."""
+BRAID_FACTORS = (0.75, 0.5, 1.0)
+"""Times the force of a braid: in the catalogues of DMSP-20 and DMSP-40 most points are between half and all of it."""
+FRICTION = 0.03
+"""Half of the gap between both ways, and friction, as a share of F_ce."""
+TIME_CONSTANT = 0.25
+"""B over K [s]."""
+MIDDLE = 0.1
+"""Contraction at which K counts for the damping [1]."""
+STRETCHED = -0.03
+WIDTHS, WEIGHTS = (0.8e-3, 3.2e-3, 10e-3, 32e-3), (0.2, 0.3, 0.3, 0.2)
+"""Of the hysteresis over contraction, as shares of the length: those of the plant `real`."""
+STEEPNESS = np.geomspace(5.0, 80.0, 60)
+"""Where the exponent of a surface is looked for [1]."""
+BAR = 1e-5
+"""Scales pressures to numbers near 1 [1/Pa]."""
+POINTS = 9
+"""Pressures at which coefficients are made of a surface."""
+
+
+@dataclass(frozen=True)
+class PredictedMuscle:
+    """A muscle as numbers of a plant (without noise of sensors), with what is known of its source."""
+
+    numbers: dict[str, Any]
+    expected: ExpectedFile | None
+    """Its coefficients, to foresee what it can lift; None where they are not known."""
+    source: str
+    """Where it is from, and how far off it may be, in words."""
+    factors: tuple[float, ...] = (1.0,)
+    """Forces to try, as factors; the first is the most likely one."""
+
+    def times(self, factor: float) -> PredictedMuscle:
+        """The same with another force."""
+        expected = self.expected
+        if expected is not None:
+            points = [
+                point.model_copy(update={name: factor * getattr(point, name) for name in ("F_ce", "K", "B_c", "B_r")})
+                for point in expected.points
+            ]
+            expected = expected.model_copy(update={"points": points, "F_c": factor * expected.F_c})
+        numbers = dict(self.numbers)
+        if "surface" in numbers:
+            linear = ("A", "A_P", "C", "D", "E")
+            numbers["surface"] = {
+                key: factor * value if key in linear else value for key, value in numbers["surface"].items()
+            }
+        return replace(self, numbers=numbers, expected=expected)
+
+    def contraction(self, pressure: float, load: float) -> float | None:
+        """Where a load [N] rests at a pressure [Pa], without friction [m]; None where that is not known."""
+        if "surface" in self.numbers:
+            eps = np.linspace(self.numbers["reach"][1], 0.0, 201)
+            force = Surface(**self.numbers["surface"]).force(eps, np.full(eps.shape, pressure))
+            return float(np.interp(load, force, eps)) * float(self.numbers["length"])
+        if self.expected is None:
+            return None
+        points = sorted(self.expected.points, key=lambda point: point.pressure)
+        at = [point.pressure for point in points]
+        F_ce, K = (float(np.interp(pressure, at, [getattr(p, name) for p in points])) for name in ("F_ce", "K"))
+        return min(max(0.0, (F_ce - load) / K), float(self.numbers["stop"]))
+
+
+def as_expected(expected: ExpectedFile, specimen: SpecimenFile, highest: float, source: str) -> PredictedMuscle:
+    """By coefficients, on straight lines between their points, up to `highest` [Pa].
+
+    F_ce goes on straight below the lowest point, down to 0; all else stays as at the nearest point.
+    """
+    points = sorted(expected.points, key=lambda point: point.pressure)
+    highest = max(points[-1].pressure, highest)
+    curves: dict[str, Any] = {}
+    for symbol in ("K", "B_c", "B_r"):
+        values = [[point.pressure, getattr(point, symbol)] for point in points]
+        curves[symbol] = {"points": _to(0.0, values) + _to(highest, values)}
+    numbers = {
+        **_common(specimen, highest, "expected"),
+        "law": "three-element",
+        "stop": specimen.limits.contraction * specimen.nominal_length * 1.2,
+        "F_ce": {"points": _force(points, highest)},
+        **curves,
+        "friction": {"F_s": 1.5 * expected.F_c, "F_c": expected.F_c, "speed": 1e-3},
+        "diameter": 0.0,
+        "braid_angle": 0.0,
+        "flow": None,
+    }
+    return PredictedMuscle(numbers, expected, source)
+
+
+def of_specimen(specimen: SpecimenFile, highest: float) -> PredictedMuscle:
+    """By the specimen's type in the library, else by its braid, up to `highest` [Pa]."""
+    known = find_type(specimen.make, specimen.type)
+    if known is not None and known.surface is not None:
+        surface, factors = known.surface, TYPE_FACTORS
+        source = f"type {known.name} of the library ({known.source}), force +-20 %, friction and damping assumed"
+    else:
+        angle = specimen.braid_angle if specimen.braid_angle is not None else BRAID_ANGLE
+        surface, factors = braid_surface(specimen.inner_diameter, angle), BRAID_FACTORS
+        assumed = "" if specimen.braid_angle is not None else " (assumed)"
+        source = (
+            f"a braid of {show(specimen.inner_diameter, 'length')} and {show(angle, 'angle')}{assumed}, of which a"
+            " muscle has between half and all of the force; friction and damping assumed"
+        )
+    return by_surface(surface, specimen, highest, source, factors)
+
+
+def by_surface(
+    surface: Surface, specimen: SpecimenFile, highest: float, source: str, factors: tuple[float, ...] = (1.0,)
+) -> PredictedMuscle:
+    """By a force surface, up to `highest` [Pa], with friction and damping assumed."""
+    numbers = {
+        **_common(specimen, highest, "surface"),
+        "law": "real",
+        "reach": [STRETCHED, min(0.45, 1.2 * specimen.limits.contraction)],
+        "surface": vars(surface),
+        **_damping(surface, specimen.nominal_length, highest),
+        "over_x": {
+            "widths": [width * specimen.nominal_length for width in WIDTHS],
+            "weights": list(WEIGHTS),
+            "height": 0.0,
+            "per_pressure": FRICTION * (surface.A_P + surface.D),
+        },
+        "over_P": {"widths": [], "weights": [], "height": 0.0},
+        "creep": {"share": 0.0, "times": []},
+    }
+    found = PredictedMuscle(numbers, _coefficients(surface, specimen, highest, source), source, factors)
+    return found.times(factors[0])
+
+
+def nearest_surface(places: Sequence[tuple[float, float, float]]) -> Surface:
+    """The surface nearest to forces [N] at (pressure [Pa], contraction over length [1], force), by least squares."""
+    P, eps, F = np.array(places).T
+    bar = P * BAR
+    best: tuple[float, Surface] | None = None
+    for s in STEEPNESS.tolist():
+        bent = np.exp(-s * eps)
+        columns = np.stack([bent, bent * bar, eps * bar, bar, np.ones(len(P))], axis=1)
+        factors = np.linalg.lstsq(columns, F, rcond=None)[0]
+        rms = float(np.sqrt(np.mean((columns @ factors - F) ** 2)))
+        if best is None or rms < best[0]:
+            A, A_P, C, D, E = factors.tolist()
+            best = rms, Surface(A, A_P * BAR, s, C * BAR, D * BAR, E)
+    assert best is not None  # noqa: S101  (there are exponents to try)
+    return best[1]
+
+
+def _common(specimen: SpecimenFile, highest: float, file: str) -> dict[str, Any]:
+    return {
+        "name": f"{specimen.make} {specimen.type}, as expected"[:80],
+        "file": file,
+        "length": specimen.nominal_length,
+        "highest_pressure": highest,
+        "regulator": {"dead_time": DEAD_TIME, "lag": LAG},
+        "follow_lag": 0.005,
+    }
+
+
+def _damping(surface: Surface, length: float, highest: float) -> dict[str, Any]:
+    """B_c and B_r over pressure: the time constant times the stiffness in the middle."""
+    P = np.linspace(0.0, highest, POINTS)
+    B = TIME_CONSTANT * np.maximum(surface.slope(np.full(POINTS, MIDDLE), P), 1.0) / length
+    points = {"points": np.stack([P, B], axis=1).tolist()}
+    return {"B_c": points, "B_r": points}
+
+
+def _coefficients(surface: Surface, specimen: SpecimenFile, highest: float, source: str) -> ExpectedFile:
+    """F_ce of the surface, and K as the mean slope up to the middle, at some pressures."""
+    P = np.linspace(0.1 * highest, highest, POINTS)
+    force = np.maximum(surface.force(np.zeros(POINTS), P), 0.0)
+    there = surface.force(np.full(POINTS, MIDDLE), P)
+    K = np.maximum(force - there, 1.0) / (MIDDLE * specimen.nominal_length)
+    points = [
+        ExpectedPoint.model_construct(pressure=p, F_ce=f, K=k, B_c=TIME_CONSTANT * k, B_r=TIME_CONSTANT * k)
+        for p, f, k in zip(P.tolist(), force.tolist(), K.tolist(), strict=True)
+    ]
+    return ExpectedFile.model_construct(source=source, F_c=FRICTION * float(np.median(force)), points=points)
+
+
+def _to(end: float, values: list[list[float]]) -> list[list[float]]:
+    """For an end of the range beyond the points: that end with the value of the nearest; the points with the upper."""
+    if end <= values[0][0]:
+        return [[end, values[0][1]]] if end < values[0][0] else []
+    return [*values, *([[end, values[-1][1]]] if end > values[-1][0] else [])]
+
+
+def _force(points: list[Any], highest: float) -> list[list[float]]:
+    """F_ce [N] over pressure [Pa], straight on beyond the points and never below 0."""
+    known = [[point.pressure, point.F_ce] for point in points]
+    if len(known) > 1:
+        (P0, F0), (P1, F1) = known[:2]
+        slope = (F1 - F0) / (P1 - P0)
+        zero = P0 - F0 / slope if slope > 0 else 0.0
+        (P8, F8), (P9, F9) = known[-2:]
+        top = F9 + (F9 - F8) / (P9 - P8) * (highest - P9)
+    else:
+        zero, top = 0.0, known[0][1] * highest / max(known[0][0], 1.0)
+    low = [[0.0, 0.0], [zero, 0.0]] if 1.0 < zero < known[0][0] - 1.0 else [[0.0, 0.0]] if known[0][0] > 0 else []
+    high = [[highest, top]] if highest > known[-1][0] + 1.0 else []
+    return [*low, *known, *high]
+
+
+def plant_text(muscle: PredictedMuscle, day: datetime.date) -> str:
+    """A muscle by a surface as a plant file, for a bench that has no devices yet."""
+    numbers = muscle.numbers
+    s, stops = numbers["surface"], numbers["over_x"]
+    damping = ", ".join(
+        f"[{show(P, 'pressure')}, {B * 1e-3:.4g} N.s/mm]" for P, B in numbers["B_c"]["points"]
+    )  # fmt: skip
+    kilo = {name: f"{1e3 * s[name]:.6g} N/kPa" for name in ("A_P", "C", "D")}
+    widths = ", ".join(f"{1e3 * width:.4g} mm" for width in stops["widths"])
+    reach = ", ".join(show(ratio, "ratio") for ratio in numbers["reach"])
+    return f"""\
+# yaml-language-server: $schema=schemas/plant.schema.json
+# A guess of {day.isoformat()}, for the simulated bench only: replace it by an analysis of your muscle.
+schema: pmabench.plant/1
+name: "{numbers["name"]}"
+source: "{muscle.source}"
+law: real
+length: {show(numbers["length"], "length")}
+reach: [{reach}]
+highest_pressure: {show(numbers["highest_pressure"], "pressure")}
+surface: {{A: {s["A"]:.6g} N, A_P: {kilo["A_P"]}, s: {s["s"]:.6g}, C: {kilo["C"]}, D: {kilo["D"]}, E: {s["E"]:.6g} N}}
+B_c: {{points: [{damping}]}}
+B_r: {{points: [{damping}]}}
+hysteresis: {{height: 0 N, per_pressure: {1e3 * stops["per_pressure"]:.4g} N/kPa, widths: [{widths}],
+             weights: {list(stops["weights"])}}}
+regulator: {{dead_time: {show(DEAD_TIME, "time")}, lag: {show(LAG, "time")}}}
+noise: {{pressure: 200 Pa, displacement: 5 um, force: 0.3 N}}
+follow_lag: 5 ms
+"""
+
 
 PLANT = "plant"
 """Name of the only device."""

@@ -78,8 +78,7 @@ def _read_once(bench: str) -> tuple[str, dict[str, dict[str, Any]], list[dict[st
     """Name of the bench, identity of each device, and a row per channel with its mean and noise over half a second."""
     from pmabench.bench.compile import mount_alone
     from pmabench.engine.untried import doubt
-    from pmabench.session.listening import listen
-    from pmabench.session.look import looking
+    from pmabench.session.guided import listen, looking
 
     compiled = mount_alone(find_file("bench", bench)).bench
     with looking(compiled) as look:

@@ -22,9 +22,8 @@ from pmabench.files.shipped import find_file
 
 if TYPE_CHECKING:
     from pmabench.bench.interface import ChannelRecord
+    from pmabench.session.guided import Look, Reading, Series
     from pmabench.session.jog import Jog
-    from pmabench.session.listening import Reading, Series
-    from pmabench.session.look import Look
 
 PIECE = 0.1
 """How long is listened at once [s]."""
@@ -45,7 +44,7 @@ SHOWN = 1.0
 def read(ui: Ui, bench: str, channel: str, lasting: str | None, rate: str) -> None:
     """Read one CHANNEL of BENCH: its value with unit, and what the device gave. Arms nothing and commands nothing."""
     from pmabench.bench.compile import mount_alone
-    from pmabench.session.look import looking
+    from pmabench.session.guided import looking
 
     seconds = None if lasting is None else _above_zero(lasting, "time", "--for")
     hertz = _above_zero(rate, "frequency", "--rate")
@@ -71,7 +70,7 @@ def _above_zero(text: str, quantity: str, option: str) -> float:
 
 def _listen(look: Look, record: ChannelRecord, seconds: float | None) -> Reading:
     """The newest sample, or what `seconds` [s] of samples say; raises DeviceError where none comes."""
-    from pmabench.session.listening import Reading, listen
+    from pmabench.session.guided import Reading, listen
 
     clock = look.acquisition.clock
     until = clock.now() + PATIENCE

@@ -20,7 +20,7 @@ from pmabench.report.terminal import print_grid
 
 if TYPE_CHECKING:
     from pmabench.bench.compile import Mounted
-    from pmabench.bench.predicted_muscle import PredictedMuscle
+    from pmabench.bench.dry_run import PredictedMuscle
     from pmabench.cli.prepare import Prepared
     from pmabench.protocol.plan import Plan
 
@@ -132,8 +132,7 @@ def plan_summary(plan: Plan, mounted: Mounted) -> dict[str, Any]:
     The duration holds the session that comes first, where the bench declares one and none counts now.
     """
     from pmabench.cli.prepare import needed
-    from pmabench.session.length import session_length
-    from pmabench.session.state import kept, out_of_date, utc_now
+    from pmabench.session.session import kept, out_of_date, session_length, utc_now
 
     shortest, longest = plan.duration()
     session = None

@@ -9,8 +9,7 @@ from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
 from pmabench.base.quantities import CHANNEL_QUANTITY, in_words, show
-from pmabench.bench.dry_run import dry_run, highest_pressure, options_of
-from pmabench.bench.predicted_muscle import PredictedMuscle, as_expected, of_specimen
+from pmabench.bench.dry_run import PredictedMuscle, as_expected, dry_run, highest_pressure, of_specimen, options_of
 from pmabench.cli.common import fields
 from pmabench.cli.outcome import WIDTH, cut
 from pmabench.engine.operator import ConfirmedBeforehand

@@ -72,9 +72,12 @@ def _diagnosed(runs: Path) -> Iterator[tuple[Path, Mapping[str, Any], Mapping[st
     files = {path for pattern in ANALYSES for path in (parent / "analyses").glob(pattern)}
     for path in sorted(files, key=lambda path: path.stat().st_mtime_ns, reverse=True)[:NEWEST]:
         try:
-            form = read_analysis(path.parent).facts.get("form")
+            facts = read_analysis(path.parent).facts
+            form = facts.get("form")
             if not isinstance(form, Mapping) or not isinstance(form.get("explanations"), list):
                 continue
+            if facts.get("recalibrated"):
+                continue  # what was taken off the record is still wrong at the bench
             if folders := runs_of(path.parent):
                 yield path.parent, form, read_manifest(folders[-1])
         except (InvalidFile, RecordError, OSError):

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from pmabench.model.overrides import Overrides
     from pmabench.model.plant import Plant
     from pmabench.model.presets import Setup
-    from pmabench.model.real.free import RealPlant
+    from pmabench.model.real.plants import RealPlant
     from pmabench.model.regulator import Wave
 
 MOST_ROWS = 20_000

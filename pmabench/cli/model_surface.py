@@ -26,7 +26,7 @@ SHOWN = ("pressure", "load", "contraction", "mean", "amplitude", "frequency", "u
 
 def analysis_of(folder: Path) -> Analysis:
     """The analysis in a folder, or the first inside it, that holds a muscle as a surface; else UsageError."""
-    from pmabench.model.identified.described import holds_surface
+    from pmabench.model.identified.library import holds_surface
     from pmabench.store.analyses.folder import analyses_below, read_analysis
 
     analyses = [read_analysis(one) for one in analyses_below(folder)]
@@ -42,7 +42,7 @@ def analysis_of(folder: Path) -> Analysis:
 
 def described_by(folder: Path, regulator: Regulator) -> Described:
     """The muscle of `analysis_of` a folder behind a regulator."""
-    from pmabench.model.identified.described import described
+    from pmabench.model.identified.library import described
 
     analysis = analysis_of(folder)
     try:

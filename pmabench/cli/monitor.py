@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from pmabench.bench.compile import Mounted
     from pmabench.bench.interface import CompiledBench
     from pmabench.display.monitor import Page
+    from pmabench.session.guided import Series
     from pmabench.session.jog import Jog
-    from pmabench.session.listening import Series
 
 PERIOD = 0.25
 """A picture at most so often [s]."""
@@ -69,8 +69,7 @@ def command(
 
 def _monitor(ui: Ui, bench: CompiledBench, seconds: float | None, *, plain: bool) -> None:
     from pmabench.display.monitor import monitor_line
-    from pmabench.session.listening import listen
-    from pmabench.session.look import looking
+    from pmabench.session.guided import listen, looking
 
     with looking(bench) as look:
         end = time.monotonic() + seconds if seconds is not None else float("inf")

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pmabench.base.errors import InvalidFile, UsageError
+from pmabench.bench.dry_run import PredictedMuscle, as_expected, by_surface, nearest_surface
 from pmabench.bench.files.specimen import ExpectedFile, ExpectedPoint
 from pmabench.bench.plant import read_plant
-from pmabench.bench.predicted_muscle import PredictedMuscle, as_expected, by_surface, nearest_surface
 from pmabench.store.analyses.folder import analyses_below, read_analysis
 from pmabench.store.folder import run_name
 

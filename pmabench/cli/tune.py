@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from pmabench.analysis.tuning import Gains
     from pmabench.base.kind import Kind
     from pmabench.model.loop import Loop
-    from pmabench.model.rules.record import Rule
+    from pmabench.model.rules import Rule
     from pmabench.store.analyses.results import Analysis, Estimate
 
 
@@ -65,7 +65,7 @@ def command(
 ) -> int | None:
     """Gains of the tuning rules from K_u and T_u, from an analysis, or from RUNS in which no loop was closed."""
     from pmabench.analysis.tuning import facts, rules_named
-    from pmabench.model.rules.record import all_rules
+    from pmabench.model.rules import all_rules
 
     _check_one_source(runs, [ku is not None, tu is not None], analysis, steps=steps, model=model)
     where = Where.read(setpoints, load, period)

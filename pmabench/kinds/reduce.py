@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -9,7 +10,7 @@ from typing import Any
 from pmabench.analysis.imported import without_doubtful
 from pmabench.analysis.shared.samples import with_motion
 from pmabench.analysis.shared.trials import repeat_traces
-from pmabench.analysis.verdict.acceptance import Pairs, not_accepted
+from pmabench.analysis.verdict.acceptance import Pairs, not_accepted, not_accepted_as_form
 from pmabench.analysis.verdict.agreement import KIND as AGREEMENT
 from pmabench.analysis.verdict.agreement import Offer, against_static, agreement, offers_of
 from pmabench.analysis.verdict.assembly import side_by_side, without_diameter
@@ -22,6 +23,7 @@ from pmabench.store.analyses.results import POINT_QUANTITIES, Analysis, Estimate
 from pmabench.store.records import RunData
 
 MOST_REASONS = 3
+NUMBER = re.compile(r"[-+]?\d[\d.,]*(e[-+]?\d+)?")
 
 
 def results_of(kind: str) -> tuple[Result, ...]:
@@ -134,26 +136,37 @@ def verdicts(runs: Sequence[RunData], analyses: Sequence[Analysis]) -> list[str]
         if all(e.value is None and not e.withheld for e in analysis.estimates):
             failed.append(f"{analysis.kind}: nothing came out: {_why_nothing(analysis)}")
             continue
-        if analysis.kind in registry.with_part(FORM):  # limits of a protocol are for its own reduction
+        if analysis.kind in registry.with_part(FORM):
+            failed += not_accepted_as_form(runs, analysis, _named)
             continue
         failed += not_accepted(runs, analysis, _named, _static_of(analysis, analyses, tested))
     return failed
 
 
 def _withheld(analysis: Analysis) -> list[str]:
-    """One sentence for each reason to withhold, with the values that it concerns."""
-    found: dict[str, list[str]] = {}
+    """One sentence for each reason to withhold, with the values that it concerns.
+
+    Reasons that differ in their numbers alone are one reason, with the numbers of the first value.
+    """
+    alike: dict[str, list[Estimate]] = {}
     for estimate in analysis.estimates:
         if estimate.withheld:
-            found.setdefault(estimate.note, []).append(_named(estimate))
-    return [f"{_first(names)}: withheld: {reason}" for reason, names in found.items()]
+            alike.setdefault(NUMBER.sub("", estimate.note), []).append(estimate)
+    return [_sentence(estimates) for estimates in alike.values()]
 
 
-def _first(names: Sequence[str]) -> str:
-    """The first of many names, and how many more there are."""
-    names = list(dict.fromkeys(names))
-    more = f" and {len(names) - MOST_REASONS} more" if len(names) > MOST_REASONS else ""
-    return ", ".join(names[:MOST_REASONS]) + more
+def _sentence(withheld: Sequence[Estimate]) -> str:
+    """What is withheld for one reason, and the reason: `F_ce (8 values), F_c: withheld: the force ...`."""
+    names: dict[str, list[str]] = {}
+    for estimate in withheld:
+        names.setdefault(estimate.symbol, []).append(_named(estimate))
+    each = {symbol: list(dict.fromkeys(of)) for symbol, of in names.items()}
+    few = sum(map(len, each.values())) <= MOST_REASONS
+    counted = [of if few or len(of) == 1 else [f"{symbol} ({len(of)} values)"] for symbol, of in each.items()]
+    first = withheld[0]
+    others = any(estimate.note != first.note for estimate in withheld)
+    alike = f" ({_named(first)}; alike for the others)" if others else ""
+    return f"{', '.join(name for of in counted for name in of)}: withheld: {first.note}{alike}"
 
 
 def _static_of(analysis: Analysis, analyses: Sequence[Analysis], tested: Mapping[str, object]) -> Pairs | None:

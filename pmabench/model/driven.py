@@ -24,14 +24,12 @@ from typing import Protocol
 import numpy as np
 
 from pmabench.model.air import Air, Chamber
-from pmabench.model.creep import CreepAlong
 from pmabench.model.curve import Array
-from pmabench.model.hysteresis import Branch, Hysteresis
-from pmabench.model.motion import NOTHING, Motion
+from pmabench.model.hysteresis import Branch, CreepAlong, Hysteresis
+from pmabench.model.motion import NOTHING, Motion, Supplied
 from pmabench.model.muscle import Friction
 from pmabench.model.real.muscle import Creep
 from pmabench.model.regulator import Regulated, Regulator, Wave, to_nanosecond
-from pmabench.model.supplied import Supplied
 
 STILL = 1e-6
 PARTS = ("supply", "wanted", "_drive", "_branch", "_chamber", "_creeping")

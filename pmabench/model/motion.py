@@ -1,17 +1,68 @@
-"""What a plant did, sample by sample, when it is looked at, and the noise of its sensors; knows no physics.
+"""What plants share: moments that can be gone back to, and what a plant did, sample by sample, with noise of sensors.
 
 Each sample has its own noise, found by its number, so that samples that are taken again come out the same.
 """
 
 from __future__ import annotations
 
+import copy
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.model.curve import Array
+from pmabench.model.regulator import Regulated, Wave
+
+
+class Supplied:
+    """A muscle at `time` [s] whose pressure comes from `supply`; a snapshot holds copies of `parts`."""
+
+    time: float
+    supply: Regulated
+    parts: tuple[str, ...] = ("supply",)
+
+    @property
+    def pressure(self) -> float:
+        """Gauge pressure in the muscle at this moment [Pa]."""
+        return self.supply.value(self.time)
+
+    def command(self, waves: tuple[Wave, ...]) -> None:
+        """Command pressure [Pa] along `waves`, the first of which starts now or later."""
+        self.supply.command(waves)
+
+    def shut(self, *, shut: bool) -> None:
+        """From now on a valve keeps the regulator from the muscle's air, or no longer; without a chamber no matter."""
+
+    def snapshot(self) -> dict[str, Any]:
+        """Everything that `restore` needs to come back to this moment."""
+        return {**self.__dict__, **self._copies()}
+
+    def restore(self, snapshot: dict[str, Any]) -> None:
+        """Go back to the moment of a snapshot; it can be used again."""
+        self.__dict__.update(snapshot)
+        self.__dict__.update(self._copies())
+
+    def _copies(self) -> dict[str, Any]:
+        return {name: copy.copy(getattr(self, name)) for name in self.parts}
+
+
+class Loaded(Supplied):
+    """A muscle whose free end carries F_L = `force` [N] and moves with `mass` [kg]."""
+
+    force: float
+    mass: float
+
+    def load(self, force: float, mass: float) -> None:
+        """From now on the free end carries F_L = `force` [N >= 0] and moves with `mass` [kg > 0]."""
+        if not force >= 0 or not mass > 0:
+            raise ValueError(f"a load needs a force of at least 0 and a mass above 0, not {force} N and {mass} kg")
+        self.force, self.mass = force, mass
+
 
 GAP = 0.004
 """Longest time that is not looked at for a turn of motion [s]."""
@@ -39,6 +90,55 @@ class Motion:
 
 
 NOTHING = Motion(*(np.empty(0) for _ in range(7)))
+
+
+class Stepped(Supplied, ABC):
+    """A muscle with a free end that goes on in steps; `v` [m/s] is the speed of the end."""
+
+    v: float
+
+    @abstractmethod
+    def reach(self, until: float) -> None:
+        """Go on to `until` [s]."""
+
+    @abstractmethod
+    def reading(self) -> tuple[float, float, float]:
+        """Contraction [m], gauge pressure [Pa] and force at the fixed end [N] at this moment."""
+
+    def advance(self, until: float, times: Sequence[float] | Array = ()) -> Motion:
+        """Go on to `until` [s] and return what happened at `times` [s], rising, between now and `until`."""
+        if len(times) == 0:
+            self.reach(until)
+            return NOTHING
+        t = np.asarray(times, dtype=np.float64)
+        P_set = self.supply.setpoints(t)
+        rows = []
+        for moment in t.tolist():
+            self.reach(moment)
+            place, pressure, force = self.reading()
+            rows.append((place, self.v, pressure, force))
+        self.reach(until)
+        x, v, P, F = np.array(rows).T
+        return Motion(t, x, v, P, F, P_set, np.zeros(t.shape))
+
+
+SERIES = 0.01
+"""Below it the shares of a step are taken from their power series: their closed forms lose digits there [1]."""
+
+
+def shares(z: float) -> tuple[float, float, float]:
+    """What a speed and a force that goes on a straight line do within a step, z = B h / M >= 0.
+
+    phi_1 = (1 - exp(-z)) / z, phi_2 = (1 - phi_1) / z, phi_3 = (1 / 2 - phi_2) / z [1]: the functions of exponential
+    integrators (Hochbruck and Ostermann 2010) at -z.
+    """
+    if z < SERIES:
+        third = 1 / 6 - z * (1 / 24 - z * (1 / 120 - z / 720))
+        second = 0.5 - z * third
+        return 1 - z * second, second, third
+    first = -math.expm1(-z) / z
+    second = (1 - first) / z
+    return first, second, (0.5 - second) / z
 
 
 class Course(Protocol):

@@ -35,10 +35,9 @@ import numpy as np
 from scipy.integrate import odeint
 
 from pmabench.model.curve import Array
-from pmabench.model.motion import NOTHING, Course, Grid, Motion, Record
+from pmabench.model.motion import NOTHING, Course, Grid, Loaded, Motion, Record
 from pmabench.model.muscle import Friction, Muscle
 from pmabench.model.regulator import FADED, Regulated, Regulator, Trace, to_nanosecond
-from pmabench.model.supplied import Loaded
 
 RELATIVE = 1e-7
 ABSOLUTE = 5e-9

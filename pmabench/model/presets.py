@@ -19,20 +19,18 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 
 from pmabench.model.air import Air
-from pmabench.model.creep import rubber
 from pmabench.model.curve import Array, Curve
 from pmabench.model.driven import Actuator, DrivenPlant
 from pmabench.model.free_air import AirPlant
-from pmabench.model.hysteresis import Hysteresis
+from pmabench.model.hysteresis import Hysteresis, rubber
 from pmabench.model.identified.muscle import IdentifiedMuscle
 from pmabench.model.identified.plant import IdentifiedPlant
 from pmabench.model.motion import Noise
 from pmabench.model.muscle import Friction, Muscle
 from pmabench.model.overrides import Overrides
 from pmabench.model.plant import Plant
-from pmabench.model.real.driven import RealDrivenPlant
-from pmabench.model.real.free import RealPlant
 from pmabench.model.real.muscle import Creep, RealMuscle, Stops, Surface, reference
+from pmabench.model.real.plants import RealDrivenPlant, RealPlant
 from pmabench.model.regulator import Regulator
 
 ARM_STIFFNESS, ARM_DAMPING = 5e3, 1e3

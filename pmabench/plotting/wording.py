@@ -168,6 +168,15 @@ def point_text(at: Mapping[str, float]) -> str:
     return ", ".join(parts)
 
 
+def brief(text: str, most: int) -> str:
+    """At most so many letters: whole clauses where there are some, else whole words and "…"."""
+    text = clean(text)
+    if len(text) <= most:
+        return text
+    end = max(text.rfind(mark, most // 3, most) for mark in ("; ", ". "))
+    return text[:end] if end > 0 else f"{text[: most - 2].rpartition(' ')[0].rstrip(',;:')} …"
+
+
 def number(value: float) -> str:
     """A setting as people write it, six digits at most."""
     return f"{value:.6g}".replace("-", "−")

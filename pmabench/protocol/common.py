@@ -46,6 +46,8 @@ class Prepare(Strict):
     """Preparation before the first trial."""
 
     precondition: Precondition | None = None
+    rest: Time = 0.0
+    """Time without pressure after that, and before the first trial: a rested muscle has more hysteresis at first."""
 
 
 class ProtocolHead(Strict):
@@ -193,18 +195,19 @@ class Compilation:
             self.fault(("kind",), f'needs the channel "{name}", which the bench does not have')
 
     def precondition(self) -> None:
-        """Add the unrecorded cycles."""
-        cycles = self.head.prepare.precondition
-        if cycles is None:
-            return
-        at: Location = ("prepare", "precondition")
-        names = [output.name for output in self.mounted.bench.pressures] or ["pressure"]
-        for name in names:
-            self.within(name, cycles.pressure, (*at, "pressure"))
-        for _ in range(cycles.cycles):
-            for pressure in (cycles.pressure, 0.0):
-                self.steps += [Set("precondition", name, pressure) for name in names]
-                self.steps.append(Hold("precondition", cycles.hold))
+        """Add the unrecorded cycles, and the rest after them."""
+        cycles, rest = self.head.prepare.precondition, self.head.prepare.rest
+        if cycles is not None:
+            at: Location = ("prepare", "precondition")
+            names = [output.name for output in self.mounted.bench.pressures] or ["pressure"]
+            for name in names:
+                self.within(name, cycles.pressure, (*at, "pressure"))
+            for _ in range(cycles.cycles):
+                for pressure in (cycles.pressure, 0.0):
+                    self.steps += [Set("precondition", name, pressure) for name in names]
+                    self.steps.append(Hold("precondition", cycles.hold))
+        if rest:
+            self.steps.append(Hold("precondition", rest))
 
     def needs_bench(self) -> None:
         """Check free end and channels."""
@@ -230,6 +233,7 @@ class Compilation:
 
     def plan(self, kind: str, settings: dict[str, Any]) -> Plan:
         """The finished plan."""
+        rest = self.head.prepare.rest
         return Plan(
             kind=kind,
             name=self.head.name,
@@ -239,7 +243,7 @@ class Compilation:
             record=tuple(self.head.record),
             trials=tuple(self.trials),
             steps=tuple(self.steps),
-            settings=settings,
+            settings=settings | ({"rest": rest} if rest else {}),
             accept=accept.for_plan(self, self.head.accept),
             hazards=tuple(self.hazards),
         )

@@ -204,7 +204,7 @@ def _of_analysis(c: Compilation, name: str) -> dict[str, Any]:
 
 def _surface_folder(c: Compilation, name: str) -> Path | None:
     """The first analysis in a folder that holds a muscle as a surface."""
-    from pmabench.model.identified.described import holds_surface
+    from pmabench.model.identified.library import holds_surface
     from pmabench.store.analyses.folder import read_analysis
 
     return next((one for one in _folders(c, name) if holds_surface(read_analysis(one).facts)), None)
@@ -212,7 +212,7 @@ def _surface_folder(c: Compilation, name: str) -> Path | None:
 
 def _of_surface(folder: Path, model: ReferenceModel) -> dict[str, Any]:
     """The muscle of an analysis of kind surface; ValueError in words."""
-    from pmabench.model.identified.described import described as surface
+    from pmabench.model.identified.library import described as surface
     from pmabench.model.regulator import Regulator
     from pmabench.store.analyses.folder import read_analysis
 

@@ -21,7 +21,7 @@ from pmabench.plotting.wording import POINTS, in_order, plain_unit, point_shown,
 from pmabench.report.files.csv_files import csv_text, plain_head
 from pmabench.report.words import in_common
 from pmabench.report.writing import writing
-from pmabench.store.analyses import made_from
+from pmabench.store.analyses import folder as made_from
 from pmabench.store.catalogue import Task
 from pmabench.store.folder import plain, read_manifest
 from pmabench.store.since import program
@@ -273,7 +273,7 @@ def _entry(thing: Mapping[str, Any]) -> dict[str, Any]:
     from pmabench.kinds.reduce import reduce_runs, specimen_of, verdicts
     from pmabench.report.files.csv_files import write_with_tables
     from pmabench.report.words import declared
-    from pmabench.store.analyses.made_from import keep
+    from pmabench.store.analyses.folder import keep
     from pmabench.store.chain import open_chains
 
     folder, options = thing["folder"], thing.get("options") or {}

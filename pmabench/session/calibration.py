@@ -22,8 +22,7 @@ from pmabench.engine.operator import Operator
 from pmabench.engine.run import Outcome, run_plan
 from pmabench.protocol.plan import Ask, Hold, Ramp, Set
 from pmabench.session.calibration_file import DOWN, UP, Fit, Point, fit
-from pmabench.session.guided import guided_plan, load_text, moving_mass
-from pmabench.session.listening import steady
+from pmabench.session.guided import guided_plan, load_text, moving_mass, steady
 
 PHASE = "calibration"
 REGULATOR = "pressure_command"

@@ -14,8 +14,7 @@ from pmabench.engine.executor import Executor
 from pmabench.engine.operator import Operator
 from pmabench.engine.run import Outcome, run_plan
 from pmabench.protocol.plan import Ramp, Set
-from pmabench.session.guided import guided_plan
-from pmabench.session.listening import Series, listen
+from pmabench.session.guided import Series, guided_plan, listen
 
 PHASE = "jog"
 BLOCK = 0.1

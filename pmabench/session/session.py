@@ -1,26 +1,258 @@
-"""The session: self-test, warm-up and zeros as one run of kind `session`; later runs take its zeros while it counts."""
+"""The session: self-test, warm-up and zeros as one run of kind `session`; later runs take its zeros while it counts.
+
+Zeros are applied to a bench as another offset; the calibration is unchanged. Also: the session that is kept for a
+bench, why it is no longer valid, and how long one takes, before it is held.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import asdict
-from datetime import timedelta
+import json
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass, replace
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
-from pmabench.base.errors import PmaError
-from pmabench.base.quantities import in_words
+from pmabench.base.errors import PmaError, VerdictFailed
+from pmabench.base.quantities import CHANNEL_QUANTITY, in_words, show
 from pmabench.bench.compile import Mounted
-from pmabench.bench.session import WarmUp
+from pmabench.bench.files.bench import PLACED
+from pmabench.bench.interface import CompiledBench, Scale
+from pmabench.bench.session import WarmUp, Zero
 from pmabench.engine.executor import Executor, Progress
 from pmabench.engine.operator import Operator
 from pmabench.engine.run import Outcome, run_plan
-from pmabench.protocol.plan import Hold, Record, Set
-from pmabench.session import state
+from pmabench.guard.station import Station
+from pmabench.protocol.plan import HANDS_OUT, VENTED_WITHIN, Ask, Hold, Record, Set, WaitUntil
 from pmabench.session.checks import Check
-from pmabench.session.guided import guided_plan
-from pmabench.session.self_test import SelfTesting, refuse_backwards
-from pmabench.session.zeros import ZeroTaken, as_data, take_zeros, with_zeros
+from pmabench.session.guided import Reading, guided_plan, load_text, moving_mass, steady
+from pmabench.session.self_test import LEAK, SelfTesting, refuse_backwards
+from pmabench.session.stepping import REST, SPEED, VALVE, WAY
+
+FILE = "session"
+
+
+def kept(bench: str) -> dict[str, Any]:
+    """What is kept of the last session of a bench; empty where there is none."""
+    return Station(bench).read(FILE)
+
+
+def keep(bench: str, session: Mapping[str, Any]) -> None:
+    """Keep a session."""
+    station = Station(bench)
+    station.folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+    station.write(FILE, session)
+
+
+def calibrations(mounted: Mounted) -> dict[str, dict[str, Any]]:
+    """Which calibration each channel had, before any zero."""
+    return {
+        channel.name: {
+            "id": channel.calibration.id,
+            "sha256": channel.calibration.sha256,
+            "slope": channel.scale.slope,
+            "offset": channel.calibrated.offset,
+        }
+        for channel in mounted.bench.channels
+    }
+
+
+def specimen(mounted: Mounted) -> str:
+    """Which specimen is mounted, and how long: its zeros belong to it."""
+    file = mounted.specimen_file
+    return f"{file.type} {file.serial}, {file.mounted.length:g} m, {file.mounted.date}"
+
+
+def out_of_date(session: Mapping[str, Any], mounted: Mounted, now: datetime) -> str:
+    """Why a kept session does not count for this bench now, in words; empty where it counts."""
+    if not session:
+        return "there is none yet"
+    try:
+        begun, ends = (datetime.fromisoformat(session[key]) for key in ("at", "valid_until"))
+        if not begun <= now + timedelta(minutes=1):
+            return "it is from the future: the clock of this computer was changed"
+        if now >= ends:
+            return f"it has run out: it is {in_words((now - begun).total_seconds())} old"
+        if session["specimen"] != specimen(mounted):
+            return f"another specimen is mounted now; then it was {session['specimen']}"
+        if session["calibrations"] != calibrations(mounted):
+            names = sorted(
+                name for name, one in calibrations(mounted).items() if session["calibrations"].get(name) != one
+            )
+            return f"channels or calibrations have changed: {', '.join(names) or 'one is gone'}"
+        missing = sorted(set(mounted.session.zeros if mounted.session is not None else ()) - set(session["zeros"]))
+        if missing:
+            return f"it has no zero of {', '.join(missing)}"
+    except (KeyError, TypeError, ValueError, AttributeError):
+        return "what is kept of it cannot be read"
+    return _disturbed(mounted.bench.name, begun)
+
+
+def _disturbed(bench: str, since: datetime) -> str:
+    """Whether the bench was tripped, ended uncleanly or was reset since then, by its journal."""
+    lines: list[dict[str, Any]] = []
+    with suppress(OSError):
+        for text in (Station(bench).folder / "journal.jsonl").read_text("utf-8").splitlines():
+            with suppress(ValueError):
+                lines.append(json.loads(text))
+    for line in lines:
+        with suppress(KeyError, TypeError, ValueError):
+            at = datetime.fromisoformat(str(line["at"]))
+            if at >= since.replace(microsecond=0) and (line["what"] == "tripped" or line.get("why") == "reset"):
+                return f"the bench was {'reset' if line.get('why') == 'reset' else 'tripped'} since then"
+    return ""
+
+
+def utc_now() -> datetime:
+    """The wall clock."""
+    return datetime.now(UTC)
+
+
+PHASE = "zeros"
+DRIFT = 0.2
+"""Most drift while a zero is taken, of its limit."""
+STEADY = 1.0
+"""Over what time a zero is the mean [s]."""
+STEADY_WITHIN = 30.0
+"""How long a channel may take to come to rest [s]."""
+
+
+@dataclass(frozen=True)
+class ZeroTaken:
+    """Reading of a channel at its zero [SI], on the scale of its calibration."""
+
+    value: float
+    noise: float
+    limit: float
+    condition: str
+
+
+class ZeroRefused(VerdictFailed):
+    """A zero has moved more than its limit since the calibration."""
+
+
+def take_zeros(executor: Executor, mounted: Mounted) -> dict[str, ZeroTaken]:
+    """The zeros that the bench's session asks for, in the order of their rules.
+
+    The pressure is zeroed vented, with the valves open; the force unloaded, as the operator says; displacement and
+    angle at their stated references. Raises ZeroRefused, or VerdictFailed where a channel does not come to rest.
+    """
+    wanted = mounted.session.zeros if mounted.session is not None else {}
+    taken: dict[str, ZeroTaken] = {}
+    _vent(executor)
+    if "pressure" in wanted:
+        executor.guard.valves(closed=False)
+        taken["pressure"] = _take(executor, "pressure", wanted["pressure"], "vented, valves open")
+        executor.guard.valves(closed=True)
+    if "force" in wanted:
+        text = load_text(mounted, 0.0)
+        executor.do(Ask(PHASE, text, "vented", (0.0, moving_mass(mounted, 0.0))))
+        taken["force"] = _take(executor, "force", wanted["force"], "unloaded")
+    for name in (name for name in PLACED if name in wanted):
+        zero, load = wanted[name], None
+        text = f"Bring the free end to where its {name} is zero: {zero.at}."
+        if zero.load is not None:
+            load = (zero.load * mounted.bench.gravity, moving_mass(mounted, zero.load))
+            text = f"{load_text(mounted, zero.load)} {text}"
+        executor.do(Ask(PHASE, text, "vented", load))
+        taken[name] = _take(executor, name, zero, zero.at)
+    return taken
+
+
+def _vent(executor: Executor) -> None:
+    """Every output at its safe value, the pressure gone."""
+    for output in executor.bench.outputs:
+        executor.do(Set(PHASE, output.name, output.safe))
+    if any(channel.name == "pressure" for channel in executor.bench.channels):
+        executor.do(WaitUntil(PHASE, "pressure", "below", executor.bench.hands_below, 0.1, STEADY_WITHIN, "flag"))
+
+
+def _take(executor: Executor, name: str, zero: Zero, condition: str) -> ZeroTaken:
+    reading: Reading = steady(executor.acquisition, name, DRIFT * zero.most, seconds=STEADY, within=STEADY_WITHIN)
+    quantity = CHANNEL_QUANTITY[name]
+    if abs(reading.mean) > zero.most:
+        channel = next(c for c in executor.bench.channels if c.name == name)
+        calibration = f"calibration {channel.calibration.id}" if channel.calibration.id else "the bench file"
+        raise ZeroRefused(
+            f"the zero of {name} is refused: {condition} it reads {show(reading.mean, quantity, 4)}, more than "
+            f"{show(zero.most, quantity, 4)} away from {calibration}; look at the sensor and its mounting, "
+            "then calibrate it"
+        )
+    return ZeroTaken(reading.mean, reading.noise, zero.most, condition)
+
+
+def with_zeros(mounted: Mounted, zeros: Mapping[str, float], about: Mapping[str, Any] | None) -> Mounted:
+    """The bench with zeros [SI] taken off the offsets of its channels; `about` is what manifests say of the session."""
+    devices = tuple(
+        replace(
+            device,
+            channels=tuple(
+                replace(
+                    channel,
+                    scale=Scale(channel.scale.slope, channel.scale.offset - zeros[channel.name]),
+                    zero=zeros[channel.name],
+                )
+                if channel.name in zeros and channel.zero is None
+                else channel
+                for channel in device.channels
+            ),
+        )
+        for device in mounted.bench.devices
+    )
+    bench: CompiledBench = replace(mounted.bench, devices=devices)
+    return replace(mounted, bench=bench, in_session=about)
+
+
+def as_data(taken: Mapping[str, ZeroTaken]) -> dict[str, dict[str, Any]]:
+    """Plain data for records and state."""
+    return {name: asdict(zero) for name, zero in taken.items()}
+
+
+@dataclass(frozen=True)
+class Length:
+    """Shortest and longest duration [s], without the operator's time; how often hands are needed at most; its parts."""
+
+    shortest: float
+    longest: float
+    hands: int
+    parts: tuple[str, ...]
+
+
+def session_length(mounted: Mounted) -> Length | None:
+    """What the session of a bench takes; None where its file declares none."""
+    declared = mounted.session
+    if declared is None:
+        return None
+    weights = mounted.bench_file.weights is not None
+    shortest, perhaps, hands = 0.0, 0.0, 0
+    parts = []
+    test = declared.self_test
+    if test is not None:
+        parts.append("self-test")
+        shortest += REST + (2 * len(test.points) + 4) * test.settle
+        shortest += VALVE if any(valve.safe == "open" for valve in mounted.bench.valves) else 0.0
+        if any(output.name == "displacement" for output in mounted.bench.outputs):
+            shortest += 2 * (WAY / SPEED + 2 * REST)
+        isolation = mounted.bench_file.air.isolation_valve
+        if any(valve.name == isolation and valve.safe == "closed" for valve in mounted.bench.valves):
+            shortest += 2 * test.settle + 1.0 + LEAK
+        if weights:
+            loaded = test.load is not None
+            hands += 2 + loaded
+            shortest += REST * (1 + loaded) - HANDS_OUT
+            perhaps = HANDS_OUT + REST + 2 * test.settle  # the hanger alone, where the load did not leave its support
+    if declared.warm_up is not None:
+        parts.append("warm-up")
+        shortest += declared.warm_up.duration
+    if declared.zeros:
+        parts.append("zeros")
+        shortest += STEADY * len(declared.zeros)
+        hands += sum(name != "pressure" for name in declared.zeros)
+    shortest += HANDS_OUT * hands
+    slack = VENTED_WITHIN * hands + STEADY_WITHIN * (len(declared.zeros) + 1)
+    return Length(shortest, shortest + perhaps + slack, hands, tuple(parts))
+
 
 SCHEMA = "pmabench.session/1"
 
@@ -55,13 +287,13 @@ def ensure(
     """
     if mounted.session is None:
         return mounted
-    session = state.kept(mounted.bench.name)
-    why = "asked for" if anew else state.out_of_date(session, mounted, state.utc_now())
+    session = kept(mounted.bench.name)
+    why = "asked for" if anew else out_of_date(session, mounted, utc_now())
     if why:
         say(f"a session comes first, because {why}" if not anew else "a new session, as asked for")
         session = _hold(mounted, operator, out, operator_name, skip_warm_up, report, progress, begun)
         if out is not None:
-            state.keep(mounted.bench.name, session)
+            keep(mounted.bench.name, session)
     else:
         say(f"session {session['run']} of {session['at']} counts until {session['valid_until']}")
     zeros = {str(name): float(zero["value"]) for name, zero in session["zeros"].items()}
@@ -84,7 +316,7 @@ def _hold(
     assert declared is not None  # noqa: S101  (looked at before)
     skipped = {"warm-up": skip_warm_up} if skip_warm_up and declared.warm_up is not None else {}
     shortened = list(declared.shortened())
-    started = state.utc_now()
+    started = utc_now()
     zeros: dict[str, ZeroTaken] = {}
     test = SelfTesting(mounted, report) if declared.self_test is not None else None
 
@@ -122,8 +354,8 @@ def _hold(
         "at": started.isoformat(timespec="seconds"),
         "valid_until": (started + timedelta(seconds=declared.valid)).isoformat(timespec="seconds"),
         "operator": operator_name,
-        "specimen": state.specimen(mounted),
-        "calibrations": state.calibrations(mounted),
+        "specimen": specimen(mounted),
+        "calibrations": calibrations(mounted),
         "zeros": as_data(zeros),
         "self_test": [asdict(check) for check in test.checks] if test is not None else [],
         "skipped": skipped,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -14,7 +15,10 @@ from pmabench.kinds.closed_volume import reduction as closed_volume
 from pmabench.kinds.free_contraction import reduction as free_contraction
 from pmabench.kinds.isobaric_ramp import reduction as isobaric_ramp
 from pmabench.kinds.isometric_pressurisation import reduction as isometric_pressurisation
+from pmabench.kinds.joint_step import reduction as joint_step
 from pmabench.kinds.joint_sweep import reduction as joint_sweep
+from pmabench.kinds.joint_torque import reduction as joint_torque
+from pmabench.kinds.platform_step import reduction as platform_step
 from pmabench.kinds.positioning import reduction as positioning
 from pmabench.kinds.recorded_sine import reduction as recorded_sine
 from pmabench.kinds.recorded_step import reduction as recorded_step
@@ -22,8 +26,24 @@ from pmabench.kinds.relaxation import reduction as relaxation
 from pmabench.kinds.step_displacement import reduction as step_displacement
 from pmabench.kinds.ultimate_gain import reduction as ultimate_gain
 from pmabench.store.analyses.results import Analysis
-from pmabench.store.records import ChannelInfo, Command, RunData, TrialData
-from tests.judge import arm, closed, displaced, free, held, loop, placed, relaxing, rung, sines, swept
+from pmabench.store.records import ChannelInfo, ClockInfo, Command, Event, RunData, TrialData
+from tests.judge import (
+    arm,
+    closed,
+    displaced,
+    filled,
+    free,
+    held,
+    loop,
+    pair,
+    placed,
+    relaxing,
+    rung,
+    servo,
+    sines,
+    swept,
+    tilted,
+)
 from tests.judge.record import Trial, Truth
 
 CHANNELS = {
@@ -35,17 +55,25 @@ CHANNELS = {
     "torque": ("torque", "N m"),
     "pressure_1": ("pressure", "Pa"),
     "pressure_2": ("pressure", "Pa"),
+    "flow": ("mass flow", "kg/s"),
+    "pressure_3": ("pressure", "Pa"),
+    **dict.fromkeys((f"acceleration_{axis}" for axis in "xyz"), ("acceleration", "m/s2")),
 }
 SPECIMEN = {"nominal_length": 0.25}
 
 
-def as_run(kind: str, trials: Sequence[TrialData], rate: float, settings: dict[str, object]) -> RunData:
-    """A run as `store` would load it."""
+def as_run(
+    kind: str, trials: Sequence[TrialData], rate: float, settings: dict[str, object],
+    known: Mapping[str, Mapping[str, Any]] | None = None, late: Mapping[str, float] | None = None,
+) -> RunData:  # fmt: skip
+    """A run as `store` would load it; `known` of channels, and what streams' clocks are known to [s]."""
     names = {name for trial in trials for name in trial.channels} & set(CHANNELS)
     channels = {name: ChannelInfo(name, *CHANNELS[name], 1.0, 0.0, -np.inf, np.inf) for name in sorted(names)}
+    channels |= {name: replace(channels[name], **facts) for name, facts in (known or {}).items()}
+    clocks = {name: ClockInfo(uncertainty=bound, how="host arrivals") for name, bound in (late or {}).items()}
     return RunData(
         id="judged", path="", kind=kind, status="finished", simulated=True, manifest={"specimen": SPECIMEN},
-        plan={"settings": settings}, events=(), channels=channels, rate=rate, trials=tuple(trials),
+        plan={"settings": settings}, events=(), channels=channels, rate=rate, trials=tuple(trials), clocks=clocks,
     )  # fmt: skip
 
 
@@ -106,6 +134,12 @@ def isometric_of(cause: str, size: float, seed: int) -> Analysis:
     return isometric_pressurisation.reduce([run])
 
 
+def filled_of(cause: str, size: float, seed: int) -> Analysis:
+    run = as_run("isometric-pressurisation", as_trials(filled.campaign(cause, size, seed)), filled.RATE,
+                 {"flow": filled.settings()})  # fmt: skip
+    return isometric_pressurisation.reduce([run])
+
+
 def steps_of(cause: str, size: float, seed: int) -> Analysis:
     run = as_run("step-displacement", as_trials(displaced.campaign(cause, size, seed)), displaced.RATE, {"discard": 1})
     return step_displacement.reduce([run])
@@ -126,6 +160,38 @@ def swept_of(one: swept.Swept) -> Callable[[str, float, int], Analysis]:
         return reduce([as_run(kind, as_trials(swept.campaign(one, cause, size, seed)), one.rate, settings)])
 
     return reduced
+
+
+def pair_of(cause: str, size: float, seed: int) -> Analysis:
+    settings: dict[str, object] = {"angles": list(pair.ANGLES)}
+    run = as_run("joint-torque", as_trials(pair.campaign(cause, size, seed)), pair.RATE, settings)
+    return joint_torque.reduce([run])
+
+
+def servo_of(cause: str, size: float, seed: int) -> Analysis:
+    found = servo.campaign(cause, size, seed)
+    laws = [law for _, law in found]
+    trials = [
+        replace(one, found={"hold": law}) for one, law in zip(as_trials([t for t, _ in found]), laws, strict=True)
+    ]
+    settings, declared = {"band": servo.BAND, "begin": servo.BASELINE}, servo.declared(cause, size)
+    steps = as_run("joint-step", [one for one in trials if "frequency" not in one.point], servo.RATE,
+                   {**settings, "window": list(servo.WINDOW)}, *declared)  # fmt: skip
+    sines = as_run("joint-step", [one for one in trials if "frequency" in one.point], servo.RATE,
+                   {**settings, "window": [servo.SINES_FROM, servo.SINE_HOLD]}, *declared)  # fmt: skip
+    return joint_step.reduce([steps, sines])
+
+
+def tilted_of(cause: str, size: float, seed: int) -> Analysis:
+    found = tilted.campaign(cause, size, seed)
+    trials = [replace(one, found={"step": law}) for one, (_, law, _) in
+              zip(as_trials([trial for trial, _, _ in found]), found, strict=True)]  # fmt: skip
+    events = tuple(
+        Event(n, trial.t[0], "steered", {"pulses": pulses, "aims": []}) for n, (trial, _, pulses) in enumerate(found)
+    )
+    settings = {"level": tilted.LEVEL, "hold": tilted.HOLD, "chain": "reference", "height": tilted.ABOVE}
+    run = as_run("platform-step", trials, tilted.RATE, settings, *tilted.declared(cause, size))
+    return platform_step.reduce([replace(run, events=events)])
 
 
 def swept_truth(one: swept.Swept, key: str) -> Callable[[str, float], Truth]:
@@ -202,18 +268,23 @@ class Kind:
     """One kind of test with its judge."""
 
     reduced: Callable[[str, float, int], Analysis]
-    truth: Callable[[str, float], Truth]
+    truth: Callable[..., Truth]
     full: dict[str, float]
-    key: str
-    """Name of the coordinate by which values are told apart."""
+    key: str | Callable[[Mapping[str, float]], float]
+    """Name of the coordinate by which values are told apart, or a number for each of them."""
     methods: tuple[str, ...] = ()
     """Those that are judged; all where empty."""
+    seeded: bool = False
+    """Whether the truth is that of the very trials, and needs the seed."""
 
 
 KINDS = {
     "closed-volume": Kind(closed_volume_of, closed.truth, closed.FULL, "contraction"),
     "free-contraction": Kind(free_contraction_of, free.truth, free.FULL, "pressure"),
     "isometric-pressurisation": Kind(isometric_of, held.truth, held.FULL, ""),
+    "mass-flow": Kind(
+        filled_of, filled.truth, filled.FULL, "contraction", ("mass flow, filling", "mass flow, mean while filling")
+    ),
     "step-displacement": Kind(steps_of, displaced.truth, displaced.FULL, "step"),
     "recorded-sine": Kind(sines_of, sines.truth, sines.FULL, "frequency"),
     "recorded-step": Kind(rung_of, rung.truth, rung.FULL, "from"),
@@ -221,6 +292,9 @@ KINDS = {
     "positioning": Kind(placed_of, placed.truth, placed.FULL, "setpoint"),
     "relaxation": Kind(relaxing_of, relaxing.truth, relaxing.FULL, "pressure"),
     "joint-sweep": Kind(swept_of(swept.JOINT), swept_truth(swept.JOINT, "pressure_1"), swept.JOINT.full, "pressure_1"),
+    "joint-torque": Kind(pair_of, pair.truth, pair.FULL, pair.place),
+    "joint-step": Kind(servo_of, servo.truth, servo.FULL, servo.place, seeded=True),
+    "platform-step": Kind(tilted_of, tilted.truth, tilted.FULL, tilted.place, seeded=True),
     "isobaric-gap": Kind(
         swept_of(swept.MUSCLE), swept_truth(swept.MUSCLE, "speed"), swept.MUSCLE.full, "speed", ("loop-gap",)
     ),
@@ -256,14 +330,15 @@ class Value:
 
 
 def judged(kind: str, cause: str, size: float, seed: int) -> tuple[list[Value], list[str]]:
-    """Values with an interval that the truth knows, and those that are withheld with the reason; a bound is 0 +- it."""
+    """Values with an interval that the truth knows, and what is withheld or dropped and why; a bound is 0 +- it."""
     one = KINDS[kind]
-    right = one.truth(cause, size)
-    values, withheld = [], []
-    for e in one.reduced(cause, size, seed).estimates:
+    analysis = one.reduced(cause, size, seed)
+    right = one.truth(cause, size, seed) if one.seeded else one.truth(cause, size)
+    values, withheld = [], [one.reason for one in analysis.dropped]
+    for e in analysis.estimates:
         if one.methods and e.method not in one.methods:
             continue
-        place = e.at.get(one.key) if one.key else next(iter(e.at.values()), 0.0)
+        place = one.key(e.at) if callable(one.key) else e.at.get(one.key) if one.key else next(iter(e.at.values()), 0.0)
         coordinate = e.coordinate
         if kind == "step-displacement":
             coordinate = coordinate or (

@@ -8,8 +8,8 @@ import pytest
 from pmabench.analysis.trial import Quick
 from pmabench.base.errors import InvalidFile
 from pmabench.display.verdicts import measure as line_of
+from pmabench.kinds.arm_angle.figures import left_out
 from pmabench.kinds.arm_angle.reduction import flat_from, reduce
-from pmabench.kinds.arm_angle.view import left_out
 from pmabench.store.records import Flag
 from tests.analysis.driven_runs import planned, recorded
 from tests.analysis.test_honesty import unexplained

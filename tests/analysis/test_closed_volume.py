@@ -12,10 +12,9 @@ from pmabench.bench.compile import mount
 from pmabench.display.verdicts import measure
 from pmabench.engine.operator import ConfirmedBeforehand
 from pmabench.engine.run import run_plan
-from pmabench.kinds.closed_volume.fit import fit_volume, volume_at
 from pmabench.kinds.closed_volume.protocol import Diameters
 from pmabench.kinds.closed_volume.reduction import PRINTED, TIGHT, reduce
-from pmabench.kinds.closed_volume.stroke import Gas
+from pmabench.kinds.closed_volume.stroke import Gas, fit_volume, volume_at
 from pmabench.kinds.compile import make_plan
 from pmabench.model.library import MODELS
 from pmabench.protocol.plan import Seek

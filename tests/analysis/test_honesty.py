@@ -21,7 +21,7 @@ from pmabench.kinds.reduce import compared
 from pmabench.kinds.sinusoidal_displacement import reduction as sine
 from pmabench.kinds.static_load import reduction as static_load
 from pmabench.kinds.ultimate_gain import reduction as ultimate_gain
-from pmabench.store.analyses.results import Analysis, Estimate, Parts
+from pmabench.store.analyses.results import Analysis, Estimate, Parts, Source
 from pmabench.store.reader import open_run
 from pmabench.store.records import RunData, TrialData
 from tests.analysis.loop_rig import as_run
@@ -355,11 +355,16 @@ def test_a_stiffness_whose_interval_reaches_to_0_is_withheld_and_a_friction_or_a
         ("t_d", 0.02, "s", "time"),
         ("x", 0.1, "m", "length"),
     )
-    wide = [Estimate(*one, "any", parts=Parts(0.3 * one[1], 1.2 * one[1])) for one in values]
+    wide = [
+        Estimate(
+            *one, "any", parts=Parts(0.3 * one[1], 1.2 * one[1]),
+            budget=(Source("bend", "method", "B", 1.2 * one[1]), Source("scatter", "repeats", "A", 0.3 * one[1])),
+        ) for one in values
+    ]  # fmt: skip
     near = replace(wide[0], parts=Parts(0.3 * 2e4, 0.9 * 2e4))
     K, *others = Analysis("any", (), simulated=False, estimates=tuple(wide), results=declared).estimates
     assert K.withheld
-    assert "20 N/mm +- 24.7 N/mm says nothing" in K.note
-    assert "most of it is from method" in K.note
+    assert "20 N/mm +- 24.7 N/mm" in K.note
+    assert "Most of it is from: bend" in K.note
     assert [e.value for e in others] == [5.0, 0.02, 0.1]
     assert Analysis("any", (), simulated=False, estimates=(near,), results=declared).estimates[0].value == 2e4

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pmabench.kinds.isometric_pressurisation import daerden as section
+from pmabench.kinds.isometric_pressurisation import curve as section
 from pmabench.kinds.isometric_pressurisation.reduction import (
     CORRECTED,
     METHOD,

@@ -12,9 +12,8 @@ from scipy.signal import lfilter
 
 from pmabench.analysis.trial import Quick
 from pmabench.base.errors import InvalidFile
-from pmabench.kinds.relaxation.course import Course
-from pmabench.kinds.relaxation.fit import Relaxing
-from pmabench.kinds.relaxation.live import measure as at_a_glance
+from pmabench.kinds.relaxation.course import Course, Relaxing
+from pmabench.kinds.relaxation.figures import measure as at_a_glance
 from pmabench.kinds.relaxation.reduction import LINE, PRONY, reduce
 from tests.analysis.driven_runs import planned, recorded
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pmabench.kinds.static_load.reduction import reduce
+from pmabench.kinds.static_load.reduction import offers, reduce
 from pmabench.store.analyses.results import Analysis
 from pmabench.store.records import TrialData
 from tests.analysis.judged_forms import as_run
@@ -42,6 +42,7 @@ def test_a_stroke_shows_hysteresis_which_is_taken_off():
     assert len(errors) >= 2
     assert max(map(abs, errors)) < 1.0
     assert any("taken off F_ce" in f.text for f in analysis.findings)
+    assert [o.symbol for o in offers(analysis)] == ["F"], "friction of a hardly moved braid is no bound of F_c"
 
 
 def test_damping_and_dry_friction_are_not_taken_for_hysteresis():
@@ -50,6 +51,7 @@ def test_damping_and_dry_friction_are_not_taken_for_hysteresis():
     assert len(errors) >= 2
     assert max(map(abs, errors)) < 0.5
     assert not any("hysteresis" in f.text for f in analysis.findings)
+    assert [o.symbol for o in offers(analysis)] == ["F", "F_c"]
 
 
 @pytest.mark.study

@@ -6,7 +6,7 @@ from math import pi, sqrt
 import numpy as np
 import pytest
 
-from pmabench.kinds.recorded_sine.bandwidth import COMMAND, PRESSURE, crossing
+from pmabench.kinds.recorded_sine.form import COMMAND, PRESSURE, crossing
 from pmabench.kinds.recorded_sine.reduction import reduce
 from pmabench.store.records import TrialData
 from tests.analysis.loop_rig import as_run

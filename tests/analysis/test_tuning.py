@@ -10,7 +10,7 @@ import pytest
 from pmabench.analysis.tuning import facts, plausibility, rules_named, tune
 from pmabench.base.quantities import QUANTITIES
 from pmabench.model.loop import Loop, ultimate
-from pmabench.model.rules.record import all_rules
+from pmabench.model.rules import all_rules
 from pmabench.store.analyses.results import Estimate, Parts
 
 

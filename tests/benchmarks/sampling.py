@@ -5,7 +5,7 @@ import sys
 import threading
 import time
 
-from pmabench_drivers.shared.polling import Cycle
+from pmabench_drivers.shared.link import Cycle
 
 from pmabench.base.clock import RealClock
 

@@ -18,7 +18,7 @@ from pmabench_drivers.ni_daq import NiDaq
 from pmabench_drivers.ni_daq.connection import Connection
 from pmabench_drivers.serial_ascii import SerialIndicator
 from pmabench_drivers.serial_line_daq import SerialLineDaq
-from pmabench_drivers.shared.polling import Cycle
+from pmabench_drivers.shared.link import Cycle
 
 from pmabench.base.clock import RealClock
 from tests.drivers.alicat.rigs import controller

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from pmabench.cli.main import COMMANDS
-from pmabench.store.analyses.made_from import RECORD
+from pmabench.store.analyses.folder import RECORD
 from tests.calls import call
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -13,6 +13,7 @@ from tests.cli.conftest import ran
 PATH = [
     ("trial.path", "{shares: [100 %, 40 %, 80 %, 20 %], speed: 20 mm/s, rest: 0.5 s}"),
     ("sample_rate", "100 Hz"),
+    ("sweep.repeat.count", "1"),
 ]
 
 

@@ -3,10 +3,15 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
+from pmabench_drivers.mock import sampled
 
 from pmabench.cli.main import main
+from pmabench.cli.prepare import prepare
+from pmabench.engine.operator import ConfirmedBeforehand
+from pmabench.engine.run import run_plan
 from pmabench.store.analyses.folder import write_analysis
 from pmabench.store.analyses.results import Analysis
 from tests.cli.conftest import ran
@@ -93,3 +98,44 @@ def test_a_name_that_may_be_wrong_is_not_given(said):
 def test_at_most_three_lines_and_nothing_without_an_analysis(said):
     assert said() == []
     assert len(said({"state": "corrected", "explanations": [LATE] * 5})) == 3
+
+
+FEW = [
+    ("sweep.matrix.load", "[6 kg, 11 kg, 21 kg, 26 kg, 31 kg, 41 kg]"), ("sweep.matrix.pressure", "[200 kPa, 350 kPa, 500 kPa]"),
+    ("sweep.repeat.count", "1"), ("trial.contract.hold", "6 s"),
+    ("trial.relax", "{by: 100 kPa, hold: 3 s, then: 0 kPa, hold_at_end: 3 s}"),
+]  # fmt: skip
+
+
+def delayed_by(samples):
+    """The block of samples as it is kept where the force comes so many samples late."""
+    keep, before = sampled.Sampled._keep, []
+
+    def late(self, time_ns, columns):
+        force = np.asarray(columns["force"])
+        every = np.concatenate([*(before or [np.repeat(force[:1], samples)]), force])
+        before[:] = [every[len(force) :]]
+        keep(self, time_ns, {**columns, "force": every[: len(force)]})
+
+    return late
+
+
+@pytest.mark.slow
+def test_a_late_cell_is_named_before_the_next_test_also_after_recalibrate_took_it_off(tmp_path, monkeypatch):
+    """4 samples of 500 Hz; what `recalibrate` takes off the record is still at the bench."""
+    monkeypatch.chdir(tmp_path)
+    names = ("contraction-relaxation", "mock-serres2009", "mas-20-250-serres2009")
+    with monkeypatch.context() as patch:
+        patch.setattr(sampled.Sampled, "_keep", delayed_by(4))
+        prepared = prepare(*names, FEW)
+        run = str(run_plan(prepared.plan, prepared.mounted, ConfirmedBeforehand(), out=tmp_path / "runs").folder)
+    taken = ["recalibrate", run, "--skew", "force=8 ms", "--because", "a filter", "--out", "analyses/taken"]
+    for words in (["process", run, "-q"], [*taken, "-q"]):
+        assert CliRunner().invoke(main, words).exit_code in (0, 6)
+        said = CliRunner().invoke(main, ["check", names[0], "--bench", names[1], "--specimen", names[2], "--json"])
+        (line,) = json.loads(said.stdout)["last_diagnosis"]
+        assert "force is 8 ms" in line
+        assert "the filter of the force cell's amplifier, and at the clock of its device" in line
+        assert 'pmabench recalibrate RUN... --skew "force=' in line
+    (after,) = Path("analyses/taken").glob("*/analysis.json")
+    assert json.loads(after.read_text())["facts"]["form"]["explanations"] == []

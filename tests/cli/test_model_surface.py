@@ -5,6 +5,7 @@ The truth is the muscle of the mock bench, whose force is written out in `test_p
 
 import json
 
+import pandas as pd
 import pytest
 from click.testing import CliRunner
 
@@ -42,6 +43,33 @@ def test_force_and_stiffness_are_those_of_the_muscle(surface):
     beyond = model("eval", surface, "--set", "pressure=700 kPa")
     assert beyond.exit_code == 2
     assert "beyond what was tested" in beyond.output
+
+
+def test_tables_of_other_programs_hold_the_force_of_the_muscle(surface, tmp_path):
+    """A row per 1 mm where rows of the tests lie; in display units as CSV, SI with units as Parquet."""
+    for form in ("csv", "parquet"):
+        written = CliRunner().invoke(main, ["export", str(surface), "--format", form, "-o", str(tmp_path / form)])
+        assert written.exit_code == 0, written.output
+    shown = pd.read_csv(tmp_path / "csv/surface/surface.csv")
+    assert list(shown.columns) == ["P [kPa]", "x [mm]", "F [N]", "K [N/mm]"]
+    table = pd.read_parquet(tmp_path / "parquet/surface-table.parquet")
+    assert len(table) == len(shown) > 200
+    assert table["contraction [m]"].max() > 45e-3
+    for row, (P, x, F, K) in enumerate(table.itertuples(index=False)):
+        assert pytest.approx(force(x, P), abs=3.0) == F
+        assert pytest.approx(stiffness(x, P), rel=0.06) == K
+        assert shown.iloc[row].tolist() == pytest.approx([P / 1e3, 1e3 * x, F, K / 1e3])
+
+
+def test_a_pressure_is_found_behind_forces(surface, tmp_path):
+    table = tmp_path / "rows.csv"
+    rows = [(x, force(1e-3 * x, 300e3)) for x in (5, 10, 15, 20, 30)]
+    table.write_text("displacement [mm],force [N]\n" + "".join(f"{x},{F}\n" for x, F in rows))
+    result = model("fit", surface, table, "--free", "pressure", "--json")
+    assert result.exit_code == 0, result.output
+    (pressure,) = json.loads(result.stdout)["parameters"]
+    assert pressure["value"] == pytest.approx(300e3, abs=2e3)
+    assert "--form surface" in model("show", surface).output
 
 
 def test_steps_of_a_run_that_it_was_not_fitted_to(surface, tmp_path):

@@ -10,7 +10,7 @@ import pytest
 import pmabench.report.many
 from pmabench.report.files.csv_files import csv_text
 from pmabench.report.many import process_many, process_one, table_rows
-from pmabench.store.analyses import made_from
+from pmabench.store.analyses import folder as made_from
 from pmabench.store.analyses.folder import runs_of
 from pmabench.store.catalogue import tasks_below
 from pmabench.store.since import fingerprint

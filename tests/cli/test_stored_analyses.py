@@ -8,7 +8,7 @@ import pytest
 
 import pmabench.kinds.reduce
 import pmabench.report.document.content
-from pmabench.store.analyses import made_from
+from pmabench.store.analyses import folder as made_from
 from pmabench.store.analyses.folder import read_analysis, write_analysis
 from tests.benchmarks.archive import write_run
 from tests.calls import call

@@ -3,7 +3,7 @@
 import random
 
 import pytest
-from pmabench_drivers.shared.polling import Pace
+from pmabench_drivers.shared.link import Pace
 
 
 def told(pace, taken_and_now):

@@ -4,7 +4,7 @@ import threading
 from math import floor
 
 import pytest
-from pmabench_drivers.shared import polling
+from pmabench_drivers.shared import link as polling
 
 from pmabench.base.errors import DeviceError
 

@@ -16,7 +16,7 @@ FOLDERS = sorted(path.parent for path in (ROOT / "pmabench/kinds").glob("*/__ini
 DEFAULTS = {
     ("pmabench/cli/init_like.py", "contraction-relaxation"),
     *(
-        ("pmabench/bench/lab/derived.py", name)
+        ("pmabench/bench/lab/questions.py", name)
         for name in (
             "contraction-relaxation",
             "static-load",
@@ -25,8 +25,8 @@ DEFAULTS = {
             "isometric-pressurisation",
         )
     ),
-    ("pmabench/bench/lab/protocol_text.py", "surface"),
-    ("pmabench/bench/predicted_muscle.py", "surface"),
+    ("pmabench/bench/lab/files.py", "surface"),
+    ("pmabench/bench/dry_run.py", "surface"),
     ("pmabench/bench/plant.py", "surface"),
     ("pmabench/model/presets.py", "surface"),
     ("pmabench/model/library/real.py", "surface"),

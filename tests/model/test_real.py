@@ -10,8 +10,8 @@ from pmabench.model.curve import Curve
 from pmabench.model.driven import Actuator
 from pmabench.model.overrides import Overrides
 from pmabench.model.presets import preset
-from pmabench.model.real.driven import RealDrivenPlant
 from pmabench.model.real.muscle import Creep, Stops, reference
+from pmabench.model.real.plants import RealDrivenPlant
 from pmabench.model.regulator import Regulator, Wave, constant, ramp, sine
 
 SURFACE = {

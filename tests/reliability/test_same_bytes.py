@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner
 
 from pmabench.cli.main import main
-from pmabench.store.analyses.made_from import RECORD
+from pmabench.store.analyses.folder import RECORD
 from tests.reliability.cases import cases
 
 ROOT = Path(__file__).parents[2]

@@ -4,7 +4,7 @@ import json
 
 from pmabench.engine.operator import ConfirmedBeforehand
 from pmabench.session import ensure
-from pmabench.session.length import session_length
+from pmabench.session.session import session_length
 from pmabench.store.reader import open_run
 from tests.cli.test_cli import call
 from tests.engine.benches import mounted

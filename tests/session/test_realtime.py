@@ -8,7 +8,8 @@ from pmabench.bench.session import SelfTest, Session, WarmUp, Zero
 from pmabench.engine.operator import ConfirmedBeforehand, Nobody
 from pmabench.engine.run import run_plan
 from pmabench.protocol.plan import Hold, Set
-from pmabench.session import ensure, state
+from pmabench.session import ensure
+from pmabench.session import session as state
 from pmabench.session.calibration import Request, calibrate
 from pmabench.session.session import SessionFailed
 from pmabench.store.reader import open_run

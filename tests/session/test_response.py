@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from pmabench.session.listening import Series
-from pmabench.session.response import delay, step_response
+from pmabench.session.guided import Series
+from pmabench.session.stepping import delay, step_response
 
 T, RATE = 0.1, 500.0
 NOISE = 500.0

@@ -6,7 +6,8 @@ import pytest
 from pmabench.analysis.verdict.life import leak_of
 from pmabench.bench.compile import mount
 from pmabench.engine.operator import ConfirmedBeforehand
-from pmabench.session import ensure, state
+from pmabench.session import ensure
+from pmabench.session import session as state
 from pmabench.session.self_test import run_self_test
 from pmabench.session.session import SessionFailed
 from pmabench.store.reader import open_run

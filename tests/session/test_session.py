@@ -12,7 +12,8 @@ from pmabench.engine.operator import ConfirmedBeforehand, Nobody
 from pmabench.engine.run import run_plan
 from pmabench.guard.station import Station
 from pmabench.protocol.plan import Ask, Hold, Record, Set
-from pmabench.session import ensure, state
+from pmabench.session import ensure
+from pmabench.session import session as state
 from pmabench.session.session import SessionFailed
 from pmabench.store.reader import open_run
 from tests.engine.benches import mounted, one_trial, plan
@@ -124,7 +125,7 @@ def test_a_zero_is_refused_while_it_drifts(tmp_path):
     """A gauge that warms up: its offset is still changing when the zero is due. Here: a leak lets nothing come to rest."""
     from pmabench.base.errors import VerdictFailed
     from pmabench.engine.acquire import Samples
-    from pmabench.session.listening import steady
+    from pmabench.session.guided import steady
 
     class Drifting:
         rate = 100.0

@@ -8,9 +8,8 @@ from dataclasses import dataclass
 from time import monotonic
 
 from pmabench_drivers.shared.device import Controlled
-from pmabench_drivers.shared.link import Still, opened
+from pmabench_drivers.shared.link import JOIN, Still, opened
 from pmabench_drivers.shared.options import Reader
-from pmabench_drivers.shared.polling import JOIN
 
 from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError

@@ -11,8 +11,7 @@ from dataclasses import dataclass, field
 
 from pmabench.base.errors import did_you_mean
 from pmabench.bench.interface import DeviceRecord, OutputRecord
-from pmabench_drivers.modbus.map_file import Options
-from pmabench_drivers.modbus.registers import Register, RegisterMap, WatchdogRegisters
+from pmabench_drivers.modbus.registers import Options, Register, RegisterMap, WatchdogRegisters
 from pmabench_drivers.shared.options import Reader
 
 HERE = ("options",)

@@ -16,8 +16,19 @@ from pmabench_drivers.emulator.modbus_server import ADDRESS, FUNCTION, KINDS, VA
 from pmabench_drivers.emulator.plant import RealPlant, Wiring
 from pmabench_drivers.emulator.ports import host_of
 from pmabench_drivers.labjack import registers as r
-from pmabench_drivers.labjack.emulated_map import F32, FEEDBACK, WORDS, Cut, Unknown, Value, feedback, values_of, whole
-from pmabench_drivers.labjack.emulated_stream import FAULTS, Streamer
+from pmabench_drivers.labjack.emulated_map import (
+    F32,
+    FAULTS,
+    FEEDBACK,
+    WORDS,
+    Cut,
+    Streamer,
+    Unknown,
+    Value,
+    feedback,
+    values_of,
+    whole,
+)
 from pmabench_drivers.labjack.registers import Options, read_options
 from pmabench_drivers.labjack.stream import COUNT, FLASH
 from pmabench_drivers.shared.options import options_of

@@ -1,17 +1,29 @@
-"""Which registers an emulated T7, T8 or T4 has, which of them belong together as one value, and function 76.
+"""Which registers an emulated T7, T8 or T4 has, which of them belong together as one value, function 76, and its
+stream.
 
 Source of addresses, types, access and defaults: LabJack's public register table (LabJack/ljm_constants, 2025.12.18). Of
 the test register that table says that it, unlike others, can be read by single words: every other value is read and
 written as a whole. Function 76: LabJack, Protocol Details (Direct Modbus TCP), Modbus Feedback.
+
+The stream has scans at absolute times, a buffer of limited size, packets on a separate connection. It is written from
+the packet's description and apart from the driver's reading of it, so that each is a check of the other.
 """
 
 from __future__ import annotations
 
+import contextlib
+import select
+import socket
 import struct
-from collections.abc import Iterator
+import threading
+from collections import deque
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from time import monotonic, sleep
 
+from pmabench_drivers.emulator.faults import CommandLog, DeviceClock, Faults, Kind
 from pmabench_drivers.emulator.modbus_server import VALUE, Refused, Request
+from pmabench_drivers.emulator.ports import accepted, hang_up, listen
 from pmabench_drivers.labjack import registers as r
 
 U16, U32, I32, F32 = "H", "I", "i", "f"
@@ -133,3 +145,130 @@ def feedback(pdu: bytes) -> list[Request]:
     if not found:
         raise Refused(VALUE)
     return found
+
+
+SHORTEST, LONGEST = 0.001, 0.01
+"""Sleep between two looks at what is due [s]."""
+FAULTS = {
+    "stream-lost": Kind("so many packets of the stream are lost on the way", "number", 1.0),
+    "stream-skip": Kind("the device leaves out so many scans, as with a full buffer", "number", 1.0),
+    "stream-status": Kind("the next packet of the stream has this status", "number", 2940.0),
+    "stream-silence": Kind("the stream sends nothing for so long, and the buffer fills", "time", 1.0),
+    "stream-garbage": Kind("so many bytes without meaning are sent on the stream", "number", 3.0),
+}
+
+Sample = Callable[[int], list[int]]
+"""The raw counts of scan `number` (from 1), for each channel of the scan list."""
+
+
+class Streamer:
+    """Listens for one client at a time; `begin` and `end` are what writing STREAM_ENABLE does."""
+
+    def __init__(self, device: str, host: str, port: int, log: CommandLog) -> None:
+        self._listener = listen(device, host, port)
+        self._tap, self.faults = log.tap(device, connection="stream"), Faults()
+        self.port = int(self._listener.getsockname()[1])
+        self._client: socket.socket | None = None
+        self._running = threading.Event()
+        self.moment = 0.0
+        """When the scan was due that is being made [s, monotonic]."""
+        self._faults: deque[tuple[str, float]] = deque()
+        self._thread: threading.Thread | None = None
+
+    def start(self) -> None:
+        """Take connections."""
+        threading.Thread(target=self._accept, name="emulated T7 stream", daemon=True).start()
+
+    def close(self) -> None:
+        """End."""
+        self.end()
+        hang_up(self._listener, self._client)
+
+    @property
+    def running(self) -> bool:
+        """Whether a stream runs."""
+        return self._running.is_set()
+
+    def fault(self, kind: str, value: float) -> None:
+        """Let one of `FAULTS` happen."""
+        self._faults.append((kind, value))
+
+    def begin(self, rate: float, channels: int, per_packet: int, capacity: int, sample: Sample) -> None:
+        """Scan from now on: `rate` [Hz], samples in a packet, samples in the buffer."""
+        self.end()
+        self._running = threading.Event()
+        self._running.set()
+        arguments = (self._running, rate, channels, per_packet, capacity, sample)
+        self._thread = threading.Thread(target=self._scan, args=arguments, name="emulated T7 scans", daemon=True)
+        self._thread.start()
+
+    def end(self) -> None:
+        """Scan no more."""
+        self._running.clear()
+        thread, self._thread = self._thread, None
+        if thread is not None and thread is not threading.current_thread():
+            thread.join(1.0)
+
+    def _accept(self) -> None:
+        for client in accepted(self._listener):
+            before, self._client = self._client, client
+            if before is not None:
+                before.close()
+
+    def _scan(
+        self, running: threading.Event, rate: float, channels: int, per_packet: int, capacity: int, sample: Sample
+    ) -> None:
+        number, transaction, leave_out, silent_until = 0, 0, 0, 0.0
+        clock = DeviceClock(self.faults)
+        buffer: deque[tuple[int, list[int]]] = deque()  # each scan with what was left out before it, -1 for none
+        recovering = skipped = lose = status_next = 0
+        scans, outgoing = per_packet // channels, b""
+        while running.is_set():
+            now = monotonic()
+            while self._faults:
+                kind, value = self._faults.popleft()
+                lose += int(value) if kind == "stream-lost" else 0
+                leave_out += int(value) if kind == "stream-skip" else 0
+                status_next = int(value) if kind == "stream-status" else status_next
+                silent_until = now + value if kind == "stream-silence" else silent_until
+                outgoing += b"\xa5" * int(value) if kind == "stream-garbage" else b""
+            shown = clock.now()
+            while number < int(shown * rate):
+                number += 1
+                self.moment = now - (shown - number / rate)
+                if recovering or leave_out or (len(buffer) + 1) * channels > capacity:
+                    leave_out = max(0, leave_out - 1)
+                    recovering, skipped = 1, skipped + 1
+                    if leave_out == 0 and len(buffer) < scans:
+                        buffer.append((skipped, [0xFFFF] * channels))
+                        recovering = skipped = 0
+                else:
+                    buffer.append((-1, sample(number)))
+            client = self._client
+            while len(buffer) >= scans and len(outgoing) < 4096 and now >= silent_until:
+                taken = [buffer.popleft() for _ in range(scans)]
+                left_out = max(count for count, _ in taken)
+                status = 2940 if recovering else 0
+                if left_out >= 0:
+                    status = 2941 if left_out < 65536 else 2943
+                if status_next:
+                    status, status_next = status_next, 0
+                data = struct.pack(f">{per_packet}H", *(raw for _, scan in taken for raw in scan))
+                backlog = min(2 * channels * len(buffer), 65535)
+                head = struct.pack(
+                    ">HHHBBBBHHH",
+                    transaction, 0, 10 + len(data), 1, 76, 16, 0, backlog, status, max(left_out, 0) & 0xFFFF,
+                )  # fmt: skip
+                transaction = (transaction + 1) & 0xFFFF
+                if lose:
+                    lose -= 1
+                else:
+                    outgoing += head + data
+            if client is not None and outgoing:
+                with contextlib.suppress(OSError, ValueError):
+                    if select.select([], [client], [], 0)[1]:
+                        client.setblocking(False)
+                        sent = client.send(outgoing)
+                        self._tap("sent", outgoing[:sent])
+                        outgoing = outgoing[sent:]
+            sleep(min(max((number + 1) / rate - clock.now(), SHORTEST), LONGEST))

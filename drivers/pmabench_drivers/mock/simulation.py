@@ -14,7 +14,7 @@ from pmabench.bench.interface import DeviceRecord, Load, Scale, Segment
 from pmabench.model.driven import Actuator, DrivenPlant
 from pmabench.model.plant import Plant
 from pmabench.model.presets import Arm, changed, preset, setup_of
-from pmabench.model.real.free import RealPlant
+from pmabench.model.real.plants import RealPlant
 from pmabench.model.regulator import Regulated, constant
 from pmabench_drivers.mock import options as o
 from pmabench_drivers.mock.options import Options

@@ -13,8 +13,7 @@ from pmabench.bench.interface import DeviceRecord
 from pmabench_drivers.emulator.faults import CommandLog
 from pmabench_drivers.emulator.modbus_server import ADDRESS, VALUE, Refused, Request, RtuDevice, TcpDevice
 from pmabench_drivers.emulator.plant import RealPlant, Wiring
-from pmabench_drivers.modbus.map_file import Options, read_options
-from pmabench_drivers.modbus.registers import TYPES, Register, WatchdogRegisters, decode, encode
+from pmabench_drivers.modbus.registers import TYPES, Options, Register, WatchdogRegisters, decode, encode, read_options
 from pmabench_drivers.shared.options import options_of
 
 

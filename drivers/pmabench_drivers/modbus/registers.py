@@ -1,16 +1,24 @@
-"""Registers as records, and the way between their 16-bit words and numbers; knows no connection. Standard library only.
+"""Register maps as people write them, as records, and the way between 16-bit words and numbers; knows no connection.
 
 The specification (Modbus Application Protocol 1.1b3) fixes the order of the two bytes of a register and leaves the
 order of the registers of a 32-bit value to the maker, hence `low_word_first` and `low_byte_first`.
+
+Standard library only.
 """
 
 from __future__ import annotations
 
+import json
 import math
 import struct
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from importlib.resources import files
+from typing import Any
+
+from pmabench.bench.interface import DeviceRecord, OutputRecord
+from pmabench_drivers.shared.options import BAUDS, PARITIES, Place, Reader
 
 TABLES = ("holding", "input", "coil", "discrete")
 BIT_TABLES = ("coil", "discrete")
@@ -173,3 +181,227 @@ def spans(registers: Iterable[Register]) -> list[Span]:
         else:
             found.append(Span(register.table, register.address, register.count, (register,)))
     return found
+
+
+IDENTITY = ("maker", "model", "serial", "firmware", "constant")
+REGISTER_KEYS = ("table", "address", "type", "words", "bytes", "bit", "length", "expect", "read_back")
+MAP_KEYS = (
+    *("schema", "name", "source", "unit_id", "words", "bytes", "timeout", "slowest", "rate", "functions"),
+    *("identity", "inputs", "outputs", "watchdog", "uptime"),
+)
+UPTIMES = ("uint32", "int32")
+"""Types of a number that only grows until a restart."""
+HIGH, LOW = "high-first", "low-first"
+
+
+@dataclass(frozen=True)
+class Options:
+    """Options of the driver `modbus` for a device."""
+
+    map: RegisterMap = field(default_factory=RegisterMap)
+    baud: int = 19200
+    parity: str = "N"
+    stop_bits: int = 1
+
+    @property
+    def rate(self) -> float:
+        """Highest rate at which the device is polled [Hz]."""
+        return self.map.rate
+
+
+def read_options(device: DeviceRecord, reader: Reader) -> Options:
+    """The options of a device and the names that its channels, outputs, valves and interlocks use."""
+    given = reader.keys(device.options, ("options",), ("map", "baud", "parity", "stop_bits"), ("map",))
+    if not device.address.startswith("/"):
+        reader.host(device, "192.168.0.10:502", other=' or the path of a serial port ("/dev/ttyUSB0")')
+    map_ = _read_map(given.get("map", {}), ("options", "map"), reader)
+    baud = reader.one_of(given, "baud", ("options",), BAUDS, 19200)
+    parity = PARITIES[reader.choice(given, "parity", ("options",), PARITIES, "none")]
+    stop_bits = reader.whole(given, "stop_bits", ("options",), 1, 2, 1)
+    if map_.inputs or map_.outputs:
+        _names(device, map_, reader)
+    return Options(map_, baud, parity, stop_bits)
+
+
+def _read_map(data: Any, place: Place, reader: Reader) -> RegisterMap:
+    given = reader.keys(data, place, MAP_KEYS, ("inputs",) if "outputs" not in (data or {}) else ())
+    reader.choice(given, "schema", place, ("pmabench.registers/1",), "pmabench.registers/1")
+    for key in ("name", "source"):
+        reader.text(given, key, place, longest=400)
+    base = RegisterMap()
+    usual = {
+        "words": reader.choice(given, "words", place, (HIGH, LOW), HIGH),
+        "bytes": reader.choice(given, "bytes", place, (HIGH, LOW), HIGH),
+    }
+    functions = given.get("functions", list(FUNCTIONS))
+    if not isinstance(functions, list | tuple) or not functions or any(f not in FUNCTIONS for f in functions):
+        reader.fault((*place, "functions"), f"a list of function codes is expected, out of {list(FUNCTIONS)}")
+        functions = FUNCTIONS
+    readers = {key: (*place, key) for key in ("identity", "inputs", "outputs")}
+    allowed = tuple(functions)
+
+    def registers(key: str) -> dict[str, Register]:
+        items = reader.named(given.get(key, {}), readers[key])
+        return {
+            name: _register(name, item, (*readers[key], name), reader, usual, allowed, key)
+            for name, item in items.items()
+        }
+
+    identity: dict[str, Register | str] = {}
+    known = reader.keys(given.get("identity", {}), readers["identity"], IDENTITY)
+    for name, item in known.items():
+        at = (*readers["identity"], name)
+        identity[name] = (
+            item if isinstance(item, str) else _register(name, item, at, reader, usual, allowed, "identity")
+        )
+    watchdog = given.get("watchdog")
+    return RegisterMap(
+        unit_id=reader.whole(given, "unit_id", place, 0, 255, base.unit_id),
+        timeout=reader.quantity(given, "timeout", place, "time", base.timeout, 0.002, 0.2),
+        slowest=reader.quantity(given, "slowest", place, "time", base.slowest, 0.0, 10.0),
+        rate=reader.quantity(given, "rate", place, "frequency", base.rate, 0.1, 1000.0),
+        functions=allowed,
+        identity=identity,
+        inputs=registers("inputs"),
+        outputs=registers("outputs"),
+        watchdog=None if watchdog is None else _watchdog(watchdog, (*place, "watchdog"), reader, usual, allowed),
+        uptime=_register("uptime", given["uptime"], (*place, "uptime"), reader, usual, allowed, "uptime")
+        if "uptime" in given
+        else None,
+    )
+
+
+def _register(
+    name: str, data: Any, place: Place, reader: Reader, usual: Mapping[str, str], functions: tuple[int, ...], use: str
+) -> Register:
+    """One register; `use` is `inputs`, `outputs`, `identity` or `uptime`."""
+    given = reader.keys(data, place, REGISTER_KEYS, ("address",))
+    writes = use == "outputs"
+    tables = ("holding", "coil") if writes else TABLES
+    table = reader.choice(given, "table", place, tables, "holding")
+    single = table in BIT_TABLES
+    types = ("bit",) if single else (*TYPES, "text") if use == "identity" else tuple(TYPES)
+    kind = reader.choice(given, "type", place, types, "bit" if single else "uint16")
+    words = reader.choice(given, "words", place, (HIGH, LOW), usual["words"]) == LOW
+    low_bytes = reader.choice(given, "bytes", place, (HIGH, LOW), usual["bytes"]) == LOW
+    bit = reader.whole(given, "bit", place, 0, 31, 0) if "bit" in given else -1
+    if bit >= 0 and (single or writes or kind not in {"uint16", "uint32"} or bit >= 16 * TYPES[kind][1]):
+        reader.fault((*place, "bit"), "only an input register of type uint16 or uint32 has bits that are read")
+        bit = -1
+    length = reader.whole(given, "length", place, 1, 60, 1) if kind == "text" else 0
+    if kind != "text" and "length" in given:
+        reader.fault((*place, "length"), "only a text has a length; numbers have that of their type")
+    register = Register(
+        name,
+        table,
+        reader.whole(given, "address", place, 0, 65535),
+        kind,
+        words,
+        low_bytes,
+        bit,
+        length,
+        reader.flag(given, "read_back", place, default=True),
+        reader.number(given, "expect", place),
+    )
+    if "read_back" in given and not writes:
+        reader.fault((*place, "read_back"), "only what is written can be read back")
+    if use == "uptime" and register.type not in UPTIMES:
+        reader.fault(
+            (*place, "type"),
+            f"a number that only grows needs 32 bits ({', '.join(UPTIMES)}): one of 16 bits soon begins again at 0, "
+            "which would be taken for a restart",
+        )
+    if register.expect is not None and use != "identity":
+        reader.fault((*place, "expect"), 'belongs to a register of "identity"')
+    if register.address + register.count > 65536:
+        reader.fault((*place, "address"), "the value would reach beyond address 65535")
+    if (not writes or register.read_back) and READ[table] not in functions:
+        reader.fault((*place, "table"), f"function {READ[table]}, which reads it, is not among the allowed ones")
+    if writes and write_function(register, functions) == 0:
+        reader.fault((*place, "table"), "none of the allowed functions can write it")
+    return register
+
+
+def write_function(register: Register, functions: tuple[int, ...]) -> int:
+    """The function code that writes a register, out of the allowed ones; 0 where there is none."""
+    if register.is_bit:
+        wanted: tuple[int, ...] = (5, 15)
+    else:
+        wanted = (6, 16) if register.count == 1 else (16,)
+    return next((function for function in wanted if function in functions), 0)
+
+
+def _watchdog(
+    data: Any, place: Place, reader: Reader, usual: Mapping[str, str], functions: tuple[int, ...]
+) -> WatchdogRegisters:
+    given = reader.keys(data, place, ("timeout", "resolution", "trigger", "on", "off", "heartbeat"), ("timeout",))
+
+    def register(key: str) -> Register:
+        return _register(key, given.get(key, {}), (*place, key), reader, usual, functions, "outputs")
+
+    on, off = reader.number(given, "on", place), reader.number(given, "off", place)
+    trigger = register("trigger") if "trigger" in given else None
+    for key, value in (("on", on), ("off", off)):
+        if value is None:
+            continue
+        if trigger is None:
+            reader.fault((*place, key), 'is what is written to "trigger", and there is none')
+            continue
+        try:
+            encode(trigger, value)
+        except ValueError as error:
+            reader.fault((*place, key), str(error))
+    return WatchdogRegisters(
+        timeout=register("timeout"),
+        resolution=reader.quantity(given, "resolution", place, "time", 1e-3, 1e-6, 60.0),
+        trigger=trigger,
+        on=1.0 if on is None else on,
+        off=0.0 if off is None else off,
+        heartbeat=register("heartbeat") if "heartbeat" in given else None,
+    )
+
+
+def _names(device: DeviceRecord, map_: RegisterMap, reader: Reader) -> None:
+    """What the bench asks of the device must be in the map, and fit."""
+    for channel in device.channels:
+        place = ("channels", channel.name, "input")
+        if not reader.known(place, "the map has no input", channel.input, map_.inputs):
+            continue
+        register = map_.inputs[channel.input]
+        if channel.raw_type == "int32" and register.type == "float32":
+            reader.fault(place, "gives numbers with a fraction, not counts; name the unit that the device gives")
+        elif channel.raw_type == "int32" and max(map(abs, _ends(channel.scale, channel))) >= 2**31:
+            reader.fault(place, "counts from 2147483648 on cannot be recorded")
+    for output in device.outputs:
+        place = ("outputs", output.name, "output")
+        if reader.known(place, "the map has no output", output.output, map_.outputs):
+            _fits(output, map_.outputs[output.output], place, reader)
+    for valve in device.valves:
+        reader.known(("outputs", valve.name, "output"), "the map has no output", valve.output, map_.outputs)
+    for lock in device.interlocks:
+        reader.known(("interlocks", lock.name, "input"), "the map has no input", lock.input, map_.inputs)
+    if device.watchdog and map_.watchdog is None:
+        reader.fault(("watchdog",), 'the bench wants a watchdog, and the map has no "watchdog"')
+
+
+def _fits(output: OutputRecord, register: Register, place: Place, reader: Reader) -> None:
+    """A register must take every value that may be commanded."""
+    if register.is_bit:
+        reader.fault(place, "is a coil, which takes no values")
+        return
+    try:
+        for value in (output.low, output.high, output.safe):
+            encode(register, float(output.scale.to_raw(value)))
+    except ValueError as error:
+        reader.fault(place, f"cannot be commanded over its whole range: {error}")
+
+
+def _ends(scale: Any, channel: Any) -> tuple[float, float]:
+    ends = float(scale.to_raw(channel.low)), float(scale.to_raw(channel.high))
+    return ends if all(map(math.isfinite, ends)) else (0.0, 0.0)
+
+
+def map_schema() -> dict[str, Any]:
+    """The JSON Schema of a register map; what is read here and what it takes are compared by a test."""
+    schema: dict[str, Any] = json.loads(files(__package__).joinpath("registers.schema.json").read_text("utf-8"))
+    return schema

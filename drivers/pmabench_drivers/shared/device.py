@@ -17,9 +17,8 @@ from typing import Any
 from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError, did_you_mean
 from pmabench.bench.interface import Block, DeviceRecord, OutputRecord, Segment
-from pmabench_drivers.shared.link import Still
+from pmabench_drivers.shared.link import Cycle, Samples, Still
 from pmabench_drivers.shared.options import Place, Reader, options_of
-from pmabench_drivers.shared.polling import Cycle, Samples
 
 STEPS = 100.0
 """Rate at which ramps and sines are stepped where no polling sets it [Hz]."""

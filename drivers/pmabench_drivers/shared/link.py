@@ -1,17 +1,173 @@
-"""What links to devices share: turns on one line, answers that did not come, links that are not open; knows no wire."""
+"""What links share: samples in a buffer, a thread with absolute deadlines, turns on one line, answers that did not
+come.
+
+Knows no wire. Standard library only.
+"""
 
 from __future__ import annotations
 
+import math
 import threading
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator
+from array import array
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from math import floor
 from time import monotonic
 from typing import Any, TypeVar
 
 from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError
-from pmabench_drivers.shared.polling import JOIN
+from pmabench.bench.interface import Block
+
+JOIN = 0.15
+"""How long a thread is given to end, where that is waited for [s]."""
+PATIENCE = 0.25
+"""So long [s] ticks may fail before `collect` says so; what is lost till then is a gap in the samples."""
+BEHIND = 0.02
+"""Deadlines are made up that passed within so long [s], and always the last one: a busy computer's stalls are short."""
+DRIFT = 2e-4
+"""Largest drift between the clocks of device and computer [1]."""
+AHEAD = 0.3
+"""A sample may arrive at most so long before its own time stamp [s]."""
+WINDOW = 1.0
+"""Everything must be late for so long before it counts [s]: a busy computer is late now and then."""
+ENOUGH = 20
+"""And at least so many pieces must have arrived in that time."""
+
+
+class Samples:
+    """Samples of one stream between the thread that takes them and the caller who collects them."""
+
+    def __init__(self, names: Sequence[str]) -> None:
+        self._names = tuple(names)
+        self._lock = threading.Lock()
+        self._last = -1
+        self._clear()
+
+    def _clear(self) -> None:
+        self._time, self._host = array("q"), -1
+        self._columns = [array("d") for _ in self._names]
+
+    def append(self, time: int, values: Sequence[float], host: int) -> None:
+        """One sample of all channels: `time` and `host` [ns, bench time], values in the order of the names."""
+        with self._lock:
+            self._last = max(time, self._last + 1)
+            self._time.append(self._last)
+            self._host = host
+            for column, value in zip(self._columns, values, strict=True):
+                column.append(value)
+
+    def take(self) -> Block:
+        """All samples since the last call."""
+        with self._lock:
+            block = Block(self._time, dict(zip(self._names, self._columns, strict=True)), self._host)
+            self._clear()
+        return block
+
+
+class Cycle:
+    """Calls `tick` in a thread at start + k / rate.
+
+    Deadlines that passed while the computer did something else are made up as far as `BEHIND`; those that passed
+    in a `tick` that took longer than a period are not: a slow device rests, so that others get their turn at it.
+    What is not made up is counted.
+    """
+
+    def __init__(self, name: str, tick: Callable[[], None], clock: Clock) -> None:
+        self._name, self._tick, self._clock = name, tick, clock
+        self._halt = threading.Event()
+        self._thread: threading.Thread | None = None
+        self.missed = 0
+        """Deadlines at which nothing was done, because what was before took too long."""
+        self.broken: Exception | None = None
+        """What ended the thread against its will."""
+        self._failing: tuple[float, DeviceError] | None = None
+        """Since when ticks fail [s, bench time], and the last reason."""
+
+    def note(self, failure: DeviceError | None) -> None:
+        """What went wrong in this tick; None where it went well."""
+        failing = self._failing
+        self._failing = None if failure is None else (failing[0] if failing else self._clock.now(), failure)
+
+    def refuse(self, device: str, doing: str = "polling", *, once: bool = False) -> None:
+        """Raise DeviceError where the thread has ended, or its ticks have failed for longer than `PATIENCE`.
+
+        `once`: what was said counts as over, until it has lasted as long again.
+        """
+        if self.broken is not None:
+            raise DeviceError(device, f"{doing} broke off: {self.broken}")
+        failing = self._failing
+        if failing is not None and self._clock.now() - failing[0] > PATIENCE:
+            if once:
+                self._failing = None
+            raise failing[1]
+
+    def start(self, rate: float) -> None:
+        """Start the thread at `rate` [Hz]; an earlier one is ended, and may still be in its last `tick`."""
+        self.stop()
+        self.missed = 0
+        self._halt = threading.Event()
+        self._thread = threading.Thread(target=self._run, args=(rate, self._halt), name=self._name, daemon=True)
+        self._thread.start()
+
+    @property
+    def running(self) -> bool:
+        """Whether the thread lives."""
+        return self._thread is not None and self._thread.is_alive()
+
+    def stop(self, wait: float = 0.0) -> None:
+        """Begin nothing more, and wait so long [s] for a `tick` under way; harmless when repeated."""
+        thread, self._thread = self._thread, None
+        self._halt.set()
+        if thread is not None and wait:
+            thread.join(wait)
+
+    def _run(self, rate: float, halt: threading.Event) -> None:
+        start, due, most = self._clock.now(), 0, max(1, floor(BEHIND * rate))
+        while not halt.is_set():
+            began = self._clock.now()
+            try:
+                self._tick()
+            except Exception as error:  # the caller learns it at the next collect
+                self.broken = error
+                return
+            due += 1
+            ended = self._clock.now()
+            made_up = most if (ended - began) * rate < 1.0 else 0
+            lost = max(0, floor((ended - start) * rate) + 1 - due - made_up)
+            self.missed += lost
+            due += lost
+            halt.wait(max(0.0, start + due / rate - self._clock.now()))
+
+
+class Pace:
+    """Detects samples that fall behind their clock: for a second all come later than the quickest, by `slip` [s]."""
+
+    def __init__(self, slip: float) -> None:
+        self._slip = slip
+        self._least, self._seen, self._begun = math.inf, -math.inf, -math.inf
+        self._window: list[float] = []
+
+    def behind(self, taken: float, now: float) -> float:
+        """How far samples are behind [s], 0 while all is well; the newest, `taken` by its clock [s], came `now` [s].
+
+        Negative where samples come before their time.
+        """
+        late = now - taken
+        self._least = min(self._least + DRIFT * max(0.0, min(now - self._seen, WINDOW)), late)
+        self._seen = now
+        if late < -AHEAD:
+            return late
+        if not self._window:
+            self._begun = now
+        self._window.append(late)
+        if now - self._begun < WINDOW or len(self._window) < ENOUGH:
+            return 0.0
+        behind = min(self._window) - self._least
+        self._window = []
+        return behind if behind > self._slip else 0.0
+
 
 T = TypeVar("T")
 Still = Callable[[], bool]

@@ -18,8 +18,7 @@ from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import Block, DeviceRecord, Identity
 from pmabench_drivers.shared.device import Driver
-from pmabench_drivers.shared.link import Listening, opened, reason
-from pmabench_drivers.shared.polling import Samples
+from pmabench_drivers.shared.link import Listening, Samples, opened, reason
 
 LONGEST_LINE = 120
 PIECE = 0.02

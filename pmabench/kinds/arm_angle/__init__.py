@@ -1,7 +1,7 @@
 """The bending angle of an arm of muscles over pressure and load.
 
-- `reduction`, on `stairs`; what departures do: `form`; words and figures: `view`
-- protocol files: `protocol`; one trial on the display: `live`; figures: `figures`
+- `reduction`, on `stairs` with what departures do
+- protocol files: `protocol`; words, figures and one trial on the display: `figures`
 """
 
 from pmabench.base.imported import Imported
@@ -38,7 +38,7 @@ KIND = Kind(
     reduction="pmabench.kinds.arm_angle.reduction:reduce",
     papers=("paper 2, arm of four contractors",),
     protocol="pmabench.kinds.arm_angle.protocol:ArmAngle",
-    live="pmabench.kinds.arm_angle.live:measure",
+    live="pmabench.kinds.arm_angle.figures:measure",
     moves="angle",
     methods=METHODS,
     figures={

@@ -1,19 +1,243 @@
-"""Figure of an arm: bending angle over pressure at each load, what paper 2 has, and how far both ways are apart."""
+"""What an arm's bending angle says in words and shows in its figure; paper 2's formula and Table 1 for comparison.
+
+The figure: bending angle over pressure at each load, what paper 2 has, and how far both ways are apart.
+
+`measure`: what one trial says by itself, for the display.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy.interpolate import PchipInterpolator
 
+from pmabench.analysis.model_fit import ModelFit
+from pmabench.analysis.shared.samples import NotUsable
+from pmabench.analysis.trial import DRIFT, Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
+from pmabench.kinds.arm_angle.stairs import Loaded
+from pmabench.kinds.arm_angle.stairs import measure as stair_of
+from pmabench.model.library import MODELS
 from pmabench.plotting.pictures import Picture, bound, column, has, how_many, label, numbers, panel, picture, spread
 from pmabench.plotting.plots import FULL, INK, PALETTE, QUIET, Panel, blank, few_ticks, grid
-from pmabench.store.analyses.results import Analysis, Trace
+from pmabench.store.analyses.results import Analysis, Finding, Trace
+from pmabench.store.records import Array, RunData, TrialData
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from pmabench.kinds.arm_angle.reduction import Fitted
+
+CURVE = 121
+"""Points of a drawn curve."""
+PARAMETERS = {p.name: p for p in MODELS["arm-angle"].parameters}
+HIGHEST, LOWEST, MOST = PARAMETERS["pressure"].high, PARAMETERS["pressure"].low, PARAMETERS["load"].high
+"""Where paper 2's formula holds [Pa, Pa, kg]."""
+BARELY = 1.01
+"""Measured pressures outside of a formula by no more than this factor count as its end."""
+TABLE_1 = {0.0: 84.333, 0.1: 84.0, 0.2: 75.5, 0.3: 66.0, 0.4: 57.0, 0.5: 47.0}
+"""Load [kg] -> largest angle [deg], Table 1 of paper 2."""
+DRIFTS = 0.005
+"""Drift at the end of a hold, as a share of the largest angle, that is doubted."""
+SAME = np.radians(0.01)
+"""Difference of both ways that nobody can measure [rad]."""
+BENT = np.radians(1.0)
+"""Angle without load at the preload that is reported: paper 2 calls the arm straight there [rad]."""
+APART = 0.02
+"""Share of the largest angle by which the displacement may give another one."""
+
+
+def of_rests(loads: Sequence[Loaded], settings: Mapping[str, Any]) -> list[Finding]:
+    """What catches the eye in the angles themselves."""
+    if not loads:
+        return []
+    rests = [(stair, rest) for one in loads for stair in one.stairs for rest in stair.rests]
+    largest = max(abs(rest.angle) for _, rest in rests)
+    found = []
+    turned = [one for one in loads if one.up[:, -1].mean() < one.up[:, 0].mean()]
+    if turned:
+        at = ", ".join(f"{one.mass:g} kg" for one in turned)
+        text = f"with {at} the angle falls where the pressure rises: a wrong sign, or another muscle bends the arm"
+        found.append(Finding("fault", text))
+    stair, drifting = max(rests, key=lambda pair: abs(pair[1].drift))
+    if abs(drifting.drift) > max(DRIFTS * largest, 6 * drifting.noise):
+        where = f"{show(drifting.set, 'pressure', 3)} of trial {stair.trial.name}"
+        text = f"the angle still changes by {show(drifting.drift, 'angle', 2)} at {where}: hold longer"
+        found.append(Finding("doubt", text))
+    free = next((one for one in loads if one.mass == 0), None)
+    if free is not None and abs(free.up[:, 0].mean()) > BENT:
+        text = f"without load the arm is bent by {show(float(free.up[:, 0].mean()), 'angle', 2)} at the preload"
+        found.append(Finding("note", f"{text}, where paper 2 calls it straight: creep, or a zero that is off"))
+    found += _gaps(loads)
+    if settings.get("angle") != "from-displacement":
+        found += _arcs(rests, largest, settings)
+    return found
+
+
+def _gaps(loads: Sequence[Loaded]) -> list[Finding]:
+    """Hysteresis in words; a branch on the wrong side is doubted."""
+    known = [(one, one.widest) for one in loads if one.widest is not None]
+    if not known:
+        return []
+    one, place = max(known, key=lambda pair: abs(pair[0].gaps[:, pair[1]].mean()))
+    gap, P = float(one.gaps[:, place].mean()), show(float(one.pressure[place]), "pressure", 3)
+    noise = max(rest.noise for stair in one.stairs for rest in stair.rests)
+    if abs(gap) <= (least := max(6 * noise, SAME)):
+        return [Finding("note", f"both ways agree within {show(least, 'angle', 2)}: no hysteresis is seen")]
+    text = f"from above the angle is up to {show(abs(gap), 'angle', 2)} {'larger' if gap >= 0 else 'smaller'}"
+    level = "doubt" if gap < -6 * noise else "note"
+    why = ": hysteresis and creep make it larger" if level == "doubt" else ""
+    return [Finding(level, f"{text} than from below ({P}, {one.mass:g} kg){why}")]
+
+
+def _arcs(rests: Sequence[Any], largest: float, settings: Mapping[str, Any]) -> list[Finding]:
+    """The angle against the contraction of the bending muscle by the radius."""
+    pairs = np.array([(rest.angle, rest.arc) for _, rest in rests if np.isfinite(rest.arc)])
+    if not len(pairs):
+        return []
+    off = pairs[:, 1] - pairs[:, 0]
+    most = float(off[np.argmax(np.abs(off))])
+    radius = show(float(settings["radius"]), "length", 3)
+    text = f"the displacement of the bending muscle by its radius of {radius} tells"
+    if abs(most) <= max(APART * largest, np.radians(0.5)):
+        return [Finding("note", f"{text} the same angle within {show(max(abs(most), SAME), 'angle', 2)}")]
+    way = "the arm is no arc of one curvature, its middle is pressed together, or the radius is another"
+    return [Finding("doubt", f"{text} another angle by up to {show(most, 'angle', 2)}: {way}")]
+
+
+def of_fits(fits: Sequence[Fitted]) -> list[Finding]:
+    """How well paper 2's form does at each load."""
+    found = []
+    for reason in dict.fromkeys(one.why for one in fits if one.why):
+        masses = ", ".join(f"{one.of.mass:g} kg" for one in fits if one.why == reason)
+        found.append(Finding("note", f"{masses}: {reason}"))
+    wrong = [f"{one.of.mass:g} kg" for one in fits if one.up is not None and not one.up.converged]
+    if wrong:
+        found.append(Finding("doubt", f"{', '.join(wrong)}: the form of paper 2 does not converge on these angles"))
+    good = [(one.of, one.up) for one in fits if one.up is not None and one.up.converged]
+    if good:
+        one, fit = max(good, key=lambda pair: float(np.abs(pair[1].computed - pair[1].measured).max()))
+        off = float(np.abs(fit.computed - fit.measured).max())
+        text = f"a, b, c, d of each load follow the way up within {show(off, 'angle', 2)}"
+        found.append(Finding("note", f"{text} (largest with {one.mass:g} kg)"))
+    return found
+
+
+def of_matrix(fit: ModelFit | None, why: str, fits: Sequence[Fitted]) -> list[Finding]:
+    """The powers of the load: how well they do at the loads, and how much they are worth between."""
+    if fit is None:
+        return [Finding("note", why)] if fits else []
+    off = float(np.abs(fit.computed - fit.measured).max())
+    found = [Finding("note", f"a to d as powers of the load (paper 2's 20 numbers): within {show(off, 'angle', 2)}")]
+    if not fit.converged:
+        found = [Finding("doubt", "a to d as powers of the load: the fit does not converge")]
+    omitted = left_out([one for one in fits if one.up is not None])
+    if omitted is not None:
+        powers, cubics = (show(value, "angle", 2) for value in omitted)
+        text = f"each inner load left out: the powers of the load miss its angles by up to {powers}"
+        found.append(Finding("note", f"{text}, monotone cubics from load to load by up to {cubics}"))
+    return found
+
+
+def left_out(fits: Sequence[Fitted]) -> tuple[float, float] | None:
+    """Largest errors [rad] at inner loads that are left out: powers of the load in a to d, and cubics at a pressure.
+
+    The cubics are monotone, through the angles of the other loads at the same commanded pressure. None for fewer than
+    six loads.
+    """
+    powers = 4
+    if len(fits) < powers + 2:
+        return None
+    w = np.array([one.of.mass for one in fits])
+    known = np.array([[u.value for u in one.up.unknowns] for one in fits if one.up is not None])
+    by_powers = by_cubics = 0.0
+    for i in range(1, len(fits) - 1):
+        rest = np.arange(len(fits)) != i
+        one, others = fits[i].of, [fits[k].of for k in range(len(fits)) if k != i]
+        a, b, c, d = (
+            float(np.polynomial.polynomial.polyval(w[i], np.polynomial.polynomial.polyfit(w[rest], column, powers)))
+            for column in known[rest].T
+        )
+        measured = one.up.mean(axis=0)
+        if c > 0 and d > 0:
+            by_powers = max(by_powers, float(np.abs(a + b / (1 + (one.pressure / c) ** d) - measured).max()))
+        else:
+            by_powers = float("inf")
+        common = [P for P in one.sets if all(P in other.sets for other in others)]
+        for P in common:
+            there = [float(other.up.mean(axis=0)[other.sets.index(P)]) for other in others]
+            guess = float(PchipInterpolator(w[rest], there)(w[i]))
+            by_cubics = max(by_cubics, abs(guess - float(measured[one.sets.index(P)])))
+    return by_powers, by_cubics
+
+
+def paper_angle(P: Array, mass: float) -> Array:
+    """Paper 2's angle [rad] at P [Pa] and a load [kg]; nan where it does not hold."""
+    there = (LOWEST / BARELY <= P) & (HIGHEST * BARELY >= P) & (mass <= MOST * (1 + 1e-9))
+    found = np.full(P.shape, np.nan)
+    if there.any():
+        inside = np.clip(P[there], LOWEST, HIGHEST)
+        found[there] = MODELS["arm-angle"].evaluate({"pressure": inside, "load": min(mass, MOST)})["angle"]
+    return found
+
+
+def printed(mass: float) -> float | None:
+    """The largest angle of Table 1 at a load [kg], in rad."""
+    return next((float(np.radians(angle)) for load, angle in TABLE_1.items() if abs(load - mass) < 1e-6), None)
+
+
+def of_paper(fits: Sequence[Fitted]) -> list[Finding]:
+    """Paper 2's formula and Table 1 compared with what was measured."""
+    found = []
+    off = [(one.of, one.of.mean - paper_angle(one.of.pressure, one.of.mass)) for one in fits]
+    known = [(one, values, int(np.nanargmax(np.abs(values)))) for one, values in off if np.isfinite(values).any()]
+    if known:
+        one, values, place = max(known, key=lambda item: abs(item[1][item[2]]))
+        where = f"{show(float(one.pressure[place]), 'pressure', 3)}, {one.mass:g} kg"
+        text = f"measured less paper 2's formula: up to {show(float(values[place]), 'angle', 2)} ({where})"
+        found.append(Finding("note", text))
+    rows = []
+    for fitted in fits:
+        table = printed(fitted.of.mass)
+        if table is not None:
+            less = float(fitted.of.up.mean(axis=0).max()) - table
+            rows.append(f"{np.degrees(less):+.2f} ({fitted.of.mass:g} kg)")
+    if rows:
+        found.append(Finding("note", f"largest angles less Table 1 of paper 2, in deg: {', '.join(rows)}"))
+    return found
+
+
+def trace(fitted: Fitted, *, compare: bool) -> Trace:
+    """Points first, then the curves."""
+    one = fitted.of
+    P = np.linspace(max(float(one.pressure[0]), 0.0), float(one.pressure[-1]), CURVE)
+    blank, none = np.full(CURVE, np.nan), np.full(len(one.pressure), np.nan)
+    fit = blank
+    if fitted.up is not None and fitted.up.converged:
+        fit = fitted.up.band({"pressure": np.minimum(P, HIGHEST)})[0]
+    down = one.down.mean(axis=0)
+    columns = {
+        "pressure": np.concatenate([one.pressure, P]),
+        "angle": np.concatenate([one.mean, blank]),
+        "below": np.concatenate([one.up.mean(axis=0), blank]),
+        "above": np.concatenate([down, blank]),
+        "fit": np.concatenate([none, fit]),
+        "model": np.concatenate([none, paper_angle(P, one.mass) if compare else blank]),
+    }
+    marks = {"tip_mass": one.mass}
+    if compare and (table := printed(one.mass)) is not None:
+        marks["table"] = table
+    return Trace(
+        name=f"arm-angle-{1000 * one.mass:.0f}-g",
+        figure="arm-angle",
+        title=f"Bending angle over pressure, {one.mass:g} kg",
+        columns=columns,
+        quantities={"pressure": "pressure"} | dict.fromkeys(("angle", "below", "above", "fit", "model"), "angle"),
+        marks=marks,
+    )
+
 
 LOADS = 6
 NAMES = ("pressure", "angle", "below", "above", "fit", "model")
@@ -88,3 +312,26 @@ def drawing_of(panels: Sequence[Panel], labels: dict[str, str]) -> Figure:
         gap.set_ylabel(labels["gap"])
         few_ticks(gap)
     return figure
+
+
+def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
+    """Angle at the preload, the largest one, and by how much both ways are apart at most."""
+    try:
+        stair = stair_of(run, trial, run.plan.get("settings") or {})
+    except NotUsable as reason:
+        return [Measured("alpha_0", "angle", None), Measured("alpha_max", "angle", None)], [str(reason)]
+    sets = [rest.set for rest in stair.rests if rest.side < 0]
+    up, down = stair.column(sets, -1), stair.column(sets, 1)
+    noise = 6 * max(rest.noise for rest in stair.rests)
+    worst = max(stair.rests, key=lambda rest: abs(rest.drift))
+    drifts = abs(worst.drift) > max(DRIFT * float(np.ptp(up)) / 4, noise)
+    doubts = [f"the angle still changes by {show(worst.drift, 'angle', 2)}"] if drifts else []
+    if up[-1] < up[0]:
+        doubts.append("the angle falls where the pressure rises")
+    gaps = (down - up)[np.isfinite(down)]
+    apart = [Measured("alpha_H", "angle", float(gaps[np.argmax(np.abs(gaps))]), noise=noise)] if len(gaps) else []
+    return [
+        Measured("alpha_0", "angle", float(up[0]), noise=noise),
+        Measured("alpha_max", "angle", float(up.max()), noise=noise),
+        *apart,
+    ], doubts

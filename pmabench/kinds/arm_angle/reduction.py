@@ -17,7 +17,7 @@ from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.form import weighed
 from pmabench.analysis.shared.isometric_lines import spread
 from pmabench.base.quantities import show
-from pmabench.kinds.arm_angle import RESULTS, form, view
+from pmabench.kinds.arm_angle import RESULTS, figures, stairs
 from pmabench.kinds.arm_angle.stairs import Loaded, loads_of
 from pmabench.model.library import MODELS
 from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, withhold
@@ -67,10 +67,10 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     other = next((e.note for e in estimates if e.withheld and e.method == UP), "")
     estimates += [withhold(e, other) if other and e.value is not None else e for e in powers]
     findings = [
-        *view.of_rests(loads, settings),
-        *view.of_fits(fits),
-        *view.of_matrix(matrix, why, fits),
-        *(view.of_paper(fits) if compare else []),
+        *figures.of_rests(loads, settings),
+        *figures.of_fits(fits),
+        *figures.of_matrix(matrix, why, fits),
+        *(figures.of_paper(fits) if compare else []),
     ]
     if estimates and (lacking := scales.lack((channel, "pressure"))):
         findings.append(Finding("note", lacking))
@@ -81,7 +81,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         estimates=estimates,
         dropped=dropped,
         findings=findings,
-        traces=[view.trace(one, compare=compare) for one in fits],
+        traces=[figures.trace(one, compare=compare) for one in fits],
         facts={
             "options": dict(options or {}),
             "trials": sum(len(one.stairs) for one in loads),
@@ -111,7 +111,7 @@ def _of_load(fitted: Fitted, scales: Scales, channel: str, settings: Mapping[str
         )
         parts = Parts(half, method, scales.part(gains, offsets))
         e = Estimate(symbol, value, "rad", "angle", REST, at, parts, len(values), note=note, trials=names)
-        return weighed(e, form.at_rest(one, place), largest)
+        return weighed(e, stairs.at_rest(one, place), largest)
 
     top = int(np.argmax(one.up.mean(axis=0)))
     widest = one.widest
@@ -123,7 +123,7 @@ def _of_load(fitted: Fitted, scales: Scales, channel: str, settings: Mapping[str
         parts = Parts(half, 0.0, scales.part({channel: value}))
         note = "" if half is not None else ONCE
         e = Estimate("alpha_H", value, "rad", "angle", REST, at, parts, len(gaps), note=note, trials=names)
-        found.append(weighed(e, form.of_gap(one, widest, value)))
+        found.append(weighed(e, stairs.of_gap(one, widest, value)))
     found += _coefficients(fitted.up, fitted.why, UP, at, [one])
     if one.both:
         found += _coefficients(fitted.mean, fitted.why, MEAN, at, [one])
@@ -151,7 +151,7 @@ def _flat(one: Loaded, top: int, scales: Scales, names: tuple[str, ...]) -> Esti
     coarse = 0.1 * float(np.diff(one.pressure[: top + 1]).max()) / 2
     parts = Parts(half, coarse, scales.part({"pressure": value}, {"pressure": 1.0}))
     e = Estimate("P_flat", value, "Pa", "pressure", REST, at, parts, len(each), note=note, trials=names)
-    return weighed(e, form.of_flat(one, top, value, flat_from))
+    return weighed(e, stairs.of_flat(one, top, value, flat_from))
 
 
 def flat_from(P: Array, angle: Array) -> float | None:
@@ -174,8 +174,8 @@ def _fitted(one: Loaded) -> Fitted:
     """Paper 2's form at one load, with coefficients fitted to it."""
     if len(one.pressure) <= len(UNKNOWN):
         return Fitted(one, None, None, f"no fit: {len(one.pressure)} pressures for {len(UNKNOWN)} coefficients")
-    if one.pressure[-1] > view.BARELY * view.HIGHEST:
-        return Fitted(one, None, None, f"no fit: the form holds up to {show(view.HIGHEST, 'pressure')}")
+    if one.pressure[-1] > figures.BARELY * figures.HIGHEST:
+        return Fitted(one, None, None, f"no fit: the form holds up to {show(figures.HIGHEST, 'pressure')}")
     try:
         up = _fit(one.pressure, one.up.mean(axis=0))
         return Fitted(one, up, _fit(one.pressure, one.mean) if one.both else None)
@@ -189,15 +189,15 @@ def _fit(P: Array, angle: Array) -> ModelFit:
         "b": float(angle[0] - angle[-1]),
         "c": float(np.interp(0.5 * (angle[0] + angle[-1]), np.maximum.accumulate(angle), P)),
     }
-    columns = {"pressure": np.clip(P, 0.0, view.HIGHEST)}
+    columns = {"pressure": np.clip(P, 0.0, figures.HIGHEST)}
     return fit_model(MODELS[FORM], "angle", columns, {}, angle, UNKNOWN, start=start)
 
 
 def _matrix(fits: Sequence[Fitted]) -> tuple[ModelFit | None, str]:
     """Paper 2's 20 numbers: the coefficients as powers of the load, through the ways up of all loads at once."""
     used = [(one.of, one.up) for one in fits if one.up is not None]
-    if len(used) < form.POWERS:
-        return None, f"no powers of the load: {len(used)} loads with a fit, {form.POWERS} are needed"
+    if len(used) < stairs.POWERS:
+        return None, f"no powers of the load: {len(used)} loads with a fit, {stairs.POWERS} are needed"
     model = MODELS[FORM_LOADS]
     w = np.array([one.mass for one, _ in used])
     most = next(p.high for p in model.parameters if p.name == "load")
@@ -205,10 +205,10 @@ def _matrix(fits: Sequence[Fitted]) -> tuple[ModelFit | None, str]:
         return None, f"no powers of the load: they hold up to {most:g} kg"
     start: dict[str, float] = {}
     for i, row in enumerate(UNKNOWN):
-        powers = np.polynomial.polynomial.polyfit(w, [up.unknowns[i].value for _, up in used], form.POWERS - 1)
+        powers = np.polynomial.polynomial.polyfit(w, [up.unknowns[i].value for _, up in used], stairs.POWERS - 1)
         start |= {f"{row}_{n}": float(power) for n, power in enumerate(powers)}
     columns = {
-        "pressure": np.concatenate([np.clip(one.pressure, 0.0, view.HIGHEST) for one, _ in used]),
+        "pressure": np.concatenate([np.clip(one.pressure, 0.0, figures.HIGHEST) for one, _ in used]),
         "load": np.concatenate([np.full(len(one.pressure), min(one.mass, most)) for one, _ in used]),
     }
     measured = np.concatenate([one.up.mean(axis=0) for one, _ in used])
@@ -241,6 +241,6 @@ def _coefficients(
     if fit is None:
         return found
     if method == MATRIX:
-        return form.of_loads(found, loads)
+        return stairs.of_loads(found, loads)
     (one,) = loads
-    return form.of_fit(found, one, [u.value for u in fit.unknowns], both=method == MEAN)
+    return stairs.of_fit(found, one, [u.value for u in fit.unknowns], both=method == MEAN)

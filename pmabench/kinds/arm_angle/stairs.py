@@ -1,17 +1,25 @@
-"""The rests of an arm's staircase of pressure: one trial up and down under one load; grouped by load."""
+"""The rests of an arm's staircase of pressure: one trial up and down under one load; grouped by load.
+
+And what departures do to its angles: no rest at the end of a hold, a cable that slips, another curve than the form. An
+angle whose zero is off is not seen by any of them.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
+from scipy.optimize import least_squares
 
+from pmabench.analysis.shared import student
+from pmabench.analysis.shared.form import Doubt, weighed
+from pmabench.analysis.shared.isometric_lines import spread
 from pmabench.analysis.shared.samples import Held, Left, NotUsable, left, noise_of
 from pmabench.base.quantities import show
-from pmabench.store.analyses.results import Dropped
+from pmabench.store.analyses.results import Dropped, Estimate, withhold
 from pmabench.store.records import Array, RunData, TrialData
 
 LAST = 0.2
@@ -207,3 +215,175 @@ def measure(run: RunData, trial: TrialData, settings: Mapping[str, Any]) -> Stai
         moved = f"{show(float(found), 'pressure', 3)} of the {show(float(wanted), 'pressure', 3)} that were commanded"
         raise NotUsable(f"over the rests on its way up the measured pressure moves by {moved}: a dead or wrong channel")
     return Stair(run, trial, tuple(rests))
+
+
+LATE = 0.25
+"""Share of the gap of both ways above which what is left of a motion is not left to its interval."""
+OFF = 3.0
+"""Errors of a mean angle by which the form may miss it (root mean square)."""
+POWERS = 5
+"""Of the load, from 0 on: so many loads can be fitted exactly, and more than that say whether the powers hold."""
+LEAST = 0.003
+"""Share of the largest angle below which a miss says nothing against the form."""
+
+
+def _moving(one: Loaded, place: int, side: int) -> tuple[Left, str]:
+    found = one.motion(place, side)
+    where = f"{show(one.sets[place], 'pressure')}, {one.mass:g} kg"
+    text = f"the angle is not at rest: after the hold it may still change by {show(found.most, 'angle', 2)} ({where})"
+    return found, f"{text}. Hold longer"
+
+
+def _slips(one: Loaded, share: float = 1.0) -> Doubt:
+    size, seen = one.slip
+    text = f"with {one.mass:g} kg one trial comes back to the preload {show(size, 'angle', 2)} off the others"
+    reason = f"{text}: a cable or a mount slips. Fasten it, and do the load again"
+    return Doubt("slip", "drift", share * size if seen else 0.0, seen, reason)
+
+
+def at_rest(one: Loaded, place: int) -> list[Doubt]:
+    """Of an angle on the way up."""
+    further, reason = _moving(one, place, -1)
+    return [Doubt("motion after the hold", "method", further.most, further.seen, reason), _slips(one)]
+
+
+def of_gap(one: Loaded, place: int, value: float) -> list[Doubt]:
+    """Of the gap of both ways: what is left of the motions closes it."""
+    found = [_moving(one, place, side) for side in (-1, 1)]
+    half, seen = sum(further.most for further, _ in found), any(further.seen for further, _ in found)
+    reason = next((text for further, text in found if further.seen), "")
+    slip = _slips(one, 1 / len(one.stairs))
+    doubts = [Doubt("motion after the hold", "method", half, seen, reason), slip]
+    return [one if one.half > LATE * abs(value) else replace(one, reason="") for one in doubts]
+
+
+def of_flat(one: Loaded, top: int, value: float, flat_from: Callable[[Array, Array], float | None]) -> list[Doubt]:
+    """Of the pressure from which on the angle stays: what the largest angle would still change by moves it."""
+    further, reason = _moving(one, top, -1)
+    P, angles = one.pressure[: top + 1], one.up.mean(axis=0)[: top + 1]
+    moved = [flat_from(P, np.append(angles[:-1], angles[-1] + way * further.most)) for way in (-1, 1)]
+    half = max((abs(other - value) for other in moved if other is not None), default=0.0)
+    return [Doubt("motion after the hold", "method", half, further.seen, reason)]
+
+
+def of_fit(estimates: Sequence[Estimate], one: Loaded, start: Sequence[float], *, both: bool) -> list[Estimate]:
+    """The coefficients of the form through one load: with the scatter of the trials, or withheld where it misses them.
+
+    `start` are the values of the fit to the mean of the trials; `both`: through the mean of both ways.
+    """
+    turned = np.where(np.isfinite(one.down), one.down, one.up)
+    rows = 0.5 * (one.up + turned) if both else one.up
+    mean = rows.mean(axis=0)
+    fitted = _fit(one.pressure, mean, start)
+    each = np.array([_fit(one.pressure, row, fitted) for row in rows])
+    motions = [one.motion(place, -1) for place in range(len(one.sets))]
+    further = np.array([motion.most for motion in motions])
+    tilts = np.ones(len(mean)), np.linspace(-1.0, 1.0, len(mean))
+    moved = np.hypot(*(_fit(one.pressure, mean + tilt * further, fitted) - fitted for tilt in tilts))
+    miss = float(np.sqrt(np.sum((_curve(one.pressure, fitted) - mean) ** 2) / max(1, len(mean) - len(fitted))))
+    error = _error(one, rows)
+    other = miss > OFF * error and miss > LEAST * float(np.abs(mean).max())
+    text = (
+        f"the angles lie {show(miss, 'angle', 2)} (rms) off this form, {miss / max(error, 1e-12):.0f} of their errors"
+    )
+    slip = _slips(one)
+    found = []
+    for index, e in enumerate(estimates):
+        if e.value is None or e.parts.repeats is None:
+            found.append(e)
+            continue
+        if other:
+            found.append(withhold(e, f"{text}: it is another curve. Take the angles at rest"))
+            continue
+        scatter = spread(each[:, index])
+        slipped = _fit(one.pressure, mean + slip.half * np.linspace(0.0, 1.0, len(mean)), fitted)[index] - fitted[index]
+        doubts = [
+            Doubt("motion after the hold", "method", float(moved[index]),
+                  any(motion.seen for motion in motions)),
+            replace(slip, half=abs(float(slipped)) + (slip.half if e.coordinate == "a" else 0.0)),
+        ]  # fmt: skip
+        wider = replace(e.parts, repeats=max(e.parts.repeats, scatter or 0.0))
+        found.append(weighed(replace(e, parts=wider), doubts))
+    return found
+
+
+def of_loads(estimates: Sequence[Estimate], loads: Sequence[Loaded]) -> list[Estimate]:
+    """The powers of the load, `estimates` by coordinate (`a_0` and so on), of the fit to the ways up of these `loads`:
+    with the scatter of the trials and what motions and slips could do, or withheld where angles lie off the form.
+
+    To first order: a change of the angles is taken through the linearized least squares.
+    """
+    known = {e.coordinate: e.value for e in estimates}
+    terms = [[known[f"{name}_{n}"] for n in range(POWERS)] for name in "abcd"]
+    if any(value is None for row in terms for value in row):
+        return list(estimates)
+    slopes = np.vstack([_slopes(one, np.array(terms, dtype=np.float64)) for one in loads])
+    scale = np.sqrt(np.sum(slopes**2, axis=0))
+    solve = np.linalg.pinv(slopes / scale, rcond=1e-12) / scale[:, None]
+    parts = np.split(solve, np.cumsum([len(one.sets) for one in loads])[:-1], axis=1)
+    off = [one.up.mean(axis=0) - _curve(one.pressure, _at(one, np.array(terms))) for one in loads]
+    freedom = sum(map(len, off)) - solve.shape[0]
+    miss = float(np.sqrt(sum(float(row @ row) for row in off) / max(1, freedom)))
+    error = float(np.sqrt(np.mean([_error(one, one.up) ** 2 for one in loads])))
+    if len(loads) > POWERS and miss > max(OFF * error, LEAST * max(float(np.abs(one.mean).max()) for one in loads)):
+        text = f"the angles of all loads lie {show(miss, 'angle', 2)} (rms) off the powers of the load"
+        reason = f"{text}, {miss / max(error, 1e-12):.0f} of their errors: take the coefficients of each load"
+        return [e if e.value is None else withhold(e, reason) for e in estimates]
+    scatter = [np.var(part @ one.up.T, axis=1, ddof=1) / len(one.up) for part, one in zip(parts, loads, strict=True)
+               if len(one.up) > 1]  # fmt: skip
+    few = sum(len(one.up) - 1 for one in loads)
+    repeats = student.ppf(0.975, few) * np.sqrt(np.sum(scatter, axis=0)) if scatter else np.zeros(len(solve))
+    motions = [[one.motion(place, -1) for place in range(len(one.sets))] for one in loads]
+    further = [part @ [motion.most for motion in row] for part, row in zip(parts, motions, strict=True)]
+    slipped = [_slips(one).half * part.sum(axis=1) for part, one in zip(parts, loads, strict=True)]
+    seen = any(motion.seen for row in motions for motion in row)
+    found = []
+    for e, half, moved, slip in zip(
+        estimates, repeats, np.hypot.reduce(further), np.hypot.reduce(slipped), strict=True
+    ):
+        wider = replace(e.parts, repeats=max(e.parts.repeats or 0.0, float(half)))
+        doubts = [
+            Doubt("motion after the hold", "method", float(moved), seen),
+            Doubt("slip", "drift", float(slip), True),
+        ]
+        found.append(weighed(replace(e, parts=wider), doubts))
+    return found
+
+
+def _at(one: Loaded, terms: Array) -> Array:
+    """a, b, c, d at a load by their powers, shape (4, POWERS)."""
+    return np.asarray(terms @ one.mass ** np.arange(POWERS))
+
+
+def _slopes(one: Loaded, terms: Array) -> Array:
+    """Derivatives of the angles at a load by all powers, shape (pressures, 4 POWERS)."""
+    _, b, c, d = _at(one, terms)
+    P = np.maximum(one.pressure, 1.0)
+    share = (P / c) ** d
+    bent = b * share / (1 + share) ** 2
+    each = np.column_stack([np.ones(len(P)), 1 / (1 + share), bent * d / c, -bent * np.log(P / c)])
+    return np.asarray((each[:, :, None] * one.mass ** np.arange(POWERS)).reshape(len(P), -1))
+
+
+def _error(one: Loaded, rows: Array) -> float:
+    """Standard error of a mean angle of like rests [rad], without what a trial is off as a whole; shape (trials, n)."""
+    within = np.sqrt(np.mean(np.var(rows - rows.mean(axis=1, keepdims=True), axis=0, ddof=min(1, len(rows) - 1))))
+    noise = max(rest.noise for stair in one.stairs for rest in stair.rests)
+    return max(float(within), noise) / float(np.sqrt(len(rows)))
+
+
+def _curve(P: Array, terms: Array) -> Array:
+    """Angle [rad] of the form of paper 2."""
+    a, b, c, d = terms
+    return np.asarray(a + b / (1 + (np.maximum(P, 0.0) / abs(c)) ** d))
+
+
+def _fit(P: Array, angles: Array, start: Sequence[float] | Array) -> Array:
+    """Coefficients a, b, c, d by least squares from those near by."""
+    begin = np.array(start, dtype=np.float64)
+
+    def miss(share: Array) -> Array:
+        return np.asarray(_curve(P, share * begin) - angles)
+
+    solved = least_squares(miss, np.ones(len(begin)), method="lm")
+    return np.asarray(solved.x * begin)

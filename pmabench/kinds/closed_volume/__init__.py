@@ -1,7 +1,7 @@
 """A filled muscle, shut off and contracted slowly: its volume over contraction.
 
-- `reduction`, made of `stroke`, `fit` and `form`
-- protocol files: `protocol`; one trial on the display: `live`; figures: `figures`
+- `reduction`, made of `stroke`
+- protocol files: `protocol`; figures and one trial on the display: `figures`
 """
 
 from pmabench.base.imported import Imported
@@ -32,7 +32,7 @@ KIND = Kind(
     reduction="pmabench.kinds.closed_volume.reduction:reduce",
     papers=("paper 3, closed muscle",),
     protocol="pmabench.kinds.closed_volume.protocol:ClosedVolume",
-    live="pmabench.kinds.closed_volume.live:measure",
+    live="pmabench.kinds.closed_volume.figures:measure",
     moves="displacement",
     methods=METHODS,
     figures={

@@ -1,4 +1,7 @@
-"""Figure of a closed volume: V over contraction from each start pressure, and the curve through all."""
+"""Figure of a closed volume: V over contraction from each start pressure, and the curve through all.
+
+`measure`: what one trial says by itself, for the display.
+"""
 
 from __future__ import annotations
 
@@ -7,11 +10,17 @@ from math import degrees
 
 import numpy as np
 
+from pmabench.analysis.shared.samples import NotUsable
+from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
+from pmabench.kinds.closed_volume.reduction import LEAKS
+from pmabench.kinds.closed_volume.stroke import Gas
+from pmabench.kinds.closed_volume.stroke import measure as stroke_of
 from pmabench.plotting import plots
 from pmabench.plotting.pictures import Picture, bound, column, has, how_many, numbers, picture, spread, unit_of
 from pmabench.plotting.plots import Points
 from pmabench.store.analyses.results import Analysis, Trace
+from pmabench.store.records import RunData, TrialData
 
 NAMES = ("contraction", "volume", "half")
 PRESSURES = 4
@@ -53,3 +62,18 @@ def _points(trace: Trace, i: int) -> Points:
         curve = (x, column(trace, "curve"), np.zeros(len(x)))
     name = show(trace.marks["pressure"], "pressure") if "pressure" in trace.marks else f"{i + 1}"
     return Points(f"from {name}", x, y, half, half, primary=i == 0, group=i, mark=i, curve=curve)
+
+
+def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
+    """The volume at the end of the stroke, and the pressure that leaks away over the trial."""
+    settings = run.plan.get("settings") or {}
+    try:
+        stroke = stroke_of(run, trial, settings)
+    except NotUsable as reason:
+        return [Measured("V", "volume", None)], [str(reason)]
+    gas = Gas(*(float(settings[name]) for name in ("reference_volume", "dead_volume", "atmosphere", "exponent")))
+    V = stroke.volumes(gas, leak=True)[:, -1]
+    share = stroke.lost / (stroke.before + gas.atmosphere)
+    return [Measured("V", "volume", float(V.mean())), Measured("leak", "pressure", stroke.lost, noise=stroke.noise)], (
+        [f"{share:.1%} of the air is lost over the trial"] if share > LEAKS else []
+    )

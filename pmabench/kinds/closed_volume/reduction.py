@@ -18,9 +18,7 @@ from pmabench.analysis.shared.lines import mean_half
 from pmabench.analysis.shared.samples import NotUsable
 from pmabench.base.quantities import show
 from pmabench.kinds.closed_volume import RESULTS
-from pmabench.kinds.closed_volume.fit import fit_volume, volume_at
-from pmabench.kinds.closed_volume.form import form_of
-from pmabench.kinds.closed_volume.stroke import Gas, Stroke, measure
+from pmabench.kinds.closed_volume.stroke import Gas, Stroke, fit_volume, form_of, measure, volume_at
 from pmabench.store.analyses.results import Analysis, Dropped, Estimate, Finding, Parts, Trace, withhold
 from pmabench.store.records import Array, RunData, TrialData
 

@@ -64,10 +64,6 @@ class Hiding:
         return sqrt(float((combination @ self.change) ** 2 @ self.likely))
 
 
-PART_OF_MUSCLE, PART_OF_BENCH = 0.3, 0.1
-"""Share of a correction that is in the interval of what was corrected: loads that are left out do not show what biases
-all of them alike. Of what a muscle does no form is exact, of a delay, a drift or a slip nearly so. Chosen and confirmed
-on campaigns with known faults."""
 CORRECTED = "correction"
 
 

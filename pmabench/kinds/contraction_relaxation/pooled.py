@@ -149,6 +149,11 @@ class Fit(Solved):
         values = self.theta[self.columns(symbol)]
         return np.asarray(values[left] * (1 - share) + values[left + 1] * share)
 
+    def pulled(self, by: Array) -> Fit:
+        """The fit to the same segments with `by` (n,) [N] added to F_L."""
+        change = self.change(by[:, None])[:, 0]
+        return replace(self, theta=self.theta + change, residual=self.residual + by - self.design @ change)
+
     def again(self, segments: Segments, noise: float) -> Fit:
         """See `Solved`."""
         return solve(segments, self.knots, noise, self.halves, self.added)
@@ -251,12 +256,12 @@ def solve_design(
 def prior_of(segments: Segments, design: Array, knots: Array, noise: float) -> Array:
     """Rows that draw each knot weakly to the line between its neighbours, and everything very weakly to 0."""
     k, p = len(knots), design.shape[1]
-    sizes = sizes_of(segments)
+    sizes, bends = sizes_of(segments), bent(knots)
     noise = max(noise, FLOOR * sizes[0])
     rows = [np.diag([noise / (1e3 * size) for size in np.repeat(sizes, k)] + [noise / (1e3 * sizes[0])])]
     for number, size in enumerate(sizes):
         bend = np.zeros((k - 2, p))
-        bend[:, number * k : (number + 1) * k] = bent(knots) * (noise / (BEND * size))
+        bend[:, number * k : (number + 1) * k] = bends * (noise / (BEND * size))
         rows.append(bend)
     return np.vstack(rows)
 

@@ -36,6 +36,11 @@ GUESSED = 1.5
 """dF/dP may be so many times F/P, which is taken where one pressure was tested."""
 LEFT_OF_TURNS = 0.2
 """Share of what taking off the turns changes that may still be in a value: they need not fade as an exponential."""
+SLOW_TURNS = 0.2
+"""Share of the hysteresis that may fade over most of the stroke: the gap does not show it, and it adds to the slope.
+In a fluidic muscle, described by stops of several widths, a fifth of it has a reach of 16 mm."""
+SLOW_REACH = 0.75
+"""Share of the stroke over which that fades: on a shorter way the gap shows it, on a longer one it adds less."""
 UPSIDE_DOWN = (
     "the force is larger while contracting than while expanding, and no muscle gives work back like that: look for a "
     "wrong sign, or force and displacement that are apart in time"
@@ -158,6 +163,15 @@ class Cell:
         slopes = [_local(self.x, self.curve, place)[1] for place in places]
         return max(float(abs(s - straight)) + self._window_error(p)[1] for s, p in zip(slopes, places, strict=True))
 
+    @cached_property
+    def many_slopes(self) -> str:
+        """Why no one stiffness describes the stroke: its slopes differ as much as their mean; empty where one does."""
+        if self.change < abs(float(np.polyfit(self.x, self.curve, 1)[0])):
+            return ""
+        local = [-_local(self.x, self.curve, float(place))[1] for place in np.linspace(self.x[0], self.x[-1], PLACES)]
+        ends = " to ".join(show(K, "stiffness", 3) for K in (min(local), max(local)))
+        return f"the mean curve is bent, K is {ends} along the stroke: it is given at each contraction instead"
+
     @property
     def upside_down(self) -> bool:
         """Whether the contracting branch is the upper one, by more than scatter."""
@@ -201,10 +215,13 @@ class Cell:
         by_turns = self._of_turns(lambda curve: float(np.polyfit(x, curve, 1)[0]))
         kinds = [(CURVE, lambda loop: loop.mean), (RAW, lambda loop: loop.raw_mean)]
         for method, curve in kinds if any(m.loop.turns is not None for m in self.members) else kinds[:1]:
-            estimate(
-                "K", stiffness, method, lambda loop, of=curve: -np.polyfit(x, of(loop).T, 1)[0], -1,  # type: ignore[misc]
-                extra=hypot(self.change, by_turns), note=BENT_NOTE if self.bent else "",
-            )  # fmt: skip
+            if self.many_slopes:
+                found.append(self._estimate("K", None, stiffness, method, self.at, Parts(), self.many_slopes))
+            else:
+                estimate(
+                    "K", stiffness, method, lambda loop, of=curve: -np.polyfit(x, of(loop).T, 1)[0], -1,  # type: ignore[misc]
+                    extra=hypot(self.change, by_turns, self._slow_turns(0.0)[1]), note=BENT_NOTE if self.bent else "",
+                )  # fmt: skip
             if lower <= 0 <= upper and P > 0:
                 estimate(
                     "F_ce", newton, method, lambda loop, of=curve: _locals(x, of(loop), 0.0)[0], 0,  # type: ignore[misc]
@@ -352,10 +369,19 @@ class Cell:
         return LEFT_OF_TURNS * max(abs(of(mean) - of(raw)) for mean, raw in pairs)
 
     def _window_error(self, place: float) -> tuple[float, float]:
-        """What the width of the cubic, and the turns, make of force [N] and slope [N/m] at a place."""
+        """What the width of the cubic, and turns that fade fast or slowly, make of force [N] and slope [N/m]."""
         wide, narrow = _local(self.x, self.curve, place), _local(self.x, self.curve, place, WINDOW / 2)
         turns = [self._of_turns(lambda curve, i=i: _local(self.x, curve, place)[i]) for i in (0, 1)]  # type: ignore[misc]
-        return hypot(2 * (wide[0] - narrow[0]), turns[0]), hypot(2 * (wide[1] - narrow[1]), turns[1])
+        slow = self._slow_turns(place)
+        return hypot(2 * (wide[0] - narrow[0]), turns[0], slow[0]), hypot(2 * (wide[1] - narrow[1]), turns[1], slow[1])
+
+    def _slow_turns(self, place: float) -> tuple[float, float]:
+        """What hysteresis that fades over most of the stroke adds to force [N] and slope [N/m]; 0 without turns."""
+        if all(m.loop.turns is None for m in self.members):
+            return 0.0, 0.0
+        reach = SLOW_REACH * float(self.x[-1] - self.x[0])
+        slope = SLOW_TURNS * abs(self.gap.start) / reach
+        return slope * abs(place - self.middle), slope
 
     def _uneven(self, dF_dP: float | None) -> float:
         """What of the gap unequal pressure of the two branches may be worth [N]."""

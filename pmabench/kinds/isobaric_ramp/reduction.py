@@ -24,6 +24,7 @@ from pmabench.analysis.verdict.agreement import Offer, Place, at_pressures, betw
 from pmabench.base.quantities import show
 from pmabench.kinds.isobaric_ramp import RESULTS
 from pmabench.kinds.isobaric_ramp.cell import CURVE, GAP, LOCAL, Cell, Member
+from pmabench.kinds.isobaric_ramp.first_cycle import first_cycle
 from pmabench.store.analyses.results import Analysis, Dropped, Estimate, Finding, Parts, Trace
 from pmabench.store.records import Array, RunData
 
@@ -205,6 +206,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         estimates += cell.estimates(scales, _slope_over_pressure(cell, cells))
         findings += cell.findings()
         traces += cell.traces()
+    estimates += first_cycle(runs, cells, options)
     unpressed = [cell for cell in cells if cell.pressure <= UNPRESSED]
     for cell in unpressed:
         found = rubber(cell, scales)

@@ -10,8 +10,7 @@ import numpy as np
 
 from pmabench.analysis.shared.isometric_lines import Used, branches
 from pmabench.base.quantities import show
-from pmabench.kinds.isometric_pressurisation.curve import PHASES, REST, WITHIN
-from pmabench.kinds.isometric_pressurisation.daerden import ALPHAS, NAMES, Section
+from pmabench.kinds.isometric_pressurisation.curve import ALPHAS, NAMES, PHASES, REST, WITHIN, Section
 from pmabench.kinds.isometric_pressurisation.sections import Across, Cell, Corrected
 from pmabench.plotting import plots
 from pmabench.plotting.pictures import Picture, bound, column, has, numbers, picture, unit_of

@@ -8,7 +8,7 @@ line between; 0.5 % of the range would be 3.5 % of the mass. Knows the samples o
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import hypot, sqrt
 from typing import Any
@@ -18,9 +18,9 @@ import numpy as np
 from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.form import Doubt, weighed
 from pmabench.analysis.shared.isometric_lines import SAME, ends, spread
-from pmabench.analysis.shared.samples import NotUsable, noise_of
+from pmabench.analysis.shared.samples import UNUSABLE_SHARE, NotUsable, noise_of
 from pmabench.base.quantities import show
-from pmabench.store.analyses.results import Dropped, Estimate, Finding, Parts, Trace
+from pmabench.store.analyses.results import Dropped, Estimate, Finding, Parts, Trace, withhold
 from pmabench.store.records import Array, RunData, TrialData
 
 FLOW = "flow"
@@ -36,6 +36,12 @@ PARTS = (0.15, 0.55, 0.95)
 FEWEST = 20
 SEEN = 5.0
 """Standard errors from which on a difference is seen."""
+PILED = 0.25
+"""Share of samples at exactly one end of all values from which on the meter shows nothing beyond that end."""
+ONE_WAY = (
+    "at rest the meter shows the least value that it can show: its zero is not seen, and it is in the volume over the "
+    "whole ramp. Give the uncertainty of its zero in the calibration of the channel, or use a meter for both directions"
+)
 ONE = "one ramp: the repeats part is the noise of the meter, and repeated tests may scatter more"
 
 
@@ -60,6 +66,8 @@ class Filling:
     """Standard error of `volume` from the noise of the meter, its zero included [m3]."""
     drift: float
     """What the change of the zero from before to after makes of `volume`, at most [m3]."""
+    unseen: float
+    """What a zero that is 1 kg/s off makes of `volume` [m3 s/kg] where the meter shows nothing below zero, else 0."""
 
     @property
     def both_ways(self) -> bool:
@@ -80,6 +88,8 @@ def measured(run: RunData, trial: TrialData, rT: float) -> Filling:
     fill, empty = ramps["fill"], ramps["empty"]
     later = [c.t for c in trial.commands if c.t > ends(empty) + 1e-9]
     use = trial.usable & np.isfinite(trial.channels[FLOW]) & np.isfinite(trial.channels["pressure"])
+    if (bad := float(np.mean(~use))) > UNUSABLE_SHARE:
+        raise NotUsable(f"{bad:.0%} of the samples are flagged, and air that flowed meanwhile is not counted")
     t, q, P = trial.t[use], trial.channels[FLOW][use], trial.channels["pressure"][use]
 
     def rest(begin: float, end: float) -> np.ndarray[Any, np.dtype[np.bool_]]:
@@ -91,6 +101,10 @@ def measured(run: RunData, trial: TrialData, rT: float) -> Filling:
     before = rest(max(moved, default=float(trial.t[0])), fill.t)
     top, after = rest(ends(fill), empty.t), rest(ends(empty), min(later, default=float(trial.t[-1])))
     zeros = float(q[before].mean()), float(q[after].mean())
+    up = (t >= fill.t) & (t <= ends(fill))
+    if _piled(-q[up], -float(q.max())):
+        raise NotUsable("the flow is cut off at the end of the meter's range: fill more slowly")
+    one_way = _piled(q[before], float(q.min())) or _piled(q[after], float(q.min()))
     middle = float(t[before].mean()), float(t[after].mean())
     q = q - np.interp(t, middle, zeros)
     levels = [float(P[rows].mean()) for rows in (before, top, after)]
@@ -99,7 +113,6 @@ def measured(run: RunData, trial: TrialData, rT: float) -> Filling:
     mass = np.concatenate(([0.0], np.cumsum(0.5 * (q[1:] + q[:-1]) * np.diff(t))))
     at = [float(mass[rows].mean()) for rows in (before, top, after)]
     per = rT / (levels[1] - levels[0])
-    up = (t >= fill.t) & (t <= ends(fill))
     low, high = _halves(P[up], mass[up], levels[0], levels[1])
     duration, n = float(t[top].mean() - t[before].mean()), float(min(before.sum(), after.sum()))
     scatter = noise_of(q[up])
@@ -107,8 +120,13 @@ def measured(run: RunData, trial: TrialData, rT: float) -> Filling:
     drift = per * 0.5 * abs(zeros[1] - zeros[0]) * duration
     return Filling(
         trial, P[up], q[up], per * (at[1] - at[0]), rT * (at[1] - at[2]) / (levels[1] - levels[2]), rT * low, rT * high,
-        zeros, noise, drift,
+        zeros, noise, drift, per * duration if one_way else 0.0,
     )  # fmt: skip
+
+
+def _piled(q: Array, end: float) -> bool:
+    """Whether many samples are exactly at the end of all values."""
+    return float(np.mean(q == end)) > PILED
 
 
 def _halves(P: Array, mass: Array, bottom: float, top: float) -> tuple[float, float]:
@@ -179,7 +197,16 @@ def _estimates(x: float, group: Sequence[Filling], given: Mapping[str, Any], sca
         Parts(max(flow_noise, spread(flows) or 0.0), calibration=scales.part({FLOW: float(np.mean(flows))})),
         len(group), note=note, trials=names,
     )  # fmt: skip
-    return [weighed(V, _doubts(group)), q]
+    doubts, unseen = _doubts(group), max(one.unseen for one in group)
+    if unseen and FLOW not in scales.offsets:
+        return [withhold(one, ONE_WAY) for one in (V, q)]
+    doubts.append(Doubt("zero of the meter, not seen", "calibration", unseen * scales.offsets.get(FLOW, 0.0), False))
+    return [weighed(V, doubts), weighed(q, _of_flow(doubts, q, whole))]
+
+
+def _of_flow(doubts: Sequence[Doubt], q: Estimate, whole: float) -> list[Doubt]:
+    """The same shares of the mean flow: air that the meter does not show, or shows and is not there, is in both."""
+    return [replace(one, half=abs((q.value or 0.0) / whole) * one.half) for one in doubts]
 
 
 def _middle(one: Filling) -> Array:

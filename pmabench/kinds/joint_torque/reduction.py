@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from pmabench.analysis.shared import skew
+from pmabench.analysis.shared import skew, student
 from pmabench.analysis.shared.calibration import Scales
+from pmabench.analysis.shared.form import Doubt, weighed
 from pmabench.analysis.shared.joint import BY_PRESSURE, CUT, MUSCLES
 from pmabench.analysis.shared.lines import mean_half
-from pmabench.analysis.shared.samples import NotUsable
+from pmabench.analysis.shared.samples import Left, NotUsable, left
 from pmabench.base.quantities import show
 from pmabench.kinds.joint_torque import RESULTS
 from pmabench.kinds.joint_torque.plane import plane_estimates
@@ -21,6 +23,14 @@ from pmabench.store.records import Array, RunData, TrialData
 
 KIND = "joint-torque"
 SIDES, GAP, SLOPE = "both sides", "gap", "polynomial"
+SCALE = 2e-3
+"""Share by which encoder and drive may disagree unseen [1]."""
+LIKELY = 0.2
+"""Share of the largest change that is possible, which the likeliest is where the torque counts as moving."""
+ON = 3.0
+"""What creeps in a rest goes on with the logarithm of time: by so many times as much in the length of a trial."""
+LOOSE = 0.01
+"""Share of the way between angles by which both sides may be apart unseen."""
 Cells = dict[tuple[float, ...], list[Staircase]]
 
 
@@ -42,8 +52,10 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     for one in staircases:
         cells.setdefault(tuple(round(one.trial.point[name], 3) for name in MUSCLES), []).append(one)
     estimates = list[Estimate]()
+    moving = _still_to_come(staircases)
     for pressures, members in sorted(cells.items()):
-        estimates += _estimates(dict(zip(MUSCLES, pressures, strict=True)), members, scales)
+        estimates += _estimates(dict(zip(MUSCLES, pressures, strict=True)), members, scales, moving)
+    estimates = _pooled(estimates, min((len(one.rising) for one in staircases), default=1))
     estimates += plane_estimates([e for e in estimates if e.symbol == "tau"], scales)
     findings = [Finding("doubt", f"{one.trial}: {one.reason}") for one in dropped]
     if estimates and (lack := scales.lack(("torque", "angle", *MUSCLES))):
@@ -62,6 +74,12 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     )
 
 
+def _still_to_come(staircases: Sequence[Staircase]) -> tuple[Left, Left]:
+    """Change of the torque after the mean of a rest, rising and falling [N m]: the mean of all rests of all trials."""
+    rising, falling = ([held for one in staircases for held in one.rests.holds[side]] for side in (0, 1))
+    return (left(rising), left(falling)) if rising else (Left(0.0, 0.0, False), Left(0.0, 0.0, False))
+
+
 def gap_of(run: RunData, trial: TrialData) -> float:
     """Gap of one trial [N m]; raises `NotUsable`."""
     return float(_gap(staircase_of(run, trial, {})).mean())
@@ -73,7 +91,9 @@ def _gap(one: Staircase) -> Array:
     return np.asarray(one.gap[:, int(np.argmin(np.abs(one.nominal - middle)))])
 
 
-def _estimates(at: Mapping[str, float], members: Sequence[Staircase], scales: Scales) -> Iterator[Estimate]:
+def _estimates(
+    at: Mapping[str, float], members: Sequence[Staircase], scales: Scales, moving: tuple[Left, Left]
+) -> Iterator[Estimate]:
     """Everything at one pair of pressures; calibration to first order, a pressure that is off changes the torque."""
     trials = tuple(one.trial.name for one in members)
     total = max(sum(at.values()), 1.0)
@@ -99,7 +119,9 @@ def _estimates(at: Mapping[str, float], members: Sequence[Staircase], scales: Sc
 
     torque = ("N.m", "torque")
     opened = np.all([one.open for one in members], axis=0)
-    yield made("H_tau", torque, GAP, [_gap(one) for one in members], _uneven(members, opened), 0.0)
+    of_gap, of_torque, of_slope = _doubts(members, likely, whole / total, moving)
+    H = made("H_tau", torque, GAP, [_gap(one) for one in members], _uneven(members, opened), 0.0)
+    yield weighed(H, of_gap)
     slack = next((one.slack for one in members if one.slack), "")
     why = next((one.why_no_stiffness for one in members if one.why_no_stiffness), "")
     slopes = [] if why else [(one.stiffness(), one.stiffness(ORDERS[1]).mean(axis=0)) for one in members]
@@ -110,17 +132,80 @@ def _estimates(at: Mapping[str, float], members: Sequence[Staircase], scales: Sc
         one = made("tau", torque, SIDES, [m.mean[:, n] for m in members], float(np.hypot(left, misplaced)),
                    likely * abs(float(angle)), whole / total, where)  # fmt: skip
         lacks = slack if opened[n] else _near_a_turn(members)
-        yield withhold(one, lacks) if lacks else one
+        yield withhold(one, lacks) if lacks else weighed(one, of_torque, whole)
         if not why and opened[n]:
             place = int(opened[:n].sum())
             other = max(abs(float(K[:, place].mean() - K3[place])) for K, K3 in slopes)
             values = [K[:, place] for K, _ in slopes]
-            yield made("K_th", ("N.m/rad", "torsional stiffness"), SLOPE, values, other,
-                       float(values[0].mean()), per_pressure, where)  # fmt: skip
+            K = made("K_th", ("N.m/rad", "torsional stiffness"), SLOPE, values, other,
+                     float(values[0].mean()), per_pressure, where)  # fmt: skip
+            yield weighed(K, [replace(of_slope, half=of_slope.half * abs(K.value or 0.0)), _scaled(K, members)])
     if why:
         middle = {**at, "angle": round(float(np.median(members[0].nominal)), 9)}
         K = made("K_th", ("N.m/rad", "torsional stiffness"), SLOPE, [np.zeros(2)], 0.0, 0.0, 0.0, middle)
         yield withhold(K, why)
+
+
+def _scaled(K: Estimate, members: Sequence[Staircase]) -> Doubt:
+    """What it does to the stiffness that the encoder and the drive disagree on how far the joint went."""
+    scale = max((one.scale for one in members), key=abs)
+    reason = f"the encoder reads {scale:+.1%} of the way that the drive was sent: one of them has a wrong scale"
+    return Doubt("scale of the angle", "method", abs(scale * (K.value or 0.0)), abs(scale) > SCALE, reason)
+
+
+def _doubts(
+    members: Sequence[Staircase], likely: float, per_torque: float, moving: tuple[Left, Left]
+) -> tuple[list[Doubt], list[Doubt], Doubt]:
+    """What departs from rest and from the place that was asked for: of the gap, a torque [N m], the stiffness [1].
+
+    `likely` is the stiffness [N m/rad], `per_torque` the torque by a pressure [N m/Pa], `moving` what the torque still
+    moves by after a rest, rising and falling.
+    """
+    rising, falling = moving
+    moves = any(one.seen and abs(one.size) > LIKELY * one.most for one in moving)
+    worst = show(max(abs(rising.size), abs(falling.size)), "torque", 2)
+    step = likely * float(np.median(np.diff(members[0].nominal)))
+    still = f"the torque is not at rest: about {worst} are still to come at the end of a rest. Rest longer"
+    sides = np.mean([np.diff(one.rests.pressures.mean(axis=(1, 3)), axis=1)[:, 0] for one in members], axis=0)
+    scatter = max(float(one.rests.pressures.std(axis=(1, 3)).max()) for one in members)
+    pressures = f"the pressures differ by {show(float(np.abs(sides).max()), 'pressure', 2)} between both sides"
+    given = per_torque * float(np.abs(sides).sum())
+    loose = max(float(np.abs(one.apart).max()) for one in members)
+    shown = loose > LOOSE * float(np.diff(members[0].nominal).min())
+    places = f"the angle differs by {show(loose, 'angle', 2)} between both sides: the encoder or a coupling is loose"
+    gap = [
+        Doubt("torque at rest", "method", ON * (rising.most + falling.most), moves, still),
+        Doubt("pressures of both sides", "method", given, given > scatter * per_torque, f"{pressures}. Rest longer"),
+        Doubt("angle of both sides", "method", likely * loose, shown, places),
+    ]
+    torque = [
+        Doubt("torque at rest", "method", 0.5 * (rising.most + falling.most), moves, still),
+        Doubt("angle of both sides", "method", 0.5 * likely * loose, shown),  # which side had the zero is not known
+    ]
+    return gap, torque, Doubt("torque at rest", "method", ON * max(rising.most, falling.most) / step, moves, still)
+
+
+def _pooled(estimates: Sequence[Estimate], cycles: int) -> list[Estimate]:
+    """The same, with repeats no closer to each other than those of all pairs of pressures and angles together.
+
+    The scatter of two trials is small by chance once in a while; that of all is not. Where no pair was repeated, it is
+    that of the `cycles`.
+    """
+    found = list(estimates)
+    for symbol in {e.symbol for e in estimates}:
+        known = [e for e in estimates if e.symbol == symbol and e.value is not None and e.parts.repeats is not None]
+        several = [e for e in known if e.n > 1] or known
+        freedom = [e.n - 1 if e.n > 1 else cycles - 1 for e in several]
+        if sum(freedom) == 0:
+            continue
+        halves = np.array([e.parts.repeats for e in several])
+        deviations = halves * np.sqrt([e.n for e in several]) / student.ppf(0.975, np.array(freedom))
+        together = np.sqrt(np.average(np.square(deviations), weights=freedom)) * student.ppf(0.975, sum(freedom))
+        for place, e in enumerate(found):
+            if e.symbol == symbol and e.parts.repeats is not None:
+                repeats = max(e.parts.repeats, float(together / np.sqrt(e.n)))
+                found[place] = replace(e, parts=replace(e.parts, repeats=repeats))
+    return found
 
 
 def _near_a_turn(members: Sequence[Staircase]) -> str:

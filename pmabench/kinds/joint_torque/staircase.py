@@ -12,7 +12,7 @@ import numpy as np
 
 from pmabench.analysis.shared.joint import AXES, CUT, MUSCLES, refuse_turns, settings_of
 from pmabench.analysis.shared.ramp_loop import Turns, on_grid, turns_of
-from pmabench.analysis.shared.samples import UNUSABLE_SHARE, NotUsable, noise_of, on_time
+from pmabench.analysis.shared.samples import UNUSABLE_SHARE, Held, NotUsable, noise_of, on_time
 from pmabench.base.quantities import show
 from pmabench.store.records import Array, Command, RunData, TrialData
 
@@ -25,8 +25,26 @@ ORDERS = 5, 3
 UNEVEN = 0.25
 """A gap that changes by a larger share over the angles is not that of two taut muscles at all of them."""
 LEAST_SAMPLES = 10
-ELSEWHERE = 0.25
-"""Share of the way between angles by which the joint may be off its place."""
+ELSEWHERE, ASIDE = 0.25, 0.02
+"""Shares of the way between angles by which the joint may be off its place, and from which on that is said."""
+SKIPPED = 0.25
+"""Share of a rest after which the torque is to be still: before it regulators and muscles come to rest."""
+
+
+@dataclass(frozen=True, eq=False)
+class Rests:
+    """The later half of each rest; arrays of shape (cycles, 2, n), rising first."""
+
+    angles: Array
+    """[rad]."""
+    torques: Array
+    """[N m]."""
+    pressures: Array
+    """[Pa], shape (2, cycles, 2, n)."""
+    holds: tuple[list[Held], list[Held]]
+    """Torque along each rest, rising and falling [N m]."""
+    noise: float
+    """Of a torque [N m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +66,7 @@ class Staircase:
     """Mean pressures of both muscles as measured [Pa], shape (2,)."""
     noise: float
     """Of the torque [N m]."""
+    rests: Rests
 
     @cached_property
     def gap(self) -> Array:
@@ -58,6 +77,17 @@ class Staircase:
     def left(self) -> Array:
         """What the turns leave in the mean of both sides [N m], shape (n,)."""
         return np.zeros_like(self.angles) if self.turns is None else self.turns.of_mean(self.angles)
+
+    @property
+    def apart(self) -> Array:
+        """Angle when it was reached from above minus that from below [rad], shape (n,)."""
+        return np.asarray(np.diff(self.rests.angles.mean(axis=0), axis=0)[0])
+
+    @property
+    def scale(self) -> float:
+        """Angle measured over angle commanded, less 1."""
+        off = self.nominal - self.nominal.mean()
+        return float(off @ (self.angles - self.nominal) / (off @ off))
 
     @cached_property
     def mean(self) -> Array:
@@ -102,8 +132,9 @@ def staircase_of(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> 
         raise NotUsable(f"{bad:.0%} of the samples are flagged")
     nominal = np.array(settings_of(run, options)["angles"], dtype=np.float64)
     angle, torque = on_time(run, trial, "angle"), on_time(run, trial, "torque")
-    places, means, noise = _rests(trial, nominal, angle, torque)
-    _refuse_elsewhere(places, nominal)
+    rests = _rests(trial, nominal, angle, torque)
+    places, means = rests.angles, rests.torques
+    elsewhere = _elsewhere(places, nominal)
     lowest, highest = trial.point["lowest_angle"], trial.point["highest_angle"]
     turns = _turns(trial, angle, torque, lowest, highest)
     found = Staircase(
@@ -116,10 +147,14 @@ def staircase_of(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> 
         turns,
         _far(nominal, turns, lowest, highest),
         np.array([float(np.mean(trial.channels[name][trial.usable])) for name in MUSCLES]),
-        noise,
+        rests.noise,
+        rests,
     )
     gap = float(np.median(found.gap))
-    refuse_turns(turns, 0.5 * (highest - lowest), gap, noise)
+    try:
+        refuse_turns(turns, 0.5 * (highest - lowest), gap, rests.noise)
+    except NotUsable as reason:
+        raise NotUsable(f"{elsewhere}; {reason}" if elsewhere else str(reason)) from None
     if turns is not None and not found.open.any():
         least = show(CUT * turns.w, "angle", 3)
         raise NotUsable(
@@ -129,11 +164,13 @@ def staircase_of(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> 
     return found
 
 
-def _rests(trial: TrialData, nominal: Array, angle: Array, torque: Array) -> tuple[Array, Array, float]:
-    """Mean angles and torques of the later half of each rest, shape (cycles, 2, n), and the noise of these means."""
+def _rests(trial: TrialData, nominal: Array, angle: Array, torque: Array) -> Rests:
+    """Mean angles, torques and pressures of the later half of each rest, and what else the rests say."""
     ramps = _ramps(trial)
     cycles = int(trial.point["cycles"])
-    places, means = (np.full((cycles, 2, len(nominal)), np.nan) for _ in range(2))
+    channels = [angle, torque, *(trial.channels[name] for name in MUSCLES)]
+    means = np.full((len(channels), cycles, 2, len(nominal)), np.nan)
+    holds: tuple[list[Held], list[Held]] = ([], [])
     counts = {"rise": [0] * len(nominal), "fall": [0] * len(nominal)}
     noise = 0.0
     for ramp, after in pairwise(ramps):
@@ -141,28 +178,34 @@ def _rests(trial: TrialData, nominal: Array, angle: Array, torque: Array) -> tup
         if not len(at):
             continue
         begin = ramp.t + abs(ramp.value - ramp.before) / ramp.data["rate"]
-        rows = (trial.t >= 0.5 * (begin + after.t)) & (trial.t < after.t) & trial.usable
+        late = 0.5 * (begin + after.t)
+        rows = (trial.t >= late) & (trial.t < after.t) & trial.usable
         if rows.sum() < LEAST_SAMPLES:
             raise NotUsable(f"fewer than {LEAST_SAMPLES} samples in the later half of a rest")
         cycle, n = counts[ramp.phase][at[0]], int(at[0])
         counts[ramp.phase][n] += 1
         side = 0 if ramp.phase == "rise" else 1
-        places[cycle, side, n], means[cycle, side, n] = angle[rows].mean(), torque[rows].mean()
+        means[:, cycle, side, n] = [values[rows].mean() for values in channels]
+        whole = (trial.t >= begin + SKIPPED * (after.t - begin)) & (trial.t < after.t) & trial.usable
+        holds[side].append(Held.of(trial.t[whole], torque[whole], late))
         noise = max(noise, noise_of(torque[rows]) / float(np.sqrt(rows.sum())))
     if not np.isfinite(means).all():
         raise NotUsable("not every angle was reached from both sides in every cycle")
-    return places, means, noise
+    return Rests(means[0], means[1], means[2:], holds, noise)
 
 
-def _refuse_elsewhere(places: Array, nominal: Array) -> None:
-    """Raise `NotUsable` where the joint was not where it was sent."""
+def _elsewhere(places: Array, nominal: Array) -> str:
+    """Where the joint was not where it was sent, empty where it nearly was; raises `NotUsable` where it was far off."""
     off = np.abs(places - nominal).max(axis=(0, 1))
     worst = int(np.argmax(off))
-    if off[worst] > ELSEWHERE * float(np.diff(nominal).min()):
-        raise NotUsable(
-            f"the joint was {show(float(off[worst]), 'angle', 3)} off where it was to be at "
-            f"{show(float(nominal[worst]), 'angle', 3)}: look at the encoder's zero and sign, and at the drive"
-        )
+    share = off[worst] / float(np.diff(nominal).min())
+    said = (
+        f"the joint was {show(float(off[worst]), 'angle', 3)} off where it was to be at "
+        f"{show(float(nominal[worst]), 'angle', 3)}: look at the encoder's zero and sign, and at the drive"
+    )
+    if share > ELSEWHERE:
+        raise NotUsable(said)
+    return said if share > ASIDE else ""
 
 
 def _ramps(trial: TrialData) -> list[Command]:

@@ -1,7 +1,7 @@
 """Positions held in closed loop: error, overshoot, settling, limit cycle.
 
 - `reduction`; of trials along a path `tracking`
-- protocol files: `protocol`, `controller` and `following`; one trial on the display: `live`; figures: `figures`
+- protocol files: `protocol` and `controller`; figures and one trial on the display: `figures`
 """
 
 from pmabench.base.imported import Imported
@@ -46,7 +46,7 @@ KIND = Kind(
     reduction="pmabench.kinds.positioning.reduction:reduce",
     papers=("paper 0, control",),
     protocol="pmabench.kinds.positioning.protocol:Positioning",
-    live="pmabench.kinds.positioning.live:measure",
+    live="pmabench.kinds.positioning.figures:measure",
     moves="displacement",
     compares="displacement",
     methods=METHODS,

@@ -1,4 +1,7 @@
-"""Figures of held positions: the approach with its reference, and the error over the whole hold."""
+"""Figures of held positions: the approach with its reference, and the error over the whole hold.
+
+`measure`: what one trial says by itself, for the display.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +11,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pmabench.analysis.trial import Expected, Found, Measured, Quick
+from pmabench.base.quantities import show
+from pmabench.kinds.positioning.reduction import hold_of
+from pmabench.kinds.positioning.tracking import tracked
 from pmabench.plotting import time_plots
 from pmabench.plotting.pictures import (
     Picture,
@@ -37,6 +44,7 @@ from pmabench.plotting.plots import (
     legend_above,
 )
 from pmabench.store.analyses.results import Analysis, Trace
+from pmabench.store.records import RunData, TrialData
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -160,3 +168,27 @@ def _reach(panel: Panel) -> float:
     known = away[np.isfinite(away)]
     least = 1e-3 * abs(panel.marks["setpoint"])
     return 1.5 * max(float(known.max()) if len(known) else 0.0, least)
+
+
+def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
+    """Steady-state error and overshoot of a held position, and its limit cycle where it hunts; errors along a path."""
+    law = trial.found.get("position") or {}
+    if law.get("path") and law.get("ended") == "time":
+        one = tracked(run, trial, law)
+        if isinstance(one, str):
+            return [Measured("e_rms", "length", None)], [one]
+        values = one.values()
+        return [Measured("e_rms", "length", values["e_rms"]), Measured("OS", "ratio", values["OS"])], []
+    hold = hold_of(run, trial)
+    if isinstance(hold, str):
+        return [Measured("e_ss", "ratio", None), Measured("OS", "ratio", None)], [hold]
+    response = hold.response
+    aim = float(hold.law["setpoint"])
+    found = [Measured("e_ss", "ratio", response.error / aim), Measured("OS", "ratio", response.overshoot)]
+    doubts = [] if response.settling is not None else ["it does not settle in the band"]
+    cycle = response.cycle
+    if cycle is not None:
+        found += [Measured("x_pp", "length", cycle.size), Measured("T_c", "time", cycle.period)]
+        what = "stick-slip limit cycle" if cycle.sticks else "it oscillates"
+        doubts.append(f"{what}: {show(cycle.size, 'length', 3)} peak to peak, {cycle.period:.3g} s")
+    return found, doubts

@@ -10,8 +10,18 @@ from pydantic import Field
 from pmabench.base.quantities import show
 from pmabench.files.document import Strict
 from pmabench.files.quantity import Load, Ratio, Time
-from pmabench.kinds.positioning.controller import MODEL, Controller, gains_at, model_for_gains, of_model, schedule
-from pmabench.kinds.positioning.following import PathFile, as_parameters, feedforward, path_of
+from pmabench.kinds.positioning.controller import (
+    MODEL,
+    Controller,
+    PathFile,
+    as_parameters,
+    feedforward,
+    gains_at,
+    model_for_gains,
+    of_model,
+    path_of,
+    schedule,
+)
 from pmabench.model.reference_path import ReferencePath
 from pmabench.protocol.common import Compilation, ProtocolHead
 from pmabench.protocol.plan import Hold, Plan, Record, Seek, Set, TrialRecord

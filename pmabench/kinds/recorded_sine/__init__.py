@@ -1,6 +1,6 @@
 """Sines of pressure that other programs recorded: amplitudes, phase, loop, bandwidth.
 
-- `reduction`, with `bandwidth`; `form`: what a sine lacks of a steady one
+- `reduction`; `form`: what a sine lacks of a steady one, and the bandwidth
 """
 
 from pmabench.base.imported import Imported

@@ -21,8 +21,7 @@ from pmabench.analysis.shared.samples import lags_of, three_parameter
 from pmabench.analysis.shared.sine_loop import without_lag
 from pmabench.base.quantities import show
 from pmabench.kinds.recorded_sine import RESULTS
-from pmabench.kinds.recorded_sine.bandwidth import bandwidth
-from pmabench.kinds.recorded_sine.form import changing, cut_off, other_shape, slow_sensors
+from pmabench.kinds.recorded_sine.form import bandwidth, changing, cut_off, other_shape, slow_sensors
 from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace
 from pmabench.store.records import Array, Flag, RunData, TrialData
 

@@ -1,7 +1,11 @@
-"""K and B of steps at the same pressures under two known loads or more: a secant between their places of rest.
+"""K and B of recorded steps without a mass that rings: from two known loads or more, or from a column of force.
 
 At rest F_ce(P) = W + K x, so that two loads W at one pressure give K = -(W2 - W1)/(x2 - x1). It is the stiffness
-between the two places, not the tangent at one of them. Knows measured steps and B/K.
+between the two places, not the tangent at one of them.
+
+A cell above a hanging weight reads that weight and M x'': it does not move with the muscle's K. Where a spring or other
+loads move the force independently of the contraction, F = c + s P - K x - B x' is one least-squares fit over all steps.
+K and B are taken as the same at all their pressures, and that is tested.
 """
 
 from __future__ import annotations
@@ -9,16 +13,17 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from math import hypot
+from math import hypot, sqrt
 
 import numpy as np
 
 from pmabench.analysis.shared.calibration import Scales, sentences
+from pmabench.analysis.shared.samples import lags_of, noise_of
 from pmabench.analysis.shared.student import mean_with_half
 from pmabench.base.quantities import show
 from pmabench.kinds.recorded_step.step import AFTER, SEEN, Step
-from pmabench.store.analyses.results import Estimate, Parts
-from pmabench.store.records import RunData
+from pmabench.store.analyses.results import Estimate, Finding, Parts
+from pmabench.store.records import Array, RunData
 
 SECANT = "secant-of-loads"
 SAME = 0.02
@@ -131,3 +136,117 @@ def _damping(K: Estimate, estimates: Sequence[Estimate]) -> list[Estimate]:
     parts = Parts(repeats, method, of_K.calibration)
     note = "B/K of the driven motion times the secant K"
     return [Estimate(symbol, tau * K.value, "N.s/m", "damping", SECANT, at, parts, len(names), note=note, trials=names)]
+
+
+CELL = "cell-and-spring"
+MOVES = 20.0
+"""Standard deviations of its noise by which the force must move independently of the contraction."""
+CONDITION = 30.0
+"""Largest condition of the columns 1, x, x' and P, each over its standard deviation."""
+MISFIT = 1.5
+"""What is left, over the noise that a row must have, from which on the straight form does not hold."""
+RANGE = 0.15
+"""K and B are given where they lie within so much of their value for all that is possible of the times of pressure."""
+SMOOTH = 0.04
+"""Rows are means over this time [s]."""
+INSTEAD = "a map of `kind: contraction-relaxation` takes K at each pressure from steps with a column of force"
+
+
+def by_cell(steps: Sequence[tuple[RunData, Step]], late: Sequence[float]) -> tuple[list[Estimate], list[Finding]]:
+    """K [N/m] and B [N.s/m] of all steps with a force, and the sentence why not; nothing without such a column.
+
+    `late` [s] are the times by which the pressure may be later than its stamps.
+    """
+    mine = [(run, step) for run, step in steps if "force" in step.trial.channels]
+    if not mine:
+        return [], []
+    if any(lag for run, step in mine for lag in lags_of(run, step.trial).values()):
+        return [], [Finding("note", f"the sensors have lags, which K by the cell does not take off; {INSTEAD}")]
+    middle = 0.5 * (late[0] + late[-1])
+    rows = [_rows(step, middle) for _, step in mine]
+    F, design = np.concatenate([row[0] for row in rows]), np.concatenate([row[1] for row in rows])
+    noise = float(np.median([noise_of(_good(step, "force")) for _, step in mine]))
+    if why := _why_not(F, design, noise):
+        return [], [Finding("note", f"the force cell tells nothing of K here: {why}; {INSTEAD}")]
+    terms, halves, left = _fit(F, design, [len(row[0]) for row in rows])
+    expected = _noise_of_rows(mine[0][1], terms, noise)
+    if left > MISFIT * expected:
+        text = (
+            f"{show(left, 'force', 2)} are left where noise makes {show(expected, 'force', 2)}: K changes with pressure"
+        )
+        return [], [Finding("note", f"K is not one number in these steps: {text} or contraction; {INSTEAD}")]
+    ends = []
+    for shift in (late[0], late[-1]):
+        moved = [_rows(step, shift) for _, step in mine]
+        stacked = np.concatenate([row[0] for row in moved]), np.concatenate([row[1] for row in moved])
+        ends.append(_fit(*stacked, [len(row[0]) for row in moved])[0])
+    scales = Scales.of([run for run, _ in mine])
+    names = tuple(step.name for _, step in mine)
+    found, findings = [], []
+    for symbol, unit, quantity, place in (("K", "N/m", "stiffness", 1), ("B", "N.s/m", "damping", 2)):
+        value, spread = -float(terms[place]), max(abs(end[place] - terms[place]) for end in ends)
+        if value <= 0 or spread > RANGE * value:
+            text = f"{symbol} by the cell lies within +-{abs(spread / value):.0%} for what is known of the times"
+            findings.append(Finding("note", f"{text}, accepted is +-{RANGE:.0%}; {INSTEAD}"))
+            continue
+        parts = Parts(float(halves[place]), float(spread), scales.part({"force": value, "displacement": -value}))
+        found.append(Estimate(symbol, value, unit, quantity, CELL, {}, parts, len(names), trials=names))
+    return found, findings
+
+
+def _good(step: Step, channel: str) -> Array:
+    return np.asarray(step.trial.channels[channel][step.trial.usable])
+
+
+def _width(t: Array) -> int:
+    return max(1, round(SMOOTH / float(np.median(np.diff(t)))))
+
+
+def _rows(step: Step, late: float) -> tuple[Array, Array]:
+    """Force [N], shape (n,), and columns 1, x, x', P, shape (n, 4), as means that do not overlap."""
+    width = _width(step.t)
+    whole = len(step.t) // width
+    P = np.interp(step.t + late, step.t, _good(step, "pressure"))
+    contraction = _good(step, "displacement")
+    F, x, P = (
+        values[: whole * width].reshape(whole, width).mean(axis=1) for values in (_good(step, "force"), contraction, P)
+    )
+    edges = np.minimum(width * np.arange(whole + 1), len(contraction) - 1)
+    speed = np.diff(contraction[edges]) / np.diff(step.t[edges])
+    return F, np.column_stack([np.ones(whole), x, speed, P])
+
+
+def _noise_of_rows(step: Step, terms: Array, noise: float) -> float:
+    """Noise of a row [N]: that of the force, and of pressure and contraction by the terms found."""
+    width = _width(step.t)
+    period = float(np.median(np.diff(step.t)))
+    of_means = hypot(noise, terms[3] * noise_of(step.P), terms[1] * step.noise) / sqrt(width)
+    return hypot(of_means, terms[2] * step.noise * sqrt(2) / (width * period))
+
+
+def _why_not(F: Array, design: Array, noise: float) -> str:
+    """Why force and contraction do not tell K; empty where they do."""
+    on_x = design[:, :2]
+    rest = F - on_x @ np.linalg.lstsq(on_x, F, rcond=None)[0]
+    moves = float(np.std(rest))
+    if moves <= MOVES * noise:
+        text = f"independently of the contraction it moves by {show(moves, 'force', 2)}"
+        return f"{text} only, {MOVES:g} times its noise are needed: hang it against a spring, and under other loads"
+    scaled = (design[:, 1:] - design[:, 1:].mean(axis=0)) / design[:, 1:].std(axis=0)
+    condition = float(np.linalg.cond(np.column_stack([design[:, 0], scaled])))
+    if condition >= CONDITION:
+        text = (
+            f"contraction, its rate and pressure go together (condition {condition:.0f}, below {CONDITION:g} is needed)"
+        )
+        return f"{text}: other loads or other steps separate them"
+    return ""
+
+
+def _fit(F: Array, design: Array, lengths: Sequence[int]) -> tuple[Array, Array, float]:
+    """Terms of the columns, their half widths by leaving out one step after another, and what is left [N]."""
+    terms = np.asarray(np.linalg.lstsq(design, F, rcond=None)[0], dtype=np.float64)
+    of = np.repeat(np.arange(len(lengths)), lengths)
+    without = np.array([np.linalg.lstsq(design[of != n], F[of != n], rcond=None)[0] for n in range(len(lengths))])
+    count = len(lengths)
+    spread = np.sqrt((count - 1) / count * np.sum((without - without.mean(axis=0)) ** 2, axis=0))
+    return terms, np.asarray(2 * spread), float(np.sqrt(np.mean((F - design @ terms) ** 2)))

@@ -19,11 +19,9 @@ from pmabench.analysis.shared.student import mean_over, mean_with_half
 from pmabench.analysis.verdict.agreement import Offer, everywhere, values_of
 from pmabench.base.quantities import show
 from pmabench.kinds.recorded_step import RESULTS
-from pmabench.kinds.recorded_step.cell import by_cell
-from pmabench.kinds.recorded_step.loads import SECANT, Pair, of_loads, rests_of, secant
-from pmabench.kinds.recorded_step.ringing import ONCE, RINGING, ringing
+from pmabench.kinds.recorded_step.loads import SECANT, Pair, by_cell, of_loads, rests_of, secant
+from pmabench.kinds.recorded_step.ringing import ONCE, RINGING, TO_MOTION, check, ringing, times
 from pmabench.kinds.recorded_step.step import AFTER, SEEN, Step, measure
-from pmabench.kinds.recorded_step.times import TO_MOTION, check, times
 from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace
 from pmabench.store.records import RunData
 

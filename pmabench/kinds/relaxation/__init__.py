@@ -1,7 +1,7 @@
 """A step to a pressure at a set contraction, held for minutes: how the rubber relaxes.
 
-- `reduction`, made of `course` (one trial) and `fit` (straight line over log t, exponentials, their noise)
-- protocol files: `protocol`; one trial on the display: `live`; figure: `figures`
+- `reduction`, made of `course`: one trial, with a straight line over log t, exponentials, their noise
+- protocol files: `protocol`; figure and one trial on the display: `figures`
 """
 
 from pmabench.base.imported import Imported
@@ -31,7 +31,7 @@ KIND = Kind(
     reduction="pmabench.kinds.relaxation.reduction:reduce",
     papers=("paper 4, relaxation of the rubber",),
     protocol="pmabench.kinds.relaxation.protocol:Relaxation",
-    live="pmabench.kinds.relaxation.live:measure",
+    live="pmabench.kinds.relaxation.figures:measure",
     moves="force",
     compares="force",
     repeated="pmabench.kinds.relaxation.reduction:per_decade",

@@ -1,4 +1,7 @@
-"""Figure of relaxation: force over the logarithm of time, with the straight line."""
+"""Figure of relaxation: force over the logarithm of time, with the straight line.
+
+`measure`: what one trial says by itself, for the display.
+"""
 
 from __future__ import annotations
 
@@ -6,10 +9,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from pmabench.analysis.shared.samples import NotUsable
+from pmabench.analysis.trial import Expected, Found, Measured, Quick
+from pmabench.kinds.relaxation.course import measure as course_of
 from pmabench.plotting import plots
 from pmabench.plotting.pictures import Picture, bound, column, has, head, how_many, numbers, picture, spread, unit_of
 from pmabench.plotting.plots import Points
 from pmabench.store.analyses.results import Analysis, Trace
+from pmabench.store.records import RunData, TrialData
 
 COURSES = 4
 
@@ -41,3 +48,16 @@ def _points(trace: Trace, i: int) -> Points:
     none = np.full(len(x), np.nan)
     curve = x, column(trace, "line"), np.zeros(len(x))
     return Points(head(trace), x, column(trace, "force"), none, none, primary=i == 0, group=i, mark=i, curve=curve)
+
+
+def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
+    """Relaxation per decade and the force at 1 s, and what else than the rubber is seen in them."""
+    try:
+        course = course_of(run, trial, {})
+    except NotUsable as reason:
+        return [Measured("s", "ratio", None)], [str(reason)]
+    doubts = [one.reason for one in course.doubts() if one.seen and one.half > course.half]
+    return [
+        Measured("s", "ratio", course.per_decade, noise=course.half),
+        Measured("F_1", "force", course.start),
+    ], doubts

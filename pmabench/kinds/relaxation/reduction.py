@@ -18,8 +18,7 @@ from pmabench.analysis.shared.isometric_lines import spread
 from pmabench.analysis.shared.samples import NotUsable
 from pmabench.base.quantities import show
 from pmabench.kinds.relaxation import RESULTS
-from pmabench.kinds.relaxation.course import Course, measure
-from pmabench.kinds.relaxation.fit import TIMES
+from pmabench.kinds.relaxation.course import TIMES, Course, measure
 from pmabench.store.analyses.results import Analysis, Dropped, Estimate, Finding, Parts, Trace
 from pmabench.store.records import RunData, TrialData
 

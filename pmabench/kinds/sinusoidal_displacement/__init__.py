@@ -1,8 +1,8 @@
 """A driven end moved as a sine at constant pressure: K, B, F_c, loops.
 
-- `reduction`, made of `fit`, `mean_force`, `form` (what the harmonics correct and contradict), `creep`,
-  `centres`, `pressure`, `late` (a force that comes late)
-- protocol files: `protocol`; one trial on the display: `live`; figures: `figures`
+- `reduction`, made of `fit`, `mean_force`, `form` (what harmonics and creep correct and
+  contradict), `pressure`
+- protocol files: `protocol`; figures and one trial on the display: `figures`
 """
 
 from pmabench.base.imported import Commanded, Imported
@@ -65,7 +65,7 @@ KIND = Kind(
     reduction="pmabench.kinds.sinusoidal_displacement.reduction:reduce",
     papers=("paper 3, sinusoidal tests",),
     protocol="pmabench.kinds.sinusoidal_displacement.protocol:SinusoidalDisplacement",
-    live="pmabench.kinds.sinusoidal_displacement.live:measure",
+    live="pmabench.kinds.sinusoidal_displacement.figures:measure",
     moves="displacement",
     compares="force",
     repeated="pmabench.analysis.shared.sine_loop:stiffness_of",

@@ -17,7 +17,7 @@ from pmabench.analysis.shared.lines import Line, mean_half, weighted_line
 from pmabench.analysis.shared.sine_loop import Sine, replay
 from pmabench.analysis.shared.skew import courses, settled
 from pmabench.base.quantities import show
-from pmabench.kinds.sinusoidal_displacement.creep import lost
+from pmabench.kinds.sinusoidal_displacement.form import lost
 from pmabench.store.analyses.results import Estimate, Finding, Parts
 from pmabench.store.records import Array, RunData, TrialData
 

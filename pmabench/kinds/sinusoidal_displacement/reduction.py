@@ -1,38 +1,67 @@
 """Reduction of driven sines: K, B, F_c and loop widths from the first harmonics of displacement and force.
 
 Knows the samples and the protocol's settings; not how the bench is built. One trial is measured in `sine_loop`, the
-lines through those of one cell are in `fit`.
+lines through those of one cell are in `fit`. A force that comes late
+(a filter or a delay that nobody declared) looks like less damping.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from math import nan
+from math import nan, pi
 from typing import Any
 
 import numpy as np
 
 from pmabench.analysis.shared import skew
 from pmabench.analysis.shared.calibration import Scales
-from pmabench.analysis.shared.samples import NotUsable
+from pmabench.analysis.shared.form import Doubt, weighed
+from pmabench.analysis.shared.ramp_loop import LATE
+from pmabench.analysis.shared.samples import NotUsable, lag_open
 from pmabench.analysis.shared.sine_loop import measure
 from pmabench.analysis.verdict.agreement import Offer, exactly, values_of
 from pmabench.base.quantities import show
 from pmabench.kinds.sinusoidal_displacement import RESULTS
-from pmabench.kinds.sinusoidal_displacement.centres import SINE_CENTRES, Centre, centre_of, through_centres
 from pmabench.kinds.sinusoidal_displacement.figures import traces_of
 from pmabench.kinds.sinusoidal_displacement.fit import HARMONIC, Fitted, Member, Muscle
 from pmabench.kinds.sinusoidal_displacement.form import Form, judged
-from pmabench.kinds.sinusoidal_displacement.late import with_late_force
 from pmabench.kinds.sinusoidal_displacement.mean_force import (
+    SINE_CENTRES,
     SINE_MEAN,
+    Centre,
+    centre_of,
     force_slopes,
     mean_force_estimates,
+    through_centres,
     work_estimates,
 )
 from pmabench.kinds.sinusoidal_displacement.pressure import pressure_and_force
 from pmabench.store.analyses.results import Analysis, Dropped, Estimate, Finding, Trace
 from pmabench.store.records import RunData
+
+
+def with_late_force(estimates: Sequence[Estimate], fitted: Fitted) -> list[Estimate]:
+    """The estimates with what the undeclared part of the force cell's lag may do to them, as a line of the budget.
+
+    K + j omega B becomes (K + j omega B)(1 - j omega tau): B falls by K tau, K rises by omega^2 B tau.
+    """
+    tau = max(lag_open(member.run, "force") for member in fitted.group)
+    K, B = abs(fitted.replayed.K), abs(fitted.replayed.B)
+    amplitudes = {round(sine.frequency, 9): sine.amplitude for sine in (member.sine for member in fitted.group)}
+    given = {e.at.get("frequency"): e.value for e in estimates if e.symbol == "W_c"}
+
+    def effect(e: Estimate) -> float:
+        frequency = e.at.get("frequency", 0.0)
+        omega, A = 2 * pi * frequency, amplitudes.get(round(frequency, 9), 0.0)
+        lost = pi * A**2 * omega * K * tau
+        taken = (given.get(frequency) or 0.0) / (e.value or 1.0)
+        return {
+            "B": K * tau, "K": omega**2 * B * tau, "phi": omega * tau, "H": 2 * A * omega * K * tau, "W": lost,
+            "W_c": lost / 2, "eta": lost / taken if e.symbol == "eta" and taken else 0.0,
+        }.get(e.symbol, 0.0)  # fmt: skip
+
+    return [weighed(e, [Doubt(LATE, "method", effect(e), False)]) for e in estimates]
+
 
 KIND = "sinusoidal-displacement"
 CHANNELS = ("displacement", "force")

@@ -1,8 +1,8 @@
 """The pressures at which loads lift off and set down: F_ce over pressure.
 
-- `reduction`, made of `points` (lift and set-down, carried to x = 0), `loops` (hysteresis of loads that are raised),
-  `line` (F_ce over pressure) and `mean` (that of both directions)
-- protocol files: `protocol`; one trial on the display: `live`; words and figures: `figures`
+- `reduction`, made of `points` (lift and set-down, carried to x = 0) and `line` (F_ce over pressure, of both
+  directions, without hysteresis)
+- protocol files: `protocol`; words, figures and one trial on the display: `figures`
 """
 
 from pmabench.base.imported import Commanded, Imported
@@ -31,7 +31,7 @@ KIND = Kind(
     reduction="pmabench.kinds.static_load.reduction:reduce",
     papers=("paper 0, static study",),
     protocol="pmabench.kinds.static_load.protocol:StaticLoad",
-    live="pmabench.kinds.static_load.live:measure",
+    live="pmabench.kinds.static_load.figures:measure",
     moves="displacement",
     repeated="pmabench.kinds.static_load.points:mean_pressure",
     repeated_is="pressure at which the load is lifted",

@@ -1,16 +1,34 @@
-"""A straight line F_ce(P) through the pressures of loads, with what it is uncertain by; knows no records."""
+"""A straight line F_ce(P) through the pressures of loads, with what it is uncertain by.
+
+The line through the means of lift and set-down is taken without what their mean keeps: K x at set-down, and hysteresis
+of the braid. A load always comes to its support from above. A force that lags behind the contraction (stops, Maxwell
+slip) is then at the end of its loop at lift and at set-down alike, with one sign: their mean keeps it, and their
+distance, which shows dry friction, does not show it. What shows it is a stroke: such a loop closes at x = 0 and is open
+in the middle, whereas dry friction is as wide at x = 0 as in the middle. Half of what the middle is wider is what the
+mean keeps. Damping widens the middle as well. It is what the load goes on by after the ramp upward has stopped.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from math import sqrt
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from math import hypot, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.analysis.shared import student
-from pmabench.kinds.static_load.points import Points
-from pmabench.store.records import Array
+from pmabench.analysis.shared.samples import noise_of
+from pmabench.kinds.static_load.points import (
+    MEAN,
+    Carried,
+    Points,
+    Stiffness,
+    along_ways,
+    by_stiffness,
+    times_of,
+)
+from pmabench.store.records import Array, RunData, TrialData
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,3 +106,229 @@ def _lack(residual: Array, group: NDArray[np.intp], means: Array, count: NDArray
     pure = float(within @ within) / freedom
     between = float(count @ means**2) / (len(means) - 2)
     return sqrt(between / pure) if pure > 0 else 0.0
+
+
+SMOOTH = 0.1
+"""Pressure and displacement are means over this time [s]."""
+LEAST = 2e-3
+"""A stroke below it shows no loop [m]."""
+LATE = (0.7, 0.95)
+"""Part of the stroke whose line is carried on to where the load comes to rest after the ramp."""
+MIDDLE = (0.4, 0.6)
+"""Part of the stroke in which the loop is widest."""
+SHOWN = 0.15
+"""A loop is one if its middle is wider than its end by this share of the end: friction and damping differ by way."""
+OFF, UNSEEN = 0.15, 3e-3
+"""What the correction may be off, as a share of it: OFF, and UNSEEN [m] over the stroke for those parts of the braid
+that yield later than the stroke turns. With Maxwell elements of 0.2 to 8 mm a stroke of 12 mm shows four fifths."""
+STILL = 0.5
+"""Friction is dry where a load stands still over this share of the distance from lift to set-down."""
+CLEAR = 5.0
+"""and where that distance is so many times the noise of the pressure."""
+
+
+@dataclass(frozen=True)
+class Loop:
+    """The middle of one stroke: mean pressures there on the way up and down [Pa], and how far it went up [m]."""
+
+    up: float
+    down: float
+    damped: float
+    """How far the pressure ran ahead of a load that moves, by its damping [Pa]."""
+    reach: float
+
+
+@dataclass(frozen=True, eq=False)
+class Kept:
+    """Hysteresis in the mean of lift and set-down, per trial [N], NaN without a stroke, and its half width."""
+
+    force: Array
+    half: Array
+
+    @property
+    def on(self) -> NDArray[np.bool_]:
+        """Rows that have it."""
+        return np.isfinite(self.force)
+
+
+def loop_of(trial: TrialData, times: Mapping[str, float]) -> Loop | None:
+    """The loop between lift and set-down, `times` [s] by phase; None where the load was raised by less than `LEAST`."""
+    ways = _ways(trial, times)
+    if ways is None:
+        return None
+    P, x = ways
+    top = int(np.argmax(x))
+    reach = float(x[top])
+    if reach < LEAST or top < 2 or len(x) - top < 3:
+        return None
+    grid = np.linspace(*MIDDLE, 41) * reach
+    up, down = (
+        float(np.mean(np.interp(grid, np.maximum.accumulate(x[way]), P[way])))
+        for way in (slice(0, top + 1), slice(None, top - 1 if top else None, -1))
+    )
+    late = (x[:top] > LATE[0] * reach) & (x[:top] < LATE[1] * reach)
+    damped = 0.0
+    if np.count_nonzero(late) > 2 and np.ptp(x[:top][late]) > 0:
+        damped = max(0.0, float(np.polyval(np.polyfit(x[:top][late], P[:top][late], 1), reach)) - float(P.max()))
+    return Loop(up, down, damped, reach)
+
+
+def kept(loops: Sequence[Loop | None], load: Array, gap: Array, slope: float) -> Kept | None:
+    """How far the loops' middles are wider than their ends; None where none is, or where there are no two loads.
+
+    `load` [N] and `gap`, the distance of lift from set-down [Pa], have shape (n,); `slope` is dF_ce/dP at x = 0 [N/Pa],
+    that of the middle comes from the loads that passed it.
+    """
+    rows = np.array([loop is not None for loop in loops]) & np.isfinite(gap)
+    if len(np.unique(load[rows])) < 2:
+        return None
+    found = [loop for loop, use in zip(loops, rows, strict=True) if use and loop is not None]
+    up, down, damped, reach = np.array([(loop.up, loop.down, loop.damped, loop.reach) for loop in found]).T
+    full = reach > 0.8 * reach.max()
+    steep = slope
+    middle = 0.5 * (up + down)[full]
+    if len(np.unique(load[rows][full])) > 1 and np.ptp(middle) > 0:
+        steep = float(np.polyfit(middle, load[rows][full], 1)[0])
+    end = slope * gap[rows]
+    wider = np.full(len(load), np.nan)
+    wider[rows] = steep * (up - down - 2 * damped) - end
+    mean, spread, n = float(wider[rows].mean()), float(wider[rows].std(ddof=1)), int(rows.sum())
+    if mean - float(student.ppf(0.95, n - 1)) * spread / sqrt(n) < SHOWN * abs(float(end.mean())):
+        return None
+    half = np.full(len(load), np.nan)
+    half[rows] = 0.5 * np.hypot(wider[rows] * (OFF + UNSEEN / reach), steep * damped)
+    return Kept(0.5 * wider, half)
+
+
+def stands_still(trial: TrialData, times: Mapping[str, float], gap: float) -> bool | None:
+    """Whether the load stood still while the pressure fell by most of `gap` [Pa]; None where it was not recorded."""
+    ways = _ways(trial, times)
+    if ways is None or not np.isfinite(gap):
+        return None
+    P, x = ways
+    noise = noise_of(trial.channels["pressure"][trial.usable])
+    still = np.abs(x - np.median(x)) < max(0.1 * abs(float(np.median(x))), noise_of(x))
+    return bool(gap > CLEAR * noise and still.any() and float(np.ptp(P[still])) > STILL * gap)
+
+
+def _ways(trial: TrialData, times: Mapping[str, float]) -> tuple[Array, Array] | None:
+    """Pressure and displacement from lift to set-down, smoothed; None where they were not recorded."""
+    if not {"pressure", "displacement"} <= set(trial.channels) or not np.isfinite(list(times.values())).all():
+        return None
+    rows = trial.usable & (trial.t >= times["lift"]) & (trial.t <= times["set-down"])
+    if np.count_nonzero(rows) < 3:
+        return None
+    width = max(1, round(SMOOTH / float(np.median(np.diff(trial.t[rows])))))
+    if np.count_nonzero(rows) < 2 * width:
+        return None
+    window = np.ones(width) / width
+    P, x = (np.convolve(trial.channels[name][rows], window, mode="valid") for name in ("pressure", "displacement"))
+    return P, x
+
+
+UNEQUAL = 0.35
+"""Share of the half difference by which the mean may be off: a load lifts against stiction and sets down against
+sliding friction, which is taken as at least 60 % of it, and a slow muscle is damped by up to twice as much one way."""
+ADDS = 2.0
+"""Nothing is carried to x = 0 where that adds to the half width more than this times what it takes off."""
+YIELDS = (
+    "lift and set-down lie too near to each other for dry friction, so that the braid yields little by little, and how"
+    " far its hysteresis is in the mean is not known: raise the load by 10 mm and more before it sets down"
+    " (trial.search.stroke in the protocol)"
+)
+"""Why F_ce is withheld where friction is not seen to be dry and no load was raised."""
+UNTOLD = 0.5
+"""As UNEQUAL, where there is hysteresis: that over pressure turns late, so that the sides are less alike."""
+
+
+UNTESTED = 1.25
+"""As UNEQUAL, where no load was raised: hysteresis that turns with the pressure moves the mean by about the half
+difference of a muscle that also has dry friction."""
+
+
+@dataclass(frozen=True, eq=False)
+class Mean:
+    """The line through the means of both directions, and what was taken off it."""
+
+    points: Points
+    line: Line
+    before: Line
+    """The line through the means as they were found."""
+    carried: bool
+    """Whether lift and set-down were carried to x = 0."""
+    kept: Kept | None = None
+    """Hysteresis that was taken off, per trial of the record."""
+    raised: bool = True
+    """Whether the loads were raised, which shows hysteresis where there is some."""
+    why: str = ""
+    """Why F_ce is withheld; empty where it is not."""
+
+    @property
+    def friction(self) -> float | None:
+        """Half difference of lift and set-down over all trials [N]."""
+        apart = 0.5 * (self.points.lift - self.points.set_down)
+        apart = apart[np.isfinite(apart)]
+        return float(np.mean(apart)) * self.line.s if len(apart) else None
+
+    def off(self, row: Array) -> float:
+        """Half width [N] of what the mean may be off, for `row` @ (a, s)."""
+        if not row[0]:
+            return 0.0
+        share = UNTESTED if not self.raised else UNEQUAL if self.kept is None else UNTOLD
+        friction = share * abs(self.friction or 0.0)
+        place = 0.5 * self.points.uncertain * self.line.s if self.carried else 0.0
+        loop = 0.0 if self.kept is None else float(np.nanmax(self.kept.half))
+        return hypot(friction, place, loop)
+
+
+def mean_of(runs: Sequence[RunData], plain: Points, slope: float, stiffness: Stiffness | None) -> Mean | None:
+    """The line through the means of both directions, without K x and without hysteresis where the record shows them."""
+    before = fit_side(plain, MEAN)
+    moved = _carried(runs, plain, slope, stiffness)
+    points = plain if moved is None else moved
+    if before is None or (line := fit_side(points, MEAN)) is None:
+        return None
+    trials = {trial.name: trial for run in runs for trial in run.trials}
+    own = [trials[name] for name in plain.names]
+    times = [times_of(trial) for trial in own]
+    gap = plain.lift - plain.set_down
+    loops = [loop_of(trial, when) for trial, when in zip(own, times, strict=True)]
+    held = kept(loops, plain.load, gap, before.s)
+    if held is not None:
+        points = points.only(held.on, held.force / before.s)
+        without = fit_side(points, MEAN)
+        if without is None:
+            return None
+        return Mean(points, without, before, moved is not None, held)
+    seen = [still for trial, when, one in zip(own, times, gap, strict=True)
+            if (still := stands_still(trial, when, one)) is not None]  # fmt: skip
+    raised = sum(loop is not None for loop in loops) > 0.5 * len(loops)
+    why = YIELDS if seen and not raised and np.mean(seen) < 0.5 else ""
+    return Mean(points, line, before, moved is not None, None, raised, why)
+
+
+def _carried(runs: Sequence[RunData], points: Points, slope: float, stiffness: Stiffness | None) -> Points | None:
+    """The points with lift and set-down carried to x = 0; None where no way carries all of them to some gain.
+
+    K of another test counts only where the load's own ways are too short or too uneven: it may be of another place.
+    """
+    trials = {trial.name: trial for run in runs for trial in run.trials}
+    rows = zip(points.names, points.lift, points.set_down, strict=True)
+    found = [(trials[name], {"lift": lift, "set-down": down}) for name, lift, down in rows]
+    ways: list[list[Carried | None]] = [[along_ways(*one) for one in found]]
+    if stiffness is not None:
+        ways.append([by_stiffness(*one, slope, stiffness) for one in found])
+    return next((moved for way in ways if (moved := _moved(points, way)) is not None), None)
+
+
+def _moved(points: Points, way: Sequence[Carried | None]) -> Points | None:
+    """The points as carried; None where some set-down could not be, or where too little is gained."""
+    if None in way:
+        return None
+    lift, down, half, place = np.array([(one.lift, one.set_down, one.half, one.place) for one in way if one]).T
+    if not np.isfinite(place[np.isfinite(points.set_down)]).all():
+        return None
+    taken = 0.5 * float(np.nanmean(points.lift + points.set_down - lift - down))
+    if 0.5 * float(half.mean()) > ADDS * abs(taken):
+        return None
+    return replace(points, lift=lift, set_down=down, uncertain=float(half.mean()), place=float(np.nanmean(place)))

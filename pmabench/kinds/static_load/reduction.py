@@ -18,8 +18,7 @@ from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.verdict.agreement import SAME, Offer, Place, anywhere, at_pressures, between
 from pmabench.base.quantities import show
 from pmabench.kinds.static_load import RESULTS, figures
-from pmabench.kinds.static_load.line import Line, fit_side
-from pmabench.kinds.static_load.mean import Mean, mean_of
+from pmabench.kinds.static_load.line import Line, Mean, fit_side, mean_of
 from pmabench.kinds.static_load.points import LIFT, MEAN, SET_DOWN, Points, Stiffness, points_of
 from pmabench.store.analyses.results import Analysis, Curve, Estimate, Finding, Parts, withhold
 from pmabench.store.records import Array, RunData
@@ -78,6 +77,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
             "trials_used": len(plain.names),
             "loads": len(np.unique(plain.load)),
             "residual_rms": lines[MEAN].rms if MEAN in lines else None,
+            "hysteresis": mean.kept is not None if mean is not None and mean.raised else None,
             "table": figures.table(plain),
         },
     )
@@ -92,8 +92,9 @@ def _of_both_ways(lines: Mapping[str, Line], mean: Mean | None) -> list[Finding]
         findings.append(Finding("doubt", "one direction only: F_ce is off by the friction of the muscle"))
     if mean is not None and mean.friction is not None:
         text = f"lift and set-down lie {show(2 * mean.friction, 'force', 3)} apart: friction of about half of that"
-        text += ", at which a muscle at rest begins to move; F_c of other tests is that of a muscle that moves"
-        findings.append(Finding("note", f"{text}, and is smaller or alike"))
+        text += ", at which a muscle at rest begins to move; F_c of other tests is that of a muscle that moves, and is "
+        larger = ", or larger by the hysteresis of a longer way" if mean.kept is not None else ""
+        findings.append(Finding("note", f"{text}smaller or alike{larger}"))
         findings.append(figures.of_place(mean))
     if mean is not None and (mean.why or not mean.raised or mean.kept is not None):
         findings.append(figures.of_hysteresis(mean))
@@ -205,7 +206,10 @@ def _means(group: Array, values: Array) -> Array:
 
 
 def offers(analysis: Analysis) -> Iterator[Offer]:
-    """F at x = 0, a line over pressure and so known between its points, and friction at rest, which F_c is below."""
+    """F at x = 0, a line over pressure and so known between its points, and friction at rest, which F_c is below.
+
+    Not where raised loads showed hysteresis, or none was raised: it grows with the way, and here nearly nothing moves.
+    """
     known = at_pressures(analysis, "F_ce", MEAN)
     line = sorted(known.items())
 
@@ -214,6 +218,8 @@ def offers(analysis: Analysis) -> Iterator[Offer]:
         return between(line, P) if x is not None and abs(x) <= SAME else None
 
     yield Offer("F", {(P, 0.0): e for P, e in line}, at)
+    if analysis.facts.get("hysteresis") is not False:
+        return
     why = "that of a muscle at rest is static friction, F_c is that of a moving one, and the smaller"
     for e in analysis.estimates:
         if e.method == HALF and not e.at and e.value is not None:

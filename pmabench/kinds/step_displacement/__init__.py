@@ -1,7 +1,7 @@
 """Steps of displacement at constant pressure: stiffness at the peak and relaxed.
 
 - `reduction`, made of `relaxation`
-- protocol files: `protocol`; one trial on the display: `live`; figures: `figures`
+- protocol files: `protocol`; figures and one trial on the display: `figures`
 """
 
 from pmabench.base.imported import Commanded, Imported
@@ -33,7 +33,7 @@ KIND = Kind(
     reduction="pmabench.kinds.step_displacement.reduction:reduce",
     papers=("paper 3, steps",),
     protocol="pmabench.kinds.step_displacement.protocol:StepDisplacement",
-    live="pmabench.kinds.step_displacement.live:measure",
+    live="pmabench.kinds.step_displacement.figures:measure",
     moves="displacement",
     compares="force",
     repeated="pmabench.kinds.step_displacement.relaxation:stiffness_of",

@@ -18,7 +18,7 @@ from pmabench.analysis.surface.muscle import ALWAYS
 from pmabench.analysis.surface.record import RATE, Record
 from pmabench.base.quantities import show
 from pmabench.kinds.surface import RESULTS
-from pmabench.kinds.surface.values import estimates
+from pmabench.kinds.surface.values import estimates, tested
 from pmabench.store.analyses.results import Analysis, Dropped, Finding, Trace
 from pmabench.store.records import RunData, TrialData
 
@@ -126,6 +126,7 @@ def facts(choice: Choice) -> dict[str, Any]:
         "rows": int(choice.data.rows.used.sum()),
         "pressure": [frame.P.low, frame.P.high],
         "contraction": [frame.x.low, frame.x.high],
+        "tested": tested(choice).ranges(frame),
         "terms": list(choice.terms),
         "held_out_rms": choice.score.rms,
         "straight_form_rms": choice.straight.rms,

@@ -14,6 +14,7 @@ import numpy as np
 
 from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.surface.choice import Choice
+from pmabench.analysis.surface.columns import Frame
 from pmabench.analysis.surface.muscle import CREEP_P, CREEP_X, SLIDING, STOPS_P, STOPS_X, Muscle
 from pmabench.analysis.surface.spread import FEWEST, Spread
 from pmabench.base.quantities import QUANTITIES, show
@@ -26,6 +27,8 @@ NEAR = 0.1
 """A place counts as tested where rows lie this close in pressure on both sides in contraction, and the other way."""
 MOST = 6
 """Most pressures, and contractions at each."""
+PRESSURES, PLACES = 13, 61
+"""Most pressures of which it is written down where rows lie, and how finely that is looked for."""
 STILL = 1e-5
 """Range of speeds below which nothing moved [m/s]."""
 WAVE = 0.25
@@ -66,6 +69,15 @@ class Tested:
         if along_x is None or along_P is None:
             return False
         return along_x[0] - 1e-9 <= x <= along_x[1] + 1e-9 and along_P[0] - 1.0 <= P <= along_P[1] + 1.0
+
+    def ranges(self, frame: Frame) -> list[list[float]]:
+        """Round pressures [Pa], each with the lowest and highest contraction [m] around which rows lie."""
+        found = []
+        for P in round_places(frame.P.low, frame.P.high, PRESSURES):
+            ends = self.contractions(P)
+            if ends and (held := [x for x in np.linspace(*ends, PLACES).tolist() if self.holds(P, x)]):
+                found.append([P, held[0], held[-1]])
+        return found
 
 
 def tested(choice: Choice) -> Tested:

@@ -1,6 +1,6 @@
 """Steps of pressure without load, against the contraction that a model gives.
 
-- `reduction`; protocol files: `protocol`; one trial on the display: `live`; figures: `figures`
+- `reduction`; protocol files: `protocol`; figures and one trial on the display: `figures`
 """
 
 from pmabench.base.imported import Imported
@@ -33,7 +33,7 @@ KIND = Kind(
     reduction="pmabench.kinds.validation.reduction:reduce",
     papers=("paper 0, validation",),
     protocol="pmabench.kinds.validation.protocol:Validation",
-    live="pmabench.kinds.validation.live:measure",
+    live="pmabench.kinds.validation.figures:measure",
     moves="displacement",
     compares="displacement",
     repeated="pmabench.kinds.validation.reduction:mean_in_window",

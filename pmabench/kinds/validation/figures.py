@@ -1,4 +1,7 @@
-"""Figure of a validation: contraction after each step of pressure, measured and modelled."""
+"""Figure of a validation: contraction after each step of pressure, measured and modelled.
+
+`measure`: what one trial says by itself, for the display.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +9,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from pmabench.analysis.trial import Expected, Found, Measured, Quick
+from pmabench.kinds.validation.reduction import inside_window, unusable
 from pmabench.plotting import time_plots
 from pmabench.plotting.pictures import (
     Picture,
@@ -22,6 +27,7 @@ from pmabench.plotting.pictures import (
     unit_of,
 )
 from pmabench.store.analyses.results import Analysis, Trace
+from pmabench.store.records import RunData, TrialData
 
 MOST = 12
 """Most steps."""
@@ -47,3 +53,16 @@ def validations(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     draw = bound(time_plots.overlay, panels, labels)
     title = "Measured and simulated steps"
     return [picture(draw, title, caption, alt, table, wide=len(chosen) > 1, simulated=analysis.simulated)]
+
+
+def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
+    """The contraction in the window and the one that the specimen's file expects."""
+    reason = unusable(run, trial)
+    if reason:
+        return [Measured("x", "length", None)], [reason]
+    x = float(trial.channels["displacement"][inside_window(run, trial)].mean())
+    P, load = trial.point.get("pressure", 0.0), trial.point.get("load", 0.0)
+    K_e, F_e = (expected.at(name, P) if expected else None for name in ("K", "F_ce"))
+    slip = expected.F_c if expected else 0.0
+    predicted = (F_e - slip - load) / K_e if F_e is not None and K_e else None
+    return [Measured("x", "length", x, predicted, tolerance=slip / K_e if K_e else 0.0, noise=20e-6)], []

@@ -1,8 +1,7 @@
 """A muscle as the surface of an analysis describes it: force over pressure and contraction, hysteresis, damping, creep.
 
 - `muscle`: its numbers as plain data, and what they mean at a place
-- `path`: the same along a path, with what the muscle remembers
-- `plant`: a load on its free end, in time
+- `plant`: the same along a path, with what the muscle remembers, and a load on its free end, in time
 - `inverse`: the pressure that a wanted contraction needs
 - `library`: the muscle among the models that `pmabench model` shows and evaluates
 

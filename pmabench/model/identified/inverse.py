@@ -13,7 +13,7 @@ import numpy as np
 
 from pmabench.model.curve import Array
 from pmabench.model.identified.muscle import IdentifiedMuscle
-from pmabench.model.identified.path import Path
+from pmabench.model.identified.plant import Path
 from pmabench.model.regulator import Regulator
 
 NEAR = 1.0

@@ -2,7 +2,7 @@
 
     F = F_s(P, x) - sum w_k(P) S_k[x] - sum q_m(x) S_m[P] - B(P, sign x') x' + K(P, x) c[x] + d(x)[P]
 
-F_s is a product of cubic B-splines over P and x, K = -dF_s/dx. S are stops between -1 and 1 (`path`), c and d sums of
+F_s is a product of cubic B-splines over P and x, K = -dF_s/dx. S are stops between -1 and 1 (`plant`), c and d sums of
 first-order lags. w, B are straight lines over the tested pressures, q, d over the tested contractions, constant beyond;
 F_s goes on as straight lines beyond them. SI throughout, P gauge.
 """

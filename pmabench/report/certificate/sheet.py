@@ -9,9 +9,10 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 from pmabench.plotting.pictures import Picture, drawable
-from pmabench.plotting.wording import clean, number
+from pmabench.plotting.wording import brief, clean, number
 from pmabench.report.certificate import limits as not_for
 from pmabench.report.certificate import quality
 from pmabench.report.certificate.coefficient_charts import coefficient_picture
@@ -20,8 +21,10 @@ from pmabench.report.certificate.force_chart import force_picture
 from pmabench.report.certificate.result_table import ResultTable, result_table
 from pmabench.report.certificate.sources import Sources, sources
 from pmabench.report.certificate.stroke_chart import stroke_picture
+from pmabench.report.certificate.surface_chart import surface_picture
 from pmabench.report.document import provenance
 from pmabench.report.document.front import Verdict, tiles_of
+from pmabench.report.document.tables import two_coordinates
 from pmabench.report.figures.figures import front_pictures
 from pmabench.report.foremost import how_well, left_out
 from pmabench.report.words import described, kind_title
@@ -32,7 +35,7 @@ FIGURES = 3
 MOST_ALSO = 6
 USUAL, ROW = 9, 16.0
 """Rows of the table with its notes for which page 1 is laid out; height of each further one [pt]."""
-MOST_WORDS = 75
+MOST_LETTERS = 480
 INTERVALS = (
     "U is the half width of the 95 % interval: scatter between trials, what the estimator adds and calibrations, added "
     "as squares."
@@ -135,7 +138,9 @@ def _pictures(
     analyses = [drawable(a) for a in analyses]
     found: list[Picture] = []
     used: list[str] = []
-    panels = coefficient_picture(analyses, members, over, less) if members else None
+    across = two_coordinates(members, over)
+    draw = partial(surface_picture, across=across) if across else coefficient_picture
+    panels = draw(analyses, members, over, less=less) if members else None
     found += [panels] if panels else []
     force = force_picture(analyses, less)
     found += [force] if force else []
@@ -176,8 +181,8 @@ def _sentence(verdict: Verdict, main: Analysis | None, known: str, failed: Seque
     """How well, in what range, what was left out; first of all why not, where it is not good."""
     parts = []
     if verdict.level != "good":
-        why = clean(failed[0], 200) if failed else verdict.text.rstrip(".")
-        parts.append(f"{why[:1].upper()}{why[1:]}.")
+        why = brief(failed[0], 200) if failed else verdict.text.rstrip(".")
+        parts.append(f"{why[:1].upper()}{why[1:]}.".replace("….", "…"))
     if known:
         parts.append(f"{known} (95 % intervals).")
     elif verdict.level == "good":
@@ -225,10 +230,10 @@ def _traceable(runs: Sequence[RunData]) -> list[str]:
 
 
 def _method(main: Analysis | None) -> str:
-    """How the numbers were got, in at most about 75 words and a sentence on U."""
+    """How the numbers were got, in few sentences, and one on U."""
     text = described(main.estimates[0].method) if main and main.estimates else ""
-    words = text.split()
-    cut = text if len(words) <= MOST_WORDS else " ".join(words[:MOST_WORDS]).rstrip(",;:") + " …"
+    cut = brief(text, MOST_LETTERS)
+    cut += "" if cut.endswith((".", "…")) else "."
     return f"{cut} {INTERVALS}".strip() if main and main.estimates else ""
 
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pmabench.store.analyses.made_from import key_of
+from pmabench.store.analyses.folder import key_of
 from pmabench.store.folder import open_regular
 from pmabench.store.since import stamp
 

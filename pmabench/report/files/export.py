@@ -18,12 +18,12 @@ import pandas as pd
 
 from pmabench.base.errors import UsageError
 from pmabench.notebook import Results, Run, estimates_frame, headed, with_unit
-from pmabench.plotting.wording import clean
+from pmabench.plotting.wording import clean, point_shown, shown
 from pmabench.report.document import tables
 from pmabench.report.files import latex
-from pmabench.report.files.csv_files import inert, write_tables
+from pmabench.report.files.csv_files import csv_text, inert, plain_head, write_tables
 from pmabench.report.files.simulator_models import control_model, control_text, mujoco_model, mujoco_text, suits
-from pmabench.report.files.surface_model import suits_surface, surface_text
+from pmabench.report.files.surface_model import suits_surface, surface_rows, surface_text
 from pmabench.report.words import kind_title
 from pmabench.report.writing import write_file, writing
 from pmabench.store.analyses.folder import file_names
@@ -173,7 +173,24 @@ def _results_csv(results: Results, out: Path) -> list[Path]:
     for name, analysis in zip(_names(results.analyses), results.analyses, strict=True):
         (out / name).mkdir(parents=True, exist_ok=True)
         paths += write_tables(analysis, out / name)
+        if rows := surface_rows(analysis):
+            paths.append(write_file(out / name / "surface.csv", csv_text(_displayed(rows), []), "the export"))
     return paths
+
+
+def _displayed(rows: Sequence[Mapping[str, float]]) -> list[dict[str, float]]:
+    """Rows of a surface in the units that people read."""
+    units = {plain_head(name): (name, point_shown(name)[1]) for name in ("pressure", "contraction")}
+    units |= {unit.plain_label(name): (name, unit) for name, unit in (("F", shown("force")), ("K", shown("stiffness")))}
+    return [{head: row[name] / unit.scale for head, (name, unit) in units.items()} for row in rows]
+
+
+def _surfaces(analyses: Sequence[Analysis]) -> dict[str, pd.DataFrame]:
+    """The surface of each analysis that has one, SI with units in the heads."""
+    quantities = {"pressure": "pressure", "contraction": "length", "F": "force", "K": "stiffness"}
+    heads = {name: headed(name, quantity) for name, quantity in quantities.items()}
+    named = zip(_names(analyses), map(surface_rows, analyses), strict=True)
+    return {f"{name}-table": pd.DataFrame(rows).rename(columns=heads) for name, rows in named if rows}
 
 
 def _names(analyses: Sequence[Analysis]) -> list[str]:
@@ -187,6 +204,7 @@ def _texts(frame: pd.DataFrame) -> pd.DataFrame:
 
 def _results_parquet(results: Results, out: Path) -> list[Path]:
     frames = {"estimates": _texts(results.to_frame()), "findings": results.findings(), "dropped": results.dropped()}
+    frames |= _surfaces(results.analyses)
     return _parquet(frames, out, {"runs": " ".join(run for a in results.analyses for run in a.runs)})
 
 
@@ -194,6 +212,8 @@ def _results_mat(results: Results, out: Path) -> list[Path]:
     structs: dict[str, Any] = {}
     for field, analysis in zip(_fields([a.kind for a in results.analyses]), results.analyses, strict=True):
         structs[field] = {"estimates": _struct(_texts(estimates_frame([analysis]))), "simulated": analysis.simulated}
+        for table in _surfaces([analysis]).values():
+            structs[field]["table"] = _struct(table)
     return [_mat(structs, out)]
 
 

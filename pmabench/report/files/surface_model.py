@@ -11,13 +11,17 @@ from typing import Any
 import numpy as np
 
 from pmabench import __version__
-from pmabench.model.identified.described import holds_surface
+from pmabench.model.identified.library import holds_surface
 from pmabench.model.identified.muscle import IdentifiedMuscle, Weights
 from pmabench.report.files.simulator_models import inside
 from pmabench.store.analyses.results import Analysis
 
 STEP = 0.0005
 """Time step of the file [s]."""
+GRID = 1e-3
+"""Distance of the contractions in a table of the surface [m]."""
+SLACK = 0.05
+"""Share of it by which a contraction may lie beyond the tests."""
 MASS = 10.0
 """Moving mass that the file begins with [kg]."""
 
@@ -79,6 +83,23 @@ def step(state: Any, inputs: Any, p: dict[str, Any]) -> Any:
 def suits_surface(analysis: Analysis) -> bool:
     """Whether an analysis holds a muscle as a surface."""
     return holds_surface(analysis.facts)
+
+
+def surface_rows(analysis: Analysis) -> list[dict[str, float]]:
+    """Force and local stiffness over pressure and contraction, where rows of the tests lie and the muscle pulls [SI].
+
+    None of an analysis that does not say where that is.
+    """
+    if not suits_surface(analysis):
+        return []
+    muscle = IdentifiedMuscle.of(analysis.facts["muscle"])
+    found = []
+    for P, low, high in analysis.facts.get("tested", ()):
+        for x in GRID * np.arange(np.ceil(low / GRID - SLACK), np.floor(high / GRID + SLACK) + 1):
+            if (F := muscle.static(P, float(x))) > 0:
+                K = muscle.stiffness(P, float(x))
+                found.append({"pressure": P, "contraction": round(float(x), 9), "F": F, "K": K})
+    return found
 
 
 def parameters_of(muscle: IdentifiedMuscle) -> dict[str, Any]:

@@ -199,9 +199,9 @@ def _known(e: Estimate) -> Estimate:
     if e.quantity not in NEVER_0 or e.value is None or not found or found < abs(e.value):
         return e
     value, half = (show(number, e.quantity, 3) for number in (e.value, found))
-    widest = max((name for name, part in vars(e.parts).items() if part), key=lambda name: getattr(e.parts, name))
-    why = f"{value} +- {half} says nothing: the interval reaches to 0, and most of it is from {widest}"
-    return withhold(e, f"{why}. Look at what this part is made of, and repeat the test with that mended")
+    why = f"only the order of {value} +- {half} is known: the interval includes 0"
+    widest = max((s for s in e.budget if s.half), key=lambda s: s.half or 0.0, default=None)
+    return withhold(e, why if widest is None else f"{why}. Most of it is from: {widest.name}")
 
 
 def _ends_at_0(e: Estimate, positive: Set[str]) -> bool:

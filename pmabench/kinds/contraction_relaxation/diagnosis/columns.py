@@ -37,8 +37,10 @@ TYPICAL = 350e3
 """Pressure [Pa] by which what grows with pressure is scaled."""
 LOADED = 250.0
 """Force [N] by which what grows with the load is scaled."""
-BY_LOAD = "by time and load"
-"""Variant of creep that is put in only where creep that is the same at all loads is found, and is not enough."""
+BY_LOAD, BY_WAY = "by time and load", "by way"
+FINER: Mapping[str, str] = {"creep": BY_LOAD, "hysteresis": BY_WAY}
+"""Variant that is put in only where the cause is found, and its other variants, the same at all loads or in both
+directions, are not enough: loops of braids are not symmetric (Liu et al. 2017, Strojniski vestnik 63(1))."""
 STEEP = 0.15
 """Share of the contractions tested over which K falls that is steep near none: from three contractions of a fluidic
 muscle of 20 mm on, K is nearly straight, and its force falls with exp(-x / 3 % of the length)."""
@@ -190,6 +192,20 @@ def hysteresis(followed: Followed, segments: Segments, fit: Solved) -> Array:
     return np.column_stack(found)
 
 
+def hysteresis_by_way(followed: Followed, segments: Segments, fit: Solved) -> Array:
+    """The same of each of `RADII` while it contracts, then while it relaxes; shape (n, 16). What F_ce holds of it, the
+    middle of both branches, is taken off, too.
+    """
+    found = []
+    for way in (1.0, -1.0):
+        rows = segments.way == way
+        for stop in followed.stops(segments).T * rows:
+            off = stop - 0.5 * (stop.sum() / max(1, rows.sum()))
+            for column in (off, off * segments.pressure / TYPICAL):
+                found.append(-(column - float(np.mean(column * segments.way)) * segments.way))
+    return np.column_stack(found)
+
+
 def creep_parts(followed: Followed, segments: Segments, fit: Solved) -> Array:
     """The muscle goes on contracting by its whole contraction in a decade of time, of each of `TIMES`; shape (n, 8)."""
     K = fit.values("K", segments.pressure)
@@ -216,7 +232,7 @@ def creep_by_load(followed: Followed, segments: Segments, fit: Solved) -> Array:
 OF_MUSCLE: Mapping[str, Mapping[str, Callable[[Followed, Segments, Solved], Array]]] = {
     "bend": {"as K": bend_as_stiffness, "line": bend, "steep": steep},
     "sensor": {"": bent_sensor},
-    "hysteresis": {"": hysteresis},
+    "hysteresis": {"": hysteresis, BY_WAY: hysteresis_by_way},
     "creep": {"even": creep, "by decade": creep_decades, "by time": creep_parts, BY_LOAD: creep_by_load},
 }
 """Property of a muscle -> variant -> its columns; `sensor` is either the muscle or the displacement sensor."""

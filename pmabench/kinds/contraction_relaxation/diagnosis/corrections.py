@@ -98,14 +98,18 @@ def _of_muscle(
     return columns.OF_MUSCLE[one.kind][one.which](followed, segments, fit)
 
 
-def in_samples(campaign: Campaign, explanations: Sequence[Explanation]) -> Campaign:
-    """The campaign with what is wrong with the bench corrected in its samples."""
+def in_samples(
+    campaign: Campaign, explanations: Sequence[Explanation], trials: Sequence[int] | None = None
+) -> Campaign:
+    """The campaign with what is wrong with the bench corrected in its samples, of these `trials` or of all."""
     faults = [one for one in explanations if not one.of_muscle]
     if not faults:
         return campaign
-    course, place = columns.course(campaign), columns.order(campaign)
-    samples = []
-    for i, each in enumerate(campaign.samples):
+    place = columns.order(campaign)
+    course = columns.course(campaign) if any(one.kind == "drift" for one in faults) else ()
+    samples = list(campaign.samples)
+    for i in range(len(samples)) if trials is None else trials:
+        each = samples[i]
         for one in faults:
             size = one.sizes[0]
             if one.kind == "drift" and each.force is not None:
@@ -118,7 +122,7 @@ def in_samples(campaign: Campaign, explanations: Sequence[Explanation]) -> Campa
                 each = moved(each, (one.which,), size)
             elif one.kind == "lag":
                 each = _filtered(each, one.which, size, campaign.rate)
-        samples.append(each)
+        samples[i] = each
     return replace(campaign, samples=tuple(samples))
 
 
@@ -143,10 +147,10 @@ def _behind(values: Array, constant: float) -> Array:
     return np.where(known, columns.lagged(whole, constant), np.nan)
 
 
-def off_forces(
+def forces_of(
     followed: columns.Followed, segments: Segments, fit: Solved, explanations: Sequence[Explanation]
-) -> Segments:
-    """The segments without the forces that the muscle has beyond the straight form; `fit` is of the straight part."""
+) -> Array:
+    """What the muscle pulls beyond the straight form [N], shape (n,); `fit` is of the straight part."""
     mine = [one for one in explanations if one.of_muscle]
     forces = [_of_muscle(one, followed, segments, fit, mine) @ np.array(one.sizes) for one in mine]
-    return segments.pulled(-np.sum(forces, axis=0)) if mine else segments
+    return np.asarray(np.sum(forces, axis=0)) if mine else np.zeros(len(segments))

@@ -11,8 +11,9 @@ from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.samples import Samples
 from pmabench.kinds.contraction_relaxation.diagnosis.cell import readings, weighed
 from pmabench.kinds.contraction_relaxation.diagnosis.columns import zero_known
-from pmabench.kinds.contraction_relaxation.diagnosis.corrections import in_samples, off_forces
-from pmabench.kinds.contraction_relaxation.diagnosis.rounds import Search, explained
+from pmabench.kinds.contraction_relaxation.diagnosis.corrections import forces_of, in_samples
+from pmabench.kinds.contraction_relaxation.diagnosis.rounds import explained
+from pmabench.kinds.contraction_relaxation.diagnosis.search import Search
 from pmabench.kinds.contraction_relaxation.diagnosis.spread import Spread
 from pmabench.kinds.contraction_relaxation.diagnosis.verdict import Diagnosis, name
 from pmabench.kinds.contraction_relaxation.diagnosis.words import named
@@ -33,7 +34,7 @@ class Examined:
     def corrected(self, segments: Segments) -> Segments:
         """Segments of corrected samples without the forces that the muscle has beyond the straight form."""
         state = self.diagnosis.reported
-        return off_forces(self.search.followed, segments, state.straight, state.explanations)
+        return segments.pulled(-forces_of(self.search.followed, segments, state.straight, state.explanations))
 
 
 def examined(
@@ -52,7 +53,7 @@ def examined(
         for one in weights.found
         if (error := errors[one.kind]) is not None
     )
-    spread = Spread(search, after, segments, rounds.undecided, 1.0)
+    spread = Spread(search, rounds.before, after, segments, rounds.undecided, 1.0)
     change = after.test.fit.theta - after.test.fit.again(segments, after.test.expected).theta
     diagnosis = Diagnosis(known, rounds, of_cell, name(after, spread.sizes(), names), change)
     if not of_cell and not diagnosis.reported.explanations:

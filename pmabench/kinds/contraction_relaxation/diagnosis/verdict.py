@@ -14,14 +14,13 @@ from typing import Any
 from pmabench.base.quantities import show
 from pmabench.kinds.contraction_relaxation.diagnosis.cell import Weighed
 from pmabench.kinds.contraction_relaxation.diagnosis.hiding import HARDLY, MOST_HIDDEN, Hidden, Size
-from pmabench.kinds.contraction_relaxation.diagnosis.rounds import EXPLAINS, Rounds, State
+from pmabench.kinds.contraction_relaxation.diagnosis.rounds import EXPLAINS, STILL_TOLD, Rounds
+from pmabench.kinds.contraction_relaxation.diagnosis.search import State
 from pmabench.kinds.contraction_relaxation.diagnosis.words import TITLES, Named, named, shown
 from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, Solved
 from pmabench.store.analyses.results import Estimate
 from pmabench.store.records import Array
 
-STILL_TOLD = 1.25
-"""Up to so many times the ratio at which the form is doubted, corrected values are printed, though not accepted."""
 NEARLY = 0.9
 """Share of the excess that an explanation removes of which values are printed though the form is still doubted."""
 SURE = 2.0

@@ -9,7 +9,7 @@ from math import sqrt
 import numpy as np
 
 from pmabench.base.quantities import show
-from pmabench.kinds.contraction_relaxation.diagnosis.columns import BY_LOAD, LOADED, TIMES, TYPICAL
+from pmabench.kinds.contraction_relaxation.diagnosis.columns import BY_LOAD, BY_WAY, LOADED, TIMES, TYPICAL
 from pmabench.kinds.contraction_relaxation.diagnosis.corrections import Explanation
 from pmabench.kinds.contraction_relaxation.pooled import Solved
 from pmabench.store.records import Array
@@ -97,7 +97,8 @@ def named(one: Explanation, off: Array, fit: Solved, highest: float, trial: str 
 def _weights(one: Explanation, fit: Solved, highest: float) -> Array:
     """What makes one size of all, shape (sizes,)."""
     if one.kind == "hysteresis":
-        return np.tile([1.0, highest / TYPICAL], len(one.sizes) // 2)
+        share = 0.5 if one.which == BY_WAY else 1.0
+        return np.tile([share, share * highest / TYPICAL], len(one.sizes) // 2)
     if one.kind == "bend" and len(one.sizes) > 1:
         by_pressure = np.array([1.0, highest / TYPICAL]) / float(fit.values("K", np.array([highest]))[0])
         return np.tile(by_pressure, len(one.sizes) // 2)

@@ -1,4 +1,4 @@
-"""A load on the free end of a muscle with bent force, hysteresis and creep: stepped, with steps as long as they may be.
+"""A muscle with bent force, hysteresis and creep: with a load on its free end, stepped, and at a driven end.
 
 The force F of `pmabench.model.real.muscle` moves a load, M x'' = F - F_L + N, where N >= 0 only on the support at
 x = 0, and likewise at the muscle's own stop; it lands there without rebound. The cell cannot read a push. In the
@@ -11,48 +11,37 @@ goes on a straight line from one end of the step to the other. At the other end 
 surface, stops and creep, and decreases with it: one equation for one unknown, solved by Newton's method. Damping thus
 makes no step unstable, however small the mass. Stops have moved from one end of the step to the other without a turn;
 creep is exact for an x on a straight line. The step is short where the speed changes.
+
+At a driven end the force follows in closed form along the paths of x and P.
 """
 
 from __future__ import annotations
 
+import copy
 import math
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from pmabench.model.curve import Array
-from pmabench.model.motion import NOTHING, Motion
-from pmabench.model.real.muscle import RealMuscle
+from pmabench.model.driven import PARTS, Actuator, DrivenPlant
+from pmabench.model.hysteresis import CreepAlong, Memory
+from pmabench.model.motion import Loaded, Stepped, shares
+from pmabench.model.real.muscle import RealMuscle, Stops
 from pmabench.model.regulator import Regulated, Regulator, Trace
-from pmabench.model.supplied import Loaded
 
 BEND = 1e-6
 """Change of speed times step, at which a step is as long as it may be [m]."""
 SHORTEST, LOOK, LONGEST = 2.5e-4, 2e-3, 1.0
-"""Least step, longest while the pressure changes, longest of all [s]."""
+"""Least step, longest while the pressure changes fast, longest of all [s]."""
+CHORD = 2.0
+"""Steps longer than `LOOK` miss the pressure, which goes on a straight line within a step, by less than this [Pa]."""
 SETTLED_PRESSURE = 1e-3
 """Worth less than 1 nm of contraction [Pa]."""
-SERIES = 0.01
-"""Below it the shares of a step are taken from their power series: their closed forms lose digits there [1]."""
 NEAR = 2e-8
 """Newton's method ends with a straight line where it moves less than this [m]."""
 ON_TIME = 0.01
 """A load that leaves its support within this fraction of a step does so at its begin [1]."""
-
-
-def shares(z: float) -> tuple[float, float, float]:
-    """What a speed and a force that goes on a straight line do within a step, z = B h / M >= 0.
-
-    phi_1 = (1 - exp(-z)) / z, phi_2 = (1 - phi_1) / z, phi_3 = (1 / 2 - phi_2) / z [1].
-    """
-    if z < SERIES:
-        third = 1 / 6 - z * (1 / 24 - z * (1 / 120 - z / 720))
-        second = 0.5 - z * third
-        return 1 - z * second, second, third
-    first = -math.expm1(-z) / z
-    second = (1 - first) / z
-    return first, second, (0.5 - second) / z
 
 
 class AtPressure(NamedTuple):
@@ -67,7 +56,7 @@ class AtPressure(NamedTuple):
     height: float
 
 
-class RealPlant(Loaded):
+class RealPlant(Loaded, Stepped):
     """A muscle with hysteresis and creep behind its regulator, with a load F_L = `force` [N] of moving `mass` [kg].
 
     `time` [s], contraction `x` [m], speed `v` [m/s].
@@ -124,22 +113,6 @@ class RealPlant(Loaded):
         force = self._pull - self._curves[1 if self.v > 0 else -1](self._P) * self.v
         return self.x, self._P, max(force, 0.0)
 
-    def advance(self, until: float, times: Sequence[float] | Array = ()) -> Motion:
-        """Go on to `until` [s] and return what happened at `times` [s], rising, between now and `until`."""
-        if len(times) == 0:
-            self.reach(until)
-            return NOTHING
-        t = np.asarray(times, dtype=np.float64)
-        P_set = self.supply.setpoints(t)
-        rows = []
-        for moment in t.tolist():
-            self.reach(moment)
-            place, pressure, force = self.reading()
-            rows.append((place, self.v, pressure, force))
-        self.reach(until)
-        x, v, P, F = np.array(rows).T
-        return Motion(t, x, v, P, F, P_set, np.zeros(t.shape))
-
     def step(self, dt: float) -> None:
         """Go on by dt [s] with the command as it is."""
         self.reach(self.time + dt)
@@ -153,7 +126,10 @@ class RealPlant(Loaded):
             end = min(end, until)
             settled = trace.settled(self.time, SETTLED_PRESSURE)
             pressure, start, most = trace.function(), trace.start, LONGEST if settled else LOOK
+            fading = not settled and trace.fading
             while self.time < end:
+                if fading:  # a chord of an exponential misses it by less than |P - level| (h / lag)^2 / 8
+                    most = max(LOOK, trace.lag * math.sqrt(8 * CHORD / max(abs(self._P - trace.level), CHORD)))
                 left = end - self.time
                 parts = math.ceil(left / min(self._longest, most) * (1 - 1e-9))
                 then = end if parts <= 1 else self.time + left / parts
@@ -285,3 +261,75 @@ class RealPlant(Loaded):
                 found.append((left, share * (mean - left), share * (1 - mean)))
             self._span, self._fading, self._last = h, tuple(found), sum(last for _, _, last in found)
         return self._fading
+
+
+class StopsAlong(Memory):
+    """The force of stops by its most, sum of w S / r between -1 and 1, along a path.
+
+    From `start` [s] on at `x`, with every stop in its middle; or where `low` is given, as after a way from there to
+    `x` that began with every stop at its lower end.
+    """
+
+    def __init__(self, stops: Stops, x: float, start: float, low: float | None = None) -> None:
+        super().__init__(x, start)
+        self._widths = np.array(stops.widths)[:, None]
+        self._shares = np.array(stops.weights) / stops.widths
+        self._extra, self._way = stops.extra, stops.way
+        self._x, self._gone = x, 0.0
+        self._stops = 0.0 * self._widths if low is None else np.clip(x - low - self._widths, None, self._widths)
+
+    def at(self, x: Array) -> Array:
+        """The force by its most at places x between the last turn and the next one [1]."""
+        force = self._shares @ np.clip(self._stops + (x - self._x), -self._widths, self._widths)
+        if self._extra:
+            force *= 1 + self._extra * np.exp(-(self._gone + np.abs(x - self._x)) / self._way)
+        return np.asarray(force, dtype=np.float64)
+
+    def turn(self, x: float) -> None:
+        """From place x on the path goes the other way."""
+        self._stops = np.clip(self._stops + (x - self._x), -self._widths, self._widths)
+        self._gone += abs(x - self._x)
+        self._x = x
+
+
+class RealDrivenPlant(DrivenPlant):
+    """A muscle with hysteresis and creep behind its regulator, its free end held by an actuator; `time` [s].
+
+    Stops and creep go along the closed forms of position and pressure from turn to turn: what comes out at a moment
+    depends neither on which other moments are looked at, nor on how time is cut.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pmabench.model.real.muscle import reference
+    >>> plant = RealDrivenPlant(reference(), Regulator(dead_time=0.0), Actuator())
+    >>> plant.advance(1.0, np.array([1.0])).F.round(2).tolist()
+    [13.3]
+    """
+
+    parts = (*PARTS, "_over_x", "_over_P", "_creep")
+
+    def __init__(
+        self,
+        muscle: RealMuscle,
+        regulator: Regulator,
+        actuator: Actuator,
+        *,
+        pressure: float = 0.0,
+        position: float = 0.0,
+        start: float = 0.0,
+    ) -> None:
+        super().__init__(muscle, regulator, actuator, pressure=pressure, position=position, start=start)
+        self.real = muscle
+        self._over_x = StopsAlong(muscle.over_x, position, start)
+        self._over_P = StopsAlong(muscle.over_P, pressure, start, low=0.0)
+        self._creep = CreepAlong(muscle.creep, start)
+
+    def _evaluate(self, t: Array) -> tuple[Array, Array, Array, Array]:
+        place, air, muscle = copy.copy(self._drive), copy.copy(self.supply), self.real
+        x, v = self._drive.values(t)
+        P, _ = self.supply.values(t)
+        F = muscle.pull(P, x - self._creep.along(copy.copy(place), t)) - muscle.damping(P, v) * v
+        F -= muscle.over_x.most(P) * self._over_x.along(place, t, x)
+        F -= muscle.over_P.most(P) * self._over_P.along(air, t, P)
+        return x, v, P, np.maximum(F, 0.0)

@@ -1,0 +1,356 @@
+"""A campaign with explanations put in: their sizes, the fit and the test of the rest, and all that could be added.
+
+Every explanation is sized by least squares together with the coefficients; times of streams are searched for. Knows no
+rule by which one is taken: see `rounds`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from pmabench.analysis.shared.samples import Samples
+from pmabench.kinds.contraction_relaxation.diagnosis import columns
+from pmabench.kinds.contraction_relaxation.diagnosis.corrections import (
+    MOST_LATE,
+    Explanation,
+    columns_of,
+    forces_of,
+    in_samples,
+    plausible,
+)
+from pmabench.kinds.contraction_relaxation.diagnosis.held_out import Test
+from pmabench.kinds.contraction_relaxation.pooled import Fit, Solved, fit, rms_of, solve
+from pmabench.kinds.contraction_relaxation.segments import Segments
+from pmabench.kinds.contraction_relaxation.trials import Campaign
+from pmabench.store.records import Array
+
+MOST_CUTS = 3
+"""Corrected campaigns that are kept: what a round tries has most of them in common."""
+EVERY = 3
+"""Of the trials, in the order of pressures and loads, so few are looked at in the first search for a time."""
+FEWEST_TRIALS = 8
+"""Fewest trials of a search for a time."""
+ALONE = 2.0
+"""So many times the excess is left by the best of another kind where an explanation is the only one ..."""
+LEAST_EXCESS = 0.15
+"""... counted from this excess on."""
+PASSES = 3
+"""Times that sizes are found anew with the samples as the last ones corrected them."""
+PLACES = 2
+"""Places of a slip that are tried in whole, the best by first order."""
+MOST_COMPARED = 3
+"""Most explanations of a round that are compared with knots of their own."""
+TIMES = ("late", "lag")
+"""Explanations whose size is a time of a stream."""
+STEPS = (5e-3, 1.5e-3)
+"""Steps of the search for a time [s]; from a size that is known on, the last alone."""
+WORTH = 0.9
+"""An explanation that by first order leaves more than this share of the excess is not tried in whole."""
+NEARLY = 0.5
+"""A filter of a channel is tried where a delay of it leaves less than this share of the excess."""
+ALL_OF_MUSCLE = (
+    Explanation("bend", "as K"),
+    Explanation("hysteresis"),
+    Explanation("creep", "by time"),
+)
+FINEST = (Explanation("bend", "steep"), *(Explanation(kind, variant) for kind, variant in columns.FINER.items()))
+"""All properties of the muscle in their finest forms, for a muscle that no coarser ones describe."""
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """The campaign with some explanations corrected, and the fit and test of the rest."""
+
+    explanations: tuple[Explanation, ...]
+    test: Test
+    straight: Fit
+    """The fit by whose K the properties of the muscle were made forces."""
+    own_knots: bool = False
+    """Whether its knots were put where its own residual asks for them."""
+
+    @property
+    def excess(self) -> float:
+        """See `Test.excess`."""
+        return self.test.excess
+
+    @property
+    def last(self) -> Explanation:
+        """The explanation that was put in last."""
+        return self.explanations[-1]
+
+
+@dataclass(frozen=True, eq=False)
+class Search:
+    """A campaign as it was recorded, and how segments and knots come of it."""
+
+    campaign: Campaign
+    cut: Callable[[Sequence[Samples]], Segments]
+    knots: Array
+    """That a fit begins with [Pa]."""
+    drifts: bool = True
+    """Whether the cell may have drifted: not where weights show it, and it is taken off already."""
+    cuts: dict[tuple[Explanation, ...], tuple[Campaign, Segments]] = field(default_factory=dict)
+    """Faults of the bench -> campaign and segments without them, of the last few."""
+    fits: list[tuple[Fit, Segments, Array, float]] = field(default_factory=list)
+    """The last fit to segments without a force taken off, with its knots and noise."""
+
+    def fitted(self, explanations: tuple[Explanation, ...], begin: State | None = None) -> State:
+        """Explanations corrected, from the sizes of `begin` on, with knots where the rest asks for them."""
+        segments = self._corrected(explanations)[1] if begin is None else begin.test.segments
+        solved, noise = fit(segments, self.knots, self.campaign.noise)
+        if begin is None:
+            campaign = in_samples(self.campaign, explanations)
+            return State(explanations, Test.of(campaign, segments, solved, rms_of(noise)), solved, True)
+        return replace(self.state(explanations, solved, rms_of(noise)), own_knots=True)
+
+    @property
+    def uncorrected(self) -> Segments:
+        """Segments of the campaign as it was recorded."""
+        return self._corrected(())[1]
+
+    @cached_property
+    def followed(self) -> columns.Followed:
+        """What follows the contraction as it was recorded."""
+        return columns.Followed.of(self.campaign)
+
+    def state(
+        self, explanations: tuple[Explanation, ...], solved: Fit, expected: float, *, timed: bool = True
+    ) -> State:
+        """Explanations sized together with the coefficients at the knots of `solved`, and corrected.
+
+        Times of streams are searched for, of the last explanation alone if not `timed`: the noise of a derivative
+        would make a size by least squares too small.
+        """
+        straight = solved
+        linear = [i for i, one in enumerate(explanations) if one.kind not in TIMES]
+        streams = [i for i, one in enumerate(explanations) if one.kind in TIMES]
+        for _ in range(PASSES if linear else min(1, len(streams))):
+            for i in streams if timed else []:
+                explanations, _ = self._timed(explanations, i, straight, expected)
+            if linear:
+                campaign, segments = self._corrected(explanations)
+                raw = self._solved(segments, solved, expected)
+                forces = [self.columns(explanations[i], campaign, segments, straight, explanations) for i in linear]
+                explanations = _sized(explanations, linear, sizes_of(raw, np.hstack(forces)))
+                straight = self._rest(explanations, straight, solved, expected)[1]
+        left, final = self._rest(explanations, straight, solved, expected)
+        return State(explanations, Test.of(self._corrected(explanations)[0], left, final, expected), straight)
+
+    def _rest(
+        self, explanations: tuple[Explanation, ...], straight: Fit, like: Fit, noise: float
+    ) -> tuple[Segments, Fit]:
+        """What is left when all is corrected, and the fit to it at the knots of `like`."""
+        segments = self._corrected(explanations)[1]
+        off = forces_of(self.followed, segments, straight, explanations)
+        return segments.pulled(-off), self._solved(segments, like, noise).pulled(-off)
+
+    def _solved(self, segments: Segments, like: Fit, noise: float) -> Fit:
+        """The fit to segments at the knots of `like`; the last one is kept."""
+        for known, of, knots, expected in self.fits:
+            if of is segments and knots is like.knots and expected == noise:
+                return known
+        found = solve(segments, like.knots, noise, like.halves, like.added)
+        self.fits[:] = [(found, segments, like.knots, noise)]
+        return found
+
+    def _corrected(self, explanations: Sequence[Explanation], few: bool = False) -> tuple[Campaign, Segments]:
+        """The campaign with what is wrong with the bench corrected, and its segments, of `few` trials or of all; the
+        last ones of all are kept.
+        """
+        faults = tuple(one for one in explanations if not one.of_muscle)
+        if few:
+            campaign = in_samples(self.campaign, faults, self._few)
+            return campaign, self.cut([campaign.samples[i] for i in self._few])
+        found = self.cuts.pop(faults, None)
+        if found is None:
+            campaign = in_samples(self.campaign, faults)
+            found = campaign, self.cut(campaign.samples)
+            while len(self.cuts) >= MOST_CUTS:
+                del self.cuts[next(iter(self.cuts))]
+        self.cuts[faults] = found
+        return found
+
+    @cached_property
+    def _few(self) -> list[int]:
+        """Trials that are looked at in the first search for a time: some of all pressures and loads."""
+        points = [(trial.point.get("pressure", 0.0), trial.point.get("load", 0.0)) for trial in self.campaign.trials]
+        every = min(EVERY, max(1, len(points) // FEWEST_TRIALS))
+        return sorted(sorted(range(len(points)), key=lambda i: points[i])[::every])
+
+    def columns(
+        self, one: Explanation, campaign: Campaign, segments: Segments, fit: Solved, others: Sequence[Explanation] = ()
+    ) -> Array:
+        """See `columns_of`."""
+        return columns_of(one, campaign, self.followed, segments, fit, others)
+
+    def _timed(
+        self, explanations: tuple[Explanation, ...], place: int, fit: Fit, noise: float
+    ) -> tuple[tuple[Explanation, ...], bool]:
+        """The explanations with the size of one of them, a time, where the squares of the residual are least, and
+        whether it explains anything.
+
+        A time that is not known yet is searched for in few trials first; it stays there if it explains next to nothing.
+        """
+        best = explanations[place].sizes[0]
+        for few, step in ((True, STEPS[0]), (False, STEPS[1])) if best == 0 else ((False, STEPS[1]),):
+            known: dict[float, float] = {}
+
+            def squares(size: float, few: bool = few, known: dict[float, float] = known) -> float:
+                size = min(max(size, -MOST_LATE), MOST_LATE)
+                if size not in known:
+                    left = self.left(_with(explanations, place, (size,)), fit, noise, few)[1]
+                    known[size] = float(np.mean(left**2))
+                return known[size]
+
+            way = step if squares(best + step) < squares(best - step) else -step
+            while squares(best + way) < squares(best) and abs(best + way) < MOST_LATE:
+                best += way
+            before, now, after = (squares(best + by) for by in (-step, 0.0, step))
+            curved = before + after - 2 * now
+            squares(best + 0.5 * step * (before - after) / curved if curved > 0 else best)
+            best = min(known, key=squares)
+            if few and squares(best) > WORTH * squares(0.0):
+                return _with(explanations, place, (best,)), False
+        return _with(explanations, place, (best,)), True
+
+    def left(
+        self, explanations: tuple[Explanation, ...], fit: Fit, noise: float, few: bool = False
+    ) -> tuple[Segments, Array]:
+        """Corrected segments, of `few` trials or of all, and the residual of the fit to them; sizes of properties of
+        the muscle are found anew.
+        """
+        campaign, segments = self._corrected(explanations, few)
+        raw = self._solved(segments, fit, noise)
+        mine = [self.columns(one, campaign, segments, fit, explanations) for one in explanations if one.of_muscle]
+        if not mine:
+            return segments, raw.residual
+        forces = np.hstack(mine)
+        off = forces @ sizes_of(raw, forces)
+        return segments.pulled(-off), raw.pulled(-off).residual
+
+    def others(self, now: State, limit: float = ALONE * LEAST_EXCESS) -> list[State]:
+        """`now` with one more explanation each, the best of every cause that it has none of, the best first.
+
+        Without times that explain next to nothing and leave more than the excess `limit`.
+        """
+        known = {one.family for one in now.explanations}
+        tried = [one for one in self._possible(now) if one.family not in known]
+        test = now.test
+        groups = [self.columns(one, test.campaign, test.segments, test.fit, now.explanations) for one in tried]
+        tried = [replace(one, sizes=(0.0,) * each.shape[1]) for one, each in zip(tried, groups, strict=True)]
+        first = test.with_columns(groups) if groups else []
+        best: dict[str, State] = {}
+        for one in _promising(tried, first, now):
+            if one.kind == "lag":
+                late = best.get(one.cause)
+                if late is None or late.excess > NEARLY * now.excess:
+                    continue
+                one = replace(one, sizes=late.last.sizes)
+            state = self._added(now, one, limit)
+            if state is None or not plausible(state.last):
+                continue
+            if one.cause not in best or state.excess < best[one.cause].excess:
+                best[one.cause] = state
+        return sorted(best.values(), key=lambda state: state.test.ratio)
+
+    def compared(self, tried: Sequence[State]) -> list[State]:
+        """The same, the best first, where several are near the best: those with knots of their own, for the residual
+        of none of them asked for the knots that they were tried with.
+        """
+        limit = ALONE * max(tried[0].excess, LEAST_EXCESS) if tried else 0.0
+        near = [state for state in tried[:MOST_COMPARED] if state.excess < limit]
+        if len(near) < 2:
+            return list(tried)
+        again = [self.fitted(state.explanations, state) for state in near]
+        return sorted((*again, *tried[len(near) :]), key=lambda state: state.test.ratio)
+
+    def _added(self, now: State, one: Explanation, limit: float) -> State | None:
+        explanations, test = (*now.explanations, one), now.test
+        if one.kind in TIMES:
+            explanations, explains = self._timed(explanations, len(now.explanations), test.fit, test.expected)
+            if not explains and WORTH * test.ratio**2 - 1 > limit:
+                return None
+        return self.state(explanations, test.fit, test.expected, timed=False)
+
+    def _possible(self, now: State) -> Iterator[Explanation]:
+        cell = self.campaign.cell
+        if cell and self.drifts:
+            yield Explanation("drift")
+        for place in columns.slip_places(now.test.campaign, now.test.segments):
+            yield Explanation("slip", str(place))
+        for channel in ("pressure", "displacement", *(("force",) if cell else ())):
+            yield from (Explanation(kind, channel) for kind in ("late", "lag"))
+        for kind, variants in columns.OF_MUSCLE.items():
+            yield from (Explanation(kind, one) for one in variants if one != columns.FINER.get(kind))
+
+    def finer(self, now: State) -> State | None:
+        """`now` with creep that may grow with the load, or hysteresis that may differ by direction, in place of one
+        that does not; None without.
+        """
+        found = []
+        for one in now.explanations:
+            variant = columns.FINER.get(one.kind, one.which)
+            if one.which == variant:
+                continue
+            rest = tuple(other for other in now.explanations if other is not one)
+            state = self._with_more(now, rest, [Explanation(one.kind, variant)])
+            if plausible(state.last):
+                found.append(state)
+        return min(found, key=lambda state: state.excess, default=None)
+
+    def all_of_muscle(self, now: State) -> State:
+        """`now` with all properties of the muscle that it has not."""
+        known = {one.family for one in now.explanations}
+        return self._with_more(now, now.explanations, [one for one in ALL_OF_MUSCLE if one.family not in known])
+
+    def finest(self, before: State, now: State) -> State:
+        """`before` with all properties of the muscle in their finest forms, at the knots of `now`."""
+        return self._with_more(now, before.explanations, FINEST)
+
+    def _with_more(self, now: State, kept: tuple[Explanation, ...], more: Sequence[Explanation]) -> State:
+        """`now` with the explanations that are `kept` and more properties of the muscle."""
+        test = now.test
+        sizes = [self.columns(one, test.campaign, test.segments, test.fit).shape[1] for one in more]
+        sized = (replace(one, sizes=(0.0,) * many) for one, many in zip(more, sizes, strict=True))
+        return self.state((*kept, *sized), test.fit, test.expected, timed=False)
+
+
+def _promising(tried: Sequence[Explanation], ratios: Sequence[float], now: State) -> list[Explanation]:
+    """Those worth to be tried in whole: by first order they explain something; streams that are late always."""
+    slips = sorted((r, i) for i, (one, r) in enumerate(zip(tried, ratios, strict=True)) if one.kind == "slip")
+    best_slips = {i for _, i in slips[:PLACES]}
+    found = []
+    for i, (one, ratio) in enumerate(zip(tried, ratios, strict=True)):
+        if one.kind == "slip" and i not in best_slips:
+            continue
+        if one.kind in ("late", "lag") or ratio**2 - 1 < WORTH * now.excess:
+            found.append(one)
+    return found
+
+
+def sizes_of(solved: Fit, forces: Array) -> Array:
+    """Sizes (k,) of forces (n, k) by least squares together with the coefficients of a fit without them."""
+    scale = np.maximum(np.sqrt(np.mean(forces**2, axis=0)), 1e-300)
+    unit = forces / scale
+    left = unit.T @ unit - (unit.T @ solved.design) @ solved.change(unit)
+    return np.asarray(np.linalg.lstsq(left, unit.T @ solved.residual, rcond=1e-9)[0] / scale)
+
+
+def _with(explanations: Sequence[Explanation], place: int, sizes: tuple[float, ...]) -> tuple[Explanation, ...]:
+    """The explanations with other sizes of one of them."""
+    return (*explanations[:place], replace(explanations[place], sizes=sizes), *explanations[place + 1 :])
+
+
+def _sized(explanations: tuple[Explanation, ...], places: Sequence[int], sizes: Array) -> tuple[Explanation, ...]:
+    """The explanations with new sizes: of the muscle as they are, of the bench added to what is corrected already."""
+    begin = 0
+    for place in places:
+        one = explanations[place]
+        mine = sizes[begin : begin + len(one.sizes)]
+        begin += len(one.sizes)
+        explanations = _with(explanations, place, tuple((mine if one.of_muscle else one.sizes[0] + mine).tolist()))
+    return explanations
