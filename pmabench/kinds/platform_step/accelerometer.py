@@ -23,8 +23,8 @@ GRAVITY = 0.003
 SURE = 5.0
 MOVES = 1.0
 """The motion is looked at for so long from the step on [s]."""
-LATE = 8e-3
-"""Times between axes that are shorter [s] are left to the interval: heights that are off look like half of that."""
+LATE = 15e-3
+"""Times between axes that are shorter [s] are left to the interval: a sound accelerometer looks like up to 12 ms."""
 
 
 @dataclass(frozen=True)
