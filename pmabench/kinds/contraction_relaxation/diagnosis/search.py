@@ -50,8 +50,6 @@ STEPS = (5e-3, 1.5e-3)
 """Steps of the search for a time [s]; from a size that is known on, the last alone."""
 WORTH = 0.9
 """An explanation that by first order leaves more than this share of the excess is not tried in whole."""
-NEARLY = 0.5
-"""A filter of a channel is tried where a delay of it leaves less than this share of the excess."""
 ALL_OF_MUSCLE = (
     Explanation("bend", "as K"),
     Explanation("hysteresis"),
@@ -248,7 +246,7 @@ class Search:
         for one in _promising(tried, first, now):
             if one.kind == "lag":
                 late = best.get(one.cause)
-                if late is None or late.excess > NEARLY * now.excess:
+                if late is None or late.excess > WORTH * now.excess:
                     continue
                 one = replace(one, sizes=late.last.sizes)
             state = self._added(now, one, limit)
