@@ -21,6 +21,10 @@ class Clock(Protocol):
         """Take bench time back to `moment` [s] where that can be done; returns whether it was."""
         ...
 
+    def foresee(self, moment: float) -> None:
+        """Nothing is going to be commanded before `moment` [s], as far as is known now: a simulation may compute it."""
+        ...
+
 
 class RealClock:
     """The machine's monotonic clock; time that has passed stays passed.
@@ -45,12 +49,17 @@ class RealClock:
         """Real time cannot be taken back."""
         return False
 
+    def foresee(self, moment: float) -> None:
+        """Nothing can be computed before it happens."""
+
 
 class VirtualClock:
     """A clock that jumps to whatever is waited for: the mock bench as fast as the machine computes."""
 
     def __init__(self) -> None:
         self._now = 0.0
+        self.foreseen = 0.0
+        """Up to when nothing is going to be commanded, as far as is known [s]."""
 
     def now(self) -> float:
         """The bench time reached so far."""
@@ -64,3 +73,7 @@ class VirtualClock:
         """Undo the last jump as far as `moment`: a crossing ends a block at the sample where it happened."""
         self._now = min(self._now, moment)
         return True
+
+    def foresee(self, moment: float) -> None:
+        """Keep it for the simulation."""
+        self.foreseen = moment

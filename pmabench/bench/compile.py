@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from pmabench.base.errors import InvalidFile, Problem
-from pmabench.bench.channels import NAME, channels, outputs, valves
+from pmabench.bench.channels import NAME, aims, channels, numbers, outputs, valves
 from pmabench.bench.compilation import Compilation, known_places, unconfirmed
 from pmabench.bench.driver_options import checked
 from pmabench.bench.files.bench import BenchFile, DeviceFile
@@ -24,7 +24,6 @@ from pmabench.bench.registry import HARDWARE, driver_class
 from pmabench.bench.remarks import lacks, mistaken
 from pmabench.bench.safety import interlocks, proof, safe_state, setup_pressure, stop_rate, trips
 from pmabench.bench.session import Session, lacks_session, session
-from pmabench.bench.steered import aims, numbers
 from pmabench.files.document import Document, Location, read_document
 
 OPEN = "??"

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator
 
 from pmabench.base.quantities import CHANNEL_QUANTITY, show, without_number
+from pmabench.bench.channels import refuse_unsafe_order
 from pmabench.bench.compilation import Compilation
 from pmabench.bench.files.bench import LimitFile, SafeActionFile, WatchFile
 from pmabench.bench.files.specimen import Reading
@@ -18,7 +19,6 @@ from pmabench.bench.interface import (
     SafeAction,
     TripRecord,
 )
-from pmabench.bench.steered import refuse_unsafe_order
 from pmabench.files.document import Location
 
 LONGEST_DELAY = 1.0

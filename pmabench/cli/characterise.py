@@ -23,14 +23,19 @@ class Characterised:
     report: Path
     failed: list[str]
     """Why results are not accepted."""
+    recorded: Sequence[Path] = ()
+    """Run folders, as they were given."""
 
     def lines(self) -> list[str]:
         """The results at a glance, and where the report is."""
-        from pmabench.cli.process import verdict_of_all
+        from pmabench.cli.outcome import next_lines
+        from pmabench.cli.process import described_by, verdict_of_all
         from pmabench.report.glance import glance
 
         verdict = verdict_of_all(self.analyses, self.runs, self.failed)
-        return [*glance(self.analyses, verdict, self.failed), f"report  {self.report}"]
+        then = described_by(self.recorded, self.analyses, self.failed)
+        lines = [*glance(self.analyses, verdict, self.failed), f"report  {self.report}"]
+        return [*lines, *(next_lines(*then) if then else [])]
 
 
 def characterise(recorded: Sequence[Path], place: Path, report: Path, title: str | None = None) -> Characterised:
@@ -45,4 +50,4 @@ def characterise(recorded: Sequence[Path], place: Path, report: Path, title: str
     analyses = analyse(runs)
     folders = write(analyses, runs, place, key)
     page = write_page(content_of(analyses, runs, title=title), report)
-    return Characterised(runs, analyses, folders, page, verdicts(runs, analyses))
+    return Characterised(runs, analyses, folders, page, verdicts(runs, analyses), recorded)

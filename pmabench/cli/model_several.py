@@ -157,7 +157,7 @@ def _attitude(text: str) -> list[float]:
 def _controlled(goals: list[list[float]], chain: str, times: list[float]) -> tuple[list[Any], str]:
     """The platform under its law at 500 Hz, level at first; and what its largest goal was like, in a sentence."""
     from pmabench.engine.laws.platform_loop import PlatformLoop
-    from pmabench.model.many.moving_platform import PlatformPlant
+    from pmabench.model.many.platform import PlatformPlant
 
     plant, states, wanted = PlatformPlant(), [], sorted(goals)
     loop = PlatformLoop(goals=[[0.0, 0.0, 0.0], *wanted], duration=times[-1] + 1.0, chain=chain)

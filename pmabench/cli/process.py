@@ -13,6 +13,7 @@ import click
 from pmabench.base.errors import InvalidFile, UsageError, invalid
 from pmabench.cli.common import Ui, common
 from pmabench.cli.names import RunFolder, short
+from pmabench.cli.outcome import next_lines
 
 if TYPE_CHECKING:
     from pmabench.report.document.front import Verdict
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
     from pmabench.store.records import RunData
 
 
+MOST_RUNS = 6
+"""Runs that the next command names."""
 MOST_SINCE = 2
 """Lines about what came to runs after they were closed; with -v all."""
 
@@ -156,14 +159,27 @@ def _process_together(
             click.echo("\n".join(verdict_lines(analyses, loaded, failed)))
             return
         place = short(folders[0].parent)
+        then = described_by(given, analyses, failed) or ["pmabench", "report", place, "-o", "report.html"]
         more = [f"{len(since) - MOST_SINCE} more: -v"] if len(since) > MOST_SINCE else []
         lines = [*glance(analyses, verdict_of_all(analyses, loaded, failed), failed), *since[:MOST_SINCE], *more]
-        click.echo("\n".join([*lines, f"analysis  {place}", f"next      pmabench report {place} -o report.html"]))
+        click.echo("\n".join([*lines, f"analysis  {place}", *next_lines(*then, indent=10)]))
 
     ui.result(
         data, human, [*(clean(f"NOT ACCEPTED: {verdict}") for verdict in failed), *(str(path) for path in folders)]
     )
     return 6 if failed else None
+
+
+def described_by(runs: Sequence[Path], analyses: Sequence[Analysis], failed: Sequence[str]) -> list[str]:
+    """The command that describes a muscle which does not follow the form of its test; empty where it does."""
+    from pmabench.kinds import registry
+    from pmabench.kinds.reduce import FORM
+
+    facts = [analysis.facts.get("form") for analysis in analyses]
+    withheld = any(isinstance(fact, Mapping) and fact.get("state") == "withheld" for fact in facts)
+    if not (failed and withheld) or len(runs) > MOST_RUNS:
+        return []
+    return ["pmabench", "process", *map(short, runs), "--form", next(iter(registry.with_part(FORM)))]
 
 
 def verdict_lines(analyses: Sequence[Analysis], runs: Sequence[RunData], failed: Sequence[str]) -> list[str]:

@@ -1,6 +1,6 @@
 """What every driver must keep, tried against the driver's own emulator; for shipped drivers and for those of others.
 
-`suite` is the table of checks and runs them on a device of a bench file. `unopened` looks at the class alone,
+`suite` is the table of checks and runs them on a device of a bench file; it looks at the class alone,
 `samples`, `commands` and `following` at an open device, `broken_wire` at what it does when the wire is bad. `rig`
 starts emulator and driver, and measures how long calls take; between the two is a `relay` (TCP or serial) that damages
 bytes. `truth` asks emulator or simulation what plant and device really do.

@@ -176,6 +176,8 @@ class Acquisition:
         """
         with self._lock:
             self._stop, self._stopped = stop, None
+        if stop is None:
+            self.clock.foresee(deadline)
         try:
             while True:
                 self.check()
@@ -187,6 +189,7 @@ class Acquisition:
                 if self.clock.now() >= deadline - 1e-9:
                     return None
         finally:
+            self.clock.foresee(self.clock.now())
             with self._lock:
                 self._stop = None
 
@@ -362,7 +365,7 @@ class Acquisition:
     def _hand_over(self, source: Source, pieces: Iterable[Piece]) -> None:
         for piece in pieces:
             self.counts["rows"] += len(piece.time_ns)
-            for name, flag in COUNTED.items():
+            for name, flag in COUNTED.items() if piece.flags.any() else ():
                 self.counts[name] += int(np.count_nonzero(piece.flags & np.uint16(flag)))
             self._recorder.append(source.name, piece.time_ns, piece.columns, piece.flags, piece.host)
 
@@ -379,7 +382,9 @@ class Acquisition:
         source.flag(before)
         for name, value in values.items():
             self.latest[name] = float(value[-1])
-        flags = self._ranges.block(source.channels, values, len(time_ns)) | np.array(apart, dtype=np.uint16)
+        flags = self._ranges.block(source.channels, values, len(time_ns))
+        if any(apart):
+            flags |= np.array(apart, dtype=np.uint16)
         if self._recording and source.recorded:
             self._hand_over(source, source.pieces(time_ns, raw, flags, self._arrival(host)))
 

@@ -10,7 +10,7 @@ from typing import Any
 from pmabench.analysis.imported import without_doubtful
 from pmabench.analysis.shared.samples import with_motion
 from pmabench.analysis.shared.trials import repeat_traces
-from pmabench.analysis.verdict.acceptance import Pairs, not_accepted
+from pmabench.analysis.verdict.acceptance import Pairs, not_accepted, not_accepted_as_form
 from pmabench.analysis.verdict.agreement import KIND as AGREEMENT
 from pmabench.analysis.verdict.agreement import Offer, against_static, agreement, offers_of
 from pmabench.analysis.verdict.assembly import side_by_side, without_diameter
@@ -136,7 +136,8 @@ def verdicts(runs: Sequence[RunData], analyses: Sequence[Analysis]) -> list[str]
         if all(e.value is None and not e.withheld for e in analysis.estimates):
             failed.append(f"{analysis.kind}: nothing came out: {_why_nothing(analysis)}")
             continue
-        if analysis.kind in registry.with_part(FORM):  # limits of a protocol are for its own reduction
+        if analysis.kind in registry.with_part(FORM):
+            failed += not_accepted_as_form(runs, analysis, _named)
             continue
         failed += not_accepted(runs, analysis, _named, _static_of(analysis, analyses, tested))
     return failed

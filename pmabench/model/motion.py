@@ -6,6 +6,9 @@ Each sample has its own noise, found by its number, so that samples that are tak
 from __future__ import annotations
 
 import copy
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any, Protocol
 
@@ -87,6 +90,55 @@ class Motion:
 
 
 NOTHING = Motion(*(np.empty(0) for _ in range(7)))
+
+
+class Stepped(Supplied, ABC):
+    """A muscle with a free end that goes on in steps; `v` [m/s] is the speed of the end."""
+
+    v: float
+
+    @abstractmethod
+    def reach(self, until: float) -> None:
+        """Go on to `until` [s]."""
+
+    @abstractmethod
+    def reading(self) -> tuple[float, float, float]:
+        """Contraction [m], gauge pressure [Pa] and force at the fixed end [N] at this moment."""
+
+    def advance(self, until: float, times: Sequence[float] | Array = ()) -> Motion:
+        """Go on to `until` [s] and return what happened at `times` [s], rising, between now and `until`."""
+        if len(times) == 0:
+            self.reach(until)
+            return NOTHING
+        t = np.asarray(times, dtype=np.float64)
+        P_set = self.supply.setpoints(t)
+        rows = []
+        for moment in t.tolist():
+            self.reach(moment)
+            place, pressure, force = self.reading()
+            rows.append((place, self.v, pressure, force))
+        self.reach(until)
+        x, v, P, F = np.array(rows).T
+        return Motion(t, x, v, P, F, P_set, np.zeros(t.shape))
+
+
+SERIES = 0.01
+"""Below it the shares of a step are taken from their power series: their closed forms lose digits there [1]."""
+
+
+def shares(z: float) -> tuple[float, float, float]:
+    """What a speed and a force that goes on a straight line do within a step, z = B h / M >= 0.
+
+    phi_1 = (1 - exp(-z)) / z, phi_2 = (1 - phi_1) / z, phi_3 = (1 / 2 - phi_2) / z [1]: the functions of exponential
+    integrators (Hochbruck and Ostermann 2010) at -z.
+    """
+    if z < SERIES:
+        third = 1 / 6 - z * (1 / 24 - z * (1 / 120 - z / 720))
+        second = 0.5 - z * third
+        return 1 - z * second, second, third
+    first = -math.expm1(-z) / z
+    second = (1 - first) / z
+    return first, second, (0.5 - second) / z
 
 
 class Course(Protocol):

@@ -169,6 +169,11 @@ class Trace(NamedTuple):
                 value += np.exp(rate * since) * wave
         return value
 
+    @property
+    def fading(self) -> bool:
+        """Whether it is a level and one exponential."""
+        return not (self.slope or self.omega or self.modes)
+
     def settled(self, t: float, within: float) -> bool:
         """Whether from `t` [s] on it stays `within` that of its end."""
         if self.slope or self.omega:

@@ -82,9 +82,10 @@ def loops(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
         where = clean(chosen[0].title.partition(", ")[2], 60)
         title = f"Loops of {second} over {first}".replace("displacement", "contraction")
         title += f", {where}" if where else ""
-        caption = "Grey: the last measured cycle at each frequency"
+        each = " at each frequency" if any("frequency" in t.marks for t in chosen) else ""
+        caption = f"Grey: the last measured cycle{each}"
         caption += (
-            "; red: the fitted muscle along the same motion."
+            "; brown: the fitted muscle along the same motion."
             if "model" in names
             else ". No model is drawn: stiffness, damping and friction are not all known here."
         )

@@ -18,6 +18,7 @@ from pmabench.store.analyses.results import POINT_QUANTITIES
 
 _LABELS = {
     "pressure": "P",
+    **{f"pressure_{n}": f"P_{n}" for n in (1, 2, 3)},
     "from": "P before",
     "contraction": "x",
     "setpoint": "set-point",
@@ -166,6 +167,15 @@ def point_text(at: Mapping[str, float]) -> str:
         label, unit = point_shown(name)
         parts.append(f"{label} = {number(at[name] / unit.scale)} {unit.unit}".rstrip())
     return ", ".join(parts)
+
+
+def brief(text: str, most: int) -> str:
+    """At most so many letters: whole clauses where there are some, else whole words and "…"."""
+    text = clean(text)
+    if len(text) <= most:
+        return text
+    end = max(text.rfind(mark, most // 3, most) for mark in ("; ", ". "))
+    return text[:end] if end > 0 else f"{text[: most - 2].rpartition(' ')[0].rstrip(',;:')} …"
 
 
 def number(value: float) -> str:

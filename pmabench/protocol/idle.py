@@ -21,6 +21,8 @@ STATIC = 1.5
 """Static over Coulomb friction, where nothing is known of it: strands of a braid stick a little before they slide."""
 DOUBTFUL = 2.0
 """A margin of fewer times the Coulomb friction than this may not move the load."""
+KEPT = "\u00a0"
+"""A value and its unit are on one line."""
 
 
 @dataclass(frozen=True)
@@ -114,8 +116,9 @@ def _with_points(document: Document, text: str, kept: Sequence[Point], why: str,
         raise UsageError("no trial would be left" if not kept else "this protocol has no sweep that can be shortened")
     lines = ["sweep:", f"  zip:                                         # {why}"]
     for name in kept[0].values:
-        listed = f"    {name}: [{', '.join(_written(document, point, name) for point in kept)}]"
-        lines += wrap(listed, 110, initial_indent="    ", subsequent_indent=" " * 6)
+        values = ", ".join(_written(document, point, name).replace(" ", KEPT) for point in kept)
+        listed = wrap(f"{name}: [{values}]", 110, initial_indent="    ", subsequent_indent="      ")
+        lines += [line.replace(KEPT, " ") for line in listed]
     lines += [f"  repeat: {repeat}"] if repeat else []
     return text[: block.start()] + "\n".join(lines) + "\n\n" + text[block.end() :]
 

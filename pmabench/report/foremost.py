@@ -78,7 +78,8 @@ def costliest(tests: Sequence[Analysis], failed: Sequence[str]) -> list[str]:
     held = [text for a in tests for text in reasons([e for e in a.estimates if e.withheld])]
     found += [text for text in held if not any(text.partition("withheld: ")[2][:WIDTH] in one for one in failed)]
     for level in ("fault", "doubt"):
-        found += [printed(f.text) for a in tests for f in a.findings if f.level == level]
+        texts = (f.text for a in tests for f in a.findings if f.level == level)
+        found += [printed(t) for t in texts if not any(t.removeprefix("form: ")[:WIDTH] in one for one in failed)]
     for analysis in tests:
         if analysis.dropped:
             found.append(f"{len(analysis.dropped)} trials not used: {left_out(analysis.dropped)}")

@@ -14,7 +14,7 @@ from pmabench.plotting.wording import (
     symbol_text,
 )
 from pmabench.report.document.front import Verdict, tiles_of
-from pmabench.report.document.tables import pivot_table
+from pmabench.report.document.tables import matrix_table, pivot_table, two_coordinates
 from pmabench.report.foremost import costliest, how_well, richest
 from pmabench.report.words import declared, kind_title
 from pmabench.store.analyses.results import AGREEMENT, Analysis, Estimate
@@ -49,8 +49,13 @@ def glance(analyses: Sequence[Analysis], verdict: Verdict, failed: Sequence[str]
 
 def _table(members: Sequence[Estimate], over: str, tests: Sequence[Analysis]) -> list[str]:
     """Columns as far as they fit, rows at most `MOST_ROWS`, else every second."""
-    frame = pivot_table(members, declared(tests)).without("method").filled()
-    rows = [frame.columns, *frame.cells()]
+    across = two_coordinates(members, over)
+    if across:
+        heads, body = matrix_table(members, over, across)
+        rows, above = [heads, *body], [_head(members[0])]
+    else:
+        frame = pivot_table(members, declared(tests)).without("method").filled()
+        rows, above = [frame.columns, *frame.cells()], []
     while len(rows) - 1 > MOST_ROWS:
         rows = [rows[0], *rows[1::2]]
     widths = [max(len(row[place]) for row in rows) for place in range(len(rows[0]))]
@@ -58,7 +63,12 @@ def _table(members: Sequence[Estimate], over: str, tests: Sequence[Analysis]) ->
         widths.pop()
     hidden = rows[0][len(widths) :]
     more = [f"   more with -v, or in the report: {', '.join(hidden)}"] if hidden else []
-    return [*(GAP.join(text.rjust(width) for text, width in zip(row, widths, strict=False)) for row in rows), *more]
+    lines = [GAP.join(text.rjust(width) for text, width in zip(row, widths, strict=False)) for row in rows]
+    return [*above, *lines, *more]
+
+
+def _head(e: Estimate) -> str:
+    return shown(e.quantity, e.unit).label(symbol_text(e.symbol))
 
 
 def _verdict(verdict: Verdict, members: Sequence[Estimate], over: str) -> str:
@@ -109,4 +119,4 @@ def _findings(tests: Sequence[Analysis], failed: Sequence[str], room: int) -> li
         whole = wrap(text, WIDTH - 3, max_lines=1 + max(0, spare), placeholder=" …")
         spare -= len(whole) - 1
         lines += [f"{'   ' if place else '!  '}{part}" for place, part in enumerate(whole)]
-    return [*lines, *([f"   {more} more findings: -v, or the report"] if more else [])]
+    return [*lines, *([f"   {more} more finding{'s'[: more > 1]}: -v, or the report"] if more else [])]

@@ -16,8 +16,7 @@ from pmabench.engine.executor import Executor, Progress
 from pmabench.engine.operator import Operator
 from pmabench.engine.run import Outcome, run_plan
 from pmabench.protocol.plan import Ask, Hold, Set
-from pmabench.session.cause import table, unchecked
-from pmabench.session.checks import NOT_MEASURED, Check, SelfTestFailed, at_rest, judged, refuse
+from pmabench.session.checks import NOT_MEASURED, Check, SelfTestFailed, at_rest, judged, refuse, table, unchecked
 from pmabench.session.guided import guided_plan, listen, load_text, moving_mass
 from pmabench.session.stepping import PHASE, Stepping
 from pmabench.session.wiring import MOVED, Stage, Wiring

@@ -18,8 +18,7 @@ from pmabench.bench.session import SelfTest
 from pmabench.engine.acquire import Array, Samples
 from pmabench.engine.executor import Executor
 from pmabench.protocol.plan import Ask, Hold, Ramp, Set
-from pmabench.session.cause import table
-from pmabench.session.checks import NOT_CHECKED, NOT_MEASURED, Check, judged, refuse
+from pmabench.session.checks import NOT_CHECKED, NOT_MEASURED, Check, judged, refuse, table
 from pmabench.session.guided import Series, listen, load_text, moving_mass
 from pmabench.session.wiring import (
     DISPLACEMENT,

@@ -74,6 +74,11 @@ class Command:
     phase: str
     data: Mapping[str, float] = field(default_factory=dict)
 
+    @property
+    def recorded(self) -> bool:
+        """Whether somebody recorded when it was given; an import finds it in the measured channel where nobody did."""
+        return not self.data.get("found")
+
 
 @dataclass(frozen=True)
 class TrialData:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -25,8 +26,24 @@ from pmabench.kinds.relaxation import reduction as relaxation
 from pmabench.kinds.step_displacement import reduction as step_displacement
 from pmabench.kinds.ultimate_gain import reduction as ultimate_gain
 from pmabench.store.analyses.results import Analysis
-from pmabench.store.records import ChannelInfo, Command, Event, RunData, TrialData
-from tests.judge import arm, closed, displaced, filled, free, held, loop, pair, placed, relaxing, rung, servo, sines, swept, tilted
+from pmabench.store.records import ChannelInfo, ClockInfo, Command, Event, RunData, TrialData
+from tests.judge import (
+    arm,
+    closed,
+    displaced,
+    filled,
+    free,
+    held,
+    loop,
+    pair,
+    placed,
+    relaxing,
+    rung,
+    servo,
+    sines,
+    swept,
+    tilted,
+)
 from tests.judge.record import Trial, Truth
 
 CHANNELS = {
@@ -45,13 +62,18 @@ CHANNELS = {
 SPECIMEN = {"nominal_length": 0.25}
 
 
-def as_run(kind: str, trials: Sequence[TrialData], rate: float, settings: dict[str, object]) -> RunData:
-    """A run as `store` would load it."""
+def as_run(
+    kind: str, trials: Sequence[TrialData], rate: float, settings: dict[str, object],
+    known: Mapping[str, Mapping[str, Any]] | None = None, late: Mapping[str, float] | None = None,
+) -> RunData:  # fmt: skip
+    """A run as `store` would load it; `known` of channels, and what streams' clocks are known to [s]."""
     names = {name for trial in trials for name in trial.channels} & set(CHANNELS)
     channels = {name: ChannelInfo(name, *CHANNELS[name], 1.0, 0.0, -np.inf, np.inf) for name in sorted(names)}
+    channels |= {name: replace(channels[name], **facts) for name, facts in (known or {}).items()}
+    clocks = {name: ClockInfo(uncertainty=bound, how="host arrivals") for name, bound in (late or {}).items()}
     return RunData(
         id="judged", path="", kind=kind, status="finished", simulated=True, manifest={"specimen": SPECIMEN},
-        plan={"settings": settings}, events=(), channels=channels, rate=rate, trials=tuple(trials),
+        plan={"settings": settings}, events=(), channels=channels, rate=rate, trials=tuple(trials), clocks=clocks,
     )  # fmt: skip
 
 
@@ -149,12 +171,14 @@ def pair_of(cause: str, size: float, seed: int) -> Analysis:
 def servo_of(cause: str, size: float, seed: int) -> Analysis:
     found = servo.campaign(cause, size, seed)
     laws = [law for _, law in found]
-    trials = [replace(one, found={"hold": law}) for one, law in zip(as_trials([t for t, _ in found]), laws, strict=True)]
-    settings = {"band": servo.BAND, "begin": servo.BASELINE}
+    trials = [
+        replace(one, found={"hold": law}) for one, law in zip(as_trials([t for t, _ in found]), laws, strict=True)
+    ]
+    settings, declared = {"band": servo.BAND, "begin": servo.BASELINE}, servo.declared(cause, size)
     steps = as_run("joint-step", [one for one in trials if "frequency" not in one.point], servo.RATE,
-                   {**settings, "window": list(servo.WINDOW)})  # fmt: skip
+                   {**settings, "window": list(servo.WINDOW)}, *declared)  # fmt: skip
     sines = as_run("joint-step", [one for one in trials if "frequency" in one.point], servo.RATE,
-                   {**settings, "window": [servo.SINES_FROM, servo.SINE_HOLD]})  # fmt: skip
+                   {**settings, "window": [servo.SINES_FROM, servo.SINE_HOLD]}, *declared)  # fmt: skip
     return joint_step.reduce([steps, sines])
 
 
@@ -166,7 +190,8 @@ def tilted_of(cause: str, size: float, seed: int) -> Analysis:
         Event(n, trial.t[0], "steered", {"pulses": pulses, "aims": []}) for n, (trial, _, pulses) in enumerate(found)
     )
     settings = {"level": tilted.LEVEL, "hold": tilted.HOLD, "chain": "reference", "height": tilted.ABOVE}
-    return platform_step.reduce([replace(as_run("platform-step", trials, tilted.RATE, settings), events=events)])
+    run = as_run("platform-step", trials, tilted.RATE, settings, *tilted.declared(cause, size))
+    return platform_step.reduce([replace(run, events=events)])
 
 
 def swept_truth(one: swept.Swept, key: str) -> Callable[[str, float], Truth]:
@@ -257,7 +282,9 @@ KINDS = {
     "closed-volume": Kind(closed_volume_of, closed.truth, closed.FULL, "contraction"),
     "free-contraction": Kind(free_contraction_of, free.truth, free.FULL, "pressure"),
     "isometric-pressurisation": Kind(isometric_of, held.truth, held.FULL, ""),
-    "mass-flow": Kind(filled_of, filled.truth, filled.FULL, "contraction", ("mass flow, filling", "mass flow, mean while filling")),
+    "mass-flow": Kind(
+        filled_of, filled.truth, filled.FULL, "contraction", ("mass flow, filling", "mass flow, mean while filling")
+    ),
     "step-displacement": Kind(steps_of, displaced.truth, displaced.FULL, "step"),
     "recorded-sine": Kind(sines_of, sines.truth, sines.FULL, "frequency"),
     "recorded-step": Kind(rung_of, rung.truth, rung.FULL, "from"),
@@ -303,11 +330,12 @@ class Value:
 
 
 def judged(kind: str, cause: str, size: float, seed: int) -> tuple[list[Value], list[str]]:
-    """Values with an interval that the truth knows, and those that are withheld with the reason; a bound is 0 +- it."""
+    """Values with an interval that the truth knows, and what is withheld or dropped and why; a bound is 0 +- it."""
     one = KINDS[kind]
+    analysis = one.reduced(cause, size, seed)
     right = one.truth(cause, size, seed) if one.seeded else one.truth(cause, size)
-    values, withheld = [], []
-    for e in one.reduced(cause, size, seed).estimates:
+    values, withheld = [], [one.reason for one in analysis.dropped]
+    for e in analysis.estimates:
         if one.methods and e.method not in one.methods:
             continue
         place = one.key(e.at) if callable(one.key) else e.at.get(one.key) if one.key else next(iter(e.at.values()), 0.0)

@@ -168,3 +168,22 @@ def test_a_withheld_value_stays_withheld_in_the_analysis_folder(tmp_path):
     again = read_analysis(write_analysis(analysis, tmp_path / "analysis"))
     assert (again.estimates, again.refusals) == (analysis.estimates, analysis.refusals)
     assert (K.value, K.ci95, K.withheld) == (None, None, True)
+
+
+@pytest.mark.parametrize(
+    ("entry", "reason"),
+    [
+        ({"measure": "relative_interval", "limit": 0.02}, "K at pressure 300 kPa, contraction 10 mm: interval +-7.3 %"),
+        ({"measure": "relative_interval", "limit": 0.08}, ""),
+        ({"measure": "of_specimen", "expected": 6400.0}, "K: the form of all tests says nothing of it"),
+        ({"what": "F_ce", "measure": "relative_interval"}, "F_ce: the form of all tests says nothing of it"),
+        ({"what": "repeat_spread", "measure": "at_most"}, "repeat_spread: the form of all tests says nothing of it"),
+    ],
+)
+def test_limits_hold_for_a_form_of_all_tests_too(entry, reason):
+    """What the certificate calls accepted was judged: a limit that cannot be judged there is not kept."""
+    at = {"pressure": 3e5, "contraction": 0.01}
+    K = Estimate("K", 10_000.0, "N/m", "stiffness", "surface", at, Parts(730.0))
+    found = judged(entry, Analysis("surface", (), True, (K,)))
+    assert len(found) == bool(reason)
+    assert all(text.startswith(f"{reason}, accepted") for text in found)

@@ -3,6 +3,7 @@
 The page: H(P) (1 + 0.6 exp(-n)), n full cycles since a long rest.
 """
 
+from dataclasses import replace
 from math import exp
 
 import numpy as np
@@ -12,6 +13,7 @@ from pmabench.cli.prepare import prepare
 from pmabench.kinds.isobaric_ramp.reduction import reduce
 from pmabench.protocol.plan import Hold, Record
 from pmabench.store.reader import open_run
+from pmabench.store.records import Flag
 from tests.analysis.judged_forms import as_run, as_trials
 from tests.judge.record import Ramp, Trial
 from tests.test_real_bench import ran
@@ -21,7 +23,7 @@ RADII, WEIGHTS = np.array([0.2, 0.8, 2.5, 8.0]), np.array([0.2, 0.3, 0.3, 0.2])
 TIMES = np.array([0.5, 1.58, 5.0, 15.8, 50.0, 158.0])
 
 
-def loops(seed, extra=0.6, speeds=(2.0, 10.0)):
+def loops(seed, extra=0.6, speeds=(2.0, 10.0), height=1.0):
     """The page's muscle at a constant pressure [kPa], mm and N, one trial a speed [mm/s], with noise of 0.3 N."""
     random, start, stops, crept, cycle = np.random.default_rng(seed), 0.0, np.zeros(4), np.zeros(6), 0
     trials = []
@@ -36,7 +38,7 @@ def loops(seed, extra=0.6, speeds=(2.0, 10.0)):
             crept += (0.004 * place - crept) * (1 - np.exp(-1 / RATE / TIMES))
             kappa = (place - crept.sum()) / 2.5
             F[row] = (244.7 - 0.1115 * P) * exp(-0.334 * kappa) - 0.0830 * kappa * P + 2.650 * P - 249.4 - 18.0
-            F[row] -= (5.0 + 0.05 * P) * (1 + extra * exp(-n)) * float(WEIGHTS @ (stops / RADII))
+            F[row] -= height * (5.0 + 0.05 * P) * (1 + extra * exp(-n)) * float(WEIGHTS @ (stops / RADII))
             speed = (place - before) * RATE
             F[row] -= (1.0 + 0.002 * P if speed > 0 else 0.7 + 0.0015 * P) * speed
             before = place
@@ -90,6 +92,19 @@ def test_loops_that_still_fade_are_no_reference():
     (e,) = h_1(loops(1, extra=3.0), discard=1)
     assert e.value is None
     assert "still change by" in e.note
+
+
+def test_where_creep_alone_makes_the_loops_nothing_is_wider():
+    (e,) = h_1(loops(1, height=0.0))
+    assert e.ci95[0] <= 0.0 <= e.ci95[1]
+
+
+def test_a_first_loop_that_was_slack_is_no_first_loop():
+    first, *others = loops(1)
+    slack = np.where(first.t < 15.0, np.uint16(Flag.SLACK), first.flags)
+    (e,) = h_1([replace(first, flags=slack), *others])
+    assert e.value is None
+    assert "slack" in e.note
 
 
 SETTINGS = [

@@ -22,6 +22,7 @@ CLEAN_WITHHELD = 0.02
 SEEDS = {
     "free-contraction": 16, "isometric-pressurisation": 16, "step-displacement": 8, "gain-steps": 4, "relay": 4,
     "relaxation": 2, "joint-sweep": 2, "isobaric-gap": 2, "isobaric-line": 2, "closed-volume": 2, "recorded-sine": 3, "recorded-step": 1, "arm-angle": 2, "positioning": 4,
+    "joint-torque": 2, "joint-step": 1, "platform-step": 1, "mass-flow": 2,
 }  # fmt: skip
 """Sound campaigns in CI; open-loop steps take longer and are a study, and `test_open_loop` has some."""
 STUDIED = 34
@@ -91,6 +92,17 @@ def test_values_of_sound_tests_hold_the_truth_and_nothing_is_withheld(kind: str,
         ("isobaric-gap", "backlash", 0.25, "look at the displacement sensor"),
         ("isobaric-gap", "wrong-sign", 1.0, "no muscle gives work back like that"),
         ("joint-sweep", "backlash", 0.25, "look at the angle sensor"),
+        ("joint-torque", "gives-way-unseen", 0.5, "the torque is not at rest"),
+        ("joint-torque", "creep", 0.25, "the torque is not at rest"),
+        ("joint-torque", "backlash", 0.5, "the encoder or a coupling is loose"),
+        ("joint-torque", "angle-scale", 0.5, "one of them has a wrong scale"),
+        ("joint-torque", "not-linear", 1.0, "off a plane over the pressures"),
+        ("joint-step", "slip", 0.5, "the encoder or its coupling slips"),
+        ("platform-step", "bias-x", 0.5, "an axis has an offset or another scale"),
+        ("platform-step", "filter-x", 0.5, "one axis of the accelerometer is"),
+        ("mass-flow", "warms-up", 1.0, "not alike in both directions"),
+        ("mass-flow", "one-way", 0.25, "its zero is not seen"),
+        ("mass-flow", "clips", 1.0, "cut off at the end of the meter's range"),
         ("step-displacement", "creep", 1.0, "the force is not at rest"),
         ("step-displacement", "two-times", 1.0, "it is not one exponential"),
         ("step-displacement", "cell-drift", 1.0, "the force is not at rest"),
@@ -121,6 +133,15 @@ def test_a_departure_is_seen_with_its_reason_and_no_other_value_is_wrong(kind: s
         ("positioning", "tail", 1.0),
         ("step-displacement", "force-lag", 1.0),
         ("recorded-sine", "other-frequency", 1.0),
+        ("joint-torque", "cell-jump", 1.0),
+        ("joint-torque", "slip", 0.5),
+        ("joint-torque", "eccentric", 0.5),
+        ("joint-step", "angle-lag", 1.0),
+        ("joint-step", "noisy", 1.0),
+        ("platform-step", "shaking", 0.5),
+        ("platform-step", "gyroscope-bias", 0.5),
+        ("mass-flow", "zero-drift", 1.0),
+        ("mass-flow", "slip", 1.0),
     ],
 )
 def test_intervals_hold_what_a_small_departure_does(kind: str, cause: str, size: float):

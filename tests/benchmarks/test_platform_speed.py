@@ -4,7 +4,7 @@ import math
 
 from pmabench.engine.operator import ConfirmedBeforehand
 from pmabench.engine.run import run_plan
-from pmabench.model.many.moving_platform import PlatformPlant
+from pmabench.model.many.platform import PlatformPlant
 from tests.benchmarks.least import least
 from tests.engine.platform_rig import SHIPPED
 from tests.kinds.test_platform import steps

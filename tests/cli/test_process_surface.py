@@ -14,6 +14,7 @@ from pmabench.cli.main import main
 from pmabench.cli.prepare import prepare
 from pmabench.engine.operator import ConfirmedBeforehand
 from pmabench.engine.run import run_plan
+from tests.test_real_bench import ran
 
 PROTOCOLS = ("real-muscle-ramps", "real-muscle-pressurisation", "real-muscle-sines")
 
@@ -32,6 +33,21 @@ def stiffness(x, P):
     """Minus its slope [N/m]."""
     kappa, kPa = (1 - CREPT) * x / 2.5e-3, P / 1e3
     return (1 - CREPT) * (0.334 * (244.7 - 0.1115 * kPa) * exp(-0.334 * kappa) + 0.0830 * kPa) / 2.5e-3
+
+
+def reaches(amplitude):
+    """What each of the muscle's stops comes to in a loop of +- amplitude [m], and how far it then slides [m]."""
+    return [(w, min(1.0, max(amplitude / r - 1, 0.0)), max(amplitude - r, 0.0)) for w, r in STOPS]
+
+
+STOPS = ((0.2, 0.2e-3), (0.3, 0.8e-3), (0.3, 2.5e-3), (0.2, 8e-3))
+TRUTH = {
+    "F": lambda pressure, contraction: force(contraction, pressure),
+    "K": lambda pressure, contraction: stiffness(contraction, pressure),
+    "H": lambda pressure, amplitude: 2 * (5 + 5e-5 * pressure) * sum(w * share for w, share, _ in reaches(amplitude)),
+    "W": lambda pressure, amplitude: 4 * (5 + 5e-5 * pressure) * sum(w * way for w, _, way in reaches(amplitude)),
+}
+"""Of the settled muscle, from its printed constants [SI]."""
 
 
 @pytest.fixture(scope="module")
@@ -95,6 +111,24 @@ def test_a_long_hold_tells_the_creep_and_the_stiffness_at_full_length(runs, tmp_
     for e in K:
         at = e["at"]
         assert e["ci95"][0] <= stiffness(at["contraction"], at["pressure"]) <= e["ci95"][1]
+
+
+@pytest.mark.study
+@pytest.mark.parametrize("first_cycle", [0.3, 0.6, 1.0])
+def test_a_rested_muscle_whose_first_loops_are_wider(tmp_path, first_cycle):
+    """No term of the surface is meant for it: intervals widen or values go, and none is off by more than its own."""
+    protocols = (*PROTOCOLS, "real-muscle-holds")
+    runs = [str(ran(tmp_path / "runs", one, "mock-real-actuator", [], first_cycle=first_cycle)) for one in protocols]
+    result = process(*runs, "--form", "surface", "--json", "--out", str(tmp_path / "found"))
+    assert result.exit_code == 0, result.output
+    (analysis,) = json.loads(result.stdout)["analyses"]
+    seen = 0
+    for e in analysis["estimates"]:
+        if e["value"] is not None and e["symbol"] in TRUTH:
+            low, high = e["ci95"]
+            assert low <= TRUTH[e["symbol"]](**e["at"]) <= high, (e["symbol"], e["at"])
+            seen += 1
+    assert seen >= 40
 
 
 def test_what_it_does_not_take_is_refused_with_the_reason(runs):

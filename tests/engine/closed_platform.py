@@ -11,7 +11,7 @@ import numpy as np
 from pmabench.engine.laws.orders import Orders
 from pmabench.engine.laws.platform_loop import PlatformLoop
 from pmabench.engine.platform_watch import PlatformWatch
-from pmabench.model.many.moving_platform import PlatformPlant
+from pmabench.model.many.platform import PlatformPlant
 
 DEG, PERIOD = math.pi / 180, 0.002
 STEP_AT = 1.0

@@ -7,7 +7,7 @@ import pytest
 from pmabench.engine.laws.orders import Orders
 from pmabench.engine.laws.platform_loop import PlatformLoop
 from pmabench.engine.platform_watch import PlatformLimits, PlatformWatch
-from pmabench.model.many.moving_platform import PlatformPlant
+from pmabench.model.many.platform import PlatformPlant
 from tests.engine.closed_platform import closed_loop
 
 SEEDS = range(16)

@@ -58,6 +58,9 @@ class AfterSomeTime:
     def back_to(self, moment):
         return self.inner.back_to(moment)
 
+    def foresee(self, moment):
+        self.inner.foresee(moment)
+
     def wait_until(self, deadline):
         if self.act is not None and deadline >= self.moment:
             act, self.act = self.act, None

@@ -129,7 +129,9 @@ def truth(cause: str, size: float) -> Truth:
             ]  # fmt: skip
             right[symbol, "", place({"angle": angle})] = (min(ends), max(ends))
         if cause not in ("not-linear", "slack"):
-            plain = float(joint.radius(np.array(angle)) * (joint.pull(first, 0.0, False) - joint.pull(second, 0.0, True)))
+            plain = float(
+                joint.radius(np.array(angle)) * (joint.pull(first, 0.0, False) - joint.pull(second, 0.0, True))
+            )
             right["tau_0", "", place({"angle": angle})] = (plain, plain)
     return right
 

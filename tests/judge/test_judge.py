@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from tests.judge import rung
+from tests.judge import filled, pair, rung, servo, tilted
 from tests.judge.campaign import (
     CASES,
     CAUSES,
@@ -232,3 +232,64 @@ def test_the_hanging_mass_rings_as_its_transfer_function_does():
     exact = scale * (np.real(swings) - np.real(1 / np.prod(poles)))
     assert exact[-1] == pytest.approx(rung.WAY, rel=0.01)
     assert np.abs(moved - exact).max() < 0.2 * rung.NOISE["displacement"]
+
+
+def test_the_platform_of_the_judge_has_the_ropes_that_were_printed(monkeypatch):
+    """Lengths and arms at (7, -12) deg of joints and platform, 2.2: anchors on 55 mm, muscles of 200 mm, level at 10 %."""
+    anchors = tilted.ANCHORS * 55 / 60
+    monkeypatch.setattr(tilted, "ANCHORS", anchors)
+    monkeypatch.setattr(tilted, "BASES", anchors - np.array([0.0, 0.0, 0.18])[:, None])
+    monkeypatch.setattr(tilted, "HEIGHT", 0.2)
+    contraction, arms = tilted._ropes(np.radians([7.0]), np.radians([-12.0]))
+    assert 200 * (1 - contraction[:, 0] / 100) == pytest.approx([186.703, 166.829, 186.483], abs=1e-3)
+    printed = np.array([[54.605, 0], [-25.975, 46.131], [-28.466, -46.328]])
+    assert -1e3 * arms[:, :, 0].T == pytest.approx(printed, abs=1e-3)
+
+
+def test_the_platform_and_the_joint_of_the_judge_hold_what_their_loops_ask_for():
+    t, attitudes, _, _ = tilted._moved("clean", 1.0, 3)
+    late = (t > tilted.LEVEL + tilted.HOLD - 1) & (t < tilted.LEVEL + tilted.HOLD)
+    for k, goal in enumerate(np.repeat(tilted.GOALS, tilted.REPEATS, axis=0)):
+        assert attitudes[:, k, late].mean(axis=1) == pytest.approx(goal, abs=np.radians(0.3))
+    felt = tilted._felt("clean", 0.0, t, attitudes[:, 0], np.random.default_rng(1))
+    assert np.linalg.norm(felt, axis=0)[late] == pytest.approx(tilted.G, abs=0.02)
+    ends = [servo.truth("clean", 1.0, 3)["e_th", "", place][0] for place in (1.0, 2.0, 3.0)]
+    assert abs(ends[0]) > np.radians(1.0), "without integral action hysteresis and another muscle leave a miss"
+    assert max(map(abs, ends[1:])) < np.radians(0.5)
+
+
+@pytest.mark.study
+def test_half_the_step_leaves_the_joint_and_the_platform_where_they_were(monkeypatch):
+    """A valve or a dead band may switch a step earlier, so that the paths are not the same, but their ends are."""
+    places = ((servo, "_swung", 1, np.radians(0.15)), (tilted, "_moved", 1, np.radians(0.3)))
+    for module, moved, place, near in places:
+        walk = getattr(module, moved).__wrapped__
+        coarse = walk("clean", 1.0, 4)[place]
+        monkeypatch.setattr(module, "FINE", 0.5 * module.FINE)
+        monkeypatch.setattr(module, "EVERY", 2 * getattr(module, "EVERY", 1), raising=False)
+        fine = walk("clean", 1.0, 4)[place][..., ::2]
+        assert np.sqrt(np.mean((fine - coarse) ** 2)) < near
+
+
+def test_the_air_of_the_judge_weighs_what_a_gas_at_the_temperature_of_the_wall_weighs():
+    P = np.concatenate([np.linspace(0, 4e5, 2000), np.full(2000, 4e5)])
+    V = np.full(4000, 1e-4)
+    mass = filled._mass(P, V, np.full(4000, filled.WARM), filled.HEAT, 0.01)
+    assert mass[-1] == pytest.approx((4e5 + filled.ROOM) * 1e-4 / (filled.R_AIR * filled.WARM), rel=1e-6)
+    assert float(filled.volume(0.0)) == pytest.approx(np.pi * filled.RADIUS**2 * filled.LENGTH)
+    z = np.linspace(-1, 1, 200_001)
+    radius = filled.RADIUS + filled.BELLY * (1 - z**2)
+    barrel = np.pi * (filled.LENGTH - filled.STROKE) * np.trapezoid(radius**2, z) / 2
+    assert float(filled.volume(filled.STROKE)) == pytest.approx(barrel, rel=1e-6)
+
+
+def test_the_joint_of_the_judge_is_as_stiff_as_its_torque_falls():
+    """Against differences of the torque, and the gap of all blocks against 4 R times their load."""
+    right = pair.truth("clean", 1.0)
+    at = {"pressure_1": 3e5, "pressure_2": 2e5, "angle": pair.ANGLES[4]}
+    step = 1e-3
+    ends = [float(pair.Joint().torque(np.array(at["angle"] + s), (3e5, 2e5))) for s in (-step, step)]
+    assert right["K_th", "", pair.place(at)][0] == pytest.approx((ends[0] - ends[1]) / (2 * step), rel=1e-4)
+    del at["angle"]
+    gap = 2 * pair.RADIUS * (pair.load(3e5) + pair.load(2e5))
+    assert right["H_tau", "", pair.place(at)][0] == pytest.approx(gap)

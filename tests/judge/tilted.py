@@ -2,7 +2,8 @@
 
 Rotation vectors: the platform turns about a point by torques of three ropes, whose anchors are rotated by matrices; its
 two angles come from the matrix. The muscles are those of `pair`; a valve lets air through at a rate that depends on the
-pressure alone. Steps of 1 ms by the explicit midpoint rule, all trials of a campaign at once.
+pressure alone. Steps of 1 ms by the explicit midpoint rule, all trials of a campaign at once. Left out is what no such
+record can show: an accelerometer that is mounted askew, for it shows g in any attitude.
 """
 
 from __future__ import annotations
@@ -36,10 +37,10 @@ REFERENCE_LAG, ATTITUDE_LAG, K_P, K_I, MOST = 0.06, 0.016, 10.0, 130.0, 10.0
 NOISE = {"acceleration": 0.02, "pressure": 1e3}
 FULL = {
     "clean": 0.0, "bias-x": 0.3, "bias-z": 0.4, "scale-x": 0.08, "drift": 0.3, "filter": 0.08, "filter-x": 0.15,
-    "other-height": 0.04, "shaking": 0.4, "turned": np.radians(5.0), "gyroscope-bias": np.radians(2.0), "late": 0.02,
+    "other-height": 0.04, "shaking": 0.4, "gyroscope-bias": np.radians(2.0), "late": 0.02,
     "unequal": 0.15, "slip": 1.0, "creep": 0.1, "too-much-gain": 1.0, "coarse": 0.15, "noisy": 10.0, "other-gravity": 0.01,
 }  # fmt: skip
-"""Cause -> its full size: m/s2; m/s2; share; m/s2 over a trial; s; s; m; m/s2; rad about the vertical; rad; s; share; % of
+"""Cause -> its full size: m/s2; m/s2; share; m/s2 over a trial; s; s; m; m/s2; rad; s; share; % of
 contraction; share in a decade of time; times; m/s2; times; share."""
 CAUSES = tuple(cause for cause in FULL if cause != "clean")
 ANGLES = np.radians([90.0, 210.0, 330.0])
@@ -140,6 +141,19 @@ def _moved(cause: str, size: float, seed: int) -> tuple[Array, Array, Array, lis
     return np.arange(count) * FINE, attitudes, pressures, pulses
 
 
+def declared(cause: str, size: float) -> tuple[dict[str, dict[str, object]], dict[str, float]]:
+    """What is known of the channels: a filter on all of them to 15 %, a clock to the time by which it is late, counts."""
+    amount, names = size * FULL[cause], [f"acceleration_{axis}" for axis in "xyz"]
+    facts: dict[str, object] = {}
+    if cause == "filter":
+        facts = {"sensor_lag": 0.85 * amount}
+    elif cause == "late":
+        facts = {"stream": "accelerometer"}
+    elif cause == "coarse":
+        facts = {"unit": "count", "slope": amount}
+    return dict.fromkeys(names, facts) if facts else {}, {"accelerometer": amount} if cause == "late" else {}
+
+
 def truth(cause: str, size: float, seed: int) -> Truth:
     """By the definitions, of the true attitude of these trials."""
     t, attitudes, _, pulses = _moved(cause, size, seed)
@@ -198,9 +212,6 @@ def _felt(cause: str, amount: float, t: Array, attitude: Array, chance: np.rando
         felt = np.array([lagged(one, amount, 1 / FINE) for one in felt])
     elif cause == "filter-x":
         felt[0] = lagged(felt[0], amount, 1 / FINE)
-    elif cause == "turned":
-        about = np.array([[np.cos(amount), np.sin(amount)], [-np.sin(amount), np.cos(amount)]])
-        felt[:2] = about @ felt[:2]
     elif cause == "late":
         felt = np.array([np.interp(t - amount, t, one) for one in felt])
     return felt
@@ -209,7 +220,7 @@ def _felt(cause: str, amount: float, t: Array, attitude: Array, chance: np.rando
 def campaign(cause: str, size: float, seed: int) -> list[tuple[Trial, dict, list[tuple[float, str, float]]]]:
     """The trials, each with its law's report and its pulses, at `size` times the full size of a cause.
 
-    bias-x, bias-z, scale-x, drift, filter, filter-x, other-height, turned, late, coarse, noisy
+    bias-x, bias-z, scale-x, drift, filter, filter-x, other-height, late, coarse, noisy
         Of the accelerometer in the record; the loop has one of its own, which is right.
     shaking, other-gravity
         The base shakes; gravity is not what it is thought to be.

@@ -15,8 +15,7 @@ from pmabench.engine.laws.joint_loop import JointLoop
 from pmabench.engine.operator import ConfirmedBeforehand
 from pmabench.engine.run import run_plan
 from pmabench.kinds.compile import make_plan
-from pmabench.kinds.joint_step.figures import courses
-from pmabench.kinds.joint_step.live import measure
+from pmabench.kinds.joint_step.figures import courses, measure
 from pmabench.kinds.joint_step.reduction import reduce
 from pmabench.kinds.joint_torque.reduction import reduce as reduce_torques
 from pmabench.model.many.joint import Joint, JointPlant

@@ -13,8 +13,7 @@ from pmabench.bench.compile import mount
 from pmabench.engine.operator import ConfirmedBeforehand
 from pmabench.engine.run import run_plan
 from pmabench.kinds.compile import make_plan
-from pmabench.kinds.joint_torque.figures import maps
-from pmabench.kinds.joint_torque.live import measure
+from pmabench.kinds.joint_torque.figures import maps, measure
 from pmabench.kinds.joint_torque.reduction import reduce
 from pmabench.store.reader import open_run
 

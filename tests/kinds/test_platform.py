@@ -92,6 +92,19 @@ def test_ten_degrees_with_all_seeds(tmp_path):
     print("openings a second:", sorted(row[3]["n_v"] for row in rows))
 
 
+@pytest.mark.parametrize("goal", [(0, 20), pytest.param((20, 0), marks=pytest.mark.study),
+                                  pytest.param((-20, 0), marks=pytest.mark.study),
+                                  pytest.param((14, 14), marks=pytest.mark.study)])  # fmt: skip
+def test_twenty_degrees_stay_below_the_trip(goal):
+    """20 deg are the end of paper 3's range, and the trip is at 22: through the lags of 10 deg it goes beyond."""
+    outcome, bench = run(steps(goal), seed=1)
+    assert outcome.status == "finished", outcome.why
+    settled, beyond, end = truth(bench, goal=goal)
+    assert settled <= 0.6
+    assert beyond <= 1.2
+    assert end <= 0.3
+
+
 def test_the_chain_of_paper_3_overshoots_by_six_degrees():
     """6.15 deg [5.4 to 6.4 over seeds and gains] by the other program."""
     outcome, bench = run(steps((10, 0), hold=3, protocol="platform-paper3", chain="measured"), seed=3)

@@ -16,7 +16,7 @@ FOLDERS = sorted(path.parent for path in (ROOT / "pmabench/kinds").glob("*/__ini
 DEFAULTS = {
     ("pmabench/cli/init_like.py", "contraction-relaxation"),
     *(
-        ("pmabench/bench/lab/derived.py", name)
+        ("pmabench/bench/lab/questions.py", name)
         for name in (
             "contraction-relaxation",
             "static-load",

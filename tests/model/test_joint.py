@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from pmabench.model.library import MODELS, OutsideDomain
-from pmabench.model.many.joint import Joint, JointPlant
-from pmabench.model.many.muscle import Braided
+from pmabench.model.many.joint import Braided, Joint, JointPlant
 from pmabench.model.many.platform import LEVEL, Opening, Platform
 from pmabench.model.regulator import constant, ramp, sine
 

@@ -4,8 +4,7 @@ import math
 
 import pytest
 
-from pmabench.model.many.moving_platform import DELAY, PlatformPlant
-from pmabench.model.many.platform import LEVEL, G, Opening, Platform
+from pmabench.model.many.platform import DELAY, LEVEL, G, Opening, Platform, PlatformPlant
 from pmabench.model.platform_control import Inverse, contractions, on_time, tilt
 
 BAR, DEG = 1e5, math.pi / 180

@@ -10,11 +10,12 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 from pmabench.model.curve import Curve
+from pmabench.model.motion import shares
 from pmabench.model.plant import Plant
 from pmabench.model.presets import paper0
 from pmabench.model.real import plants as free
 from pmabench.model.real.muscle import Surface, reference
-from pmabench.model.real.plants import RealPlant, shares
+from pmabench.model.real.plants import RealPlant
 from pmabench.model.regulator import Regulator, Wave, constant, sine
 
 BENCH = Regulator(dead_time=0.02, lag=0.0955, vent_ratio=1.5)

@@ -346,14 +346,14 @@ BUGS = (
     ),
     Bug(
         "the self-test calls two plugs swapped where one reading alone is implausible",
-        "pmabench/session/cause.py",
+        "pmabench/session/checks.py",
         " or (len(concerned) == 2 and not alone):",
         " or concerned:",
         ("tests/session/test_wrong_benches.py",),
     ),
     Bug(
         "the self-test accuses a wire that another reference has cleared",
-        "pmabench/session/cause.py",
+        "pmabench/session/checks.py",
         "tuple(wire for wire in shared if wire not in cleared) or tuple(shared)",
         "tuple(shared)",
         ("tests/session/test_wrong_benches.py",),

@@ -1,5 +1,7 @@
 """The exported surface, run by python-control, against the muscle of `pmabench model simulate`, whose scheme is another."""
 
+import json
+
 import control
 import numpy as np
 import pytest
@@ -58,6 +60,12 @@ def test_its_force_is_that_of_the_muscle_with_all_terms():
         path.arrive(ahead, x)
         theirs, _ = force(P, x, (path.stops_x, path.stops_P, path.lag_x, path.lag_P), p)
         assert theirs == pytest.approx(ahead.pull(x)[0], rel=1e-9)
+
+
+def test_json_holds_the_whole_muscle(tmp_path):
+    (path,) = export_results(analysis(), "json", tmp_path / "muscle.json")
+    (one,) = json.loads(path.read_text())["analyses"]
+    assert IdentifiedMuscle.of(one["facts"]["muscle"]).to_dict() == MUSCLE.to_dict()
 
 
 def test_what_has_no_memory_is_refused(tmp_path):

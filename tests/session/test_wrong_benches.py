@@ -9,8 +9,7 @@ from pmabench.bench.interface import TripRecord
 from pmabench.engine.acquire import Tripped
 from pmabench.engine.run import Outcome
 from pmabench.engine.watch import Trip
-from pmabench.session.cause import cause_of, words
-from pmabench.session.checks import FAILED
+from pmabench.session.checks import FAILED, cause_of, words
 from pmabench.session.self_test import SelfTesting
 from pmabench.session.wiring import Stage, Wiring
 from tests.engine.benches import SPECIMEN
@@ -212,7 +211,7 @@ def test_a_channel_that_falls_silent_accuses_no_wire(rig):
 
 
 def test_the_table_has_one_line_a_claim_and_the_cause_once(wiring):
-    from pmabench.session.cause import table
+    from pmabench.session.checks import table
 
     failed = [
         c for c in table(wiring, [rest(), Stage(rest(pressure=50e3, command=25e3).means, 25e3)]) if c.verdict == FAILED

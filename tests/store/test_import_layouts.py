@@ -158,9 +158,29 @@ def test_a_file_that_ends_within_a_row_is_read_to_its_last_whole_row(tmp_path):
 def test_a_footer_that_is_no_row_is_named_and_a_fault_in_the_last_row_is_refused(tmp_path):
     (found,) = imported(tmp_path, HEAD + rows(plain) + "end of record\n")
     assert len(found.t) == ROWS
-    assert any("1 of 3 columns" in f.text for f in found.findings)
+    (doubt,) = [f for f in found.findings if f.kind == "cut-row"]
+    assert doubt.level == "doubt"
+    assert 'from line 502 ("end of record") on, are no rows' in doubt.text
+    footer = "\nStatistics\nMaximum,600.1,1380.2\nMean,281.4,640.0\n"
+    (found,) = imported(tmp_path, HEAD + rows(plain) + footer)
+    assert len(found.t) == ROWS
+    assert any("3 lines below the last row" in f.text and '"Statistics"' in f.text for f in found.findings)
+    for blank_end in (",,\n" * 90, ",,\n" * 3 + footer):
+        (found,) = imported(tmp_path, HEAD + rows(plain) + blank_end)
+        assert len(found.t) == ROWS
+    with pytest.raises(InvalidFile, match="the line is blank"):  # it is in the middle of the rows
+        imported(tmp_path, HEAD + rows(plain) + footer + rows(plain))
+    with pytest.raises(InvalidFile, match="1 columns, 3 are expected"):  # no footer is so long
+        imported(tmp_path, HEAD + rows(plain) + "error\n" * 100)
     with pytest.raises(InvalidFile, match='"x1" is no number'):
         imported(tmp_path, HEAD + rows(plain) + "x1,2,3\n")
+
+
+def test_titles_of_tests_that_are_padded_with_delimiters_are_no_rows(tmp_path):
+    """As a spreadsheet writes them: the title has as many fields as a row."""
+    table = "time;pressure;force\ns;kPa;N\n" + rows(lambda t, p, f: f"{t:.2f};{p:.3f};{f:.3f}").replace(".", ",")
+    found = imported(tmp_path, "".join(f"Contraction = {x} mm;;\n{table}" for x in (0, 8)), unresolved=True)
+    assert [len(each.t) for each in found] == [ROWS, ROWS]
 
 
 def test_words_for_no_value_are_dropouts_and_zeros_at_the_end_are_said(tmp_path):

@@ -1,8 +1,353 @@
 """DATAQ DI-2108, DI-4108 and DI-1110: analogue inputs sampled by the device's own clock, over a serial port (USB CDC).
 
-`driver`: options, scans as bytes, the device interface; `emulator`: a device on a pseudo-terminal.
+Here: options, scans as bytes, the device interface; `emulator`: a device on a pseudo-terminal.
+
+Source: Data Acquisition Instrument Command Protocol, DATAQ Instruments, 2019. A scan has one word of two bytes for each
+entry of the scan list, low byte first, and no mark. So the digital inputs are the last entry of each scan: their low
+byte holds D1 and D0 complemented, their high byte D6 to D0, and as long as nothing is switched the word never changes;
+where it does, bytes were lost.
 """
 
-from pmabench_drivers.dataq.driver import Dataq
+from __future__ import annotations
 
-__all__ = ["Dataq"]
+import math
+import struct
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from time import monotonic
+
+from pmabench.base.clock import Clock
+from pmabench.base.errors import DeviceError
+from pmabench.bench.interface import EMULATED, UNPROVEN, DeviceRecord, Identity
+from pmabench_drivers.shared.link import Pace
+from pmabench_drivers.shared.options import Reader
+from pmabench_drivers.shared.serial_port import STREAM_PATIENCE, SerialStream
+
+INPUTS = tuple(f"a{number}" for number in range(8))
+DIGITAL = 8
+"""Entry of the scan list for the digital inputs."""
+DIVIDEND = 60_000_000
+"""By which `srate` divides [Hz]."""
+SLOWEST = 65535
+"""Largest `srate`."""
+FASTEST = 6000
+"""Smallest `srate` that is used here: 10 kHz for each input."""
+MOST_DEC = 512
+OVERRUN = b"stop 01"
+"""What the device sends last when its buffer has run over."""
+LATENCY = 0.02
+"""A USB packet is filled within this, where the smallest one allows [s]."""
+FILTERS = {"last": 0, "average": 1}
+
+
+@dataclass(frozen=True)
+class Model:
+    """What one kind of device can do."""
+
+    name: str
+    ranges: tuple[str, ...]
+    """Ranges (+-) in the order of their codes in the scan list."""
+    shift: int = 0
+    """Bits at the low end that are no data."""
+    decimates: bool = True
+
+
+MODELS = {
+    model.name: model
+    for model in (
+        Model("DI-2108", ("10 V",)),
+        Model("DI-4108", ("10 V", "5 V", "2 V", "1 V", "0.5 V", "0.2 V")),
+        Model("DI-1110", ("10 V",), shift=4, decimates=False),
+    )
+}
+
+
+def divisors(model: Model, rate: float, dividend: int) -> tuple[int, int]:
+    """`srate` and `dec` for the rate nearest to the one that is asked for [Hz]; without `dec` never under 915.5 Hz."""
+    wanted = dividend / rate
+
+    def off(dec: int) -> tuple[float, int]:
+        return abs(_srate(wanted, dec) * dec - wanted), -dec
+
+    dec = min(range(1, MOST_DEC + 1 if model.decimates else 2), key=off)
+    return _srate(wanted, dec), dec
+
+
+def _srate(wanted: float, dec: int) -> int:
+    return min(max(round(wanted / dec), FASTEST), SLOWEST)
+
+
+def packet(bytes_per_second: float) -> int:
+    """The largest `ps` whose packet, 16 << ps bytes, fills within LATENCY; 0 where none does."""
+    return max((n for n in range(8) if 16 << n <= LATENCY * bytes_per_second), default=0)
+
+
+def volts(model: Model, span: float, raw: int) -> float:
+    """An analogue word [counts with sign] as volts, at a range of +-`span` [V]."""
+    return span * (raw >> model.shift) / (32768 >> model.shift)
+
+
+def counts(model: Model, span: float, value: float) -> int:
+    """Volts as the device sends them."""
+    full = 32768 >> model.shift
+    return min(max(round(value / span * full), -full), full - 1) << model.shift
+
+
+def plausible(word: int) -> bool:
+    """Whether a word can be that of the digital inputs: D1 and D0 are in it twice, and there is no D7."""
+    low, high = word & 0xFF, word >> 8 & 0xFF
+    return high < 0x80 and low & 3 == ~high & 3
+
+
+class Lost(Exception):
+    """Bytes are missing or too many: what follows cannot be separated."""
+
+
+class Scans:
+    """Cuts a stream into scans of `inputs` words and the digital inputs; raises Lost at the first scan that is broken.
+
+    What stood whole before is in `whole` also then.
+    """
+
+    def __init__(self, inputs: int) -> None:
+        self._words = struct.Struct(f"<{inputs}hH")
+        self._rest = b""
+        self._digital: int | None = None
+        self.whole: list[tuple[int, ...]] = []
+
+    def feed(self, data: bytes) -> list[tuple[int, ...]]:
+        """The analogue words of the scans that end in `data`."""
+        self.whole = []
+        self._rest += data
+        size, at = self._words.size, 0
+        while at + size <= len(self._rest):
+            *analog, digital = self._words.unpack_from(self._rest, at)
+            at += size
+            if self._digital is None and plausible(digital):
+                self._digital = digital
+            if digital != self._digital:
+                self._rest = b""
+                raise Lost
+            self.whole.append(tuple(analog))
+        self._rest = self._rest[at:]
+        if self._rest.endswith(OVERRUN):
+            raise Lost
+        return self.whole
+
+
+@dataclass(frozen=True)
+class Options:
+    """Options of a device."""
+
+    model: Model = MODELS["DI-2108"]
+    ranges: Mapping[str, int] = field(default_factory=dict)
+    """Code of each input's range, where it is not the widest."""
+    baud: int = 115200
+    """Of no meaning on USB."""
+    filter: int = 0
+    """What becomes of the points between two samples: 0 the last one counts, 1 they are averaged."""
+
+    def span(self, source: str) -> float:
+        """Range of an input, to both sides [V]."""
+        return float(self.model.ranges[self.ranges.get(source, 0)].removesuffix(" V"))
+
+
+def read_options(device: DeviceRecord, reader: Reader) -> Options:
+    """The options of a device, and the inputs that its channels use."""
+    place = ("options",)
+    given = reader.keys(device.options, place, ("model", "ranges", "filter"), ("model",))
+    reader.port(device, "/dev/ttyACM0")
+    model = MODELS[reader.choice(given, "model", place, MODELS, "DI-2108")] if "model" in given else MODELS["DI-2108"]
+    ranges = reader.keys(given.get("ranges", {}), (*place, "ranges"), INPUTS)
+    codes = {
+        source: model.ranges.index(reader.choice(ranges, source, (*place, "ranges"), model.ranges, model.ranges[0]))
+        for source in ranges
+        if source in INPUTS
+    }
+    chosen = FILTERS[reader.choice(given, "filter", place, FILTERS, "last")]
+    if chosen and not model.decimates:
+        reader.fault((*place, "filter"), f"a {model.name} has nothing to average: it samples no faster than it sends")
+    if device.guarded:
+        reader.fault((), "only what this device measures is used; it has no outputs, valves, interlocks or watchdog")
+    for channel in device.channels:
+        at = ("channels", channel.name)
+        reader.known((*at, "input"), "the device has no input", channel.input, INPUTS)
+        if channel.raw_unit != "V":
+            reader.fault(at, f'the device gives V, and the channel has "{channel.raw_unit}"')
+    return Options(model, codes, filter=chosen)
+
+
+def scan_inputs(device: DeviceRecord) -> list[str]:
+    """The inputs that are scanned, each once, in the order of the scan list."""
+    used = {channel.input for channel in device.channels}
+    return [source for source in INPUTS if source in used]
+
+
+END = b"\r"
+STOP = b"stop\r"
+ANSWER = 0.1
+"""Longest wait for the echo of a command [s]."""
+LOSSES, WITHIN = 3, 5.0
+"""More losses than this within so many seconds are an error."""
+SLIP = 0.1
+"""More than this the scans of a whole second may not be later than they were: scans are missing [s]."""
+
+
+class Dataq(SerialStream):
+    """A DATAQ device: its inputs are `a0` to `a7` [V], all taken at the device's own rate."""
+
+    emulator = "pmabench_drivers.dataq.emulator"
+    read_options = staticmethod(read_options)
+    _options: Options
+
+    def __init__(self, device: DeviceRecord, clock: Clock) -> None:
+        self._inputs = scan_inputs(device)
+        super().__init__(device, clock)
+        self._spans = [self._options.span(source) for source in self._inputs]
+        self._columns = [self._inputs.index(channel.input) for channel in device.channels]
+        self._dividend, self._rate = DIVIDEND, 0.0
+
+    def _forget(self) -> None:
+        super()._forget()
+        self._losses: list[float] = []
+        self.lost = 0
+        """How often the stream broke and was begun again; each is a gap in the times."""
+        self._newest = -1.0
+        self._begin_scans()
+
+    def _begin_scans(self) -> None:
+        self._scans = Scans(len(self._inputs))
+        self._number = 0
+        self._origin = math.nan
+        self._echo: bytes | None = None
+        self._pace = Pace(SLIP)
+
+    def _greet(self) -> Identity:
+        """Stop what is under way, see that it is the right device, and give it the scan list."""
+        self._quiet()
+        identity = self._identity()
+        self._ask("encode 0")
+        for position, source in enumerate(self._inputs):
+            number = int(source.removeprefix("a"))
+            self._ask(f"slist {position} {self._options.ranges.get(source, 0) << 8 | number}")
+            if self._options.model.decimates:
+                self._ask(f"filter {number} {self._options.filter}")
+        self._ask(f"slist {len(self._inputs)} {DIGITAL}")
+        if self._options.model.decimates:
+            self._ask("deca 1")
+        return identity
+
+    def start(self, rate: float) -> float:
+        """Scan at the rate nearest to `rate` [Hz] that the device can divide; returns it."""
+        port = self._ready(rate)
+        srate, dec = divisors(self._options.model, rate, self._dividend)
+        self._rate = self._dividend / (srate * dec)
+        self._forget()
+        self._ask(f"srate {srate}")
+        if self._options.model.decimates:
+            self._ask(f"dec {dec}")
+        self._ask(f"ps {packet(2 * (len(self._inputs) + 1) * self._rate)}")
+        port.send(b"start 0\r")
+        self._heard = monotonic()
+        port.listen(self._take)
+        return self._rate
+
+    @property
+    def _patience(self) -> float:
+        return max(STREAM_PATIENCE, 3 / self._rate)
+
+    def _missing(self) -> str:
+        return "has sent no scan"
+
+    # -- the stream -------------------------------------------------------------------------------------------------
+
+    def _take(self, data: bytes, now: float) -> None:
+        """Bytes that came at `now` [s, bench time]."""
+        if self._failure:
+            return
+        if self._echo is not None:
+            self._wait_for_echo(data)
+            return
+        try:
+            whole = self._scans.feed(data)
+            broken = False
+        except Lost:
+            whole, broken = self._scans.whole, True
+        if whole:
+            self._keep(whole, now)
+        if broken:
+            self._begin_again()
+
+    def _keep(self, whole: list[tuple[int, ...]], now: float) -> None:
+        if self._number == 0:
+            # what came before this piece is older by as many periods; behind a loss time stays ahead of what was
+            self._origin = max(now - (len(whole) - 1) / self._rate, self._newest + 2 / self._rate)
+        self._heard = monotonic()
+        model, spans = self._options.model, self._spans
+        for words in whole:
+            values = [volts(model, span, raw) for span, raw in zip(spans, words, strict=True)]
+            self._newest = self._origin + self._number / self._rate
+            self._number += 1
+            self._samples.append(
+                round(self._newest * 1e9), [values[column] for column in self._columns], round(now * 1e9)
+            )
+        # scans have no numbers: that some never came shows in that all that follow seem to come late
+        behind = self._pace.behind(self._newest, now)
+        if behind > 0:
+            self._failure = f"is {behind:.2f} s behind its clock: scans are lost, or it is slower than it says"
+        elif behind < 0:
+            self._failure = f"sends more scans than {self._rate:g} a second"
+
+    def _begin_again(self) -> None:
+        """Stop after lost bytes, since nothing shows where a scan begins; start again after the echo of the stop."""
+        now = monotonic()
+        self.lost += 1
+        self._losses = [moment for moment in self._losses if now - moment < WITHIN] + [now]
+        if len(self._losses) > LOSSES:
+            self._failure = f"lost bytes or ran over {len(self._losses)} times within {WITHIN:g} s"
+            return
+        self._echo = b""
+        self._opened().send(STOP)
+
+    def _wait_for_echo(self, data: bytes) -> None:
+        self._echo = ((self._echo or b"") + data)[-len(STOP) :]
+        if self._echo == STOP:
+            self._begin_scans()
+            self._opened().send(b"start 0\r")
+
+    # -- questions --------------------------------------------------------------------------------------------------
+
+    def _quiet(self) -> None:
+        """Stop a scan that may be under way: its bytes come before the echo."""
+        port = self._opened()
+        for _ in range(2):
+            port.drain()
+            port.send(STOP)
+            if port.receive(lambda got: got.endswith(STOP), ANSWER).endswith(STOP):
+                return
+        raise DeviceError(self._device.name, 'did not answer "stop": is it in its CDC mode?')
+
+    def _ask(self, command: str) -> str:
+        """Send a command; the answer without the echo of the command."""
+        port = self._opened()
+        port.drain()
+        port.send(command.encode("ascii") + END)
+        data = port.receive(lambda got: END in got, ANSWER)
+        line, end, _ = data.partition(END)
+        text = line.decode("ascii", "replace").strip()
+        if not end or not (text == command or text.startswith(f"{command} ")):
+            heard = f'"{text[:40]}"' if data else "nothing"
+            raise DeviceError(self._device.name, f'answered {heard} to "{command}"')
+        return text.removeprefix(command).strip()
+
+    def _identity(self) -> Identity:
+        maker, model = self._ask("info 0"), self._ask("info 1")
+        expected = self._options.model.name
+        shown = model.removeprefix(UNPROVEN).removeprefix(EMULATED).removeprefix("DI-")
+        if maker != "DATAQ" or shown != expected.removeprefix("DI-"):
+            raise DeviceError(self._device.name, f'is "{maker[:20]} {model[:30]}", and the bench file says {expected}')
+        firmware, serial, dividend = self._ask("info 2"), self._ask("info 6"), self._ask("info 9")
+        if not dividend.isdecimal() or not 1_000_000 <= int(dividend) <= 1_000_000_000:
+            raise DeviceError(self._device.name, f'reports "{dividend[:20]}" as the clock that its rate divides')
+        self._dividend = int(dividend)
+        return Identity("DATAQ", model, serial[:40], firmware[:40], simulated=model.startswith(EMULATED))

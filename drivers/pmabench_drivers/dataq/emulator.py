@@ -7,7 +7,7 @@ import struct
 from time import monotonic
 
 from pmabench.bench.interface import DeviceRecord
-from pmabench_drivers.dataq.driver import DIGITAL, DIVIDEND, OVERRUN, counts, read_options
+from pmabench_drivers.dataq import DIGITAL, DIVIDEND, OVERRUN, counts, read_options
 from pmabench_drivers.emulator.faults import NOISE, OVER, CommandLog, Fault
 from pmabench_drivers.emulator.plant import RealPlant
 from pmabench_drivers.emulator.ports import Streaming

@@ -15,6 +15,7 @@ from pmabench.base.clock import RealClock
 from pmabench.bench.interface import (
     EMULATED,
     UNPROVEN,
+    Block,
     ChannelRecord,
     DeviceRecord,
     InterlockRecord,
@@ -64,6 +65,11 @@ class _Mock(MockBench):
         """The simulation, brought to the present."""
         self.rest()
         return super().simulation()
+
+    def collect(self) -> Block:
+        """The samples up to the present."""
+        self.rest()
+        return super().collect()
 
 
 class RealPlant:

@@ -1,9 +1,294 @@
 """Festo CPX-E terminals with the bus module CPX-E-EP (Modbus TCP): 4AI-UI, 4AO-UI, 16DI and 8DO.
 
-`terminal`: modules, addresses and options; `driver`: the device interface, a Modbus device whose map follows from its
+`terminal`: modules, addresses and options; here: the device interface, a Modbus device whose map follows from its
 modules; `emulated`: what `pmabench emulate` serves.
+
+What differs from any Modbus device: an output is read back from the module's own inputs; eight digital outputs share a
+register; ranges and data format are compared when it is opened, through the terminal's data system table; the terminal
+has a time-out from the factory on, so it is kept in talk from `open` to `close`.
 """
 
-from pmabench_drivers.festo_cpx_e.driver import FestoCpxE
+from __future__ import annotations
 
-__all__ = ["FestoCpxE"]
+from dataclasses import replace
+from time import monotonic, sleep
+from typing import TYPE_CHECKING, cast
+
+from pmabench.base.clock import Clock
+from pmabench.base.errors import DeviceError
+from pmabench.bench.interface import DeviceRecord, Identity
+from pmabench_drivers.festo_cpx_e import terminal as t
+from pmabench_drivers.festo_cpx_e.terminal import DONE, STATUS, TIMEOUT, CpxOptions, read_options
+from pmabench_drivers.modbus import CALL, OPEN, ModbusDevice
+from pmabench_drivers.modbus.registers import Register, decode
+from pmabench_drivers.shared.link import Cycle, Unanswered
+
+if TYPE_CHECKING:
+    from pmabench_drivers.modbus.adapter import Line, NamedLine
+
+KEEP_ALIVE = 40.0
+"""How often it is asked while no watchdog of ours is armed [Hz]: its own time-out is 100 ms from the factory on."""
+LOOK = 0.06
+"""Longest wait for what an output held before it is written [s]."""
+ECHO = 0.003
+"""Pause between two looks whether a written value has arrived at the module [s]."""
+TABLE = 0.5
+"""Longest wait for an answer of the data system table [s]."""
+CLEAR = 0.05
+"""Longest wait until the terminal takes back the answer to the question before [s]."""
+
+
+class FestoCpxE(ModbusDevice):
+    """A CPX-E terminal: `options: {modules: [...], ranges: {...}}`; channels are named as `ai3.0`, `do2.7`.
+
+    Raw values are counts of the data format "sign + 15 bit"; the scaling is the bench's.
+    """
+
+    emulator = "pmabench_drivers.festo_cpx_e.emulated"
+
+    read_options = staticmethod(read_options)
+    _options: CpxOptions
+
+    def __init__(self, device: DeviceRecord, clock: Clock) -> None:
+        super().__init__(device, clock)
+        self._terminal = self._options.terminal
+        names = {item.input for item in device.channels} | {item.output for item in device.outputs}
+        names |= {valve.output for valve in device.valves} | {lock.input for lock in device.interlocks}
+        positions = {self._terminal.module_of(name).position for name in names}
+        self._used = [module for module in self._terminal.modules if module.position in positions]
+        self._alive = Cycle(f"keep alive {device.name}", self._keep_alive, clock)
+        self._found = 0.0
+
+    # -- life -----------------------------------------------------------------------------------------------------
+
+    def open(self) -> Identity:
+        """Connect, read who it is, and compare modules, data format and ranges with the bench file."""
+        self.close()
+        line = self._new_line()
+        self._line, until = line, monotonic() + OPEN
+        with self._closed_on_error():
+            identity = line.identity(until)
+            self._compare(line, until)
+            self._found = self._get(TIMEOUT, until)
+        self._alive.start(KEEP_ALIVE)
+        return identity
+
+    def close(self) -> None:
+        """End polling and let go of the connection; the terminal's own time-out runs from then on."""
+        self._alive.stop()
+        super().close()
+
+    def _new_line(self) -> NamedLine:
+        from pmabench_drivers.modbus.adapter import NamedLine
+
+        return NamedLine(self._device.name, self._device.address, self._map.timeout)
+
+    def _opened(self) -> NamedLine:
+        return cast("NamedLine", super()._opened())
+
+    def _keep_alive(self) -> None:
+        """One question while no watchdog of ours is armed; once it is, only the program keeps the terminal quiet."""
+        line = self._line
+        if self._armed or line is None:
+            return
+        try:
+            line.read("holding", STATUS, 1, monotonic() + self._map.timeout, "status")
+        except DeviceError:
+            return  # the next call that somebody makes reports it
+
+    # -- what is there, and how it is set -------------------------------------------------------------------------
+
+    def _compare(self, line: Line, until: float) -> None:
+        name, modules = self._device.name, self._terminal.modules
+        present = self._present(line, until)
+        if present != len(modules) + 1:
+            message = f"has {present} modules with the bus module, and the bench file names {len(modules) + 1}"
+            raise DeviceError(name, message, "options.modules")
+        faults = self._faulty(line, until)
+        if faults:
+            raise DeviceError(name, f"reports faults (bits {', '.join(map(str, faults))}): look at the modules' LEDs")
+        [status] = line.read("holding", STATUS, 1, until, "status")
+        if status & t.FORCED:
+            raise DeviceError(name, "has forced inputs or outputs: end the forcing at the terminal")
+        for module in self._used:
+            if module.kind.ranges and self._parameter(line, module.parameter(t.DATA_FORMAT), until) & 1:
+                message = 'gives linear scaled values: set its data format to "sign + 15 bit"'
+                raise DeviceError(name, message, f"module {module.position} ({module.name})")
+        for channel, wanted in self._terminal.ranges.items():
+            self._compare_range(line, channel, wanted, until, protected=bool(status & t.PROTECTED))
+
+    def _compare_range(self, line: Line, channel: str, wanted: int, until: float, *, protected: bool) -> None:
+        number, shift = self._terminal.module_of(channel).range_of(int(channel.partition(".")[2]))
+        held = self._parameter(line, number, until)
+        code = held >> shift & 0xF
+        if code == wanted:
+            return
+        names = {value: key for key, value in t.RANGES.items()}
+        found = f"is set to {names.get(code, f'range {code}')} and the bench file says {names[wanted]}"
+        if not self._terminal.set_ranges:
+            message = f"{found}: set it at the terminal, or let it be set with set_ranges: true"
+            raise self._error(message, channel)
+        if protected:
+            raise self._error(f"{found}, and the terminal is write-protected", channel)
+        if channel in self._map.outputs and self._get(self._map.outputs[channel], until) != 0:
+            raise self._error(f"{found}, and it puts out something: bring it to 0 first", channel)
+        line.write(16, t.VALUE_IN, [held & ~(0xF << shift) | wanted << shift], until, channel)
+        self._ask_table(line, t.ASK | t.WRITE | number, until)
+        now = self._parameter(line, number, until) >> shift & 0xF
+        if now != wanted:
+            raise self._error(f"did not take the range {names[wanted]}", channel)
+
+    def held(self) -> dict[str, float | str]:
+        """Its time-out [s], how many modules it has and which report faults, whether it is forced, and who it is.
+
+        It gives no serial number in less than half a second.
+        """
+        until = monotonic() + CALL
+        watchdog, line = self._get(TIMEOUT, until) * 1e-3, self._opened()
+        [status] = line.read("holding", STATUS, 1, until, "status")
+        found = line.identification(until)
+        return {
+            "watchdog": watchdog,
+            "modules": float(self._present(line, until)),
+            "modules with a fault": ", ".join(map(str, self._faulty(line, until))) or "none",
+            "forced": "yes" if status & t.FORCED else "no",
+            "terminal": " ".join(found[number] for number in sorted(found) if found[number]),
+        }
+
+    @staticmethod
+    def _present(line: Line, until: float) -> int:
+        return sum(word.bit_count() for word in line.read("holding", t.PRESENT, 3, until, "modules"))
+
+    @staticmethod
+    def _faulty(line: Line, until: float) -> list[int]:
+        """Places of the modules that report a fault; 0 is the bus module."""
+        words = line.read("holding", t.FAULTS, 3, until, "faults")
+        return [16 * i + bit for i, word in enumerate(words) for bit in range(16) if word >> bit & 1]
+
+    def _parameter(self, line: Line, number: int, until: float) -> int:
+        """The value of a function number."""
+        self._ask_table(line, t.ASK | number, until)
+        return line.read("holding", t.VALUE_OUT, 1, until, f"function {number}")[0]
+
+    def _ask_table(self, line: Line, question: int, until: float) -> None:
+        """Ask the data system table and wait for its answer."""
+        what = f"function {question & 0x1FFF}"
+
+        def ready() -> bool:
+            return bool(line.read("holding", t.READY, 1, until, what)[0] & DONE)
+
+        line.write(16, t.CONTROL, [0], until, what)
+        clear = monotonic() + CLEAR
+        while ready() and monotonic() < clear:
+            sleep(ECHO)
+        line.write(16, t.CONTROL, [question], until, what)
+        latest = monotonic() + TABLE
+        while not ready():
+            if monotonic() > latest:
+                raise self._error(f"its data system table gave no answer within {TABLE:g} s", what)
+            sleep(ECHO)
+
+    # -- samples --------------------------------------------------------------------------------------------------
+
+    def _poll(self) -> None:
+        """All inputs of the terminal in one transaction; none are taken from a module that reports a fault."""
+        if not self._streaming or not self._inputs:
+            return
+        asked, deadline = self._clock.now(), monotonic() + self._map.timeout
+        words = self._opened().read("holding", t.FIRST_INPUT, self._terminal.width, deadline, "process data")
+        answered = self._clock.now()
+        for module in self._used:
+            status = words[module.status - t.FIRST_INPUT]
+            if status:
+                message = f"reports a fault (status 0x{status:04x}): look at its LEDs and its data sheet"
+                raise self._error(message, f"module {module.position} ({module.name})")
+        row = [decode(item, [words[item.address - t.FIRST_INPUT]]) for item in self._inputs]
+        self._keep(row, asked, answered)
+
+    # -- commands -------------------------------------------------------------------------------------------------
+
+    def _get(self, register: Register, deadline: float = 0.0) -> float:
+        """What a module says; asked once more where the terminal had ended the connection."""
+        until = deadline or monotonic() + CALL
+        source = self._map.inputs.get(register.name, register)
+        try:
+            return super()._get(source, until)
+        except Unanswered:
+            if monotonic() >= until:
+                raise
+            return super()._get(source, until)
+
+    def _function(self, register: Register) -> int:
+        return 6 if register == TIMEOUT else 16
+
+    def _to_send(self, register: Register, value: float, until: float, *, checked: bool) -> tuple[list[int], float]:
+        words = self._words(register, value)
+        wanted = value if register.bit >= 0 else decode(register, words)
+        return self._with_neighbours(
+            register, value, words, min(until, monotonic() + LOOK)
+        ) if checked else words, wanted
+
+    def _arrived(self, register: Register, wanted: float, until: float, _resolution: float) -> float:
+        """What the module shows, once it is what is wanted, or shortly before `until`."""
+        while (held := self._get(register, until)) != wanted and monotonic() <= until - LOOK / 2:
+            sleep(ECHO)
+        return held
+
+    def _with_neighbours(self, register: Register, value: float, words: list[int], until: float) -> list[int]:
+        """The words to write, with the other digital outputs of the module as they are now.
+
+        Where that cannot be read, nothing is switched on; switching off leaves all of the module off, as the terminal
+        itself does without communication. The look also finds out whether the connection still lives.
+        """
+        try:
+            held = int(self._get(self._whole(register), until))
+        except DeviceError:
+            if register.bit >= 0 and value:
+                raise
+            held = 0
+        return _with_bit(register, value, held) if register.bit >= 0 else words
+
+    def _whole(self, register: Register) -> Register:
+        """What the module says of the whole register that holds an output."""
+        source = self._map.inputs.get(register.name, register)
+        return replace(source, name=f"{register.name} and its neighbours", bit=-1) if register.bit >= 0 else source
+
+    def rescue(self, output: str, value: float) -> None:
+        """Cut the first connection and write over a second one."""
+        self._known("output", output, self._map.outputs)
+        register = self._map.outputs[output]
+        self._following.pop(output, None)
+        words, line, until = self._words(register, value), self._line, monotonic() + CALL
+        if line is not None:
+            line.cut()
+        second = self._new_line()
+        try:
+            if register.bit >= 0:
+                source = self._whole(register)
+                try:
+                    [held] = second.read("holding", source.address, 1, min(until, monotonic() + LOOK), source.name)
+                except DeviceError:
+                    held = 0
+                words = _with_bit(register, value, held)
+            second.overrule(16, register.address, words, until, output)
+        finally:
+            second.close()
+
+    # -- the terminal's watchdog ----------------------------------------------------------------------------------
+
+    def arm_watchdog(self, seconds: float) -> float:
+        """Set the time-out of the terminal; returns what it holds then [s]."""
+        if seconds < t.SHORTEST:
+            raise self._error(f"waits {t.SHORTEST:g} s at least, not {seconds:g} s", "watchdog")
+        self._get(TIMEOUT)
+        return super().arm_watchdog(seconds)
+
+    def disarm_watchdog(self) -> None:
+        """Give the terminal the time-out back that it had when it was opened."""
+        self._armed = 0.0
+        self._put(TIMEOUT, self._found)
+
+
+def _with_bit(register: Register, value: float, held: int) -> list[int]:
+    """The eight outputs of a module with one of them changed."""
+    return [held & 0xFF & ~(1 << register.bit) | int(value != 0) << register.bit]

@@ -1,8 +1,328 @@
 """The laser sensor Micro-Epsilon optoNCDT ILD1420: distances with their numbers, over RS422.
 
-`driver`: options, bytes as values, what was lost, the device interface; `emulator`: a sensor on a pseudo-terminal.
+Here: options, bytes as values, what was lost, the device interface; `emulator`: a sensor on a pseudo-terminal.
+
+Instruction manual optoNCDT 1420, measurement value output over RS422: three bytes a value, marked by their two highest
+bits: low byte `00`, middle byte `01`, high byte `10` for the first value of a measurement (the distance) and `11` for
+each further one (here the counter); six bits each.
 """
 
-from pmabench_drivers.ild1420.driver import Ild1420
+from __future__ import annotations
 
-__all__ = ["Ild1420"]
+import math
+import re
+from dataclasses import dataclass
+from time import monotonic
+
+from pmabench.base.errors import DeviceError
+from pmabench.bench.interface import EMULATED, UNPROVEN, DeviceRecord, Identity
+from pmabench_drivers.shared.link import Pace
+from pmabench_drivers.shared.options import Reader
+from pmabench_drivers.shared.serial_port import SerialStream
+
+BITS = 60
+"""On the wire for a distance and its counter, start and stop bits counted."""
+WRAP = 1 << 18
+"""The counter begins again after so many measurements."""
+FULL = 65520
+"""Largest code that is a distance."""
+SPANS = (10, 25, 50, 100, 200, 500)
+"""Measuring ranges that the sensor is made in [mm]."""
+SCENE = {
+    262076: "sees no peak",
+    262077: "sees a peak before its measuring range",
+    262078: "sees a peak behind its measuring range",
+    262080: "cannot compute the value",
+    262081: "sees a peak that is too large",
+}
+"""Codes about what is in front of the laser: no number, as often as it happens."""
+SETTING = {262075: "sends more than its baud rate can carry", 262082: "has its laser switched off"}
+"""Codes for something that is set wrong."""
+BAUDS = (115200, 230400, 256000, 460800, 691200, 921600, 1000000)
+INPUT = "distance"
+
+
+class Decoder:
+    """Cuts a stream of bytes into measurements.
+
+    Behind a byte out of place everything is left out up to the end of the second counter: what is up to the first
+    one may be put together from old bytes and disturbed ones.
+    """
+
+    def __init__(self) -> None:
+        self._value: list[int] = []
+        self._code = -1
+        self._skip = 0
+        self.invalid = 0
+        """How often a byte was out of its place."""
+
+    def feed(self, data: bytes) -> list[tuple[int, int]]:
+        """The measurements that end in `data`: code of the distance and counter, 18 bits each."""
+        found = []
+        for byte in data:
+            mark = byte >> 6
+            if self._skip:
+                self._skip -= mark == 3
+                continue
+            if len(self._value) < 2:
+                if mark != len(self._value):
+                    self._restart()
+                    continue
+                self._value.append(byte & 0x3F)
+                continue
+            if mark != (2 if self._code < 0 else 3):
+                self._restart()
+                continue
+            value = (byte & 0x3F) << 12 | self._value[1] << 6 | self._value[0]
+            self._value = []
+            if mark == 2:
+                self._code = value
+            else:
+                found.append((self._code, value))
+                self._code = -1
+        return found
+
+    def _restart(self) -> None:
+        self.invalid += 1
+        self._value, self._code = [], -1
+        self._skip = 2
+
+
+def encode(code: int, counter: int) -> bytes:
+    """A distance and its counter as the sensor sends them."""
+    return bytes(
+        mark << 6 | value >> shift & 0x3F
+        for value, last in ((code, 2), (counter, 3))
+        for mark, shift in ((0, 0), (1, 6), (last, 12))
+    )
+
+
+def distance(code: int, span: int) -> float:
+    """Distance from the begin of the measuring range [mm] at a range of `span` [mm]; no number where it is none."""
+    if not 0 <= code <= FULL:
+        return math.nan
+    return 0.01 * (102.0 / FULL * code - 1.0) * span
+
+
+def code_of(value: float, span: int) -> int:
+    """The code that the sensor sends for a distance [mm]; peaks outside have other codes."""
+    code = round((value / (0.01 * span) + 1.0) * FULL / 102.0)
+    return 262077 if code < 0 else 262078 if code > FULL else code
+
+
+def misset(code: int) -> str:
+    """What is set wrong where the sensor sends this code; empty where nothing is."""
+    if code <= FULL or code in SCENE:
+        return ""
+    known = SETTING.get(code)
+    return known or f"sends {code}, which is no distance: a master value may be set in it"
+
+
+class CounterBroken(Exception):
+    """The counter goes on from elsewhere: which measurement this is, is not known."""
+
+
+class Numbering:
+    """Numbers measurements from 0 on.
+
+    A measurement is believed when its counter follows that of the last one believed, or of the one right before it. So
+    the first one behind a gap is left out: its bytes may belong to two. A disturbed counter makes no false gap.
+    """
+
+    def __init__(self, longest: int) -> None:
+        self._longest = longest
+        self._last: int | None = None
+        self._before: int | None = None
+        self._number = 0
+        self.lost = 0
+        """Measurements that never came, or were left out."""
+
+    def place(self, counter: int) -> int | None:
+        """The number of a measurement; None: it is not believed. Raises CounterBroken."""
+        follows = [(before + 1) % WRAP for before in (self._last, self._before) if before is not None]
+        self._before = counter
+        if counter not in follows:
+            return None
+        ahead = 0 if self._last is None else (counter - self._last) % WRAP
+        if ahead > self._longest:
+            raise CounterBroken
+        self._number += ahead
+        self.lost += max(0, ahead - 1)
+        self._last = counter
+        return self._number
+
+
+@dataclass(frozen=True)
+class Options:
+    """Options of a sensor."""
+
+    span: int = 100
+    """Measuring range [mm]."""
+    rate: float = 1000.0
+    """Measuring rate that the sensor is set to [Hz]."""
+    baud: int = 921600
+
+
+def read_options(device: DeviceRecord, reader: Reader) -> Options:
+    """The options of a device, and the inputs that its channels use."""
+    place, base = ("options",), Options()
+    given = reader.keys(device.options, place, ("range", "rate", "baud"), ("range", "rate"))
+    reader.port(device, "/dev/ttyUSB0")
+    spans = [f"{span} mm" for span in SPANS]
+    span = reader.choice(given, "range", place, spans, "100 mm") if "range" in given else "100 mm"
+    baud = reader.one_of(given, "baud", place, BAUDS, base.baud)
+    rate = reader.quantity(given, "rate", place, "frequency", base.rate, 100.0, 4000.0)
+    if rate * BITS > baud:
+        reader.fault((*place, "rate"), f"{rate:g} distances a second with their counter need {rate * BITS:g} baud")
+    if device.guarded:
+        reader.fault((), "a laser only measures; it has no outputs, valves, interlocks or watchdog")
+    for channel in device.channels:
+        at = ("channels", channel.name)
+        reader.known((*at, "input"), "the sensor has no input", channel.input, [INPUT])
+        if channel.raw_unit != "mm":
+            reader.fault(at, f'the sensor gives mm, and the channel has "{channel.raw_unit}"')
+    return Options(int(span.removesuffix(" mm")), rate, baud)
+
+
+PROMPT = b"->"
+"""Ends each answer; inside a stream of values the two bytes cannot follow each other."""
+ANSWER = 0.15
+"""Longest wait for an answer [s]."""
+LONGEST = 10.0
+"""A jump of the counter over more than this is no loss [s]."""
+SLIP = 0.3
+"""More than this the measurements of a whole second may not be later than they were: the rate is another [s]."""
+_ERROR = re.compile(rb"E\d{2,3}[^\r\n]*")
+_FIELD = re.compile(r"^[\s>-]*([A-Za-z][A-Za-z -]*?) *: *([^\r\n/]*?) *(?://.*)?$", re.MULTILINE)
+
+
+class Ild1420(SerialStream):
+    """A laser sensor: its one input is `distance` [mm], from the begin of the measuring range."""
+
+    emulator = "pmabench_drivers.ild1420.emulator"
+
+    read_options = staticmethod(read_options)
+    _options: Options
+
+    def _forget(self) -> None:
+        super()._forget()
+        self._decoder = Decoder()
+        self._numbering = Numbering(int(LONGEST * self._options.rate))
+        self._pace = Pace(SLIP)
+        self._origin: float | None = None
+        self._newest = 0.0
+        self._problem = ""
+
+    @classmethod
+    def fastest(cls, device: DeviceRecord) -> float:
+        """The rate at which it measures [Hz]."""
+        return float(cls.read_options(device, Reader()).rate)
+
+    def _greet(self) -> Identity:
+        """Quiet the sensor, see that it is the right one, and set what a true record needs."""
+        self._silence()
+        fields = self._ask("GETINFO").decode("ascii", "replace").replace("\r", "\n")
+        identity = self._identity(dict(_FIELD.findall(fields)))
+        self._ask(f"MEASRATE {self._options.rate / 1000:g}")
+        for setting in ("OUTREDUCECOUNT 1", "OUTHOLD NONE", "OUTADD_RS422 COUNTER"):
+            self._ask(setting)
+        return identity
+
+    def start(self, rate: float) -> float:
+        """Begin to measure, at the sensor's own rate whatever is asked for [Hz]."""
+        port = self._ready(rate)
+        self._forget()
+        answer = self._ask("OUTPUT RS422", rest=True)
+        self._heard = monotonic()
+        if answer:
+            self._take(answer, self._clock.now())
+        port.listen(self._take)
+        return self._options.rate
+
+    def _missing(self) -> str:
+        return self._problem or "sends no measurement that can be read"
+
+    @property
+    def lost(self) -> int:
+        """Measurements that never came, by the counter; each is a gap in the times."""
+        return self._numbering.lost
+
+    # -- the stream -------------------------------------------------------------------------------------------------
+
+    def _take(self, data: bytes, now: float) -> None:
+        """Bytes that came at `now` [s, bench time]."""
+        if self._failure:
+            return
+        for code, counter in self._decoder.feed(data):
+            try:
+                number = self._numbering.place(counter)
+            except CounterBroken:
+                self._failure = "its counter has jumped: it was restarted or reset"
+                return
+            if number is not None:
+                self._keep(number, code, now)
+        behind = self._pace.behind(self._newest, now) if self._origin is not None else 0.0
+        if behind:
+            rate = self._options.rate
+            self._failure = f"measures {'slower' if behind > 0 else 'faster'} than the {rate:g} Hz that it was set to"
+
+    def _keep(self, number: int, code: int, now: float) -> None:
+        rate = self._options.rate
+        if self._origin is None:
+            self._origin = now - number / rate
+        taken = self._origin + number / rate
+        self._problem = misset(code)
+        if not self._problem:
+            self._heard = monotonic()
+        self._newest = taken
+        values = [distance(code, self._options.span)] * len(self._device.channels)
+        self._samples.append(round(taken * 1e9), values, round(now * 1e9))
+
+    # -- questions --------------------------------------------------------------------------------------------------
+
+    def _quiet(self) -> None:
+        """End the stream."""
+        self._ask("OUTPUT NONE")
+
+    def _silence(self) -> None:
+        """End a stream that somebody left behind; its bytes may drown one answer."""
+        for last in (False, False, True):
+            try:
+                self._quiet()
+                break
+            except DeviceError:
+                if last:
+                    raise
+
+    def _ask(self, command: str, *, rest: bool = False) -> bytes:
+        """The answer to a command, or what follows its prompt; an error is the sensor's own."""
+        port = self._opened()
+        port.drain()
+        port.send(command.encode("ascii") + b"\n")
+        data = port.receive(lambda got: PROMPT in got, ANSWER)
+        answer, prompt, behind = data.partition(PROMPT)
+        if not prompt:
+            heard = f"{len(data)} bytes without the end of an answer" if data else "nothing"
+            raise DeviceError(self._device.name, f'sent {heard} when it was asked "{command}"')
+        refused = _ERROR.search(answer) if command != "OUTPUT NONE" else None
+        if refused:
+            text = refused[0].decode("ascii", "replace").strip()
+            raise DeviceError(self._device.name, f'refuses "{command}": {text}')
+        return behind if rest else answer
+
+    def _identity(self, fields: dict[str, str]) -> Identity:
+        name, expected = fields.get("Name", ""), self._options.span
+        if not name.removeprefix(UNPROVEN).removeprefix(EMULATED).startswith("ILD1420"):
+            raise DeviceError(self._device.name, f'is "{name[:40]}" and no ILD1420')
+        span = re.fullmatch(r"(\d+(?:\.\d+)?) *mm", fields.get("Measuring range", ""))
+        if span is None or float(span[1]) != expected:
+            has = fields.get("Measuring range", "")[:20] or "without a range that it reports"
+            raise DeviceError(self._device.name, f"is a sensor of {has}, and the bench file says {expected} mm")
+        model = name[:60]
+        return Identity(
+            "Micro-Epsilon",
+            model,
+            fields.get("Serial", "")[:40],
+            fields.get("Version", "")[:40],
+            simulated=model.startswith(EMULATED),
+        )

@@ -9,7 +9,7 @@ from pmabench.bench.interface import DeviceRecord
 from pmabench_drivers.emulator.faults import EXCEPTION, NOISE, OVER, CommandLog
 from pmabench_drivers.emulator.plant import RealPlant
 from pmabench_drivers.emulator.ports import Streaming
-from pmabench_drivers.ild1420.driver import WRAP, code_of, encode, read_options
+from pmabench_drivers.ild1420 import WRAP, code_of, encode, read_options
 from pmabench_drivers.shared.options import options_of
 
 GARBAGE = b"\x8f\xff\x15"

@@ -1,10 +1,394 @@
 """LabJack T7, T8 and T4: analogue inputs (a T7 streams them), DACs, digital lines, watchdog, over Ethernet.
 
-`registers`: addresses, words, and what the bench file says; `stream`: packets, volts and their connection; `driver`:
-the device interface. Commands go through the Modbus driver. `emulated`, `emulated_map`: a
-device on this machine, for `pmabench emulate`.
+`registers`: addresses, words, and what the bench file says; `stream`: packets, volts and their connection; here: the
+device interface. Commands go through the Modbus driver. `emulated`, `emulated_map`: a device on this machine, for
+`pmabench emulate`.
+
+Commands are those of the Modbus driver with LabJack's own registers; stream, digital lines and watchdog are its own.
+While a stream runs a T7 answers to no reading of its analogue inputs, and all samples come from the stream. A T8 and a
+T4 are asked for each sample; on a T8 reading one input takes all of them at that moment.
 """
 
-from pmabench_drivers.labjack.driver import LabJack
+from __future__ import annotations
 
-__all__ = ["LabJack"]
+import math
+from array import array
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from time import monotonic
+from typing import Any
+
+from pmabench.base.clock import Clock
+from pmabench.base.errors import DeviceError
+from pmabench.bench.interface import EMULATED, UNPROVEN, Block, DeviceRecord, Identity
+from pmabench_drivers.labjack import registers as r
+from pmabench_drivers.labjack.registers import Options, read_options
+from pmabench_drivers.labjack.stream import COUNT, FLASH, Gain, StreamLink, gains
+from pmabench_drivers.modbus import CALL, OPEN, ModbusDevice
+from pmabench_drivers.shared.link import Unanswered
+from pmabench_drivers.shared.options import Place, Reader, options_of
+
+LATENCY = 0.01
+"""Time that a packet of the stream covers [s]."""
+BLOCK = 13
+"""Constants that are read from the flash at once."""
+FIRMWARE_STEP = 5e-5
+"""Half a step between two versions of the firmware."""
+KEY = 0x504D4142
+"""Feeds the watchdog."""
+TIMEOUT = 0.15
+"""Longest wait for an answer [s]."""
+
+
+class LabJack(ModbusDevice):
+    """A T7, T8 or T4 on Ethernet, as `options.model` says.
+
+    Raw values are volts at the terminals; `DAC0` and `DAC1` take volts.
+    """
+
+    emulator = "pmabench_drivers.labjack.emulated"
+
+    def __init__(self, device: DeviceRecord, clock: Clock) -> None:
+        self._t7 = options_of(device, read_options)
+        super().__init__(_as_modbus(device, self._t7), clock)
+        self._names = [channel.name for channel in device.channels]
+        self._lines = {valve.output: r.line_of(valve.output) or 0 for valve in device.valves}
+        self._bench = device
+        self._tables: dict[int, array[float]] = {}
+        self._stream: StreamLink | None = None
+        self._firmware = 0.0
+
+    @classmethod
+    def check(cls, device: DeviceRecord) -> Iterable[tuple[Place, str]]:
+        """What is wrong with the options, each with its place; touches no device."""
+        reader = Reader()
+        read_options(device, reader)
+        return reader.problems
+
+    @classmethod
+    def fastest(cls, device: DeviceRecord) -> float:
+        """Highest rate of its stream over all channels, or at which it is asked [Hz]."""
+        options = read_options(device, Reader())
+        return r.FASTEST / max(1, len(device.channels)) if options.model.streams else options.rate
+
+    # -- life -----------------------------------------------------------------------------------------------------
+
+    def open(self) -> Identity:
+        """Connect, prove the order of words, read who it is and the constants that make volts of its counts."""
+        super().open()
+        deadline = monotonic() + OPEN
+        with self._closed_on_error():
+            try:
+                return self._identify_model(deadline)
+            except Unanswered:
+                return self._identify_model(deadline)  # asking twice moves nothing
+
+    def _identify_model(self, deadline: float) -> Identity:
+        self._prove_words(deadline)
+        name, wanted = self._t7.name, self._t7.model.product
+        [product] = r.from_f32(self.get(r.PRODUCT_ID, 2, deadline, "product"))
+        if product != wanted:
+            known = {model.product: name for name, model in r.MODELS.items()}
+            found = f"is a {known[product]}" if product in known else f"has the product number {product:g}"
+            raise self._error(f"{found}, and the bench file says {name}: options.model")
+        [firmware] = r.from_f32(self.get(r.FIRMWARE_VERSION, 2, deadline, "firmware"))
+        self._firmware = firmware
+        [serial] = r.from_u32(self.get(r.SERIAL_NUMBER, 2, deadline, "serial number"))
+        if self._t7.model.streams:
+            gains_ = self._read_gains(deadline)
+            self._tables = {gain: gains_[gain].table() for gain in {item.gain for item in self._t7.inputs.values()}}
+        begins = {r.EMULATED: EMULATED, r.UNPROVEN: UNPROVEN}.get(serial, "")
+        return Identity("LabJack", f"{begins}{name}", str(serial), f"{firmware:.4f}", simulated=bool(begins))
+
+    def close(self) -> None:
+        """End stream and stepping and let go of the connections."""
+        self._end_stream()
+        super().close()
+
+    def _prove_words(self, deadline: float) -> None:
+        """A constant register must read as it was written down."""
+        words = self.get(r.TEST, 2, deadline, "test register")
+        if r.from_u32(words) != [r.TEST_VALUE]:
+            message = f"its test register gives {words[0]:04x} {words[1]:04x} instead of 0011 2233: no LabJack, or "
+            raise self._error(message + "something between that changes the order of words")
+
+    def _read_gains(self, deadline: float) -> tuple[Gain, ...]:
+        constants: list[float] = []
+        for first in range(0, COUNT, BLOCK):
+            count = min(BLOCK, COUNT - first)
+            self.put(r.FLASH_POINTER, r.u32(FLASH + 4 * first), deadline, "calibration")
+            constants += r.from_f32(self.get(r.FLASH_READ, 2 * count, deadline, "calibration"))
+        try:
+            return gains(constants)
+        except ValueError as error:
+            raise self._error(f"holds {error}: its flash is damaged") from None
+
+    # -- samples --------------------------------------------------------------------------------------------------
+
+    def start(self, rate: float) -> float:
+        """Stream all channels together at `rate` [Hz], or ask for them; returns the rate that is really used."""
+        if not self._t7.model.streams:
+            return self._ask(rate)
+        name, inputs = self._device.name, list(self._t7.inputs.values())
+        if not 0 < rate < math.inf or not inputs:
+            raise DeviceError(name, f"cannot sample {len(inputs)} channels at {rate} Hz")
+        if rate * len(inputs) > r.FASTEST:
+            message = f"cannot take {rate * len(inputs):g} samples a second: a T7 takes at most {r.FASTEST:g}"
+            raise DeviceError(name, f"{message}, over all channels")
+        self._end_stream()
+        deadline = monotonic() + CALL
+        if r.from_u32(self.get(r.STREAM_ENABLE, 2, deadline, "stream")) != [0]:
+            self.put(r.STREAM_ENABLE, r.u32(0), deadline, "stream")  # one that is left over
+        for item in inputs:
+            self.put(r.AIN_RANGE + 2 * item.number, r.f32(item.span), deadline, f"AIN{item.number}")
+            self.put(r.AIN_NEGATIVE + item.number, [item.negative], deadline, f"AIN{item.number}")
+        scans = max(1, min(r.MOST_SAMPLES // len(inputs), round(rate * LATENCY)))
+        link = StreamLink(name, self._names, (self._t7.host, self._t7.stream_port), deadline - monotonic(), self._clock)
+        try:
+            used = self._configure(rate, scans, deadline)
+            link.begin(used, scans, [self._tables[item.gain] for item in inputs])
+            self.put(r.STREAM_ENABLE, r.u32(1), deadline, "stream")
+        except DeviceError:
+            link.close()
+            raise
+        self._stream = link
+        return used
+
+    def _ask(self, rate: float) -> float:
+        """Set the ranges, and ask for all inputs at `rate` [Hz] at most."""
+        deadline = monotonic() + CALL
+        for item in self._t7.inputs.values() if self._t7.model.ranges else ():
+            self.put(r.AIN_RANGE + 2 * item.number, r.f32(item.span), deadline, f"AIN{item.number}")
+        return super().start(rate)
+
+    def _configure(self, rate: float, scans: int, deadline: float) -> float:
+        """Write scan list and settings, read them back; the rate that the device will use [Hz]."""
+        options, inputs = self._t7, list(self._t7.inputs.values())
+        sizes = r.u32(len(inputs), len(inputs) * scans)
+        rest = [*r.f32(1e6 * options.settling), *r.u32(options.resolution, r.STREAM_BUFFER, 0)]
+        addresses = r.u32(*(2 * item.number for item in inputs))
+        self.put(r.STREAM_SCANRATE, [*r.f32(rate), *sizes, *rest], deadline, "stream")
+        self.put(r.STREAM_AUTO_TARGET, r.u32(r.TO_ETHERNET, 0, 0), deadline, "stream")
+        self.put(r.STREAM_SCANLIST, addresses, deadline, "stream")
+        held = self.get(r.STREAM_SCANRATE, 2 * len(r.STREAM_CONFIGURATION), deadline, "stream")
+        [used] = r.from_f32(held[:2])
+        wrong = [
+            what
+            for index, what in enumerate(r.STREAM_CONFIGURATION)
+            if what in {"addresses", "samples a packet", "resolution", "buffer", "clock"}
+            and held[2 * index : 2 * index + 2] != [*r.f32(rate), *sizes, *rest][2 * index : 2 * index + 2]
+        ]
+        if self.get(r.STREAM_SCANLIST, len(addresses), deadline, "stream") != addresses:
+            wrong.append("scan list")
+        if wrong or not math.isfinite(used) or not abs(used / rate - 1) < 0.1:
+            message = f"does not hold what was written for its stream: {', '.join(wrong) or f'a rate of {used:g} Hz'}"
+            raise self._error(message)
+        return used
+
+    def collect(self) -> Block:
+        """Every scan that came since the last call; an error once the stream, or stepping, has failed."""
+        asked = super().collect()
+        if not self._t7.model.streams:
+            return asked
+        if self._stream is None:
+            return Block([], {name: [] for name in self._names})
+        return self._stream.collect()
+
+    def stop(self) -> None:
+        """End the stream; a ramp under way goes on."""
+        self._end_stream()
+        super().stop()
+
+    def _end_stream(self) -> None:
+        """Stop the device and let go; one that does not answer is stopped at the next start."""
+        link, self._stream = self._stream, None
+        if link is None:
+            return
+        link.close()
+        with suppress(DeviceError):
+            self.put(r.STREAM_ENABLE, r.u32(0), monotonic() + CALL / 2, "stream")
+
+    @property
+    def lost(self) -> int:
+        """Scans of this stream that never came; each is a gap in the samples."""
+        return 0 if self._stream is None else self._stream.lost
+
+    @property
+    def backlog(self) -> int:
+        """Bytes that waited in the device when it sent its last packet, of 32768."""
+        return 0 if self._stream is None else self._stream.backlog
+
+    # -- digital lines --------------------------------------------------------------------------------------------
+
+    def switch(self, output: str, *, on: bool) -> None:
+        """Set a line high or low once, which makes it an output; its terminal shows whether it was done."""
+        line, deadline, lost = self._line_of(output), monotonic() + CALL, ""
+        try:
+            self._put(self._switched(output), float(on), deadline)
+        except Unanswered as error:
+            lost = f"did not answer to the command {int(on)}"
+            try:
+                high = self._drives_high(line, deadline, output)
+            except DeviceError as second:
+                message = f"{error.message}; whether it took {int(on)} is not known ({second})"
+                raise Unanswered(self._device.name, message, output) from None
+        else:
+            high = self._drives_high(line, deadline, output)
+        if high != on:
+            message = f"{lost or f'was commanded {int(on)}'} and its terminal is {'high' if high else 'low'}"
+            raise self._error(message, output)
+
+    def is_on(self, output: str) -> bool:
+        """Whether the line is an output and its terminal is high."""
+        return self._drives_high(self._line_of(output), monotonic() + CALL, output)
+
+    def _line_of(self, output: str) -> int:
+        self._known("valve output", output, self._lines)
+        return self._lines[output]
+
+    def _drives_high(self, line: int, deadline: float, what: str) -> bool:
+        """Whether a line drives its terminal high; reading the line's own register would make it an input."""
+        [state] = r.from_u32(self.get(r.DIO_STATE, 2, deadline, what))
+        [direction] = r.from_u32(self.get(r.DIO_DIRECTION, 2, deadline, what))
+        return bool(state >> line & direction >> line & 1)
+
+    # -- the device's watchdog ------------------------------------------------------------------------------------
+    #
+    # Strict: only its key feeds it, so that neither a stream nor another program keeps it quiet. On time-out it sets
+    # the DACs and the valve lines to their safe values. It counts whole seconds. Its settings are kept in flash.
+
+    def arm_watchdog(self, seconds: float) -> float:
+        """Set it to whole seconds and to safe values of DACs and valves, and start it; returns what it holds [s]."""
+        if not 1.0 <= seconds < math.inf:
+            raise self._error(f"counts whole seconds: a watchdog of {seconds:g} s cannot be set", "watchdog")
+        deadline = monotonic() + CALL
+        self.put(r.WATCHDOG_ENABLE, r.u32(0), deadline, "watchdog")
+        for address, words in watchdog_settings(self._bench, math.floor(seconds + 1e-6)):
+            if self.get(address, len(words), deadline, "watchdog") == words:
+                continue  # flash wears out, and is slow
+            self.put(address, words, deadline, "watchdog")
+            held = self.get(address, len(words), deadline, "watchdog")
+            if held != words:
+                raise self._error(f"register {address} holds {held} after {words} was written", "watchdog")
+        self.put(r.WATCHDOG_CLEAR, r.u32(KEY), deadline, "watchdog")
+        self.put(r.WATCHDOG_ENABLE, r.u32(1), deadline, "watchdog")
+        enabled, _advanced, held_time, _delay = r.from_u32(self.get(r.WATCHDOG_ENABLE, 8, deadline, "watchdog"))
+        if enabled != 1:
+            raise self._error("does not say that it is on", "watchdog")
+        return float(held_time)
+
+    def feed_watchdog(self) -> None:
+        """Write its key."""
+        self.put(r.WATCHDOG_CLEAR, r.u32(KEY), monotonic() + CALL, "watchdog")
+
+    def disarm_watchdog(self) -> None:
+        """Off; outputs stay, and the settings in flash do nothing any more."""
+        deadline = monotonic() + CALL
+        self.put(r.WATCHDOG_ENABLE, r.u32(0), deadline, "watchdog")
+        if r.from_u32(self.get(r.WATCHDOG_ENABLE, 2, deadline, "watchdog")) != [0]:
+            raise self._error("is still on", "watchdog")
+
+    def _watchdog_held(self, deadline: float) -> dict[str, float | str]:
+        """What the device reports now: its time [s], 0 where it is off; and what it would do, as one text."""
+        enabled, advanced, seconds, _delay = r.from_u32(self.get(r.WATCHDOG_ENABLE, 8, deadline, "watchdog"))
+        does = [f"61602={advanced:08x}"]
+        for address, words in watchdog_settings(self._bench, int(seconds))[1:]:
+            held = self.get(address, len(words), deadline, "watchdog")
+            does.append(f"{address}={''.join(f'{word:04x}' for word in held)}")
+        return {"watchdog": float(seconds) if enabled == 1 else 0.0, "registers of the watchdog": " ".join(does)}
+
+    def held(self) -> Mapping[str, float | str]:
+        """Watchdog with all that it would do, and serial number; newer firmware: cause of the last restart, uptime.
+
+        The uptime is the device's clock, which begins at 0 at power-on. A T7-Pro, or a device that sets its clock over
+        the network, shows the time of day there: then it is left out.
+        """
+        deadline = monotonic() + CALL
+        found = self._watchdog_held(deadline)
+        [serial] = r.from_u32(self.get(r.SERIAL_NUMBER, 2, deadline, "serial number"))
+        found["serial"] = str(serial)
+        if self._firmware >= self._t7.model.restart_cause_from - FIRMWARE_STEP:
+            [cause] = r.from_u32(self.get(r.RESET_CAUSE, 2, deadline, "cause of the last restart"))
+            [clock] = r.from_u32(self.get(r.RTC_TIME, 2, deadline, "uptime"))
+            found["cause of the last restart"] = float(cause)
+            if clock < r.TIME_OF_DAY:
+                found["uptime"] = float(clock)
+        return found
+
+    # -- registers ------------------------------------------------------------------------------------------------
+
+    def get(self, address: int, count: int, deadline: float, what: str) -> list[int]:
+        """Registers from an address on; LabJack's own reason where it refuses."""
+        try:
+            return self._opened().read("holding", address, count, deadline, what)
+        except DeviceError as error:
+            raise self._explained(error, deadline, what) from None
+
+    def put(self, address: int, words: Sequence[int], deadline: float, what: str) -> None:
+        """Write registers once; LabJack's own reason where it refuses."""
+        try:
+            self._opened().write(16, address, words, deadline, what)
+        except DeviceError as error:
+            raise self._explained(error, deadline, what) from None
+
+    def _explained(self, error: DeviceError, deadline: float, what: str) -> DeviceError:
+        """The error with the code that the device keeps for the last one, where it refused."""
+        if not error.message.startswith("answers with exception"):
+            return error
+        try:
+            [code] = self._opened().read("holding", r.LAST_ERR_DETAIL, 1, deadline, what)
+        except DeviceError:
+            return error
+        reason = r.ERRORS.get(code)
+        detail = f"its error {code}: {reason}" if reason else f"its error {code}"
+        return DeviceError(self._device.name, f"{error.message}; {detail}", what)
+
+
+def _as_modbus(device: DeviceRecord, options: Options) -> DeviceRecord:
+    """Outputs, lines and inputs that are asked for, as the Modbus driver knows them; stream and watchdog are not its.
+
+    Of inputs that are taken together the first is read by its own register, and that before the others.
+    """
+    model = options.model
+    asked = {} if model.streams else {f"AIN{item.number}": item.number for item in options.inputs.values()}
+    first = next(iter(asked.values()), 0)
+    outputs: dict[str, Any] = {
+        name: {"address": r.DAC + 2 * index, "type": "float32"} for index, name in enumerate(r.DACS)
+    }
+    for valve in device.valves:
+        outputs[valve.output] = {"address": r.DIO + (r.line_of(valve.output) or 0), "read_back": False}
+    inputs: dict[str, Any] = {
+        lock.input: {"address": r.DIO + (r.line_of(lock.input) or 0)} for lock in device.interlocks
+    }
+    for name, number in asked.items():
+        taken = r.CAPTURE if model.captures and number != first else 0
+        inputs[name] = {"address": taken + 2 * number, "type": "float32"}
+    map_ = {
+        "functions": [3, 16],
+        "timeout": f"{TIMEOUT} s",
+        "rate": f"{options.rate:g} Hz",
+        "identity": {"maker": "LabJack"},
+        "inputs": inputs,
+        "outputs": outputs,
+    }
+    channels = () if model.streams else device.channels
+    address = f"{options.host}:{options.port}"
+    return replace(device, address=address, options={"map": map_}, channels=channels, watchdog=0.0)
+
+
+def watchdog_settings(device: DeviceRecord, seconds: int) -> list[tuple[int, list[int]]]:
+    """First address and words of each group of registers, enable left out: all that makes the device safe by itself."""
+    dacs = {output.output: float(output.scale.to_raw(output.safe)) for output in device.outputs}
+    lines = {r.line_of(valve.output) or 0: valve.safe == valve.energised for valve in device.valves}
+    mask = sum(1 << line for line in lines)
+    state = sum(1 << line for line, high in lines.items() if high)
+    groups = [
+        (r.WATCHDOG_ADVANCED, r.u32(0, seconds, 0)),
+        (r.WATCHDOG_STRICT, r.u32(1, KEY)),
+        (r.WATCHDOG_RESET, r.u32(0)),
+        (r.WATCHDOG_DIO_ENABLE, r.u32(int(bool(lines)), state, mask, r.ALL_LINES & ~mask)),
+    ]
+    for name, enable in zip(r.DACS, r.WATCHDOG_DAC_ENABLE, strict=True):
+        groups.append((enable, [*r.u32(int(name in dacs)), *r.f32(dacs.get(name, 0.0))]))
+    return groups

@@ -7,7 +7,7 @@ import threading
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, TypeAlias
 
-from pmabench.base.clock import Clock, RealClock
+from pmabench.base.clock import Clock, RealClock, VirtualClock
 from pmabench.base.errors import DeviceError, did_you_mean
 from pmabench.bench.interface import Block, DeviceRecord, Identity, Load, OutputRecord, Segment
 from pmabench_drivers.mock.options import E_STOP, JOINT, PLATFORM, VALVES, Options, output_of, problems, read_options
@@ -87,7 +87,8 @@ class MockBench:
 
     def collect(self) -> Block:
         """All samples due by now that were not collected yet."""
-        return self.simulation().collect()
+        opened, now = self._linked()
+        return opened.collect(now, _moment(self._clock.foreseen) if isinstance(self._clock, VirtualClock) else now)
 
     def stop(self) -> None:
         """End sampling."""
@@ -159,16 +160,21 @@ class MockBench:
             raise DeviceError(self._device.name, f'no valve "{output}"{did_you_mean(output, known or VALVES)}')
 
     def _now(self) -> float:
-        return round(self._clock.now() * 1e9) / 1e9  # as `to_nanosecond`, which would import numpy
+        return _moment(self._clock.now())
 
     def simulation(self) -> AnySimulation:
         """The simulation, brought to the clock's time: the truth that what the driver says is compared with."""
+        opened, now = self._linked()
+        opened.catch_up(now)
+        return opened
+
+    def _linked(self) -> tuple[AnySimulation, float]:
+        """The simulation where its link works, and the clock's time [s]."""
         if self._opened is None:
             raise DeviceError(self._device.name, "is not open")
         now = self._now()
         self._check_link(now)
-        self._opened.catch_up(now)
-        return self._opened
+        return self._opened, now
 
     def _check_link(self, now: float) -> None:
         """Act on simulated faults of the link: hang, or raise DeviceError."""
@@ -178,3 +184,8 @@ class MockBench:
             raise DeviceError(self._device.name, "closed while it did not answer (simulated fault)")
         if faults.lost_at is not None and now >= faults.lost_at:
             raise DeviceError(self._device.name, "link lost (simulated fault)")
+
+
+def _moment(t: float) -> float:
+    """As `to_nanosecond`, which would import numpy."""
+    return round(t * 1e9) / 1e9

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import DeviceRecord, Load, Scale, Segment
-from pmabench.model.many.moving_platform import PlatformPlant
+from pmabench.model.many.platform import PlatformPlant
 from pmabench_drivers.mock import options as o
 from pmabench_drivers.mock.options import Options
 from pmabench_drivers.mock.sampled import MEMORY, Sampled, refuse_unknown

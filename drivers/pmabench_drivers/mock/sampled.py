@@ -39,9 +39,12 @@ class Channel:
 
     def raw(self, si: NDArray[np.float64], first: int) -> Column:
         """Device units of consecutive samples in SI, the first of which has the number `first`."""
-        if self._sigma:
-            si = si + self._sigma * self._noise.samples(first, len(si))
-        return self._given(self.scale.to_raw(si))
+        raw = self._noise.samples(first, len(si)) if self._sigma else np.zeros(len(si))
+        raw *= self._sigma
+        raw += si
+        raw -= self.scale.offset
+        raw /= self.scale.slope
+        return self._given(raw)
 
     def raw_one(self, si: float, number: int) -> float:
         """The same for one sample."""
@@ -60,7 +63,7 @@ class Channel:
     def _given(self, raw: Any) -> NDArray[Any]:
         if not self.counts:
             return np.asarray(raw, dtype=np.float64)
-        return np.asarray(np.minimum(np.maximum(np.rint(raw), self.low), self.high), dtype=np.int32)
+        return np.asarray(np.clip(np.rint(raw), self.low, self.high), dtype=np.int32)
 
 
 class Damage:
@@ -154,6 +157,8 @@ class Sampled:
     faults of the plant in line (`_settle`). `memory` says how far it can be taken back [s].
     """
 
+    AHEAD = 0.0
+    """How far at most it is computed before its time where nothing is going to be commanded [s]."""
     _plant: Any
     _valve: Any
     """How valves and faults of the plant are, in records that do not change."""
@@ -167,6 +172,8 @@ class Sampled:
         self._damage = Damage(self._channels, o.pressure_of(options))
         self._memory: deque[_Moment] = deque()
         self._rate, self._start_ns, self._due = 0.0, 0, 0
+        self._given = 0
+        """Samples up to this moment were collected [ns]."""
         self._pending: deque[Block] = deque(maxlen=BUFFER)
         refuse_unknown(device.name, "digital input", [item.input for item in device.interlocks], (o.E_STOP,))
         for error in self.errors.values():
@@ -229,17 +236,29 @@ class Sampled:
     def start(self, rate: float) -> None:
         """Take sample 0 now."""
         self._rate, self._start_ns, self._due = rate, round(self._plant.time * 1e9), 0
+        self._given = self._start_ns - 1
         self._pending.clear()
 
     def stop(self) -> None:
         """Take no more samples."""
         self._rate = 0.0
 
-    def collect(self) -> Block:
-        """The samples taken since the last call."""
+    def collect(self, now: float, foreseen: float) -> Block:
+        """The samples up to `now` [s] that were not collected yet; nothing is commanded before `foreseen` [s].
+
+        Many seconds at once cost much less than the same in pieces.
+        """
+        now_ns = round(now * 1e9)
+        if now_ns < self._given or now > self._plant.time:
+            self.catch_up(now, foreseen)
         self._sample(self._plant.time)
-        blocks = list(self._pending)
-        self._pending.clear()
+        self._given = now_ns
+        blocks = []
+        while self._pending and self._pending[0].time[0] <= now_ns:
+            due, later = _parted(self._pending.popleft(), now_ns)
+            blocks.append(due)
+            if later is not None:
+                self._pending.appendleft(later)
         if len(blocks) == 1:
             return blocks[0]
         if not blocks:
@@ -251,13 +270,17 @@ class Sampled:
 
     # -- time -----------------------------------------------------------------------------------------------------
 
-    def catch_up(self, now: float) -> None:
-        """Bring plant and samples to bench time `now` [s]: forwards, or back when the clock was taken back."""
+    def catch_up(self, now: float, foreseen: float = 0.0) -> None:
+        """Bring plant and samples to bench time `now` [s], or beyond where nothing is commanded before `foreseen` [s].
+
+        Back when the clock was taken back, or where something comes that was not foreseen.
+        """
         if now < self._plant.time:
             self._go_back(now)
         if now > self._plant.time:
             if self._keep_for:
                 self._remember()
+                now = max(now, min(foreseen, now + self.AHEAD))
             self._run(now)
 
     def skip(self, until: float) -> None:
@@ -277,7 +300,7 @@ class Sampled:
             self._memory.popleft()
 
     def _go_back(self, now: float) -> None:
-        """Restore the last moment before `now` and run up to it again; samples up to `now` have been delivered."""
+        """Restore the last moment before `now` and run up to it again; what was collected does not come again."""
         while self._memory and self._memory[-1].time > now:
             self._memory.pop()
         if not self._memory:
@@ -285,8 +308,12 @@ class Sampled:
         moment = self._memory[-1]
         self._plant.restore(moment.plant)
         self._due, self._valve, self._damage.stuck = moment.due, moment.valve, moment.stuck
-        self._run(now)
         self._pending.clear()
+        self._run(now)
+        again, given = list(self._pending), self._given
+        self._pending.clear()
+        self._pending.extend(later for block in again if (later := _parted(block, given)[1]) is not None)
+        self._given = min(given, round(now * 1e9))
 
     def _run(self, until: float) -> None:
         """Advance to `until`, stopping where a fault of the plant begins; samples up to there are made and kept."""
@@ -346,7 +373,21 @@ class Sampled:
         return 0.0 if self._is_due(self.faults.supply_lost_at) else self._options.supply
 
     def _keep(self, time_ns: list[int] | NDArray[np.int64], columns: dict[str, Column]) -> None:
-        self._pending.append(self._damage.done(as_block(time_ns, columns), self.faults, self.errors))
+        block = self._damage.done(as_block(time_ns, columns), self.faults, self.errors)
+        if len(block.time):
+            self._pending.append(block)
+
+
+def _parted(block: Block, moment: int) -> tuple[Block, Block | None]:
+    """The samples of a block up to a moment [ns], and those after it; None where there are none."""
+    if block.time[-1] <= moment:
+        return block, None
+    count = int(np.searchsorted(block.time, moment, side="right"))
+    due, later = (
+        as_block(block.time[part], {name: column[part] for name, column in block.columns.items()})
+        for part in (slice(count), slice(count, None))
+    )
+    return due, later
 
 
 def refuse_unknown(device: str, word: str, names: list[str], known: tuple[str, ...]) -> None:

@@ -52,6 +52,8 @@ class Simulation(Sampled):
     It has a dump valve when the device has a valve on the output `dump_valve`: not energised it is open.
     """
 
+    AHEAD = 10.0
+
     def __init__(self, device: DeviceRecord, options: Options, start: float, memory: float = MEMORY) -> None:
         if options.numbers is None:
             setup = preset(options.plant, options.preset, options.overrides)

@@ -1,9 +1,379 @@
 """Modbus devices of any maker: a register map in YAML says what is where (TCP, and RTU on a serial port).
 
-`registers`: the map as people write it and as records, and their words; `adapter`: the
-connection, the only module that imports pymodbus; `driver`: the device interface; `emulated`: a device with any map.
+`registers`: the map as people write it and as records, and their words; `adapter`: the connection, the only module that
+imports pymodbus; here: the device interface; `emulated`: a device with any map.
+
+One thread polls the inputs and steps ramps and sines; calls and polls take turns on the one connection.
 """
 
-from pmabench_drivers.modbus.driver import ModbusDevice
+from __future__ import annotations
 
-__all__ = ["ModbusDevice"]
+import math
+from abc import abstractmethod
+from collections.abc import Iterator, Mapping
+from time import monotonic
+from typing import TYPE_CHECKING, Any
+
+from pmabench.base.clock import Clock
+from pmabench.base.errors import DeviceError
+from pmabench.bench.interface import COMPUTER, EMULATED, DeviceRecord, Identity
+from pmabench_drivers.modbus.registers import (
+    Options,
+    Register,
+    WatchdogRegisters,
+    decode,
+    decode_text,
+    encode,
+    read_options,
+    spans,
+    write_function,
+)
+from pmabench_drivers.shared.device import Controlled, Polled
+from pmabench_drivers.shared.link import JOIN, PATIENCE, Still, Unanswered, always, opened
+from pmabench_drivers.shared.options import Reader
+
+if TYPE_CHECKING:
+    from pmabench_drivers.modbus.adapter import Line
+
+CALL = 0.19
+"""Longest time that a call takes [s]; the guard gives up at 0.2 s."""
+OPEN = 1.9
+
+
+SHARE, LEAST = 0.25, 0.1
+"""The polling thread waits for a sign of life of the program for this share of the watchdog's time, at least 0.1 s."""
+
+
+class Watched(Polled):
+    """A polled device whose own watchdog is made of registers."""
+
+    _watchdog: WatchdogRegisters | None
+
+    def __init__(self, device: DeviceRecord, clock: Clock) -> None:
+        super().__init__(device, clock)
+        self._armed = self._fed = 0.0
+        self._beat = 0
+
+    @abstractmethod
+    def _get(self, register: Register, deadline: float) -> float:
+        """Read a register before a deadline [s, monotonic]."""
+
+    @abstractmethod
+    def _put(self, register: Register, value: float, deadline: float, *, checked: bool = True) -> None:
+        """Write a register before a deadline [s, monotonic]; then read it back, where it is `checked`."""
+
+    def _hungry(self) -> bool:
+        """Whether the watchdog is armed and has not been fed for a quarter of its time.
+
+        Most devices count any communication as a sign of life, so the thread that polls must fall silent then: the
+        device vents a quarter of its time (or 0.1 s) late at most, whatever hangs in the program.
+        """
+        return self._armed > 0 and monotonic() - self._fed > max(SHARE * self._armed, LEAST)
+
+    def arm_watchdog(self, seconds: float) -> float:
+        """Set it to `seconds` and start it; returns the time that the device holds [s]."""
+        registers = self._own_watchdog()
+        if not 0 < seconds < math.inf:
+            raise self._error(f"a watchdog of {seconds} s cannot be set", "watchdog")
+        counts, deadline = max(1, math.floor(seconds / registers.resolution + 1e-6)), monotonic() + CALL
+        if registers.trigger is not None:
+            self._put(registers.trigger, registers.off, deadline, checked=False)
+        self._put(registers.timeout, counts, deadline, checked=False)
+        held = self._get(registers.timeout, deadline) if registers.timeout.read_back else counts
+        if registers.trigger is not None:
+            self._put(registers.trigger, registers.on, deadline)
+        if held <= 0:
+            raise self._error("holds a watchdog time of 0, which is none", "watchdog")
+        self._armed, self._fed = held * registers.resolution, monotonic()
+        return self._armed
+
+    def feed_watchdog(self) -> None:
+        """Write the heartbeat, or read the watchdog's time where any communication feeds it."""
+        registers, deadline = self._own_watchdog(), monotonic() + CALL
+        if registers.heartbeat is not None:
+            self._beat = self._beat % 1000 + 1
+            self._put(registers.heartbeat, self._beat, deadline)
+        else:
+            self._get(registers.timeout, deadline)
+        self._fed = monotonic()
+
+    def disarm_watchdog(self) -> None:
+        """Stop it; outputs stay."""
+        registers, self._armed = self._own_watchdog(), 0.0
+        off = (registers.timeout, 0.0) if registers.trigger is None else (registers.trigger, registers.off)
+        self._put(*off, monotonic() + CALL)
+
+    def _own_watchdog(self) -> WatchdogRegisters:
+        if self._watchdog is None:
+            raise self._error('has no watchdog: the map has no "watchdog"', "watchdog")
+        return self._watchdog
+
+
+class ModbusDevice(Watched, Controlled):
+    """A device behind Modbus: `options: {map: ...}`; inputs, outputs and watchdog as its register map names them.
+
+    Raw values are those of the registers; the scaling is the bench's. Ramps and sines are stepped at the poll rate.
+    """
+
+    emulator = "pmabench_drivers.modbus.emulated"
+    read_options = staticmethod(read_options)
+    _options: Options
+
+    def __init__(self, device: DeviceRecord, clock: Clock) -> None:
+        super().__init__(device, clock)
+        self._map = self._options.map
+        self._inputs = [self._map.inputs[channel.input] for channel in device.channels]
+        self._spans = spans(self._inputs)
+        polled = [register for span in self._spans for register in span.registers]
+        self._places = [polled.index(register) for register in self._inputs]
+        self._line: Line | None = None
+        self._watchdog = self._map.watchdog
+        self._written: dict[str, float] = {}
+        """What was written last to registers that cannot be read."""
+
+    @classmethod
+    def map_schema(cls) -> dict[str, Any]:
+        """The JSON Schema of the file that the option `map` names."""
+        from pmabench_drivers.modbus.registers import map_schema
+
+        return map_schema()
+
+    @classmethod
+    def lacks(cls, device: DeviceRecord) -> Iterator[str]:
+        """A serial line on which a late answer may still come when the run has given the device up."""
+        slowest = cls.read_options(device, Reader()).map.slowest if device.address.startswith("/") else 0.0
+        if slowest > PATIENCE:
+            yield (
+                f"no second chance on the serial line of {device.name}: after one lost answer nothing is read for "
+                f"{1e3 * slowest:g} ms (slowest), and a run ends after {1e3 * PATIENCE:g} ms without; remedy: "
+                f"a slowest of at most {1e3 * PATIENCE:g} ms, where the device's manual allows it"
+            )
+
+    # -- life -----------------------------------------------------------------------------------------------------
+
+    def open(self) -> Identity:
+        """Connect, read who it is, and prove by a known constant (where the map has one) that words are in order."""
+        self.close()
+        self._line = self._new_line()
+        deadline = monotonic() + OPEN
+        with self._closed_on_error():
+            found = {name: self._identify(item, deadline) for name, item in self._map.identity.items()}
+            if not found and self._spans:
+                first = self._spans[0]
+                self._line.read(first.table, first.address, first.count, deadline, first.registers[0].name)
+        maker, model, serial, firmware = (found.get(name, "") for name in ("maker", "model", "serial", "firmware"))
+        return Identity(maker, model, serial, firmware, simulated=model.startswith(EMULATED), clock=COMPUTER)
+
+    def close(self) -> None:
+        """End polling and let go of the connection."""
+        self._following.clear()
+        self._streaming = False
+        self._written.clear()
+        self._armed = 0.0
+        line, self._line = self._line, None
+        if line is not None:
+            line.cut()
+        self._cycle.stop(JOIN)
+        if line is not None:
+            line.close()
+
+    def _new_line(self) -> Line:
+        from pmabench_drivers.modbus.adapter import Line
+
+        options, map_ = self._options, self._map
+        serial = {"baudrate": options.baud, "parity": options.parity, "stopbits": options.stop_bits}
+        return Line(self._device.name, self._device.address, map_.unit_id, map_.timeout, map_.slowest, serial)
+
+    def _identify(self, item: Register | str, deadline: float) -> str:
+        if isinstance(item, str):
+            return item
+        words = self._opened().read(item.table, item.address, item.count, deadline, item.name)
+        if item.type == "text":
+            return decode_text(words)
+        value = decode(item, words)
+        if item.expect is not None and value != item.expect:
+            message = f"holds {value:g} instead of {item.expect:g}: another device, or another map"
+            if len(words) > 1 and decode(item, words[::-1]) == item.expect:
+                message = f'gives {item.expect:g} with its words in the other order: change "words" in the map'
+            raise self._error(message, item.name)
+        return f"{value:.10g}"
+
+    # -- samples --------------------------------------------------------------------------------------------------
+
+    def _fastest(self) -> float:
+        self._opened()
+        return self._map.rate
+
+    def _tick(self) -> None:
+        """One turn of the thread: the next step of each segment, then the inputs."""
+        if self._hungry():
+            return  # whoever feeds it is gone: polling must not keep the device's watchdog quiet
+        failure = self._step()
+        try:
+            self._poll()
+        except DeviceError as error:
+            failure = failure or error
+        self._cycle.note(failure)
+
+    def _poll(self) -> None:
+        if not self._streaming or not self._spans:
+            return
+        line, asked = self._opened(), self._clock.now()
+        values: list[float] = []
+        for span in self._spans:
+            deadline = monotonic() + self._map.timeout
+            values += span.values(line.read(span.table, span.address, span.count, deadline, span.registers[0].name))
+        answered = self._clock.now()
+        self._keep([values[place] for place in self._places], asked, answered)
+
+    # -- commands -------------------------------------------------------------------------------------------------
+
+    def write(self, output: str, value: float) -> None:
+        """Command a value once; where no answer comes, what the device holds shows whether it was executed."""
+        record = self._output(output)
+        self._following.pop(output, None)
+        self._put(self._map.outputs[output], value, resolution=record.resolution)
+
+    def read_back(self, output: str) -> float:
+        """The value in the device's register; of one that cannot be read, what was written last."""
+        self._output(output)
+        return self._holds(self._map.outputs[output])
+
+    def switch(self, output: str, *, on: bool) -> None:
+        """Write 1 or 0 to a coil or a register."""
+        self._put(self._switched(output), float(on))
+
+    def is_on(self, output: str) -> bool:
+        """What the coil or register holds; of one that cannot be read, what was written last."""
+        return self._holds(self._switched(output)) != 0
+
+    def level(self, name: str) -> bool:
+        """Whether a digital input, or the bit of a register, is set."""
+        self._known("input", name, self._map.inputs)
+        return self._get(self._map.inputs[name]) != 0
+
+    def rescue(self, output: str, value: float) -> None:
+        """Write over a second connection and cut the first one; on a serial line, in turn with what is under way."""
+        self._known("output", output, self._map.outputs)
+        register = self._map.outputs[output]
+        self._following.pop(output, None)
+        words, function = self._words(register, value), self._function(register)
+        self._written[output] = decode(register, words)
+        line, deadline = self._line, monotonic() + CALL
+        if line is not None and line.is_serial:
+            line.write(function, register.address, words, deadline, output)
+            return
+        if line is not None:
+            line.cut()
+        second = self._new_line()
+        try:
+            second.overrule(function, register.address, words, deadline, output)
+        finally:
+            second.close()
+
+    # -- ramps and sines ------------------------------------------------------------------------------------------
+
+    def _refuse_value(self, output: str, value: float) -> None:
+        self._words(self._map.outputs[output], value)
+
+    def _send_step(self, output: str, value: float, still: Still, *, last: bool) -> None:
+        self._put(self._map.outputs[output], value, checked=False, still=still)
+
+    # -- what the device reports ----------------------------------------------------------------------------------
+
+    def held(self) -> Mapping[str, float | str]:
+        """Its watchdog, the register `uptime` and the serial number, as far as the map has them."""
+        deadline, found = monotonic() + CALL, dict[str, float | str]()
+        if (registers := self._watchdog) is not None:
+            on = registers.on
+            if registers.trigger is not None and registers.trigger.read_back:
+                on = found["watchdog trigger"] = self._get(registers.trigger, deadline)
+            if registers.timeout.read_back:  # off: 0; a time that cannot be read is left out
+                seconds = self._get(registers.timeout, deadline) * registers.resolution
+                found["watchdog"] = seconds if on == registers.on else 0.0
+        if self._map.uptime is not None:
+            found["uptime"] = self._get(self._map.uptime, deadline)
+        if isinstance(serial := self._map.identity.get("serial"), Register):
+            found["serial"] = self._identify(serial, deadline)
+        return found
+
+    # -- registers ------------------------------------------------------------------------------------------------
+
+    def _holds(self, register: Register) -> float:
+        if register.read_back:
+            return self._get(register)
+        if register.name not in self._written:
+            message = "cannot be read (read_back: false), and nothing was written since the device was opened"
+            raise self._error(message, register.name)
+        return self._written[register.name]
+
+    def _opened(self) -> Line:
+        return opened(self._line, self._device.name)
+
+    def _switched(self, output: str) -> Register:
+        self._known("valve output", output, set(self._map.outputs) - set(self._outputs))
+        return self._map.outputs[output]
+
+    def _words(self, register: Register, value: float) -> list[int]:
+        try:
+            return encode(register, value)
+        except ValueError as error:
+            raise self._error(str(error), register.name) from None
+
+    def _get(self, register: Register, deadline: float = 0.0) -> float:
+        until = deadline or monotonic() + CALL
+        words = self._opened().read(register.table, register.address, register.count, until, register.name)
+        return decode(register, words)
+
+    def _put(
+        self,
+        register: Register,
+        value: float,
+        deadline: float = 0.0,
+        *,
+        resolution: float = 0.0,
+        checked: bool = True,
+        still: Still = always,
+    ) -> None:
+        """Write once and read back; nothing is sent if `still()` is false when the line is free."""
+        line, until, checked = self._opened(), deadline or monotonic() + CALL, checked and register.read_back
+        words, wanted = self._to_send(register, value, until, checked=checked)
+        lost: Unanswered | None = None
+        try:
+            line.write(self._function(register), register.address, words, until, register.name, still)
+        except Unanswered as error:
+            if not checked:
+                raise
+            lost = error
+        if not register.read_back and still():
+            self._written[register.name] = wanted
+        if checked:
+            self._settle(register, wanted, until, resolution, lost)
+
+    def _function(self, register: Register) -> int:
+        """The function code that writes a register."""
+        return write_function(register, self._map.functions)
+
+    def _to_send(self, register: Register, value: float, _until: float, *, checked: bool) -> tuple[list[int], float]:
+        """The words of a value, and what the device then holds."""
+        words = self._words(register, value)
+        return words, decode(register, words)
+
+    def _settle(
+        self, register: Register, wanted: float, until: float, resolution: float, lost: Unanswered | None
+    ) -> None:
+        """Refuse where the device holds something else; a lost answer is settled so, never by writing again."""
+        try:
+            held = self._arrived(register, wanted, until, resolution)
+        except DeviceError as error:
+            if lost is None:
+                raise
+            message = f"{lost.message}; whether it took {wanted:g} is not known ({error})"
+            raise Unanswered(self._device.name, message, register.name) from None
+        if not abs(held - wanted) <= resolution:
+            what = "did not answer to the command" if lost else "was commanded"
+            raise self._error(f"{what} {wanted:g} and holds {held:g}", register.name)
+
+    def _arrived(self, register: Register, _wanted: float, until: float, _resolution: float) -> float:
+        """What the device holds after a command."""
+        return self._get(register, until)

@@ -18,7 +18,6 @@ from importlib.resources import files
 from typing import Any
 
 from pmabench.bench.interface import DeviceRecord, OutputRecord
-from pmabench_drivers.modbus import registers as r
 from pmabench_drivers.shared.options import BAUDS, PARITIES, Place, Reader
 
 TABLES = ("holding", "input", "coil", "discrete")
@@ -234,10 +233,10 @@ def _read_map(data: Any, place: Place, reader: Reader) -> RegisterMap:
         "words": reader.choice(given, "words", place, (HIGH, LOW), HIGH),
         "bytes": reader.choice(given, "bytes", place, (HIGH, LOW), HIGH),
     }
-    functions = given.get("functions", list(r.FUNCTIONS))
-    if not isinstance(functions, list | tuple) or not functions or any(f not in r.FUNCTIONS for f in functions):
-        reader.fault((*place, "functions"), f"a list of function codes is expected, out of {list(r.FUNCTIONS)}")
-        functions = r.FUNCTIONS
+    functions = given.get("functions", list(FUNCTIONS))
+    if not isinstance(functions, list | tuple) or not functions or any(f not in FUNCTIONS for f in functions):
+        reader.fault((*place, "functions"), f"a list of function codes is expected, out of {list(FUNCTIONS)}")
+        functions = FUNCTIONS
     readers = {key: (*place, key) for key in ("identity", "inputs", "outputs")}
     allowed = tuple(functions)
 
@@ -278,15 +277,15 @@ def _register(
     """One register; `use` is `inputs`, `outputs`, `identity` or `uptime`."""
     given = reader.keys(data, place, REGISTER_KEYS, ("address",))
     writes = use == "outputs"
-    tables = ("holding", "coil") if writes else r.TABLES
+    tables = ("holding", "coil") if writes else TABLES
     table = reader.choice(given, "table", place, tables, "holding")
-    single = table in r.BIT_TABLES
-    types = ("bit",) if single else (*r.TYPES, "text") if use == "identity" else tuple(r.TYPES)
+    single = table in BIT_TABLES
+    types = ("bit",) if single else (*TYPES, "text") if use == "identity" else tuple(TYPES)
     kind = reader.choice(given, "type", place, types, "bit" if single else "uint16")
     words = reader.choice(given, "words", place, (HIGH, LOW), usual["words"]) == LOW
     low_bytes = reader.choice(given, "bytes", place, (HIGH, LOW), usual["bytes"]) == LOW
     bit = reader.whole(given, "bit", place, 0, 31, 0) if "bit" in given else -1
-    if bit >= 0 and (single or writes or kind not in {"uint16", "uint32"} or bit >= 16 * r.TYPES[kind][1]):
+    if bit >= 0 and (single or writes or kind not in {"uint16", "uint32"} or bit >= 16 * TYPES[kind][1]):
         reader.fault((*place, "bit"), "only an input register of type uint16 or uint32 has bits that are read")
         bit = -1
     length = reader.whole(given, "length", place, 1, 60, 1) if kind == "text" else 0
@@ -316,8 +315,8 @@ def _register(
         reader.fault((*place, "expect"), 'belongs to a register of "identity"')
     if register.address + register.count > 65536:
         reader.fault((*place, "address"), "the value would reach beyond address 65535")
-    if (not writes or register.read_back) and r.READ[table] not in functions:
-        reader.fault((*place, "table"), f"function {r.READ[table]}, which reads it, is not among the allowed ones")
+    if (not writes or register.read_back) and READ[table] not in functions:
+        reader.fault((*place, "table"), f"function {READ[table]}, which reads it, is not among the allowed ones")
     if writes and write_function(register, functions) == 0:
         reader.fault((*place, "table"), "none of the allowed functions can write it")
     return register

@@ -1,9 +1,431 @@
 """Indicators that send text lines over a serial port: load cells, gauges, displays.
 
-`driver`: what the bench file says, how a line is read in bounded work, the device interface; `emulator`: an indicator
-on a pseudo-terminal.
+Here: what the bench file says, how a line is read in bounded work, the device interface; `emulator`: an indicator on a
+pseudo-terminal.
+
+A regular expression can take longer than the age of the universe on a line of 100 characters. So that reading one line
+is bounded, a pattern may repeat single characters and classes only, never groups, and repetitions that can take the
+same characters are few: n of them can take parts of a run of r characters in about r^n / n! ways.
 """
 
-from pmabench_drivers.serial_ascii.driver import SerialIndicator
+from __future__ import annotations
 
-__all__ = ["SerialIndicator"]
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from itertools import combinations
+from time import monotonic
+
+from pmabench.base.clock import Clock
+from pmabench.base.errors import DeviceError
+from pmabench.bench.interface import COMPUTER, EMULATED, Block, ChannelRecord, DeviceRecord, Identity
+from pmabench_drivers.shared.device import Polled
+from pmabench_drivers.shared.link import JOIN, opened
+from pmabench_drivers.shared.options import BAUDS, PARITIES, Reader
+from pmabench_drivers.shared.serial_port import (
+    LONGEST_LINE,
+    PIECE,
+    SerialPort,
+    Splitter,
+    Unreadable,
+    Wrong,
+    readable,
+    text_of,
+)
+
+LONGEST_PATTERN = 300
+MOST_SHARED = 3
+"""Four repetitions that can take the same characters: 120^4 / 24 steps at worst, some 0.3 s."""
+NOT_INPUTS = ("sign", "unit", "status")
+"""Named groups that are no measured value."""
+
+_TOKEN = re.compile(
+    r"(?P<atom>\\[dDwWsS]|\\[^A-Za-z0-9]|\\[trn]|\[\^?\]?(?:\\.|[^\]\\])*\]|[^\\\[\](){}*+?|^$])"
+    r"|(?P<open>\((?:\?:|\?P<[A-Za-z_]\w*>)?(?!\?))"
+    r"|(?P<close>\))|(?P<bar>\|)|(?P<anchor>[\^$])"
+)
+_QUANTIFIER = re.compile(r"(?:[*+?]|\{(\d{0,3})(,?)(\d{0,3})\})\??")
+_PRINTABLE = [chr(code) for code in (9, 10, 13, *range(32, 127))]
+_NUMBER = re.compile(r"([+-]?)\s*(\d{1,40}(?:\.\d{0,40})?|\.\d{1,40})", re.ASCII)
+KEYS = (
+    *("baud", "data_bits", "parity", "stop_bits", "poll", "pattern", "terminator", "timeout", "slowest", "rate"),
+    *("unit", "good_status", "over_range", "errors", "ask_identity", "emulate"),
+)
+_EMULATED = re.compile(r"[^%]*%[+\- 0]*\d{0,2}(?:\.\d{1,2})?f[^%]*")
+
+
+def pattern_problem(pattern: str) -> str:
+    """Why a pattern cannot be used; empty where it can."""
+    if len(pattern) > LONGEST_PATTERN:
+        return f"is longer than {LONGEST_PATTERN} characters"
+    variable: list[frozenset[str]] = []
+    position = 0
+    while position < len(pattern):
+        token = _TOKEN.match(pattern, position)
+        if token is None:
+            return (
+                f'cannot be used from "{pattern[position : position + 12]}" on; characters, [classes], \\d \\w \\s, '
+                "groups, | and repetitions are understood, references and looks around are not"
+            )
+        position = token.end()
+        times = _QUANTIFIER.match(pattern, position)
+        if times is None:
+            continue
+        position = times.end()
+        if token["atom"] is None:
+            if times[0] == "?" and token["close"]:
+                continue
+            return f'repeats a group ("{pattern[max(0, token.start() - 8) : position]}"); repeat single characters only'
+        if times[0][0] == "{" and not times[2]:
+            continue
+        atom = re.compile(token["atom"])
+        variable.append(frozenset(char for char in _PRINTABLE if atom.fullmatch(char)))
+    try:
+        compiled = re.compile(pattern)
+    except (re.error, OverflowError, RecursionError) as error:
+        return f"is no regular expression: {error}"
+    if _shared(variable) > MOST_SHARED:
+        return "has too many repetitions of the same characters; use narrower classes or fixed numbers, as \\d{3}"
+    if not inputs_of(compiled):
+        return 'names no value; write "(?P<value>...)" around the number'
+    if "sign" in compiled.groupindex and len(inputs_of(compiled)) != 1:
+        return 'has a group "sign", which needs exactly one value next to it'
+    return ""
+
+
+def _shared(sets: list[frozenset[str]]) -> int:
+    """Number of repetitions that share characters with others, less one for each group of them."""
+    bunch = list(range(len(sets)))
+    for a, b in combinations(range(len(sets)), 2):
+        if sets[a] & sets[b]:
+            bunch = [bunch[a] if item == bunch[b] else item for item in bunch]
+    return len(sets) - len(set(bunch))
+
+
+def inputs_of(pattern: re.Pattern[str]) -> list[str]:
+    """The named groups that are measured values."""
+    return [name for name in pattern.groupindex if name not in NOT_INPUTS]
+
+
+def number(text: str, sign: str = "") -> float:
+    """A decimal number, spaces after its sign allowed; ValueError for anything else."""
+    found = _NUMBER.fullmatch(text.strip())
+    if found is None or (sign and found[1]):
+        raise ValueError(f'"{text[:40]}" is no number')
+    return float(f"{sign.strip() or found[1]}{found[2]}")
+
+
+@dataclass(frozen=True)
+class Options:
+    """Options of the driver `serial-ascii` for a indicator; times in s, rates in Hz."""
+
+    pattern: re.Pattern[str] = re.compile("(?P<value>.*)")
+    baud: int = 9600
+    data_bits: int = 8
+    parity: str = "N"
+    stop_bits: int = 1
+    poll: bytes = b""
+    """What is sent to get one line; empty where the indicator sends by itself."""
+    terminator: bytes = b"\r"
+    timeout: float = 0.15
+    slowest: float = 0.5
+    """Longest time after which a line may still come that was asked for [s]."""
+    rate: float = 10.0
+    """Lines a second: the most that it is polled, or those that it sends by itself."""
+    unit: str = ""
+    """How the indicator writes its unit; empty: as the bench does."""
+    good_status: tuple[str, ...] = ()
+    over_range: tuple[str, ...] = ("OL", "------")
+    errors: Mapping[str, str] = field(default_factory=dict)
+    """Lines that mean a fault, and what they mean."""
+    ask_identity: bytes = b""
+    emulate: str = "%.3f\r"
+    """For the emulator: a line as printf writes it."""
+
+
+def read_options(device: DeviceRecord, reader: Reader) -> Options:
+    """The options of a device, and the inputs that its channels use."""
+    place, base = ("options",), Options()
+    given = reader.keys(device.options, place, KEYS, ("pattern", "rate"))
+    reader.port(device, "/dev/ttyUSB0")
+    text = reader.text(given, "pattern", place, longest=1000)
+    problem = pattern_problem(text) if text else ""
+    if problem:
+        reader.fault((*place, "pattern"), problem)
+    pattern = re.compile(text) if text and not problem else base.pattern
+    errors = given.get("errors", {})
+    if not isinstance(errors, Mapping) or not all(isinstance(v, str) for v in errors.values()):
+        reader.fault((*place, "errors"), "texts and what they mean are expected")
+        errors = {}
+    terminator = _bytes(given, "terminator", reader, "\r")
+    if not terminator:
+        reader.fault((*place, "terminator"), "what ends a line is expected")
+    line = reader.text(given, "emulate", place, base.emulate)
+    if not _EMULATED.fullmatch(line):
+        reader.fault((*place, "emulate"), 'a line with one number as printf writes it is expected, as "%+8.2f N\\r"')
+        line = base.emulate
+    options = Options(
+        pattern=pattern,
+        baud=reader.one_of(given, "baud", place, BAUDS, base.baud),
+        data_bits=reader.whole(given, "data_bits", place, 7, 8, base.data_bits),
+        parity=PARITIES[reader.choice(given, "parity", place, PARITIES, "none")],
+        stop_bits=reader.whole(given, "stop_bits", place, 1, 2, base.stop_bits),
+        poll=_bytes(given, "poll", reader, ""),
+        terminator=terminator or b"\r",
+        timeout=reader.quantity(given, "timeout", place, "time", base.timeout, 0.005, 0.18),
+        slowest=reader.quantity(given, "slowest", place, "time", base.slowest, 0.0, 10.0),
+        rate=reader.quantity(given, "rate", place, "frequency", base.rate, 0.1, 2000.0),
+        unit=reader.text(given, "unit", place, longest=20),
+        good_status=reader.texts(given, "good_status", place),
+        over_range=reader.texts(given, "over_range", place) if "over_range" in given else base.over_range,
+        errors=dict(errors),
+        ask_identity=_bytes(given, "ask_identity", reader, ""),
+        emulate=line,
+    )
+    if options.good_status and "status" not in pattern.groupindex:
+        reader.fault((*place, "good_status"), 'the pattern has no group "status"')
+    _channels(device, options, reader, known=bool(text) and not problem)
+    return options
+
+
+def _bytes(given: Mapping[str, object], key: str, reader: Reader, default: str) -> bytes:
+    text = reader.text(given, key, ("options",), default, longest=40)
+    try:
+        return text.encode("ascii")
+    except UnicodeEncodeError:
+        reader.fault(("options", key), "only ASCII characters go over the wire")
+        return b""
+
+
+def _channels(device: DeviceRecord, options: Options, reader: Reader, *, known: bool) -> None:
+    if device.guarded:
+        reader.fault((), "an indicator only measures; it has no outputs, valves, interlocks or watchdog")
+    inputs = inputs_of(options.pattern)
+    for channel in device.channels:
+        if known:
+            reader.known(("channels", channel.name, "input"), "the pattern has no group", channel.input, inputs)
+    units = {channel.raw_unit for channel in device.channels}
+    if "unit" in options.pattern.groupindex and not options.unit and len(units) > 1:
+        reader.fault(("options", "pattern"), f"a line has one unit, and the channels have {', '.join(sorted(units))}")
+
+
+class LineReader:
+    """Reads one line for the channels of a device."""
+
+    def __init__(self, options: Options, channels: tuple[ChannelRecord, ...]) -> None:
+        self._options, self._channels = options, channels
+        raw = channels[0].raw_unit if channels else ""
+        self._unit = options.unit or raw
+        groups = options.pattern.groupindex
+        self._checks_unit, self._has_sign, self._has_status = "unit" in groups, "sign" in groups, "status" in groups
+        self._names = [channel.input for channel in channels] or inputs_of(options.pattern)
+
+    def values(self, line: bytes) -> list[float]:
+        """The raw value of each channel; over range reads as no number, or as a channel's highest count.
+
+        Raises `Wrong` or `Unreadable`.
+        """
+        options, text = self._options, text_of(line)
+        bare = text.strip()
+        if bare in options.errors:
+            raise Wrong(f'says "{readable(line)}": {options.errors[bare]}')
+        found = options.pattern.fullmatch(text)
+        if found is None:
+            if bare and any(mark in bare for mark in options.over_range):
+                return self._over_range()
+            raise Unreadable(f'"{readable(line)}"')
+        if self._checks_unit:
+            unit = (found["unit"] or "").strip()
+            if unit != self._unit:
+                raise Wrong(f'gives "{unit}" and the bench expects "{self._unit}": set the indicator back')
+        if self._has_status and options.good_status:
+            status = (found["status"] or "").strip()
+            if status not in options.good_status:
+                raise Wrong(f'says status "{status}"; good ones are {", ".join(options.good_status)}')
+        try:
+            sign = (found["sign"] or "") if self._has_sign else ""
+            return [number(found[name] or "", sign) for name in self._names]
+        except ValueError:
+            if any(mark in bare for mark in options.over_range):
+                return self._over_range()
+            raise Unreadable(f'"{readable(line)}"') from None
+
+    def _over_range(self) -> list[float]:
+        return [
+            float(round(channel.scale.to_raw(channel.high))) if channel.raw_type == "int32" else math.nan
+            for channel in self._channels
+        ] or [math.nan]
+
+
+OPEN = 1.5
+"""How long `open` waits for a first line that can be read [s]."""
+PATIENCE = 0.5
+"""So long [s], and at least three lines, nothing readable may come before `collect` says so."""
+
+
+class SerialIndicator(Polled):
+    """An indicator that sends text: `options` give the poll string (or none), the pattern of a line, and the rate.
+
+    Each named group of the pattern is an input; `unit` and `status` are checked in every line.
+    """
+
+    emulator = "pmabench_drivers.serial_ascii.emulator"
+    read_options = staticmethod(read_options)
+    _options: Options
+
+    def __init__(self, device: DeviceRecord, clock: Clock) -> None:
+        super().__init__(device, clock)
+        self._reader = LineReader(self._options, device.channels)
+        self._port: SerialPort | None = None
+        self._splitter = Splitter(self._options.terminator)
+        self._heard = 0.0
+        self._late_until = 0.0
+        self._rate = self._options.rate
+        self._problem = ""
+        self._failure: DeviceError | None = None
+
+    def open(self) -> Identity:
+        """Open the port for this program alone and wait for one line that can be read."""
+        self.close()
+        options = self._options
+        settings = {"bytesize": options.data_bits, "parity": options.parity, "stopbits": options.stop_bits}
+        self._port = SerialPort(self._device.name, self._device.address, options.baud, self._clock, **settings)
+        with self._closed_on_error():
+            model = self._ask_identity()
+            self._first_line()
+        simulated = model.startswith(EMULATED)
+        return Identity("", model or "serial ASCII indicator", "", "", simulated=simulated, clock=COMPUTER)
+
+    def close(self) -> None:
+        """End reading and let go of the port."""
+        self._cycle.stop(JOIN)
+        port, self._port = self._port, None
+        if port is not None:
+            port.close()
+
+    def start(self, rate: float) -> float:
+        """Poll at `rate` [Hz] or the highest that the options allow; one that sends by itself keeps its own rate."""
+        self._refuse_rate(rate)
+        port = self._opened()
+        self.stop()
+        self._samples.take()
+        self._failure, self._problem, self._heard = None, "", monotonic()
+        if self._options.poll:
+            self._rate = min(rate, self._options.rate)
+            self._cycle.start(self._rate)
+        else:
+            self._rate, self._splitter = self._options.rate, Splitter(self._options.terminator)
+            port.listen(self._listen)
+        return self._rate
+
+    def collect(self) -> Block:
+        """What came since the last call; an error for a wrong unit, a fault that it reports, or silence."""
+        port = self._opened()
+        if self._failure is not None:
+            raise self._failure
+        if port.gone:
+            raise self._error(port.gone)
+        if (self._cycle.running or port.listening) and monotonic() - self._heard > max(PATIENCE, 3 / self._rate):
+            last = f"; the last thing heard was {self._problem}" if self._problem else ""
+            raise self._error(f"no line that can be read for {PATIENCE:g} s{last}")
+        return super().collect()
+
+    def stop(self) -> None:
+        """End reading; two threads would take each other's bytes."""
+        self._cycle.stop(JOIN)
+        if self._port is not None:
+            self._port.hush()
+
+    # -- polled ---------------------------------------------------------------------------------------------------
+
+    def _tick(self) -> None:
+        """Ask once and take the one line that answers; after a lost answer nothing is asked until it cannot come."""
+        if self._failure is not None:
+            return
+        try:
+            if self._opened().drain() and self._late_until:
+                self._late_until = 0.0  # the late answer has come, and is dropped
+            if monotonic() < self._late_until:
+                return
+            asked = self._clock.now()
+            lines, rest = self._exchange(self._options.poll, self._options.timeout)
+        except DeviceError as error:
+            self._failure = error
+            return
+        answered = self._clock.now()
+        if not lines:
+            self._late_until = monotonic() + self._options.slowest
+            self._problem = f'"{readable(rest)}" without its end' if rest else "silence"
+        elif len(lines) > 1 or rest:
+            self._problem = f'more than one answer at a time, from "{readable(lines[0])}" on'
+        else:
+            self._take(lines[0], (asked + answered) / 2, answered)
+
+    def _exchange(self, question: bytes, timeout: float) -> tuple[list[bytes], bytes]:
+        """Send, and collect until a line is whole: the lines, and what is behind them."""
+        port, terminator = self._opened(), self._options.terminator
+        port.send(question)
+        data = port.receive(lambda got: terminator in got or len(got) > LONGEST_LINE, timeout)
+        *lines, rest = data.split(terminator)
+        return lines, rest
+
+    # -- as they come ---------------------------------------------------------------------------------------------
+
+    def _listen(self, data: bytes, now: float) -> None:
+        """Bytes that came at `now` [s, bench time], on the port's thread."""
+        if self._failure is not None:
+            return
+        wire, lines = 10.0 / self._options.baud, self._splitter.feed(data)
+        for index, line in enumerate(lines):
+            waiting = (len(lines) - 1 - index) / self._rate  # it has waited in a buffer for the ones after it
+            self._take(line, now - waiting - len(line) * wire, now)
+
+    # -- both -----------------------------------------------------------------------------------------------------
+
+    def _take(self, line: bytes, time: float, host: float) -> None:
+        try:
+            values = self._reader.values(line)
+        except Wrong as error:
+            self._failure = self._error(str(error))
+            return
+        except Unreadable as error:
+            self._problem = str(error)
+            return
+        self._heard = monotonic()
+        self._samples.append(round(time * 1e9), values, round(host * 1e9))
+
+    def _ask_identity(self) -> str:
+        if not self._options.ask_identity:
+            return ""
+        self._opened().drain()
+        lines, _rest = self._exchange(self._options.ask_identity, OPEN / 3)
+        if not lines:
+            raise self._error("did not answer who it is")
+        return readable(lines[0]).strip()
+
+    def _first_line(self) -> None:
+        """Prove that a line can be read; its sample is dropped."""
+        options, port, deadline, last = self._options, self._opened(), monotonic() + OPEN, ""
+        splitter = Splitter(options.terminator)
+        try:
+            while monotonic() < deadline:
+                if options.poll:
+                    port.drain()
+                    lines, rest = self._exchange(options.poll, options.timeout)
+                else:
+                    rest = port.receive(bool, PIECE)
+                    lines = splitter.feed(rest)
+                last = f'; it sent "{readable(rest)}"' if rest and not lines else last
+                for line in lines:
+                    try:
+                        self._reader.values(line)
+                        return
+                    except Unreadable:
+                        last = f'; it sent "{readable(line)}", which is not what the pattern says'
+        except Wrong as error:
+            raise self._error(str(error)) from None
+        raise self._error(f"sent no line that can be read within {OPEN:g} s{last}")
+
+    def _opened(self) -> SerialPort:
+        return opened(self._port, self._device.name)

@@ -8,7 +8,7 @@ from pmabench.bench.interface import DeviceRecord
 from pmabench_drivers.emulator.faults import LINK, NOISE, OVER, SKEW, STUCK, UNIT, CommandLog, DeviceClock, Faults
 from pmabench_drivers.emulator.plant import RealPlant
 from pmabench_drivers.emulator.ports import IDLE, OnTerminal
-from pmabench_drivers.serial_ascii.driver import read_options
+from pmabench_drivers.serial_ascii import read_options
 from pmabench_drivers.shared.options import options_of
 
 OTHER_UNITS = {"N": "kg", "kN": "kg", "kg": "lb", "mm": "in", "cm": "in", "um": "mil", "kPa": "bar", "bar": "psi"}

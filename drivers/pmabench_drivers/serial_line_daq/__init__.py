@@ -1,9 +1,357 @@
 """A microcontroller board with an open line protocol: samples by its own clock, set-points, valves, its own watchdog.
 
 The protocol is in docs/devices/serial-line-daq.md, the program of the board in `sketch`. `wire`: lines as bytes, times,
-options; `driver`: the device interface; `emulator`: a board on a pseudo-terminal.
+options; here: the device interface; `emulator`: a board on a pseudo-terminal.
+
+One thread reads every line and gives answers to whoever asked by their number. A question is sent once. It has a number
+that no other has for a long time, so a late answer never belongs to another.
 """
 
-from pmabench_drivers.serial_line_daq.driver import SerialLineDaq
+from __future__ import annotations
 
-__all__ = ["SerialLineDaq"]
+import contextlib
+import math
+import random
+import threading
+from collections.abc import Callable, Mapping
+from time import monotonic
+
+from pmabench.base.clock import Clock
+from pmabench.base.errors import DeviceError
+from pmabench.bench.interface import EMULATED, Block, DeviceRecord, Identity
+from pmabench_drivers.serial_line_daq import wire as w
+from pmabench_drivers.shared.device import Led
+from pmabench_drivers.shared.link import JOIN, Samples, Still, Unanswered, always, opened, turn
+from pmabench_drivers.shared.serial_port import SerialPort, Splitter, readable
+
+CALL = 0.17
+"""Longest time that a call takes [s]."""
+ANSWER = 0.08
+"""How long an answer is waited for before what the board holds is asked for [s]."""
+OPEN = 1.9
+ASK = 0.2
+"""While it is opened a board is asked so often who it is: an Arduino restarts when its port is opened [s]."""
+PATIENCE = 0.25
+"""So long [s], and at least three periods, no sample may come, or steps may fail, before `collect` says so."""
+MISFITS = 3
+"""So many samples in a row whose number and clock do not fit are an error."""
+
+
+class Link(SerialPort):
+    """An open port; `on_sample` gets the fields of each `S` line and when it came [s, bench time], on its thread."""
+
+    def __init__(
+        self, device: str, address: str, baud: int, clock: Clock, on_sample: Callable[[list[str], float], None]
+    ) -> None:
+        super().__init__(device, address, baud, clock)
+        self._on_sample = on_sample
+        self._turn, self._sending = threading.Lock(), threading.Lock()
+        self._waiting: dict[int, tuple[threading.Event, list[list[str]]]] = {}
+        self._number = random.randrange(1 << 20)
+        self._splitter = Splitter(w.END, whole=True)  # what is not whole has a wrong checksum
+        self.invalid = 0
+        """Lines that could not be read."""
+        self.last = ""
+        """The last one of them."""
+        self.listen(self._read)
+
+    def ask(self, deadline: float, letter: str, *values: int, still: Still = always, aside: bool = False) -> list[str]:
+        """What the board answers before `deadline` [s, monotonic]; nothing is sent if `still()` is false by then.
+
+        One question is under way at a time: a board has little room for what comes in. One that goes `aside` does not
+        wait for its turn. Raises DeviceError where the board refuses, Unanswered where nothing comes.
+        """
+        busy = f"has not answered yet what was asked before; the question {letter} was not sent"
+        with contextlib.nullcontext() if aside else turn(self._turn, deadline, self._device, busy=busy):
+            event, answer = threading.Event(), list[list[str]]()
+            with self._sending:
+                if not still():
+                    return []
+                if self.gone:
+                    raise DeviceError(self._device, self.gone)
+                self._number = number = self._number % 999_999_999 + 1
+                self._waiting[number] = event, answer
+                self.send(w.encode(letter, number, *values))
+            event.wait(max(0.0, deadline - monotonic()))
+            self._waiting.pop(number, None)
+        if not answer:
+            raise Unanswered(self._device, self.gone or "did not answer")
+        kind, *fields = answer[0]
+        if kind == "E":
+            word = fields[0] if fields else ""
+            raise DeviceError(self._device, w.REASONS.get(word, f'refuses with "{word}"'))
+        return fields
+
+    def _read(self, data: bytes, now: float) -> None:
+        for line in self._splitter.feed(data):
+            try:
+                self._take(w.decode(line.rstrip(b"\r")), now)
+            except w.NoLine as error:
+                self.invalid += 1
+                self.last = f'{error}: "{readable(line)}"'
+
+    def _take(self, fields: list[str], now: float) -> None:
+        if fields[0] == "S":
+            self._on_sample(fields, now)
+            return
+        if fields[0] not in {"A", "E"} or len(fields) < 2 or not fields[1].isdecimal():
+            raise w.NoLine("a line of no known kind")
+        waiting = self._waiting.get(int(fields[1]))
+        if waiting is not None and not waiting[0].is_set():
+            waiting[1].append([fields[0], *fields[2:]])
+            waiting[0].set()
+
+
+class SerialLineDaq(Led):
+    """A board with the program of `sketch`, or another that speaks its protocol; its only option is `baud`.
+
+    Inputs are `a0` to `a5` (counts) and `d0` to `d5` (levels), outputs `o0` to `o3` (counts) and `v0` to `v3` (valves).
+    Time is the board's own. Only `feed_watchdog` keeps its watchdog quiet. `disarm_watchdog` also vents.
+    """
+
+    verified = "emulator and compiled sketch, no board"
+    emulator = "pmabench_drivers.serial_line_daq.emulator"
+    read_options = staticmethod(w.read_options)
+    _options: int
+    """Its baud rate."""
+
+    def __init__(self, device: DeviceRecord, clock: Clock) -> None:
+        super().__init__(device, clock)
+        self._columns = [w.index_of(channel.input, "a") or 0 for channel in device.channels]
+        self._samples = Samples([channel.name for channel in device.channels])
+        self._link: Link | None = None
+        self._has = dict.fromkeys(w.NAMES, 0)
+        self._full_scale, self._shortest = 0, 1
+        self._timeline: w.Timeline | None = None
+        self._before: w.Timeline | None = None
+        self._period = self._armed = 0.0
+        self._heard = 0.0
+        self._reported_vent = False
+        self._failure: DeviceError | None = None
+
+    # -- life -----------------------------------------------------------------------------------------------------
+
+    def open(self) -> Identity:
+        """Open the port for this program alone, ask who is there, and end sampling; outputs stay as they are."""
+        self.close()
+        link = self._link = Link(self._device.name, self._device.address, self._options, self._clock, self._take)
+        with self._closed_on_error():
+            identity = self._identify(link, monotonic() + OPEN)
+            link.ask(monotonic() + CALL, "G", 0)
+        return identity
+
+    def close(self) -> None:
+        """End stepping and let go of the port; the board goes on sampling, and its watchdog stays as it is."""
+        self._following.clear()
+        self._steps.stop(JOIN)
+        self._timeline, self._armed, self._failure = None, 0.0, None
+        self._steps.note(None)
+        self._before, self._samples = None, Samples([channel.name for channel in self._device.channels])
+        link, self._link = self._link, None
+        if link is not None:
+            link.close()
+
+    def _identify(self, link: Link, deadline: float) -> Identity:
+        while True:
+            try:
+                answer = link.ask(min(deadline, monotonic() + ASK), "I")
+                break
+            except Unanswered:
+                if link.gone or monotonic() >= deadline:
+                    heard = f"; the last thing heard was {link.last}" if link.last else ""
+                    message = f"did not say who it is within {OPEN:g} s at {self._options} baud{heard}"
+                    raise self._error(message) from None
+        if answer[:2] != [w.PROTOCOL, w.VERSION] or len(answer) != 10 or not all(map(str.isdecimal, answer[4:])):
+            raise self._error(f'is no "{w.PROTOCOL}" of version {w.VERSION}: "{",".join(answer)[:60]}"')
+        _protocol, version, model, serial, *numbers = answer
+        *counts, self._full_scale, self._shortest = map(int, numbers)
+        self._has = dict(zip(w.NAMES, counts, strict=True))
+        record = self._device
+        wanted = [("a", channel.input) for channel in record.channels]
+        wanted += [("d", lock.input) for lock in record.interlocks] + [("v", valve.output) for valve in record.valves]
+        for letter, name in [*wanted, *(("o", output.output) for output in record.outputs)]:
+            self._index(name, letter)
+        if not 0 < self._shortest <= 10_000_000:
+            raise DeviceError(record.name, f"says that its shortest period is {self._shortest} us")
+        return Identity("", model, serial, f"{w.PROTOCOL} {version}", simulated=model.startswith(EMULATED))
+
+    # -- samples --------------------------------------------------------------------------------------------------
+
+    def start(self, rate: float) -> float:
+        """Let the board sample at `rate` [Hz], in whole microseconds, or as fast as it can if that is less."""
+        self._refuse_rate(rate)
+        period = min(max(round(1e6 / rate), self._shortest), 10_000_000)
+        self.stop()
+        self._samples.take()
+        self._failure = None
+        used = self._ask("G", period)
+        if used != period:
+            raise self._error(f"samples each {used} us where {period} us were asked for")
+        self._period, self._heard = period * 1e-6, monotonic()
+        self._before = self._timeline = w.Timeline(period, self._before)
+        return 1e6 / period
+
+    def collect(self) -> Block:
+        """What came since the last call; an error for silence, and once for what else went wrong."""
+        failure, self._failure = self._failure, None
+        if failure is not None:
+            raise failure
+        self._steps.refuse(self._device.name, "stepping", once=True)
+        block = self._samples.take()
+        if len(block.time):
+            return block
+        link = self._opened()
+        if link.gone:
+            raise self._error(link.gone)
+        if self._timeline is not None and monotonic() - self._heard > max(PATIENCE, 3 * self._period):
+            last = f"; the last thing heard was {link.last}" if link.last else ""
+            raise self._error(f"no sample for {PATIENCE:g} s{last}")
+        return block
+
+    def stop(self) -> None:
+        """End sampling; a ramp under way goes on."""
+        if self._timeline is not None and self._link is not None:
+            self._timeline = None
+            self._ask("G", 0)
+
+    @property
+    def missed(self) -> int:
+        """Samples that the board counted and that never came."""
+        return self._timeline.lost if self._timeline is not None else 0
+
+    def _take(self, fields: list[str], now: float) -> None:
+        """One `S` line that came at `now` [s, bench time], in the reading thread."""
+        timeline = self._timeline
+        sample = w.read_sample(fields, self._has["a"])
+        if timeline is None:
+            return  # sampling has not begun here: another program left it on
+        micros = timeline.place(sample, now)
+        if micros is None:
+            if timeline.misfits == MISFITS:
+                message = (
+                    "the number of its samples and its clock do not fit: it has started again, or is no such board"
+                )
+                self._failure = self._error(message)
+            return
+        self._heard = monotonic()
+        self._samples.append(micros * 1000, [float(sample.counts[i]) for i in self._columns], round(now * 1e9))
+        if sample.state & w.VENTED and self._armed and not self._reported_vent:
+            self._reported_vent = True
+            message = f"has vented by itself: its watchdog heard nothing for {self._armed:g} s"
+            self._failure = self._error(message)
+
+    # -- commands -------------------------------------------------------------------------------------------------
+
+    def write(self, output: str, value: float) -> None:
+        """Command a whole number of counts once; where no answer comes, what the board holds decides."""
+        self._output(output)
+        self._following.pop(output, None)
+        self._put("W", self._index(output, "o"), self._whole(output, value))
+
+    def read_back(self, output: str) -> float:
+        """The counts that the board holds."""
+        self._output(output)
+        return float(self._ask("W", self._index(output, "o")))
+
+    def switch(self, output: str, *, on: bool) -> None:
+        """Switch a valve's output."""
+        self._put("V", self._index(output, "v"), int(on))
+
+    def is_on(self, output: str) -> bool:
+        """Whether a valve's output is on."""
+        return self._ask("V", self._index(output, "v")) != 0
+
+    def level(self, name: str) -> bool:
+        """Whether a digital input is high."""
+        index = self._index(name, "d")
+        return bool(self._ask("D") >> w.LEVELS + index & 1)
+
+    def rescue(self, output: str, value: float) -> None:
+        """Send on the same wire without waiting for a turn; the answer is known by its number."""
+        self._following.pop(output, None)
+        if output in self._outputs:
+            self._put("W", self._index(output, "o"), self._whole(output, value), aside=True)
+        else:
+            self._put("V", self._index(output, "v"), int(value != 0), aside=True)
+
+    # -- ramps and sines ------------------------------------------------------------------------------------------
+
+    def _refuse_value(self, output: str, value: float) -> None:
+        self._whole(output, value)
+
+    def _send_step(self, output: str, value: float, still: Still, *, last: bool) -> None:
+        self._put("W", self._index(output, "o"), self._whole(output, value), still=still)
+
+    # -- the board's watchdog -------------------------------------------------------------------------------------
+
+    def arm_watchdog(self, seconds: float) -> float:
+        """Set it, start it, and read back the time that the board holds [s]."""
+        if not 0 < seconds < math.inf:
+            raise self._error(f"a watchdog of {seconds} s cannot be set", "watchdog")
+        until = monotonic() + CALL
+        self._ask("T", math.floor(seconds * 1e3 + 1e-6), until=until)
+        held = self._ask("T", until=until)
+        if held <= 0:
+            raise self._error("holds a watchdog time of 0, which is none", "watchdog")
+        self._armed, self._reported_vent = held * 1e-3, False
+        return self._armed
+
+    def feed_watchdog(self) -> None:
+        """A sign of life; an error where the board is not armed any more."""
+        if not self._ask("F") & w.ARMED:
+            raise self._error("took a sign of life and is not armed", "watchdog")
+
+    def disarm_watchdog(self) -> None:
+        """Stop it. The board vents: nothing stays on that nobody watches."""
+        self._armed = 0.0
+        self._ask("T", 0)
+
+    def held(self) -> Mapping[str, float | str]:
+        """The time of its watchdog [s], 0 where it is off, has fired, or the board has started again."""
+        return {"watchdog": self._ask("T") * 1e-3}
+
+    # -- questions ------------------------------------------------------------------------------------------------
+
+    def _opened(self) -> Link:
+        return opened(self._link, self._device.name)
+
+    def _ask(self, letter: str, *values: int, until: float = 0.0) -> int:
+        """The number that the board answers."""
+        return self._number(self._opened().ask(until or monotonic() + CALL, letter, *values))
+
+    def _number(self, answer: list[str]) -> int:
+        if len(answer) != 1 or not answer[0].isdecimal():
+            raise self._error(f'answers "{",".join(answer)[:40]}" where a number is expected')
+        return int(answer[0])
+
+    def _put(self, letter: str, index: int, value: int, *, still: Still = always, aside: bool = False) -> None:
+        """Send once; the answer says what the board holds. Where it is lost the board is asked instead."""
+        link, until = self._opened(), monotonic() + CALL
+        lost = ""
+        try:
+            answer = link.ask(until - CALL + ANSWER, letter, index, value, still=still, aside=aside)
+            if not answer:
+                return  # overtaken by a newer command
+        except Unanswered:
+            lost = "did not answer to the command"
+            try:
+                answer = link.ask(until, letter, index, aside=aside)
+            except Unanswered:
+                message = f"did not answer; whether it took {value} is not known"
+                raise Unanswered(self._device.name, message, f"{'o' if letter == 'W' else 'v'}{index}") from None
+        held = self._number(answer)
+        if held != value:
+            name = f"{'o' if letter == 'W' else 'v'}{index}"
+            raise self._error(f"{lost or 'was commanded'} {value} and holds {held}", name)
+
+    def _index(self, name: str, letter: str) -> int:
+        index, count = w.index_of(name, letter), self._has[letter]
+        if index is None or (self._link is not None and index >= count):
+            raise self._error(f'the board has {count} {w.NAMES[letter]}(s), and "{name}" is none', name)
+        return index
+
+    def _whole(self, output: str, value: float) -> int:
+        """Whole counts that the board can take."""
+        if not math.isfinite(value) or not -0.5 <= value < self._full_scale + 0.5:
+            raise self._error(f"cannot be set to {value:g}; 0 to {self._full_scale} counts", output)
+        return round(value)

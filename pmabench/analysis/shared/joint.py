@@ -40,8 +40,8 @@ def refuse_turns(turns: Turns | None, half: float, gap: float, noise: float) -> 
     if turns is None and seen > noise:
         raise NotUsable(
             f"the sweep of +-{show(half, 'angle', 3)} is too small for the hysteresis: its branches are never "
-            "parallel, and their slope is that of the turns, not the stiffness; sweep at least three times as far, or look "
-            "for a filter on the torque"
+            "parallel, and their slope is that of the turns, not the stiffness; sweep at least three times as far, or "
+            "look for a filter on the torque"
         )
     if turns is None and half < SMALLEST:
         raise NotUsable(

@@ -61,11 +61,11 @@ class Response:
     """One step of the set-point from rest; times from the step on."""
 
     rise: float | None
-    """10 % to 90 % of the step [s]; None where it does not get there."""
+    """10 % to 90 % of the step [s]; None where it does not get there, as far as noise lets one say."""
     overshoot: float
     """Largest excess over the set-point, as a share of the step [1]; 0 for none."""
     settling: float | None
-    """From when on it stays in the band around the set-point [s]; None where it does not."""
+    """From when on it stays in the band around the set-point [s]; None where it does not, noise taken off the band."""
     error: float
     """Mean of set-point minus x in the window [m]."""
     IAE: float
@@ -119,7 +119,7 @@ def respond(
         raise ValueError("it rested beyond the set-point already")
     noise = noise_of(x[inside])
     width = max(1, round(SMOOTHED / period))
-    rest = SURE * noise / sqrt(width)
+    rest = SURE * noise / sqrt(width) + 0.5 * resolution
     smooth = _smoothed(x, width)
     low, high = (_first(t, smooth >= origin + share * step) for share in (0.1, 0.9))
 
@@ -129,16 +129,17 @@ def respond(
 
     smallest = max(SEEN * noise, 2 * resolution, SMALLEST * setpoint)
     cycle, wander = cycle_of(t[inside], x[inside], smallest), float(np.ptp(smooth[inside]))
-    ends = [one for limit in (band * step - rest, band * step + rest) if (one := settled(limit)) is not None]
+    near, wide = settled(band * step - rest), settled(band * step + rest)
+    sure = bool((smooth >= origin + 0.9 * step + rest).any())
     further = left([Held.of(t[inside], x[inside], float(window[0]))])
     if cycle is not None:
         error = 0.5 * cycle.size * min(1.0, cycle.period / (window[1] - window[0]))
     else:
         error = max(further.most, wander if wander > smallest else 0.0)
     return Response(
-        rise=high - low if low is not None and high is not None else None,
+        rise=high - low if low is not None and high is not None and sure else None,
         overshoot=max(0.0, (float(smooth.max()) - setpoint) / step),
-        settling=settled(band * step),
+        settling=settled(band * step) if near is not None else None,
         error=setpoint - float(x[inside].mean()),
         IAE=float(np.trapezoid(np.abs(setpoint - x), t)),
         cycle=cycle,
@@ -147,11 +148,11 @@ def respond(
         unsure=Unsure(
             rise=period + SMOOTHED / 2,
             overshoot=rest / step,
-            settling=period + (max(ends) - min(ends) if ends else 0.0),
+            settling=period + (near - wide if near is not None and wide is not None else 0.0),
             IAE=noise * float(t[-1] - t[0]),
             size=2 * rest + 2 * PART * (0.0 if cycle is None else cycle.size),
             period=0.0 if cycle is None else period + PART * cycle.period / cycle.count,
-            error=error,
+            error=max(error, 0.5 * resolution),
             moves=cycle is not None or further.seen or wander > smallest,
         ),
     )

@@ -77,6 +77,12 @@ def lag_open(run: RunData, channel: str) -> float:
     return LAG_KNOWN * info.sensor_lag if info is not None and info.sensor_lag > 0 else UNDECLARED
 
 
+def count_of(run: RunData, channel: str) -> float:
+    """One count of a channel whose device gives counts [SI]; 0 for others."""
+    info = run.channels.get(channel)
+    return abs(info.slope) if info is not None and info.unit in ("count", "counts") else 0.0
+
+
 def on_time(run: RunData, trial: TrialData, name: str) -> Array:
     """A channel without the lag of its sensor, which along a ramp shows what was there one lag ago; NaN if missing."""
     if name not in trial.channels:

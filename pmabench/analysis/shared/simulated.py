@@ -204,7 +204,8 @@ def model_of(run: RunData) -> Described | None:
 
 def load_of(trial: TrialData) -> tuple[float, float]:
     """F_L [N] and moving mass [kg] of a trial."""
-    return float(trial.point.get("load", 0.0)), float(trial.point.get("mass", 0.0)) or LEAST_MASS
+    mass = float(trial.point.get("mass", 0.0))
+    return float(trial.point.get("load", 0.0)), mass if mass > 0 else LEAST_MASS
 
 
 def from_measured_pressure(

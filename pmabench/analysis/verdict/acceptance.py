@@ -106,6 +106,18 @@ def _are_numbers(*values: Any) -> bool:
     return all(isinstance(value, int | float) and not isinstance(value, bool) for value in values)
 
 
+def not_accepted_as_form(
+    runs: Sequence[RunData], analysis: Analysis, named: Callable[[Estimate], str]
+) -> Iterator[str]:
+    """As `not_accepted` for a form of all tests: intervals of what it gives are judged, any other limit is not kept."""
+    given = {estimate.symbol for estimate in analysis.estimates}
+    for limit in _limits(runs, analysis):
+        if limit.measure != "relative_interval" or limit.what not in given:
+            yield f"{limit.what}: the form of all tests says nothing of it, {limit.asked}"
+        else:
+            yield from _of_coefficient(analysis, limit, named)
+
+
 def not_accepted(
     runs: Sequence[RunData], analysis: Analysis, named: Callable[[Estimate], str], static: Pairs | None = None
 ) -> Iterator[str]:
@@ -114,28 +126,39 @@ def not_accepted(
     Coefficients count by the first method that gives them; a value in a place where the specimen file expects nothing
     is not judged by it. `static` has F_ce of this and of the specimen's static-load test; None without that.
     """
-    limits = dict.fromkeys(limit for run in runs if run.id in analysis.runs for limit in limits_of(run))
-    primary: dict[str, str] = {}
-    for estimate in analysis.estimates:
-        primary.setdefault(estimate.symbol, estimate.method)
-    for limit in limits:
+    for limit in _limits(runs, analysis):
         if limit.measure in ("relative_interval", "of_specimen"):
-            mine = [
-                e
-                for e in analysis.estimates
-                if e.symbol == limit.what and e.method == primary[e.symbol] and not e.withheld
-            ]
-            judge = _interval if limit.measure == "relative_interval" else _of_specimen
-            known = any(e.value is not None for e in mine)
-            for estimate in mine:
-                if not estimate.coordinate and (why := judge(estimate, limit, known=known)):
-                    yield f"{named(estimate)}: {why}"
+            yield from _of_coefficient(analysis, limit, named)
         elif limit.measure in ("of_static", "of_static_by", "static_E_n"):
             yield from _against_static(static, limit, named)
         elif limit.measure == "at_least":
-            yield from _r2(analysis, limit, primary)
+            yield from _r2(analysis, limit, _primary(analysis))
         elif why := _check(analysis, limit):
             yield why
+
+
+def _limits(runs: Sequence[RunData], analysis: Analysis) -> list[Limit]:
+    return list(dict.fromkeys(limit for run in runs if run.id in analysis.runs for limit in limits_of(run)))
+
+
+def _primary(analysis: Analysis) -> dict[str, str]:
+    """Symbol -> the method that gives it first."""
+    primary: dict[str, str] = {}
+    for estimate in analysis.estimates:
+        primary.setdefault(estimate.symbol, estimate.method)
+    return primary
+
+
+def _of_coefficient(analysis: Analysis, limit: Limit, named: Callable[[Estimate], str]) -> Iterator[str]:
+    primary = _primary(analysis)
+    mine = [
+        e for e in analysis.estimates if e.symbol == limit.what and e.method == primary[e.symbol] and not e.withheld
+    ]
+    judge = _interval if limit.measure == "relative_interval" else _of_specimen
+    known = any(e.value is not None for e in mine)
+    for estimate in mine:
+        if not estimate.coordinate and (why := judge(estimate, limit, known=known)):
+            yield f"{named(estimate)}: {why}"
 
 
 def _interval(e: Estimate, limit: Limit, *, known: bool) -> str:

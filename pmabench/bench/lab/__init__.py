@@ -1,5 +1,4 @@
-"""A lab's files from its answers: `questions` with `reading` of what is typed, `answers`, and the text of the files.
+"""A lab's files from its answers: `questions` with `reading` of what is typed, `answers` with limits, the files' text.
 
-Files: `bench_text`, `muscle_text` (specimen, simulated muscle), `protocol_text`; `daqs` is what can measure.
-Knows no terminal.
+Files: `bench_text`, and `files` for the others (specimen, simulated muscle, protocols). Knows no terminal.
 """

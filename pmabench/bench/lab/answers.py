@@ -14,8 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from pmabench.base.errors import InvalidFile, UsageError, did_you_mean
-from pmabench.bench.lab.derived import NONE_YET
-from pmabench.bench.lab.questions import QUESTIONS, Question
+from pmabench.bench.lab.questions import NONE_YET, QUESTIONS, Question
 from pmabench.bench.lab.reading import Scale, sensors
 from pmabench.files.document import Document, read_document
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from pmabench.base.quantities import show
 from pmabench.bench.lab.answers import UNCERTAINTY, Answers, Limits, limits_of, quoted
-from pmabench.bench.lab.derived import DAQS, NONE_YET, Daq
+from pmabench.bench.lab.questions import DAQS, NONE_YET, Daq
 from pmabench.bench.lab.reading import QUANTITY_OF, Scale
 
 COLUMN = 60

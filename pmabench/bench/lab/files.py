@@ -16,7 +16,7 @@ from pmabench.bench.dry_run import PredictedMuscle, of_specimen, plant_text
 from pmabench.bench.files.specimen import SpecimenFile
 from pmabench.bench.lab.answers import Answers, Limits, limits_of, quoted
 from pmabench.bench.lab.bench_text import PLANT_FILE, Sheet, bench_text, calibration_texts
-from pmabench.bench.lab.derived import NONE_YET
+from pmabench.bench.lab.questions import NONE_YET
 from pmabench.bench.lab.reading import GRAVITY
 from pmabench.files.document import Document, read_document, validate
 from pmabench.model.real.muscle import Surface
@@ -61,6 +61,8 @@ STRONGER = 1.25
 """How much more a muscle may pull than foreseen, and still stays short of its highest contraction."""
 SHORT_OF = 0.85
 """Share of the highest contraction that a sweep may reach."""
+WIDEST = "10 %"
+"""Limit of the interval of K: K of a real muscle changes over the contraction, and at its ends few trials tell it."""
 
 
 def protocol_text(shipped: str, answers: Answers, specimen: SpecimenFile) -> str:
@@ -88,6 +90,7 @@ def _with_weights(text: str, answers: Answers, limits: Limits, muscle: Predicted
         r"pressure: \{start:.*?\}": f"pressure: {{start: {first} kPa, stop: {last} kPa, step: {step} kPa}}",
         r"(precondition: .*?pressure: )\d+ kPa": rf"\g<1>{round(0.7 * last)} kPa",
         r"(relax: \{by: )\d+ kPa": rf"\g<1>{max(round(0.2 * last), 5)} kPa",
+        r"( +K: \{relative_interval: )2 %\}": rf"\g<1>{WIDEST}}}   # yours to set; 2 % suits a muscle that is straight",
         r"up_to: \d+ kPa": f"up_to: {int(0.98 * limits.command / 1e3)} kPa",
     }
     return _replaced(text, values)

@@ -1,21 +1,196 @@
 """The questions that `init` asks about a bench and its muscle, at most 20 of them, with what an answer looks like.
 
-A derived answer (`default`) is a guess that a person has to confirm. What protects people and muscle is never derived:
-such a question is `needed`, and an answer offered for it is only shown.
+An answer that follows from others (from the type's data sheet, the size of the muscle, the device: `default`) is a
+guess that a person has to confirm. What protects people and muscle is never derived: such a question is `needed`, and
+an answer offered for it is only shown.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from pmabench.base.quantities import show
-from pmabench.bench.lab import derived, reading
-from pmabench.bench.lab.derived import DAQS, NONE_YET
+from pmabench.bench.lab import reading
+from pmabench.bench.lab.reading import GRAVITY
+from pmabench.model.published_muscles import MuscleType, braid_surface, find_type, length_on_label
+from pmabench.model.real.muscle import Surface
 
 if TYPE_CHECKING:
     from pmabench.bench.lab.answers import Answers
+
+
+@dataclass(frozen=True)
+class Daq:
+    """One device for all channels and outputs of a bench."""
+
+    driver: str
+    title: str
+    address: str
+    """An example of its address, or the usual one."""
+    inputs: str
+    """Usual inputs, as they are typed."""
+    fifth: str
+    """The next input, for what an actuator is set to."""
+    raw: str
+    """Unit of its readings."""
+    full: float
+    """Highest reading; the lowest is 0."""
+    output: str
+    """Output of the regulator."""
+    second: str
+    """Output of an actuator."""
+    out_full: float
+    """Highest value of an output, in `raw`."""
+    resolution: str
+    valve: str
+    interlock: str
+    watchdog: str = ""
+
+
+_INPUTS = "pressure {}, displacement {}, force {}, command {}"
+DAQS = {
+    "labjack": Daq(
+        "labjack", "LabJack T7, T8 or T4, over the network", "192.168.0.20",
+        _INPUTS.format("AIN0", "AIN1", "AIN2", "AIN3"), "AIN4", "V", 10.0, "DAC0", "DAC1", 5.0, "0.00122 V",
+        "FIO0", "FIO1", "2 s",
+    ),
+    "ni": Daq(
+        "ni-daqmx", "NI multifunction device, by NI-DAQmx", "Dev1",
+        _INPUTS.format("ai0", "ai1", "ai2", "ai3"), "ai4", "V", 10.0, "ao0", "ao1", 10.0, "0.000306 V",
+        "port1/line0", "port0/line0",
+    ),
+    "modbus": Daq(
+        "modbus", "device with a register map, by Modbus", "192.168.0.10:502, registers.yaml",
+        _INPUTS.format("pressure", "displacement", "force", "set_point"), "position_set", "count", 10000.0, "pressure",
+        "displacement", 10000.0, "1 count", "dump_valve", "e_stop", "500 ms",
+    ),
+    "board": Daq(
+        "serial-line-daq", "board that sends lines of text over a serial port", "/dev/ttyACM0",
+        _INPUTS.format("a0", "a1", "a2", "a3"), "a4", "count", 4092.0, "o0", "o1", 4095.0, "1 count", "v0",
+        "d0", "500 ms",
+    ),
+}  # fmt: skip
+"""Answer -> device."""
+NONE_YET = "none"
+"""The answer of a lab that has no device yet; its bench is simulated."""
+
+
+CONTRACTION = "25 %"
+"""Of muscles whose data sheet is not known here."""
+PROTOCOLS = {
+    "weights": {
+        "contraction-relaxation": "force, stiffness, damping: steps of pressure under weights",
+        "static-load": "force alone: the pressure at which each weight lifts off",
+    },
+    "actuator": {
+        "isobaric-ramp": "force over contraction at fixed pressures, with its hysteresis",
+        "sinusoidal-displacement": "stiffness and damping: sines of displacement at fixed pressure",
+        "isometric-pressurisation": "force over pressure at fixed lengths",
+    },
+}
+"""Free end -> protocol -> what it gives."""
+
+
+def muscle_type(answers: Answers) -> MuscleType | None:
+    """The library's type of the muscle."""
+    return find_type(answers.text("make"), answers.text("type"))
+
+
+def surface(answers: Answers) -> Surface:
+    """Force over contraction and pressure: of the type, else of a braid of its diameter."""
+    found = muscle_type(answers)
+    if found is not None and found.surface is not None:
+        return found.surface
+    return braid_surface(answers.value("inner_diameter"))
+
+
+def nominal_length(answers: Answers) -> str | None:
+    """From the label."""
+    length = length_on_label(answers.text("type"))
+    return show(length, "length") if length else None
+
+
+def diameter(answers: Answers) -> str | None:
+    """From the type."""
+    found = muscle_type(answers)
+    return show(found.diameter, "length") if found else None
+
+
+def pressure_hint(answers: Answers) -> str:
+    """The data sheet's value, to be compared with the own one."""
+    found = muscle_type(answers)
+    return f"{found.name}: {show(found.highest_pressure, 'pressure')} by the data sheet" if found else ""
+
+
+def contraction(answers: Answers) -> str:
+    """From the type, else what most muscles bear."""
+    found = muscle_type(answers)
+    return show(found.contraction, "ratio") if found else CONTRACTION
+
+
+def highest_force(answers: Answers) -> float:
+    """Force at the highest pressure without contraction [N]."""
+    return float(surface(answers).force(0.0, answers.value("never_above")))  # type: ignore[arg-type]
+
+
+def round_up(value: float, digits: int = 2) -> float:
+    """The next number of so many digits that is not smaller."""
+    unit = 10.0 ** (math.floor(math.log10(value)) - digits + 1)
+    return float(f"{math.ceil(value / unit - 1e-9) * unit:.6g}")
+
+
+def stack(answers: Answers) -> str:
+    """Ten plates that together weigh half of the muscle's highest force."""
+    plate = round_up(0.05 * highest_force(answers) / GRAVITY, 1)
+    return f"hanger {show(plate / 5, 'mass')}, plates 10 x {show(plate, 'mass')}"
+
+
+def actuator(answers: Answers) -> str:
+    """As far as the muscle goes, and twice its force."""
+    stroke = answers.value("contraction") * answers.value("nominal_length")
+    force = round_up(2 * highest_force(answers))
+    return f"{show(round_up(stroke), 'length')}, 100 mm/s, {show(force, 'force')}"
+
+
+def address(answers: Answers) -> str | None:
+    """The usual one; a register map is the lab's own."""
+    return None if answers.text("daq") == "modbus" else DAQS[answers.text("daq")].address
+
+
+def inputs(answers: Answers) -> str:
+    """The first inputs of the device."""
+    daq = DAQS[answers.text("daq")]
+    return daq.inputs + (f", actuator {daq.fifth}" if answers.text("free_end") == "actuator" else "")
+
+
+def sensors(answers: Answers) -> str:
+    """Ranges somewhat wider than what the muscle does."""
+    daq = DAQS[answers.text("daq")]
+    raw = f"0 {daq.raw}..{daq.full:g} {daq.raw}"
+    pressure = round_up(1.3 * answers.value("never_above"))
+    length = round_up(1.4 * answers.value("contraction") * answers.value("nominal_length"))
+    force = round_up(1.3 * highest_force(answers))
+    return "; ".join((
+        f"pressure {raw} = {show(-0.1 * pressure, 'pressure')}..{show(pressure, 'pressure')}",
+        f"displacement {raw} = {show(-0.1 * length, 'length')}..{show(length, 'length')}",
+        f"force {raw} = {show(-0.1 * force, 'force')}..{show(force, 'force')}",
+    ))  # fmt: skip
+
+
+def regulator(answers: Answers) -> str:
+    """The first output over its whole range."""
+    daq = DAQS[answers.text("daq")]
+    top = round_up(1.3 * answers.value("never_above"))
+    return f"{daq.output} 0 {daq.raw}..{daq.out_full:g} {daq.raw} = 0 kPa..{show(top, 'pressure')}"
+
+
+def protocols(answers: Answers) -> dict[str, str]:
+    """Those for this free end."""
+    return PROTOCOLS[answers.text("free_end")]
+
 
 MOST = 20
 """Questions that anybody is asked."""
@@ -111,37 +286,37 @@ def _table() -> tuple[Question, ...]:
         Question("serial", "Serial number", "What tells this muscle from others of its type.", _plain(reading.text),
                  default=lambda _answers: "unknown"),
         Question("nominal_length", "Nominal length", "Between the fittings, as ordered: 250 mm.", _plain(length),
-                 default=derived.nominal_length),
+                 default=nominal_length),
         Question("inner_diameter", "Inner diameter", "Without pressure: 20 mm.", _plain(length),
-                 default=derived.diameter),
+                 default=diameter),
         Question("never_above", "Highest pressure that the muscle may ever see",
                  "By the maker's data sheet, or what your own was tested with. It limits everything else.",
-                 _plain(pressure), needed=True, hint=derived.pressure_hint),
+                 _plain(pressure), needed=True, hint=pressure_hint),
         Question("contraction", "Highest contraction", "As share of the nominal length: 25 %.", _contraction,
-                 default=derived.contraction),
+                 default=contraction),
         Question("mounted", "Length as mounted, and the load on it then", "250 mm, 6 kg", _plain(reading.mounted),
                  default=lambda answers: f"{answers.text('nominal_length')}, 0 kg"),
         Question("free_end", "What is at the free end", "What the muscle pulls.", _choice(_free_ends),
                  default=lambda _answers: "weights", choices=_free_ends),
         Question("stack", "Hanger and plates", "hanger 1 kg, plates 10 x 5 kg + 1 x 2 kg, carriage 2 kg, pulley. The"
                  " carriage is what moves with the stack; pulley: over one.", _plain(reading.stack),
-                 default=derived.stack, asked=lambda answers: answers.text("free_end") == "weights"),
+                 default=stack, asked=lambda answers: answers.text("free_end") == "weights"),
         Question("actuator", "Stroke, speed and force of the actuator", "60 mm, 100 mm/s, 2000 N",
-                 _plain(reading.actuator), default=derived.actuator,
+                 _plain(reading.actuator), default=actuator,
                  asked=lambda answers: answers.text("free_end") == "actuator"),
         Question("daq", "What measures and commands the bench", "One device for all; other benches are shipped: init"
                  " --like alicat, can, dataq, festo.", _choice(_daqs), default=lambda _answers: NONE_YET,
                  choices=_daqs),
         Question("address", "Its address", "IP address, device name or port; of a device with a register map also the"
-                 " file: 192.168.0.10:502, registers.yaml.", _address, default=derived.address, asked=_has_daq),
+                 " file: 192.168.0.10:502, registers.yaml.", _address, default=address, asked=_has_daq),
         Question("inputs", "What is on each input", "pressure AIN0, displacement AIN1, force AIN2, command AIN3; with"
                  " an actuator also actuator AIN4. What both are set to is looped into inputs.", _inputs,
-                 default=derived.inputs, asked=_has_daq),
+                 default=inputs, asked=_has_daq),
         Question("sensors", "What each sensor gives over its range", "By their data sheets: pressure 0 V..10 V = 0"
                  " kPa..1000 kPa; displacement 0 V..10 V = 0 mm..100 mm; force 0 V..10 V = 0 N..2000 N.",
-                 _plain(reading.sensors), default=derived.sensors, asked=_has_daq),
+                 _plain(reading.sensors), default=sensors, asked=_has_daq),
         Question("regulator", "Output of the pressure regulator and its range", "DAC0 0 V..5 V = 0 kPa..1000 kPa",
-                 _plain(reading.regulator), default=derived.regulator, asked=_has_daq),
+                 _plain(reading.regulator), default=regulator, asked=_has_daq),
         Question("dump_valve", "Dump valve: output, and where it is while that is on", "FIO0 closed: open without"
                  " power, as it should be. FIO0 open: shut without power. none: there is none.",
                  _plain(reading.dump_valve), asked=_has_daq, needed=True),
@@ -154,8 +329,8 @@ def _table() -> tuple[Question, ...]:
                  " writes them, or none yet: the data sheet's line is taken.", _plain(reading.text),
                  default=lambda _answers: "none yet", asked=_has_daq),
         Question("protocol", "What to measure", "Another protocol can be written at any time.",
-                 _choice(derived.protocols), default=lambda answers: next(iter(derived.protocols(answers))),
-                 choices=derived.protocols),
+                 _choice(protocols), default=lambda answers: next(iter(protocols(answers))),
+                 choices=protocols),
     )  # fmt: skip
 
 

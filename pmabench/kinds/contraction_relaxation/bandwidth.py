@@ -166,7 +166,7 @@ def _rise(campaign: Campaign, number: int, P: float) -> tuple[str, Array, Array]
     if trial.point["pressure"] != P:
         return None
     steps = sorted((c for c in trial.commands if c.output == "pressure"), key=lambda c: c.t)
-    if not steps or steps[0].kind != "set" or steps[0].value <= steps[0].before:
+    if not steps or steps[0].kind != "set" or steps[0].value <= steps[0].before or not steps[0].recorded:
         return None
     end = min(AFTER, (steps[1].t if len(steps) > 1 else float(trial.t[-1])) - steps[0].t)
     grid = np.arange(-BEFORE, end, 1 / campaign.rate)
@@ -409,7 +409,8 @@ def _steps(campaign: Campaign, number: int, trial: TrialData) -> list[tuple[floa
     for command, end in zip(commands, ends, strict=True):
         rows = np.flatnonzero((samples.t >= command.t - 1e-9) & (samples.t < end - 1e-9))
         before = (samples.t < command.t - 1e-9) & (samples.t > command.t - 0.2) & samples.ok
-        if command.phase != "relax" or command.kind != "set" or len(rows) < 100 or not before.any():
+        timed = command.phase == "relax" and command.kind == "set" and command.recorded
+        if not timed or len(rows) < 100 or not before.any():
             continue
         if not samples.ok[rows].all():
             continue

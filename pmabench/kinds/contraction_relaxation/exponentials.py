@@ -365,7 +365,8 @@ def _dead_times(campaign: Campaign, moved: set[int]) -> list[Estimate]:
         samples = campaign.samples[number]
         channels = {"pressure": samples.P, "displacement": samples.x}
         for kind, value in dead_times(samples.t, channels, samples.ok, command.t).items():
-            if number in moved or not kind.endswith("motion"):
+            timed = command.recorded or not kind.startswith("command")
+            if timed and (number in moved or not kind.endswith("motion")):
                 found.setdefault(kind, []).append((number, value))
     estimates = []
     for kind in KINDS:

@@ -1,7 +1,7 @@
 """The length of a muscle without load over pressure.
 
 - `reduction`
-- protocol files: `protocol`; one trial on the display: `live`; words and figures: `figures`
+- protocol files: `protocol`; words and figures: `figures`; one trial on the display: `reduction`
 """
 
 from pmabench.base.imported import Commanded, Imported
@@ -32,7 +32,7 @@ KIND = Kind(
     reduction="pmabench.kinds.free_contraction.reduction:reduce",
     papers=("paper 2, eqs. 1-2",),
     protocol="pmabench.kinds.free_contraction.protocol:FreeContraction",
-    live="pmabench.kinds.free_contraction.live:measure",
+    live="pmabench.kinds.free_contraction.reduction:one_trial",
     moves="displacement",
     compares="displacement",
     repeated="pmabench.kinds.free_contraction.reduction:contraction_of",

@@ -1,6 +1,8 @@
 """Reduction of free contraction: length over pressure, the sigmoid a to e through it, compared with paper 2's formula.
 
 Knows the samples at rest of each trial; words and figure are in `figures`.
+
+What one trial says by itself, for the display.
 """
 
 from __future__ import annotations
@@ -18,6 +20,7 @@ from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.form import Doubt, weighed
 from pmabench.analysis.shared.isometric_lines import spread
 from pmabench.analysis.shared.samples import Held, Left, NotUsable, left, noise_of
+from pmabench.analysis.trial import DRIFT, Expected, Found, Measured, Quick
 from pmabench.analysis.verdict.agreement import Offer, Place, between
 from pmabench.base.quantities import show
 from pmabench.kinds.free_contraction import RESULTS
@@ -440,3 +443,20 @@ def _wider(parts: Parts, by: float) -> Parts:
 def contraction_of(run: RunData, trial: TrialData) -> float:
     """Contraction of one trial at rest without load [m]; raises `NotUsable`."""
     return measure(run, trial).x
+
+
+def one_trial(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
+    """Contraction at rest, and what was left without pressure before it."""
+    try:
+        rest = measure(run, trial)
+    except NotUsable as reason:
+        return [Measured("x", "length", None), Measured("x_0", "length", None)], [str(reason)]
+    further = left([rest.hold])
+    moves = further.seen and abs(further.size) > max(DRIFT * abs(rest.x - rest.start), 20e-6)
+    doubts = [f"the length would still change by {show(further.size, 'length', 2)}"] if moves else []
+    noise = max(20e-6, 6 * rest.noise)
+    return [
+        Measured("x", "length", rest.x, noise=noise),
+        Measured("x_0", "length", rest.start, noise=noise),
+        Measured("P", "pressure", rest.pressure, trial.point["pressure"] or None, tolerance=2e3, noise=1e3),
+    ], doubts

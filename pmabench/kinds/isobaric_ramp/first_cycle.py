@@ -15,7 +15,9 @@ import numpy as np
 
 from pmabench.analysis.shared import student
 from pmabench.analysis.shared.calibration import sentences
+from pmabench.analysis.shared.lines import Line
 from pmabench.analysis.shared.ramp_loop import Loop, measure_as_planned
+from pmabench.analysis.shared.samples import NotUsable
 from pmabench.base.quantities import show
 from pmabench.kinds.isobaric_ramp.cell import CYCLES, GAP, ONE_SPEED, Cell, Member
 from pmabench.store.analyses.results import Estimate, Parts
@@ -29,7 +31,8 @@ FEWEST = 3
 MIDDLE = 0.05
 """Half width of the middle of the stroke, as a share of it."""
 FADED = 0.25
-"""Share of what the first gap is wider by, that the gaps which count may still change by."""
+"""Share of what the first gap is wider by, by which later gaps may change; share of H that its half width may be."""
+NO_HYSTERESIS = "the gap at speed 0, which it is a share of, is not known well enough"
 NO_REST = (
     "whether the muscle rested before its first loop is not in the record: give `prepare: {rest: 30 min}` without "
     "preconditioning, and let `discard` leave out the loops in which it fades"
@@ -58,12 +61,18 @@ def first_cycle(runs: Sequence[RunData], cells: Sequence[Cell], options: Mapping
             continue
         found = [_wider(member, options) for member in members]
         known = [one for one in found if isinstance(one, Wider)]
-        if len(known) < len(found) or cell.one_speed:
-            why = next((one for one in found if isinstance(one, str)), ONE_SPEED)
+        lacks = ONE_SPEED if cell.one_speed else "" if _known(cell.gap) else NO_HYSTERESIS
+        if len(known) < len(found) or lacks:
+            why = next((one for one in found if isinstance(one, str)), lacks)
             trials = tuple(m.trial.name for m in members)
             yield Estimate(SYMBOL, None, "1", "ratio", GAP, dict(cell.at), n=len(found), note=why, trials=trials)
         else:
             yield _estimate(cell, known)
+
+
+def _known(gap: Line) -> bool:
+    """Whether the gap at speed 0 is known well enough to be what another one is a share of."""
+    return gap.half_start is not None and gap.half_start < FADED * gap.start
 
 
 def _begin(trial: TrialData) -> float:
@@ -89,7 +98,10 @@ def _wider(member: Member, options: Mapping[str, Any]) -> Wider | str:
         return NO_REST
     if rest < LONG:
         return f"the muscle rested for {show(rest, 'time')} only: let it rest for {show(LONG, 'time')} or more"
-    loop = measure_as_planned(run, member.trial, {**options, "discard": 0})
+    try:
+        loop = measure_as_planned(run, member.trial, {**options, "discard": 0})
+    except NotUsable as reason:
+        return f"of all cycles: {reason}"
     gaps, grown = _at_middle(loop)
     later = gaps[first:]
     if first < 1 or len(later) < FEWEST:
@@ -123,6 +135,9 @@ def _estimate(cell: Cell, known: Sequence[Wider]) -> Estimate:
     within = sqrt(float(np.mean([one.scatter**2 for one in known])) / n)
     repeats = hypot(max(between, within) / line.start, value * (line.half_start or 0.0) / line.start)
     parts = Parts(repeats, max(one.open for one in known) / line.start, 0.0)
-    note = sentences(CYCLES if n == 1 else "", f"after a rest of {show(min(one.rest for one in known), 'time')}")
+    note = sentences(
+        CYCLES if n == 1 else "",
+        f"after a rest of {show(min(one.rest for one in known), 'time')}; H holds the gap that creep makes",
+    )
     trials = tuple(one.trial for one in known)
     return Estimate(SYMBOL, value, "1", "ratio", GAP, dict(cell.at), parts, n, note=note, trials=trials)

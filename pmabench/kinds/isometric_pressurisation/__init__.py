@@ -2,7 +2,7 @@
 
 - `reduction`, made of `curve` (with S over contraction), `sections` (all contractions at one pressure), `flow`
   (volume by a mass flow meter); whether the tests have the form that is assumed: `form`
-- protocol files: `protocol`; one trial on the display: `live`; words and figures: `figures`
+- protocol files: `protocol`; words and figures: `figures`; one trial on the display: `reduction`
 """
 
 from pmabench.base.imported import Commanded, Imported
@@ -66,7 +66,7 @@ KIND = Kind(
     reduction="pmabench.kinds.isometric_pressurisation.reduction:reduce",
     papers=("paper 2", "paper 3", "paper 4"),
     protocol="pmabench.kinds.isometric_pressurisation.protocol:IsometricPressurisation",
-    live="pmabench.kinds.isometric_pressurisation.live:measure",
+    live="pmabench.kinds.isometric_pressurisation.reduction:measure",
     moves="force",
     compares="force",
     repeated="pmabench.kinds.isometric_pressurisation.curve:largest_force",

@@ -2,6 +2,8 @@
 
 Lines at one contraction come from `isometric_lines` and `curve`, S(eps) from `daerden`, what several
 contractions say at one pressure from `sections`; words and figures in `figures`.
+
+What one trial says by itself, for the display.
 """
 
 from __future__ import annotations
@@ -20,12 +22,14 @@ from pmabench.analysis.shared.isometric_lines import (
     METHOD,
     Groups,
     Test,
+    as_test,
     by_repeat,
     estimates_of,
     pool,
     spread,
     tests_of,
 )
+from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.analysis.verdict.agreement import Offer, at_pressures, everywhere, exactly, straight, values_of
 from pmabench.base.quantities import show
 from pmabench.kinds.isometric_pressurisation import RESULTS, curve, figures
@@ -45,7 +49,7 @@ from pmabench.kinds.isometric_pressurisation.sections import (
     given_of,
 )
 from pmabench.store.analyses.results import Analysis, Curve, Estimate, Finding, Parts
-from pmabench.store.records import Array, RunData
+from pmabench.store.records import Array, RunData, TrialData
 
 KIND = "isometric-pressurisation"
 THRESHOLD, SECTIONS, SIDES, CORRECTED = "force-threshold", "isometric-sections", "isometric-sides", "corrected-force"
@@ -441,3 +445,24 @@ def _without_load(p_0: Estimate, slope: float) -> Estimate:
     """The contraction at which a muscle at the pressure p_0 has no force: that of the test [m]; `slope` in m/Pa."""
     halves = {name: half and abs(slope) * half for name, half in vars(p_0.parts).items()}
     return replace(p_0, symbol="x", value=p_0.at["contraction"], unit="m", quantity="length", parts=Parts(**halves))
+
+
+def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
+    """Slope of force over pressure, the pressure at which the force begins, the gap of the ramps, force at the top."""
+    test, reason = as_test(run, trial, PHASES)
+    reason = reason if test is None else lack(test)
+    if test is None or reason:
+        return [Measured("m", "force per pressure", None), Measured("p_0", "pressure", None)], [reason]
+    cell = cell_of(trial.point["contraction"], [test])
+    found = [value for value in begins(trial) if value is not None]
+    top = float(test.P.max())
+    F_e, K_e = (expected.at(name, top) if expected else None for name in ("F_ce", "K"))
+    pull = F_e - K_e * cell.contraction if F_e is not None and K_e is not None else None
+    doubts = [] if cell.pooled is not None else ["force over pressure has no straight part"]
+    line = cell.pooled.line if cell.pooled else None
+    return [
+        Measured("m", "force per pressure", line.m if line else None),
+        Measured("p_0", "pressure", float(np.mean(found)) if found else None, noise=1e3),
+        Measured("H", "force", float(cell.mean.gaps(cell.low or 0.0)[0]), noise=1.0),
+        Measured("F", "force", float(test.F.max()), pull, tolerance=2 * expected.F_c if expected else 0.0),
+    ], doubts

@@ -2,7 +2,7 @@
 
 - `reduction`, made of `course`: one trial
 - protocol files: `protocol`, with `inverse`: pressures by a model or a measured map
-- one trial on the display: `live`; figures: `figures`
+- figures and one trial on the display: `figures`
 """
 
 from pmabench.base.kind import Kind, Result
@@ -34,7 +34,7 @@ KIND = Kind(
     results=RESULTS,
     reduction="pmabench.kinds.joint_step.reduction:reduce",
     protocol="pmabench.kinds.joint_step.protocol:JointStep",
-    live="pmabench.kinds.joint_step.live:measure",
+    live="pmabench.kinds.joint_step.figures:measure",
     moves="angle",
     methods=METHODS,
     figures={"joint-step": "pmabench.kinds.joint_step.figures:courses"},

@@ -11,13 +11,23 @@ import numpy as np
 
 from pmabench.analysis.shared.joint import settings_of
 from pmabench.analysis.shared.response import Response, respond
-from pmabench.analysis.shared.samples import UNUSABLE_SHARE, NotUsable, three_parameter
+from pmabench.analysis.shared.samples import (
+    UNUSABLE_SHARE,
+    NotUsable,
+    count_of,
+    lags_of,
+    noise_of,
+    on_time,
+    three_parameter,
+)
 from pmabench.base.quantities import show
 from pmabench.store.records import Array, RunData, TrialData
 
 BEFORE = 0.3
 """So long before the step its origin is taken [s]."""
 FEWEST_CYCLES = 3
+LEAP = 10.0
+"""So many standard deviations of the noise are no noise."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,11 +78,12 @@ def course_of(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> Ste
         raise NotUsable(f"{bad:.0%} of the samples are flagged")
     settings = settings_of(run, options)
     t = trial.t - (float(law["t0"]) + float(settings["begin"]))
-    angle, ok = trial.channels["angle"], trial.usable
+    angle, ok = on_time(run, trial, "angle"), trial.usable
+    refuse_leaps(t[ok], angle[ok], count_of(run, "angle"))
     window = (float(settings["window"][0]), float(settings["window"][1]))
     saturated = float(law.get("saturated", 0.0))
     if "frequency" in trial.point:
-        return _swung(run, trial, t[ok], angle[ok], window, saturated)
+        return _swung(run, trial, t[ok], trial.channels["angle"][ok], window, saturated)
     goal, lag = trial.point["goal"], float(law["reference_lag"])
     before, after = ok & (t >= -BEFORE) & (t < 0), ok & (t >= 0)
     if before.sum() < 8:
@@ -88,17 +99,37 @@ def course_of(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> Ste
     reference = goal * (1 - (1 + np.minimum(late, 700.0)) * np.exp(-np.minimum(late, 700.0)))
     try:
         response = respond(
-            t[after], sign * angle[after], sign * goal, window, float(settings["band"]) / step, origin=sign * origin
-        )
+            t[after], sign * angle[after], sign * goal, window, float(settings["band"]) / step, origin=sign * origin,
+            resolution=count_of(run, "angle"),
+        )  # fmt: skip
     except ValueError as error:
         raise NotUsable(str(error)) from error
     return Stepped(run, trial, t[ok], angle[ok], reference[ok], saturated, sign, step, response)
+
+
+def refuse_leaps(t: Array, angle: Array, count: float) -> None:
+    """Raise `NotUsable` where the angle leaps from one sample to the next, as no joint with a mass turns.
+
+    A leap is what is left of a sample's change after those around it, above noise and what the motion bends elsewhere.
+    """
+    change = np.diff(angle)
+    around = 0.25 * (change[:-4] + change[1:-3] + change[3:-1] + change[4:])
+    leaps = np.abs(change[2:-2] - around)
+    worst = int(np.argmax(leaps))
+    motion = np.abs(change[max(0, worst - 8) : worst + 13] - np.median(change[max(0, worst - 8) : worst + 13]))
+    usual = float(np.sort(motion)[-2])  # the largest change but one
+    if leaps[worst] > max(LEAP * noise_of(angle), 3 * count, 2 * usual):
+        raise NotUsable(
+            f"{show(float(t[worst + 3]), 'time', 3)} after its begin the angle leaps by "
+            f"{show(float(leaps[worst]), 'angle', 2)} in one sample: the encoder or its coupling slips"
+        )
 
 
 def _swung(
     run: RunData, trial: TrialData, t: Array, angle: Array, window: tuple[float, float], saturated: float
 ) -> Swung:
     frequency, amplitude = trial.point["frequency"], trial.point["goal"]
+    filtered = 1 + 2j * pi * frequency * lags_of(run, trial)["angle"]
     reference = amplitude * np.sin(2 * pi * frequency * np.maximum(t, 0.0))
     whole = int((window[1] - window[0]) * frequency * (1 + 1e-9))
     if whole < FEWEST_CYCLES:
@@ -110,6 +141,7 @@ def _swung(
         if rows.sum() < 20:
             raise NotUsable("fewer than 20 samples in a cycle of the sine")
         _, signals = three_parameter(t[rows], np.column_stack([angle[rows], reference[rows]]), frequency)
-        answers.append(complex(signals[0] / signals[1]))
-        errors.append(float(np.sqrt(np.mean((angle[rows] - reference[rows]) ** 2))))
+        answers.append(complex(filtered * signals[0] / signals[1]))
+        left = np.interp(t[rows] + lags_of(run, trial)["angle"], t, angle) - reference[rows]
+        errors.append(float(np.sqrt(np.mean(left**2))))
     return Swung(run, trial, t, angle, reference, saturated, np.array(answers), np.array(errors))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from math import pi
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,8 @@ import numpy as np
 from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.joint import settings_of
 from pmabench.analysis.shared.lines import mean_half
-from pmabench.analysis.shared.samples import NotUsable
+from pmabench.analysis.shared.samples import NotUsable, lag_open, lags_of
+from pmabench.analysis.shared.skew import off
 from pmabench.analysis.shared.student import mean_with_half
 from pmabench.base.quantities import show
 from pmabench.kinds.joint_step import RESULTS
@@ -67,11 +69,12 @@ def _of_steps(at: Mapping[str, float], steps: Sequence[Stepped], scales: Scales,
     found = [one.response for one in steps]
     errors = np.array([-one.sign * r.error for one, r in zip(steps, found, strict=True)])
     overshoots = np.array([r.overshoot * one.size for one, r in zip(steps, found, strict=True)])
+    late = _late(steps)
     unsure = {
         "e_th": max(r.unsure.error for r in found),
         "OS_th": max(r.unsure.overshoot * one.size for one, r in zip(steps, found, strict=True)),
-        "t_s": max(r.unsure.settling for r in found),
-        "t_r": max(r.unsure.rise for r in found),
+        "t_s": float(np.hypot(max(r.unsure.settling for r in found), late)),
+        "t_r": float(np.hypot(max(r.unsure.rise for r in found), late + _slowed(steps))),
     }
     angle = ("rad", "angle")
     rows: list[tuple[str, tuple[str, str], list[float | None]]] = [
@@ -95,11 +98,25 @@ def _of_steps(at: Mapping[str, float], steps: Sequence[Stepped], scales: Scales,
         yield one
 
 
+def _late(courses: Sequence[Course]) -> float:
+    """What is open of the time between the angle and the commands [s]: the sensor's filter and its clock."""
+    return max(lag_open(one.run, "angle") + off([one.run], "angle") for one in courses)
+
+
+def _slowed(steps: Sequence[Stepped]) -> float:
+    """By how much the filter of the angle makes a rise longer, which a shift in time does not take off [s]."""
+    rises = [(one.response.rise, 2.2 * lags_of(one.run, one.trial)["angle"]) for one in steps]
+    return max((r - max(r**2 - slow**2, 0.0) ** 0.5 for r, slow in rises if r is not None), default=0.0)
+
+
 def _of_sines(at: Mapping[str, float], sines: Sequence[Swung], scales: Scales) -> Iterator[Estimate]:
     trials = tuple(one.trial.name for one in sines)
     # phases of cycles are compared about their common direction: one near -180 deg may turn up as +180
     middle = complex(np.mean(np.concatenate([one.answers for one in sines])))
     phases = [np.angle(one.answers / middle) + np.angle(middle) for one in sines]
+    turned = 2 * pi * at["frequency"] * _late(sines)
+    filtered = 2 * pi * at["frequency"] * max(lags_of(one.run, one.trial)["angle"] for one in sines)
+    late = {"g_th": turned * (turned + filtered), "phi_th": turned, "e_s": turned * abs(at["goal"]) / 2**0.5}
     rows: tuple[tuple[str, tuple[str, str], list[Array], dict[str, float]], ...] = (
         ("g_th", ("1", "ratio"), [np.abs(one.answers) for one in sines], {"angle": abs(middle)}),
         ("phi_th", ("rad", "angle"), phases, {}),
@@ -108,7 +125,7 @@ def _of_sines(at: Mapping[str, float], sines: Sequence[Swung], scales: Scales) -
     for symbol, kind, values, gains in rows:
         means = np.array([float(one.mean()) for one in values])
         part = scales.part(gains) if gains else None
-        parts = Parts(mean_half(means, values), None, part)
+        parts = Parts(mean_half(means, values), late[symbol], part)
         yield Estimate(symbol, float(means.mean()), *kind, SINE, at, parts, len(sines), trials=trials)
 
 

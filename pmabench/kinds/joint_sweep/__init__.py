@@ -1,7 +1,7 @@
 """Slow sweeps of a joint's angle with the pressures of its two muscles held: torque, stiffness, gap and loop area.
 
 - `reduction`
-- protocol files: `protocol`; one trial on the display: `live`; figures: `figures`
+- protocol files: `protocol`; figures and one trial on the display: `figures`
 """
 
 from pmabench.base.kind import Kind, Result
@@ -33,7 +33,7 @@ KIND = Kind(
     results=RESULTS,
     reduction="pmabench.kinds.joint_sweep.reduction:reduce",
     protocol="pmabench.kinds.joint_sweep.protocol:JointSweep",
-    live="pmabench.kinds.joint_sweep.live:measure",
+    live="pmabench.kinds.joint_sweep.figures:measure",
     moves="angle",
     repeated="pmabench.kinds.joint_sweep.reduction:stiffness_of",
     repeated_is="stiffness",

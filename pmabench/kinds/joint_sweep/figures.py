@@ -1,9 +1,15 @@
-"""Figures of sweeps of a joint: loops of torque over angle and their mean curves; draws by `time_plots`."""
+"""Figures of sweeps of a joint: loops of torque over angle and their mean curves; draws by `time_plots`.
+
+`measure`: what one trial says by itself, for the display.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
+from pmabench.analysis.shared.samples import NotUsable
+from pmabench.analysis.trial import Expected, Found, Measured, Quick
+from pmabench.kinds.joint_sweep.reduction import sweep_of
 from pmabench.plotting import time_plots
 from pmabench.plotting.pictures import (
     Picture,
@@ -19,6 +25,7 @@ from pmabench.plotting.pictures import (
     spread,
 )
 from pmabench.store.analyses.results import Analysis, Trace
+from pmabench.store.records import RunData, TrialData
 
 PANELS = 6
 """Most panels."""
@@ -50,3 +57,19 @@ def loops(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     wide = len(panels) > 1
     drawn = bound(time_plots.loops, panels, labels)
     return [picture(drawn, "Torque over angle", caption, alt, table, wide=wide, simulated=analysis.simulated)]
+
+
+def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
+    """Stiffness, and gap of the branches at mid sweep."""
+    try:
+        one = sweep_of(run, trial, {})
+    except NotUsable as reason:
+        return [Measured("K_th", "torsional stiffness", None), Measured("H_tau", "torque", None)], [str(reason)]
+    gap = float(one.loop.middle_gap.mean())
+    doubts = []
+    if gap < -max(one.loop.noise, 1e-3):
+        doubts.append("the torque is larger while the angle rises: a wrong sign, or angle and torque apart in time")
+    return [
+        Measured("K_th", "torsional stiffness", float(one.stiffness.mean())),
+        Measured("H_tau", "torque", gap, noise=one.loop.noise),
+    ], doubts

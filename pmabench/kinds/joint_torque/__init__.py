@@ -1,7 +1,7 @@
 """Isometric torque of a joint over its angle for pairs of pressures: maps of torque and stiffness.
 
 - `staircase`: one trial; `plane`: torque by pressure at one angle; `reduction`
-- protocol files: `protocol`; one trial on the display: `live`; figures: `figures`
+- protocol files: `protocol`; figures and one trial on the display: `figures`
 """
 
 from pmabench.base.kind import Kind, Result
@@ -20,10 +20,13 @@ METHODS = {
         "each rest. w, the angle on which a turn fades to 1/e, is from the torque while the joint moves; an angle "
         "within 3 w of a turn has no value. What is left of the turns is taken off, and is in the interval."
     ),
-    "gap": "Torque with the angle reached from above minus that from below, at the angle farthest from both turns.",
+    "gap": (
+        "Torque with the angle reached from above minus that from below, at the angle farthest from both turns. "
+        "Withheld where torques move in their rests, or pressures or angles differ between the sides, by more than 2 %."
+    ),
     "polynomial": (
         "Minus the slope of a polynomial of order 5 of torque over angle; its difference from that of order 3 is in "
-        "the interval."
+        "the interval, and so is by how much encoder and drive disagree on the way."
     ),
     "plane": (
         "Least squares of tau = tau_0 + s_1 P_1 - s_2 P_2 over the pairs of pressures of one angle. Withheld where a "
@@ -38,7 +41,7 @@ KIND = Kind(
     results=RESULTS,
     reduction="pmabench.kinds.joint_torque.reduction:reduce",
     protocol="pmabench.kinds.joint_torque.protocol:JointTorque",
-    live="pmabench.kinds.joint_torque.live:measure",
+    live="pmabench.kinds.joint_torque.figures:measure",
     moves="angle",
     repeated="pmabench.kinds.joint_torque.reduction:gap_of",
     repeated_is="gap",

@@ -1,4 +1,7 @@
-"""Figures of isometric torques of a joint: torque and stiffness over angle for each pair of pressures."""
+"""Figures of isometric torques of a joint: torque and stiffness over angle for each pair of pressures.
+
+`measure`: what one trial says by itself, for the display.
+"""
 
 from __future__ import annotations
 
@@ -6,9 +9,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from pmabench.analysis.shared.samples import NotUsable
+from pmabench.analysis.trial import Expected, Found, Measured, Quick
+from pmabench.kinds.joint_torque.staircase import staircase_of
 from pmabench.plotting import time_plots
 from pmabench.plotting.pictures import Picture, bound, has, label, numbers, panel, picture, unit_of
 from pmabench.store.analyses.results import Analysis, Trace
+from pmabench.store.records import RunData, TrialData
 
 MOST = 6
 """Most pairs of pressures in the figure."""
@@ -43,3 +50,18 @@ def maps(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
         title = "Torque and stiffness over angle"
         found.append(picture(drawn, title, caption, alt, table, wide=False, simulated=analysis.simulated))
     return found
+
+
+def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
+    """Gap between both sides, and the stiffness at the angle in the middle."""
+    try:
+        one = staircase_of(run, trial, {})
+    except NotUsable as reason:
+        return [Measured("K_th", "torsional stiffness", None), Measured("H_tau", "torque", None)], [str(reason)]
+    why = one.why_no_stiffness
+    stiffness = None if why else float(one.stiffness().mean(axis=0)[one.open.sum() // 2])
+    gap = float(one.gap[:, one.open].mean())
+    return [
+        Measured("K_th", "torsional stiffness", stiffness),
+        Measured("H_tau", "torque", gap, noise=one.noise),
+    ], [why] if why else []

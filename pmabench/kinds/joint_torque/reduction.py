@@ -156,7 +156,7 @@ def _scaled(K: Estimate, members: Sequence[Staircase]) -> Doubt:
 def _doubts(
     members: Sequence[Staircase], likely: float, per_torque: float, moving: tuple[Left, Left]
 ) -> tuple[list[Doubt], list[Doubt], Doubt]:
-    """What departs from rest and from the place that was asked for: of the gap, of a torque [N m], of the stiffness [1].
+    """What departs from rest and from the place that was asked for: of the gap, a torque [N m], the stiffness [1].
 
     `likely` is the stiffness [N m/rad], `per_torque` the torque by a pressure [N m/Pa], `moving` what the torque still
     moves by after a rest, rising and falling.
@@ -198,9 +198,8 @@ def _pooled(estimates: Sequence[Estimate], cycles: int) -> list[Estimate]:
         freedom = [e.n - 1 if e.n > 1 else cycles - 1 for e in several]
         if sum(freedom) == 0:
             continue
-        deviations = [
-            (e.parts.repeats or 0.0) * np.sqrt(e.n) / student.ppf(0.975, f) for e, f in zip(several, freedom, strict=True)
-        ]
+        halves = np.array([e.parts.repeats for e in several])
+        deviations = halves * np.sqrt([e.n for e in several]) / student.ppf(0.975, np.array(freedom))
         together = np.sqrt(np.average(np.square(deviations), weights=freedom)) * student.ppf(0.975, sum(freedom))
         for place, e in enumerate(found):
             if e.symbol == symbol and e.parts.repeats is not None:

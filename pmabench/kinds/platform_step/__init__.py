@@ -1,7 +1,7 @@
 """Steps of attitude of a platform that three muscles tilt: how fast, how far beyond, how exactly, how much it switches.
 
-- `reduction`, made of `course`
-- protocol files: `protocol`; one trial on the display: `live`; figures: `figures`
+- `reduction`, made of `course` (one step) and `accelerometer` (what the sensor says about itself)
+- protocol files: `protocol`; figures and one trial on the display: `figures`
 """
 
 from pmabench.base.kind import Kind, Result
@@ -29,7 +29,7 @@ KIND = Kind(
     results=RESULTS,
     reduction="pmabench.kinds.platform_step.reduction:reduce",
     protocol="pmabench.kinds.platform_step.protocol:PlatformSteps",
-    live="pmabench.kinds.platform_step.live:measure",
+    live="pmabench.kinds.platform_step.figures:measure",
     methods=METHODS,
     figures={"attitude": "pmabench.kinds.platform_step.figures:attitudes"},
     front={"attitude": "pmabench.kinds.platform_step.figures:attitudes"},

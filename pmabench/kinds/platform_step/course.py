@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from scipy.signal import lfilter
 
-from pmabench.analysis.shared.samples import NotUsable, noise_of
+from pmabench.analysis.shared.samples import NotUsable, noise_of, on_time
 from pmabench.store.records import Array, RunData, TrialData
 
 MUSCLES = ("pressure_1", "pressure_2", "pressure_3")
@@ -95,7 +95,7 @@ def course_of(run: RunData, trial: TrialData, heights: float = 1.0) -> Course:
     begin = float(law["t0"]) + float(settings["level"])
     if len(trial.t) < 2 or trial.t[-1] < begin + 0.98 * float(settings["hold"]):
         raise NotUsable("its samples end before the hold does")
-    forces = [np.asarray(trial.channels[name]) for name in ACCELERATIONS]
+    forces = [on_time(run, trial, name) for name in ACCELERATIONS]
     x, y, z = forces
     angles = np.arctan2(y, np.hypot(x, z)), np.arctan2(-x, z)
     lag = max(LEAST_LAG, math.sqrt(heights * max(0.0, float(settings.get("height", 0.0))) / G))

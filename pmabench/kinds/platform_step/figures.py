@@ -1,11 +1,18 @@
-"""Figures of steps of a platform: attitude with its reference, the three pressures, and when each valve is open."""
+"""Figures of steps of a platform: attitude with its reference, the three pressures, and when each valve is open.
+
+`measure`: what one trial says by itself, for the display.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from math import ceil
 from typing import TYPE_CHECKING
 
+from pmabench.analysis.shared.samples import NotUsable
+from pmabench.analysis.trial import Expected, Found, Measured, Quick
+from pmabench.kinds.platform_step.course import course_of
 from pmabench.plotting.pictures import Picture, bound, has, head, how_many, label, numbers, panel, picture, spread
 from pmabench.plotting.plots import (
     BLUE,
@@ -21,6 +28,7 @@ from pmabench.plotting.plots import (
     legend_above,
 )
 from pmabench.store.analyses.results import Analysis, Trace
+from pmabench.store.records import RunData, TrialData
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -94,3 +102,15 @@ def _openings(axes: Axes, one: Panel, *, names: bool) -> None:
     axes.set_ylim(-0.6, len(VALVES) - 0.4)
     axes.set_yticks(range(len(VALVES)), [valve.replace("_", " ") for valve in VALVES] if names else [""] * len(VALVES))
     axes.tick_params(axis="y", labelsize=5.5, length=0)
+
+
+def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
+    """Time to within 1 deg, overshoot and end error."""
+    try:
+        one = course_of(run, trial)
+    except NotUsable as reason:
+        return [Measured("t_1", "time", None), Measured("OS_q", "angle", None)], [str(reason)]
+    time = one.settled()
+    doubts = [] if time is not None else ["it does not stay within 1 deg in the second half of the hold"]
+    found = [Measured("t_1", "time", time), Measured("OS_q", "angle", one.overshoot, noise=one.noise)]
+    return [*found, Measured("e_q", "angle", math.hypot(*one.ends()), noise=one.noise)], doubts

@@ -16,6 +16,9 @@ from pmabench.protocol.common import Compilation, ProtocolHead
 from pmabench.protocol.plan import Control, Plan, Record, TrialRecord
 from pmabench.protocol.sweep import AngleAxis, Point, Sweep, expand
 
+REFERENCE_LAG, WIDE = 0.05, math.radians(10.0)
+"""Time constant of each of the two lags of the reference [s] for steps up to this wide [rad]; in proportion beyond: air
+leaves a muscle at 10 bar/s, and 20 deg through the lags of 10 deg go on to the trip."""
 MUSCLES = ("pressure_1", "pressure_2", "pressure_3")
 ACCELERATIONS = ("acceleration_x", "acceleration_y", "acceleration_z")
 BACK = 1.0
@@ -103,6 +106,7 @@ class PlatformSteps(ProtocolHead):
             "low": max(ranges[name][0] for name in MUSCLES),
             "high": min(ranges[name][1] for name in MUSCLES),
             "chain": trial.chain,
+            "reference_lag": REFERENCE_LAG * max(1.0, math.hypot(*attitude.values()) / WIDE),
             "platform": dict(bench.platform),
         }
         return Control("step", "platform", ranges, duration + 0.1, parameters)

@@ -9,11 +9,13 @@ from typing import Any
 import numpy as np
 
 from pmabench.analysis.shared.calibration import Scales
+from pmabench.analysis.shared.form import MOST_HIDDEN, weighed
 from pmabench.analysis.shared.lines import mean_half
 from pmabench.analysis.shared.samples import NotUsable
 from pmabench.base.errors import UsageError
 from pmabench.base.quantities import show
 from pmabench.kinds.platform_step import RESULTS
+from pmabench.kinds.platform_step.accelerometer import Seen, seen_in
 from pmabench.kinds.platform_step.course import (
     ACCELERATIONS,
     BAND,
@@ -59,7 +61,8 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
                 dropped.append(Dropped(trial.name, trial.point, str(reason)))
     estimates, findings, traces = list[Estimate](), list[Finding](), list[Trace]()
     for (chain, *at), members in _cells(courses).items():
-        estimates += _estimates(f"chain {chain}", dict(zip(("phi", "psi"), at, strict=True)), members, scales)
+        where = dict(zip(("phi", "psi"), at, strict=True))
+        estimates += _estimates(f"chain {chain}", where, members, scales, seen_in(courses))
         traces.append(_trace(chain, members[-1]))
     findings += [Finding("doubt", f"{one.trial}: {one.reason}") for one in dropped]
     findings += [_saturated(one) for one in courses if one.law["saturated"] > 0]
@@ -79,7 +82,9 @@ def _cells(courses: Sequence[Course]) -> dict[tuple[Any, ...], list[Course]]:
     return cells
 
 
-def _estimates(method: str, at: Mapping[str, float], members: Sequence[Course], scales: Scales) -> Iterator[Estimate]:
+def _estimates(
+    method: str, at: Mapping[str, float], members: Sequence[Course], scales: Scales, seen: Seen
+) -> Iterator[Estimate]:
     """Everything of one cell."""
     others = [[course_of(one.run, one.trial, heights) for heights in HEIGHTS] for one in members]
     offset = max(scales.offsets.get(name, 0.0) for name in ACCELERATIONS) / G
@@ -95,17 +100,26 @@ def _estimates(method: str, at: Mapping[str, float], members: Sequence[Course], 
             symbol, float(numbers.mean()), *quantity, method, at, parts, len(values), note=note, trials=trials
         )
 
-    yield _time(made, members, others, offset)
+    size = math.hypot(*at.values())
+    yield _settled(_time(made, members, others, math.hypot(offset, seen.attitude.half, seen.wobble)), seen, size)
     beyond = [one.overshoot for one in members]
     pairs = [(one, other) for one, both in zip(members, others, strict=True) for other in both]
     shape = max(abs(other.overshoot - one.overshoot) for one, other in pairs)
-    shape = math.hypot(shape, PEAK * max(one.noise for one in members))
-    yield made("OS_q", ("rad", "angle"), beyond, shape, offset or None)
+    shape = math.hypot(shape, PEAK * max(one.noise for one in members), seen.wobble)
+    yield weighed(made("OS_q", ("rad", "angle"), beyond, shape, offset or None), [seen.attitude], size)
     misses = [math.hypot(*one.ends()) for one in members]
     drifts = max(math.dist(one.ends(LAST, 0.5 * LAST), one.ends(0.5 * LAST)) / 2 for one in members)
-    yield made("e_q", ("rad", "angle"), misses, drifts, offset or None)
+    drifts = math.hypot(drifts, max(one.noise for one in members), seen.wobble)
+    yield weighed(made("e_q", ("rad", "angle"), misses, drifts, offset or None), [seen.attitude], size)
     busiest = [max(one.openings().values()) for one in members]
     yield made("n_v", ("Hz", "frequency"), busiest, max(1 / one.hold for one in members), 0.0)
+
+
+def _settled(t_1: Estimate, seen: Seen, size: float) -> Estimate:
+    """With the time that the accelerometer leaves open; withheld where its attitude is too far off."""
+    if t_1.value is not None and seen.attitude.seen and seen.attitude.half > MOST_HIDDEN * size:
+        return withhold(t_1, seen.attitude.reason)
+    return weighed(t_1, [seen.time])
 
 
 def _time(made: Any, members: Sequence[Course], others: Sequence[Sequence[Course]], offset: float) -> Estimate:

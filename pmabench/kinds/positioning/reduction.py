@@ -16,6 +16,7 @@ from pmabench.analysis.shared import student
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.form import Doubt, weighed
 from pmabench.analysis.shared.response import SMALLEST, Response, respond
+from pmabench.analysis.shared.samples import count_of
 from pmabench.analysis.shared.simulated import closed_loop, model_of
 from pmabench.base.quantities import show
 from pmabench.kinds.positioning import RESULTS, tracking
@@ -131,8 +132,7 @@ def hold_of(run: RunData, trial: TrialData, model: Described | None = None) -> H
     t, x = trial.t[ok] - begin, x[ok]
     low, high = settings.get("window") or (0.5 * (float(law["t1"]) - begin), float(law["t1"]) - begin)
     band = float(settings.get("band", BAND))
-    info = run.channels.get("displacement")
-    resolution = abs(info.slope) if info is not None and info.unit in ("count", "counts") else 0.0
+    resolution = count_of(run, "displacement")
 
     rest = trial.usable & (trial.t < begin - 1e-6) & np.isfinite(trial.channels["displacement"])
     origin = float(trial.channels["displacement"][rest].mean()) if rest.any() else 0.0

@@ -93,7 +93,7 @@ class Step:
     @property
     def found(self) -> bool:
         """Found in the measured pressure, since no command was recorded."""
-        return any(command.data.get("found") for command in self.trial.commands)
+        return not all(command.recorded for command in self.trial.commands)
 
 
 def measure(run: RunData, trial: TrialData, late: tuple[float, float]) -> Step | str:

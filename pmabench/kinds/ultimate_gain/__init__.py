@@ -2,7 +2,7 @@
 
 - `reduction`: rising gain by `levels`; relay by `relay_gain`, `relay_levels`; steps without a loop by `open_loop`,
   `open_loop_fit`; a campaign of contractions by `model_gain`; the ways against each other in `ways`
-- protocol files: `protocol`; one trial on the display: `live`
+- protocol files: `protocol`; one trial on the display: `reduction`
 """
 
 from pmabench.base.imported import Imported
@@ -45,7 +45,7 @@ KIND = Kind(
     reduction="pmabench.kinds.ultimate_gain.reduction:reduce",
     papers=("paper 0, control",),
     protocol="pmabench.kinds.ultimate_gain.protocol:UltimateGain",
-    live="pmabench.kinds.ultimate_gain.live:measure",
+    live="pmabench.kinds.ultimate_gain.reduction:measure",
     moves="displacement",
     methods=METHODS,
     parts={

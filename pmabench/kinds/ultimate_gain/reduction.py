@@ -11,31 +11,32 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import sqrt
+from functools import cached_property
+from math import isnan, nan, sqrt
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.analysis import tuning
-from pmabench.analysis.shared import skew, student
+from pmabench.analysis.shared import skew
 from pmabench.analysis.shared.calibration import Scales, sentences
+from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
 from pmabench.kinds.ultimate_gain import RESULTS, open_loop, relay_gain
 from pmabench.kinds.ultimate_gain import ways as gain_ways
 from pmabench.kinds.ultimate_gain.levels import TrialFound, examine
 from pmabench.kinds.ultimate_gain.open_loop import steps_of
-from pmabench.kinds.ultimate_gain.relay_levels import search_of
-from pmabench.kinds.ultimate_gain.ways import GainCell
-from pmabench.model.loop import Loop
+from pmabench.kinds.ultimate_gain.relay_levels import RelayFound, search_of
+from pmabench.kinds.ultimate_gain.relay_levels import examine as examine_relay
+from pmabench.kinds.ultimate_gain.ways import SYMBOLS, GainCell, repeats, scaled
+from pmabench.model.loop import Loop, ultimate
 from pmabench.store.analyses.results import Analysis, Dropped, Estimate, Finding, Parts, Trace
 from pmabench.store.records import Array, RunData, TrialData
 
 KIND = "ultimate-gain"
 NO_LEVELS = "no levels of gain are recorded: no column holds them, but run.json of an exported run does"
 METHOD = "gain-steps"
-CHANNELS = ("pressure", "displacement")
-LONGEST_TRACE = 1500
 USED = ("finished", "failed")
 """Trials with one of these statuses are looked at; a search that found nothing is a failed trial, and says why."""
 ALONE = "one trial: the repeats part is the scatter about its own line, and repeated tests may scatter more"
@@ -43,12 +44,7 @@ ALONE = "one trial: the repeats part is the scatter about its own line, and repe
 
 @dataclass(frozen=True)
 class _Cell(GainCell[TrialFound]):
-    """All trials at one operating point."""
-
-    @property
-    def skew(self) -> float:
-        """Bound of the time between pressure and displacement [s]: the loop's dead time holds all of it."""
-        return skew.apart(self.runs, CHANNELS)
+    """All trials with a rising gain at one operating point."""
 
     @property
     def seen(self) -> Loop | None:
@@ -58,12 +54,64 @@ class _Cell(GainCell[TrialFound]):
     @property
     def loop(self) -> Loop | None:
         """The same, where the skew leaves its dead time something."""
-        return self.seen if self.seen is not None and self.skew <= skew.WIDE * self.seen.dead_time else None
+        return self.seen if self.seen is not None and self.apart <= skew.WIDE * self.seen.dead_time else None
 
+    @cached_property
+    def estimates(self) -> list[Estimate]:
+        """K_u and T_u."""
+        return [_estimate(self, *symbol) for symbol in SYMBOLS]
 
-def name_of(trial: TrialData) -> str:
-    """`run/index`, as parents are named."""
-    return trial.name
+    def findings(self) -> list[Finding]:
+        """What speaks against the trials, and what the loop is."""
+        lines, loop = self.said(), self.loop
+        K_u, T_u = (estimate.value for estimate in self.estimates)
+        if K_u is None or T_u is None:
+            return lines
+        text = f"at {self.where} the loop oscillates at K_u = {show(K_u, 'gain', 4)}, T_u = {T_u:.4g} s"
+        if loop is not None:
+            apart = f" +- {skew.milliseconds(self.apart)} (clocks)" if self.apart else ""
+            lags = " and ".join(f"{complex(lag).real:.3g} s" for lag in loop.lags)
+            text += (
+                f"; seen from there the plant has {loop.gain * 1e6:.4g} mm/kPa,"
+                f" dead time {loop.dead_time * 1e3:.3g} ms{apart} and lags {lags}"
+            )
+        elif self.seen is not None:
+            between = skew.milliseconds(self.apart)
+            text += f"; the plant is not reported: pressure and displacement may be {between} apart, its dead time is "
+            text += skew.milliseconds(self.seen.dead_time)
+        return [*lines, Finding("note", text)]
+
+    def traces(self) -> list[Trace]:
+        """The oscillation nearest to K_u, and the growth plot."""
+        trial, found, K_u = self.trials[self.shown], self.found[self.shown], self.estimates[0].value
+        if not found.levels:
+            return []
+        at = next((i for i, level in enumerate(found.levels) if level is found.nearest), len(found.levels) - 1)
+        near = found.levels[max(0, at - 1) : at + 2]
+        mask = (trial.t >= near[0].t0) & (trial.t <= near[-1].t1)
+        if not mask.any():
+            return []
+        columns: dict[str, Array] = {
+            "t": trial.t[mask] - trial.t[mask][0],
+            "displacement": trial.channels["displacement"][mask],
+            "pressure_command": _command(trial, found, mask),
+        }
+        marks = {} if K_u is None else {"K_u": K_u}
+        setpoint = {"setpoint": self.at.get("setpoint", 0.0)}
+        traces = [self.trace("oscillation", "Oscillation nearest to the ultimate gain", columns, setpoint | marks)]
+        measured = [level for level in found.levels if level.swinging is not None]
+        if measured:
+            gains = np.array([level.gain for level in measured])
+            slope, start = found.line
+            columns = {
+                "gain": gains,
+                "log_ratio": np.array([level.log_ratio for level in measured]),
+                "fit": start + slope * gains,
+                "period": np.array([level.period for level in measured]),
+                "used": np.array([float(level in found.used) for level in measured]),
+            }
+            traces.append(self.trace("growth", "Growth per half period", columns, marks))
+        return traces
 
 
 def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) -> Analysis:
@@ -98,12 +146,13 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
             model = Loop(float(given["gain"]), float(given["dead_time"]), tuple(float(lag) for lag in given["lags"]))
             findings.append(tuning.plausibility(T_u.value, model, K_u.value))
 
-    for found in [*map(_of_steps, steps), *map(_of_levels, cells), *map(_of_relay, relays)]:
-        estimates += found.estimates
-        findings += found.findings
-        traces += found.traces
-        dropped += found.dropped
-        settle(found.estimates[0], found.estimates[1], found.loop, found.apart)
+    every: list[GainCell[Any]] = [*steps, *cells, *relays]
+    for cell in every:
+        estimates += cell.estimates
+        findings += cell.findings()
+        traces += cell.traces()
+        dropped += cell.dropped
+        settle(cell.estimates[0], cell.estimates[1], cell.loop, cell.apart)
     findings += gain_ways.findings(estimates, loops)
     return Analysis.of(
         KIND,
@@ -115,48 +164,15 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         traces=traces,
         facts={
             "options": dict(options),
-            "trials": sum(map(len, [c.good for c in cells] + [c.good for c in relays] + [c.good for c in steps])),
-            "cells": len(cells) + len(relays) + len(steps),
+            "trials": sum(len(cell.good) for cell in every),
+            "cells": len(every),
             "loops": loops,
             "tuning": settings,
-            "levels": [level for cell in cells for level in _level_facts(cell)],
-            "relay": [level for relay in relays for level in relay_gain.facts(relay)],
-            "open_loop": [trial for stepped in steps for trial in open_loop.facts(stepped)],
+            "levels": [level for cell in cells for level in cell.facts(lambda found: found.levels)],
+            "relay": [level for cell in relays for level in cell.facts(lambda found: found.levels)],
+            "open_loop": [trial for cell in steps for trial in cell.facts(lambda found: [found])],
         },
     )
-
-
-@dataclass(frozen=True)
-class _Found:
-    """What one way says of one operating point; the first two estimates are K_u and T_u."""
-
-    estimates: Sequence[Estimate]
-    findings: Sequence[Finding]
-    traces: Sequence[Trace]
-    dropped: Sequence[Dropped]
-    loop: Loop | None
-    apart: float
-    """Time that the clocks of the channels may be apart [s]."""
-
-
-def _of_steps(cell: open_loop.StepsCell) -> _Found:
-    apart = skew.apart(cell.runs, CHANNELS)
-    return _Found(cell.estimates, open_loop.findings(cell), open_loop.traces(cell), cell.dropped, cell.loop, apart)
-
-
-def _of_levels(cell: _Cell) -> _Found:
-    K_u, T_u = _estimates(cell)
-    return _Found((K_u, T_u), _findings(cell, K_u, T_u), _traces(cell, K_u), cell.dropped, cell.loop, cell.skew)
-
-
-def _level_facts(cell: _Cell) -> list[dict[str, Any]]:
-    trials = zip(cell.trials, cell.found, strict=True)
-    return [{"trial": name_of(trial), **level.to_dict()} for trial, found in trials for level in found.levels]
-
-
-def _of_relay(cell: relay_gain.RelayCell) -> _Found:
-    apart = skew.apart(cell.runs, CHANNELS)
-    return _Found(cell.estimates, relay_gain.findings(cell), relay_gain.traces(cell), cell.dropped, cell.loop, apart)
 
 
 def _cells(
@@ -169,13 +185,13 @@ def _cells(
     for run in runs:
         for trial in run.trials:
             if trial.status not in USED:
-                dropped.append(Dropped(name_of(trial), trial.point, f"the trial is {trial.status}"))
+                dropped.append(Dropped(trial.name, trial.point, f"the trial is {trial.status}"))
             elif _search(trial) is None and search_of(trial) is None and not steps_of(trial):
-                dropped.append(Dropped(name_of(trial), trial.point, NO_LEVELS))
+                dropped.append(Dropped(trial.name, trial.point, NO_LEVELS))
             elif "displacement" not in trial.channels:
-                dropped.append(Dropped(name_of(trial), trial.point, "the displacement is not recorded"))
+                dropped.append(Dropped(trial.name, trial.point, "the displacement is not recorded"))
             elif steps_of(trial) and "pressure" not in trial.channels:
-                dropped.append(Dropped(name_of(trial), trial.point, "the pressure is not recorded"))
+                dropped.append(Dropped(trial.name, trial.point, "the pressure is not recorded"))
             elif steps_of(trial):
                 stepped.append((run, trial))
             elif search_of(trial) is not None:
@@ -191,142 +207,36 @@ def _search(trial: TrialData) -> Mapping[str, Any] | None:
     return next((found for found in trial.found.values() if found.get("levels")), None)
 
 
-def _estimates(cell: _Cell) -> tuple[Estimate, Estimate]:
-    """K_u and T_u of one set-point: the mean of its trials, with intervals in parts."""
+def _estimate(cell: _Cell, symbol: str, unit: str, quantity: str) -> Estimate:
+    """K_u or T_u of one set-point: the mean of its trials, with its interval in parts."""
     good = [cell.found[i] for i in cell.good]
-    parents = tuple(name_of(cell.trials[i]) for i in cell.good)
     if not good:
-        note = "; ".join(dict.fromkeys(reason for found in cell.found for reason in found.refused))
-        everyone = tuple(name_of(trial) for trial in cell.trials)
-        return (
-            Estimate("K_u", None, "Pa/m", "gain", METHOD, cell.at, note=note, trials=everyone),
-            Estimate("T_u", None, "s", "time", METHOD, cell.at, note=note, trials=everyone),
-        )
-    doubts = "; ".join(dict.fromkeys(doubt for found in good for doubt in found.doubts))
+        return cell.empty(symbol, unit, quantity, METHOD)
     scales = Scales.of(cell.runs)
-    pressure = _pressure(scales)
-
-    def estimate(symbol: str, unit: str, quantity: str, scaled: tuple[str, ...]) -> Estimate:
-        values = np.array([getattr(found, symbol) for found in good])
-        within = np.array([getattr(found, f"half_{symbol}") for found in good])
-        replayed = [getattr(found, f"bias_{symbol}") for found in good]
-        known = [bias for bias in replayed if bias is not None]
-        value = float(values.mean())
-        repeats = sqrt(float(np.mean(within**2)) / len(good))
-        if len(good) > 1:
-            between = float(student.ppf(0.975, len(good) - 1)) * float(values.std(ddof=1)) / sqrt(len(good))
-            repeats = max(repeats, between)
-        friction = max(found.friction for found in good) * value if symbol == "K_u" else 0.0
-        bias = float(np.mean(known)) if known else None
-        return Estimate(
-            symbol=symbol,
-            value=value,
-            unit=unit,
-            quantity=quantity,
-            method=METHOD,
-            at=cell.at,
-            parts=Parts(
-                repeats=repeats,
-                method=None if bias is None else sqrt(bias**2 + friction**2),
-                calibration=scales.part(dict.fromkeys(scaled, value)),
-            ),
-            n=len(good),
-            bias=bias,
-            corrected=bias is not None,
-            note=sentences(
-                doubts,
-                ALONE if len(good) == 1 else "",
-                "" if bias is not None else "no method part: the loop behind it could not be identified and replayed",
-                scales.lack(scaled),
-            ),
-            trials=parents,
-        )
-
-    return estimate("K_u", "Pa/m", "gain", (pressure, "displacement")), estimate("T_u", "s", "time", ())
-
-
-def _pressure(scales: Scales) -> str:
-    """The channel that tells the scale of the commanded pressure: its own, else that of the measured pressure."""
-    return "pressure_command" if "pressure_command" in scales.gains else "pressure"
-
-
-def _findings(cell: _Cell, K_u: Estimate, T_u: Estimate) -> list[Finding]:
-    where = show(cell.at["setpoint"], "length") if "setpoint" in cell.at else "this operating point"
-    lines = []
-    said = [("fault", reason) for found in cell.found for reason in found.refused]
-    said += [("doubt", doubt) for found in cell.found for doubt in found.doubts]
-    for level, text in dict.fromkeys(said):
-        lines.append(Finding(level, f"{said.count((level, text))} of {len(cell.found)} trials at {where}: {text}"))
-    if K_u.value is not None and T_u.value is not None:
-        loop = cell.loop
-        text = f"at {where} the loop oscillates at K_u = {show(K_u.value, 'gain', 4)}, T_u = {T_u.value:.4g} s"
-        if loop is not None:
-            apart = f" +- {skew.milliseconds(cell.skew)} (clocks)" if cell.skew else ""
-            lags = " and ".join(f"{complex(lag).real:.3g} s" for lag in loop.lags)
-            text += (
-                f"; seen from there the plant has {loop.gain * 1e6:.4g} mm/kPa,"
-                f" dead time {loop.dead_time * 1e3:.3g} ms{apart} and lags {lags}"
-            )
-        elif cell.seen is not None:
-            between = skew.milliseconds(cell.skew)
-            text += f"; the plant is not reported: pressure and displacement may be {between} apart, its dead time is "
-            text += skew.milliseconds(cell.seen.dead_time)
-        lines.append(Finding("note", text))
-    return lines
-
-
-def _traces(cell: _Cell, K_u: Estimate) -> list[Trace]:
-    """The oscillation nearest to K_u, and the growth plot, of the first trial with a value (else the first)."""
-    index = cell.good[0] if cell.good else 0
-    trial, found = cell.trials[index], cell.found[index]
-    if not found.levels:
-        return []
-    name = "-".join(f"{value:g}" for value in (cell.at.get("setpoint", 0.0), cell.at.get("load", 0.0)))
-    where = show(cell.at.get("setpoint", 0.0), "length")
-    at = next((i for i, level in enumerate(found.levels) if level is found.nearest), len(found.levels) - 1)
-    shown = found.levels[max(0, at - 1) : at + 2]
-    mask = (trial.t >= shown[0].t0) & (trial.t <= shown[-1].t1)
-    if not mask.any():
-        return []
-    columns: dict[str, Array] = {
-        "t": trial.t[mask] - trial.t[mask][0],
-        "displacement": trial.channels["displacement"][mask],
-    }
-    quantities = {"t": "time", "displacement": "length", "pressure_command": "pressure"}
-    columns["pressure_command"] = _command(trial, found, mask)
-    stride = -(-int(mask.sum()) // LONGEST_TRACE)
-    marks = {} if K_u.value is None else {"K_u": K_u.value}
-    measured = [level for level in found.levels if level.swinging is not None]
-    traces = [
-        Trace(
-            f"oscillation-{name}",
-            "oscillation",
-            f"Oscillation nearest to the ultimate gain, set-point {where}",
-            {key: column[::stride] for key, column in columns.items()},
-            quantities,
-            {"setpoint": cell.at.get("setpoint", 0.0), **marks},
-        )
-    ]
-    if measured:
-        gains = np.array([level.gain for level in measured])
-        slope, start = found.line
-        traces.append(
-            Trace(
-                f"growth-{name}",
-                "growth",
-                f"Growth per half period, set-point {where}",
-                {
-                    "gain": gains,
-                    "log_ratio": np.array([level.log_ratio for level in measured]),
-                    "fit": start + slope * gains,
-                    "period": np.array([level.period for level in measured]),
-                    "used": np.array([float(level in found.used) for level in measured]),
-                },
-                {"gain": "gain", "log_ratio": "count", "fit": "count", "period": "time", "used": "count"},
-                marks,
-            )
-        )
-    return traces
+    used = scaled(symbol, scales)
+    values = np.array([getattr(found, symbol) for found in good])
+    known = [bias for found in good if (bias := getattr(found, f"bias_{symbol}")) is not None]
+    value = float(values.mean())
+    friction = max(found.friction for found in good) * value if symbol == "K_u" else 0.0
+    bias = float(np.mean(known)) if known else None
+    return Estimate(
+        symbol, value, unit, quantity, METHOD, cell.at,
+        parts=Parts(
+            repeats=repeats(values, np.array([getattr(found, f"half_{symbol}") for found in good])),
+            method=None if bias is None else sqrt(bias**2 + friction**2),
+            calibration=scales.part(dict.fromkeys(used, value)),
+        ),
+        n=len(good),
+        bias=bias,
+        corrected=bias is not None,
+        note=sentences(
+            "; ".join(dict.fromkeys(doubt for found in good for doubt in found.doubts)),
+            ALONE if len(good) == 1 else "",
+            "" if bias is not None else "no method part: the loop behind it could not be identified and replayed",
+            scales.lack(used),
+        ),
+        trials=tuple(cell.trials[i].name for i in cell.good),
+    )  # fmt: skip
 
 
 def _command(trial: TrialData, found: TrialFound, mask: NDArray[np.bool_]) -> Array:
@@ -345,3 +255,23 @@ def of_open_loops(runs: Sequence[RunData]) -> Analysis:
     """What steps without a loop give alone; what other trials of the runs say is in the findings."""
     reduced = reduce(runs)
     return replace(reduced, estimates=tuple(e for e in reduced.estimates if e.method == open_loop.METHOD))
+
+
+def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
+    """Ultimate gain and period of one search, for the display."""
+    relay, rising = search_of(trial), _search(trial)
+    found: TrialFound | RelayFound | open_loop.StepsFound
+    if steps_of(trial) and {"pressure", "displacement"} <= set(trial.channels):
+        found = open_loop.examine(run, trial)
+        truth = None if found.loop is None else ultimate(found.loop)
+        values = (nan, nan) if truth is None else (truth.gain, truth.period)
+    elif relay is not None and "displacement" in trial.channels:
+        found = examine_relay(run, trial, relay)
+        values = (nan, nan) if found.best is None or found.refused else (found.best.K_u, found.best.T_u)
+    elif rising is not None and "displacement" in trial.channels:
+        found = examine(run, trial, rising)
+        values = found.K_u, found.T_u
+    else:
+        found, values = TrialFound((), (), None, 0.0, refused=("no levels of gain are recorded",)), (nan, nan)
+    K_u, T_u = (None if isnan(value) else float(value) for value in values)
+    return [Measured("K_u", "gain", K_u), Measured("T_u", "time", T_u)], [*found.refused, *found.doubts]

@@ -7,23 +7,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from math import hypot, isfinite, sqrt
-from typing import Any
 
 import numpy as np
 
-from pmabench.analysis.shared import skew, student
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.form import Doubt, weighed
 from pmabench.base.quantities import show
 from pmabench.kinds.ultimate_gain.relay_levels import RUBS, RelayFound, RelayLevel, examine, search_of
-from pmabench.kinds.ultimate_gain.ways import DESCRIBED, GainCell
+from pmabench.kinds.ultimate_gain.ways import DESCRIBED, SYMBOLS, GainCell, repeats
 from pmabench.model.loop import Loop, ultimate
 from pmabench.store.analyses.results import Estimate, Finding, Parts, Trace
 from pmabench.store.records import RunData, TrialData
 
 FITTED = "relay-fit"
-LONGEST_TRACE = 1500
 OF_FRICTION, OF_SHAPE, OF_SIZES = 2.0, 0.5, 1.3
 """What K_u and T_u may be off, over friction as a share of the amplitude, over the distance of the third harmonic, and
 over their change between the amplitudes: play, a second lag and a slew of the regulator make less of known loops."""
@@ -41,16 +39,52 @@ times of 20 to 60 ms, lags of 50 to 250 ms, amplitudes of 10 to 60 kPa. The larg
 class RelayCell(GainCell[RelayFound]):
     """All relay trials at one operating point."""
 
+    called = "relay trials"
+
     @property
     def loop(self) -> Loop | None:
         """The loop fitted to the largest oscillation of the first trial that has one."""
         best = [self.found[i].best for i in self.good]
         return next((level.loop for level in best if level is not None and level.loop is not None), None)
 
-    @property
+    @cached_property
     def estimates(self) -> list[Estimate]:
         """K_u and T_u by the fit, then by the describing function."""
         return [*_estimates(self, FITTED), *_estimates(self, DESCRIBED)]
+
+    def findings(self) -> list[Finding]:
+        """What speaks against the trials, and what the fitted loop is."""
+        lines, loop = self.said(), self.loop
+        if loop is None:
+            return lines
+        lags = " and ".join(f"{complex(lag).real:.3g} s" for lag in loop.lags)
+        truth = ultimate(loop)
+        text = (
+            f"at {self.where} the loop fitted to the relay oscillation has {loop.gain * 1e6:.4g} mm/kPa, dead time "
+            f"{loop.dead_time * 1e3:.3g} ms (half a sample period in it) and lags {lags}: it would oscillate at "
+            f"K_u = {show(truth.gain, 'gain', 4)}, T_u = {truth.period:.4g} s"
+        )
+        lines.append(Finding("note", text))
+        best = [level for i in self.good if (level := self.found[i].best) is not None]
+        if static := [level.static for level in best if isfinite(level.static)]:
+            text = (
+                f"at {self.where} the means of the asymmetric oscillation give a static gain of "
+                f"{np.mean(static) * 1e6:.4g} mm/kPa; damping that changes with the pressure shifts it"
+            )
+            lines.append(Finding("note", text))
+        return lines
+
+    def traces(self) -> list[Trace]:
+        """Displacement and command over the last periods of the largest oscillation."""
+        trial, best = self.trials[self.shown], self.found[self.shown].best
+        if best is None:
+            return []
+        begin = max(best.t0, best.t1 - 4 * best.period)
+        mask = (trial.t >= begin) & (trial.t <= best.t1)
+        names = [name for name in ("displacement", "pressure", "pressure_command") if name in trial.channels]
+        columns = {"t": trial.t[mask] - begin, **{name: trial.channels[name][mask] for name in names}}
+        marks = {"centre": float((search_of(trial) or {}).get("centre", 0.0)), "hysteresis": best.hysteresis}
+        return [self.trace("relay", f"Relay oscillation, {show(best.amplitude, 'pressure')}", columns, marks)]
 
 
 def cells(members: Sequence[tuple[RunData, TrialData]]) -> list[RelayCell]:
@@ -70,32 +104,24 @@ def _values(level: RelayLevel, symbol: str, method: str) -> tuple[float, float]:
 
 
 def _estimates(cell: RelayCell, method: str) -> list[Estimate]:
-    parents = tuple(trial.name for trial in cell.trials)
     scales = Scales.of(cell.runs)
     pressure = "pressure_command" if method == DESCRIBED and "pressure_command" in scales.gains else "pressure"
     found = []
-    for symbol, unit, quantity in (("K_u", "Pa/m", "gain"), ("T_u", "s", "time")):
-        empty = Estimate(symbol, None, unit, quantity, method, cell.at, trials=parents)
+    for symbol, unit, quantity in SYMBOLS:
         best = [(i, level) for i in cell.good if (level := cell.found[i].best) is not None]
         best = [(i, level) for i, level in best if isfinite(_values(level, symbol, method)[0])]
         if not best:
             reasons = dict.fromkeys(reason for trial in cell.found for reason in (*trial.refused, *trial.doubts))
-            found.append(replace(empty, note="; ".join(reasons)))
+            found.append(replace(cell.empty(symbol, unit, quantity, method), note="; ".join(reasons)))
             continue
-        values = np.array([_values(level, symbol, method)[0] for _, level in best])
-        halves = np.array([_values(level, symbol, method)[1] for _, level in best])
+        values, halves = np.array([_values(level, symbol, method) for _, level in best]).T
         value = float(values.mean())
-        within = float(np.sqrt(np.mean(halves**2) / len(best)))
-        repeats = within if isfinite(within) else None
-        if len(best) > 1:
-            between = float(student.ppf(0.975, len(best) - 1) * values.std(ddof=1) / sqrt(len(best)))
-            repeats = max(between, repeats or 0.0)
         scaled = (pressure, "displacement") if symbol == "K_u" else ()
         estimate = replace(
-            empty,
+            cell.empty(symbol, unit, quantity, method),
             value=value,
             parts=Parts(
-                repeats=repeats,
+                repeats=repeats(values, halves),
                 method=_method_part(cell, best, symbol, method),
                 calibration=scales.part(dict.fromkeys(scaled, value)),
             ),
@@ -155,80 +181,9 @@ def _method_part(cell: RelayCell, best: Sequence[tuple[int, RelayLevel]], symbol
         * _values(level, symbol, method)[0]
         for _, level in best
     )
-    late = skew.apart(cell.runs, ("pressure", "displacement"))
-    shift = 0.0
+    late, shift = cell.apart, 0.0
     if late > 0 and cell.loop is not None:
         name = "gain" if symbol == "K_u" else "period"
         later = ultimate(replace(cell.loop, dead_time=cell.loop.dead_time + late))
         shift = abs(getattr(later, name) - getattr(ultimate(cell.loop), name))
     return sqrt((OF_SIZES * max(apart)) ** 2 + shift**2 + form**2)
-
-
-def findings(cell: RelayCell) -> list[Finding]:
-    """What speaks against the trials, and what the fitted loop is."""
-    where = show(cell.at["setpoint"], "length") if "setpoint" in cell.at else "this operating point"
-    said = [("fault", reason) for found in cell.found for reason in found.refused]
-    said += [("doubt", doubt) for found in cell.found for doubt in found.doubts]
-    lines = [
-        Finding(level, f"{said.count((level, text))} of {len(cell.found)} relay trials at {where}: {text}")
-        for level, text in dict.fromkeys(said)
-    ]
-    loop = cell.loop
-    if loop is None:
-        return lines
-    lags = " and ".join(f"{complex(lag).real:.3g} s" for lag in loop.lags)
-    truth = ultimate(loop)
-    lines.append(
-        Finding(
-            "note",
-            f"at {where} the loop fitted to the relay oscillation has {loop.gain * 1e6:.4g} mm/kPa, dead time "
-            f"{loop.dead_time * 1e3:.3g} ms (half a sample period in it) and lags {lags}: it would oscillate at "
-            f"K_u = {show(truth.gain, 'gain', 4)}, T_u = {truth.period:.4g} s",
-        )
-    )
-    static = [level.static for i in cell.good if (level := cell.found[i].best) is not None and isfinite(level.static)]
-    if static:
-        lines.append(
-            Finding(
-                "note",
-                f"at {where} the means of the asymmetric oscillation give a static gain of {np.mean(static) * 1e6:.4g} "
-                "mm/kPa; damping that changes with the pressure shifts it",
-            )
-        )
-    return lines
-
-
-def traces(cell: RelayCell) -> list[Trace]:
-    """Displacement and command over the last periods of the largest oscillation, of the first trial."""
-    index = cell.good[0] if cell.good else 0
-    trial, best = cell.trials[index], cell.found[index].best
-    if best is None:
-        return []
-    search = search_of(trial) or {}
-    begin = max(best.t0, best.t1 - 4 * best.period)
-    mask = (trial.t >= begin) & (trial.t <= best.t1)
-    names = [name for name in ("displacement", "pressure", "pressure_command") if name in trial.channels]
-    columns = {"t": trial.t[mask] - begin, **{name: trial.channels[name][mask] for name in names}}
-    stride = max(1, -(-int(mask.sum()) // LONGEST_TRACE))
-    kinds = {"t": "time", "displacement": "length", "pressure": "pressure", "pressure_command": "pressure"}
-    at = "-".join(f"{value:g}" for value in (cell.at.get("setpoint", 0.0), cell.at.get("load", 0.0)))
-    return [
-        Trace(
-            f"relay-{at}",
-            "relay",
-            f"Relay oscillation, {show(best.amplitude, 'pressure')}, set-point "
-            f"{show(cell.at.get('setpoint', 0.0), 'length')}",
-            {name: column[::stride] for name, column in columns.items()},
-            {name: kinds[name] for name in columns},
-            {"centre": float(search.get("centre", 0.0)), "hysteresis": best.hysteresis},
-        )
-    ]
-
-
-def facts(cell: RelayCell) -> list[dict[str, Any]]:
-    """Every level of every trial as plain data."""
-    return [
-        {"trial": trial.name, **level.to_dict()}
-        for trial, found in zip(cell.trials, cell.found, strict=True)
-        for level in found.levels
-    ]

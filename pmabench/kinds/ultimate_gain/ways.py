@@ -2,16 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Generic, Protocol, Self, TypeVar
+from math import isfinite, sqrt
+from typing import Any, ClassVar, Generic, Protocol, Self, TypeVar
+
+import numpy as np
 
 from pmabench.analysis import tuning
+from pmabench.analysis.shared import skew, student
+from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.trials import by_point
 from pmabench.base.quantities import show
 from pmabench.model.loop import Loop
-from pmabench.store.analyses.results import Dropped, Estimate, Finding
-from pmabench.store.records import RunData, TrialData
+from pmabench.store.analyses.results import Dropped, Estimate, Finding, Trace
+from pmabench.store.records import Array, RunData, TrialData
+
+SYMBOLS = (("K_u", "Pa/m", "gain"), ("T_u", "s", "time"))
+"""What every way gives: symbol, unit, quantity."""
+DESCRIBED = "relay-describing-function"
+LONGEST_TRACE = 1500
+COLUMNS = {"t": "time", "displacement": "length", "model": "length", "pressure": "pressure",
+           "pressure_command": "pressure", "gain": "gain", "log_ratio": "count", "fit": "count", "period": "time",
+           "used": "count"}  # fmt: skip
+"""Column of a trace -> its quantity."""
 
 
 class Examined(Protocol):
@@ -21,25 +36,69 @@ class Examined(Protocol):
     def refused(self) -> Sequence[str]:
         """Why it gives no value; empty where it does."""
 
+    @property
+    def doubts(self) -> Sequence[str]:
+        """What weakens its value."""
+
+
+class Level(Protocol):
+    """What is written down of a trial."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data."""
+
 
 Found = TypeVar("Found", bound=Examined)
 
-DESCRIBED = "relay-describing-function"
-
 
 @dataclass(frozen=True)
-class GainCell(Generic[Found]):
-    """The trials of one operating point `at` [SI], in the order that they came."""
+class GainCell(ABC, Generic[Found]):
+    """The trials of one operating point `at` [SI], in the order that they came, looked at in one way."""
 
+    called: ClassVar[str] = "trials"
+    """What its trials are called in findings."""
     at: Mapping[str, float]
     runs: tuple[RunData, ...]
     trials: tuple[TrialData, ...]
     found: tuple[Found, ...]
 
     @property
+    @abstractmethod
+    def loop(self) -> Loop | None:
+        """The loop behind the oscillation, where it is known."""
+
+    @property
+    @abstractmethod
+    def estimates(self) -> Sequence[Estimate]:
+        """K_u and T_u, and those by further methods."""
+
+    @abstractmethod
+    def findings(self) -> list[Finding]:
+        """What speaks against the trials, and what the loop is."""
+
+    @abstractmethod
+    def traces(self) -> list[Trace]:
+        """What a figure shows of the first trial with a value (else the first)."""
+
+    @property
     def good(self) -> list[int]:
         """Indices of trials with a value."""
         return [i for i, found in enumerate(self.found) if not found.refused]
+
+    @property
+    def shown(self) -> int:
+        """Index of the first trial with a value, else of the first."""
+        return (self.good or [0])[0]
+
+    @property
+    def where(self) -> str:
+        """The operating point in words."""
+        return show(self.at["setpoint"], "length") if "setpoint" in self.at else "this operating point"
+
+    @property
+    def apart(self) -> float:
+        """Bound of the time between pressure and displacement [s]: the loop's dead time holds all of it."""
+        return skew.apart(self.runs, ("pressure", "displacement"))
 
     @property
     def dropped(self) -> list[Dropped]:
@@ -64,6 +123,55 @@ class GainCell(Generic[Found]):
             )
             for point, group in by_point(members)
         ]
+
+    def empty(self, symbol: str, unit: str, quantity: str, method: str) -> Estimate:
+        """No value, because of what was refused in all trials."""
+        note = "; ".join(dict.fromkeys(reason for found in self.found for reason in found.refused))
+        parents = tuple(trial.name for trial in self.trials)
+        return Estimate(symbol, None, unit, quantity, method, self.at, note=note, trials=parents)
+
+    def said(self) -> list[Finding]:
+        """Each reason and doubt with the number of trials that it is said of."""
+        said = [("fault", reason) for found in self.found for reason in found.refused]
+        said += [("doubt", doubt) for found in self.found for doubt in found.doubts]
+        return [
+            Finding(level, f"{said.count((level, text))} of {len(self.found)} {self.called} at {self.where}: {text}")
+            for level, text in dict.fromkeys(said)
+        ]
+
+    def trace(self, figure: str, title: str, columns: Mapping[str, Array], marks: Mapping[str, float]) -> Trace:
+        """Columns of a figure, thinned."""
+        stride = max(1, -(-len(next(iter(columns.values()))) // LONGEST_TRACE))
+        at = "-".join(f"{self.at.get(name, 0.0):g}" for name in ("setpoint", "load"))
+        return Trace(
+            f"{figure}-{at}",
+            figure,
+            f"{title}, set-point {show(self.at.get('setpoint', 0.0), 'length')}",
+            {name: column[::stride] for name, column in columns.items()},
+            {name: COLUMNS[name] for name in columns},
+            marks,
+        )
+
+    def facts(self, levels: Callable[[Found], Iterable[Level]]) -> list[dict[str, Any]]:
+        """What is written down of every trial, as plain data."""
+        trials = zip(self.trials, self.found, strict=True)
+        return [{"trial": trial.name, **level.to_dict()} for trial, found in trials for level in levels(found)]
+
+
+def scaled(symbol: str, scales: Scales) -> tuple[str, ...]:
+    """Channels whose scale is in a value; that of the command is its own, else that of the measured pressure."""
+    command = "pressure_command" if "pressure_command" in scales.gains else "pressure"
+    return (command, "displacement") if symbol == "K_u" else ()
+
+
+def repeats(values: Array, halves: Array) -> float | None:
+    """Half width of the mean of trials: by that of each, NaN where it is unknown, and by their scatter."""
+    within = sqrt(float(np.mean(halves**2)) / len(values))
+    known = within if isfinite(within) else None
+    if len(values) < 2:
+        return known
+    between = float(student.ppf(0.975, len(values) - 1)) * float(values.std(ddof=1)) / sqrt(len(values))
+    return max(between, known or 0.0)
 
 
 APART = {"K_u": 0.25, "T_u": 0.1}

@@ -103,7 +103,7 @@ def as_model(muscle: IdentifiedMuscle, name: str, source: str, note: str) -> Mod
             note,
             "Force and stiffness are half way between both directions, about 5 s after the muscle came there.",
             "In time, with what it remembers: pmabench model simulate; intervals: the analysis itself.",
-            "Fitted by pmabench process RUN... --form surface; model fit finds the pressure or contraction behind forces.",
+            "Fitted by pmabench process RUN... --form surface; model fit finds a pressure or contraction from forces.",
         ),
         values,
     )  # fmt: skip

@@ -20,7 +20,7 @@ import numpy as np
 from pmabench.model.curve import Array
 from pmabench.model.driven import Actuator
 from pmabench.model.identified.muscle import IdentifiedMuscle, Inflated, Weights
-from pmabench.model.motion import NOTHING, Motion
+from pmabench.model.motion import Motion, Stepped, shares
 from pmabench.model.regulator import Regulated, Regulator, Wave
 
 
@@ -170,8 +170,6 @@ LEAST_DAMPING = 1.0
 """Damping with which a muscle moves where a fit found less [N.s/m]."""
 NEAR = 1e-9
 """Newton's method ends where it moves less than this [m]."""
-SERIES = 1e-2
-"""Below it the shares of a step are taken from their power series."""
 
 
 class FreeEnd:
@@ -231,20 +229,7 @@ class FreeEnd:
         self.v, self._pull = speed, pull
 
 
-def shares(z: float) -> tuple[float, float, float]:
-    """What a speed, a force and a change of force do within a step, for z = B h / M >= 0 [1].
-
-    phi_1 = (1 - exp(-z)) / z, phi_2 = (1 - phi_1) / z, phi_3 = (1 / 2 - phi_2) / z: the functions of exponential
-    integrators (Hochbruck and Ostermann 2010) at -z.
-    """
-    if z < SERIES:
-        return tuple(sum((-z) ** n / math.factorial(n + k) for n in range(5)) for k in (1, 2, 3))  # type: ignore[return-value]
-    first = -math.expm1(-z) / z
-    second = (1.0 - first) / z
-    return first, second, (0.5 - second) / z
-
-
-class IdentifiedPlant:
+class IdentifiedPlant(Stepped):
     """An identified muscle behind its regulator, with a load F_L = `force` [N] of moving `mass` [kg] on its free end.
 
     `time` [s], contraction `x` [m], speed `v` [m/s]; from rest at `x`.
@@ -270,13 +255,13 @@ class IdentifiedPlant:
         return self._end.x
 
     @property
-    def v(self) -> float:
+    def v(self) -> float:  # type: ignore[override]
         """Its rate [m/s]."""
         return self._end.v
 
-    def command(self, waves: tuple[Wave, ...]) -> None:
-        """Command pressure [Pa] along `waves`, the first of which starts now or later."""
-        self.supply.command(waves)
+    def reading(self) -> tuple[float, float, float]:
+        """Contraction [m], gauge pressure [Pa] and force at the fixed end [N] at this moment."""
+        return self.x, self._end.path.P, self._end.reading
 
     def reach(self, until: float) -> None:
         """Go on to `until` [s]."""
@@ -287,21 +272,6 @@ class IdentifiedPlant:
             then = self.time + left / max(1, math.ceil(left / (LONG if steady else STEP) * (1 - 1e-9)))
             self._end.step(then - self.time, trace.value(then))
             self.time = then
-
-    def advance(self, until: float, times: Sequence[float] | Array = ()) -> Motion:
-        """Go on to `until` [s] and return what happened at `times` [s], rising, between now and `until`."""
-        if len(times) == 0:
-            self.reach(until)
-            return NOTHING
-        t = np.asarray(times, dtype=np.float64)
-        P_set = self.supply.setpoints(t)
-        rows = []
-        for moment in t.tolist():
-            self.reach(moment)
-            rows.append((self.x, self.v, self._end.path.P, self._end.reading))
-        self.reach(until)
-        x, v, P, F = np.array(rows).T
-        return Motion(t, x, v, P, F, P_set, np.zeros(t.shape))
 
 
 class IdentifiedDrivenPlant:

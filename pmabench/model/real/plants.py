@@ -19,7 +19,6 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -27,36 +26,22 @@ import numpy as np
 from pmabench.model.curve import Array
 from pmabench.model.driven import PARTS, Actuator, DrivenPlant
 from pmabench.model.hysteresis import CreepAlong, Memory
-from pmabench.model.motion import NOTHING, Loaded, Motion
+from pmabench.model.motion import Loaded, Stepped, shares
 from pmabench.model.real.muscle import RealMuscle, Stops
 from pmabench.model.regulator import Regulated, Regulator, Trace
 
 BEND = 1e-6
 """Change of speed times step, at which a step is as long as it may be [m]."""
 SHORTEST, LOOK, LONGEST = 2.5e-4, 2e-3, 1.0
-"""Least step, longest while the pressure changes, longest of all [s]."""
+"""Least step, longest while the pressure changes fast, longest of all [s]."""
+CHORD = 2.0
+"""Steps longer than `LOOK` miss the pressure, which goes on a straight line within a step, by less than this [Pa]."""
 SETTLED_PRESSURE = 1e-3
 """Worth less than 1 nm of contraction [Pa]."""
-SERIES = 0.01
-"""Below it the shares of a step are taken from their power series: their closed forms lose digits there [1]."""
 NEAR = 2e-8
 """Newton's method ends with a straight line where it moves less than this [m]."""
 ON_TIME = 0.01
 """A load that leaves its support within this fraction of a step does so at its begin [1]."""
-
-
-def shares(z: float) -> tuple[float, float, float]:
-    """What a speed and a force that goes on a straight line do within a step, z = B h / M >= 0.
-
-    phi_1 = (1 - exp(-z)) / z, phi_2 = (1 - phi_1) / z, phi_3 = (1 / 2 - phi_2) / z [1].
-    """
-    if z < SERIES:
-        third = 1 / 6 - z * (1 / 24 - z * (1 / 120 - z / 720))
-        second = 0.5 - z * third
-        return 1 - z * second, second, third
-    first = -math.expm1(-z) / z
-    second = (1 - first) / z
-    return first, second, (0.5 - second) / z
 
 
 class AtPressure(NamedTuple):
@@ -71,7 +56,7 @@ class AtPressure(NamedTuple):
     height: float
 
 
-class RealPlant(Loaded):
+class RealPlant(Loaded, Stepped):
     """A muscle with hysteresis and creep behind its regulator, with a load F_L = `force` [N] of moving `mass` [kg].
 
     `time` [s], contraction `x` [m], speed `v` [m/s].
@@ -128,22 +113,6 @@ class RealPlant(Loaded):
         force = self._pull - self._curves[1 if self.v > 0 else -1](self._P) * self.v
         return self.x, self._P, max(force, 0.0)
 
-    def advance(self, until: float, times: Sequence[float] | Array = ()) -> Motion:
-        """Go on to `until` [s] and return what happened at `times` [s], rising, between now and `until`."""
-        if len(times) == 0:
-            self.reach(until)
-            return NOTHING
-        t = np.asarray(times, dtype=np.float64)
-        P_set = self.supply.setpoints(t)
-        rows = []
-        for moment in t.tolist():
-            self.reach(moment)
-            place, pressure, force = self.reading()
-            rows.append((place, self.v, pressure, force))
-        self.reach(until)
-        x, v, P, F = np.array(rows).T
-        return Motion(t, x, v, P, F, P_set, np.zeros(t.shape))
-
     def step(self, dt: float) -> None:
         """Go on by dt [s] with the command as it is."""
         self.reach(self.time + dt)
@@ -157,7 +126,10 @@ class RealPlant(Loaded):
             end = min(end, until)
             settled = trace.settled(self.time, SETTLED_PRESSURE)
             pressure, start, most = trace.function(), trace.start, LONGEST if settled else LOOK
+            fading = not settled and trace.fading
             while self.time < end:
+                if fading:  # a chord of an exponential misses it by less than |P - level| (h / lag)^2 / 8
+                    most = max(LOOK, trace.lag * math.sqrt(8 * CHORD / max(abs(self._P - trace.level), CHORD)))
                 left = end - self.time
                 parts = math.ceil(left / min(self._longest, most) * (1 - 1e-9))
                 then = end if parts <= 1 else self.time + left / parts

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from pmabench.analysis.verdict.checks import checks_of
-from pmabench.plotting.wording import clean, printed, rounded, shown, symbol_text
+from pmabench.plotting.wording import brief, clean, printed, rounded, shown, symbol_text
 from pmabench.report.document.tables import is_number
 from pmabench.report.foremost import costliest
 from pmabench.store.analyses.results import Analysis, Curve
@@ -34,7 +34,7 @@ def statistics(analysis: Analysis) -> list[tuple[str, str]]:
         found.append(("Trials", f"{some} of {all_trials} used"))
     residual = next((f.text for f in analysis.findings if f.text.startswith("residual ")), "")
     if residual:
-        found.append(("Residual", printed(clean(residual.removeprefix("residual "), 120))))
+        found.append(("Residual", printed(brief(residual.removeprefix("residual "), 120))))
     curves: dict[str, Curve] = {}
     for curve in sorted(analysis.curves, key=lambda c: c.residual_rms):
         if curve.method == analysis.estimates[0].method and curve.terms and not curve.normalised:
@@ -64,5 +64,5 @@ def findings(tests: Sequence[Analysis], failed: Sequence[str]) -> tuple[list[str
     """What costs most, at most three, and how many more findings the appendix has."""
     found = costliest(tests, failed)
     notes = sum(f.level == "note" for a in tests for f in a.findings)
-    cut = [text if len(text) <= LONGEST else f"{text[: LONGEST - 1].rstrip()}…" for text in found[:MOST_FINDINGS]]
+    cut = [brief(text, LONGEST) for text in found[:MOST_FINDINGS]]
     return [f"{text[:1].upper()}{text[1:]}" for text in cut], len(found[MOST_FINDINGS:]) + notes

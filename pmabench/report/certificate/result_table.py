@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from pmabench.plotting.wording import clean, number, point_shown, shown, symbol_text
-from pmabench.report.document.tables import cell
+from pmabench.report.document.tables import cell, matrix_table, two_coordinates
 from pmabench.report.foremost import richest
 from pmabench.report.terminal_coefficients import reasons
 from pmabench.report.words import declared
@@ -52,6 +52,8 @@ def result_table(analyses: Sequence[Analysis]) -> tuple[ResultTable, list[Estima
     places = sorted({_place(e, over) for e in members})
     if len(places) < 2:
         return _whole(tests), [], ""
+    if across := two_coordinates(members, over):
+        return _matrix(members, over, across), members, over
     order = list(declared(tests))
     symbols = sorted(dict.fromkeys(e.symbol for e in members), key=order.index)
     by = {(_place(e, over), e.symbol): e for e in members}
@@ -77,6 +79,21 @@ def result_table(analyses: Sequence[Analysis]) -> tuple[ResultTable, list[Estima
         hidden = ", ".join(symbol_text(s) for s in symbols if s not in kept)
         notes.append(f"{hidden}: in appendix B")
     return ResultTable(heads, rows, notes[:MOST_NOTES], frozenset(symbols)), members, over
+
+
+def _matrix(members: Sequence[Estimate], over: str, across: str) -> ResultTable:
+    """Values of one symbol by two coordinates; columns as far as they fit."""
+    heads, rows = matrix_table(members, over, across)
+    columns = [_aligned([row[n] for row in rows]) for n in range(1, len(heads))]
+    while sum(_letters(column) for column in columns) > MOST_LETTERS:
+        columns.pop()
+    label, down = point_shown(over)
+    found = [(label, down.unit), *((head, "") for head in heads[1 : len(columns) + 1])]
+    body = [[Value(row[0]), *(column[n] for column in columns)] for n, row in enumerate(rows)]
+    symbol = f"{symbol_text(members[0].symbol)} [{_unit(members, members[0].symbol)}]"
+    notes = [f"{symbol} at each pressure and contraction; –: not tested, or not known well enough."]
+    notes += ["More columns are in appendix B."] if len(found) < len(heads) else []
+    return ResultTable(found, body[:MOST_ROWS], notes, frozenset({members[0].symbol}))
 
 
 def _place(e: Estimate, over: str) -> tuple[float, ...]:

@@ -9,9 +9,12 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
 
 from pmabench.plotting.pictures import Picture, drawable
-from pmabench.plotting.wording import clean, number
+from pmabench.plotting.wording import brief, clean, number
 from pmabench.report.certificate import limits as not_for
 from pmabench.report.certificate import quality
 from pmabench.report.certificate.coefficient_charts import coefficient_picture
@@ -20,19 +23,21 @@ from pmabench.report.certificate.force_chart import force_picture
 from pmabench.report.certificate.result_table import ResultTable, result_table
 from pmabench.report.certificate.sources import Sources, sources
 from pmabench.report.certificate.stroke_chart import stroke_picture
+from pmabench.report.certificate.surface_chart import surface_picture
 from pmabench.report.document import provenance
 from pmabench.report.document.front import Verdict, tiles_of
+from pmabench.report.document.tables import two_coordinates
 from pmabench.report.figures.figures import front_pictures
 from pmabench.report.foremost import how_well, left_out
 from pmabench.report.words import described, kind_title
-from pmabench.store.analyses.results import AGREEMENT, Analysis, Estimate
+from pmabench.store.analyses.results import AGREEMENT, Analysis, Estimate, Trace
 from pmabench.store.records import RunData
 
 FIGURES = 3
 MOST_ALSO = 6
 USUAL, ROW = 9, 16.0
 """Rows of the table with its notes for which page 1 is laid out; height of each further one [pt]."""
-MOST_WORDS = 75
+MOST_LETTERS = 480
 INTERVALS = (
     "U is the half width of the 95 % interval: scatter between trials, what the estimator adds and calibrations, added "
     "as squares."
@@ -132,10 +137,13 @@ def _pictures(
 
     The first two are lower by `less` [pt] each.
     """
-    analyses = [drawable(a) for a in analyses]
+    analyses = [_followed(drawable(a)) for a in analyses]
     found: list[Picture] = []
     used: list[str] = []
-    panels = coefficient_picture(analyses, members, over, less) if members else None
+    across = two_coordinates(members, over)
+    draw = partial(surface_picture, across=across) if across else coefficient_picture
+    several = len({name for e in members for name in e.at} - {"mass"}) > 2  # dots of all places would lie in a heap
+    panels = draw(analyses, members, over, less=less) if members and not several else None
     found += [panels] if panels else []
     force = force_picture(analyses, less)
     found += [force] if force else []
@@ -152,6 +160,16 @@ def _pictures(
             found += more
         used += traces
     return found[:FIGURES], used
+
+
+def _followed(analysis: Analysis) -> Analysis:
+    """Without free runs that end before half of their trial, where a coefficient is not known."""
+
+    def whole(trace: Trace) -> bool:
+        model = trace.columns.get("model") if trace.figure == "overlay" else None
+        return model is None or float(np.isfinite(np.asarray(model, dtype=np.float64)).mean()) > 0.5
+
+    return replace(analysis, traces=tuple(trace for trace in analysis.traces if whole(trace)))
 
 
 def _is_in(title: str, panels: str) -> bool:
@@ -176,8 +194,8 @@ def _sentence(verdict: Verdict, main: Analysis | None, known: str, failed: Seque
     """How well, in what range, what was left out; first of all why not, where it is not good."""
     parts = []
     if verdict.level != "good":
-        why = clean(failed[0], 200) if failed else verdict.text.rstrip(".")
-        parts.append(f"{why[:1].upper()}{why[1:]}.")
+        why = brief(failed[0], 200) if failed else verdict.text.rstrip(".")
+        parts.append(f"{why[:1].upper()}{why[1:]}.".replace("….", "…"))
     if known:
         parts.append(f"{known} (95 % intervals).")
     elif verdict.level == "good":
@@ -225,10 +243,10 @@ def _traceable(runs: Sequence[RunData]) -> list[str]:
 
 
 def _method(main: Analysis | None) -> str:
-    """How the numbers were got, in at most about 75 words and a sentence on U."""
+    """How the numbers were got, in few sentences, and one on U."""
     text = described(main.estimates[0].method) if main and main.estimates else ""
-    words = text.split()
-    cut = text if len(words) <= MOST_WORDS else " ".join(words[:MOST_WORDS]).rstrip(",;:") + " …"
+    cut = brief(text, MOST_LETTERS)
+    cut += "" if cut.endswith((".", "…")) else "."
     return f"{cut} {INTERVALS}".strip() if main and main.estimates else ""
 
 

@@ -195,6 +195,23 @@ def pivot_table(estimates: Sequence[Estimate], results: Mapping[str, Result]) ->
     return frame
 
 
+def two_coordinates(members: Sequence[Estimate], over: str) -> str:
+    """The other coordinate of values of one symbol that differ in two; empty for any others."""
+    others = {name for e in members for name in e.at} - {over, "mass"}
+    return others.pop() if len(others) == 1 and len({(e.symbol, e.method) for e in members}) == 1 else ""
+
+
+def matrix_table(members: Sequence[Estimate], over: str, across: str) -> tuple[list[str], list[list[str]]]:
+    """Heads and rows of values of one symbol: a row for each place in `over`, a column for each in `across`."""
+    down, (label, unit) = point_shown(over)[1], point_shown(across)
+    places, columns = (sorted({e.at[name] for e in members}) for name in (over, across))
+    cells = {(e.at[over], e.at[across]): cell(e) for e in members}
+    heads = [point_head(over), *(f"{number(value / unit.scale)} {unit.unit}" for value in columns)]
+    heads[1] = f"{label} = {heads[1]}"
+    rows = [[number(P / down.scale), *(cells.get((P, x), "–") for x in columns)] for P in places]
+    return heads, rows
+
+
 def whole_table(estimates: Sequence[Estimate], results: Mapping[str, Result]) -> Frame:
     """Estimates without an operating point, a row each."""
     rows = [

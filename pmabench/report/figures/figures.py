@@ -54,7 +54,8 @@ def front_pictures(
     found: list[Picture] = []
     used: list[str] = []
     for analysis in analyses:
-        if len(found) < most and any(t.figure in loop_figures.TOGETHER for t in analysis.traces):
+        loops = [t for t in analysis.traces if t.figure in loop_figures.TOGETHER]
+        if len(found) < most and any("frequency" in t.marks or "model" not in t.columns for t in loops):
             found += loop_figures.together(analysis.traces, analysis.simulated)
             break
     for analysis in analyses:

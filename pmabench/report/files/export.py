@@ -189,8 +189,8 @@ def _surfaces(analyses: Sequence[Analysis]) -> dict[str, pd.DataFrame]:
     """The surface of each analysis that has one, SI with units in the heads."""
     quantities = {"pressure": "pressure", "contraction": "length", "F": "force", "K": "stiffness"}
     heads = {name: headed(name, quantity) for name, quantity in quantities.items()}
-    tables = {a.kind: pd.DataFrame(rows).rename(columns=heads) for a in analyses if (rows := surface_rows(a))}
-    return {f"{kind}-table": table for kind, table in tables.items()}
+    named = zip(_names(analyses), map(surface_rows, analyses), strict=True)
+    return {f"{name}-table": pd.DataFrame(rows).rename(columns=heads) for name, rows in named if rows}
 
 
 def _names(analyses: Sequence[Analysis]) -> list[str]:
@@ -212,7 +212,8 @@ def _results_mat(results: Results, out: Path) -> list[Path]:
     structs: dict[str, Any] = {}
     for field, analysis in zip(_fields([a.kind for a in results.analyses]), results.analyses, strict=True):
         structs[field] = {"estimates": _struct(_texts(estimates_frame([analysis]))), "simulated": analysis.simulated}
-        structs[field] |= {"table": _struct(table) for table in _surfaces([analysis]).values()}
+        for table in _surfaces([analysis]).values():
+            structs[field]["table"] = _struct(table)
     return [_mat(structs, out)]
 
 

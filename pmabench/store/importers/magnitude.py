@@ -42,6 +42,8 @@ FILLED, RESOLVED = 0.015, 10
 """No valve fills a muscle in less time [s]; a rise is seen in so many samples at least."""
 PULLS = 0.1
 """Share of its span above its least from which on a force is one."""
+EXCHANGED = 0.1
+"""Share of its span by which no force of a held muscle moves while the pressure is at its lowest."""
 ATMOSPHERE = (97.5e3, 104e3)
 """Absolute pressure of the air [Pa], up to 300 m above the sea."""
 VACUUM = -30e3
@@ -125,6 +127,8 @@ def judge(report: Report, channels: Mapping[str, Checked], good: Bools, muscle: 
         return questions if muscle.diameter else [*questions, *_low(pressure, peak)]
     F = force.si[good]
     _absolute(report, P, F)
+    if muscle.held:
+        _exchanged(report, P, F)
     m = slope_of(P, F) if muscle.held else _steepest(P, F)
     return questions if m is None else [*questions, *_steep(report, m, peak, muscle, pressure)]
 
@@ -148,7 +152,8 @@ def _steep(report: Report, m: float, peak: float, muscle: Muscle, pressure: Chec
     """Compare the force per pressure [N/Pa] with the range that the inner diameter allows."""
     most = area_factor(STEEPEST)
     word = "slope of force over pressure" if muscle.held else "force over pressure"
-    if muscle.held and m < 0:
+    thinnest = 0.1 * area_factor(FLATTEST) * pi * DIAMETERS[0] ** 2 / 4.0
+    if m < 0 and (muscle.held or abs(m) > thinnest):
         text = f"{word} is {in_words(m, 'force')}: a muscle pulls harder at more pressure, and pulling is positive; "
         text += "where the cell reads it as negative say line: {slope: -1 N/N, offset: 0 N}"
         report.withhold("magnitude", text, "force")
@@ -156,7 +161,7 @@ def _steep(report: Report, m: float, peak: float, muscle: Muscle, pressure: Chec
     if muscle.diameter is None:
         size = sqrt(4.0 * abs(m) / (pi * area_factor(25.0)))
         limit = most * pi * DIAMETERS[1] ** 2 / 4.0
-        least = area_factor(FLATTEST) * pi * DIAMETERS[0] ** 2 / 4.0 * (1.0 if _stretched(muscle) else 0.1)
+        least = thinnest * (10.0 if _stretched(muscle) else 1.0)
         if least <= abs(m) <= limit or (not muscle.held and abs(m) < least):
             if muscle.held:
                 text = f"{word} of {in_words(m, 'force')} suits an inner diameter of about {show(size, 'length', 2)}"
@@ -256,6 +261,23 @@ def _pace(seconds: float) -> Question:
         f"fills a muscle in less than {1e3 * FILLED:g} ms; correct the unit, or say confirmed: [time-unit]"
     )
     return Question("time-unit", "time", question, "the unit of the map")
+
+
+def _exchanged(report: Report, P: Array, F: Array) -> None:
+    """Report a force of a held muscle that moves while the pressure rests at its lowest, and not the other way round.
+
+    A contracted muscle pulls from some pressure on: its force rests where the pressure moves.
+    """
+    moves, rests = (_at_lowest(*pair) for pair in ((P, F), (F, P)))
+    if moves > EXCHANGED and rests < EXCHANGED / 4:
+        text = f"moves by {100 * moves:.0f} % of its span while the pressure rests at its lowest, as no muscle does "
+        report.withhold("swap", text + "that is held: the columns of force and pressure look exchanged", "force")
+
+
+def _at_lowest(rests: Array, moves: Array) -> float:
+    """How far one channel moves where the other is within 3 % of its lowest, as a share of its span."""
+    near = moves[rests <= np.quantile(rests, 0.02) + 0.03 * np.ptp(rests)]
+    return float(np.ptp(np.quantile(near, [0.1, 0.9])) / np.ptp(np.quantile(moves, [0.002, 0.998])))
 
 
 def _absolute(report: Report, P: Array, F: Array) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import datetime
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, Union
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, Union, get_args
 
 from pydantic import BeforeValidator, Discriminator, Field, Tag, WithJsonSchema, model_validator
 
@@ -201,6 +201,11 @@ PointName = Literal[
     "contraction", "load", "mass", "pressure", "frequency", "speed", "lower", "upper", "start", "step", "mean",
     "amplitude", "cycles", "side", "setpoint", "bias", "tip_mass",
 ]  # fmt: skip
+
+
+def made(column: str) -> str:
+    """The coordinate of the operating point that a column is made of which no file has, as `@pressure`; else empty."""
+    return column[1:] if column.startswith("@") and column[1:] in get_args(PointName) else ""
 
 
 def _format(value: Any) -> str:
@@ -437,7 +442,9 @@ class MapFile(Strict):
             raise ValueError(f'two columns are "{twice[0]}"')
         for role in ("time", "pressure"):
             if role not in roles:
-                raise ValueError(f'no column is "{role}"')
+                hint = "; one that was constant, and that no column has, is said with a column of its own: "
+                hint += '"@pressure": {is: pressure, unit: kPa}, and trials: {point: {pressure: 300 kPa}}'
+                raise ValueError(f'no column is "{role}"{hint if role == "pressure" else ""}')
         if self.trials.by == "column" and "trial" not in roles:
             raise ValueError('"by: column" needs a column that "is: trial"')
         (time,) = (column for column in self.columns.values() if column.is_ == "time")

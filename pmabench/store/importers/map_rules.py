@@ -21,7 +21,7 @@ from pmabench.files.document import Document, Location, read_document, validate
 from pmabench.files.quantity import unit_factor
 from pmabench.store.formats.record import TIME
 from pmabench.store.formats.shared.times import Stamps
-from pmabench.store.importers.map_file import NUMBERS, PLACE, ColumnFile, Line, MapFile, Question, Trials, settle
+from pmabench.store.importers.map_file import NUMBERS, PLACE, ColumnFile, Line, MapFile, Question, Trials, made, settle
 
 _OF_POINT = {
     "length": "contraction lower upper start step mean amplitude setpoint",
@@ -223,7 +223,7 @@ class _Rules:
         """Report names that only the layout or only the columns have."""
         layout, columns = self.file.file, self.file.columns
         for name in columns if layout.given else ():
-            if not (layout.period and name == TIME) and name not in layout.given:
+            if not (layout.period and name == TIME) and not made(name) and name not in layout.given:
                 self.fault(("columns", name), f'no column is called "{name}"{did_you_mean(name, layout.given)}')
         for index, name in enumerate(layout.given):
             if name not in columns:

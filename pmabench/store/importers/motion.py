@@ -244,7 +244,7 @@ AT_ONCE = 0.06
 LIFTED = 0.02e-3
 """A load is off its support where the displacement exceeds its rest by this [m]."""
 AROUND = 0.05
-"""Samples so far from that moment [s] are averaged."""
+"""Samples so far from that moment [s] are averaged, and two on either side at least."""
 FEWEST = 20
 LIKE = 0.02
 """Loads measured by the cell that differ by less than this share are one."""
@@ -514,7 +514,7 @@ def lift_and_set_down(t: Array, channels: Mapping[str, Array]) -> list[dict[str,
         if not len(rows):
             continue
         at = float(t[rows[-1]])
-        near = np.abs(t - at) <= AROUND
+        near = np.abs(t - at) <= max(AROUND, 2.5 * float(np.median(np.diff(t))))
         result: dict[str, Any] = {"found": True, "t": at}
         for name in ("pressure", "displacement", "force"):
             if name in channels and near.sum() >= 3:
@@ -524,15 +524,19 @@ def lift_and_set_down(t: Array, channels: Mapping[str, Array]) -> list[dict[str,
     return found
 
 
-def cell_load(t: Array, force: Array, commands: list[dict[str, Any]]) -> float | None:
-    """The weight that hangs, from the cell [N]: median over the last fifth of the longest hold; None without a hold."""
+def cell_load(t: Array, channels: Mapping[str, Array], commands: list[dict[str, Any]]) -> float | None:
+    """The weight that hangs, from the cell [N]: median over the last fifth of the longest hold; None without a hold.
+
+    What the cell reads while a support bears the load is no weight: the muscle is contracted by more than half there.
+    """
+    x = channels.get("displacement")
+    hangs = np.ones(len(t), dtype=bool) if x is None else x > 0.5 * float(x.min() + x.max())
     times = [float(command["t"]) for command in commands] + [float(t[-1])]
-    holds = [(b - a, a, b) for a, b in pairwise(times)]
-    if not holds:
-        return None
-    length, begin, end = max(holds)
-    rows = (t >= end - 0.2 * length) & (t < end)
-    return float(np.median(force[rows])) if rows.sum() >= 8 and begin < end else None
+    for begin, end in sorted(pairwise(times), key=lambda hold: hold[0] - hold[1]):
+        rows = hangs & (t >= end - 0.2 * (end - begin)) & (t < end)
+        if rows.sum() >= 8:
+            return float(np.median(channels["force"][rows]))
+    return None
 
 
 def alike(loads: list[float]) -> list[float]:

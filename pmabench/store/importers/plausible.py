@@ -193,7 +193,7 @@ def late(report: Report, force: Checked, pressure: Checked, good: Bools) -> bool
     if share is None or share < GOES_ON:
         return False
     moved = np.interp(report.t + seconds, t, force.si[rows])[rows]
-    as_is, shifted = slope(pressure.si[rows], force.si[rows]), slope(pressure.si[rows], moved)
+    as_is, shifted = (magnitude.slope_of(pressure.si[rows], pulls) for pulls in (force.si[rows], moved))
     change = as_is / shifted - 1.0 if as_is is not None and shifted else 0.0
     way = "later" if seconds > 0 else "earlier"
     text = f"follows {show(abs(seconds), 'time', 3)} {way} than the pressure that makes it"

@@ -6,22 +6,24 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, time
 from fnmatch import fnmatchcase
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from pmabench.base.errors import InvalidFile, Problem, invalid
+from pmabench.base.quantities import show
 from pmabench.store.exported import NAME as RECORD
 from pmabench.store.exported import Exported, read_record
 from pmabench.store.importers import long, plausible, quality
 from pmabench.store.importers.found import Checked, Found, Summary
 from pmabench.store.importers.long import Seen
 from pmabench.store.importers.magnitude import muscle_of, slope_of_held
-from pmabench.store.importers.map_file import Question, spelled
+from pmabench.store.importers.map_file import Question, made, spelled
 from pmabench.store.importers.map_rules import ColumnRule, ImportMap
 from pmabench.store.importers.plausible import pressure_late
 from pmabench.store.importers.segments import Segment, segments
-from pmabench.store.importers.table import Table, read_table
+from pmabench.store.importers.table import Table, read_table, with_made
 from pmabench.store.records import Array, Flag, Flags, trial_spans
 
 NOTES_BYTES = 100_000
@@ -99,7 +101,7 @@ def prepare_all(path: Path, rules: ImportMap) -> list[Prepared]:
 
 
 def _read(path: Path, rules: ImportMap) -> Table:
-    wanted = [column.column for column in rules.columns if not column.optional]
+    wanted = [column.column for column in rules.columns if not column.optional and not made(column.column)]
     optional = [column.column for column in rules.columns if column.optional]
     return read_table(path, rules.file.file, wanted, optional, rules.ignored, rules.stamps)
 
@@ -109,9 +111,10 @@ def _prepared(path: Path, rules: ImportMap, table: Table, name: str, number: int
     named = _named(path, rules, table.started)
     if name:
         named = replace(named, test=named.test or number + 1)
+    table, constant = _with_constants(path, rules, table, named.point)
     record = _record_of(path, rules)
     looked = long.inspected(table, rules, lambda part: _inspected(path, rules, part, record), _summed)
-    seen, found = looked.seen, looked.seen.found
+    seen, found = looked.seen, looked.seen.found + constant
     muscle = muscle_of(rules.specimen, named.point, held=_held(rules))
     questions: list[Question] = []
     if record is None:
@@ -164,6 +167,27 @@ def _units_agree(path: Path, columns: Sequence[ColumnRule], units: Mapping[str, 
             problems.append(Problem(str(path), 0, 0, text))
     if problems:
         raise InvalidFile(problems)
+
+
+def _with_constants(
+    path: Path, rules: ImportMap, table: Table, point: Mapping[str, float]
+) -> tuple[Table, list[Found]]:
+    """The table with the columns that no file has: a coordinate of its operating point [SI], the same in each row."""
+    found = []
+    for rule in rules.columns:
+        if not (coordinate := made(rule.column)):
+            continue
+        if coordinate not in point:
+            text = f'"{rule.column}" is the {coordinate} of the whole file, and neither its name nor the map gives one'
+            where = f'trials: {{point: {{{coordinate}: ...}}}}, or {{{coordinate}}} in "name_tells"'
+            raise invalid(path, f"{text}: say {where}")
+        value = np.float64((point[coordinate] - rule.offset) / rule.slope)
+        table = with_made(table, rule.column, partial(np.full_like, fill_value=value, dtype=np.float64))
+        text = f"{rule.role} was not recorded: {show(point[coordinate], rule.quantity)} throughout, as map or name says"
+        known = bool(rule.calibration["offset_uncertainty"] or rule.calibration["gain_uncertainty"])
+        more = "" if known else "; how far it was from that no result includes: say expanded_uncertainty"
+        found.append(Found("note" if known else "doubt", "constant", text + more, rule.role))
+    return table, found
 
 
 def _held(rules: ImportMap) -> bool:

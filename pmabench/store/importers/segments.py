@@ -181,7 +181,7 @@ def _as_own(found: Sequence[Segment], all_rows: _Rows) -> tuple[list[Segment], l
             point["mass"] = point["load"] / G
             hanging += "force" not in mine
         if rules.test.loaded and "load" not in point and "force" in mine:
-            load = motion.cell_load(t[rows], mine["force"], commands)
+            load = motion.cell_load(t[rows], mine, commands)
             if load is not None:
                 loads[number] = load
         searched = motion.lift_and_set_down(t[rows], mine) if rules.test.lifted else []

@@ -9,7 +9,7 @@ import hashlib
 import tempfile
 import weakref
 from bisect import bisect_right
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from itertools import pairwise
@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pmabench.base.errors import invalid
 from pmabench.base.text import printable
@@ -214,23 +215,18 @@ def read_table(
         return table
     if TIME in table.columns:
         raise invalid(path, f'has a column "{TIME}"; leave out "period"')
-    return replace(table, columns=_with_period(table, float(layout.period)), units={**table.units, TIME: "s"})
+    period, starts = np.float64(layout.period), np.array((0, *table.starts))
+    made = with_made(table, TIME, lambda row: (row - starts[np.searchsorted(starts, row, "right") - 1]) * period)
+    return replace(made, units={**table.units, TIME: "s"})
 
 
-def _with_period(table: Table, period: float) -> Mapping[str, Array]:
-    """The columns with one of time made from the number of the row; each test of a file begins at 0."""
-    rows = len(table)
-    starts = np.array((0, *table.starts))
-    if not isinstance(table.columns, Columns):
-        return {**table.columns, TIME: np.arange(rows, dtype=np.float64) * np.float64(period)}
+def with_made(table: Table, name: str, make: Callable[[NDArray[np.intp]], Array]) -> Table:
+    """The table with another column, which `make` gives for numbers of rows, shape (n,)."""
     columns = Columns()
-    for begin in range(0, rows, PIECE // 8):
-        end = min(begin + PIECE // 8, rows)
-        row = np.arange(begin, end)
-        first = starts[np.searchsorted(starts, row, "right") - 1]
-        t: Array = (row - first) * np.float64(period)
-        columns.append({**table.columns.part(begin, end), TIME: t})
-    return columns
+    for begin in range(0, len(table), PIECE // 8):
+        end = min(begin + PIECE // 8, len(table))
+        columns.append({**table.part(begin, end).columns, name: make(np.arange(begin, end))})
+    return replace(table, columns=columns)
 
 
 def _read_whole(path: Path, kind: str, question: Mapping[str, Any], stamps: Stamps | None, most: int | None) -> Table:

@@ -4,8 +4,7 @@ import random
 import struct
 
 import pytest
-from pmabench_drivers.dataq import Dataq
-from pmabench_drivers.dataq.driver import DIVIDEND, MODELS, Lost, Scans, counts, divisors, packet, plausible, volts
+from pmabench_drivers.dataq import DIVIDEND, MODELS, Dataq, Lost, Scans, counts, divisors, packet, plausible, volts
 
 from pmabench.base.clock import RealClock
 from pmabench.base.errors import DeviceError

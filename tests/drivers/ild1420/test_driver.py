@@ -8,8 +8,7 @@ import time
 from dataclasses import replace
 
 import pytest
-from pmabench_drivers.ild1420 import Ild1420
-from pmabench_drivers.ild1420.driver import WRAP, encode
+from pmabench_drivers.ild1420 import WRAP, Ild1420, encode
 
 from pmabench.base.clock import RealClock
 from pmabench.base.errors import DeviceError

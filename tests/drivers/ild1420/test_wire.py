@@ -4,12 +4,12 @@ import math
 import random
 
 import pytest
-from pmabench_drivers.ild1420 import Ild1420
-from pmabench_drivers.ild1420.driver import (
+from pmabench_drivers.ild1420 import (
     SPANS,
     WRAP,
     CounterBroken,
     Decoder,
+    Ild1420,
     Numbering,
     code_of,
     distance,

@@ -60,8 +60,8 @@ def rig(record=None, *, opened=True, slack=True):
     record = record or daq()
     with contextlib.ExitStack() as stack:
         if slack:
-            stack.enter_context(patch.multiple("pmabench_drivers.ni_daq.driver", **SLACK))
-            stack.enter_context(patch("pmabench_drivers.ni_daq.driver.FETCH", 0.6))
+            stack.enter_context(patch.multiple("pmabench_drivers.ni_daq", **SLACK))
+            stack.enter_context(patch("pmabench_drivers.ni_daq.FETCH", 0.6))
         yield stack.enter_context(in_front(record, opened=opened, at=at))
 
 

@@ -8,7 +8,7 @@ import time
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from pmabench_drivers.serial_ascii.driver import LineReader, number, pattern_problem, read_options
+from pmabench_drivers.serial_ascii import LineReader, number, pattern_problem, read_options
 from pmabench_drivers.shared.options import Reader
 from pmabench_drivers.shared.serial_port import Splitter, Unreadable, Wrong
 

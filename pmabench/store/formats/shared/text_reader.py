@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from pmabench.base.errors import InvalidFile, Problem, did_you_mean, invalid
 from pmabench.store.arrow import arrow_csv, pa
-from pmabench.store.formats.shared.times import MINUS, NUMBER, Fields, seconds_of
+from pmabench.store.formats.shared.times import MINUS, Fields, seconds_of
 from pmabench.store.formats.text import MARKS, TextLayout
 from pmabench.store.records import Array
 
@@ -27,7 +27,7 @@ LONGEST_LINE = 8_000_000
 SHOWN = 10
 """Faulty rows that are named of one file."""
 MOST_HEAD = 60
-"""Lines above the first row that are handed on, for what the file says in them."""
+"""Lines above the first row that are handed on, for what the file says in them; no more are left out below the last."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ class TextReader:
         self._seen = False
         """A line was kept."""
         self._titles: list[tuple[int, str]] = []
-        """Lines that are no rows, which may be above a repeated header only."""
+        """Lines that are no rows, which may be above a repeated header or below the last row only."""
         self._fields_of = Fields(self.layout, self.order)
 
     # -- pieces ------------------------------------------------------------------------------------------------
@@ -125,6 +125,13 @@ class TextReader:
         parts = [self._block(before)] if before else []
         if last:
             parts.append(self._last(last))
+        words = [title for title in self._titles if not self._blank(title[1])]
+        if words and len(self._titles) <= MOST_HEAD:
+            at, first = words[0]
+            text = f'{len(words)} lines below the last row, from line {at} ("{first.strip()[:40]}") on'
+            self.cut_row = f"{text}, are no rows: they were left out"
+        elif self._titles:
+            self._no_rows()
         if self._zeros:
             text = f"the file ends with {self._zeros} bytes of zero, as after an interrupted write: rows may be missing"
             self.cut_row = f"{self.cut_row}; {text}" if self.cut_row else text
@@ -200,7 +207,7 @@ class TextReader:
         if layout.delimiter != "blank" and not layout.quoted and not (layout.comment and layout.comment in block):
             count = block.count("\n")
             found = self._by_arrow(block, count, MARKS[layout.delimiter])
-            if found is not None and not self._titles:
+            if found is not None and not self._titles and not np.isnan(next(iter(found.values()), np.empty(0))).any():
                 lines = np.arange(self._line + 1, self._line + 1 + count)
                 self._line, self._rows = self._line + count, self._rows + count
                 return Rows(found, lines)
@@ -238,12 +245,16 @@ class TextReader:
         """Whether a line is neither a comment nor blank; raises InvalidFile for a blank one that is not expected."""
         if self.layout.comment and line.lstrip().startswith(self.layout.comment):
             return False
-        if line.strip():
+        if not self._blank(line):
             return True
         if self.layout.blank_lines == "refuse":
             text = 'the line is blank; if that is usual say "blank_lines: skip"'
             raise invalid(self.path, text, number, 1)
         return False
+
+    def _blank(self, line: str) -> bool:
+        """Whether a line holds nothing, or nothing but delimiters, as below a table of a spreadsheet."""
+        return not line.strip().strip(MARKS.get(self.layout.delimiter)).strip()
 
     def _name(self, line: str, number: int) -> None:
         """Names of the columns by the first line that counts, and which of them are read."""
@@ -319,19 +330,21 @@ class TextReader:
         starts: list[int] = []
         for line in block.removesuffix("\n").split("\n"):
             self._line += 1
-            if not self._counts(line, self._line):
+            begun = bool(self._rows or kept) or self.layout.repeated_header != "refuse"
+            blank = begun and self.layout.blank_lines == "refuse" and self._blank(line)
+            if not blank and not self._counts(line, self._line):
                 continue
             if self._header and line.strip() == self._header:
                 self._again(starts, len(kept))
             elif self._below:
                 self._below -= 1
-            elif self._is_title(line):
+            elif blank or (begun and self._is_title(line)):
                 self._titles.append((self._line, line))
             else:
                 kept.append(line)
                 numbers.append(self._line)
-            if kept and self._titles and numbers[-1] > self._titles[0][0]:
-                self._rectangular([self._split(line) for _, line in self._titles], [at for at, _ in self._titles])
+                if self._titles:
+                    self._no_rows()
         if not kept:
             return Rows(self._none().columns, np.empty(0, np.int64), tuple(starts))
         self._seen = True
@@ -349,11 +362,34 @@ class TextReader:
         return Rows(found, np.array(numbers, dtype=np.int64), tuple(starts))
 
     def _is_title(self, line: str) -> bool:
-        """Whether a line may belong to the header of another test: it has not the fields of a row."""
-        if self.layout.repeated_header == "refuse":
+        """Whether a line may belong to the header of another test, or be below all rows: it has not a row's fields.
+
+        Below such a line it is enough that no time begins it, as in a table of means.
+        """
+        layout = self.layout
+        fields = next(csv.reader([line], delimiter=MARKS[layout.delimiter])) if layout.quoted else self._split(line)
+        other = len(fields) != len(self._names)
+        if other and layout.repeated_header != "refuse":
+            return True
+        reads = (self._reads(name, fields) for name in sorted(self.taken, key=self._names.index))
+        return not next(reads) and (other or bool(self._titles) or not any(reads))
+
+    def _reads(self, name: str, fields: Sequence[str]) -> bool:
+        """Whether a line has a value of a column."""
+        try:
+            value = self._fields_of.value(fields[self._names.index(name)], (self.texts or {}).get(name, ""))
+        except (ValueError, IndexError):
             return False
-        fields = self._split(line)
-        return len(fields) != len(self._names) or not any(NUMBER.fullmatch(text) for text in fields)
+        return bool(np.isfinite(value))
+
+    def _no_rows(self) -> None:
+        """Raises InvalidFile for the lines that are no rows, since others follow them, or since they are too many."""
+        numbers, lines = zip(*self._titles, strict=True)
+        for number, line in self._titles:
+            self._counts(line, number)
+        rows = [self._split(line) for line in lines]
+        self._rectangular(rows, numbers)
+        self._each(rows, numbers)
 
     def _again(self, starts: list[int], row: int) -> None:
         """The header line once more: another test begins, where the map says so."""

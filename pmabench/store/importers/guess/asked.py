@@ -38,6 +38,8 @@ SHARES = (0.0, 0.02, 0.05, 0.1)
 """Thresholds of force that are tried, as shares of the highest one."""
 CHANGES = 0.02
 """A threshold that moves the slope by more than this share is asked for."""
+LENGTH = re.compile(r"(?<![\d.,])\d+(?:[.,]\d+)?(?=[ _]?mm)")
+"""A length in the name of a file or of a test [mm]."""
 CONTRACTIONS = {"contraction", "disp", "displacement", "stroke", "shortening"}
 """Words of a column that is a contraction by its name."""
 
@@ -136,17 +138,29 @@ def _counted(column: Proposal, guess: Guess) -> Asked | None:
 
 
 def pull_of(column: Proposal, guess: Guess) -> Asked | None:
-    """Whether a cell reads pulling as negative: the force of a held muscle rises with its pressure."""
+    """Whether a cell reads pulling as negative: the force of a held muscle rises with its pressure.
+
+    A muscle whose length is driven pulls throughout.
+    """
     pressure = guess.role("pressure")
-    if column.role != "force" or not guess.test.held or pressure is None:
+    if column.role != "force" or pressure is None:
         return None
-    P, F = _both(pressure.values, column.values)
-    low, high = _ends(P, F)
-    if not high < low or float(np.corrcoef(P, F)[0, 1]) > -0.8:
+    if guess.test.held:
+        P, F = _both(pressure.values, column.values)
+        low, high = _ends(P, F)
+        if not high < low or float(np.corrcoef(P, F)[0, 1]) > -0.8:
+            return None
+    elif guess.test.follows != "force" or not negative(column):
         return None
     pulls, pushes = (f"{sign} {column.unit}/{column.unit}" for sign in ("-1", "1"))
-    text = f'"{column.name}" falls while the pressure rises: does it read pulling as negative?'
+    how = "falls while the pressure rises" if guess.test.held else "is negative throughout"
+    text = f'"{column.name}" {how}: does it read pulling as negative?'
     return Asked(pulls, f"{text} Then the slope is {pulls}; with {pushes} the muscle pushes")
+
+
+def negative(column: Proposal) -> bool:
+    """Whether nearly all values of a column are below 0."""
+    return len(column.good) > 0 and float(np.quantile(column.good, 0.9)) < 0
 
 
 def _both(P: Array, F: Array) -> tuple[Array, Array]:
@@ -191,6 +205,11 @@ def contraction_of(guess: Guess) -> Asked | str:
         return ""
     column = guess.role("displacement")
     head = "at which contraction was the muscle held? No name gives it"
+    in_name = LENGTH.findall(guess.files[0].stem)
+    if len(set(in_name)) == 1 and column is None:
+        number = in_name[0].replace(",", ".")
+        text = f"at which contraction was the muscle held? The name has {number} mm, which may be another length, too"
+        return Asked(f"{number} mm", f"{text}: is that it?")
     if column is None or QUANTITY.get(column.unit) != "length":
         return Asked("", f"{head}; each slope is that of one contraction. For instance 8 mm")
     middle = f"{float(np.median(column.good)):.4g} {column.unit}"

@@ -521,6 +521,8 @@ class Guess:
     """A number whose comma may be the decimal sign or group digits."""
     lacks: str = ""
     """A channel without which nothing can be fitted, and that was not found."""
+    constant: bool = False
+    """The pressure was not recorded: it is that of the operating point."""
     tests: list[str] = field(default_factory=list)
     """Names of several tests in each file, in their order."""
     slower: tuple[float, float] = (1.0, 1.0)

@@ -213,10 +213,11 @@ _PARTS = (
     (re.compile(r"(?<=\{date\}[_T -])\d{6}(?!\d)"), "clock", ""),
     (re.compile(r"(?<=rads[-_])\d+(?:[.,]\d+)?|(?<=rad-s[-_])\d+(?:[.,]\d+)?"), "frequency", "rad/s"),
     (re.compile(r"\d+(?:[.,]\d+)?(?=[_-]?Hz)"), "frequency", "Hz"),
-    (re.compile(r"(?<=[A-Za-z_-])\d+(?:[.,]\d+)?(?=kPa)"), "pressure", "kPa"),
-    (re.compile(r"(?<=[A-Za-z_-])\d+(?:[.,]\d+)?(?=bar)"), "pressure", "bar"),
-    (re.compile(r"(?<=[A-Za-z_-])\d+(?:[.,]\d+)?(?=kg)"), "mass", "kg"),
-    (re.compile(r"(?<=[A-Za-z_-])\d+(?:[.,]\d+)?(?=mm)"), "contraction", "mm"),
+    (re.compile(r"(?<![\d.,])\d+(?:[.,]\d+)?(?=[ _]?kPa(?![A-Za-z]))"), "pressure", "kPa"),
+    (re.compile(r"(?<![\d.,])\d+(?:[.,]\d+)?(?=[ _]?bar(?![A-Za-z]))"), "pressure", "bar"),
+    (re.compile(r"(?<![\d.,])\d+(?:[.,]\d+)?(?=[ _]?psi(?![A-Za-z]))"), "pressure", "psi"),
+    (re.compile(r"(?<![\d.,])\d+(?:[.,]\d+)?(?=[ _]?kg(?![A-Za-z]))"), "mass", "kg"),
+    (re.compile(r"(?<=[A-Za-z_ -])\d+(?:[.,]\d+)?(?=[ _]?mm(?![A-Za-z]))"), "contraction", "mm"),
     (re.compile(r"(?<=[Tt]est)\d{1,6}|(?<=[Rr]un)\d{1,6}|(?<=[Tt]rial)\d{1,6}"), "test", ""),
 )
 CONTRACTED = re.compile(
@@ -406,21 +407,28 @@ def _frequency(guess: Guess) -> None:
 def _lacking(guess: Guess) -> None:
     """Where the pressure, or the force of an isometric test, was not found: ask which of the other columns it is."""
     needed = ("pressure", "force") if guess.test.held else ("pressure",)
-    guess.lacks = next((role for role in needed if guess.role(role) is None), "")
+    lacking = [role for role in needed if guess.role(role) is None]
+    guess.lacks = next(iter(lacking), "")
     ignored = [column for column in guess.columns if column.role == "ignore"]
     spare = next((column for column in guess.columns if column.role in {"pressure_command", "supply"}), None)
     if guess.lacks:
         for column in ignored:
             column.question = ""
+    other = spare is not None or any(len(column.good) for column in ignored)
+    if guess.lacks == "pressure" and guess.test.commanded is not None and not other:
+        why = "no column gives it: that of the operating point, the same throughout each file"
+        guess.columns.append(Proposal("@pressure", np.full(1, np.nan), "pressure", "kPa", [why]))
+        guess.lacks, guess.constant = "", True
     if guess.lacks == "pressure" and spare is not None:
         text = f'no measured pressure was found: is "{spare.name[:40]}" it (pressure), or'
         spare.question = f"{text} {spare.role} as its name says? Then nothing can be fitted"
     elif guess.lacks and ignored:
         ignored.sort(key=lambda column: len(column.values) == 0)
         names = ", ".join(f'"{column.name[:40]}"' for column in ignored[:8])
-        form = f"as {{is: {guess.lacks}, unit: {'bar' if guess.lacks == 'pressure' else 'N'}}}"
-        text = f"which column is the {guess.lacks}? No name says it; there is {names}"
-        ignored[0].question = f"{text}: write what it is and its unit, {form}"
+        for role, column in zip(lacking, ignored, strict=False):
+            form = f"as {{is: {role}, unit: {'bar' if role == 'pressure' else 'N'}}}"
+            text = f"which column is the {role}? No name says it; there is {names}"
+            column.question = f"{text}: write what it is and its unit, {form}"
 
 
 def _known(path: Path, kinds: Mapping[str, Imported]) -> str:

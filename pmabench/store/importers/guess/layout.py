@@ -99,6 +99,8 @@ TABLE = 0.5
 """Least share of the lines below the first row of numbers that are such rows, too."""
 LOOKED_AT = 400
 """Lines from the beginning."""
+EMPTY, TAIL = " \t,;|", 4000
+"""A line of these signs is blank, of the first lines or within so many signs of the end."""
 FURTHER = 4000
 """Lines further down, evenly spread, that are looked at for signs of thousands and for texts that mean no value."""
 COMMENTS = ("#", "%", "//", ";", "!")
@@ -210,7 +212,7 @@ def guess_layout(path: str, content: bytes) -> TextGuess:
     reasons += ["numbers are in quotation marks"] if body.quoted else []
     reasons += [f"digits are grouped by {body.thousands}"] if body.thousands else []
     names, units, skip = _step_header(body, reasons) if body.above else _header(body, comment, reasons)
-    blank = any(not line.strip() for line in lines[:-1])
+    blank = any(not line.strip(EMPTY) for line in (*lines[:-1], *text[-TAIL:].split("\n")[1:-1]))
     reasons += ["it has blank lines, which are skipped"] if blank else []
     texts, missing = _words(body, names, reasons)
     called = names or [f"column {k + 1}" for k in range(body.width)]

@@ -32,7 +32,7 @@ def question(asked: Asked) -> str:
 
 def scalar(text: str) -> str:
     """A YAML scalar that is that text and nothing else."""
-    if re.fullmatch(r"[A-Za-z@][A-Za-z0-9@ _./()-]*", text) and text.lower() not in TRUTH:
+    if re.fullmatch(r"[A-Za-z][A-Za-z0-9@ _./()-]*", text) and text.lower() not in TRUTH:
         return text.strip() if text == text.strip() else json.dumps(text)
     return json.dumps(text, ensure_ascii=not text.isprintable())
 
@@ -98,7 +98,8 @@ def test_lines(guess: Guess) -> list[str]:
     for test in guess.tests:
         point = ""
         if guess.open_point("contraction"):
-            which = Asked("", f'at which contraction was "{test}" held? For instance 8 mm')
+            text = f'at which contraction was "{test}" held? For instance 8 mm'
+            which = Asked(next((f"{each} mm" for each in asked.LENGTH.findall(test)), ""), text)
             lines.append(question(which))
             point = f", point: {{contraction: {which.scalar}}}"
         lines.append(f"- {{name: {scalar(test)}{point}}}")
@@ -306,18 +307,20 @@ def _contraction(column: Proposal, guess: Guess) -> tuple[list[str], list[str]]:
     ]
     if guess.test.held:
         return [], []
-    others = [c for c in (pressure, force) if c is not None]
+    others = [c for c in (pressure, force) if c is not None and len(c.good)]
     good = np.isfinite(column.values) & (column.values != 0)
     for other in others:
         good &= np.isfinite(other.values) & (other.values != 0)
     x = column.values[good]
-    if pressure is None or len(x) < 20 or np.ptp(x) == 0 or np.ptp(pressure.values[good]) == 0:
+    P = pressure.values[good] if pressure in others and pressure is not None else np.zeros(len(x))
+    driven = guess.test.follows == "force" and force is not None
+    if pressure is None or len(x) < 20 or np.ptp(x) == 0 or (np.ptp(P) == 0 and not driven):
         return open_sign, []
-    P = pressure.values[good]
-    if guess.test.follows == "force" and force is not None:  # the length is set from outside
+    if driven and force is not None:  # the length is set from outside
         table = np.column_stack([np.ones(len(P)), P - P.mean(), x - x.mean()])
         try:
             less = float(np.linalg.lstsq(table, force.values[good], rcond=None)[0][2])
+            less *= -1.0 if asked.negative(force) else 1.0
         except np.linalg.LinAlgError:
             return open_sign, []
         rises, zero = less < 0, float(np.quantile(x, 0.01 if less < 0 else 0.99))
@@ -397,6 +400,10 @@ def _trials(guess: Guess, spans: Mapping[str, Span]) -> list[str]:
     if trials["by"] == "file" and guess.open_point("frequency"):
         which = Asked(f"{guess.frequency:.3g} Hz", "which frequency has the sine? It is read off its spectrum only")
         trials["point"] = f"{{frequency: {which.scalar}}}"
+        lines.append(question(which))
+    if guess.constant and not any("{pressure}" in form for form in guess.forms):
+        which = Asked("", "at which pressure was each file recorded? No column and no name says it. For instance 3 bar")
+        trials["point"] = f"{{pressure: {which.scalar}}}"
         lines.append(question(which))
     return [*lines, f"trials: {{{', '.join(f'{key}: {value}' for key, value in trials.items())}}}"]
 
