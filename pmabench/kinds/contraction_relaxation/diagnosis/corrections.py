@@ -98,18 +98,15 @@ def _of_muscle(
     return columns.OF_MUSCLE[one.kind][one.which](followed, segments, fit)
 
 
-def in_samples(
-    campaign: Campaign, explanations: Sequence[Explanation], trials: Sequence[int] | None = None
-) -> Campaign:
-    """The campaign with what is wrong with the bench corrected in its samples, of these `trials` or of all."""
+def in_samples(campaign: Campaign, explanations: Sequence[Explanation]) -> Campaign:
+    """The campaign with what is wrong with the bench corrected in its samples."""
     faults = [one for one in explanations if not one.of_muscle]
     if not faults:
         return campaign
     place = columns.order(campaign)
     course = columns.course(campaign) if any(one.kind == "drift" for one in faults) else ()
-    samples = list(campaign.samples)
-    for i in range(len(samples)) if trials is None else trials:
-        each = samples[i]
+    samples = []
+    for i, each in enumerate(campaign.samples):
         for one in faults:
             size = one.sizes[0]
             if one.kind == "drift" and each.force is not None:
@@ -122,7 +119,7 @@ def in_samples(
                 each = moved(each, (one.which,), size)
             elif one.kind == "lag":
                 each = _filtered(each, one.which, size, campaign.rate)
-        samples[i] = each
+        samples.append(each)
     return replace(campaign, samples=tuple(samples))
 
 

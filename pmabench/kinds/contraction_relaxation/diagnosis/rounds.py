@@ -113,12 +113,11 @@ def _without_needless(search: Search, before: State, now: State) -> Rounds:
     their place.
     """
     given, found = before.explanations, []
-    limit = ALONE * max(now.excess, LEAST_EXCESS)
     for one in now.explanations[len(given) :]:
         rest = tuple(other for other in now.explanations if other is not one)
         without = search.state(rest, now.test.fit, now.test.expected)
         removed = without.excess - now.excess
         if not (now.test.doubted or without.test.doubted) or removed < FURTHER * without.excess:
             return _without_needless(search, before, search.fitted(rest, without))
-        found.append(_rivals(without, now, one, search.others(without, limit, one.cause)))
+        found.append(_rivals(without, now, one, search.others(without, one.cause)))
     return Rounds(before, now, tuple(found))

@@ -30,10 +30,6 @@ from pmabench.store.records import Array
 
 MOST_CUTS = 3
 """Corrected campaigns that are kept: what a round tries has most of them in common."""
-EVERY = 3
-"""Of the trials, in the order of pressures and loads, so few are looked at in the first search for a time."""
-FEWEST_TRIALS = 8
-"""Fewest trials of a search for a time."""
 ALONE = 2.0
 """So many times the excess is left by the best of another kind where an explanation is the only one ..."""
 LEAST_EXCESS = 0.15
@@ -50,8 +46,6 @@ STEPS = (5e-3, 1.5e-3)
 """Steps of the search for a time [s]; from a size that is known on, the last alone."""
 WORTH = 0.9
 """An explanation that by first order leaves more than this share of the excess is not tried in whole."""
-NEARLY = 0.5
-"""A filter of a channel is tried where a delay of it leaves less than this share of the excess."""
 ALL_OF_MUSCLE = (
     Explanation("bend", "as K"),
     Explanation("hysteresis"),
@@ -130,7 +124,7 @@ class Search:
         streams = [i for i, one in enumerate(explanations) if one.kind in TIMES]
         for _ in range(PASSES if linear else min(1, len(streams))):
             for i in streams if timed else []:
-                explanations, _ = self._timed(explanations, i, straight, expected)
+                explanations = self._timed(explanations, i, straight, expected)
             if linear:
                 campaign, segments = self._corrected(explanations)
                 raw = self._solved(segments, solved, expected)
@@ -157,14 +151,9 @@ class Search:
         self.fits[:] = [(found, segments, like.knots, noise)]
         return found
 
-    def _corrected(self, explanations: Sequence[Explanation], few: bool = False) -> tuple[Campaign, Segments]:
-        """The campaign with what is wrong with the bench corrected, and its segments, of `few` trials or of all; the
-        last ones of all are kept.
-        """
+    def _corrected(self, explanations: Sequence[Explanation]) -> tuple[Campaign, Segments]:
+        """The campaign with what is wrong with the bench corrected, and its segments; the last few are kept."""
         faults = tuple(one for one in explanations if not one.of_muscle)
-        if few:
-            campaign = in_samples(self.campaign, faults, self._few)
-            return campaign, self.cut([campaign.samples[i] for i in self._few])
         found = self.cuts.pop(faults, None)
         if found is None:
             campaign = in_samples(self.campaign, faults)
@@ -174,14 +163,6 @@ class Search:
         self.cuts[faults] = found
         return found
 
-    @cached_property
-    def _few(self) -> list[int]:
-        """Trials that are looked at in the first search for a time: moving ones of all pressures and loads."""
-        moving = np.unique(self.uncorrected.trial).tolist()
-        points = [self.campaign.trials[i].point for i in moving]
-        order = sorted(range(len(moving)), key=lambda i: (points[i].get("pressure", 0.0), points[i].get("load", 0.0)))
-        return sorted(moving[i] for i in order[:: min(EVERY, max(1, len(moving) // FEWEST_TRIALS))])
-
     def columns(
         self, one: Explanation, campaign: Campaign, segments: Segments, fit: Solved, others: Sequence[Explanation] = ()
     ) -> Array:
@@ -190,23 +171,18 @@ class Search:
 
     def _timed(
         self, explanations: tuple[Explanation, ...], place: int, fit: Fit, noise: float
-    ) -> tuple[tuple[Explanation, ...], bool]:
-        """The explanations with the size of one of them, a time, where the squares of the residual are least, and
-        whether it explains anything.
+    ) -> tuple[Explanation, ...]:
+        """The explanations with the size of one of them, a time, where the squares of the residual are least."""
+        known: dict[float, float] = {}
 
-        A time that is not known yet is searched for in few trials first; it stays there if it explains next to nothing.
-        """
+        def squares(size: float) -> float:
+            size = min(max(size, -MOST_LATE), MOST_LATE)
+            if size not in known:
+                known[size] = float(np.mean(self.left(_with(explanations, place, (size,)), fit, noise)[1] ** 2))
+            return known[size]
+
         best = explanations[place].sizes[0]
-        for few, step in ((True, STEPS[0]), (False, STEPS[1])) if best == 0 else ((False, STEPS[1]),):
-            known: dict[float, float] = {}
-
-            def squares(size: float, few: bool = few, known: dict[float, float] = known) -> float:
-                size = min(max(size, -MOST_LATE), MOST_LATE)
-                if size not in known:
-                    left = self.left(_with(explanations, place, (size,)), fit, noise, few)[1]
-                    known[size] = float(np.mean(left**2))
-                return known[size]
-
+        for step in STEPS if best == 0 else STEPS[-1:]:
             way = step if squares(best + step) < squares(best - step) else -step
             while squares(best + way) < squares(best) and abs(best + way) < MOST_LATE:
                 best += way
@@ -214,17 +190,13 @@ class Search:
             curved = before + after - 2 * now
             squares(best + 0.5 * step * (before - after) / curved if curved > 0 else best)
             best = min(known, key=squares)
-            if few and squares(best) > WORTH * squares(0.0):
-                return _with(explanations, place, (best,)), False
-        return _with(explanations, place, (best,)), True
+            if squares(best) > WORTH * squares(0.0):
+                break
+        return _with(explanations, place, (best,))
 
-    def left(
-        self, explanations: tuple[Explanation, ...], fit: Fit, noise: float, few: bool = False
-    ) -> tuple[Segments, Array]:
-        """Corrected segments, of `few` trials or of all, and the residual of the fit to them; sizes of properties of
-        the muscle are found anew.
-        """
-        campaign, segments = self._corrected(explanations, few)
+    def left(self, explanations: tuple[Explanation, ...], fit: Fit, noise: float) -> tuple[Segments, Array]:
+        """Corrected segments and the residual of the fit to them; sizes of properties of the muscle are found anew."""
+        campaign, segments = self._corrected(explanations)
         raw = self._solved(segments, fit, noise)
         mine = [self.columns(one, campaign, segments, fit, explanations) for one in explanations if one.of_muscle]
         if not mine:
@@ -233,11 +205,8 @@ class Search:
         off = forces @ sizes_of(raw, forces)
         return segments.pulled(-off), raw.pulled(-off).residual
 
-    def others(self, now: State, limit: float = ALONE * LEAST_EXCESS, but: str = "") -> list[State]:
-        """`now` with one more explanation each, the best of every cause that it has none of `but` one, the best first.
-
-        Without times that explain next to nothing and leave more than the excess `limit`.
-        """
+    def others(self, now: State, but: str = "") -> list[State]:
+        """`now` with one more explanation each, the best of every cause that it has not, `but` one; the best first."""
         known = {one.family for one in now.explanations}
         tried = [one for one in self._possible(now) if one.family not in known and one.cause != but]
         test = now.test
@@ -248,11 +217,11 @@ class Search:
         for one in _promising(tried, first, now):
             if one.kind == "lag":
                 late = best.get(one.cause)
-                if late is None or late.excess > NEARLY * now.excess:
+                if late is None or late.excess > WORTH * now.excess:
                     continue
                 one = replace(one, sizes=late.last.sizes)
-            state = self._added(now, one, limit)
-            if state is None or not plausible(state.last):
+            state = self._added(now, one)
+            if not plausible(state.last):
                 continue
             if one.cause not in best or state.excess < best[one.cause].excess:
                 best[one.cause] = state
@@ -269,12 +238,10 @@ class Search:
         again = [self.fitted(state.explanations, state) for state in near]
         return sorted((*again, *tried[len(near) :]), key=lambda state: state.test.ratio)
 
-    def _added(self, now: State, one: Explanation, limit: float) -> State | None:
+    def _added(self, now: State, one: Explanation) -> State:
         explanations, test = (*now.explanations, one), now.test
         if one.kind in TIMES:
-            explanations, explains = self._timed(explanations, len(now.explanations), test.fit, test.expected)
-            if not explains and WORTH * test.ratio**2 - 1 > limit:
-                return None
+            explanations = self._timed(explanations, len(now.explanations), test.fit, test.expected)
         return self.state(explanations, test.fit, test.expected, timed=False)
 
     def _possible(self, now: State) -> Iterator[Explanation]:
