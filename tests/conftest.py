@@ -93,8 +93,23 @@ def pytest_ignore_collect(collection_path, config):
     if not wanted.startswith(("realtime", "not realtime")) or not collection_path.match("test_*.py"):
         return None
     text = collection_path.read_text("utf-8")
-    needless = "realtime" not in text if wanted.startswith("realtime") else IN_REAL_TIME.search(text)
-    return True if needless else None
+    if wanted.startswith("not realtime"):
+        return True if IN_REAL_TIME.search(text) else None
+    return True if "realtime" not in text or _otherwise(collection_path.as_posix(), text, config) else None
+
+
+def _otherwise(path, text, config):
+    """Whether all tests of a file that are in real time run in another stage of `make pytest`, or at other commits."""
+    stage, rigs = config.option.markexpr, [rig for rig in (*RIGS, *OF_ALL_RIGS) if rig in path]
+    if stage == "realtime and singly":
+        return "mark.singly" not in text
+    if stage.startswith("realtime and not alone"):
+        return bool(rigs)
+    if stage != "realtime and alone":
+        return False
+    if rigs:
+        return _whole_suite(config) and not {*rigs} & {RIGS[commit_number() % len(RIGS)], *OF_ALL_RIGS}
+    return "mark.alone" not in text and (CONFORMANCE not in path or any(name in text for name in FOUND))
 
 
 def _rig_of(item):

@@ -15,8 +15,12 @@ from pmabench.conformance import PASSED, run
 from pmabench.conformance.relay import KINDS, Hostile
 from pmabench.conformance.suite import CHECKS, HOSTILE
 from tests.conformance import EXAMPLE_FOLDER as EXAMPLE
+from tests.conformance.mutants import EXAMPLE as MUTATED
 from tests.conformance.mutants import EXAMPLE_DRIVER as DRIVER
-from tests.conformance.mutants import tried
+from tests.conformance.mutants import cases, shipped, tried
+
+ENOUGH = 90
+"""Kinds of faults of the example driver, so that none gets lost unnoticed."""
 
 
 @pytest.mark.realtime
@@ -106,3 +110,8 @@ def test_the_same_seed_is_the_same_damage():
         return [(damage.another(), damage(b"0123456789")) for _ in range(100)]
 
     assert some() == some()
+
+
+def test_the_table_of_mutants_is_whole():
+    assert len(list(cases([MUTATED]))) >= ENOUGH
+    assert len({driver for _, driver in cases(shipped())}) == len(shipped())

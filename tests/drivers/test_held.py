@@ -17,7 +17,7 @@ from tests.drivers.wires import rigs as wires
 from tests.realtime import opened as opened_mock
 from tests.realtime import plant_server
 
-pytestmark = [pytest.mark.realtime, pytest.mark.alone]
+pytestmark = pytest.mark.realtime
 
 LONGEST = 0.4
 """A call takes 0.2 s at most, and so much on a machine that has much else to do [s]."""
@@ -89,6 +89,7 @@ def without_uptime(found):
     return {name: value for name, value in found.items() if name != "uptime"}
 
 
+@pytest.mark.singly
 @pytest.mark.parametrize("rig", RIGS, indirect=True)
 def test_what_nobody_changes_stays_as_it_was(rig):
     first = armed(rig)
@@ -103,12 +104,14 @@ def test_what_nobody_changes_stays_as_it_was(rig):
         assert not rig.valve or rig.device.is_on(rig.valve)
 
 
+@pytest.mark.singly
 @pytest.mark.parametrize("rig", WATCHED, indirect=True)
 def test_the_time_is_that_of_the_device(rig):
     assert rig.held()["watchdog"] == 0.0
     assert armed(rig)["watchdog"] == 1.0
 
 
+@pytest.mark.singly
 @pytest.mark.parametrize("rig", WATCHED, indirect=True)
 def test_a_watchdog_that_is_switched_off_from_outside_is_seen(rig):
     armed(rig)
@@ -116,6 +119,7 @@ def test_a_watchdog_that_is_switched_off_from_outside_is_seen(rig):
     assert rig.held()["watchdog"] == 0.0
 
 
+@pytest.mark.singly
 @pytest.mark.parametrize("rig", ["modbus", "line-daq"], indirect=True)
 def test_a_watchdog_that_has_fired_is_seen(rig):
     armed(rig)
@@ -124,6 +128,7 @@ def test_a_watchdog_that_has_fired_is_seen(rig):
     assert rig.held()["watchdog"] == 0.0
 
 
+@pytest.mark.singly
 @pytest.mark.parametrize(("rig", "name"), [(name, name) for name in RIGS], indirect=["rig"])
 def test_a_restart_is_seen(rig, name):
     """Set-point and valve of power-on; watchdog off, where the device forgets it; an uptime that begins again."""
@@ -143,6 +148,7 @@ def test_a_restart_is_seen(rig, name):
     assert "uptime" not in before or after["uptime"] < before["uptime"]
 
 
+@pytest.mark.singly
 @pytest.mark.parametrize("rig", RIGS, indirect=True)
 def test_a_set_point_changed_from_outside_is_seen(rig):
     armed(rig)
@@ -150,6 +156,7 @@ def test_a_set_point_changed_from_outside_is_seen(rig):
     assert rig.device.read_back(rig.output) == pytest.approx(1.0, abs=0.01)
 
 
+@pytest.mark.singly
 @pytest.mark.parametrize("rig", RIGS, indirect=True)
 def test_while_it_follows_a_ramp_the_value_of_the_moment_is_read(rig):
     armed(rig)
@@ -163,6 +170,7 @@ def test_while_it_follows_a_ramp_the_value_of_the_moment_is_read(rig):
     assert 2.0 <= seen[0] < 3.0 <= seen[-1] <= 4.0
 
 
+@pytest.mark.alone
 def test_ni_says_what_it_cannot_ask_and_notices_a_restart_by_its_valve_line():
     with emulated(ni.daq(), "ao0", "port1/line0") as rig:
         rig.device.write("ao0", 2.0)
@@ -177,6 +185,7 @@ def test_ni_says_what_it_cannot_ask_and_notices_a_restart_by_its_valve_line():
             rig.device.collect() and rig.device.collect()
 
 
+@pytest.mark.alone
 def test_ni_answers_while_a_ramp_is_stepped():
     """No step under way makes `read_back` say that it does not know."""
     with emulated(ni.daq(), "ao0", "port1/line0") as rig:
@@ -186,6 +195,7 @@ def test_ni_answers_while_a_ramp_is_stepped():
         assert seen == sorted(seen)
 
 
+@pytest.mark.singly
 def test_a_register_that_cannot_be_read_gives_what_was_written_last():
     output = {
         "pressure": {"address": 10, "type": "float32", "read_back": False},
@@ -202,6 +212,7 @@ def test_a_register_that_cannot_be_read_gives_what_was_written_last():
         assert device.read_back("pressure") == 300.0
 
 
+@pytest.mark.singly
 def test_a_settings_change_of_the_labjack_watchdog_is_seen():
     """Another program changes what the watchdog would do: time, strictness, DAC and lines are all part of what is held."""
     with labjack.rig() as (_emulator, served, device):

@@ -36,7 +36,8 @@ class Slow:
 
 
 @pytest.fixture
-def made():
+def made(monkeypatch):
+    monkeypatch.setattr("pmabench.engine.acquire.SILENCE", 60.0)  # this device never sends a sample
     bench = replace(mounted().bench, realtime=True, trips=())
     (device,) = bench.devices
     slow = Slow()

@@ -1,5 +1,7 @@
 """A run that goes on does each trial that is left, in order, once, with what it needs before it (R7)."""
 
+from functools import cache
+
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -26,7 +28,11 @@ BENCHES = {
     "arm-angle": ("mock-arm", "arm-30"),
 }
 EXAMPLES = settings(max_examples=30)
-PLANS = {kind: prepare(kind, *bench).plan for kind, bench in BENCHES.items()}
+
+
+@cache
+def plan_of(kind):
+    return prepare(kind, *BENCHES[kind]).plan
 
 
 def begun(steps):
@@ -44,21 +50,21 @@ def ended(steps):
     return found
 
 
-@pytest.mark.parametrize("kind", PLANS)
+@pytest.mark.parametrize("kind", BENCHES)
 @EXAMPLES
 @given(data=st.data())
 def test_each_trial_that_is_left_stands_once_in_order(kind, data):
-    plan = PLANS[kind]
+    plan = plan_of(kind)
     indices = begun(plan.steps)
     done = data.draw(st.sets(st.sampled_from(indices)))
     assert begun(remaining(plan, done)) == [index for index in indices if index not in done]
 
 
-@pytest.mark.parametrize("kind", PLANS)
+@pytest.mark.parametrize("kind", BENCHES)
 @EXAMPLES
 @given(data=st.data())
 def test_cut_anywhere_and_gone_on_with_until_done_each_trial_is_finished_once_in_order(kind, data):
-    plan = PLANS[kind]
+    plan = plan_of(kind)
     finished: list[int] = []
     steps = plan.steps
     for cut in [*data.draw(st.lists(st.floats(0.0, 1.0), max_size=6)), 1.0]:
@@ -68,16 +74,16 @@ def test_cut_anywhere_and_gone_on_with_until_done_each_trial_is_finished_once_in
     assert begun(steps) == []
 
 
-@pytest.mark.parametrize("kind", PLANS)
+@pytest.mark.parametrize("kind", BENCHES)
 def test_nothing_done_is_the_whole_plan(kind):
-    assert remaining(PLANS[kind], set()) == PLANS[kind].steps
+    assert remaining(plan_of(kind), set()) == plan_of(kind).steps
 
 
-@pytest.mark.parametrize("kind", PLANS)
+@pytest.mark.parametrize("kind", BENCHES)
 @EXAMPLES
 @given(data=st.data())
 def test_each_trial_has_the_load_that_it_has_in_the_plan(kind, data):
-    plan = PLANS[kind]
+    plan = plan_of(kind)
 
     def loads(steps):
         load, found = None, {}
@@ -93,11 +99,11 @@ def test_each_trial_has_the_load_that_it_has_in_the_plan(kind, data):
     assert left == {trial: load for trial, load in loads(plan.steps).items() if trial not in done}
 
 
-@pytest.mark.parametrize("kind", PLANS)
+@pytest.mark.parametrize("kind", BENCHES)
 @EXAMPLES
 @given(data=st.data())
 def test_the_specimen_is_prepared_before_the_first_trial_and_no_ramp_jumps(kind, data):
-    plan = PLANS[kind]
+    plan = plan_of(kind)
     done = data.draw(st.sets(st.sampled_from(begun(plan.steps)), max_size=len(begun(plan.steps)) - 1))
     steps = remaining(plan, done)
     if begun(steps):

@@ -5,7 +5,6 @@ import re
 import warnings
 from pathlib import Path
 
-import control
 import matplotlib
 import mujoco
 import numpy as np
@@ -134,6 +133,8 @@ def test_every_letter_of_a_symbol_and_sign_of_a_unit_is_one_that_plain_latex_kno
 
 def test_the_exported_model_is_the_fitted_muscle(tmp_path):
     """Against the closed form: at rest x = (F_ce - F_L) / K, and the first order motion of B and K."""
+    import control  # takes longer than all else that is collected here
+
     (path,) = export_results(RESULTS, "python-control", tmp_path / "muscle.py")
     names: dict = {}
     exec(compile(path.read_text(), str(path), "exec"), names)
