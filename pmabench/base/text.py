@@ -44,9 +44,9 @@ class Spelled:
     def __init__(self, stream: TextIO) -> None:
         self.stream = stream
 
-    def write(self, text: str) -> int:
-        """As of the stream."""
-        self.stream.write(spelled(text))
+    def write(self, text: str | bytes) -> int:
+        """As of the stream; bytes, in which click gives what Tab completes, are UTF-8."""
+        self.stream.write(spelled(text if isinstance(text, str) else text.decode("utf-8", "replace")))
         return len(text)
 
     def writelines(self, lines: Iterable[str]) -> None:

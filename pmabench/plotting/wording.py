@@ -18,6 +18,7 @@ from pmabench.store.analyses.results import POINT_QUANTITIES
 
 _LABELS = {
     "pressure": "P",
+    **{f"pressure_{n}": f"P_{n}" for n in (1, 2, 3)},
     "from": "P before",
     "contraction": "x",
     "setpoint": "set-point",

@@ -1,7 +1,10 @@
 """What a person sees and types first: the sections of --help, examples, former names, completion, and `list`."""
 
 import json
+import os
 import shlex
+import subprocess
+import sys
 from pathlib import Path
 
 import click
@@ -18,6 +21,15 @@ MOST_NAMES = 28
 
 def completed(*typed, incomplete=""):
     return [item.value for item in ShellComplete(main, {}, "pmabench", "_X").get_completions(list(typed), incomplete)]
+
+
+def test_tab_completes_in_a_shell():
+    """As the script of a shell asks, which no part of this program is asked for: in a process of its own."""
+    typed = {"_PMABENCH_COMPLETE": "bash_complete", "COMP_WORDS": "pmabench run --bench labj", "COMP_CWORD": "3"}
+    command = [sys.executable, "-m", "pmabench"]
+    found = subprocess.run(command, env={**os.environ, **typed}, capture_output=True, text=True, check=False)
+    assert (found.returncode, found.stderr) == (0, "")
+    assert {"plain,labjack", "plain,labjack-t8"} <= set(found.stdout.split())
 
 
 def test_help_shows_each_command_once_in_five_sections():

@@ -258,6 +258,7 @@ def test_the_platform_and_the_joint_of_the_judge_hold_what_their_loops_ask_for()
     assert max(map(abs, ends[1:])) < np.radians(0.5)
 
 
+@pytest.mark.study
 def test_half_the_step_leaves_the_joint_and_the_platform_where_they_were(monkeypatch):
     """A valve or a dead band may switch a step earlier, so that the paths are not the same, but their ends are."""
     places = ((servo, "_swung", 1, np.radians(0.15)), (tilted, "_moved", 1, np.radians(0.3)))

@@ -180,11 +180,14 @@ def mat5(size, data):
 
 @pytest.mark.slow
 def test_a_small_file_that_unpacks_to_gigabytes_is_refused():
-    packer = zlib.compressobj(9)
+    packer = zlib.compressobj(9, wbits=-15)
     head = struct.pack("<IIIIIIIIIIIIII", 14, 4_000_000_000, 6, 8, 6, 0, 5, 8, 500_000_000, 1, 1, 0, 9, 4_000_000_000)
     begin = packer.compress(head) + packer.flush(zlib.Z_FULL_FLUSH)
     zeros = packer.compress(b"\0" * 10_000_000) + packer.flush(zlib.Z_FULL_FLUSH)
-    data = begin + zeros * 150 + packer.flush()
+    checksum = zlib.adler32(head)
+    for _ in range(150):
+        checksum = zlib.adler32(b"\0" * 10_000_000, checksum)
+    data = b"\x78\xda" + begin + zeros * 150 + packer.flush() + checksum.to_bytes(4, "big")
     assert len(data) < 2_000_000
     told = refused("mat", mat5(len(data), data))
     assert "memory" in told or "CPU" in told

@@ -1,8 +1,8 @@
 """Festo CMMT-AS and CMMT-ST servo drives over Modbus TCP, telegram 111: a driven free end.
 
 `telegram`: the words of telegram 111 and what they mean, registers, parameters, the pieces of a sine, and what the
-bench file says, and the connection; here: the device interface; `emulated`, `emulated_motion`: what `pmabench emulate`
-serves.
+bench file says; `link`: the connection; here: the device interface; `emulated`, `emulated_motion`: what `pmabench
+emulate` serves.
 
 One thread exchanges process data from `open` to `close`, as the drive expects it; nothing is written before the first
 command, so that `open` takes control from nobody. The newest command is all that is ever sent: a command of the caller
@@ -30,7 +30,7 @@ from pmabench_drivers.shared.device import refuse_nonsense
 from pmabench_drivers.shared.link import JOIN, Unanswered, opened
 
 if TYPE_CHECKING:
-    from pmabench_drivers.festo_cmmt.telegram import DriveLink
+    from pmabench_drivers.festo_cmmt.link import DriveLink
 
 OPEN = 1.9
 ANSWER = 0.1
@@ -73,7 +73,7 @@ class FestoCmmt(Watched):
 
     def open(self) -> Identity:
         """Connect, read who it is, and compare telegram and units with the bench file; takes no control."""
-        from pmabench_drivers.festo_cmmt.telegram import DriveLink
+        from pmabench_drivers.festo_cmmt.link import DriveLink
 
         self.close()
         line = self._line = DriveLink(self._device.name, self._device.address)

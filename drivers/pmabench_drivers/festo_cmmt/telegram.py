@@ -1,8 +1,7 @@
-"""PROFIdrive telegram 111 as a CMMT takes and gives it, where the drive is wanted at a time, its options and its
-connection.
+"""PROFIdrive telegram 111 as a CMMT takes and gives it, where the drive is wanted at a time, and its options.
 
-Registers, bits and parameter numbers: Festo's own client library festo-edcon 1.0, read as a description of the wire.
-Words are in registers as they are, those of 32 bits low word first.
+Knows no connection; standard library only. Registers, bits and parameter numbers: Festo's own client library
+festo-edcon 1.0, read as a description of the wire. Words are in registers as they are, those of 32 bits low word first.
 
 A sine is streamed. In each cycle the drive gets the velocity that brings it to the sine's value at the end of the
 cycle, and a target beyond that in the same direction: so it never brakes for a target on the way, and goes on smoothly
@@ -13,19 +12,13 @@ seen in where it is, and made up slowly.
 from __future__ import annotations
 
 import math
-import threading
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from math import ceil
-from time import monotonic, sleep
 
-from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import DeviceRecord, Segment
-from pmabench_drivers.modbus.adapter import NamedLine
 from pmabench_drivers.modbus.registers import Register, decode, encode
 from pmabench_drivers.shared.device import stepped
-from pmabench_drivers.shared.link import Still, Unanswered, always
 from pmabench_drivers.shared.options import Reader
 
 PROCESS_OUT, PROCESS_IN = 0, 100
@@ -255,85 +248,3 @@ def read_options(device: DeviceRecord, reader: Reader) -> CmmtOptions:
         reader.quantity(given, "speed", HERE, "speed", 0.02, 1e-4, 1.0),
         reader.flag(given, "acknowledge_faults", HERE, default=False),
     )
-
-
-ANSWER = 0.1
-"""Longest wait for one answer [s]."""
-LOOK = 0.003
-"""Pause between two looks into the mailbox [s]."""
-
-
-class DriveLink(NamedLine):
-    """One connection, used by any thread; every call ends `until` [s, monotonic]."""
-
-    def __init__(self, device: str, address: str) -> None:
-        super().__init__(device, address, ANSWER)
-        self._mailbox = threading.Lock()
-
-    def look(self, until: float) -> Status:
-        """What the drive reports now."""
-        return Status.of(self._again(PROCESS_IN, SIZE, until, "process data"))
-
-    def look_once(self, until: float) -> Status:
-        """The same in one transaction, whose time is known."""
-        return Status.of(self.read("holding", PROCESS_IN, SIZE, until, "process data"))
-
-    def send(self, words: Sequence[int], until: float, still: Still = always) -> None:
-        """Write process data once, unless `still()` is false by the time the line is free."""
-        self.write(16, PROCESS_OUT, words, until, "process data", still)
-
-    def get(self, register: Register, until: float) -> float:
-        """The value of a register."""
-        return decode(register, self._again(register.address, register.count, until, register.name))
-
-    def put(self, register: Register, value: float, until: float, *, checked: bool = True) -> None:
-        """Write once; then what the drive holds decides, also where the answer was lost."""
-        with suppress(Unanswered):
-            self.write(16, register.address, encode(register, value), until, register.name)
-        held = self.get(register, until)
-        if checked and held != value:
-            raise DeviceError(self._device, f"was given {value:g} and holds {held:g}", register.name)
-
-    def parameter(self, number: int, kind: str, until: float) -> float:
-        """The value of a parameter; `kind` is a type of registers, or `int8`."""
-        what = f"parameter {number}"
-        words, size = self._fetch(number, until)
-        register = Register(what, "holding", DATA, "uint16" if kind == "int8" else kind, low_word_first=True)
-        if size == 0:
-            raise DeviceError(self._device, f"does not give its value (mailbox state {FAILED})", what)
-        if size != (1 if kind == "int8" else 2 * register.count):
-            raise DeviceError(self._device, f"has {size} bytes, where {kind} was expected", what)
-        value = decode(register, words)
-        return float((int(value) & 0xFF ^ 0x80) - 0x80) if kind == "int8" else value
-
-    def text(self, number: int, until: float) -> str:
-        """A parameter that is a text; empty where the drive has none."""
-        words, size = self._fetch(number, until)
-        data = b"".join(word.to_bytes(2, "little") for word in words)[:size]
-        return "".join(chr(byte) for byte in data.split(b"\0")[0] if 32 <= byte < 127).strip()
-
-    def _fetch(self, number: int, until: float) -> tuple[list[int], int]:
-        """Registers and bytes of a parameter, through the mailbox; nothing where the drive refuses it."""
-        what = f"parameter {number}"
-        with self._mailbox:
-            for address, word in ((NUMBER, number), (SUBINDEX, 0), (ELEMENTS, 1), (EXECUTE, READ)):
-                self.write(6, address, [word], until, what)
-            while (state := self.read("holding", EXECUTE, 1, until, what)[0]) != DONE:
-                if state == FAILED:
-                    return [], 0
-                if monotonic() > until - LOOK:
-                    raise DeviceError(self._device, f"does not give its value (mailbox state {state})", what)
-                sleep(LOOK)
-            [size] = self.read("holding", LENGTH, 1, until, what)
-            if not 0 < size <= LONGEST_TEXT:
-                raise DeviceError(self._device, f"has {size} bytes, which is no value that is read here", what)
-            return self.read("holding", DATA, (size + 1) // 2, until, what), size
-
-    def _again(self, address: int, count: int, until: float, what: str) -> list[int]:
-        """Registers; asked once more where no answer came in time: that moves nothing."""
-        try:
-            return self.read("holding", address, count, until, what)
-        except Unanswered:
-            if monotonic() >= until:
-                raise
-            return self.read("holding", address, count, until, what)

@@ -375,7 +375,8 @@ def _error(one: Loaded, rows: Array) -> float:
 def _curve(P: Array, terms: Array) -> Array:
     """Angle [rad] of the form of paper 2."""
     a, b, c, d = terms
-    return np.asarray(a + b / (1 + (np.maximum(P, 0.0) / abs(c)) ** d))
+    with np.errstate(over="ignore"):  # far from the solution a power may be infinite, and its term is then 0
+        return np.asarray(a + b / (1 + (np.maximum(P, 0.0) / abs(c)) ** d))
 
 
 def _fit(P: Array, angles: Array, start: Sequence[float] | Array) -> Array:

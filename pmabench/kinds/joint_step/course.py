@@ -115,6 +115,8 @@ def refuse_leaps(t: Array, angle: Array, count: float) -> None:
     change = np.diff(angle)
     around = 0.25 * (change[:-4] + change[1:-3] + change[3:-1] + change[4:])
     leaps = np.abs(change[2:-2] - around)
+    if not len(leaps):
+        return
     worst = int(np.argmax(leaps))
     motion = np.abs(change[max(0, worst - 8) : worst + 13] - np.median(change[max(0, worst - 8) : worst + 13]))
     usual = float(np.sort(motion)[-2])  # the largest change but one

@@ -64,7 +64,7 @@ def points_of(runs: Sequence[RunData]) -> tuple[Points, list[Dropped]]:
             if trial.status not in ("finished", "failed"):
                 dropped.append(Dropped(name, trial.point, f"the trial is {trial.status}"))
             elif "load" not in trial.point:
-                dropped.append(Dropped(name, trial.point, "the trial names no load"))
+                dropped.append(Dropped(name, trial.point, "no load: a column of force, its name or `point` gives it"))
             elif not np.isfinite(list(pressures.values())).any():
                 reasons = [str(result["reason"]) for result in found.values() if result.get("reason")]
                 dropped.append(Dropped(name, trial.point, "; ".join(reasons) or "neither lift nor set-down was found"))

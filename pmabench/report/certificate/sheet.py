@@ -11,6 +11,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
+import numpy as np
+
 from pmabench.plotting.pictures import Picture, drawable
 from pmabench.plotting.wording import brief, clean, number
 from pmabench.report.certificate import limits as not_for
@@ -28,7 +30,7 @@ from pmabench.report.document.tables import two_coordinates
 from pmabench.report.figures.figures import front_pictures
 from pmabench.report.foremost import how_well, left_out
 from pmabench.report.words import described, kind_title
-from pmabench.store.analyses.results import AGREEMENT, Analysis, Estimate
+from pmabench.store.analyses.results import AGREEMENT, Analysis, Estimate, Trace
 from pmabench.store.records import RunData
 
 FIGURES = 3
@@ -135,12 +137,13 @@ def _pictures(
 
     The first two are lower by `less` [pt] each.
     """
-    analyses = [drawable(a) for a in analyses]
+    analyses = [_followed(drawable(a)) for a in analyses]
     found: list[Picture] = []
     used: list[str] = []
     across = two_coordinates(members, over)
     draw = partial(surface_picture, across=across) if across else coefficient_picture
-    panels = draw(analyses, members, over, less=less) if members else None
+    several = len({name for e in members for name in e.at} - {"mass"}) > 2  # dots of all places would lie in a heap
+    panels = draw(analyses, members, over, less=less) if members and not several else None
     found += [panels] if panels else []
     force = force_picture(analyses, less)
     found += [force] if force else []
@@ -157,6 +160,16 @@ def _pictures(
             found += more
         used += traces
     return found[:FIGURES], used
+
+
+def _followed(analysis: Analysis) -> Analysis:
+    """Without free runs that end before half of their trial, where a coefficient is not known."""
+
+    def whole(trace: Trace) -> bool:
+        model = trace.columns.get("model") if trace.figure == "overlay" else None
+        return model is None or float(np.isfinite(np.asarray(model, dtype=np.float64)).mean()) > 0.5
+
+    return replace(analysis, traces=tuple(trace for trace in analysis.traces if whole(trace)))
 
 
 def _is_in(title: str, panels: str) -> bool:

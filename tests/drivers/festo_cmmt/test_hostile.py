@@ -8,9 +8,9 @@ from time import monotonic
 
 import pytest
 from pmabench_drivers.festo_cmmt import FestoCmmt
-from pmabench_drivers.festo_cmmt import telegram as link_module
+from pmabench_drivers.festo_cmmt import link as link_module
 from pmabench_drivers.festo_cmmt import telegram as t
-from pmabench_drivers.festo_cmmt.telegram import DriveLink
+from pmabench_drivers.festo_cmmt.link import DriveLink
 
 from pmabench.base.clock import RealClock
 from pmabench.base.errors import DeviceError

@@ -66,22 +66,29 @@ def explained(search: Search, before: State) -> Rounds:
             now = search.fitted(finer.explanations, finer)
             continue
         if now.excess - best.excess < EXPLAINS * now.excess:
-            together = search.all_of_muscle(now)
+            together = _together(search, before, now)
             if together.excess < 0.5 * best.excess and all(plausible(one) for one in together.explanations):
                 best = together
         if best is now:
             break
         tried, now = found, best if best.own_knots else search.fitted(best.explanations, best)
     if now.test.doubted and now is not before:
-        together = search.all_of_muscle(now)
-        mine = now.explanations[given:]
-        if now.test.ratio >= STILL_TOLD * now.test.most_ratio and all(one.of_muscle for one in mine):
-            together = min(together, search.finest(before, now), key=lambda state: state.excess)
+        together = _together(search, before, now)
         if together.excess < (1 - FURTHER) * now.excess and all(plausible(one) for one in together.explanations):
             now = search.fitted(together.explanations, together)
     if len(now.explanations) == given + 1 and tried:
         return Rounds(before, now, (_rivals(before, now, now.explanations[-1], tried),))
     return _without_needless(search, before, now)
+
+
+def _together(search: Search, before: State, now: State) -> State:
+    """`now` with all properties of the muscle, in finest forms where one is found already and coarser ones fail."""
+    together, mine = search.all_of_muscle(now), now.explanations[len(before.explanations) :]
+    if mine and all(one.of_muscle for one in mine) and together.test.ratio >= STILL_TOLD * together.test.most_ratio:
+        finest = search.finest(before, now)
+        if ALONE * finest.excess < together.excess:
+            return finest
+    return together
 
 
 def _worth(found: State, now: State, first: bool) -> bool:
@@ -113,5 +120,5 @@ def _without_needless(search: Search, before: State, now: State) -> Rounds:
         removed = without.excess - now.excess
         if not (now.test.doubted or without.test.doubted) or removed < FURTHER * without.excess:
             return _without_needless(search, before, search.fitted(rest, without))
-        found.append(_rivals(without, now, one, search.others(without, limit)))
+        found.append(_rivals(without, now, one, search.others(without, limit, one.cause)))
     return Rounds(before, now, tuple(found))

@@ -176,10 +176,11 @@ class Search:
 
     @cached_property
     def _few(self) -> list[int]:
-        """Trials that are looked at in the first search for a time: some of all pressures and loads."""
-        points = [(trial.point.get("pressure", 0.0), trial.point.get("load", 0.0)) for trial in self.campaign.trials]
-        every = min(EVERY, max(1, len(points) // FEWEST_TRIALS))
-        return sorted(sorted(range(len(points)), key=lambda i: points[i])[::every])
+        """Trials that are looked at in the first search for a time: moving ones of all pressures and loads."""
+        moving = np.unique(self.uncorrected.trial).tolist()
+        points = [self.campaign.trials[i].point for i in moving]
+        order = sorted(range(len(moving)), key=lambda i: (points[i].get("pressure", 0.0), points[i].get("load", 0.0)))
+        return sorted(moving[i] for i in order[:: min(EVERY, max(1, len(moving) // FEWEST_TRIALS))])
 
     def columns(
         self, one: Explanation, campaign: Campaign, segments: Segments, fit: Solved, others: Sequence[Explanation] = ()
@@ -232,13 +233,13 @@ class Search:
         off = forces @ sizes_of(raw, forces)
         return segments.pulled(-off), raw.pulled(-off).residual
 
-    def others(self, now: State, limit: float = ALONE * LEAST_EXCESS) -> list[State]:
-        """`now` with one more explanation each, the best of every cause that it has none of, the best first.
+    def others(self, now: State, limit: float = ALONE * LEAST_EXCESS, but: str = "") -> list[State]:
+        """`now` with one more explanation each, the best of every cause that it has none of `but` one, the best first.
 
         Without times that explain next to nothing and leave more than the excess `limit`.
         """
         known = {one.family for one in now.explanations}
-        tried = [one for one in self._possible(now) if one.family not in known]
+        tried = [one for one in self._possible(now) if one.family not in known and one.cause != but]
         test = now.test
         groups = [self.columns(one, test.campaign, test.segments, test.fit, now.explanations) for one in tried]
         tried = [replace(one, sizes=(0.0,) * each.shape[1]) for one, each in zip(tried, groups, strict=True)]
@@ -305,7 +306,8 @@ class Search:
     def all_of_muscle(self, now: State) -> State:
         """`now` with all properties of the muscle that it has not."""
         known = {one.family for one in now.explanations}
-        return self._with_more(now, now.explanations, [one for one in ALL_OF_MUSCLE if one.family not in known])
+        more = [one for one in ALL_OF_MUSCLE if one.family not in known]
+        return self._with_more(now, now.explanations, more) if more else now
 
     def finest(self, before: State, now: State) -> State:
         """`before` with all properties of the muscle in their finest forms, at the knots of `now`."""
