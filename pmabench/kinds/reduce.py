@@ -19,7 +19,7 @@ from pmabench.base.errors import UsageError, did_you_mean, invalid
 from pmabench.base.kind import Result, load
 from pmabench.base.quantities import show
 from pmabench.kinds import registry
-from pmabench.store.analyses.results import POINT_QUANTITIES, Analysis, Estimate
+from pmabench.store.analyses.results import POINT_QUANTITIES, Analysis, Dropped, Estimate
 from pmabench.store.records import RunData
 
 MOST_REASONS = 3
@@ -113,7 +113,11 @@ def compared(analyses: Sequence[Analysis]) -> Analysis | None:
 def _reduced(kind: str, runs: Sequence[RunData], options: Mapping[str, Any] | None) -> Analysis:
     """The reduction of a kind, with the checks and the repeats of its trials."""
     record = registry.kind_of(kind)
+    empty = [Dropped(t.name, t.point, "no sample was recorded") for run in runs for t in run.trials if not len(t.t)]
+    if empty:
+        runs = [replace(run, trials=tuple(trial for trial in run.trials if len(trial.t))) for run in runs]
     analysis = record.part("reduction")(runs, options)
+    analysis = replace(analysis, dropped=(*analysis.dropped, *empty))
     count = max((side_by_side(run.manifest.get("specimen")) for run in runs), default=1)
     analysis = without_diameter(analysis, count)
     analysis = with_motion(with_checks(analysis, record, runs), runs, record.moves)

@@ -150,6 +150,7 @@ BROKEN = {
     "dead force": lambda trial: _held(trial, "force"),
     "every sample lost": _lost,
     "three samples": lambda trial: _cut(trial, None),
+    "no sample": lambda trial: _cut(trial, 0.0),
     "the first half": lambda trial: _cut(trial, 0.5),
 }
 

@@ -33,10 +33,6 @@ MIDDLE = 0.05
 FADED = 0.25
 """Share of what the first gap is wider by, by which later gaps may change; share of H that its half width may be."""
 NO_HYSTERESIS = "the gap at speed 0, which it is a share of, is not known well enough"
-NO_REST = (
-    "whether the muscle rested before its first loop is not in the record: give `prepare: {rest: 30 min}` without "
-    "preconditioning, and let `discard` leave out the loops in which it fades"
-)
 
 
 @dataclass(frozen=True)
@@ -54,8 +50,8 @@ class Wider:
 
 
 def first_cycle(runs: Sequence[RunData], cells: Sequence[Cell], options: Mapping[str, Any]) -> Iterator[Estimate]:
-    """The coefficient of each cell that holds the first loops of a run; none where a run was preconditioned."""
-    firsts = {min(run.trials, key=_begin).name for run in runs if run.trials and not _preconditioned(run)}
+    """The coefficient of each cell that holds the first loops of a run; none where no rest before them is recorded."""
+    firsts = {min(run.trials, key=_begin).name for run in runs if run.trials and _rest(run)}
     for cell in cells:
         if cell.upside_down or not (members := [m for m in cell.members if m.trial.name in firsts]):
             continue
@@ -79,12 +75,6 @@ def _begin(trial: TrialData) -> float:
     return float(trial.t[0]) if len(trial.t) else np.inf
 
 
-def _preconditioned(run: RunData) -> bool:
-    """Whether cycles came before the first trial and no rest after them; or nothing of what came before is recorded."""
-    steps = run.plan.get("steps") or ()
-    return not _rest(run) and (not steps or any(step.get("phase") == "precondition" for step in steps))
-
-
 def _rest(run: RunData) -> float:
     """How long the vented muscle rested before the first trial [s]."""
     return float((run.plan.get("settings") or {}).get("rest", 0.0))
@@ -94,8 +84,6 @@ def _wider(member: Member, options: Mapping[str, Any]) -> Wider | str:
     """What the first gap of a trial is wider by, or why that is not known."""
     run = member.run
     rest, first = _rest(run), int({**(run.plan.get("settings") or {}), **options}.get("discard", 1))
-    if not rest:
-        return NO_REST
     if rest < LONG:
         return f"the muscle rested for {show(rest, 'time')} only: let it rest for {show(LONG, 'time')} or more"
     try:

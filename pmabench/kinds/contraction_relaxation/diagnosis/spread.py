@@ -24,7 +24,7 @@ STEP = 1.5e-3
 """By which times of streams are moved to see what they change [s]."""
 PART_BY_WEIGHTS = 0.1
 """Share of a drift or gain by the weights that may be wrong: a drift is no exact line over time."""
-PART_OF_MUSCLE, PART_OF_BENCH = (0.03, 0.3), (0.02, 0.1)
+PART_OF_MUSCLE, PART_OF_BENCH = (0.1, 0.3), (0.02, 0.1)
 """Least and greatest share of a correction by the fit that may be wrong: of what a muscle does no form is exact, of a
 delay, a drift or a slip nearly so. Chosen and confirmed on campaigns with known faults."""
 CHANCE = 0.1
