@@ -177,7 +177,8 @@ def report(
     for finding in findings[:MOST_FINDINGS]:
         yield from wrap(finding, WIDTH, initial_indent="!  ", subsequent_indent="   ", max_lines=2, placeholder=" …")
     if len(findings) > MOST_FINDINGS:
-        yield f"   {len(findings) - MOST_FINDINGS} more findings: -v"
+        more = len(findings) - MOST_FINDINGS
+        yield f"   {more} more finding{'s' if more > 1 else ''}: -v"
     yield from then
 
 

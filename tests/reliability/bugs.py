@@ -109,8 +109,8 @@ BUGS = (
     Bug(
         "a terminal obeys the names of others",
         "pmabench/base/text.py",
-        "        self.stream.write(spelled(text))\n",
-        "        self.stream.write(text)\n",
+        '        self.stream.write(spelled(text if isinstance(text, str) else text.decode("utf-8", "replace")))\n',
+        '        self.stream.write(text if isinstance(text, str) else text.decode("utf-8", "replace"))\n',
         ("tests/cli/test_hostile_text.py",),
     ),
     Bug(
