@@ -19,7 +19,7 @@ from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import DeviceRecord, Identity
 from pmabench_drivers.festo_cpx_e import terminal as t
 from pmabench_drivers.festo_cpx_e.terminal import DONE, STATUS, TIMEOUT, CpxOptions, read_options
-from pmabench_drivers.modbus import CALL, OPEN, ModbusDevice
+from pmabench_drivers.modbus import CALL, LATE, OPEN, ModbusDevice
 from pmabench_drivers.modbus.registers import Register, decode
 from pmabench_drivers.shared.link import Cycle, Unanswered
 
@@ -32,6 +32,8 @@ LOOK = 0.06
 """Longest wait for what an output held before it is written [s]."""
 ECHO = 0.003
 """Pause between two looks whether a written value has arrived at the module [s]."""
+SHOWN = 0.01
+"""What was written is shown at the module's inputs within so long [s]."""
 TABLE = 0.5
 """Longest wait for an answer of the data system table [s]."""
 CLEAR = 0.05
@@ -259,18 +261,19 @@ class FestoCpxE(ModbusDevice):
         register = self._map.outputs[output]
         self._following.pop(output, None)
         words, line, until = self._words(register, value), self._line, monotonic() + CALL
-        if line is not None:
-            line.cut()
+        under_way = line is not None and line.cut()
         second = self._new_line()
+        source = self._whole(register) if register.bit >= 0 else self._map.inputs[output]
         try:
             if register.bit >= 0:
-                source = self._whole(register)
                 try:
                     [held] = second.read("holding", source.address, 1, min(until, monotonic() + LOOK), source.name)
                 except DeviceError:
                     held = 0
                 words = _with_bit(register, value, held)
-            second.overrule(16, register.address, words, until, output)
+            one = register.bit >= 0  # another rescue may write its bit of the same register meanwhile
+            mask, watch = 1 << register.bit if one else 0xFFFF, LATE if under_way or one else SHOWN
+            second.overrule(16, register.address, words, until, output, source.address, mask, watch)
         finally:
             second.close()
 

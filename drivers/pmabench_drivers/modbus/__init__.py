@@ -38,7 +38,8 @@ if TYPE_CHECKING:
 CALL = 0.19
 """Longest time that a call takes [s]; the guard gives up at 0.2 s."""
 OPEN = 1.9
-
+LATE = 0.05
+"""A command that was under way when its connection was cut is carried out within so long [s]."""
 
 SHARE, LEAST = 0.25, 0.1
 """The polling thread waits for a sign of life of the program for this share of the watchdog's time, at least 0.1 s."""
@@ -263,11 +264,10 @@ class ModbusDevice(Watched, Controlled):
         if line is not None and line.is_serial:
             line.write(function, register.address, words, deadline, output)
             return
-        if line is not None:
-            line.cut()
+        under_way = line is not None and line.cut()
         second = self._new_line()
         try:
-            second.overrule(function, register.address, words, deadline, output)
+            second.overrule(function, register.address, words, deadline, output, watch=LATE if under_way else 0.0)
         finally:
             second.close()
 

@@ -18,7 +18,7 @@ import struct
 import threading
 from collections.abc import Callable, Sequence
 from functools import partial
-from time import monotonic
+from time import monotonic, sleep
 from typing import Any
 
 from pymodbus.client import ModbusSerialClient, ModbusTcpClient  # noqa: TID253  (this module is imported by `open`)
@@ -32,6 +32,8 @@ from pmabench_drivers.shared.link import Still, Unanswered, always, turn
 for _name in ("pymodbus.logging", "pymodbus_logging"):
     logging.getLogger(_name).setLevel(logging.CRITICAL)  # it prints what is raised here anyway
 
+SHOWN = 0.005
+"""Pause between two looks at what a device shows after a command [s]."""
 PIECE = 0.005
 """Longest wait for bytes of a serial port before the deadline is looked at again [s]."""
 EXCEPTIONS = {
@@ -195,25 +197,46 @@ class Line:
         echo = words[0] if function in {5, 6} else len(words)
         self._ask(calls[function], (function, address, echo), deadline, what, still)
 
-    def overrule(self, function: int, address: int, words: Sequence[int], deadline: float, what: str = "") -> None:
-        """Write, and write again if the device then holds another value.
+    def overrule(
+        self,
+        function: int,
+        address: int,
+        words: Sequence[int],
+        deadline: float,
+        what: str = "",
+        shown_at: int | None = None,
+        mask: int = 0xFFFF,
+        watch: float = 0.0,
+    ) -> None:
+        """Write, and write again as long as the device shows another value.
 
-        A command that another connection was sending when it was cut may be carried out after the first write.
+        A command that another connection was sending when it was cut may be carried out after the first write: the
+        value is looked at for `watch` seconds. `shown_at`: the register that shows it, where that is another one;
+        `mask`: the bits that matter, the others stay as they are shown.
         """
         self.write(function, address, words, deadline, what)
-        try:
-            held = self.read("coil" if function in {5, 15} else "holding", address, len(words), deadline, what)
-        except DeviceError:
-            return  # one that cannot be read was written; whether the bench is safe is measured
-        if held != list(words):
-            self.write(function, address, words, deadline, what)
+        table, where = "coil" if function in {5, 15} else "holding", address if shown_at is None else shown_at
+        enough = monotonic() + watch
+        while True:
+            sleep(min(watch, SHOWN))
+            try:
+                held = self.read(table, where, len(words), deadline, what)
+            except DeviceError:
+                return  # one that cannot be read was written; whether the bench is safe is measured
+            wanted = [word & mask | before & ~mask for word, before in zip(words, held, strict=True)]
+            if wanted != held:
+                self.write(function, address, wanted, deadline, what)
+            elif monotonic() >= enough:
+                return
 
-    def cut(self) -> None:
-        """End a call that hangs in another thread; the next one connects anew."""
+    def cut(self) -> bool:
+        """End a call that hangs in another thread; the next one connects anew. Whether there was one."""
+        under_way = self._lock.locked()
         self._client.cut()
         if not self.is_serial and self._lock.acquire(blocking=False):
             self._client.close()  # type: ignore[no-untyped-call]
             self._lock.release()
+        return under_way
 
     # -- one transaction ------------------------------------------------------------------------------------------
 

@@ -2,6 +2,7 @@
 
 import contextlib
 import socket
+import threading
 import time
 from itertools import pairwise
 
@@ -9,7 +10,7 @@ import pytest
 
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import Segment
-from tests.drivers.common import timed
+from tests.drivers.common import timed, until
 from tests.drivers.festo.rigs import served
 
 pytestmark = pytest.mark.realtime
@@ -17,6 +18,7 @@ pytestmark = pytest.mark.realtime
 BOUND = 0.3
 """The contract is 0.2 s; the rest is for a busy machine."""
 WRITES, READS = (6, 16), (3,)
+STEP = 922
 
 
 @pytest.fixture
@@ -251,3 +253,44 @@ def test_without_a_sign_of_life_the_outputs_go(rig):
 
 
 # -- rescue and silence ---------------------------------------------------------------------------------------------
+
+
+def test_rescue_has_the_last_word_over_a_step_that_the_terminal_carries_out_late(rig):
+    """The step had arrived when its connection was cut, and is carried out after the rescue's own command."""
+    plain, came = rig.inside.carry_out, threading.Event()
+
+    def carry_out(request, connection, *, ignore=False):
+        if request.values and request.values[0] == STEP:
+            came.set()
+            until(lambda: rig.log("set") and rig.log("set")[-1]["raw"] == 0.0)
+            time.sleep(0.02)
+        return plain(request, connection, ignore=ignore)
+
+    rig.inside.carry_out = carry_out
+
+    def send():
+        with contextlib.suppress(DeviceError):
+            rig.device.write("ao4.0", float(STEP))
+
+    step = threading.Thread(target=send)
+    step.start()
+    assert came.wait(2.0)
+    rig.device.rescue("ao4.0", 0.0)
+    step.join()
+    time.sleep(0.1)
+    values = [entry["raw"] for entry in rig.log("set")]
+    assert values[-1] == 0.0
+    assert STEP in values
+
+
+def test_two_rescues_at_once_leave_each_valve_of_a_module_as_asked(rig):
+    for _ in range(5):
+        rig.device.switch("do2.0", on=False)
+        rig.device.switch("do2.1", on=True)
+        calls = [threading.Thread(target=rig.device.rescue, args=(f"do2.{i}", float(i == 0))) for i in (0, 1)]
+        for call in calls:
+            call.start()
+        for call in calls:
+            call.join()
+        time.sleep(0.02)
+        assert (rig.device.is_on("do2.0"), rig.device.is_on("do2.1")) == (True, False)
