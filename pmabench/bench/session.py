@@ -143,6 +143,8 @@ class Session:
     warm_up: WarmUp | None = None
     zeros: Mapping[str, Zero] = field(default_factory=dict)
     valid: float = 12 * 3600.0
+    expected: tuple[str, ...] = ("pressure", "force", "displacement")
+    """Channels whose zeros a whole session takes."""
 
     def shortened(self) -> tuple[str, ...]:
         """In words: which parts are shorter than the papers and good practice ask for."""
@@ -153,7 +155,7 @@ class Session:
             found.append(f"warm-up of {in_words(self.warm_up.duration)} instead of {in_words(WARM_UP)}")
         if self.self_test is None:
             found.append("no self-test")
-        missing = [name for name in ("pressure", "force", "displacement") if name not in self.zeros]
+        missing = [name for name in self.expected if name not in self.zeros]
         if missing:
             found.append(f"no zero of {', '.join(missing)}")
         return tuple(found)
@@ -164,11 +166,11 @@ def session(c: Compilation, setup: float) -> Session | None:
     file = c.bench.session
     if file is None:
         return None
-    if c.bench.muscles:
+    if c.bench.platform is not None:
         c.fault(
             ("session",),
-            "self-test, warm-up and zeros are made for a bench with one muscle: leave the section out; `check` "
-            "names what to do by hand",
+            "self-test, warm-up and zeros need an output that commands the pressure of each muscle, and a platform has "
+            "valves: leave the section out; `check` names what to do by hand",
         )
         return None
     warm_up = None
@@ -176,30 +178,34 @@ def session(c: Compilation, setup: float) -> Session | None:
         given = file.warm_up
         _commanded(c, given.pressure, ("session", "warm_up", "pressure"))
         warm_up = WarmUp(given.duration, given.pressure, given.period)
-    return Session(_self_test(c, file, setup), warm_up, _zeros(c, file), file.valid)
+    each = {"expected": (*c.bench.pressures, "angle")} if c.bench.muscles else {}
+    return Session(_self_test(c, file, setup), warm_up, _zeros(c, file), file.valid, **each)
 
 
 def lacks_session(c: Compilation) -> Iterator[str]:
     """A line where a real bench has no session; goes on after "this bench has"."""
-    if c.bench.time == "real" and c.bench.muscles:
+    if c.bench.time == "real" and c.bench.platform is not None:
         yield (
-            "no session, for self-test, warm-up and zeros are made for a bench with one muscle: wiring and zeros "
-            'are not looked at; remedy: before the first run, "pmabench bench set" each output to a small '
-            'pressure by itself and see that its own channel follows, and "bench read" each channel without pressure'
+            "no session, for self-test, warm-up and zeros need outputs that command pressures: wiring and zeros are "
+            'not looked at; remedy: before the first run, "pmabench bench read" each channel without pressure, and see '
+            "by hand that each valve moves the pressure of its own muscle"
         )
     elif c.bench.time == "real" and c.bench.session is None:
+        first = c.bench.pressures[0] if c.bench.muscles else "pressure"
         yield (
             "no session: no warm-up, no zeros, no self-test before the first pressure; remedy: "
-            '"session: {self_test: {}, warm_up: {pressure: 300 kPa}, zeros: {pressure: {most: 5 kPa}}}"'
+            f'"session: {{self_test: {{}}, warm_up: {{pressure: 300 kPa}}, zeros: {{{first}: {{most: 5 kPa}}}}}}"'
         )
 
 
 def _commanded(c: Compilation, pressure: float, at: Location) -> None:
-    if "pressure" not in c.bench.set_points:
-        c.fault(at, "nothing commands the pressure on this bench")
-    elif "pressure" in c.outputs and pressure > c.outputs["pressure"].high:
-        most = f"{show(c.outputs['pressure'].high, 'pressure')} ({c.outputs['pressure'].high_from})"
-        c.fault(at, f"{show(pressure, 'pressure')} is above the command limit, {most}")
+    names = [f"pressure_{number}" for number in c.bench.muscles] or ["pressure"]
+    for name in names:
+        if name not in c.bench.set_points:
+            c.fault(at, f"nothing commands the {name} on this bench")
+        elif name in c.outputs and pressure > c.outputs[name].high:
+            most = f"{show(c.outputs[name].high, 'pressure')} ({c.outputs[name].high_from})"
+            c.fault(at, f"{show(pressure, 'pressure')} is above the command limit, {most}")
 
 
 def _mass(c: Compilation, load: tuple[str, float] | None, at: Location) -> float | None:

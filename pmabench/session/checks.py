@@ -94,13 +94,13 @@ def _noise(channel: ChannelRecord, series: Series, limits: Mapping[str, float]) 
 
 
 def _supply(mounted: Mounted, series: Mapping[str, Series]) -> Iterator[Check]:
-    output = next((output for output in mounted.bench.outputs if output.name == "pressure"), None)
-    if output is None:
+    highest = max((output.high for output in mounted.bench.outputs if output.quantity == "pressure"), default=None)
+    if highest is None:
         return
     if "supply" not in series:
         yield Check("supply at rest", "", "", NOT_MEASURED, "no channel for it on this bench")
         return
-    least, mean = output.high + SUPPLY_MARGIN, series["supply"].mean()
+    least, mean = highest + SUPPLY_MARGIN, series["supply"].mean()
     yield judged(
         "supply at rest",
         show(mean, "pressure", 4),

@@ -18,6 +18,7 @@ from pmabench.engine.run import Outcome, run_plan
 from pmabench.protocol.plan import Ask, Hold, Set
 from pmabench.session.checks import NOT_MEASURED, Check, SelfTestFailed, at_rest, judged, refuse, table, unchecked
 from pmabench.session.guided import guided_plan, listen, load_text, moving_mass
+from pmabench.session.several import EachMuscle
 from pmabench.session.stepping import PHASE, Stepping
 from pmabench.session.wiring import MOVED, Stage, Wiring
 
@@ -46,17 +47,22 @@ class SelfTesting:
         self._others: list[Check] = []
         self._leaks: dict[str, float] | None = None
         self._stepping: Stepping | None = None
+        self._each = EachMuscle(mounted, test) if mounted.bench_file.muscles else None
         self._pressurises = any(output.name == "pressure" for output in mounted.bench.outputs)
 
     @property
     def checks(self) -> list[Check]:
         """The table as far as it came; what had no reference is in it where all was tried."""
         claims = self._stepping.table() if self._stepping is not None else []
-        return [*self._before, *claims, *self._others]
+        each = self._each.checks if self._each is not None else []
+        return [*self._before, *claims, *each, *self._others]
 
     def before_proof(self, executor: Executor) -> None:
         """With whatever load is on: channels at rest, and the first small pressure, on which the proof relies."""
         with self._ending(executor, last=False):
+            if self._each is not None:
+                self._each.first(executor)
+                return
             stepping = self._stepping = Stepping(executor, self._mounted, self._test)
             self._others = at_rest(self._mounted, stepping.rest(None), self._test.noise)
             refuse(self._others)
@@ -69,6 +75,9 @@ class SelfTesting:
     def run(self, executor: Executor) -> None:
         """Unloaded at rest, then under pressure; then a weight that hangs."""
         with self._ending(executor, last=True):
+            if self._each is not None:
+                self._each.run(executor)
+                return
             stepping = self._stepping = self._stepping or Stepping(executor, self._mounted, self._test)
             self._run(executor, stepping)
             refuse(self.checks)
@@ -90,7 +99,7 @@ class SelfTesting:
 
     def ended(self, outcome: Outcome) -> None:
         """Report what the channels read where a limit has ended the run before anything was looked at."""
-        if outcome.exit_code and self._stepping is None and outcome.extremes:
+        if outcome.exit_code and self._each is None and self._stepping is None and outcome.extremes:
             means = {name: sum(ends) / 2 for name, ends in outcome.extremes.items()}
             limit = outcome.tripped
             tripped = limit.channel if limit is not None and limit.kind in VALUES else ""
@@ -99,7 +108,8 @@ class SelfTesting:
 
     def _record(self, executor: Executor) -> None:
         checks = [asdict(check) for check in self.checks]
-        executor.recorder.event("self-test", executor.clock.now(), checks=checks, leak=self._leaks)
+        leaks = {"leaks": self._each.leaks} if self._each is not None else {}
+        executor.recorder.event("self-test", executor.clock.now(), checks=checks, leak=self._leaks, **leaks)
         self._report(self.checks)
 
     def _run(self, executor: Executor, stepping: Stepping) -> None:

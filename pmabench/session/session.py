@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from pmabench.base.errors import PmaError, VerdictFailed
-from pmabench.base.quantities import CHANNEL_QUANTITY, in_words, show
+from pmabench.base.quantities import CHANNEL_QUANTITY, in_words, show, without_number
 from pmabench.bench.compile import Mounted
 from pmabench.bench.files.bench import PLACED
 from pmabench.bench.interface import CompiledBench, Scale
@@ -28,6 +28,7 @@ from pmabench.protocol.plan import HANDS_OUT, VENTED_WITHIN, Ask, Hold, Record, 
 from pmabench.session.checks import Check
 from pmabench.session.guided import Reading, guided_plan, load_text, moving_mass, steady
 from pmabench.session.self_test import LEAK, SelfTesting, refuse_backwards
+from pmabench.session.several import longest
 from pmabench.session.stepping import REST, SPEED, VALVE, WAY
 
 FILE = "session"
@@ -141,9 +142,10 @@ def take_zeros(executor: Executor, mounted: Mounted) -> dict[str, ZeroTaken]:
     wanted = mounted.session.zeros if mounted.session is not None else {}
     taken: dict[str, ZeroTaken] = {}
     _vent(executor)
-    if "pressure" in wanted:
+    pressures = [name for name in wanted if without_number(name)[0] == "pressure"]
+    if pressures:
         executor.guard.valves(closed=False)
-        taken["pressure"] = _take(executor, "pressure", wanted["pressure"], "vented, valves open")
+        taken |= {name: _take(executor, name, wanted[name], "vented, valves open") for name in pressures}
         executor.guard.valves(closed=True)
     if "force" in wanted:
         text = load_text(mounted, 0.0)
@@ -164,8 +166,10 @@ def _vent(executor: Executor) -> None:
     """Every output at its safe value, the pressure gone."""
     for output in executor.bench.outputs:
         executor.do(Set(PHASE, output.name, output.safe))
-    if any(channel.name == "pressure" for channel in executor.bench.channels):
-        executor.do(WaitUntil(PHASE, "pressure", "below", executor.bench.hands_below, 0.1, STEADY_WITHIN, "flag"))
+    for channel in executor.bench.channels:
+        if without_number(channel.name)[0] == "pressure":
+            below = executor.bench.hands_below
+            executor.do(WaitUntil(PHASE, channel.name, "below", below, 0.1, STEADY_WITHIN, "flag"))
 
 
 def _take(executor: Executor, name: str, zero: Zero, condition: str) -> ZeroTaken:
@@ -228,7 +232,10 @@ def session_length(mounted: Mounted) -> Length | None:
     shortest, perhaps, hands = 0.0, 0.0, 0
     parts = []
     test = declared.self_test
-    if test is not None:
+    if test is not None and mounted.bench_file.muscles:
+        parts.append("self-test")
+        shortest += longest(mounted, test)
+    elif test is not None:
         parts.append("self-test")
         shortest += REST + (2 * len(test.points) + 4) * test.settle
         shortest += VALVE if any(valve.safe == "open" for valve in mounted.bench.valves) else 0.0
@@ -248,7 +255,7 @@ def session_length(mounted: Mounted) -> Length | None:
     if declared.zeros:
         parts.append("zeros")
         shortest += STEADY * len(declared.zeros)
-        hands += sum(name != "pressure" for name in declared.zeros)
+        hands += sum(without_number(name)[0] != "pressure" for name in declared.zeros)
     shortest += HANDS_OUT * hands
     slack = VENTED_WITHIN * hands + STEADY_WITHIN * (len(declared.zeros) + 1)
     return Length(shortest, shortest + perhaps + slack, hands, tuple(parts))
@@ -375,7 +382,9 @@ def _warm_up(executor: Executor, warm_up: WarmUp) -> None:
         for pressure in (warm_up.pressure, 0.0):
             left = end - clock.now()
             executor.progress(Progress(cycles, cycles, None, 0, clock.now(), left, f"warm-up, {in_words(left)} left"))
-            executor.do(Set("warm-up", "pressure", pressure))
+            for output in executor.bench.outputs:
+                if output.quantity == "pressure":
+                    executor.do(Set("warm-up", output.name, pressure))
             executor.do(Hold("warm-up", min(warm_up.period / 2, max(end - clock.now(), 0.1))))
             if cycles == 0 and pressure and rest is not None:
                 refuse_backwards(executor, rest)

@@ -114,7 +114,8 @@ WRONG = {
     "no limit of the angle": ("limits:\n  angle: {trip_low: null}\n", "limits to both sides"),
     "a drive that reaches its trip": ("limits:\n  angle: {trip_low: -44 deg}\n", "below the lowest command"),
     "no word how they vent": ("vents: null\n", '"muscles" and "vents"'),
-    "a session of two muscles": ("session: {zeros: {}}\n", "one muscle: leave the section out"),
+    "a session above the limit of muscle 2": ("muscles:\n  2: {limits: {pressure: {command: 250 kPa}}}\n"
+        "session: {warm_up: {pressure: 300 kPa}}\n", "300 kPa is above the command limit, 250 kPa"),
 }  # fmt: skip
 
 
@@ -126,10 +127,10 @@ def test_a_bench_that_is_not_safe_for_both_is_refused_at_its_place(name, tmp_pat
     assert all(problem.line > 0 for problem in caught.value.problems)
 
 
-def test_a_real_bench_of_two_muscles_says_what_to_look_at_without_a_session(tmp_path):
+def test_a_real_bench_of_two_muscles_says_how_to_add_a_session(tmp_path):
     (said,) = [line for line in mount(bench(tmp_path, text="time: real\n"), SPECIMEN).lacks if "no session" in line]
-    assert '"pmabench bench set" each output' in said
-    assert "self_test: {}" not in said  # what would be refused
+    assert "self_test: {}" in said
+    assert "zeros: {pressure_1: {most: 5 kPa}}" in said
 
 
 def test_several_problems_are_told_at_once(tmp_path):

@@ -29,6 +29,8 @@ NOISE = {**dict.fromkeys(o.PRESSURES, 500.0), o.ANGLE: math.radians(0.02), o.TOR
 """Of the sensors of preset `bench` [Pa, rad, N m]; assumed."""
 
 
+LEAK_LAG = 20.0
+"""With which a leaking muscle empties behind its isolation valve [s]."""
 DRIVE_SPEED = math.radians(60)
 """At which the drive goes to an angle that it is sent to at once [rad/s]."""
 
@@ -68,6 +70,7 @@ class JointSimulation(Sampled):
         if options.free_end == "actuator":
             self._plant.drive(constant(start, 0.0))
         self._dumps = tuple([n for n in named if n in (o.DUMP_VALVE, f"{o.DUMP_VALVE}_{i}")] for i in (1, 2))
+        self._isolated = o.ISOLATION_VALVE in named
         self._shut_off = o.SUPPLY_VALVE in named
         self._valve = _Valves(frozenset(), tuple(_Air(bool(dumps)) for dumps in self._dumps))
         self._settle()
@@ -95,7 +98,7 @@ class JointSimulation(Sampled):
         A pressure's set-point ends at the regulator's range; ValueError for a sine that goes beyond.
         """
         if output in o.PRESSURES:
-            self._plant.command(o.PRESSURES.index(output), waves_of(segment, scale, self.time, SETPOINTS))
+            self._plant.command(self._muscle(output), waves_of(segment, scale, self.time, SETPOINTS))
         elif output == o.ANGLE and self._options.free_end == "actuator":
             waves = waves_of(segment, scale, self.time, (-math.inf, math.inf))
             self._wanted.command(waves)
@@ -105,9 +108,14 @@ class JointSimulation(Sampled):
         else:
             raise DeviceError(self._name, f'no output "{output}" with a free end of {self._options.free_end}')
 
+    def _muscle(self, output: str) -> int:
+        """Where the hose of an output leads, from 0."""
+        index = o.PRESSURES.index(output)
+        return 1 - index if self._options.hoses == "crossed" else index
+
     def setpoint(self, output: str) -> float:
         """The value commanded now [SI]."""
-        held = self._wanted if output == o.ANGLE else self._plant.supplies[o.PRESSURES.index(output)]
+        held = self._wanted if output == o.ANGLE else self._plant.supplies[self._muscle(output)]
         return held.setpoint(self.time)
 
     def halt(self, output: str) -> None:
@@ -117,7 +125,7 @@ class JointSimulation(Sampled):
             self._wanted.command(here)
             self._plant.drive(here)
         else:
-            self._plant.command(o.PRESSURES.index(output), here)
+            self._plant.command(self._muscle(output), here)
 
     def switch(self, output: str, *, on: bool) -> None:
         """Energise a valve, which closes a dump and opens the supply, or not."""
@@ -160,6 +168,9 @@ class JointSimulation(Sampled):
             forced = 0.0, SUPPLY_LAG
         elif held is not None:
             forced = held, supply.regulator.lag
+        elif self._isolated and o.ISOLATION_VALVE not in energised:
+            leaks = failing and self._is_due(faults.leak_at)
+            forced = (0.0, LEAK_LAG) if leaks else air.forced or (supply.value(time), supply.regulator.lag)
         if forced != air.forced:
             if forced is None:
                 supply.release(time)
@@ -179,8 +190,9 @@ class JointSimulation(Sampled):
 
     def _along(self, until: float, times: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
         supply = self._supply()
-        pressures = zip(o.PRESSURES, self._plant.supplies, strict=True)
-        wanted = {f"{name}_set": held.setpoints(times) for name, held in pressures}  # before: old commands are dropped
+        supplies = self._plant.supplies
+        wanted = {f"{name}_set": supplies[self._muscle(name)].setpoints(times) for name in o.PRESSURES}
+        # before the plant goes on: old commands are dropped
         wanted["angle_set"] = self._wanted.setpoints(times)
         moved = self._plant.advance(until, times.tolist())
         self._wanted.value(until)

@@ -51,7 +51,7 @@ SUPPLY_VALVE = "supply_valve"
 """The output that switches the air before the fill valves: shut without power."""
 FILLS, EXHAUSTS = (tuple(f"{kind}_{i}" for i in (1, 2, 3)) for kind in ("fill", "exhaust"))
 DUMPS = (DUMP_VALVE, *(f"{DUMP_VALVE}_{i}" for i in (1, 2, 3)))
-VALVES_OF = {JOINT: (*DUMPS[:3], SUPPLY_VALVE), PLATFORM: (*FILLS, *EXHAUSTS, SUPPLY_VALVE, *DUMPS)}
+VALVES_OF = {JOINT: (*DUMPS[:3], SUPPLY_VALVE, ISOLATION_VALVE), PLATFORM: (*FILLS, *EXHAUSTS, SUPPLY_VALVE, *DUMPS)}
 """Valves of plants of several muscles."""
 OF_MUSCLES = ("diameter", "length", "braid_angle", "atmosphere", "contraction")
 BUILT_OF = {
@@ -62,7 +62,7 @@ BUILT_OF = {
 MUSCLES_OF = {JOINT: 2, PLATFORM: 3}
 E_STOP = "e_stop"
 """The digital input: high while the emergency stop is not pressed."""
-TEXT = {"plant", "preset", "free_end", "b_relax", "fce_eval", "reads", "end", "log"}
+TEXT = {"plant", "preset", "free_end", "b_relax", "fce_eval", "reads", "end", "log", "hoses"}
 REAL = "real"
 """The plant with bent force, hysteresis and creep."""
 AIRY = "paper0-air"
@@ -75,6 +75,7 @@ CHOICES = {
     "fce_eval": ("x0", "xmax"),
     "reads": SENSORS,
     "end": ("low", "high"),
+    "hoses": ("straight", "crossed"),
 }
 DEPARTURES = ("hysteresis_x", "hysteresis_p", "creep", "bend", "first_cycle")
 FLOWS = ("hysteresis", "relaxes", "hose", "conductance_fill", "conductance_vent", "polytropic")
@@ -113,7 +114,8 @@ class Faults:
     exhaust_stuck_open_at: float | None = None
     exhaust_stuck_shut_at: float | None = None
     leak_at: float | None = None
-    """A platform's muscle leaks, half as wide as its exhaust valve."""
+    """A platform's muscle leaks, half as wide as its exhaust valve; one of a joint loses its air within a minute
+    while its isolation valve is shut."""
     accelerometer_frozen_at: float | None = None
     """The accelerometer of a platform repeats its last values from then on."""
     accelerometer_level_at: float | None = None
@@ -188,6 +190,8 @@ class Options:
     """Which muscle of several bursts, has the stuck regulator, valve or sensor."""
     errors: Mapping[str, SensorError] = field(default_factory=dict)
     """Errors of channel inputs, by input."""
+    hoses: str = "straight"
+    """`crossed`: on a joint each output moves the pressure of the other muscle."""
     built: Mapping[str, float] = field(default_factory=dict)
     """What a joint or a platform is made of [SI], by the names of a bench file; assumed where it is left out."""
     overrides: Overrides = field(default_factory=Overrides)

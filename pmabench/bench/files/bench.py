@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Discriminator, Field, Tag, WithJsonSchema, model_validator
 
-from pmabench.base.quantities import MUSCLES
+from pmabench.base.quantities import MUSCLES, without_number
 from pmabench.bench.files.specimen import (
     ConductanceAbove0,
     Name,
@@ -221,6 +221,11 @@ PLACED = ("displacement", "angle")
 """Channels whose zero is where hands bring the free end."""
 
 
+ZEROED, ZEROED_EACH = ("pressure", "force", *PLACED), ("pressure",)
+"""Channels that may have a zero, and which of them each of several muscles has."""
+Zeroed = Annotated[str, BeforeValidator(among(ZEROED, ZEROED_EACH)), WithJsonSchema(schema_of(ZEROED, ZEROED_EACH))]
+
+
 class WarmUpFile(Strict):
     """Cycles between no pressure and `pressure` before the zeros are taken."""
 
@@ -264,13 +269,13 @@ class SessionFile(Strict):
 
     self_test: SelfTestFile | None = None
     warm_up: WarmUpFile | None = None
-    zeros: dict[Literal["pressure", "force", "displacement", "angle"], ZeroFile] = {}
+    zeros: dict[Zeroed, ZeroFile] = {}
     valid: TimeAbove0 = 12 * 3600.0
 
     @model_validator(mode="after")
     def _references(self) -> SessionFile:
         for name, zero in self.zeros.items():
-            placed = name in PLACED
+            placed = without_number(name)[0] in PLACED
             if placed and not zero.at:
                 raise ValueError(f'the zero of the {name} needs "at": where the free end is then, in words')
             if not placed and (zero.at or zero.load is not None):

@@ -1,0 +1,281 @@
+"""The self-test of a bench with several muscles, muscle by muscle: zero, own regulator, leak, and which way it pulls.
+
+Exchanged hoses are dangerous on a joint: a controller would push it the wrong way. So the first pressure is small and
+goes to one muscle after the other, and nothing higher follows before each output has moved its own channel only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from math import inf, sqrt
+
+from pmabench.base.quantities import show
+from pmabench.bench.compile import Mounted
+from pmabench.bench.session import SelfTest
+from pmabench.engine.acquire import Samples
+from pmabench.engine.executor import Executor
+from pmabench.protocol.plan import Hold, Set
+from pmabench.session.checks import NOT_CHECKED, NOT_MEASURED, Check, at_rest, judged, refuse
+from pmabench.session.guided import Series, listen
+from pmabench.session.stepping import REST
+from pmabench.session.wiring import SHARE, SIGNIFICANT
+
+PHASE = "self-test"
+LAST = 0.2
+"""Share of a hold whose mean counts."""
+TOGETHER = 0.75
+"""Share of the highest pressure that all muscles have while one of them gets all of it."""
+LEAK = 10.0
+"""How long the pressures are watched with the isolation valve shut [s]."""
+NORMAL = 1.96
+"""Half width of 95 % of a normal distribution, in standard deviations."""
+SAME = "explained by the same"
+WAYS = {"1": 1.0, "2": -1.0}
+"""Muscle of a joint -> the sign of the angle and of the torque to which it pulls."""
+Rises = Mapping[str, Mapping[str, float]]
+"""Muscle whose output alone was commanded -> muscle -> what its channel rose by [Pa]."""
+
+
+@dataclass(frozen=True)
+class Wires:
+    """Outputs and channels of pressures by muscle, as device.name."""
+
+    outputs: Mapping[str, str]
+    channels: Mapping[str, str]
+
+
+def wires(mounted: Mounted) -> Wires:
+    """The wires of a bench with an output and a channel of pressure for each muscle."""
+    names = {f"pressure_{number}": number for number in mounted.bench_file.muscles}
+    outputs = {names[o.name]: f"{o.device}.{o.output}" for o in mounted.bench.outputs if o.name in names}
+    return Wires(outputs, {names[c.name]: f"{c.device}.{c.input}" for c in mounted.bench.channels if c.name in names})
+
+
+def alone(rises: Rises, asked: float, within: float, wired: Wires) -> Iterator[Check]:
+    """A line for each muscle that got `asked` [Pa] by itself: its own channel follows `within` [Pa], no other moves."""
+    moved = {muscle: [other for other, rise in seen.items() if abs(rise) > within] for muscle, seen in rises.items()}
+    explained: set[str] = set()
+    for muscle, seen in rises.items():
+        own, others = seen[muscle], [other for other in moved[muscle] if other != muscle]
+        value = f"pressure_{muscle} rises by {show(own, 'pressure', 3)}" if muscle in moved[muscle] else ""
+        also = [f"pressure_{other} rises by {show(seen[other], 'pressure', 3)}" for other in others]
+        yield judged(
+            f"muscle {muscle} alone",
+            ", ".join([value or f"pressure_{muscle} stays", *also]),
+            f"rises by {show(asked, 'pressure', 3)} within {show(within, 'pressure', 2)}, no other does",
+            good=abs(own - asked) <= within and not others,
+            hint=SAME if muscle in explained else _why(muscle, others, moved, wired, own),
+        )
+        explained |= {other for other in others if moved.get(other) == [muscle]}
+
+
+def _why(muscle: str, others: Sequence[str], moved: Mapping[str, Sequence[str]], wired: Wires, own: float) -> str:
+    """What explains that a muscle's channel does not follow its output, or that others do."""
+    out, channel = f"output pressure_{muscle} ({wired.outputs[muscle]})", wired.channels[muscle]
+    if others and muscle not in moved[muscle]:
+        other = others[0]
+        if moved.get(other) == [muscle]:
+            return (
+                f"muscles {muscle} and {other} are exchanged: {out} moves the pressure of muscle {other}. Exchange "
+                f"back their hoses, or the plugs of their pressure sensors ({channel} and {wired.channels[other]}); "
+                "until then nothing more is pressurised, for a controller would push the wrong way"
+            )
+        return f"{out} moves the pressure of muscle {other} instead: look at the hoses, then at the sensors' plugs"
+    if others:
+        return f"{out} also moves muscle {', '.join(others)}: their hoses are joined, or two sensors are on one muscle"
+    if own < 0:
+        return f"the sign of the pressure of muscle {muscle} ({channel}) is wrong: look at its wires and calibration"
+    return (
+        f"muscle {muscle} does not follow: look at its hose and regulator, at the wire of {out} and of its sensor "
+        f"({channel}), and at their scales"
+    )
+
+
+def pulls(changes: Mapping[str, float], noise: float, channel: str, quantity: str) -> Iterator[Check]:
+    """A line for each muscle of a joint: which way angle or torque (`channel`) went when it got more pressure [SI]."""
+    wrong = [muscle for muscle, change in changes.items() if change * WAYS[muscle] < -SIGNIFICANT * noise]
+    for muscle, change in changes.items():
+        row, way = f"muscle {muscle} pulls", "up" if WAYS[muscle] > 0 else "down"
+        if abs(change) <= SIGNIFICANT * noise:
+            yield Check(row, "", "", NOT_CHECKED, f"the {channel} changes too little to see which way")
+            continue
+        value = f"{channel} goes {'up' if change > 0 else 'down'} by {show(abs(change), quantity, 3)}"
+        yield judged(
+            row, value, f"{channel} goes {way}", good=muscle not in wrong, hint=_backwards(muscle, wrong, channel)
+        )
+
+
+def _backwards(muscle: str, wrong: Sequence[str], channel: str) -> str:
+    """What explains that a muscle pulls the wrong way; `wrong` are all that do."""
+    if list(wrong) == [muscle]:
+        return f"muscle {muscle} pulls the wrong way: look on which side of the joint it is mounted"
+    if muscle not in wrong[:1]:
+        return SAME
+    return (
+        "both muscles pull the wrong way: their hoses are exchanged, together with the plugs of their pressure "
+        f"sensors, or the sign of the {channel} is wrong; find out which before anything is pressurised"
+    )
+
+
+class EachMuscle:
+    """Takes every muscle through small pressures, alone and together; `checks` is the table so far."""
+
+    def __init__(self, mounted: Mounted, test: SelfTest) -> None:
+        self._mounted, self._test = mounted, test
+        self._wires = wires(mounted)
+        self.checks: list[Check] = []
+        self.leaks: dict[str, dict[str, float]] = {}
+        """Muscle -> set `pressure` [Pa], and what it `falls` by [Pa/s] with its `half_width`."""
+        self._rest: dict[str, float] = {}
+        self._noise: dict[str, float] = {}
+
+    @property
+    def _names(self) -> dict[str, str]:
+        return {number: f"pressure_{number}" for number in self._wires.outputs}
+
+    def first(self, executor: Executor) -> None:
+        """Channels at rest, then the first small pressure in each muscle alone."""
+        series = listen(executor.acquisition, REST)
+        self._rest = {name: one.mean() for name, one in series.items()}
+        self._noise = {name: one.reading().noise for name, one in series.items()}
+        self.checks += at_rest(self._mounted, series, self._test.noise)
+        self.checks += list(self._zeros())
+        refuse(self.checks)
+        asked = self._test.points[0]
+        rises = {}
+        most = 2 * asked + self._within()
+        for number, name in self._names.items():
+            seen = self._go(executor, {name: asked}, most)
+            rises[number] = {other: seen[channel] for other, channel in self._names.items() if channel in seen}
+            if max(rises[number].values()) > most:
+                break
+            self._go(executor, {name: 0.0})
+        self.checks += list(alone(rises, asked, min(self._within(), 0.4 * asked), self._wires))
+        refuse(self.checks)
+
+    def run(self, executor: Executor) -> None:
+        """All together up in steps; then which way each pulls; then the leak of each."""
+        if not self._rest:
+            self.first(executor)
+        off: dict[str, tuple[float, float]] = dict.fromkeys(self._names, (0.0, 0.0))
+        for point in self._test.points:
+            seen = self._go(executor, dict.fromkeys(self._names.values(), point))
+            for number, name in self._names.items():
+                off[number] = max(off[number], (seen[name] - point, point), key=lambda one: abs(one[0]))
+            if max(abs(one) for one, _at in off.values()) > self._within():
+                break
+        self.checks += [self._steady(number, *worst) for number, worst in off.items()]
+        refuse(self.checks)
+        if self._mounted.bench.free_end == "joint":
+            self.checks += list(self._pulls(executor))
+            refuse(self.checks)
+        self._go(executor, dict.fromkeys(self._names.values(), 0.0))
+        self.checks += list(self._leak(executor))
+        refuse(self.checks)
+
+    def _go(self, executor: Executor, pressures: Mapping[str, float], most: float = inf) -> dict[str, float]:
+        """Command pressures [Pa]; what every channel has risen by since the rest, at the end of the hold [SI].
+
+        The hold ends where a pressure rises by more than `most` [Pa], and then that is what it has risen by.
+        """
+        limits = {name: self._rest[name] + most for name in self._names.values()}
+
+        def too_high(block: Samples) -> int | None:
+            above = [block.values[name] > limit for name, limit in limits.items() if name in block.values]
+            found = [int(one.argmax()) for one in above if one.any()]
+            return min(found, default=None)
+
+        for name, pressure in pressures.items():
+            executor.do(Set(PHASE, name, pressure))
+        series: Mapping[str, Series] = listen(executor.acquisition, self._test.settle, too_high)
+        ends = {name: one.mean(LAST * self._test.settle) for name, one in series.items() if name in self._rest}
+        ends |= {name: top for name in limits if (top := float(series[name].y.max())) > limits[name]}
+        return {name: value - self._rest[name] for name, value in ends.items()}
+
+    def _within(self) -> float:
+        """How far a pressure may be from what was commanded [Pa]."""
+        channels = [c for c in self._mounted.bench.channels if c.name in self._names.values()]
+        unknown = max(c.calibration.offset_uncertainty for c in channels)
+        return self._test.linearity * self._test.points[-1] + unknown
+
+    def _zeros(self) -> Iterator[Check]:
+        session = self._mounted.session
+        for number, name in self._names.items():
+            channel = next(c for c in self._mounted.bench.channels if c.name == name)
+            zero = session.zeros.get(name) if session is not None else None
+            most = zero.most if zero is not None else SHARE * (channel.high - channel.low)
+            reads = self._rest[name]
+            yield judged(
+                f"muscle {number} at rest",
+                show(reads, "pressure", 4),
+                f"within {show(most, 'pressure', 4)} of 0, vented",
+                good=abs(reads) <= most,
+                hint=f"look at the wire of the pressure of muscle {number} ({self._wires.channels[number]}), at its "
+                "range and its calibration",
+            )
+
+    def _steady(self, number: str, off: float, at: float) -> Check:
+        limit = self._within()
+        return judged(
+            f"regulator of muscle {number}, steady",
+            f"{show(off, 'pressure', 3)} off at {show(at, 'pressure', 4)}" if at else "as commanded",
+            f"at most {show(limit, 'pressure', 3)} off",
+            good=abs(off) <= limit,
+            hint=f"a leak of muscle {number}, too little supply, or the scale of its output "
+            f"({self._wires.outputs[number]}) or of its sensor ({self._wires.channels[number]})",
+        )
+
+    def _pulls(self, executor: Executor) -> Iterator[Check]:
+        """One muscle after the other gets more than the other one: angle, or torque where a drive holds the joint."""
+        driven = any(output.name == "angle" for output in self._mounted.bench.outputs)
+        channel = "torque" if driven else "angle"
+        if channel not in self._rest:
+            yield Check("muscles pull", "", "", NOT_MEASURED, f"no {channel} is measured on this bench")
+            return
+        top, every = self._test.points[-1], self._names.values()
+        changes = {}
+        for number, name in self._names.items():
+            before = self._go(executor, dict.fromkeys(every, TOGETHER * top))[channel]
+            changes[number] = self._go(executor, {name: top})[channel] - before
+        self._go(executor, dict.fromkeys(every, TOGETHER * top))
+        yield from pulls(changes, self._noise[channel], channel, channel)
+
+    def _leak(self, executor: Executor) -> Iterator[Check]:
+        """Fall of each pressure with the isolation valve shut, where there is one that the safe state shuts."""
+        name = self._mounted.bench_file.air.isolation_valve
+        valve = next((valve for valve in executor.bench.valves if valve.name == name), None)
+        if valve is None or valve.safe != "closed":
+            why = "cannot be measured on this bench: no isolation valve that is switched"
+            yield Check("leak", "", "", NOT_MEASURED, why)
+            return
+        top = self._test.points[-1]
+        self._go(executor, dict.fromkeys(self._names.values(), top))
+        executor.guard.valves(closed=False, only=name)
+        executor.do(Hold(PHASE, 1.0))
+        series = listen(executor.acquisition, LEAK)
+        for output in self._names.values():
+            executor.do(Set(PHASE, output, 0.0))
+        executor.guard.valves(closed=True, only=name)
+        executor.do(Hold(PHASE, self._test.settle))
+        for number, channel in self._names.items():
+            reading = series[channel].reading()
+            falls = -reading.drift / LEAK
+            half = NORMAL * reading.noise * sqrt(12 / reading.count) / LEAK
+            self.leaks[number] = {"pressure": top, "falls": falls, "half_width": half}
+            yield judged(
+                f"leak of muscle {number}",
+                f"falls by {show(60 * falls, 'pressure', 3)} per min at {show(reading.mean, 'pressure', 4)}",
+                f"at most {show(60 * self._test.leak, 'pressure', 3)} per min",
+                good=falls <= self._test.leak,
+                hint=f"look at muscle {number} and at hoses and fittings between the isolation valve and its end",
+            )
+
+
+def longest(mounted: Mounted, test: SelfTest) -> float:
+    """How long this self-test takes [s]."""
+    muscles, isolation = len(mounted.bench_file.muscles), mounted.bench_file.air.isolation_valve
+    holds = 2 * muscles + len(test.points) + 1
+    holds += 2 * muscles + 1 if mounted.bench.free_end == "joint" else 0
+    shut = any(valve.name == isolation and valve.safe == "closed" for valve in mounted.bench.valves)
+    return REST + (holds + 2 * shut) * test.settle + (1.0 + LEAK) * shut
