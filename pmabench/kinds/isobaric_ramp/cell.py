@@ -50,7 +50,7 @@ BETWEEN = "displacement and force"
 CYCLES = "one trial a speed: the repeats part is the scatter of its cycles, and repeated tests may scatter more"
 NO_REPEATS = "no repeats part: too few loops"
 ONE_SPEED = "one speed only: hysteresis and damping cannot be separated"
-AT_SPEED = "one speed only: half the difference of the dampings times the speed is still in it"
+AT_SPEED = "one speed only: the two dampings may differ, so that the force at rest may be anywhere in the gap"
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,7 +207,8 @@ class Cell:
                 gains |= {name: change * P for name, change in offsets.items()}
             part = scales.part(gains, offsets)
             alone = AT_SPEED if self.one_speed and method in (CURVE, RAW, LOCAL) and symbol != "K" else ""
-            parts = Parts(line.half_start, extra, part, skewed)
+            within = abs(self.gap.start) / 2 if alone else 0.0
+            parts = Parts(line.half_start, hypot(extra, within), part, skewed)
             found.append(self._estimate(symbol, line.start, kind, method, at or self.at, parts, sentences(note, alone)))
 
         newton, stiffness = ("N", "force"), ("N/m", "stiffness")
