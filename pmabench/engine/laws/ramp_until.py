@@ -45,7 +45,10 @@ def ramp_until(
             return {"found": False, "reason": f"{channel} did not cross before the end of the range"}
         if up and crossing["t"] < began + 2 * window:
             at = show(crossing[channel], CHANNEL_QUANTITY[without_number(channel)[0]])
-            return {"found": False, "reason": f"{channel} is {at} before anything moves: set its zero, then search again"}
+            return {
+                "found": False,
+                "reason": f"{channel} is {at} before anything moves: set its zero, then search again",
+            }
         here = _commanded_now(moves)
         start = moves.inside(here - back_off if up else here + back_off)
         moves.wait(moves.ramp(here, start, approach_rate))
