@@ -26,6 +26,8 @@ TURN = 0.02
 """Share of the sweep that is left out at each end before anything is looked at."""
 HALF_SWEEP = 4.0
 """Least half sweep, in w: of a shorter one a branch would not be itself at mid sweep."""
+NEAR = 0.02
+"""The slope of the mean curve at a place is the steepest within this share of the sweep."""
 PLACES = 5
 """Places along the sweep at which the mean curve is given."""
 
@@ -168,14 +170,17 @@ def _estimates(at: Mapping[str, float], members: Sequence[Sweep], scales: Scales
 
     def made(
         symbol: str, kind: tuple[str, str], method: str, values: Sequence[Array], extra: float,
-        angles: int, by_pressure: float = 0.0, where: Mapping[str, float] | None = None,
+        angles: int, by_pressure: float = 0.0, where: Mapping[str, float] | None = None, by_angle: float = 0.0,
     ) -> Estimate:  # fmt: skip
         means = np.array([float(v.mean()) for v in values])
         value = float(means.mean())
         gains = {"torque": value} | ({"angle": angles * value} if angles else {})
         gains |= {name: by_pressure * at[name] for name in MUSCLES if by_pressure}
         offsets = dict.fromkeys(MUSCLES, by_pressure) if by_pressure else {}
-        part = scales.part(gains, offsets)
+        if by_angle and where is not None:  # a torque at an angle
+            gains["angle"] = by_angle * where["angle"]
+            offsets |= {"torque": 1.0, "angle": by_angle}
+        part = scales.part({name: change for name, change in gains.items() if change}, offsets)
         note = "one trial: the repeats part is the scatter of its cycles" if len(members) == 1 else ""
         parts = Parts(mean_half(means, values), extra, part)
         return Estimate(symbol, value, *kind, method, where or at, parts, len(members), note=note, trials=trials)
@@ -201,13 +206,16 @@ def _estimates(at: Mapping[str, float], members: Sequence[Sweep], scales: Scales
     corners = max(2 * abs(float(m.loop.middle_gap.mean())) * m.loop.speed / m.run.rate for m in members)
     yield doubted(made("W", ("J", "work"), LOOP, [one.loop.lost for one in members], corners, 1), sweep)
     x = members[0].loop.x
+    steep = np.abs(np.gradient(members[0].loop.mean.mean(axis=0), x))
+    fades = min((one.loop.turns.w for one in members if one.loop.turns is not None), default=np.inf)
     for place in np.linspace(x[0], x[-1], PLACES):
         curves = [np.array([np.interp(place, one.loop.x, cycle) for cycle in one.loop.mean]) for one in members]
         where = {**at, "angle": round(float(place), 7)}
         off = max(float(np.interp(place, one.loop.x, _of_turns(one.loop))) for one in members)
         # torque is no more than what both muscles pull: a share of it for each pressure that is off
         whole = max(abs(float(np.mean(curve))) for curve in curves) + slope * total / BY_PRESSURE * float(np.ptp(x))
-        yield made("tau", torque, MEAN, curves, 0.1 * off, 0, whole / total if total > 0 else 0.0, where)
+        yield made("tau", torque, MEAN, curves, 0.1 * off, 0, whole / total if total > 0 else 0.0, where,
+                   float(steep[np.abs(x - place) <= NEAR * np.ptp(x)].max()) + off / fades)  # fmt: skip
 
 
 def _unclosed(loop: Loop) -> float:
