@@ -22,7 +22,7 @@ from typing import Any
 
 from pmabench.base.errors import InvalidFile
 from pmabench.bench.compilation import Compilation
-from pmabench.bench.interface import DeviceRecord, Follower, Inputs, Motion, SetPoint, Stream, Switch, Watchdog
+from pmabench.bench.interface import DeviceRecord, Follower, Inputs, Motion, Pulses, SetPoint, Stream, Switch, Watchdog
 from pmabench.bench.plant import read_plant
 from pmabench.bench.registry import verified
 from pmabench.files.document import Document, Location, document_text, read_document
@@ -101,6 +101,8 @@ def _lacks_a_capability(c: Compilation, device: DeviceRecord, driver: type) -> b
     wants += [(("channels", channel.name, "device"), Stream, "measures nothing") for channel in device.channels]
     wants += [(("outputs", output.name, "device"), SetPoint, "takes no set-points") for output in device.outputs]
     wants += [(("outputs", valve.name, "device"), Switch, "switches no valves") for valve in device.valves]
+    pulsed, text = [valve.name for valve in device.valves if valve.longest], "opens no valve for a time that it keeps"
+    wants += [(("outputs", name, "pulse"), Pulses, f"{text} by itself") for name in pulsed]
     for index, file in enumerate(c.bench.interlocks):
         if file.input.device == device.name:
             wants.append((("interlocks", index, "input", "device"), Inputs, "has no digital inputs"))

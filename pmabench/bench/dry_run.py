@@ -17,11 +17,11 @@ from typing import Any
 
 import numpy as np
 
-from pmabench.base.errors import UsageError
 from pmabench.base.quantities import show
 from pmabench.bench.compile import Mounted
+from pmabench.bench.dry_run_several import inputs, valve_output
 from pmabench.bench.files.specimen import ExpectedFile, ExpectedPoint, SpecimenFile
-from pmabench.bench.interface import CompiledBench, DeviceRecord, TripRecord
+from pmabench.bench.interface import CompiledBench, DeviceRecord, TripRecord, ValveRecord
 from pmabench.bench.registry import driver_class
 from pmabench.model.published_muscles import USUAL_ANGLE as BRAID_ANGLE
 from pmabench.model.published_muscles import braid_surface, find_type
@@ -289,27 +289,20 @@ class DryRun:
 
 def dry_run(mounted: Mounted, options: Mapping[str, Any], muscle: str) -> DryRun:
     """The bench with a simulated plant by `options` of the mock driver; `muscle` says where these are from."""
-    bench = mounted.bench
-    if mounted.bench_file.muscles:
-        raise UsageError(
-            f'"{bench.name}" has several muscles, and the simulated plant that takes the place of devices has one: '
-            "check without --simulate, which still checks limits and times of the plan, or simulate with the shipped "
-            "benches mock-joint, mock-joint-free or mock-platform, whose muscles are others"
-        )
-    channels = [channel for channel in bench.channels if channel.name in INPUTS]
+    bench, many = mounted.bench, bool(mounted.bench_file.muscles)
+    known = inputs(mounted) if many else INPUTS
+    channels = [channel for channel in bench.channels if channel.name in known]
     if bench.free_end != "actuator":
         channels = [channel for channel in channels if channel.name != "displacement_command"]
-    valves = [valve for valve in bench.valves if valve.safe == "open" or valve.energised == "open"]
+    valves = [valve for valve in bench.valves if many or valve.safe == "open" or valve.energised == "open"]
+    output_of = valve_output if many else _valve_output
     device = DeviceRecord(
         PLANT,
         driver_class("mock"),
         options={"preset": "bench", "free_end": "actuator" if bench.free_end == "actuator" else "weights", **options},
-        channels=tuple(replace(channel, device=PLANT, input=INPUTS[channel.name]) for channel in channels),
+        channels=tuple(replace(channel, device=PLANT, input=known[channel.name]) for channel in channels),
         outputs=tuple(replace(output, device=PLANT, output=output.name) for output in bench.outputs),
-        valves=tuple(
-            replace(valve, device=PLANT, output="dump_valve" if valve.safe == "open" else "isolation_valve")
-            for valve in valves
-        ),
+        valves=tuple(replace(valve, device=PLANT, output=output_of(valve)) for valve in valves),
     )
     names = {channel.name for channel in channels}
     made = replace(
@@ -320,6 +313,10 @@ def dry_run(mounted: Mounted, options: Mapping[str, Any], muscle: str) -> DryRun
         trips=tuple(_kept(bench, names)),
     )
     return DryRun(replace(mounted, bench=made, session=None), muscle, tuple(_left_out(bench, names)))
+
+
+def _valve_output(valve: ValveRecord) -> str:
+    return "dump_valve" if valve.safe == "open" else "isolation_valve"
 
 
 def _kept(bench: CompiledBench, names: set[str]) -> Iterator[TripRecord]:
@@ -338,6 +335,8 @@ def _left_out(bench: CompiledBench, names: set[str]) -> Iterator[str]:
 
 def options_of(muscle: PredictedMuscle, mounted: Mounted) -> dict[str, Any]:
     """Options of the mock driver for a predicted muscle, with sensors as noisy as the channels' ranges are wide."""
+    if mounted.bench_file.muscles:
+        return muscle.numbers
     noise = {
         channel.name: NOISE * (channel.high - channel.low)
         for channel in mounted.bench.channels

@@ -63,7 +63,8 @@ def command(
     if drop_idle != (output is not None):
         raise UsageError("--drop-idle and -o FILE belong together")
     simulate |= muscle is not None
-    known = _muscle(mounted, muscle, output)
+    one = not mounted.bench_file.muscles
+    known = _muscle(mounted, muscle, output) if one or (simulate and _replaced(mounted, muscle)) else None
     idle = foreseen(plan, known.expected) if known is not None and known.expected is not None else None
     summary["idle"] = None if idle is None else {"trials": idle.idle, "doubtful": idle.doubtful, "first": idle.first}
     if output is not None:
@@ -73,10 +74,10 @@ def command(
     if show_plan:
         summary["plan"] = plan.to_dict()
     if simulate:
-        from pmabench.cli.dry_run import report
+        from pmabench.cli.dry_run import findings_of, report
 
         simulated = summary["simulated"] = _tried(ui, plan, mounted, known, replaced=_replaced(mounted, muscle))
-        lines = [*_idle_lines(plan, idle, output), *_open(mounted), *warnings]
+        lines = [*findings_of(simulated), *_idle_lines(plan, idle, output), *_open(mounted), *warnings]
         then = _then(prepared, idle, output, refused=refused, done=simulated["status"] == "finished")
 
     def human() -> None:

@@ -8,8 +8,10 @@ from pathlib import Path
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
+from pmabench.base.errors import UsageError
 from pmabench.base.quantities import CHANNEL_QUANTITY, in_words, show
 from pmabench.bench.dry_run import PredictedMuscle, as_expected, dry_run, highest_pressure, of_specimen, options_of
+from pmabench.bench.dry_run_several import several
 from pmabench.cli.common import fields
 from pmabench.cli.outcome import WIDTH, cut
 from pmabench.engine.operator import ConfirmedBeforehand
@@ -27,7 +29,9 @@ PART = "intervals of a plan"
 """Part of a kind of test: what a plan will tell."""
 ANALYSES = Path("analyses")
 """Where `process` puts analyses, in the folder in which it is called."""
-PEAKS = ("pressure", "displacement", "force")
+PEAKS = ("pressure", "displacement", "force", "angle", "torque")
+END = 1e-4
+"""Share of a channel's range within which a value is at its end."""
 MOST_FINDINGS = 3
 RATE = 100.0
 """Highest rate of samples of a muscle with hysteresis [Hz]: its contractions stay within 0.01 mm of those at 500 Hz."""
@@ -36,10 +40,18 @@ RATE = 100.0
 def muscle_of(mounted: Mounted, given: Path | None) -> PredictedMuscle:
     """The best known muscle: an analysis or plant file that was `given`, else the newest analysis of this specimen.
 
-    Then `expected` of the specimen file, then its type, then its braid.
+    Then `expected` of the specimen file, then its type, then its braid. Of several muscles the braid alone.
     """
     from pmabench.cli.muscle_of_analysis import newest_of, of_file
 
+    if mounted.bench_file.muscles:
+        if given is not None:
+            raise UsageError(
+                f'--muscle: "{mounted.bench.name}" has several muscles, and an analysis or a plant file describes one: '
+                "leave it out, and muscles of the specimen's dimensions are simulated"
+            )
+        options, source = several(mounted)
+        return PredictedMuscle(options, None, source)
     specimen, highest = mounted.specimen_file, highest_pressure(mounted)
     if given is not None:
         return of_file(given, specimen, highest)
@@ -64,10 +76,10 @@ def simulate(
     """
     if muscle is None:
         outcome, peaks = _tried(_at_most(plan) if _slow(mounted) else plan, mounted, progress)
-        return {"muscle": "", "left_out": (), **_result(outcome), "predicted": _predicted(peaks), "others": []}
+        return {"muscle": "", "left_out": (), **_result(outcome, mounted), "predicted": _predicted(peaks), "others": []}
     dry = dry_run(mounted, options_of(muscle, mounted), muscle.source)
     left_out = dry.left_out
-    if muscle.numbers["law"] == "real" and plan.rate > RATE:
+    if muscle.numbers.get("law") == "real" and plan.rate > RATE:
         left_out = (*left_out, f"samples are taken at {RATE:g} Hz: this kind of simulated muscle needs long")
         plan = _at_most(plan)
     outcome, peaks = _tried(plan, dry.mounted, progress)
@@ -75,7 +87,7 @@ def simulate(
     return {
         "muscle": muscle.source,
         "left_out": left_out,
-        **_result(outcome),
+        **_result(outcome, dry.mounted),
         "predicted": _predicted(peaks),
         "others": others,
     }
@@ -143,13 +155,46 @@ def _tried(
     return run_plan(plan, mounted, ConfirmedBeforehand(), out=None, progress=progress, trying=peaks), peaks
 
 
-def _result(outcome: Outcome) -> dict[str, Any]:
+def _result(outcome: Outcome, mounted: Mounted) -> dict[str, Any]:
     return {
         **fields(outcome, "status", "exit_code", "why"),
         "duration": outcome.bench_seconds,
         "measured": {name: {"lowest": low, "highest": high} for name, (low, high) in outcome.extremes.items()},
         "trials_failed": [index + 1 for index in outcome.trials_failed],
+        "saturated": _saturated(outcome),
+        "beyond": _beyond(outcome, mounted),
     }
+
+
+def _saturated(outcome: Outcome) -> list[dict[str, Any]]:
+    """Trials in which the commands of a law were at a limit, with the share of its samples."""
+    found = [data for kind, _t, data in outcome.events if kind == "found" and data["result"].get("saturated", 0.0) > 0]
+    return [{"trial": data["trial"] + 1, "share": data["result"]["saturated"]} for data in found]
+
+
+def _beyond(outcome: Outcome, mounted: Mounted) -> list[str]:
+    """Channels that came to an end of their range, where nobody knows how far they went."""
+    found = []
+    for channel in mounted.bench.channels:
+        if channel.name not in outcome.extremes or "_command" in channel.name:
+            continue
+        (low, high), slack = outcome.extremes[channel.name], END * (channel.high - channel.low)
+        if high >= channel.high - slack or (channel.low < 0 and low <= channel.low + slack):  # 0 is where many begin
+            found.append(channel.name)
+    return found
+
+
+def findings_of(simulated: dict[str, Any]) -> list[str]:
+    """A line for what saturates, and one for channels that leave their range."""
+    lines = []
+    if simulated["saturated"]:
+        trials = sorted({one["trial"] for one in simulated["saturated"]})
+        share = show(max(one["share"] for one in simulated["saturated"]), "ratio", 2)
+        many = f"{len(trials)} trials, first {trials[0]}" if len(trials) > 1 else f"trial {trials[0]}"
+        lines.append(f"commands are at a limit in {many}, for up to {share} of a trial")
+    if simulated["beyond"]:
+        lines.append(f"at the end of the range of the channel: {', '.join(simulated['beyond'])}")
+    return lines
 
 
 def _predicted(peaks: TrialPeaks) -> list[dict[str, Any]]:
@@ -188,11 +233,12 @@ def _peaks(mounted: Mounted, simulated: dict[str, Any]) -> Iterator[str]:
         if trip.high is not None and trip.kind == "range":
             trips[trip.channel] = min(trip.high, trips.get(trip.channel, trip.high))
     shown = []
-    for name in PEAKS:
+    pressures = [f"{PEAKS[0]}_{number}" for number in mounted.bench_file.muscles]
+    for name in (*pressures, *PEAKS):
         if name in simulated["measured"]:
             quantity = CHANNEL_QUANTITY[name]
             top = show(simulated["measured"][name]["highest"], quantity, 3)
             limit = f" of {show(trips[name], quantity, 4)}" if name in trips else ""
             shown.append(f"{top}{limit}")
     if shown:
-        yield f"   highest {', '.join(shown)}"
+        yield from wrap(f"highest {', '.join(shown)}", WIDTH, initial_indent="   ", subsequent_indent="   ")

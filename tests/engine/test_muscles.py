@@ -6,10 +6,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from pmabench_drivers.mock import MockBench
 
-from pmabench.base.errors import InvalidFile, UsageError
+from pmabench.base.clock import VirtualClock
+from pmabench.base.errors import InvalidFile
 from pmabench.bench.compile import mount
-from pmabench.bench.dry_run import dry_run
 from pmabench.bench.interface import OutputRecord, ProofTest
 from pmabench.engine.operator import ConfirmedBeforehand
 from pmabench.engine.run import Outcome, run_plan
@@ -176,6 +177,28 @@ def test_a_pair_at_500_hz_takes_a_twentieth_of_the_time(name):
     assert outcome.bench_seconds / (time.process_time() - begun) > 20
 
 
-def test_a_bench_of_several_muscles_is_not_simulated_with_one():
-    with pytest.raises(UsageError, match="several muscles"):
-        dry_run(joint(), {}, "of a specimen")
+def test_a_dump_valve_of_one_muscle_empties_that_one_and_the_supply_valve_both():
+    """As in a dry run of a lab's bench, where each muscle may have a dump valve."""
+    made = joint()
+    (device,) = made.bench.devices
+    (dump,) = device.valves
+    names = ("dump_valve_1", "dump_valve_2", "supply_valve")
+    kinds = {"supply_valve": "open"}
+    each = tuple(replace(dump, name=name, output=name, energised=kinds.get(name, "closed")) for name in names)
+    clock = VirtualClock()
+    mock = MockBench(replace(device, valves=each), clock)
+    mock.open()
+    for name in names:
+        mock.switch(name, on=True)
+    for name, P in zip(PAIR, (3e5, 2e5), strict=True):
+        output = next(one for one in device.outputs if one.name == name)
+        mock.write(output.output, output.scale.to_raw(P))
+    seen = []
+    for name in ("", *names[::2]):
+        if name:
+            mock.switch(name, on=False)
+        clock.wait_until(clock.now() + 3.0)
+        seen.append([supply.value(clock.now()) for supply in mock.simulation()._plant.supplies])
+    assert seen[0] == pytest.approx([3e5, 2e5], rel=1e-3)
+    assert seen[1] == pytest.approx([0.0, 2e5], rel=1e-3, abs=1.0)
+    assert seen[2] == pytest.approx([0.0, 0.0], abs=1e3)

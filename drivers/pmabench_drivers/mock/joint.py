@@ -2,12 +2,15 @@
 
 Channel inputs: `pressure_1`, `pressure_2`, their set-points `pressure_1_set` and `pressure_2_set`, `angle`, `torque`,
 `supply`, and with a drive `angle_set`. Outputs: `pressure_1`, `pressure_2`, and with a drive `angle`; the valve
-`dump_valve` empties both muscles. A drive holds the joint wherever it was sent, at any torque; without one it is free.
+`dump_valve` empties both muscles, `dump_valve_1` and `dump_valve_2` one each; `supply_valve` lets air to the regulators
+while it is energised, and is there where the bench names it. A drive holds the joint wherever it was
+sent, at any torque; without one it is free.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,7 +18,7 @@ from numpy.typing import NDArray
 
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import DeviceRecord, Load, Scale, Segment
-from pmabench.model.many.joint import Joint, JointPlant
+from pmabench.model.many.joint import JointPlant, described
 from pmabench.model.regulator import Regulated, Regulator, constant, ramp
 from pmabench_drivers.mock import options as o
 from pmabench_drivers.mock.options import Options
@@ -44,7 +47,7 @@ class _Air:
 
 @dataclass(frozen=True)
 class _Valves:
-    energised: bool
+    energised: frozenset[str]
     each: tuple[_Air, ...]
 
 
@@ -53,16 +56,20 @@ class JointSimulation(Sampled):
 
     def __init__(self, device: DeviceRecord, options: Options, start: float, memory: float = MEMORY) -> None:
         super().__init__(device, options, NOISE if options.preset == "bench" else {}, memory)
-        refuse_unknown(device.name, "output", [valve.output for valve in device.valves], (o.DUMP_VALVE,))
-        joint = Joint() if options.preset == "bench" else Joint(regulator=Regulator(dead_time=0.04))
+        named = [valve.output for valve in device.valves]
+        refuse_unknown(device.name, "output", named, o.VALVES_OF[o.JOINT])
+        joint = described(options.built)
+        if options.preset != "bench":
+            joint = replace(joint, regulator=Regulator(dead_time=0.04))
         vent_ratio = joint.regulator.vent_ratio * options.slow_vent
         self._plant = JointPlant(replace(joint, regulator=replace(joint.regulator, vent_ratio=vent_ratio)), start=start)
         self._wanted = Regulated(Regulator(), start=start)
         """Where the drive was sent [rad]."""
         if options.free_end == "actuator":
             self._plant.drive(constant(start, 0.0))
-        self._has_valve = bool(device.valves)
-        self._valve = _Valves(False, tuple(_Air(self._has_valve) for _name in o.PRESSURES))
+        self._dumps = tuple([n for n in named if n in (o.DUMP_VALVE, f"{o.DUMP_VALVE}_{i}")] for i in (1, 2))
+        self._shut_off = o.SUPPLY_VALVE in named
+        self._valve = _Valves(frozenset(), tuple(_Air(bool(dumps)) for dumps in self._dumps))
         self._settle()
 
     @property
@@ -72,8 +79,8 @@ class JointSimulation(Sampled):
 
     @property
     def energised(self) -> bool:
-        """Whether the dump valve is commanded closed."""
-        return bool(self._valve.energised)
+        """Whether every dump valve is commanded closed."""
+        return any(self._dumps) and all(self._valve.energised.issuperset(dumps) for dumps in self._dumps)
 
     @property
     def dump_open(self) -> bool:
@@ -113,13 +120,14 @@ class JointSimulation(Sampled):
             self._plant.command(o.PRESSURES.index(output), here)
 
     def switch(self, output: str, *, on: bool) -> None:
-        """Energise the dump valve, which closes it, or not."""
-        self._valve = replace(self._valve, energised=on)
+        """Energise a valve, which closes a dump and opens the supply, or not."""
+        energised = self._valve.energised
+        self._valve = replace(self._valve, energised=energised | {output} if on else energised - {output})
         self._settle()
 
     def is_on(self, output: str) -> bool:
-        """Whether the dump valve is energised."""
-        return self.energised
+        """Whether a valve is energised."""
+        return output in self._valve.energised
 
     def place(self, load: Load) -> None:
         """Nothing: a joint carries no weights."""
@@ -130,16 +138,16 @@ class JointSimulation(Sampled):
         """Bring the air of each muscle in line with valve and faults as they are at this moment."""
         airs = enumerate(zip(self._valve.each, self._plant.supplies, strict=True), start=1)
         each = tuple(
-            self._settled(air, supply, failing=number == self._options.faulty) for number, (air, supply) in airs
+            self._settled(air, supply, self._dumps[number - 1], failing=number == self._options.faulty)
+            for number, (air, supply) in airs
         )
         self._valve = replace(self._valve, each=each)
 
-    def _settled(self, air: _Air, supply: Regulated, *, failing: bool) -> _Air:
+    def _settled(self, air: _Air, supply: Regulated, dumps: Sequence[str], *, failing: bool) -> _Air:
         """The air of one muscle, which may be the `failing` one; the strongest of what acts on it counts."""
         faults, time, energised = self.faults, self.time, self._valve.energised
-        opens = air.open and not energised
-        if not energised and self._has_valve and not (failing and self._is_due(faults.dump_stuck_at)):
-            opens = True
+        shut = energised.issuperset(dumps)
+        opens = not shut and (air.open or not (failing and self._is_due(faults.dump_stuck_at)))
         held = None
         if failing and self._is_due(faults.regulator_stuck_at):
             held = supply.value(time) if air.held is None else air.held
@@ -148,7 +156,7 @@ class JointSimulation(Sampled):
             forced = 0.0, BURST_LAG
         elif opens:
             forced = 0.0, self._options.dump_lag * self._options.slow_vent
-        elif self._is_due(faults.supply_lost_at):
+        elif self._is_due(faults.supply_lost_at) or (self._shut_off and o.SUPPLY_VALVE not in energised):
             forced = 0.0, SUPPLY_LAG
         elif held is not None:
             forced = held, supply.regulator.lag

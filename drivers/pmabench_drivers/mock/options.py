@@ -50,8 +50,15 @@ VALVES = (DUMP_VALVE, ISOLATION_VALVE)
 SUPPLY_VALVE = "supply_valve"
 """The output that switches the air before the fill valves: shut without power."""
 FILLS, EXHAUSTS = (tuple(f"{kind}_{i}" for i in (1, 2, 3)) for kind in ("fill", "exhaust"))
-VALVES_OF = {JOINT: (DUMP_VALVE,), PLATFORM: (*FILLS, *EXHAUSTS, SUPPLY_VALVE, DUMP_VALVE)}
+DUMPS = (DUMP_VALVE, *(f"{DUMP_VALVE}_{i}" for i in (1, 2, 3)))
+VALVES_OF = {JOINT: (*DUMPS[:3], SUPPLY_VALVE), PLATFORM: (*FILLS, *EXHAUSTS, SUPPLY_VALVE, *DUMPS)}
 """Valves of plants of several muscles."""
+OF_MUSCLES = ("diameter", "length", "braid_angle", "atmosphere", "contraction")
+BUILT_OF = {
+    JOINT: (*OF_MUSCLES, "pulley"),
+    PLATFORM: (*OF_MUSCLES, "supply", "circle", "mass", "height", "stops", "accelerometer"),
+}
+"""What the option `built` may say."""
 MUSCLES_OF = {JOINT: 2, PLATFORM: 3}
 E_STOP = "e_stop"
 """The digital input: high while the emergency stop is not pressed."""
@@ -181,6 +188,8 @@ class Options:
     """Which muscle of several bursts, has the stuck regulator, valve or sensor."""
     errors: Mapping[str, SensorError] = field(default_factory=dict)
     """Errors of channel inputs, by input."""
+    built: Mapping[str, float] = field(default_factory=dict)
+    """What a joint or a platform is made of [SI], by the names of a bench file; assumed where it is left out."""
     overrides: Overrides = field(default_factory=Overrides)
     """Given among the options by their own names."""
 
@@ -216,6 +225,8 @@ def read_options(device: str, given: Mapping[str, Any]) -> Options:
     for name, value in given.items():
         if name == "faults":
             values[name] = Faults(**_values(device, value, Faults, "fault", "faults are given as {name: time in s}"))
+        elif name == "built":
+            values[name] = _built(device, str(given.get("plant", "")), value)
         elif name == "errors":
             values[name] = _errors(device, value)
         elif name == "plant" and isinstance(value, Mapping):
@@ -349,6 +360,14 @@ def sensor_error(device: str, channel: str, given: Any) -> SensorError:
         raise DeviceError(device, f'errors: no input "{channel}"{did_you_mean(channel, INPUTS)}')
     shape = f"errors of {channel} are given as {{factor: ..., offset: ...}}"
     return SensorError(**_values(device, given, SensorError, "error", shape))
+
+
+def _built(device: str, plant: str, given: Any) -> dict[str, float]:
+    known = BUILT_OF.get(plant, ())
+    for name in _mapping(device, given, "built is given as {name: number in SI}"):
+        if name not in known:
+            raise DeviceError(device, f'the plant {plant} has nothing called "{name}"{did_you_mean(str(name), known)}')
+    return {name: _value(device, name, value) for name, value in given.items()}
 
 
 def _errors(device: str, given: Any) -> dict[str, SensorError]:

@@ -2,7 +2,7 @@
 
 Channel inputs: `pressure_1` to `pressure_3`, `acceleration_x` to `_z`, `turn_x` and `turn_y` of a gyroscope, `supply`.
 Valves: `fill_1` to `exhaust_3` open in pulses; `supply_valve` lets air to the fill valves while it is energised;
-`dump_valve` is one at each muscle, open while it is not.
+`dump_valve` is one at each muscle, open while it is not; `dump_valve_1` and so on are those of one muscle.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import DeviceRecord, Load, Scale, Segment
-from pmabench.model.many.platform import PlatformPlant
+from pmabench.model.many.platform import MUSCLES, PlatformPlant, described
 from pmabench_drivers.mock import options as o
 from pmabench_drivers.mock.options import Options
 from pmabench_drivers.mock.sampled import MEMORY, Sampled, refuse_unknown
@@ -25,6 +25,8 @@ NOISE = {
     **dict.fromkeys(o.TURNS, math.radians(0.1)),
 }
 """Of the sensors [Pa, m/s2, rad/s]; assumed."""
+HEIGHT = 0.02
+"""Of the accelerometer above the joint, where nothing says more [m]."""
 BURST, LEAK = 10.0, 0.5
 """How wide a hole is, an exhaust valve being 1."""
 
@@ -35,7 +37,10 @@ class PlatformSimulation(Sampled):
     def __init__(self, device: DeviceRecord, options: Options, start: float, memory: float = MEMORY) -> None:
         super().__init__(device, options, NOISE, memory)
         refuse_unknown(device.name, "output", [valve.output for valve in device.valves], o.VALVES_OF[o.PLATFORM])
-        self._plant = PlatformPlant(state=(0.0,) * 10, noise=0.0)
+        height = options.built.get("accelerometer", HEIGHT)
+        self._plant = PlatformPlant(described(options.built), state=(0.0,) * 10, height=height, noise=0.0)
+        dumps = [valve.output for valve in device.valves if valve.output in o.DUMPS]
+        self._dumps = dumps or [o.DUMP_VALVE]
         self._plant.time = start
         self._plant.supply, self._plant.dump = False, True
         self._valve = frozenset[str]()
@@ -50,7 +55,7 @@ class PlatformSimulation(Sampled):
     @property
     def energised(self) -> bool:
         """Whether the dumps are commanded shut."""
-        return o.DUMP_VALVE in self._valve
+        return bool(self._valve.issuperset(self._dumps))
 
     @property
     def dump_open(self) -> bool:
@@ -100,8 +105,8 @@ class PlatformSimulation(Sampled):
         """Bring valves and sensors in line with commands and faults as they are at this moment."""
         plant, faults, i = self._plant, self.faults, self._options.faulty - 1
         plant.supply = o.SUPPLY_VALVE in self._valve and not self._is_due(faults.supply_lost_at)
-        plant.dump = o.DUMP_VALVE not in self._valve
-        plant.blocked = (i,) if self._is_due(faults.dump_stuck_at) else ()
+        plant.dump = not self.energised
+        plant.blocked = tuple(m for m in MUSCLES if self._shut(m) or (m == i and self._is_due(faults.dump_stuck_at)))
         stuck = {
             ("fill", True): faults.fill_stuck_open_at,
             ("fill", False): faults.fill_stuck_shut_at,
@@ -111,6 +116,10 @@ class PlatformSimulation(Sampled):
         plant.stuck = {(kind, i): is_open for (kind, is_open), at in stuck.items() if self._is_due(at)}
         plant.holes[i] = BURST * self._is_due(faults.burst_at) + LEAK * self._is_due(faults.leak_at)
         plant.shows_level = self._is_due(faults.accelerometer_level_at)
+
+    def _shut(self, muscle: int) -> bool:
+        """Whether the dump of a muscle, from 0, is commanded closed."""
+        return not {o.DUMP_VALVE, f"{o.DUMP_VALVE}_{muscle + 1}"}.intersection(self._dumps) - self._valve
 
     # -- what the channels are exposed to --------------------------------------------------------------------------
 

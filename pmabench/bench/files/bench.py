@@ -304,6 +304,10 @@ class Joint(Strict):
 
     stroke: tuple[Angle, Angle]
     speed: AngularSpeed = 0.0
+    pulley: Annotated[Length, Field(gt=0)] | None = None
+    """Radius on which the muscles pull; `check --simulate` needs it on a real bench, as it does the next one."""
+    contraction: RatioAbove0 | None = None
+    """Of both muscles at angle 0."""
 
 
 class PlatformFile(Strict):

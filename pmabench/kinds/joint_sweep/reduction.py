@@ -68,6 +68,10 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     )
 
 
+class OffForm(NotUsable):
+    """A sweep whose loop is not the one that is measured: something is wrong at its operating point."""
+
+
 def stiffness_of(run: RunData, trial: TrialData) -> float:
     """Stiffness of one trial [N m/rad]; raises `NotUsable`."""
     return float(sweep_of(run, trial, {}).stiffness.mean())
@@ -80,10 +84,13 @@ def sweep_of(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> Swee
         raise NotUsable("its plan names no lowest and highest angle, so its turns are not known")
     loop = measure(run, trial, int(settings_of(run, options).get("discard", 1)), TURN * (high - low), AXES)
     half, gap = 0.5 * (high - low), float(loop.middle_gap.mean())
-    refuse_turns(loop.turns, half, gap, _noise(loop))
+    try:
+        refuse_turns(loop.turns, half, gap, _noise(loop))
+    except NotUsable as reason:
+        raise OffForm(str(reason)) from None
     if loop.turns is not None and half < HALF_SWEEP * loop.turns.w:
         least, w = show(HALF_SWEEP * loop.turns.w, "angle", 3), show(loop.turns.w, "angle", 3)
-        raise NotUsable(
+        raise OffForm(
             f"the sweep of +-{show(half, 'angle', 3)} is too small for the hysteresis: a turn fades on {w}, 3 of which "
             f"are cut after each turn, and mid sweep must lie one more beyond them; sweep at least +-{least}"
         )
@@ -115,15 +122,32 @@ def _slopes(loop: Loop, turns: Turns | None, *, keep: bool = False) -> Array:
 
 
 def _sweeps(runs: Sequence[RunData], options: Mapping[str, Any]) -> tuple[list[Sweep], list[Dropped]]:
+    """The trials that can be used; none of a point at which half of the loops have another form."""
     sweeps: list[Sweep] = []
     dropped: list[Dropped] = []
+    off: dict[tuple[float, ...], list[str]] = {}
     for run in runs:
         for trial in run.trials:
             try:
                 sweeps.append(sweep_of(run, trial, options))
             except NotUsable as reason:
                 dropped.append(Dropped(trial.name, trial.point, str(reason)))
-    return sweeps, dropped
+                if isinstance(reason, OffForm):
+                    off.setdefault(_place(trial.point), []).append(str(reason))
+    alike = [_place(one.trial.point) for one in sweeps]
+    spoiled = {place for place, reasons in off.items() if len(reasons) >= alike.count(place)}
+    for one, place in zip(sweeps, alike, strict=True):
+        if place in spoiled:
+            text = f"half of the sweeps at this point, or more, have another form, so it tells nothing: {off[place][0]}"
+            dropped.append(Dropped(one.trial.name, one.trial.point, text))
+    return [one for one, place in zip(sweeps, alike, strict=True) if place not in spoiled], dropped
+
+
+def _place(point: Mapping[str, float]) -> tuple[float, ...]:
+    """Pressures, speed and ends of a sweep."""
+    return tuple(
+        round(point.get(name, 0.0), 9) for name in (*MUSCLES, "angular_speed", "lowest_angle", "highest_angle")
+    )
 
 
 def _cells(sweeps: Sequence[Sweep]) -> dict[tuple[tuple[str, float], ...], list[Sweep]]:

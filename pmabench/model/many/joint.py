@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -124,6 +124,18 @@ class Joint:
         m, way, rate = self.muscle, self.pulley * angle / self.muscle.length, self.pulley * turn / self.muscle.length
         first = m.force(pressures[0], self.preload + way, rate, strains[0])
         return self.pulley * (first - m.force(pressures[1], self.preload - way, -rate, strains[1]))
+
+
+def braided(numbers: Mapping[str, float]) -> Braided:
+    """The muscle of these dimensions [SI], by the names of a bench file; what is left out is assumed."""
+    return Braided(**{n: numbers[n] for n in ("diameter", "length", "braid_angle", "atmosphere") if n in numbers})
+
+
+def described(numbers: Mapping[str, float]) -> Joint:
+    """The joint of these dimensions [SI], by the names of a bench file; what is left out is assumed."""
+    usual = Joint()
+    pulley, preload = numbers.get("pulley", usual.pulley), numbers.get("contraction", usual.preload)
+    return Joint(braided(numbers), pulley, preload)
 
 
 class Turns(NamedTuple):

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any
 
-from pmabench.model.many.joint import Braided, Valve
+from pmabench.model.many.joint import Braided, Valve, braided
 
 G = 9.81
 STEP = 0.5e-3
@@ -138,9 +138,8 @@ def described(numbers: Mapping[str, float]) -> Platform:
     """The platform that a bench file describes [SI], by the names there; what it leaves out is assumed as above."""
     own = {"contraction": "preload", "stops": "stop"}
     names = ("supply", "circle", "contraction", "mass", "height", "stops")
-    muscle = Braided(**{n: numbers[n] for n in ("diameter", "length", "braid_angle", "atmosphere") if n in numbers})
     changes: dict[str, Any] = {own.get(name, name): numbers[name] for name in names if name in numbers}
-    return Platform(muscle, **changes)
+    return Platform(braided(numbers), **changes)
 
 
 _COSINES = tuple(math.cos(g) for g in (math.pi / 2, 7 * math.pi / 6, 11 * math.pi / 6))
