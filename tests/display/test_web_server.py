@@ -15,7 +15,7 @@ from hashlib import sha256
 import numpy as np
 import pytest
 
-from pmabench.display.web.feed import Feed
+from pmabench.display.web.feed import Feed, Seen
 from pmabench.display.web.page import page
 from pmabench.display.web.server import MOST_STREAMS
 from pmabench.store.arrow import pa
@@ -372,7 +372,7 @@ def test_the_script_names_no_other_address():
 READ = """
 import sys
 from pathlib import Path
-from pmabench.display.web.feed import Feed
+from pmabench.display.web.feed import Feed, Seen
 from pmabench.display.verdicts import prepare
 feed = Feed(Path(sys.argv[1]))
 while feed.poll():
@@ -404,3 +404,18 @@ def test_a_closed_run_that_was_read_is_let_go(run):
     assert not feed.poll()
     assert feed.state.rows == rows == run.rows
     assert kept < 8 * rows  # less than one column
+
+
+def test_no_frame_comes_before_the_page_knows_which_run_it_is(run):
+    feed = Feed(run.folder)
+    feed._renew = lambda _behind: None  # a viewer asks while the first reading is under way
+    feed.poll()
+    seen = Seen()
+    assert feed.fresh(seen) == []
+    del feed._renew
+    feed._renewed = -1.0
+    feed.poll()
+    names = [name for name, _ in feed.fresh(seen)]
+    assert (names[0], names[-1]) == ("run", "frame")
+    [frame] = [json.loads(text) for name, text in feed.fresh(Seen()) if name == "frame"]
+    assert frame["loop"]["number"] == 2

@@ -5,7 +5,7 @@ const bars = new Map();
 function partRun(run) {
   const before = S.run;
   S.run = run;
-  if (before.id !== run.id) { clear(); loop = {number: 0, points: []}; bars.clear(); $('numbers').replaceChildren(); }
+  if (before.id && before.id !== run.id) { clear(); loop = {number: 0, points: []}; bars.clear(); $('numbers').replaceChildren(); }
   axes = run.axes || [];
   show('simulated', !!run.simulated);
   put('kind', run.kind || 'pmabench');
@@ -172,7 +172,7 @@ function partTrials(table) {
   const rows = [];
   for (const r of [...table.rows].reverse()) {
     const row = make('tr');
-    row.append(make('td', '', `${r.ok ? '✓' : '!'} ${r.trial}${r.again ? ' again' : ''}`), ...r.point.map(text => make('td', '', text)));
+    row.append(make('td', '', `${r.mark} ${r.trial}${r.again ? ' again' : ''}`), ...r.point.map(text => make('td', '', text)));
     for (const [text, off] of r.numbers) { const cell = make('td', '', text); if (off) cell.append(make('small', '', off)); row.append(cell); }
     rows.push(row);
     if (r.doubts.length) {
