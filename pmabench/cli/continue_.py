@@ -6,13 +6,15 @@ import shlex
 import subprocess
 import sys
 from pathlib import Path
+from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from pmabench.base.errors import UsageError, invalid
 from pmabench.cli.common import Ui, common, login_name, say
-from pmabench.cli.names import RunFolder
+from pmabench.cli.names import RunFolder, short
+from pmabench.cli.outcome import WIDTH
 
 if TYPE_CHECKING:
     from pmabench.store.records import RunData
@@ -97,7 +99,9 @@ def _happened(data: RunData, left: int, tripped: Any) -> str:
 
     planned = int(data.manifest.get("trials_planned") or 0)
     why = str(data.manifest.get("why") or "")
-    lines = [f"{data.status.upper()}  {data.kind}, {data.id}" + (f": {why}" if why else "")]
+    mark = "SIMULATED  " if data.simulated else ""
+    head = f"{mark}{data.status.upper()}  {data.kind}, {short(Path(data.path))}" + (f": {why}" if why else "")
+    lines = wrap(head, WIDTH, subsequent_indent="   ")
     trials = f"{planned - left} of {planned} trials are done" if planned else "a run without trials"
     guard = data.manifest.get("guard") or {}
     result = vented(data) or str((guard.get("vent") or {}).get("result") or "")

@@ -208,9 +208,9 @@ def report(
     plan: Plan, mounted: Mounted, simulated: dict[str, Any], findings: list[str], then: list[str]
 ) -> Iterator[str]:
     """At most 25 lines of 80 columns: how it ended, on which muscle, what to look at, peaks against limits, next."""
-    yield cut(f"SIMULATED  {plan.name}, {plan.kind}: {len(plan.trials)} trials")
-    ending = f"{simulated['status']}, {in_words(simulated['duration'])}"
-    yield from wrap(f"{ending}{': ' + simulated['why'] if simulated['why'] else ''}", WIDTH, max_lines=3)
+    length = in_words(simulated["duration"])
+    yield cut(f"SIMULATED  {simulated['status'].upper()}  {plan.kind}: {len(plan.trials)} trials planned, {length}")
+    yield from wrap(simulated["why"], WIDTH, initial_indent="   ", subsequent_indent="   ", max_lines=3)
     muscle = simulated["muscle"] or "that of the bench file"
     yield from wrap(f"muscle: {muscle}", WIDTH, subsequent_indent="   ", max_lines=3)
     for other in simulated["others"]:

@@ -42,6 +42,7 @@ SECTIONS = {
         "history": ("history", "One specimen over its life: coefficients, cycles, time at pressure."),
         "tune": ("tune", "Controller settings from an ultimate gain and period."),
         "export": ("export", "Runs or coefficients as CSV, Parquet, MATLAB, LaTeX, JSON, models."),
+        "publish": ("publish", "Records, coefficients and report for a repository of research data."),
     },
     "Records": {
         "import": ("import_", "Make runs of files of other programs, by a column map."),
@@ -79,6 +80,7 @@ EXAMPLES: dict[str, str] = {
     "history": "SERIAL -o history.html",
     "tune": '--ku "7.1 bar/cm" --tu "9 s"',
     "export": "runs/2026... --format csv -o samples",
+    "publish": 'runs/2026... -o ours.zip --author "Doe, Jane" --licence CC-BY-4.0 --publisher Zenodo',
     "import": "old.csv --guess",
     "recalibrate": "runs/2026... --calibration P-0300.yaml",
     "runs": "list",

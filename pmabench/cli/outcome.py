@@ -109,8 +109,9 @@ def _end(outcome: Outcome, bench: CompiledBench, kind: str, trials: int) -> list
     mark = "SIMULATED  " if outcome.folder is not None and "_SIMULATED_" in outcome.folder.name else ""
     seconds = outcome.bench_seconds
     length = f"{seconds / 60:.0f} min" if seconds >= 120 else f"{seconds:.0f} s"
-    planned = f"{trials} {'trial' if trials == 1 else 'trials'} planned"
-    head = f"{mark}{outcome.status.upper()}  {kind}: {planned}, {length}{_vent_words(outcome)}"
+    done = f"{outcome.trials_done} of {trials} {'trial' if trials == 1 else 'trials'}"
+    vented = "; vented" if outcome.vent is not None and outcome.vent.confirmed else _vent_words(outcome)
+    head = f"{mark}{outcome.status.upper()}  {kind}: {done}, {length}{vented}"
     lines = wrap(head, WIDTH, subsequent_indent="   ")
     if outcome.why:
         lines += wrap(outcome.why, 80, initial_indent="   ", subsequent_indent="   ", max_lines=4, placeholder=" …")

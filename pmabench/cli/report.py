@@ -87,7 +87,7 @@ def command(
         written = {"path": str(write_file(output, page.text, "the report"))}
     else:
         ui.begin("making the report")
-        analyses, runs = _analysed(ui, folders, used, given)
+        analyses, runs = analysed(ui, folders, used, given)
         written, page = _written(ui, analyses, runs, published, title, issuer, output, pdf, xlsx, long=long)
         if key:
             kept_page.keep(used[0].parent, key, page)
@@ -96,7 +96,7 @@ def command(
     return None
 
 
-def _analysed(
+def analysed(
     ui: Ui, folders: Sequence[Path], used: Sequence[Path], given: Sequence[Path]
 ) -> tuple[list[Analysis], list[RunData]]:
     """All analyses, read where they are in `folders` or stored (`used`) and else made now, and the runs behind them."""

@@ -100,6 +100,9 @@ class StreamTail:
         self._offset = self._batches = 0
         self._most = MOST_BYTES
         self._table: Any = None
+        """Of a closed run, while it is read."""
+        self._whole = False
+        """Whether a closed run was read to its end."""
         self.rows = 0
         self.rate = 0.0
         self.infos: dict[str, ChannelInfo] = {}
@@ -118,6 +121,8 @@ class StreamTail:
     def read(self) -> list[Block]:
         """The rows that are new."""
         self.behind = False
+        if self._whole:
+            return []
         if self._table is None:
             try:
                 with open_regular(self._live) as file:
@@ -168,6 +173,8 @@ class StreamTail:
             return []
         self.rows += part.num_rows
         self.behind = self.rows < self._table.num_rows
+        if not self.behind:
+            self._table, self._whole = None, True  # 50 MB for half an hour at 500 Hz
         return [self._block({name: _values(part.column(name).combine_chunks()) for name in part.column_names})]
 
     def _describe(self, about: Mapping[str, Any]) -> None:

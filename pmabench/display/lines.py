@@ -63,7 +63,7 @@ def _heading(lines: Sequence[TrialLine], names: Sequence[str]) -> str:
 
 def _row(line: TrialLine, names: Sequence[str]) -> Text:
     """One trial: verdict, number, point, each quantity with its distance from prediction or repeats."""
-    text = Text().append("ok" if line.ok else "? ", GOOD if line.ok else WARN).append(f" {line.number:>5}", "bold")
+    text = Text().append(line.mark, GOOD if line.ok else WARN).append(f" {line.number:>5}", "bold")
     for name in names:
         value, q = line.point.get(name), quantity(POINT.get(name, ("", ""))[1])
         text.append(f"{'-' if value is None else format(value / q.scale, '.4g'):>{PLACE}}")
@@ -127,7 +127,8 @@ def plain_line(item: Notice | TrialLine, trials: int) -> str:
         mark = {"info": "", "doubt": "! ", "fault": "!! "}[item.level]
         return f"{clock(item.t) + ' ' if item.t is not None else ''}{mark}{clean(item.text)}"
     numbers = ", ".join(_number(number) for number in item.numbers)
-    verdict = "ok" if item.ok else "DOUBT: " + "; ".join(clean(doubt) for doubt in item.doubts)
+    known = "ok" if item.mark == "ok" else "nothing measured, as expected"
+    verdict = known if item.ok else "DOUBT: " + "; ".join(clean(doubt) for doubt in item.doubts)
     point = point_text(item.point)
     which = "reference trial again" if item.again else f"trial {item.number} of {trials}"
     return f"{which} ({point}): {numbers}{'; ' if numbers else ''}{verdict}"

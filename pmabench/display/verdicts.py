@@ -96,6 +96,12 @@ class TrialLine:
         return not self.doubts
 
     @property
+    def mark(self) -> str:
+        """`ok`, `? ` where there is a doubt; a dash where it gave no number, as was expected of it."""
+        nothing = bool(self.numbers) and all(number.value is None for number in self.numbers)
+        return "? " if self.doubts else "– " if nothing else "ok"
+
+    @property
     def ended(self) -> bool:
         """Whether the trial came to its end."""
         return self.status in USED

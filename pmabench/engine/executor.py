@@ -88,6 +88,8 @@ class Executor:
     """Trials that were chosen during the run, by their index."""
     failed: list[int] = field(default_factory=list)
     """Trials that failed."""
+    finished: set[int] = field(default_factory=set)
+    """Trials that came to their end, those of the run that this one continues included."""
     unloaded: bool = False
     """Whether hands were asked last to take every load off."""
 
@@ -282,6 +284,8 @@ class Executor:
         self.acquisition.record(on=False)
         if self._trial is not None:
             self._event("trial-end", trial=self._trial, status=self._trial_status)
+            if self._trial_status == "finished" and (self.again is None or self._trial != self.again.index):
+                self.finished.add(self._trial)
         self._trial = None
 
     def _trial_of(self, index: int) -> TrialRecord:

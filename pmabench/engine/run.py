@@ -53,6 +53,8 @@ class Outcome:
     """The limit on a measured channel that ended it."""
     events: tuple[tuple[str, float, dict[str, Any]], ...] = ()
     """Events of a run that was only tried."""
+    trials_done: int = 0
+    """How many trials came to their end, those of the run that this one continues included."""
 
 
 class Waiting:
@@ -169,6 +171,7 @@ def _what_to_do(
     if continues is not None:
         executor.steps, executor.attempts = continues.steps, dict(continues.attempts)
         executor.again = continues.again
+        executor.finished = set(continues.manifest["trials_done"])
     if further is not None:
         executor.steps = () if continues is None else continues.steps
         executor.further = further(executor)
@@ -396,6 +399,7 @@ class _Run:
             dict(acquisition.extremes),
             cause.trip.limit if isinstance(cause, Tripped) else None,
             tuple(recorder.events) if isinstance(recorder, NoRecord) else (),
+            len(executor.finished),
         )
 
     def _zeros(self) -> dict[str, dict[str, Any]]:

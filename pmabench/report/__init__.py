@@ -6,6 +6,7 @@
 - `pages`: other pages: bench card, comparison, history, a fitted model
 - `cascade_record`, `cascade_drawing`, `cascade_page`: chains of muscles, drawn and animated
 - `files`: analyses as files, for us and for other programs
+- `publishing`: records, analyses and report as a package for a repository of research data
 - `many`: reports over thousands of runs
 - `words`: names of symbols, tests and methods
 - on a terminal: `glance`, `terminal_coefficients`, `terminal`

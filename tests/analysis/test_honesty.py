@@ -147,6 +147,20 @@ def told(run: RunData, channel: str, gain: float = 0.0, offset: float = 0.0) -> 
     return replace(run, channels=channels)
 
 
+def refuse_unexplained_moves(
+    reduce: Callable[[list[RunData]], Analysis], run: RunData, channel: str, gain: float, offset: float
+) -> int:
+    """No value moves beyond its interval when a channel reads wrong by its uncertainty; how many were compared."""
+    base = told(run, channel, gain, offset)
+    right = values(reduce([base]))
+    high, low = (values(reduce([reads(base, channel, way * gain, way * offset)])) for way in (1, -1))
+    known = right.keys() & high.keys() & low.keys()
+    for key in known:
+        moved = 0.5 * abs((high[key].value or 0.0) - (low[key].value or 0.0))
+        assert moved <= 1.05 * (right[key].parts.combined or 0.0) + 1e-4 * abs(right[key].value or 0.0), key
+    return len(known)
+
+
 def values(analysis: Analysis) -> dict[tuple[object, ...], Estimate]:
     found = {
         (e.symbol, e.method, e.coordinate, *((k, round(v, 6)) for k, v in e.at.items())): e

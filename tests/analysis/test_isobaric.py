@@ -12,7 +12,7 @@ from pmabench.kinds.isobaric_ramp.reduction import fit, reduce, rubber_force
 from pmabench.store.analyses.results import Analysis
 from pmabench.store.records import Flag, RunData
 from tests.analysis.driven_runs import recorded
-from tests.analysis.test_honesty import unexplained
+from tests.analysis.test_honesty import refuse_unexplained_moves, told, unexplained
 
 
 def one(analysis, symbol, method, **at):
@@ -187,7 +187,10 @@ def test_one_speed_does_not_pretend_to_know_damping(mas):
     alone = reduce([replace(mas, trials=tuple(t for t in mas.trials if t.point["speed"] == 0.005))])
     assert one(alone, "B", "loop-gap", pressure=2e5).value is None
     assert one(alone, "H", "loop-gap", pressure=2e5, speed=0.0).value is None
-    assert "half the difference of the dampings" in one(alone, "F_ce", "mean-curve", pressure=2e5).note
+    F_ce = one(alone, "F_ce", "mean-curve", pressure=2e5)
+    assert "the two dampings may differ" in F_ce.note
+    assert F_ce.value == pytest.approx(167.0 + 0.5 * (1780.0 - 1520.0) * 0.005, abs=0.05)
+    assert F_ce.ci95[0] <= 167.0 <= F_ce.ci95[1]
 
 
 def test_a_rubber_term_of_other_coefficients_comes_back_without_noise():
@@ -300,3 +303,20 @@ def test_stiffness_at_a_contraction_holds_that_of_a_muscle_whose_hysteresis_outl
         assert e.ci95[0] <= truth <= e.ci95[1], (e.at, e.value, truth, e.parts)
         assert e.parts.combined < 0.5 * e.value
     assert all(e.value is None or e.parts.combined < e.value for e in found.estimates if e.symbol == "K")
+
+
+@pytest.mark.parametrize(
+    ("channel", "gain", "offset"),
+    [("force", 0.01, 0.0), ("force", 0.0, 2.0), ("displacement", 0.01, 0.0), ("displacement", 0.0, 1e-4)],
+)
+def test_a_channel_that_reads_wrong_by_its_uncertainty_moves_no_value_beyond_its_interval(mas, channel, gain, offset):
+    assert refuse_unexplained_moves(lambda runs: reduce(runs), mas, channel, gain, offset) > 30
+
+
+def test_a_gauge_that_reads_wrong_is_in_what_is_given_for_its_pressure(mas):
+    """K at 200 kPa by the secant to 400 kPa: 1364 N/m over 200 kPa (plant 5.1), F_ce 1.08 N/kPa; the gauge is 1 % off."""
+    found = reduce([told(mas, "pressure", 0.01)])
+    assert one(found, "K", "mean-curve", pressure=2e5).parts.calibration == pytest.approx(13.64, rel=0.02)
+    assert one(found, "F_ce", "mean-curve", pressure=2e5).parts.calibration == pytest.approx(1.08 * 2.0, rel=0.02)
+    # B, the mean of both directions, is 1650 at 200 kPa and 2150 N.s/m at 400 kPa
+    assert one(found, "B", "loop-gap", pressure=2e5).parts.calibration == pytest.approx(500.0 * 0.01, rel=0.02)

@@ -16,6 +16,7 @@ from pmabench.kinds.relaxation.course import Course, Relaxing
 from pmabench.kinds.relaxation.figures import measure as at_a_glance
 from pmabench.kinds.relaxation.reduction import LINE, PRONY, reduce
 from tests.analysis.driven_runs import planned, recorded
+from tests.analysis.test_honesty import refuse_unexplained_moves
 
 SHORT = (("prepare.precondition.cycles", "0"), ("trial.hold", "120 s"), ("trial.rest", "360 s"),
          ("sweep.matrix.pressure", "[5 bar]"))  # fmt: skip
@@ -181,3 +182,10 @@ def test_one_trial_at_a_glance(run):
     assert [n.symbol for n in numbers] == ["s", "F_1"]
     assert numbers[0].value == pytest.approx(0.0205, abs=1e-3)
     assert doubts == []
+
+
+@pytest.mark.parametrize(
+    ("channel", "gain", "offset"), [("force", 0.01, 0.0), ("force", 0.0, 5.0), ("pressure", 0.0, 2e3)]
+)
+def test_a_channel_that_reads_wrong_by_its_uncertainty_moves_no_value_beyond_its_interval(run, channel, gain, offset):
+    assert refuse_unexplained_moves(lambda runs: reduce(runs), run, channel, gain, offset) > 5

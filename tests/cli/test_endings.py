@@ -62,7 +62,7 @@ def test_a_dry_run_that_trips_says_so():
         "include: mock.yaml\nschema: pmabench.bench/1\nname: a\nlimits: {contraction: {trip: 4 %}}\n"
     )
     out = call("check", "contraction-relaxation", *tripping, *OF, *SHORT[:4], "--simulate", code=5)
-    assert "tripped" in out
+    assert out.startswith("SIMULATED  TRIPPED  contraction-relaxation: ")
     assert "next    change the protocol" in out
     end = call("run", "contraction-relaxation", *tripping, *OF, *SHORT[:4], "--yes", code=5)
     assert next_of(end) == ["continue"]

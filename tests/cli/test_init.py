@@ -169,6 +169,19 @@ def test_a_lab_without_devices_runs_to_a_report(tmp_path: Path, monkeypatch: pyt
     assert "SIMULATED  FINISHED" in call("run", *FILES, "--yes", *short)
 
 
+def test_no_limit_is_set_that_nobody_asked_for_and_the_file_shows_how(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    answered(tmp_path / "lab", MUSCLE)
+    monkeypatch.chdir(tmp_path / "lab")
+    text = Path("protocol.yaml").read_text()
+    assert "accept" not in YAML(typ="safe").load(text)
+    before, lines = text.split("# accept:\n")
+    Path("protocol.yaml").write_text(f"{before}accept:\n{lines.replace('#   K', '  K')}")
+    assert YAML(typ="safe").load(Path("protocol.yaml"))["accept"] == {"K": {"relative_interval": "5 %"}}
+    call("check", *FILES)
+
+
 def test_a_register_map_is_copied(tmp_path: Path) -> None:
     answers = MUSCLE | {"daq": "modbus", "address": f"192.168.0.10, {MAP}", "dump_valve": "dump_valve closed"}
     told = answered(tmp_path / "lab", answers, code=3)  # the shipped map is of a regulator: it measures no force

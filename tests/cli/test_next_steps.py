@@ -130,7 +130,10 @@ def test_continue_says_what_happened_and_asks_first(tmp_path, monkeypatch):
     (folder,) = Path("runs").iterdir()
     told = CliRunner().invoke(main, ["continue"])
     assert told.exit_code == 0
-    assert told.stderr.splitlines()[0].startswith("ABORTED  contraction-relaxation, ")
+    assert told.stderr.splitlines()[0].startswith(
+        f"SIMULATED  ABORTED  contraction-relaxation, runs/{folder.name[-4:]}: "
+    )
+    assert all(len(line) <= 80 for line in told.stderr.splitlines()[:3])
     assert "0 of 1 trials are done" in told.stderr
     assert f"not done; later:  pmabench run --resume {folder}" in told.stderr
     assert len(list(Path("runs").glob("2*"))) == 1
@@ -149,13 +152,14 @@ def test_an_interrupted_run_names_how_to_go_on(tmp_path, monkeypatch):
     (folder,) = Path("runs").iterdir()
     assert told.exit_code == 130
     end = told.stdout.splitlines()
-    assert "SIMULATED  ABORTED  contraction-relaxation: 1 trial planned" in told.stdout
+    assert "SIMULATED  ABORTED  contraction-relaxation: 0 of 1 trial, " in told.stdout
     assert end[-1] == "next    pmabench continue"
     assert f"record  runs/{folder.name[-4:]} " in end[-2]
     assert all(len(line) <= 80 for line in end[1:])
     assert "tripped" not in told.output
     again = CliRunner().invoke(main, ["run", "--resume", str(folder), "--yes"])
     assert again.exit_code == 0, again.output
+    assert "SIMULATED  FINISHED  contraction-relaxation: 1 of 1 trial, " in again.stdout
     assert "continue" not in again.output
     processed = CliRunner().invoke(main, shlex.split(again.stdout.splitlines()[-1].removeprefix("next    pmabench ")))
     assert "analysis  analyses/" in processed.output

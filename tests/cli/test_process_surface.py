@@ -4,7 +4,7 @@ The muscle of the mock bench is a published surface with hysteresis and creep; i
 """
 
 import json
-from math import exp, log10
+from math import exp, hypot, log10
 from pathlib import Path
 
 import pytest
@@ -14,6 +14,7 @@ from pmabench.cli.main import main
 from pmabench.cli.prepare import prepare
 from pmabench.engine.operator import ConfirmedBeforehand
 from pmabench.engine.run import run_plan
+from pmabench.store.reader import open_run
 from tests.test_real_bench import ran
 
 PROTOCOLS = ("real-muscle-ramps", "real-muscle-pressurisation", "real-muscle-sines")
@@ -93,6 +94,29 @@ def test_a_campaign_becomes_one_muscle(runs):
     shown = CliRunner().invoke(main, ["report", folder, "-o", str(page)])
     assert shown.exit_code == 0, shown.output
     assert "Muscle as a surface" in page.read_text()
+
+
+def test_what_the_scales_may_be_off_is_in_the_intervals(runs, tmp_path):
+    """By the closed form: gain and zero of the force cell, and the place and the pressure for which a value is given."""
+    result = process(*runs, "--form", "surface", "--json", "--out", str(tmp_path / "found"))
+    (analysis,) = json.loads(result.stdout)["analyses"]
+    channels = open_run(Path(runs[0])).channels
+    compared = 0
+    for symbol, of, power in (("F", force, 0), ("K", stiffness, -1)):
+        for e in analysis["estimates"]:
+            if e["symbol"] != symbol or e["value"] is None:
+                continue
+            x, P = e["at"]["contraction"], e["at"]["pressure"]
+            over_x = (of(x + 1e-5, P) - of(x - 1e-5, P)) / 2e-5
+            over_P = (of(x, P + 100) - of(x, P - 100)) / 200
+            gains = {"force": of(x, P), "displacement": over_x * x + power * of(x, P), "pressure": over_P * P}
+            offsets = {"force": 1.0 if symbol == "F" else 0.0, "displacement": over_x, "pressure": over_P}
+            terms = [channels[name].gain_uncertainty * by for name, by in gains.items()]
+            terms += [channels[name].offset_uncertainty * by for name, by in offsets.items()]
+            known = 0.1 if symbol == "F" else 0.3  # the bend of a surface at its edge is known less well
+            assert e["parts"]["calibration"] == pytest.approx(hypot(*terms), rel=known), e["at"]
+            compared += 1
+    assert compared > 20
 
 
 def test_a_long_hold_tells_the_creep_and_the_stiffness_at_full_length(runs, tmp_path):

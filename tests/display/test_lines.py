@@ -8,6 +8,7 @@ from scipy.stats import t as student_t
 from pmabench.display.lines import half_text, plain_line
 from pmabench.display.state import RunState
 from pmabench.display.verdicts import Verdicts
+from pmabench.display.web.picture import trials_part
 from pmabench.store.reader import open_run
 from pmabench.store.records import Flag, RunData, TrialData
 from tests.display.recorded import TAU, F_ce, K, Recorded
@@ -15,11 +16,15 @@ from tests.display.recorded import TAU, F_ce, K, Recorded
 LIGHT, HEAVY, P = 58.86, 107.91, 3e5
 
 
-def lines_of(folder):
+def state_of(folder):
     state = RunState(folder)
     while state.poll():
         pass
-    return state.lines
+    return state
+
+
+def lines_of(folder):
+    return state_of(folder).lines
 
 
 def numbers(line):
@@ -207,6 +212,16 @@ def test_nothing_moved_is_doubted_unless_the_specimen_says_so(tmp_path):
     light, held = lines_of(run.close())
     assert "displacement changed by less than its noise: nothing moved" in light.doubts
     assert held.ok
+
+
+def test_a_trial_that_lifts_nothing_as_expected_is_neither_ok_nor_doubted(tmp_path):
+    run = Recorded(tmp_path, [(F_ce(P) + 50.0, P), (LIGHT, P)])
+    run.trial(0, factor=0.0)
+    run.trial(1)
+    idle, moved = lines_of(run.folder)
+    assert (idle.ok, idle.mark, moved.mark) == (True, "– ", "ok")
+    assert plain_line(idle, 2).endswith("; nothing measured, as expected")
+    assert [row["mark"] for row in trials_part(state_of(run.folder))["rows"]] == ["–", "✓"]
 
 
 @pytest.mark.parametrize(

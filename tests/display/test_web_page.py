@@ -278,15 +278,55 @@ def test_text_can_be_read_in_light_and_dark(browser, run, dark):
         assert page.run(CONTRAST) == []
 
 
-def test_it_prints_on_one_page_in_light(browser, run, tmp_path):
+def test_the_next_quantity_of_the_trials_by_a_key(browser, run):
+    with opened(browser, run) as page:
+        page.wait(PRESSURE)
+        drawn(page)
+        seen = []
+        for _ in range(page.wait("document.querySelector('#symbol').length")):
+            symbol = page.run("document.querySelector('#symbol').value")
+            seen.append(symbol)
+            assert page.text("#coefficient-title") == f"{symbol} over P, trial by trial"
+            label = page.run("document.querySelector('#coefficient').getAttribute('aria-label')")
+            assert label.startswith(f"{symbol} over P: 1 trial")
+            page.press("s")
+            page.wait(f"document.querySelector('#symbol').value !== '{symbol}'")
+        assert sorted(seen) == ["F_ce", "K", "tau", "x_inf"]
+        assert page.run("document.querySelector('#symbol').value") == seen[0]  # round and round
+
+
+def test_what_a_key_does_is_in_the_help(browser, run):
+    with opened(browser, run) as page:
+        page.press("?")
+        page.wait("document.querySelector('#help').open")
+        assert page.run("[...document.querySelectorAll('#help dt')].map(e => e.textContent).join(' ')") == (
+            "1 … 5 ← → + − L Y S D P"
+        )
+
+
+@pytest.mark.parametrize("long", [False, True])
+def test_it_prints_on_one_page_in_light(browser, run, tmp_path, long):
     from pypdf import PdfReader
 
+    if long:  # as tall as it gets: long names, many trials, a reason and the next command above the curves
+        run = Recorded(
+            tmp_path / "long", POINTS * 8, name="20261128-0807_MAS-20-250N-AA-MC-K-MOCK-P0_contraction-relaxation_7f3a",
+            specimen={"type": "MAS-20-250N-AA-MC-K", "serial": "MOCK-P0"}, campaign={"name": "demonstration of a lab"},
+        )  # fmt: skip
+        for trial in range(20):
+            run.trial(trial)
+        run.begin(20)
+        run.contract(20)
     with opened(browser, run, dark=True) as page:
-        page.wait("document.querySelectorAll('#trials tbody tr').length > 0")
+        page.wait(f"document.querySelectorAll('#trials tbody tr').length > {15 if long else 0}")
+        if long:
+            page.wait("!document.querySelector('#loop-part').hidden")
+            run.close("tripped", "pressure 653 kPa is above its limit of 650 kPa, set by the bench file at line 21")
+            page.wait("document.querySelector('#why code') !== null")
         page.pdf(tmp_path / "view.pdf")
         [sheet] = PdfReader(tmp_path / "view.pdf").pages
         text = sheet.extract_text()
-        assert re.search(r"printed 20\d\d-\d\d-\d\d \d\d:\d\d", text)
+        assert re.search(r"printed\s20\d\d-\d\d-\d\d \d\d:\d\d", text)
         assert "contraction-relaxation" in text
         assert "Live" not in text  # no buttons
 

@@ -225,6 +225,17 @@ def test_the_search_with_friction_lifts_later():
     assert found["pressure"] / 1e3 == pytest.approx((58.86 + 10.0 + 49.0) / 1.08, abs=1.0)
 
 
+def test_a_search_finds_nothing_where_the_sensor_is_beyond_the_threshold_before_anything_moves():
+    """A zero that is off by more than the threshold would be taken for a lift at no pressure."""
+    up = STEPS["seek scripted"][0]
+    off = replace(up, parameters={**up.parameters, "threshold": -0.1e-3})
+    outcome = execute(one_trial(off))
+    found = data(outcome, "found")["result"]
+    assert found["found"] is False
+    assert "displacement is" in found["reason"]
+    assert "before anything moves: set its zero" in found["reason"]
+
+
 def test_a_search_without_success_fails_the_trial():
     short = one_trial(STEPS["seek scripted"][0].__class__("lift", "ramp-until", "pressure", 0.0, 5e4, 100.0,
                                                            STEPS["seek scripted"][0].parameters))  # fmt: skip

@@ -14,6 +14,7 @@ from pmabench.engine.run import run_plan
 from pmabench.kinds.compile import make_plan
 from pmabench.kinds.joint_sweep.reduction import reduce, sweep_of
 from pmabench.store.reader import open_run
+from tests.analysis.test_honesty import refuse_unexplained_moves
 
 ROOT = Path(__file__).resolve().parents[2]
 SPECIMEN = ROOT / "fixtures" / "specimens" / "joint-daerden.yaml"
@@ -146,6 +147,14 @@ def test_both_pressures_of_a_trial_are_set_before_anything_moves():
     moves = next(n for n, step in enumerate(steps) if step.kind == "ramp")
     assert [step.output for step in steps[:moves] if step.kind == "set"] == ["pressure_1", "pressure_2"]
     assert np.all([set(step.commands()) <= {"pressure_1", "pressure_2", "angle"} for step in steps])
+
+
+@pytest.mark.parametrize(
+    ("channel", "gain", "offset"),
+    [("torque", 0.01, 0.0), ("torque", 0.0, 0.1), ("angle", 0.01, 0.0), ("angle", 0.0, 0.003)],
+)
+def test_a_channel_that_reads_wrong_by_its_uncertainty_moves_no_value_beyond_its_interval(wide, channel, gain, offset):
+    assert refuse_unexplained_moves(lambda runs: reduce(runs), wide, channel, gain, offset) > 5
 
 
 @pytest.mark.study

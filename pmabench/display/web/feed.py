@@ -130,7 +130,8 @@ class Feed:
             if seen.versions.get(name) != version:
                 seen.versions[name] = version
                 messages.append((name, text))
-        frame = self._frame(seen)
+        # A page that hears which run it is drops what came before: the loop of a trial would be lost.
+        frame = self._frame(seen) if self._parts else {}
         if frame:
             messages.append(("frame", json.dumps(frame, separators=(",", ":"))))
         return messages

@@ -179,6 +179,7 @@ def trials_part(state: RunState) -> dict[str, Any]:
     rows = [
         {
             "ok": line.ok,
+            "mark": {"ok": "✓", "? ": "!"}.get(line.mark, "–"),
             "trial": line.number,
             "again": line.again,
             "status": clean(line.status),

@@ -11,6 +11,7 @@ from pathlib import Path
 from pmabench.base.system import give_back_memory
 from pmabench.display.web.feed import Feed
 from pmabench.display.web.places import Places
+from pmabench.store.arrow import pa
 
 PERIOD = 0.1
 """Runs that somebody looks at are read so often [s] ..."""
@@ -112,6 +113,7 @@ class Room:
                     if feed.viewers or feed.folder == self._first:
                         behind |= feed.poll()
                 if was_behind and not behind:
+                    pa.default_memory_pool().release_unused()
                     give_back_memory()
                 was_behind = behind
             with self.changed:

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from pmabench.base.quantities import CHANNEL_QUANTITY, show, without_number
 from pmabench.engine.acquire import Samples, Stop
 from pmabench.engine.moves import Moves
 
@@ -31,15 +32,23 @@ def ramp_until(
     `direction` "up": the output rises until the channel is above the threshold for `window` [s]; "down": it falls until
     the channel is below. `rate` [SI/s] is the slow one, `approach_rate` the fast one (0: none). After the approach the
     output goes back by `back_off` [SI] and rests for `settle` [s]. Result: measured pressure, time and channel value at
-    the crossing (means over `window`), and the command's end value.
+    the crossing (means over `window`), and the command's end value; none where the channel is above the threshold
+    before the output has risen, for then its zero is somewhere else.
     """
     up = direction == "up"
     far = moves.step.high if up else moves.step.low
     start = moves.commanded if moves.commanded is not None else _commanded_now(moves)
+    began = moves.clock.now()
     if approach_rate > 0:
         crossing = _cross(moves, start, far, approach_rate, channel, threshold, window, above=up)
         if crossing is None:
             return {"found": False, "reason": f"{channel} did not cross before the end of the range"}
+        if up and crossing["t"] < began + 2 * window:
+            at = show(crossing[channel], CHANNEL_QUANTITY[without_number(channel)[0]])
+            return {
+                "found": False,
+                "reason": f"{channel} is {at} before anything moves: set its zero, then search again",
+            }
         here = _commanded_now(moves)
         start = moves.inside(here - back_off if up else here + back_off)
         moves.wait(moves.ramp(here, start, approach_rate))

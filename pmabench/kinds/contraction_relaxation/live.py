@@ -8,7 +8,6 @@ from pmabench.analysis.shared import student
 from pmabench.analysis.trial import DRIFT, Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
 from pmabench.kinds.contraction_relaxation.exponentials import regress, steps_of
-from pmabench.kinds.contraction_relaxation.paper1_steps import STILL, Braid, read
 from pmabench.kinds.contraction_relaxation.segments import Gate, samples_of
 from pmabench.store.records import RunData, TrialData
 
@@ -66,6 +65,8 @@ def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Qu
 
 def _single_step(run: RunData, trial: TrialData) -> Found:
     """x_max and tau of one of paper 1's steps; K of a contraction, with F_ce from the braid."""
+    from pmabench.kinds.contraction_relaxation.paper1_steps import STILL, Braid, read  # 50 MB with all models
+
     asked = (run.plan.get("settings") or {}).get("reduction") or {}
     step = read(samples_of(run, trial, 0), trial)
     if isinstance(step, str):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from math import hypot, isnan
+from math import hypot, isfinite, isnan
 from typing import Any
 
 import numpy as np
@@ -50,7 +50,7 @@ BETWEEN = "displacement and force"
 CYCLES = "one trial a speed: the repeats part is the scatter of its cycles, and repeated tests may scatter more"
 NO_REPEATS = "no repeats part: too few loops"
 ONE_SPEED = "one speed only: hysteresis and damping cannot be separated"
-AT_SPEED = "one speed only: half the difference of the dampings times the speed is still in it"
+AT_SPEED = "one speed only: the two dampings may differ, so that the force at rest may be anywhere in the gap"
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,35 +182,34 @@ class Cell:
 
     # -- estimates ------------------------------------------------------------------------------------------------
 
-    def estimates(self, scales: Scales, dF_dP: float | None) -> list[Estimate]:
+    def estimates(self, scales: Scales, near: Cell | None) -> list[Estimate]:
         """K and F_ce of the mean curve, its force and stiffness along the stroke, gap and work.
 
-        Calibration, to first order: forces ~ F (and x where they fall with it), K ~ F/x, work ~ F x; forces are given
-        for a pressure that may be off, too.
+        Calibration, to first order: forces ~ F, K ~ F/x, work ~ F x; all are given for a contraction and a pressure
+        that may be off, too. `near`: the cell of the pressure next to this one, None without another pressure.
         """
-        x, P = self.x, self.pressure
+        x = self.x
         lower = min(m.trial.point.get("lower", x[0]) for m in self.members)
         upper = max(m.trial.point.get("upper", x[-1]) for m in self.members)
-        slope = {} if dF_dP is None or P <= 0 else {"pressure": dF_dP}
         found: list[Estimate] = []
 
         def estimate(
-            symbol: str, kind: tuple[str, str], method: str, of: Callable[[Loop], Array], per_length: float, *,
-            at: Mapping[str, float] | None = None, extra: float = 0.0, note: str = "", moves: float = 0.0,
-            offsets: Mapping[str, float] | None = None, skewed: float = 0.0,
+            symbol: str, kind: tuple[str, str], method: str, of: Callable[[Loop], Array], over_P: float | None, *,
+            place: float | None = None, extra: float = 0.0, note: str = "",
         ) -> None:  # fmt: skip
-            line = self.over_speed(of)
-            gains = {"force": line.start} | ({"displacement": per_length * line.start} if per_length else {})
-            if moves:
-                gains["displacement"] = moves
-            if offsets:
-                gains |= {name: change * P for name, change in offsets.items()}
-            part = scales.part(gains, offsets)
-            alone = AT_SPEED if self.one_speed and method in (CURVE, RAW, LOCAL) and symbol != "K" else ""
-            parts = Parts(line.half_start, extra, part, skewed)
-            found.append(self._estimate(symbol, line.start, kind, method, at or self.at, parts, sentences(note, alone)))
+            line, force = self.over_speed(of), symbol != "K"
+            over_x = 0.0 if place is None else self._over_x(place)[0 if force else 1]
+            gains = {"force": line.start, "displacement": over_x * (place or 0.0) - (0.0 if force else line.start)}
+            offsets = {"force": 1.0 if force else 0.0, "displacement": over_x}
+            part = self._part(scales, gains, offsets, over_P)
+            alone = AT_SPEED if self.one_speed and method in (CURVE, RAW, LOCAL) and force else ""
+            within = abs(self.gap.start) / 2 if alone else 0.0
+            parts = Parts(line.half_start, hypot(extra, within), part, 0.0)
+            at = self.at if method != LOCAL else {**self.at, "contraction": round(float(place or 0.0), 7)}
+            found.append(self._estimate(symbol, line.start, kind, method, at, parts, sentences(note, alone)))
 
         newton, stiffness = ("N", "force"), ("N/m", "stiffness")
+        dF_dP = self._over_pressure(near, lambda cell: cell.force_at(self.middle))
         uneven = self._uneven(dF_dP)
         by_turns = self._of_turns(lambda curve: float(np.polyfit(x, curve, 1)[0]))
         kinds = [(CURVE, lambda loop: loop.mean), (RAW, lambda loop: loop.raw_mean)]
@@ -219,32 +218,53 @@ class Cell:
                 found.append(self._estimate("K", None, stiffness, method, self.at, Parts(), self.many_slopes))
             else:
                 estimate(
-                    "K", stiffness, method, lambda loop, of=curve: -np.polyfit(x, of(loop).T, 1)[0], -1,  # type: ignore[misc]
+                    "K", stiffness, method, lambda loop, of=curve: -np.polyfit(x, of(loop).T, 1)[0],  # type: ignore[misc]
+                    self._over_pressure(near, lambda cell: -float(np.polyfit(cell.x, cell.curve, 1)[0])),
                     extra=hypot(self.change, by_turns, self._slow_turns(0.0)[1]), note=BENT_NOTE if self.bent else "",
                 )  # fmt: skip
-            if lower <= 0 <= upper and P > 0:
+            if lower <= 0 <= upper and self.pressure > 0:
                 estimate(
-                    "F_ce", newton, method, lambda loop, of=curve: _locals(x, of(loop), 0.0)[0], 0,  # type: ignore[misc]
-                    extra=self._window_error(0.0)[0], note="force of the mean curve at x = 0", offsets=slope,
+                    "F_ce", newton, method, lambda loop, of=curve: _locals(x, of(loop), 0.0)[0],  # type: ignore[misc]
+                    self._over_pressure(near, lambda cell: cell.force_at(0.0)), place=0.0,
+                    extra=self._window_error(0.0)[0], note="force of the mean curve at x = 0",
                 )  # fmt: skip
-        for place in np.linspace(x[0], x[-1], PLACES):
-            at = {**self.at, "contraction": round(float(place), 7)}
-            error = self._window_error(float(place))
-            K_here = -_local(x, self.curve, float(place))[1]
-            estimate(
-                "F", newton, LOCAL, lambda loop, p=float(place): _locals(x, loop.mean, p)[0], 0, at=at,  # type: ignore[misc]
-                extra=error[0], moves=-K_here * float(place), offsets=slope,
-            )  # fmt: skip
-            estimate(
-                "K", stiffness, LOCAL, lambda loop, p=float(place): -_locals(x, loop.mean, p)[1], -1, at=at,  # type: ignore[misc]
-                extra=error[1],
-            )  # fmt: skip
+        for place in (float(one) for one in np.linspace(x[0], x[-1], PLACES)):
+            error = self._window_error(place)
+            for i, (symbol, kind) in enumerate((("F", newton), ("K", stiffness))):
+
+                def here(x: Array, curves: Array, place: float = place, i: int = i) -> Array:
+                    return (1 - 2 * i) * _locals(x, curves, place)[i]
+
+                over_P = self._over_pressure(near, lambda cell, of=here: float(of(cell.x, cell.curve[None])[0]))  # type: ignore[misc]
+                estimate(
+                    symbol, kind, LOCAL, lambda loop, of=here: of(x, loop.mean), over_P, place=place, extra=error[i]  # type: ignore[misc]
+                )  # fmt: skip
         K = abs(-float(np.polyfit(x, self.curve, 1)[0]))
-        found += self._gap_lines(scales, K, uneven, self._rising(dF_dP))
-        found += self._work(scales, K, uneven, float(upper - lower))
+        found += self._gap_lines(scales, K, uneven, self._rising(dF_dP), near)
+        found += self._work(scales, K, uneven, float(upper - lower), near)
         if self.upside_down:
             return [withhold(e, UPSIDE_DOWN) if e.value is not None else e for e in found]
         return [weighed(e, self._doubts(e, K, float(upper - lower))) for e in found]
+
+    def _over_pressure(self, near: Cell | None, of: Callable[[Cell], float]) -> float | None:
+        """Change of a number of the cell with the pressure [per Pa]; None without another pressure at its middle."""
+        if near is None or not near.x[0] <= self.middle <= near.x[-1]:
+            return None
+        change = (of(near) - of(self)) / (near.pressure - self.pressure)
+        return change if isfinite(change) else None
+
+    def _over_x(self, place: float) -> tuple[float, float]:
+        """Change of the force [N/m] and of the stiffness [N/m2] of the mean curve with the contraction."""
+        _, bend, slope, _ = np.polyfit(self.x - place, self.curve, 3)
+        return float(slope), -2 * float(bend)
+
+    def _part(
+        self, scales: Scales, gains: Mapping[str, float], offsets: Mapping[str, float], over_P: float | None
+    ) -> float | None:
+        """The calibration part of a value that changes by `over_P` [per Pa] with the pressure for which it is given."""
+        if over_P is not None and self.pressure > 0:
+            gains, offsets = {**gains, "pressure": over_P * self.pressure}, {**offsets, "pressure": over_P}
+        return scales.part(*({k: v for k, v in one.items() if v} for one in (gains, offsets)))
 
     def _doubts(self, e: Estimate, K: float, stroke: float) -> list[Doubt]:
         """What a late force, backlash and a drift do to an estimate; `K` [N/m] turns times into forces."""
@@ -282,7 +302,7 @@ class Cell:
         )
         return replace(late, half=max(late.half, 2 * longer), seen=True, reason=reason)
 
-    def _work(self, scales: Scales, K: float, uneven: float, stroke: float) -> list[Estimate]:
+    def _work(self, scales: Scales, K: float, uneven: float, stroke: float, near: Cell | None) -> list[Estimate]:
         """Gap and work at each speed, and the share of the work that comes back; `uneven` as `_uneven` gives it."""
         newton, joule = ("N", "force"), ("J", "work")
         found: list[Estimate] = []
@@ -290,11 +310,11 @@ class Cell:
             mine = [member for member in self.members if member.speed == speed]
             here = {**self.at, "speed": speed}
             late = 2 * K * speed * self.skew
-            work = {"force": 1, "displacement": 1}
+            work = ("force", "displacement")
             # between the two samples at a turn the force jumps by the gap, somewhere on the way between them
             corners = max(2 * abs(float(m.loop.middle_gap.mean())) * speed / m.run.rate for m in mine)
             rows: tuple[_Row, ...] = (
-                ("H", newton, GAP, lambda loop: loop.middle_gap, {"force": 1}, uneven, late),
+                ("H", newton, GAP, lambda loop: loop.middle_gap, ("force",), uneven, late),
                 ("W", joule, GAP, lambda loop: loop.lost, work, uneven * stroke + corners, late * stroke),
                 ("W_c", joule, GAP, lambda loop: loop.given, work, 0.0, 0.5 * late * stroke),
             )  # fmt: skip
@@ -302,7 +322,10 @@ class Cell:
                 values = [of(member.loop) for member in mine]
                 means = np.array([float(v.mean()) for v in values])
                 value = float(means.mean())
-                part = scales.part({name: value * share for name, share in by.items()})
+                over_P = self._over_pressure(near, lambda cell, of=of: cell.over_speed(of).start)  # type: ignore[misc]
+                part = self._part(
+                    scales, dict.fromkeys(by, value), {"force": stroke if symbol == "W_c" else 0.0}, over_P
+                )
                 parts = Parts(mean_half(means, values), extra, part, skewed)
                 note = CYCLES if len(mine) == 1 else ""
                 found.append(self._estimate(symbol, value, kind, method, here, parts, note, len(mine)))
@@ -317,7 +340,7 @@ class Cell:
                 found.append(self._estimate("eta", value, ("1", "ratio"), GAP, here, parts, note, len(mine)))
         return found
 
-    def _gap_lines(self, scales: Scales, K: float, uneven: float, rising: float) -> list[Estimate]:
+    def _gap_lines(self, scales: Scales, K: float, uneven: float, rising: float, near: Cell | None) -> list[Estimate]:
         """Hysteresis at speed 0, and what rises with speed; `rising` [N.s/m] is what unequal pressure makes of that."""
         newton, damping = ("N", "force"), ("N.s/m", "damping")
         still = {**self.at, "speed": 0.0}
@@ -338,17 +361,22 @@ class Cell:
                 ]
                 continue
             start, slope = line.start, line.slope
-            force = scales.part({"force": start})
+            start_P, slope_P = (
+                self._over_pressure(near, lambda cell, of=of, name=name: float(getattr(cell.over_speed(of), name)))  # type: ignore[misc]
+                for name in ("start", "slope")
+            )
+            force = self._part(scales, {"force": start}, {}, start_P)
             note = "gap at speed 0: true hysteresis"
             found.append(self._estimate("H", start, newton, method, still, Parts(line.half_start, uneven, force), note))
-            both = scales.part({"force": slope / 2, "displacement": -slope / 2})
+            gains = {"force": slope / 2, "displacement": -slope / 2}
+            both = self._part(scales, gains, {}, None if slope_P is None else slope_P / 2)
             half = None if line.half_slope is None else line.half_slope / 2
             speeds = [member.speed for member in self.members]
             least = PROPORTIONAL * abs(start) / (max(speeds) - min(speeds)) / 2
             parts = Parts(half, hypot(least, rising / 2), both, K * self.skew)
             found.append(self._estimate("B", slope / 2, damping, method, self.at, parts, "(B_c + B_r)/2"))
             half = None if line.half_start is None else line.half_start / 2
-            friction = Parts(half, uneven / 2, scales.part({"force": start / 2}))
+            friction = Parts(half, uneven / 2, None if force is None else force / 2)
             found.append(self._estimate("F_c", start / 2, newton, method, self.at, friction, "half the gap at speed 0"))
         return found
 
@@ -477,8 +505,8 @@ class Cell:
         }
 
 
-_Row = tuple[str, tuple[str, str], str, Callable[[Loop], Array], Mapping[str, int], float, float]
-"""Symbol; unit and quantity; method; value by cycle; powers of the channels; method and skew part."""
+_Row = tuple[str, tuple[str, str], str, Callable[[Loop], Array], tuple[str, ...], float, float]
+"""Symbol; unit and quantity; method; value by cycle; channels to which it is proportional; method and skew part."""
 
 
 def _open_gap(loop: Loop) -> Array:

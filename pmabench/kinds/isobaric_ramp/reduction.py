@@ -203,7 +203,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     findings: list[Finding] = []
     traces: list[Trace] = []
     for cell in cells:
-        estimates += cell.estimates(scales, _slope_over_pressure(cell, cells))
+        estimates += cell.estimates(scales, _next_to(cell, cells))
         findings += cell.findings()
         traces += cell.traces()
     estimates += first_cycle(runs, cells, options)
@@ -261,13 +261,10 @@ def _cells(members: Sequence[Member]) -> list[Cell]:
     ]
 
 
-def _slope_over_pressure(cell: Cell, cells: Sequence[Cell]) -> float | None:
-    """dF/dP at mid stroke [N/Pa] from the cells next to this one; None without another pressure."""
+def _next_to(cell: Cell, cells: Sequence[Cell]) -> Cell | None:
+    """The cell of the nearest other pressure; None without one that reaches the middle of this one's stroke."""
     others = [c for c in cells if c.pressure != cell.pressure and c.x[0] <= cell.middle <= c.x[-1]]
-    if not others:
-        return None
-    near = min(others, key=lambda c: abs(c.pressure - cell.pressure))
-    return (near.force_at(cell.middle) - cell.force_at(cell.middle)) / (near.pressure - cell.pressure)
+    return min(others, key=lambda c: abs(c.pressure - cell.pressure), default=None)
 
 
 def _sentences(cells: Sequence[Cell]) -> list[Finding]:

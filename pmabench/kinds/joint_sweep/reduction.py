@@ -26,6 +26,8 @@ TURN = 0.02
 """Share of the sweep that is left out at each end before anything is looked at."""
 HALF_SWEEP = 4.0
 """Least half sweep, in w: of a shorter one a branch would not be itself at mid sweep."""
+NEAR = 0.02
+"""The slope of the mean curve at a place is the steepest within this share of the sweep."""
 PLACES = 5
 """Places along the sweep at which the mean curve is given."""
 
@@ -68,6 +70,10 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     )
 
 
+class OffForm(NotUsable):
+    """A sweep whose loop is not the one that is measured: something is wrong at its operating point."""
+
+
 def stiffness_of(run: RunData, trial: TrialData) -> float:
     """Stiffness of one trial [N m/rad]; raises `NotUsable`."""
     return float(sweep_of(run, trial, {}).stiffness.mean())
@@ -80,10 +86,13 @@ def sweep_of(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> Swee
         raise NotUsable("its plan names no lowest and highest angle, so its turns are not known")
     loop = measure(run, trial, int(settings_of(run, options).get("discard", 1)), TURN * (high - low), AXES)
     half, gap = 0.5 * (high - low), float(loop.middle_gap.mean())
-    refuse_turns(loop.turns, half, gap, _noise(loop))
+    try:
+        refuse_turns(loop.turns, half, gap, _noise(loop))
+    except NotUsable as reason:
+        raise OffForm(str(reason)) from None
     if loop.turns is not None and half < HALF_SWEEP * loop.turns.w:
         least, w = show(HALF_SWEEP * loop.turns.w, "angle", 3), show(loop.turns.w, "angle", 3)
-        raise NotUsable(
+        raise OffForm(
             f"the sweep of +-{show(half, 'angle', 3)} is too small for the hysteresis: a turn fades on {w}, 3 of which "
             f"are cut after each turn, and mid sweep must lie one more beyond them; sweep at least +-{least}"
         )
@@ -115,15 +124,32 @@ def _slopes(loop: Loop, turns: Turns | None, *, keep: bool = False) -> Array:
 
 
 def _sweeps(runs: Sequence[RunData], options: Mapping[str, Any]) -> tuple[list[Sweep], list[Dropped]]:
+    """The trials that can be used; none of a point at which half of the loops have another form."""
     sweeps: list[Sweep] = []
     dropped: list[Dropped] = []
+    off: dict[tuple[float, ...], list[str]] = {}
     for run in runs:
         for trial in run.trials:
             try:
                 sweeps.append(sweep_of(run, trial, options))
             except NotUsable as reason:
                 dropped.append(Dropped(trial.name, trial.point, str(reason)))
-    return sweeps, dropped
+                if isinstance(reason, OffForm):
+                    off.setdefault(_place(trial.point), []).append(str(reason))
+    alike = [_place(one.trial.point) for one in sweeps]
+    spoiled = {place for place, reasons in off.items() if len(reasons) >= alike.count(place)}
+    for one, place in zip(sweeps, alike, strict=True):
+        if place in spoiled:
+            text = f"half of the sweeps at this point, or more, have another form, so it tells nothing: {off[place][0]}"
+            dropped.append(Dropped(one.trial.name, one.trial.point, text))
+    return [one for one, place in zip(sweeps, alike, strict=True) if place not in spoiled], dropped
+
+
+def _place(point: Mapping[str, float]) -> tuple[float, ...]:
+    """Pressures, speed and ends of a sweep."""
+    return tuple(
+        round(point.get(name, 0.0), 9) for name in (*MUSCLES, "angular_speed", "lowest_angle", "highest_angle")
+    )
 
 
 def _cells(sweeps: Sequence[Sweep]) -> dict[tuple[tuple[str, float], ...], list[Sweep]]:
@@ -144,14 +170,17 @@ def _estimates(at: Mapping[str, float], members: Sequence[Sweep], scales: Scales
 
     def made(
         symbol: str, kind: tuple[str, str], method: str, values: Sequence[Array], extra: float,
-        angles: int, by_pressure: float = 0.0, where: Mapping[str, float] | None = None,
+        angles: int, by_pressure: float = 0.0, where: Mapping[str, float] | None = None, by_angle: float = 0.0,
     ) -> Estimate:  # fmt: skip
         means = np.array([float(v.mean()) for v in values])
         value = float(means.mean())
         gains = {"torque": value} | ({"angle": angles * value} if angles else {})
         gains |= {name: by_pressure * at[name] for name in MUSCLES if by_pressure}
         offsets = dict.fromkeys(MUSCLES, by_pressure) if by_pressure else {}
-        part = scales.part(gains, offsets)
+        if by_angle and where is not None:  # a torque at an angle
+            gains["angle"] = by_angle * where["angle"]
+            offsets |= {"torque": 1.0, "angle": by_angle}
+        part = scales.part({name: change for name, change in gains.items() if change}, offsets)
         note = "one trial: the repeats part is the scatter of its cycles" if len(members) == 1 else ""
         parts = Parts(mean_half(means, values), extra, part)
         return Estimate(symbol, value, *kind, method, where or at, parts, len(members), note=note, trials=trials)
@@ -177,13 +206,16 @@ def _estimates(at: Mapping[str, float], members: Sequence[Sweep], scales: Scales
     corners = max(2 * abs(float(m.loop.middle_gap.mean())) * m.loop.speed / m.run.rate for m in members)
     yield doubted(made("W", ("J", "work"), LOOP, [one.loop.lost for one in members], corners, 1), sweep)
     x = members[0].loop.x
+    steep = np.abs(np.gradient(members[0].loop.mean.mean(axis=0), x))
+    fades = min((one.loop.turns.w for one in members if one.loop.turns is not None), default=np.inf)
     for place in np.linspace(x[0], x[-1], PLACES):
         curves = [np.array([np.interp(place, one.loop.x, cycle) for cycle in one.loop.mean]) for one in members]
         where = {**at, "angle": round(float(place), 7)}
         off = max(float(np.interp(place, one.loop.x, _of_turns(one.loop))) for one in members)
         # torque is no more than what both muscles pull: a share of it for each pressure that is off
         whole = max(abs(float(np.mean(curve))) for curve in curves) + slope * total / BY_PRESSURE * float(np.ptp(x))
-        yield made("tau", torque, MEAN, curves, 0.1 * off, 0, whole / total if total > 0 else 0.0, where)
+        yield made("tau", torque, MEAN, curves, 0.1 * off, 0, whole / total if total > 0 else 0.0, where,
+                   float(steep[np.abs(x - place) <= NEAR * np.ptp(x)].max()) + off / fades)  # fmt: skip
 
 
 def _unclosed(loop: Loop) -> float:

@@ -11,6 +11,7 @@ from pmabench.analysis.shared import student
 from pmabench.analysis.shared.calibration import Scales
 from pmabench.base.quantities import show
 from pmabench.store.analyses.results import Estimate, Parts, withhold
+from pmabench.store.records import Array
 
 LEVELS = 3
 """Of each pressure: with two of them a muscle that is slack at one is not seen, for a plane fits whatever it does."""
@@ -31,19 +32,27 @@ def plane_estimates(torques: Sequence[Estimate], scales: Scales) -> Iterator[Est
     With muscles whose force is S P + F_e these are R S_1, R S_2 and R (F_e1 - F_e2). Intervals: the wider of the
     scatter about the plane and of the torques' own intervals, and the gains of the scales.
     """
+    planes = []
     for angle in sorted({e.at["angle"] for e in torques}):
         rows = [e for e in torques if e.at["angle"] == angle and e.value is not None]
         design = np.array([[1.0, e.at["pressure_1"], e.at["pressure_2"]] for e in rows]).reshape(-1, 3)
         levels = [len({e.at[name] for e in rows}) for name in ("pressure_1", "pressure_2")]
         if len(rows) < FEWEST or min(levels) < LEVELS or np.linalg.matrix_rank(design / [1.0, 1e5, 1e5]) < 3:
             continue
-        yield from _plane(angle, rows, design, scales)
+        inverse = np.linalg.pinv(design / np.array([1.0, 1e5, 1e5])) / np.array([[1.0], [1e5], [1e5]])
+        planes.append((angle, rows, design, inverse))
+    terms = np.array([inverse @ [e.value for e in rows] for _, rows, _, inverse in planes])
+    over = np.gradient(terms, [angle for angle, *_ in planes], axis=0) if len(planes) > 1 else np.zeros_like(terms)
+    for (angle, rows, design, inverse), by_angle in zip(planes, over, strict=True):
+        yield from _plane(angle, rows, design, inverse, by_angle, scales)
 
 
-def _plane(angle: float, rows: Sequence[Estimate], design: np.ndarray, scales: Scales) -> Iterator[Estimate]:
+def _plane(
+    angle: float, rows: Sequence[Estimate], design: Array, inverse: Array, by_angle: Array, scales: Scales
+) -> Iterator[Estimate]:
+    """The terms at one angle; `by_angle`, shape (3,), is their change with it."""
     tau = np.array([e.value for e in rows])
     own = np.array([replace(e.parts, calibration=None).combined or 0.0 for e in rows])
-    inverse = np.linalg.pinv(design / np.array([1.0, 1e5, 1e5])) / np.array([[1.0], [1e5], [1e5]])
     terms = inverse @ tau
     residual = tau - design @ terms
     freedom = len(rows) - 3
@@ -58,11 +67,13 @@ def _plane(angle: float, rows: Sequence[Estimate], design: np.ndarray, scales: S
             f"and known to {half}: a muscle is slack, or not linear in its pressure"
         )
     trials = tuple(name for e in rows for name in e.trials)
-    for (symbol, unit, quantity, sign), term, row in zip(COEFFICIENTS, terms, inverse, strict=True):
+    for (symbol, unit, quantity, sign), term, row, over in zip(COEFFICIENTS, terms, inverse, by_angle, strict=True):
         repeats = max(spread * float(np.linalg.norm(row)), float(np.linalg.norm(row * own)))
         value = sign * float(term)
         gains = {"torque": value} | ({} if symbol == "tau_0" else {f"pressure_{symbol[-1]}": value})
         offsets = {name: float(terms[n]) for n, name in ((1, "pressure_1"), (2, "pressure_2")) if symbol == "tau_0"}
+        offsets |= {"torque": 1.0 if symbol == "tau_0" else 0.0, "angle": float(over)}
+        gains["angle"] = float(over) * angle
         parts = Parts(repeats, None, scales.part(gains, offsets))
         one = Estimate(symbol, value, unit, quantity, "plane", {"angle": angle}, parts, len(rows), trials=trials)
         yield withhold(one, why) if why else one

@@ -106,13 +106,15 @@ def _estimates(
 
     def made(
         symbol: str, kind: tuple[str, str], method: str, values: Sequence[Array], extra: float,
-        angles: float, by_pressure: float = 0.0, where: Mapping[str, float] | None = None,
+        angles: float, by_pressure: float = 0.0, where: Mapping[str, float] | None = None, by_angle: float = 0.0,
     ) -> Estimate:  # fmt: skip
         means = np.array([float(v.mean()) for v in values])
         value = float(means.mean())
         gains = {"torque": value} | ({"angle": angles} if angles else {})
         gains |= {name: by_pressure * at[name] for name in MUSCLES if by_pressure}
-        part = scales.part(gains, dict.fromkeys(MUSCLES, by_pressure) if by_pressure else {})
+        offsets = dict.fromkeys(MUSCLES, by_pressure) if by_pressure else {}
+        offsets |= {"torque": 1.0 if symbol == "tau" else 0.0, "angle": by_angle}
+        part = scales.part(gains, {name: change for name, change in offsets.items() if change})
         parts = Parts(mean_half(means, values), float(np.hypot(extra, by_pressure * off)), part)
         note = "one trial: the repeats part is the scatter of its cycles" if len(members) == 1 else ""
         return Estimate(symbol, value, *kind, method, where or at, parts, len(members), note=note, trials=trials)
@@ -130,20 +132,26 @@ def _estimates(
         left = max(abs(float(one.left[n])) for one in members)
         misplaced = likely * max(abs(float(one.angles[n] - angle)) for one in members)
         one = made("tau", torque, SIDES, [m.mean[:, n] for m in members], float(np.hypot(left, misplaced)),
-                   likely * abs(float(angle)), whole / total, where)  # fmt: skip
+                   likely * abs(float(angle)), whole / total, where, likely)  # fmt: skip
         lacks = slack if opened[n] else _near_a_turn(members)
         yield withhold(one, lacks) if lacks else weighed(one, of_torque, whole)
         if not why and opened[n]:
             place = int(opened[:n].sum())
             other = max(abs(float(K[:, place].mean() - K3[place])) for K, K3 in slopes)
             values = [K[:, place] for K, _ in slopes]
+            bend = _steepest(slopes[0][0].mean(axis=0), members[0].nominal[opened])
             K = made("K_th", ("N.m/rad", "torsional stiffness"), SLOPE, values, other,
-                     float(values[0].mean()), per_pressure, where)  # fmt: skip
+                     float(values[0].mean()), per_pressure, where, bend)  # fmt: skip
             yield weighed(K, [replace(of_slope, half=of_slope.half * abs(K.value or 0.0)), _scaled(K, members)])
     if why:
         middle = {**at, "angle": round(float(np.median(members[0].nominal)), 9)}
         K = made("K_th", ("N.m/rad", "torsional stiffness"), SLOPE, [np.zeros(2)], 0.0, 0.0, 0.0, middle)
         yield withhold(K, why)
+
+
+def _steepest(K: Array, angles: Array) -> float:
+    """Largest change of the stiffness with the angle [N m/rad2]."""
+    return float(np.max(np.abs(np.diff(K) / np.diff(angles)), initial=0.0))
 
 
 def _scaled(K: Estimate, members: Sequence[Staircase]) -> Doubt:

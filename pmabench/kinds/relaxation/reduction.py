@@ -57,7 +57,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     findings: list[Finding] = []
     for (x, P), group in sorted(cells.items()):
         at = {"pressure": P, "contraction": x}
-        estimates += [*_line(at, group, scales), *_prony(at, group)]
+        estimates += [*_line(at, group, scales), *_prony(at, group, scales)]
         findings.append(_words(at, group))
     if estimates and (lack := scales.lack(("force",))):
         findings.append(Finding("note", lack))
@@ -88,15 +88,20 @@ def _line(at: Mapping[str, float], group: Sequence[_Member], scales: Scales) -> 
     half = _repeats(s, [one.half for one in courses])
     by_name = [sorted(one.doubts(), key=lambda d: d.name) for one in courses]
     doubts = [max(same, key=lambda d: (d.seen, d.half)) for same in zip(*by_name, strict=True)]
+    level, P = float(np.mean(F)), at.get("pressure", 0.0)
+    # the force is brought to the pressure of the step, and relaxation is a share of the force
+    zeros = {"force": 1.0} | ({"pressure": level / P} if P > 0 else {})
+    by_zero = scales.part({}, {"force": float(np.mean(s)) / level}) if level else None
     slope = Estimate(
-        "s", float(np.mean(s)), "1", "ratio", LINE, dict(at), Parts(half), len(group), note=note, trials=names
-    )
+        "s", float(np.mean(s)), "1", "ratio", LINE, dict(at), Parts(half, calibration=by_zero), len(group), note=note,
+        trials=names,
+    )  # fmt: skip
     whole = [one.relaxing.half(np.full(len(one.relaxing.t), 1 / len(one.relaxing.t))) for one in courses]
     start = Estimate(
-        "F_1", float(np.mean(F)), "N", "force", LINE, dict(at),
+        "F_1", level, "N", "force", LINE, dict(at),
         Parts(_repeats(F, [one.half * one.start * float(one.relaxing.decades.mean()) + w
                            for one, w in zip(courses, whole, strict=True)]),
-              calibration=scales.part(dict.fromkeys(("force", "pressure"), float(np.mean(F))))),
+              calibration=scales.part(dict.fromkeys(("force", "pressure"), level), zeros)),
         len(group), note=note, trials=names,
     )  # fmt: skip
     left = Doubt("holds before", "drift", max(one.left_behind for one in courses), seen=False)
@@ -105,7 +110,7 @@ def _line(at: Mapping[str, float], group: Sequence[_Member], scales: Scales) -> 
     return [weighed(slope, doubts, max(LEAST, abs(slope.value or 0.0))), weighed(start, [left, share])]
 
 
-def _prony(at: Mapping[str, float], group: Sequence[_Member]) -> list[Estimate]:
+def _prony(at: Mapping[str, float], group: Sequence[_Member], scales: Scales) -> list[Estimate]:
     """Shares of the exponentials of one cell."""
     found = []
     for i, T in enumerate(TIMES, 1):
@@ -122,8 +127,9 @@ def _prony(at: Mapping[str, float], group: Sequence[_Member]) -> list[Estimate]:
         values = [sizes[i] / one.start for (sizes, _, _), one in zip(fits, courses, strict=True)]
         noise = [halves[i] / one.start for (_, halves, _), one in zip(fits, courses, strict=True)]
         note = ONE if len(group) == 1 else ""
-        parts = Parts(_repeats(values, noise))
-        found.append(Estimate("g", float(np.mean(values)), "1", "ratio", PRONY, dict(at), parts, len(group), note=note,
+        size, level = float(np.mean(values)), float(np.mean([one.start for one in courses]))
+        parts = Parts(_repeats(values, noise), calibration=scales.part({}, {"force": size / level}))
+        found.append(Estimate("g", size, "1", "ratio", PRONY, dict(at), parts, len(group), note=note,
                               trials=names, coordinate=where))  # fmt: skip
     return found
 

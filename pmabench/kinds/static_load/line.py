@@ -26,6 +26,7 @@ from pmabench.kinds.static_load.points import (
     Stiffness,
     along_ways,
     by_stiffness,
+    raised,
     times_of,
 )
 from pmabench.store.records import Array, RunData, TrialData
@@ -222,7 +223,8 @@ def _ways(trial: TrialData, times: Mapping[str, float]) -> tuple[Array, Array] |
     if np.count_nonzero(rows) < 2 * width:
         return None
     window = np.ones(width) / width
-    P, x = (np.convolve(trial.channels[name][rows], window, mode="valid") for name in ("pressure", "displacement"))
+    both = trial.channels["pressure"], raised(trial, times)
+    P, x = (np.convolve(values[rows], window, mode="valid") for values in both)
     return P, x
 
 

@@ -85,6 +85,13 @@ def times_of(trial: TrialData) -> dict[str, float]:
     return {phase: float((trial.found.get(phase) or {}).get("t", float("nan"))) for phase in PHASES}
 
 
+def raised(trial: TrialData, times: Mapping[str, float]) -> Array:
+    """How far the load is above its support [m], shape (n,): the zero of the sensor may be elsewhere, and drifts."""
+    x = trial.channels["displacement"]
+    resting = trial.usable & (trial.t <= times["lift"])
+    return x - float(np.median(x[resting])) if np.count_nonzero(resting) >= FEWEST else x
+
+
 def mean_pressure(run: RunData, trial: TrialData) -> float | None:
     """Mean of the pressures at which a load lifts and sets down [Pa]; None where one was not found."""
     known = [pressure_of(trial.found.get(phase) or {}) for phase in PHASES]
@@ -167,7 +174,7 @@ def along_ways(trial: TrialData, found: Mapping[str, float]) -> Carried | None:
     if not {"pressure", "displacement"} <= set(trial.channels) or not np.isfinite(list(times.values())).all():
         return None
     good = trial.usable
-    t, P, x = trial.t[good], trial.channels["pressure"][good], trial.channels["displacement"][good]
+    t, P, x = trial.t[good], trial.channels["pressure"][good], raised(trial, times)[good]
     if len(t) < 2 * FEWEST:
         return None
     width = max(1, round(SMOOTH / float(np.median(np.diff(t)))))
@@ -243,5 +250,6 @@ def _way(trial: TrialData, phase: str, times: Mapping[str, float]) -> tuple[Arra
     if not np.isfinite(begin) or np.count_nonzero(use) < 2 * width:
         return None
     window = np.ones(width) / width
-    P, x = (np.convolve(trial.channels[name][use], window, mode="valid") for name in ("pressure", "displacement"))
+    both = trial.channels["pressure"], raised(trial, times)
+    P, x = (np.convolve(values[use], window, mode="valid") for values in both)
     return P, x

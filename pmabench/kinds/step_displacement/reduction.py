@@ -123,7 +123,9 @@ def _estimates(
         values = [np.array([value(one) for one in steps]) for steps in each]
         means = np.array([float(one.mean()) for one in values])
         half, mean = mean_half(means, values), float(means.mean())
-        part = scales.part({name: mean * power for name, power in powers.items()})
+        part = scales.part(
+            {name: mean * power for name, power in powers.items()}, {"force": 1.0} if symbol == "F" else {}
+        )
         note = ONE_STEP if half is None else STEPS_OF_ONE if len(group) == 1 else ""
         if part is None and set(powers) - {"force", "displacement"}:
             note = sentences(note, scales.lack(powers))

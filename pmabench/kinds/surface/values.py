@@ -5,7 +5,7 @@ There is none where the interval says too little, nor where nothing was tested.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from math import ceil, floor
@@ -98,6 +98,12 @@ def round_places(low: float, high: float, most: int = MOST) -> list[float]:
     return [0.5 * (low + high)]
 
 
+FORCE, SLOPE, WORK = {"force": 1}, {"force": 1, "displacement": -1}, {"force": 1, "displacement": 1}
+"""Channel -> power with which forces, stiffness and damping, and work grow with its scale."""
+STEP = 1e-3
+"""Slopes over a place are taken over this share of the tested range to both sides."""
+
+
 @dataclass(frozen=True, eq=False)
 class Reporter:
     """Makes estimates of functions of the muscle."""
@@ -116,21 +122,23 @@ class Reporter:
         self,
         symbol: str,
         quantity: str,
-        value: Callable[[Muscle], float],
+        value: partial[float],
         at: Mapping[str, float],
         *,
         misfit: float = 0.0,
         wide: float | None = None,
         note: str = "",
         method: str = METHOD,
-        by: str = "force",
+        powers: Mapping[str, int] = FORCE,
     ) -> Estimate:
         """One value; `misfit` is what the error on left-out trials may do to it, `wide` the widest half width [SI].
 
-        That is a share of the value where it is not given.
+        That is a share of the value where it is not given. `powers`: with which power of the scale of a channel it
+        grows; its arguments `P` and `x` may be off as the pressure and the displacement are.
         """
         known = self.spread.of_value(value)
-        parts = Parts(known.repeats, float(np.hypot(known.method, misfit)), self.scales.part({by: known.value}))
+        calibration = self._calibration(value, powers, offset=symbol == "F")
+        parts = Parts(known.repeats, float(np.hypot(known.method, misfit)), calibration)
         found = Estimate(
             symbol, known.value, QUANTITIES[quantity].unit, quantity, method, at, parts, len(self.trials), note=note,
             trials=self.trials,
@@ -141,6 +149,22 @@ class Reporter:
         if half > (WIDE.get(symbol, LOOSE) * abs(known.value) if wide is None else wide):
             return _unknown(found, TOO_FEW)
         return found
+
+    def _calibration(self, value: partial[float], powers: Mapping[str, int], *, offset: bool) -> float | None:
+        """What the scales may do to a value; `offset`: it moves with the zero of the force."""
+        muscle, frame = self.choice.muscle, self.choice.data.frame
+        here = value(muscle)
+        gains = {channel: power * here for channel, power in powers.items()}
+        offsets = {"force": 1.0} if offset else {}
+        for name, channel, axis in (("P", "pressure", frame.P), ("x", "displacement", frame.x)):
+            if name not in value.keywords or not axis.span > 0:
+                continue
+            place, step = value.keywords[name], STEP * axis.span
+            low, high = (value(muscle, **{name: place + way * step}) for way in (-1, 1))
+            over = (high - low) / (2 * step)
+            gains[channel] = gains.get(channel, 0.0) + over * place
+            offsets[channel] = over
+        return self.scales.part(gains, offsets)
 
 
 def _unknown(found: Estimate, why: str) -> Estimate:
@@ -198,13 +222,18 @@ def _points(maker: Reporter, where: Tested, pressures: list[float]) -> Iterator[
             )
             if frame.x.span > 0:
                 yield maker.estimate(
-                    "K", "stiffness", partial(_stiffness, P=P, x=x), at, misfit=error / (WAVE * frame.x.span)
+                    "K",
+                    "stiffness",
+                    partial(_stiffness, P=P, x=x),
+                    at,
+                    misfit=error / (WAVE * frame.x.span),
+                    powers=SLOPE,
                 )
         if high - low > WAVE * frame.x.span > 0:
             at = {"pressure": P, "lower": round(low, 5), "upper": round(high, 5)}
             yield maker.estimate(
                 "K_s", "stiffness", partial(Muscle.secant, P=P, first=low, last=high), at,
-                misfit=error / (high - low), method=SECANT,
+                misfit=error / (high - low), method=SECANT, powers=SLOPE,
             )  # fmt: skip
 
 
@@ -219,7 +248,7 @@ def _loops(maker: Reporter, where: Tested, pressures: list[float]) -> Iterator[E
         at, note = {"pressure": P, "amplitude": round(size, 6)}, "around any contraction, at rest"
         yield maker.estimate("H", "force", partial(Muscle.gap, P=P, amplitude=size), at, misfit=error, note=note)
         yield maker.estimate(
-            "W", "work", partial(Muscle.area, P=P, amplitude=size), at, misfit=2 * size * error, note=note
+            "W", "work", partial(Muscle.area, P=P, amplitude=size), at, misfit=2 * size * error, note=note, powers=WORK
         )
         if SLIDING in terms:
             yield maker.estimate("F_c", "force", partial(Muscle.friction, P=P), {"pressure": P}, misfit=0.5 * error)
@@ -239,8 +268,9 @@ def _damping(maker: Reporter, pressures: list[float]) -> Iterator[Estimate]:
     for P in pressures:
         for way, symbol in enumerate(("B_c", "B_r")):
             yield maker.estimate(
-                symbol, "damping", partial(_damping_of, P=P, way=way), {"pressure": P}, misfit=maker.error / fast
-            )
+                symbol, "damping", partial(_damping_of, P=P, way=way), {"pressure": P}, misfit=maker.error / fast,
+                powers=SLOPE,
+            )  # fmt: skip
 
 
 def _creep(maker: Reporter, where: Tested) -> Iterator[Estimate]:
@@ -249,8 +279,9 @@ def _creep(maker: Reporter, where: Tested) -> Iterator[Estimate]:
     reach = f"between {first:g} and {last:g} s after a step"
     if CREEP_X in choice.terms:
         yield maker.estimate(
-            "c_x", "ratio", partial(Muscle.creep_per_decade, first=first, last=last), {}, note=reach, by="displacement"
-        )
+            "c_x", "ratio", partial(Muscle.creep_per_decade, first=first, last=last), {}, note=reach,
+            powers={"displacement": 1},
+        )  # fmt: skip
     frame = choice.data.frame
     for x in round_places(frame.x.low, frame.x.high) if CREEP_P in choice.terms else ():
         if where.pressures(x) is not None:
@@ -260,4 +291,5 @@ def _creep(maker: Reporter, where: Tested) -> Iterator[Estimate]:
                 partial(Muscle.pressure_creep_per_decade, x=x, first=first, last=last),
                 {"contraction": x},
                 note=reach,
+                powers={"force": 1, "pressure": -1},
             )

@@ -110,7 +110,9 @@ class RealPlant(Loaded, Stepped):
         trace, _ = self.supply.piece(self.time)
         if trace != self._trace:
             self._begin(trace)
-        force = self._pull - self._curves[1 if self.v > 0 else -1](self._P) * self.v
+        force = self._pull
+        if self.v:
+            force -= self._curves[1 if self.v > 0 else -1](self._P) * self.v
         return self.x, self._P, max(force, 0.0)
 
     def step(self, dt: float) -> None:
@@ -190,14 +192,11 @@ class RealPlant(Loaded, Stepped):
     def _step(self, h: float, P: float) -> None:
         """Go on by h [s], while the pressure goes on a straight line to P [Pa]."""
         x, v, g, P_before = self.x, self.v, self._pull - self.force, self._P
-        damping = self._curves[1 if (v or g) > 0 else -1]
-        B = damping(P_before)
         fading = self._fading_of(h)
         crept = [left * c + before * x for c, (left, before, _) in zip(self._crept, fading, strict=True)]
         kept, over_P = sum(crept), self._over_P
         if P_before != P:
             self._breathe(P)
-            B = 0.5 * (B + damping(P))
         side = 0 if v else -1 if x <= 0 else 1 if x >= self.muscle.stop else 0
         if side:
             pull, _ = self._at(0.0, x - kept - x * self._last, 1.0)
@@ -213,6 +212,8 @@ class RealPlant(Loaded, Stepped):
                 self._arrive(x, 0.0, crept, pull)
                 self._longest, self._trend = LONGEST, 0.0
                 return
+        damping = self._curves[1 if (v or g) > 0 else -1]
+        B = damping(P) if P == P_before else 0.5 * (damping(P_before) + damping(P))
         end, speed, pull = self._solved(h, g, B, kept)
         if not 0 <= end <= self.muscle.stop:
             end, speed = min(max(end, 0.0), self.muscle.stop), 0.0

@@ -144,13 +144,13 @@ def write_analysis(analysis: Analysis, folder: Path) -> Path:
             entry["file"] = f"{TRACES}/{name}.parquet"
             entry["columns"] = list(trace.columns)
             _write_trace(trace, folder / entry["file"])
-        (folder / ANALYSIS).write_bytes(_in_lines(plain(data)).encode())
+        (folder / ANALYSIS).write_bytes(in_lines(plain(data)).encode())
     except OSError as error:
         raise RecordError(f"{folder}: the analysis cannot be written: {error.strerror or error}") from error
     return folder
 
 
-def _in_lines(data: Mapping[str, Any]) -> str:
+def in_lines(data: Mapping[str, Any]) -> str:
     """JSON with a line for each entry, and for each item of one that is a list; `indent` would be ten times slower."""
     text = json.JSONEncoder(sort_keys=True, ensure_ascii=False, allow_nan=False).encode
     lists = {key: ",\n  ".join(map(text, value)) for key, value in data.items() if isinstance(value, list) and value}

@@ -34,8 +34,8 @@ function take(streams) {
 }
 
 function takeFrame(streams) {
-  store.ring.push({at: performance.now(), streams});
-  while (store.ring.length && performance.now() - store.ring[0].at > 20000) store.ring.shift();
+  store.ring.push({at: ms(), streams});
+  while (store.ring.length && ms() - store.ring[0].at > 20000) store.ring.shift();
   if (view.follow) take(streams);
   else for (const piece of Object.values(streams))
     if (piece.k.length) store.last = Math.max(store.last, (piece.k[piece.k.length - 1] + 1) * FINE);
@@ -120,43 +120,59 @@ function drawLimits(u, channel) {
     ctx.fillRect(bbox.left, Math.min(edge, y(v)), bbox.width, Math.abs(edge - y(v)));
     ctx.globalAlpha = 1;
     if (!inside(v)) return;
-    ctx.fillRect(bbox.left, y(v) - devicePixelRatio, bbox.width, 2 * devicePixelRatio);
-    ctx.font = `${11 * devicePixelRatio}px system-ui`;
-    ctx.textAlign = 'left';
-    ctx.fillText(`trip ${v} ${channel.unit}`, bbox.left + 6 * devicePixelRatio, y(v) + (i ? 13 : -5) * devicePixelRatio);
+    ctx.fillRect(bbox.left, y(v) - px(1), bbox.width, px(2));
   });
   ctx.strokeStyle = colour('quiet');
-  ctx.lineWidth = devicePixelRatio;
-  ctx.setLineDash([2 * devicePixelRatio, 4 * devicePixelRatio]);
-  for (const v of channel.command) if (v && inside(v)) {
-    ctx.beginPath();
-    ctx.moveTo(bbox.left, y(v));
-    ctx.lineTo(bbox.left + bbox.width, y(v));
-    ctx.stroke();
+  ctx.lineWidth = px(1);
+  ctx.setLineDash([px(2), px(4)]);
+  for (const v of channel.command) if (v && inside(v)) straight(ctx, bbox.left, y(v), bbox.left + bbox.width, y(v));
+  ctx.restore();
+}
+
+// Text that lines of the grid do not cross.
+function write(ctx, text, x, y) {
+  ctx.fillStyle = colour('fault');
+  ctx.strokeStyle = colour('paper');
+  ctx.lineWidth = px(4);
+  ctx.lineJoin = 'round';
+  ctx.font = `600 ${px(11)}px system-ui`;
+  ctx.strokeText(text, x, y);
+  ctx.fillText(text, x, y);
+}
+
+// Names of trip limits, and of faults in the first plot: above the grid, below the curve.
+function drawNames(u, channel) {
+  const {ctx, bbox, scales: {y}, valToPos} = u;
+  ctx.save();
+  ctx.textAlign = 'left';
+  channel.trip.forEach((v, i) => {
+    if (v !== null && v > y.min && v < y.max)
+      write(ctx, `trip ${String(v).replace('-', '−')} ${channel.unit}`, bbox.left + px(6), valToPos(v, 'y', true) + px(i ? 15 : -6));
+  });
+  if (channel.name === chosen()[0]) for (const [t, text] of marks) {
+    const x = placeOf(u, t), right = x > bbox.left + bbox.width * 0.6;
+    ctx.textAlign = right ? 'right' : 'left';
+    if (x) write(ctx, text.length > 60 ? `${text.slice(0, 59)}…` : text, x + px(right ? -6 : 6), bbox.top + px(32));
   }
   ctx.restore();
 }
 
-// A trip, or another fault, as a vertical line with its text.
+// Where a time in view is; 0: elsewhere.
+const placeOf = (u, t) => t < u.scales.x.min || t > u.scales.x.max ? 0 : u.valToPos(t, 'x', true);
+
+// A trip, or another fault, as a vertical line.
 function drawMarks(u) {
   const {ctx, bbox} = u;
   ctx.save();
-  ctx.fillStyle = ctx.strokeStyle = colour('fault');
-  ctx.font = `600 ${11 * devicePixelRatio}px system-ui`;
-  for (const [t, text] of marks) {
-    if (t < u.scales.x.min || t > u.scales.x.max) continue;
-    const x = u.valToPos(t, 'x', true), right = x > bbox.left + bbox.width * 0.6;
-    ctx.fillRect(x - devicePixelRatio, bbox.top, 2 * devicePixelRatio, bbox.height);
-    ctx.textAlign = right ? 'right' : 'left';
-    ctx.fillText(text.slice(0, 60), x + (right ? -6 : 6) * devicePixelRatio, bbox.top + 24 * devicePixelRatio);
-  }
+  ctx.fillStyle = colour('fault');
+  for (const [t] of marks) { const x = placeOf(u, t); if (x) ctx.fillRect(x - px(1), bbox.top, px(2), bbox.height); }
   ctx.restore();
 }
 
 const axis = () => ({stroke: colour('quiet'), font: '12px system-ui', ticks: {show: false},
   grid: {stroke: colour('line'), width: 1}});
 const widthOf = e => Math.max(200, printing ? 690 : e.clientWidth);
-const heightOf = () => printing ? 105 : innerWidth < 760 ? 150 : Math.max(150, Math.min(230, (innerHeight - 380) / 3));
+const heightOf = () => printing ? 92 : innerWidth < 760 ? 150 : Math.max(150, Math.min(230, (innerHeight - 380) / 3));
 
 // Time and values under the cursor: both ends of its bucket.
 function readAt(u, channel) {
@@ -184,13 +200,13 @@ function buildPlot(channel) {
     series: [{}, line],
     cursor: {sync: {key: 'time'}, drag: {x: true, y: false, setScale: false}, points: {show: false}, bind: {dblclick: () => () => follow()}},
     hooks: {
-      drawClear: [() => drawLimits(u, channel)], draw: [() => drawMarks(u)],
+      drawClear: [() => drawLimits(u, channel)], drawAxes: [() => drawNames(u, channel)], draw: [() => drawMarks(u)],
       setSelect: [() => { if (u.select.width > 4) look(u.posToVal(u.select.left, 'x'), u.posToVal(u.select.left + u.select.width, 'x'));
         u.setSelect({left: 0, top: 0, width: 0, height: 0}, false); }],
       setCursor: [() => { read.textContent = readAt(u, channel); }],
     },
   }, seriesOf(channel), place);
-  u.over.addEventListener('wheel', event => {
+  on(u.over, 'wheel', event => {
     event.preventDefault();
     zoom(event.deltaY > 0 ? 1.3 : 1 / 1.3, u.posToVal(event.offsetX, 'x'));
   }, {passive: false});

@@ -15,8 +15,8 @@ function drawLine(u, i, xs, ys) {
   ctx.beginPath();
   ctx.strokeStyle = s.stroke();
   ctx.globalAlpha = s.alpha ?? 1;
-  ctx.lineWidth = (s.width ?? 1.6) * devicePixelRatio;
-  if (s.dash) ctx.setLineDash(s.dash.map(v => v * devicePixelRatio));
+  ctx.lineWidth = px(s.width ?? 1.6);
+  if (s.dash) ctx.setLineDash(s.dash.map(px));
   xs.forEach((x, k) => ctx[k ? 'lineTo' : 'moveTo'](u.valToPos(x, 'x', true), u.valToPos(ys[k], 'y', true)));
   ctx.stroke();
   ctx.restore();
@@ -24,21 +24,16 @@ function drawLine(u, i, xs, ys) {
 
 // Dots: filled where the trial is without doubt, else an open one; the newest has a ring, the newest of a place a bar.
 function drawDots(u, i, xs, ys, ok, halves) {
-  const r = 4 * devicePixelRatio, ctx = clipped(u, 2 * r), high = y => u.valToPos(y, 'y', true);
+  const r = px(4), ctx = clipped(u, 2 * r), high = y => u.valToPos(y, 'y', true);
   ctx.fillStyle = ctx.strokeStyle = u.series[i].stroke();
-  ctx.lineWidth = 1.5 * devicePixelRatio;
+  ctx.lineWidth = px(1.5);
   xs.forEach((x, k) => {
-    const px = u.valToPos(x, 'x', true), py = high(ys[k]);
+    const cx = u.valToPos(x, 'x', true), cy = high(ys[k]);
     ctx.beginPath();
-    ctx.arc(px, py, r, 0, 7);
+    ctx.arc(cx, cy, r, 0, 7);
     if (ok[k]) ctx.fill(); else ctx.stroke();
-    if (halves[k] && !xs.includes(xs[k], k + 1)) {
-      ctx.beginPath();
-      ctx.moveTo(px, high(ys[k] - halves[k]));
-      ctx.lineTo(px, high(ys[k] + halves[k]));
-      ctx.stroke();
-    }
-    if (k === xs.length - 1) { ctx.beginPath(); ctx.arc(px, py, 1.9 * r, 0, 7); ctx.stroke(); }
+    if (halves[k] && !xs.includes(xs[k], k + 1)) straight(ctx, cx, high(ys[k] - halves[k]), cx, high(ys[k] + halves[k]));
+    if (k === xs.length - 1) { ctx.beginPath(); ctx.arc(cx, cy, 1.9 * r, 0, 7); ctx.stroke(); }
   });
   ctx.restore();
 }
@@ -67,7 +62,7 @@ function figure(id, series, titles) {
   return kept.u;
 }
 const widthFor = host => printing ? 330 : Math.max(200, host.clientWidth);
-const figureHeight = () => printing ? 150 : 240;
+const figureHeight = () => printing ? 140 : 240;
 
 function setFigure(id, series, titles, data, xRange) {
   const drawn = data.filter(d => d && d[0].length);

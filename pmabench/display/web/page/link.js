@@ -3,19 +3,16 @@ const fragment = new URLSearchParams(location.hash.slice(1)).get('t');
 if (fragment) { remember('token', fragment); history.replaceState(null, '', location.pathname + location.search); }
 const token = fragment || remembered('token') || '';
 const headers = {Authorization: `Bearer ${token}`};
-const link = {heard: performance.now(), begun: 0, controller: null, wait: 500, wanted: true, refused: '', asking: null};
+const link = {heard: ms(), begun: 0, controller: null, wait: 500, wanted: true, refused: '', asking: null};
 
 const sleep = ms => new Promise(done => setTimeout(done, ms));
-const visible = () => new Promise(done => {
-  if (!document.hidden) return done();
-  document.addEventListener('visibilitychange', function seen() { if (!document.hidden) { document.removeEventListener('visibilitychange', seen); done(); } });
-});
+const visible = () => new Promise(done => document.addEventListener('visibilitychange', done, {once: true}));
 
 async function followStream(take) {
   for (;;) {
-    if (document.hidden) { await visible(); link.heard = performance.now(); }
+    if (document.hidden) { await visible(); link.heard = ms(); }
     link.controller = new AbortController();
-    link.begun = performance.now();
+    link.begun = ms();
     let again = link.wait;
     try {
       const answer = await fetch(`/api/stream?at=${encodeURIComponent(location.pathname)}`, {headers, signal: link.controller.signal, cache: 'no-store'});
@@ -27,7 +24,7 @@ async function followStream(take) {
       for (;;) {
         const {done, value} = await reader.read();
         if (done) break;
-        link.heard = performance.now();
+        link.heard = ms();
         link.wait = 500;
         text += value;
         const messages = text.split('\n\n');
@@ -59,7 +56,8 @@ async function fetchHistory() {
   } catch { link.wanted = link.wanted || !asking.signal.aborted; }
 }
 
-document.addEventListener('visibilitychange', () => { if (document.hidden && link.controller) link.controller.abort(); });
+const cut = () => { if (link.controller) link.controller.abort(); };
+on(document, 'visibilitychange', () => { if (document.hidden) cut(); });
 
 async function postVent() {
   const answer = await fetch('/api/vent', {method: 'POST', headers: {...headers, 'Content-Type': 'application/json'}, body: JSON.stringify({run: S.run.id})});

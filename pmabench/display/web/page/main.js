@@ -34,11 +34,11 @@ function draw() {
 setInterval(draw, PACE);
 
 setInterval(() => {
-  const silent = (performance.now() - link.heard) / 1000, lost = !document.hidden && (silent > 3 || !!link.refused);
+  const silent = (ms() - link.heard) / 1000, lost = !document.hidden && (silent > 3 || !!link.refused);
   document.body.classList.toggle('lost', lost);
   show('trouble', lost);
   if (lost) put('trouble', link.refused || `no data for ${Math.floor(silent)} s; trying again`);
-  if (performance.now() - Math.max(link.heard, link.begun) > 6000 && link.controller && !link.refused) link.controller.abort();
+  if (ms() - Math.max(link.heard, link.begun) > 6000 && !link.refused) cut();
 }, 500);
 
 // -- the window in time
@@ -65,16 +65,17 @@ function pan(share) { const [begin, end] = bounds(), d = share * (end - begin); 
 for (const [text, span] of SPANS) {
   const b = make('button', '', text);
   b.value = span;
-  b.addEventListener('click', () => follow(span));
+  on(b, 'click', () => follow(span));
   $('spans').append(b);
 }
 const flip = () => { view.limits = !view.limits; mark(); due = true; };
-const press = {back: () => pan(-0.4), forth: () => pan(0.4), in: () => zoom(0.6), out: () => zoom(1 / 0.6), live: () => follow(), limits: flip,
+const another = () => { const s = $('symbol'); s.selectedIndex = (s.selectedIndex + 1) % s.length; drawCoefficient(S.coefficients); };
+const press = {back: () => pan(-0.4), forth: () => pan(0.4), in: () => zoom(0.6), out: () => zoom(1 / 0.6), live: () => follow(), limits: flip, symbol: another,
   print: () => print(), keys: () => $('help').showModal(), theme: () => theme(!('dark' in root.dataset), true)};
-for (const [id, does] of Object.entries(press)) $(id).addEventListener('click', does);
-addEventListener('keydown', event => {
+for (const b of document.querySelectorAll('button[id]')) if (press[b.id]) on(b, 'click', press[b.id]);
+on(window, 'keydown', event => {
   if (event.ctrlKey || event.metaKey || event.altKey || event.target.matches('select, input, dialog *, .scroll')) return;
-  const keys = {ArrowLeft: 'back', ArrowRight: 'forth', '+': 'in', '=': 'in', '-': 'out', l: 'live', y: 'limits', d: 'theme', p: 'print', '?': 'keys'};
+  const keys = {ArrowLeft: 'back', ArrowRight: 'forth', '+': 'in', '=': 'in', '-': 'out', l: 'live', y: 'limits', s: 'symbol', d: 'theme', p: 'print', '?': 'keys'};
   const id = keys[event.key] || keys[event.key.toLowerCase()];
   if (id) press[id]();
   else if (event.key >= '1' && event.key <= '5') follow(SPANS[event.key - 1][1]);
@@ -82,16 +83,16 @@ addEventListener('keydown', event => {
   event.preventDefault();
 });
 
-$('loop-axes').addEventListener('change', drawLoop);
-$('symbol').addEventListener('change', () => drawCoefficient(S.coefficients));
+on($('loop-axes'), 'change', drawLoop);
+on($('symbol'), 'change', () => drawCoefficient(S.coefficients));
 
 // -- places
 function go(href) {
   history.pushState(null, '', href);
   link.wanted = true;
-  if (link.controller) link.controller.abort();
+  cut();
 }
-addEventListener('popstate', () => { if (link.controller) link.controller.abort(); });
+on(window, 'popstate', cut);
 
 // -- theme, size, print
 function redrawAll() { buildPlots(); describe(S.values); drawLoop(); drawCoefficient(S.coefficients); due = true; }
@@ -102,9 +103,9 @@ function theme(dark, keep) {
 }
 const wish = matchMedia('(prefers-color-scheme: dark)'), kept = remembered('dark');
 theme(kept ? kept === '1' : wish.matches);
-wish.addEventListener('change', () => { if (!remembered('dark')) theme(wish.matches); });
+on(wish, 'change', () => { if (!remembered('dark')) theme(wish.matches); });
 let size = 0;
-addEventListener('resize', () => { clearTimeout(size); size = setTimeout(() => { resize(); resizeFigures(); due = true; }, 80); });
+on(window, 'resize', () => { clearTimeout(size); size = setTimeout(() => { resize(); resizeFigures(); due = true; }, 80); });
 function forPrint(on) {
   const dark = 'dark' in root.dataset;
   printing = on;
@@ -116,8 +117,8 @@ function forPrint(on) {
   redrawAll();
   resizeFigures();
 }
-addEventListener('beforeprint', () => forPrint(true));
-addEventListener('afterprint', () => forPrint(false));
+on(window, 'beforeprint', () => forPrint(true));
+on(window, 'afterprint', () => forPrint(false));
 
 // -- vent, in two steps: hold for 0.8 s, or Enter twice within 3 s
 const button = $('vent');
@@ -134,15 +135,15 @@ async function vent() {
   button.disabled = false;
 }
 const release = () => { clearTimeout(held); button.classList.remove('held'); };
-button.addEventListener('pointerdown', () => { button.classList.add('held'); held = setTimeout(() => { release(); vent(); }, 800); });
-for (const name of ['pointerup', 'pointerleave', 'pointercancel', 'blur']) button.addEventListener(name, release);
-button.addEventListener('keydown', event => {
+on(button, 'pointerdown', () => { button.classList.add('held'); held = setTimeout(() => { release(); vent(); }, 800); });
+for (const name of ['pointerup', 'pointerleave', 'pointercancel', 'blur']) on(button, name, release);
+on(button, 'keydown', event => {
   if (!['Enter', ' '].includes(event.key)) return;
   event.preventDefault();
   event.stopPropagation();
   if (event.repeat) return;
-  if (performance.now() - entered < 3000) { entered = -Infinity; vent(); } else {
-    entered = performance.now();
+  if (ms() - entered < 3000) { entered = -Infinity; vent(); } else {
+    entered = ms();
     vented('doubt', 'press Enter once more within 3 s to vent');
   }
 });

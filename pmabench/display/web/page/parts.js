@@ -5,7 +5,7 @@ const bars = new Map();
 function partRun(run) {
   const before = S.run;
   S.run = run;
-  if (before.id !== run.id) { clear(); loop = {number: 0, points: []}; bars.clear(); $('numbers').replaceChildren(); }
+  if (before.id && before.id !== run.id) { clear(); loop = {number: 0, points: []}; bars.clear(); $('numbers').replaceChildren(); }
   axes = run.axes || [];
   show('simulated', !!run.simulated);
   put('kind', run.kind || 'pmabench');
@@ -19,7 +19,7 @@ function partRun(run) {
   if (run.why && run.why !== run.status) texts.push(run.why);
   if (run.reading) texts.push('reading the record …');
   why.replaceChildren(texts.join('; '));
-  if (run.next) why.append(texts.length ? '  Next: ' : 'Next: ', make('code', '', run.next));
+  if (run.next) why.append(texts.length ? '. Next: ' : 'Next: ', make('code', '', run.next));
   why.className = `notice ${bad && status !== 'failed' ? 'doubt' : run.next ? 'good' : ''}`;
   why.hidden = !why.textContent;
   show('vent', !!run.may_vent);
@@ -44,7 +44,7 @@ function linkTo(text, href) {
   const a = make('a', '', text);
   a.href = href;
   if (location.pathname === href) aria(a, 'current', 'page');
-  a.addEventListener('click', event => {
+  on(a, 'click', event => {
     if (event.ctrlKey || event.metaKey || event.shiftKey || event.button) return;
     event.preventDefault();
     go(href);
@@ -127,7 +127,7 @@ function channelRow(c) {
   const button = make('button', '', 'curve');
   aria(button, 'pressed', chosen().includes(c.name));
   aria(button, 'label', `curve of ${c.label}`);
-  button.addEventListener('click', () => {
+  on(button, 'click', () => {
     const now = chosen(), next = now.includes(c.name) ? now.filter(n => n !== c.name) : [...now, c.name];
     remember('curves', next.join(' '));
     aria(button, 'pressed', next.includes(c.name));
@@ -172,7 +172,7 @@ function partTrials(table) {
   const rows = [];
   for (const r of [...table.rows].reverse()) {
     const row = make('tr');
-    row.append(make('td', '', `${r.ok ? '✓' : '!'} ${r.trial}${r.again ? ' again' : ''}`), ...r.point.map(text => make('td', '', text)));
+    row.append(make('td', '', `${r.mark} ${r.trial}${r.again ? ' again' : ''}`), ...r.point.map(text => make('td', '', text)));
     for (const [text, off] of r.numbers) { const cell = make('td', '', text); if (off) cell.append(make('small', '', off)); row.append(cell); }
     rows.push(row);
     if (r.doubts.length) {

@@ -10,6 +10,11 @@ const make = (tag, name, text) => {
 };
 const put = (id, text) => { const e = $(id); if (e.textContent !== text) e.textContent = text; };
 const show = (id, on) => { $(id).hidden = !on; };
+const ms = () => performance.now();
+const straight = (ctx, x, y, to, high) => { ctx.beginPath(); ctx.moveTo(x, y); ctx.lineTo(to, high); ctx.stroke(); };
+// Pixels of a canvas.
+const px = n => n * devicePixelRatio;
+const on = (e, name, does) => e.addEventListener(name, does);
 const picture = (e, label) => { e.role = 'img'; aria(e, 'label', label); };
 const two = n => String(n).padStart(2, '0');
 const clock = s => {
