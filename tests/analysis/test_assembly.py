@@ -4,6 +4,7 @@ Corrected force of paper 2, r 10 mm, 25 deg: 141.7, 656.7, 1171.8 N at 1, 3, 5 b
 at 10 %; the arm of four pulls 566.6 N at 1 bar and 2626.9 N at 3 bar.
 """
 
+import shutil
 from dataclasses import replace
 from math import exp, pi, radians, sin, tan
 
@@ -16,9 +17,14 @@ from pmabench_drivers.mock.options import read_options
 from pmabench.analysis.verdict.assembly import adds_up, of_one, without_diameter
 from pmabench.analysis.verdict.comparison import Side, compare
 from pmabench.base.errors import DeviceError
+from pmabench.bench.compile import mount
 from pmabench.bench.files.specimen import SpecimenFile
 from pmabench.cli.main import main
+from pmabench.engine.operator import ConfirmedBeforehand
+from pmabench.engine.run import run_plan
+from pmabench.kinds.compile import make_plan
 from pmabench.kinds.reduce import reduce_runs
+from pmabench.store.reader import open_run
 from tests.analysis.driven_runs import ROOT, recorded
 
 SHORT = (
@@ -129,6 +135,61 @@ def test_a_connector_that_is_counted_in_is_refused():
         specimen("620 mm", two)
     with pytest.raises(ValueError, match="too large"):
         specimen("300 mm", two)
+
+
+LONG = """
+include: mock-contractor.yaml
+name: {name}
+actuator: {{stroke: [0 mm, 180 mm], speed: 500 mm/s, force: 2700 N}}
+devices:
+  plant: {{options: {{plant: long-plant.yaml, actuator_high: 0.2, seed: {seed}}}}}
+channels:
+  displacement: {{device: plant, input: displacement, range: [-5 mm, 200 mm], unit: m, calibration: null}}
+  displacement_command: {{device: plant, input: displacement_set, range: [-10 mm, 200 mm], unit: m}}
+outputs:
+  displacement: {{device: plant, output: displacement, scale: [[0 mm, 0 mm], [180 mm, 180 mm]]}}
+limits:
+  displacement: {{command: 160 mm}}
+"""
+"""A bench of one's own with 60 cm of contractor, behind the shipped files that it includes."""
+
+
+def end_to_end(lab, name, seed, serial, length, assembly=None):
+    """A run on that bench of a specimen that is said to be so long [mm]; its folder."""
+    given = yaml.safe_load((ROOT / "fixtures/specimens/contractor-30.yaml").read_text())
+    place = given["mounted"] | {"length": f"{length} mm"}
+    made = given | {"nominal_length": f"{length} mm", "serial": serial, "mounted": place}
+    (lab / f"{name}.yaml").write_text(LONG.format(name=name, seed=seed))
+    (lab / f"{name}-muscle.yaml").write_text(yaml.safe_dump(made | ({"assembly": assembly} if assembly else {})))
+    mounted_here = mount(lab / f"{name}.yaml", lab / f"{name}-muscle.yaml")
+    plan = make_plan(ROOT / "protocols/isometric-pressurisation.yaml", mounted_here, SHORT)[0]
+    outcome = run_plan(plan, mounted_here, ConfirmedBeforehand(), out=lab / name)
+    assert outcome.exit_code == 0, outcome.why
+    return str(outcome.folder)
+
+
+def test_two_of_30_cm_end_to_end_are_one_of_60_cm_where_the_connector_is_left_out(tmp_path):
+    benches = ROOT / "fixtures/benches"
+    for name in ("mock.yaml", "mock-actuator.yaml", "mock-contractor.yaml"):
+        shutil.copy(benches / name, tmp_path)
+    shutil.copytree(benches / "calibrations", tmp_path / "calibrations")
+    plant = (ROOT / "fixtures/plants/contractor-30.yaml").read_text()
+    (tmp_path / "long-plant.yaml").write_text(plant.replace("length: 300 mm", "length: 600 mm"))
+    two = {"series": 2, "section": "300 mm", "connector": "20 mm"}
+    one = end_to_end(tmp_path, "one", 1, "LONG", 600)
+    pair = end_to_end(tmp_path, "pair", 2, "PAIR", 600, two)
+    counted_in = end_to_end(tmp_path, "counted", 3, "COUNTED-IN", 620)
+
+    done = CliRunner().invoke(main, ["compare", pair, one, "--accept", "E_n<=1"], catch_exceptions=False)
+    assert done.exit_code == 0, done.output
+    (found,) = (a for a in reduce_runs([open_run(pair)]) if a.kind == "isometric-pressurisation")
+    slopes = {e.at["contraction"]: e for e in found.estimates if e.symbol == "m" and not e.withheld and e.value}
+    for x, e in slopes.items():
+        assert e.value == pytest.approx(force(4.5e5, x / 0.6) / (4.5e5 - 45e3), rel=0.06)
+    # 20 mm that do not contract, counted in: 10 % are 62 mm, and the force there is that of 10.3 %
+    far = at_pressure(open_run(counted_in), 0.062, 4e5)
+    assert far == pytest.approx(force(4e5, 0.062 / 0.6), abs=2.0)
+    assert at_pressure(open_run(one), 0.06, 4e5) - far > 5.0
 
 
 def test_the_mock_takes_whole_muscles_at_a_driven_end_only():
