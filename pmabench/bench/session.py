@@ -188,7 +188,7 @@ def lacks_session(c: Compilation) -> Iterator[str]:
         yield (
             "no session, for self-test, warm-up and zeros need outputs that command pressures: wiring and zeros are "
             'not looked at; remedy: before the first run, "pmabench bench read" each channel without pressure, and see '
-            "by hand that each valve moves the pressure of its own muscle"
+            "by hand that each valve moves the pressure of the muscle that it is for"
         )
     elif c.bench.time == "real" and c.bench.session is None:
         first = c.bench.pressures[0] if c.bench.muscles else "pressure"

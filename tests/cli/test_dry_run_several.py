@@ -57,14 +57,14 @@ def most_torque(pulley, angle):
 @pytest.mark.parametrize("pulley", [25, 20])
 def test_a_sweep_of_a_joint_reaches_the_torque_of_its_own_pulley(pulley, tmp_path):
     bench = lab_bench(tmp_path, "joint", ("pulley: 25 mm", f"pulley: {pulley} mm"))
-    told = simulated(bench, *SWEEP)
-    assert (told["status"], told["trials_failed"], told["saturated"], told["beyond"]) == ("finished", [], [], [])
+    found = simulated(bench, *SWEEP)
+    assert (found["status"], found["trials_failed"], found["saturated"], found["beyond"]) == ("finished", [], [], [])
     expected = most_torque(1e-3 * pulley, math.radians(30))
-    assert told["measured"]["torque"]["highest"] == pytest.approx(expected, rel=0.01)
-    assert told["measured"]["pressure_1"]["highest"] == pytest.approx(4e5, rel=0.01)
-    assert math.degrees(told["measured"]["angle"]["lowest"]) == pytest.approx(-30, abs=0.2)
-    assert "2 muscles of paper 3 of 20 mm and 25 deg" in told["muscle"]
-    assert told["duration"] > 6 * 60 / 5  # three cycles of 60 degrees both ways at 5 deg/s
+    assert found["measured"]["torque"]["highest"] == pytest.approx(expected, rel=0.01)
+    assert found["measured"]["pressure_1"]["highest"] == pytest.approx(4e5, rel=0.01)
+    assert math.degrees(found["measured"]["angle"]["lowest"]) == pytest.approx(-30, abs=0.2)
+    assert "2 muscles of paper 3 of 20 mm and 25 deg" in found["muscle"]
+    assert found["duration"] > 6 * 60 / 5  # three cycles of 60 degrees both ways at 5 deg/s
 
 
 def test_torque_and_steps_of_a_joint_are_simulated_and_peaks_are_printed(tmp_path):
@@ -82,18 +82,18 @@ def test_torque_and_steps_of_a_joint_are_simulated_and_peaks_are_printed(tmp_pat
 
 def test_a_limit_that_is_crossed_ends_it_and_is_named(tmp_path):
     bench = lab_bench(tmp_path, "joint", ("torque: {trip: 40 N.m", "torque: {trip: 15 N.m"))
-    told = simulated(bench, *SWEEP, code=5)
-    assert told["status"] == "tripped"
-    assert "torque" in told["why"]
-    assert "15 N" in told["why"]
+    found = simulated(bench, *SWEEP, code=5)
+    assert found["status"] == "tripped"
+    assert "torque" in found["why"]
+    assert "15 N" in found["why"]
 
 
 def test_commands_at_a_limit_and_the_end_of_a_range_are_findings(tmp_path):
     held = ("--set", "controller.output=[20 kPa, 460 kPa]")
     low = lab_bench(tmp_path, "joint", ("  torque: {trip: 40 N.m, trip_low: -40 N.m, action: vent}\n", ""),
                     ("range: [-45 N.m, 45 N.m]", "range: [-15 N.m, 15 N.m]"))  # fmt: skip
-    told = simulated(low, *SWEEP)
-    assert told["beyond"] == ["torque"]
+    found = simulated(low, *SWEEP)
+    assert found["beyond"] == ["torque"]
     human = check(low, *SWEEP, "--simulate").stdout
     assert "at the end of the range of the channel: torque" in human
     saturated = simulated(lab_bench(tmp_path, "free joint"), *STEP, *held)
@@ -103,12 +103,12 @@ def test_commands_at_a_limit_and_the_end_of_a_range_are_findings(tmp_path):
 
 def test_a_platform_is_simulated_by_the_numbers_of_its_bench_file(tmp_path):
     """At 10 degrees muscles 2 and 3 hold it with 2.79 bar, muscle 1 with 1.92 (joints-endurance 2.2)."""
-    told = simulated(lab_bench(tmp_path, "platform"), *PLATFORM)
-    assert (told["status"], told["trials_failed"]) == ("finished", [])
-    assert told["measured"]["pressure_2"]["highest"] > 2.7e5
-    assert "3 muscles of paper 3" in told["muscle"]
+    found = simulated(lab_bench(tmp_path, "platform"), *PLATFORM)
+    assert (found["status"], found["trials_failed"]) == ("finished", [])
+    assert found["measured"]["pressure_2"]["highest"] > 2.7e5
+    assert "3 muscles of paper 3" in found["muscle"]
     heavy = simulated(lab_bench(tmp_path, "platform", ("mass: 2 kg", "mass: 12 kg")), *PLATFORM)
-    assert heavy["measured"]["pressure_2"]["highest"] < told["measured"]["pressure_2"]["highest"]
+    assert heavy["measured"]["pressure_2"]["highest"] < found["measured"]["pressure_2"]["highest"]
 
 
 def test_what_cannot_be_simulated_is_refused_in_a_sentence(tmp_path):

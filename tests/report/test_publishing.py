@@ -93,8 +93,8 @@ def test_the_crate_has_what_the_specification_asks_for(published):
         if node in graph and node not in reached:
             reached.add(node)
             todo += references(list(graph[node].values()))
-    told = set(graph) - reached
-    assert all(name.startswith("#device-") for name in told), told  # these point at the bench
+    apart = set(graph) - reached
+    assert all(name.startswith("#device-") for name in apart), apart  # these point at the bench
 
 
 def test_each_file_is_described_with_its_hash(published):
@@ -226,8 +226,8 @@ def test_notes_go_along_and_strange_files_do_not(lab, tmp_path):
 def test_a_damaged_or_open_record_is_refused(lab, tmp_path):
     run = copied(lab, tmp_path)
     (run / "events.jsonl").write_bytes((run / "events.jsonl").read_bytes()[:-1])
-    told = call("publish", run, "-o", tmp_path / "ours", *AUTHORS, *FACTS, code=3)
-    assert run.name in told.output
+    answer = call("publish", run, "-o", tmp_path / "ours", *AUTHORS, *FACTS, code=3)
+    assert run.name in answer.output
     assert [path.name for path in tmp_path.iterdir() if "ours" in path.name or "publish" in path.name] == []
 
 
@@ -243,14 +243,14 @@ def test_a_damaged_or_open_record_is_refused(lab, tmp_path):
     ],
 )
 def test_facts_that_are_none_are_refused_with_how_to_write_them(lab, tmp_path, change, said):
-    told = call("publish", the_run(lab), "-o", tmp_path / "ours", *AUTHORS, *FACTS, *change, code=2)
-    assert said in told.output
+    answer = call("publish", the_run(lab), "-o", tmp_path / "ours", *AUTHORS, *FACTS, *change, code=2)
+    assert said in answer.output
     assert not (tmp_path / "ours").exists()
 
 
 def test_it_is_not_mixed_with_other_files(lab, tmp_path):
-    told = call("publish", the_run(lab), "-o", tmp_path, *AUTHORS, *FACTS, code=2)
-    assert "is there already" in told.output
+    answer = call("publish", the_run(lab), "-o", tmp_path, *AUTHORS, *FACTS, code=2)
+    assert "is there already" in answer.output
     assert list(tmp_path.iterdir()) == []
 
 

@@ -117,15 +117,10 @@ def _resource(number: int, item: Item, heads: Sequence[str]) -> dict[str, Any]:
 
 
 def _type(head: str) -> str:
-    if head in {"withheld", "simulated"}:
-        return "boolean"
-    return (
-        "integer"
-        if head == "n"
-        else "string"
-        if head in COLUMNS and head[:3] not in {"val", "low", "hig"}
-        else "number"
-    )
+    """What a column holds, as Table Schema names it; texts are the columns with a meaning, numbers all others."""
+    named = {"withheld": "boolean", "simulated": "boolean", "n": "integer"}
+    named |= dict.fromkeys(("value", "low95", "high95"), "number")
+    return named.get(head, "string" if head in COLUMNS else "number")
 
 
 def readme(contents: Contents) -> str:
