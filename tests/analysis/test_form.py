@@ -331,6 +331,17 @@ def test_readings_that_scatter_by_a_pulley_name_the_fault_of_the_cell(cause: str
             assert abs(told.found[0].sizes[0]) == pytest.approx(0.02, abs=2e-3)
 
 
+@pytest.mark.parametrize(("share", "named"), [(3e-4, False), (2e-3, True)])
+def test_a_weight_that_is_off_by_less_than_anybody_weighs_is_not_named(share: float, named: bool) -> None:
+    """However little the readings scatter: 0.03 % of one weight is nobody's mistake, 0.2 % is."""
+    found = readings(gathered(clean()))
+    heaviest = found.weight == found.weight.max()
+    misread = Readings(found.course, found.weight, found.read + share * found.weight * heaviest)
+    wrong = weighed(misread).wrong
+    assert (wrong is not None) is named
+    assert wrong is None or wrong[1] == pytest.approx(share * found.weight.max(), rel=0.1)
+
+
 def read_by_judge(cause: str, size: float, seed: int) -> Readings:
     read = weighings(campaign(cause, size, seed), seed)
     return Readings(read.t / (STARTS[-1] + DURATION), read.weight, read.read)

@@ -34,7 +34,9 @@ BEYOND = 0.99865
 TERM = 9.0
 """So much a further term lowers the sum of squares, in units of the scatter, to be taken: three standard deviations."""
 SMALL = 5e-4
-"""A gain, or a drift as a share of the typical weight, that is not worth a correction: lines of the budget hold it."""
+"""A gain, a drift as a share of the typical weight, or an error of one weight as a share of it, that is not worth a
+correction or a name: lines of the budget hold it.
+"""
 SAME = 1e-3
 """Weights this near are one [N]."""
 FEWEST_LOADS = 3
@@ -111,7 +113,10 @@ def weighed(readings: Readings, known: Mapping[str, float] = NOTHING) -> Weighed
         return cost, {name: (size, own) for name, size, own in both if own > 0}
 
     several = loads.tolist() if len(loads) >= FEWEST_LOADS else []
-    chosen, load = min(_models(tuple(terms), several), key=lambda model: sized(*model)[0])
+    best = min(_models(tuple(terms), several), key=lambda model: sized(*model)[0])
+    if best[1] is not None and abs(sized(tuple(terms), best[1])[1]["wrong"][0]) < SMALL * best[1]:
+        best = min(_models(tuple(terms), ()), key=lambda model: sized(*model)[0])
+    chosen, load = best
     sizes = sized(tuple(terms), load)[1]
     lying = bool((weight == 0).any())
     # without a weight nothing says how small a drift is: none is corrected
