@@ -8,7 +8,7 @@ from __future__ import annotations
 import copy
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, Protocol
 
@@ -98,28 +98,37 @@ class Stepped(Supplied, ABC):
     v: float
 
     @abstractmethod
-    def reach(self, until: float) -> None:
-        """Go on to `until` [s]."""
+    def _steps(self, until: float) -> Iterator[None]:
+        """Go on to `until` [s], and yield wherever the way, its rate or the force begins another straight line."""
 
     @abstractmethod
     def reading(self) -> tuple[float, float, float]:
         """Contraction [m], gauge pressure [Pa] and force at the fixed end [N] at this moment."""
 
+    def reach(self, until: float) -> None:
+        """Go on to `until` [s]."""
+        for _ in self._steps(until):
+            pass
+
     def advance(self, until: float, times: Sequence[float] | Array = ()) -> Motion:
-        """Go on to `until` [s] and return what happened at `times` [s], rising, between now and `until`."""
+        """Go on to `until` [s] and return what happened at `times` [s], rising, between now and `until`.
+
+        Samples do not shorten the steps; they lie on straight lines between the ends of these.
+        """
         if len(times) == 0:
             self.reach(until)
             return NOTHING
         t = np.asarray(times, dtype=np.float64)
-        P_set = self.supply.setpoints(t)
-        rows = []
-        for moment in t.tolist():
-            self.reach(moment)
-            place, pressure, force = self.reading()
-            rows.append((place, self.v, pressure, force))
-        self.reach(until)
-        x, v, P, F = np.array(rows).T
+        P_set, (P, _) = self.supply.setpoints(t), copy.copy(self.supply).values(t)
+        rows = [self._row()]
+        rows += [self._row() for _ in self._steps(until)]
+        passed, *values = np.array(rows).T
+        x, v, F = (np.interp(t, passed, value) for value in values)
         return Motion(t, x, v, P, F, P_set, np.zeros(t.shape))
+
+    def _row(self) -> tuple[float, float, float, float]:
+        place, _, force = self.reading()
+        return self.time, place, self.v, force
 
 
 SERIES = 0.01

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -263,8 +263,7 @@ class IdentifiedPlant(Stepped):
         """Contraction [m], gauge pressure [Pa] and force at the fixed end [N] at this moment."""
         return self.x, self._end.path.P, self._end.reading
 
-    def reach(self, until: float) -> None:
-        """Go on to `until` [s]."""
+    def _steps(self, until: float) -> Iterator[None]:
         while self.time < until - 1e-12:
             trace, end = self.supply.piece(self.time)
             steady = trace.settled(self.time, SETTLED_PRESSURE) and abs(self._end.v) < AT_REST
@@ -272,6 +271,7 @@ class IdentifiedPlant(Stepped):
             then = self.time + left / max(1, math.ceil(left / (LONG if steady else STEP) * (1 - 1e-9)))
             self._end.step(then - self.time, trace.value(then))
             self.time = then
+            yield
 
 
 class IdentifiedDrivenPlant:

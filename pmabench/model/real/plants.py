@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import copy
 import math
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -40,6 +41,8 @@ SETTLED_PRESSURE = 1e-3
 """Worth less than 1 nm of contraction [Pa]."""
 NEAR = 2e-8
 """Newton's method ends with a straight line where it moves less than this [m]."""
+AT_ONCE = 0.999
+"""A step that comes to a stop after this share of it ends there [1]."""
 ON_TIME = 0.01
 """A load that leaves its support within this fraction of a step does so at its begin [1]."""
 
@@ -119,12 +122,13 @@ class RealPlant(Loaded, Stepped):
         """Go on by dt [s] with the command as it is."""
         self.reach(self.time + dt)
 
-    def reach(self, until: float) -> None:
-        """Go on to `until` [s]."""
+    def _steps(self, until: float) -> Iterator[None]:
+        """Go on to `until` [s]: within a step the way differs from a straight line by less than an eighth of `BEND`."""
         while self.time < until:
             trace, end = self.supply.piece(self.time)
             if trace != self._trace:
                 self._begin(trace)
+                yield
             end = min(end, until)
             settled = trace.settled(self.time, SETTLED_PRESSURE)
             pressure, start, most = trace.function(), trace.start, LONGEST if settled else LOOK
@@ -135,8 +139,12 @@ class RealPlant(Loaded, Stepped):
                 left = end - self.time
                 parts = math.ceil(left / min(self._longest, most) * (1 - 1e-9))
                 then = end if parts <= 1 else self.time + left / parts
-                self._step(then - self.time, trace.level if settled else pressure(then - start))
-                self.time = then
+                share = self._step(then - self.time, trace.level if settled else pressure(then - start))
+                self.time = then if share == 1 else self.time + share * (then - self.time)
+                yield
+                if self.v and not 0 < self.x < self.muscle.stop:  # it has arrived, and does not spring back
+                    self.v = 0.0
+                    yield
 
     def _begin(self, trace: Trace) -> None:
         """Follow another piece of the regulator's pressure, to which it may jump where the regulator has no lag."""
@@ -189,8 +197,10 @@ class RealPlant(Loaded, Stepped):
 
     # -- one step --------------------------------------------------------------------------------------------------
 
-    def _step(self, h: float, P: float) -> None:
-        """Go on by h [s], while the pressure goes on a straight line to P [Pa]."""
+    def _step(self, h: float, P: float) -> float:
+        """Go on by h [s], while the pressure goes on a straight line to P [Pa], and return the share of it that is done:
+        below 1 where the end leaves its support or arrives at a stop within it.
+        """
         x, v, g, P_before = self.x, self.v, self._pull - self.force, self._P
         fading = self._fading_of(h)
         crept = [left * c + before * x for c, (left, before, _) in zip(self._crept, fading, strict=True)]
@@ -205,22 +215,28 @@ class RealPlant(Loaded, Stepped):
                 rest = side * g / (side * g - left)
                 self._over_P, self._P = over_P, P_before
                 self._step(h * rest, P_before + (P - P_before) * rest)
-                self._pull = self.force
-                self._step(h * (1 - rest), P)
-                return
+                self._pull, self._longest = self.force, SHORTEST
+                return rest
             if left >= 0:
                 self._arrive(x, 0.0, crept, pull)
                 self._longest, self._trend = LONGEST, 0.0
-                return
+                return 1.0
         damping = self._curves[1 if (v or g) > 0 else -1]
         B = damping(P) if P == P_before else 0.5 * (damping(P_before) + damping(P))
         end, speed, pull = self._solved(h, g, B, kept)
         if not 0 <= end <= self.muscle.stop:
-            end, speed = min(max(end, 0.0), self.muscle.stop), 0.0
+            stop = 0.0 if end < 0 else self.muscle.stop
+            share = (stop - x) / (end - x)
+            if share < AT_ONCE:
+                self._over_P, self._P = over_P, P_before
+                self._breathe(P_before)
+                return share * self._step(share * h, P_before + (P - P_before) * share)
+            end = stop
             pull, _ = self._at(end - x, end - kept - end * self._last, 1.0)
         self._arrive(end, speed, crept, pull)
         bend = abs(speed - v) / h
         self._longest = min(max(math.sqrt(BEND / bend), SHORTEST), LONGEST) if bend else LONGEST
+        return 1.0
 
     def _solved(self, h: float, g: float, B: float, kept: float) -> tuple[float, float, float]:
         """Where x [m], v [m/s] and the pull [N] come to within h [s] from g [N] on, with the damping B [N.s/m]."""
