@@ -53,7 +53,7 @@ def examined(
         for one in weights.found
         if (error := errors[one.kind]) is not None
     )
-    spread = Spread(search, rounds.before, after, segments, rounds.undecided, 1.0)
+    spread = Spread(search, rounds.before, after, segments, rounds.undecided(search), 1.0)
     change = after.test.fit.theta - after.test.fit.again(segments, after.test.expected).theta
     diagnosis = Diagnosis(known, rounds, of_cell, name(after, spread.sizes(), names), change)
     if not of_cell and not diagnosis.reported.explanations:

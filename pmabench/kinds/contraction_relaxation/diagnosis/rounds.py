@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 from pmabench.kinds.contraction_relaxation.diagnosis.corrections import Explanation, plausible
 from pmabench.kinds.contraction_relaxation.diagnosis.search import ALONE, LEAST_EXCESS, Search, State
@@ -46,11 +45,13 @@ class Rounds:
     rivals: tuple[Rivals, ...]
     """For each explanation of `after` that the fit found."""
 
-    @cached_property
-    def undecided(self) -> tuple[State, ...]:
-        """States with another explanation in place of one that was kept, which nobody can tell from it."""
+    def undecided(self, search: Search) -> tuple[State, ...]:
+        """States with another explanation in place of one that was kept, which nobody can tell from it: another cause, or
+        a filter of the same stream in place of a delay.
+        """
         limit = ALONE * max(self.after.excess, LEAST_EXCESS)
-        return tuple(state for one in self.rivals for state in one.others if state.excess < limit)
+        others = (*(state for one in self.rivals for state in one.others), *search.other_kinds(self.after))
+        return tuple(state for state in others if state.excess < limit)
 
 
 def explained(search: Search, before: State) -> Rounds:

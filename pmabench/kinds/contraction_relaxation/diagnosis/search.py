@@ -255,6 +255,14 @@ class Search:
         for kind, variants in columns.OF_MUSCLE.items():
             yield from (Explanation(kind, one) for one in variants if one != columns.FINER.get(kind))
 
+    def other_kinds(self, now: State) -> Iterator[State]:
+        """`now` with a filter in place of a delay, or a delay in place of a filter, of each stream that has one."""
+        for one in now.explanations:
+            if one.kind in TIMES:
+                kind = TIMES[1 - TIMES.index(one.kind)]
+                rest = tuple(other for other in now.explanations if other is not one)
+                yield self._added(replace(now, explanations=rest), replace(one, kind=kind))
+
     def finer(self, now: State) -> State | None:
         """`now` with creep that may grow with the load, or hysteresis that may differ by direction, in place of one
         that does not; None without.
