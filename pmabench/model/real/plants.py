@@ -198,8 +198,9 @@ class RealPlant(Loaded, Stepped):
     # -- one step --------------------------------------------------------------------------------------------------
 
     def _step(self, h: float, P: float) -> float:
-        """Go on by h [s], while the pressure goes on a straight line to P [Pa], and return the share of it that is done:
-        below 1 where the end leaves its support or arrives at a stop within it.
+        """Go on by h [s], while the pressure goes on a straight line to P [Pa], and return the share that is done.
+
+        It is below 1 where the end leaves its support or arrives at a stop within it.
         """
         x, v, g, P_before = self.x, self.v, self._pull - self.force, self._P
         fading = self._fading_of(h)

@@ -46,8 +46,9 @@ class Rounds:
     """For each explanation of `after` that the fit found."""
 
     def undecided(self, search: Search) -> tuple[State, ...]:
-        """States with another explanation in place of one that was kept, which nobody can tell from it: another cause, or
-        a filter of the same stream in place of a delay.
+        """States with another explanation in place of one that was kept, which nobody can tell from it.
+
+        Of another cause, or a filter of the same stream in place of a delay.
         """
         limit = ALONE * max(self.after.excess, LEAST_EXCESS)
         others = (*(state for one in self.rivals for state in one.others), *search.other_kinds(self.after))
