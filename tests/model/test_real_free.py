@@ -216,6 +216,39 @@ def test_a_long_rest_costs_little_however_often_it_is_sampled():
     assert len(steps) < 20_000
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_however_it_lands_it_takes_steps_that_come_to_an_end(seed):
+    """Loads that leave and land again and again, at both stops: no step is a vanishing share of the one before it."""
+    chance = np.random.default_rng(seed)
+    mass = float(10 ** chance.uniform(-2, 1.7))
+    plant = RealPlant(reference(), BENCH, force=float(chance.choice([0.0, 0.3, 1.0])) * mass * 9.81, mass=mass)
+    steps = []
+
+    def counted(h, P):
+        steps.append(h)
+        assert len(steps) < 40_000
+        return RealPlant._step(plant, h, P)
+
+    plant._step = counted
+    for t in np.arange(0.0, 10.0, 0.5):
+        plant.command((Wave(float(t), float(chance.choice([0.0, 20e3, 250e3, 650e3]))),))
+        motion = plant.advance(float(t) + 0.5, np.linspace(t, t + 0.5, 51)[1:])
+        assert np.all((motion.x >= 0) & (motion.x <= plant.muscle.stop))
+
+
+@pytest.mark.parametrize("above", [5e-15, 3e-10, 1e-7, 1e-5])
+def test_a_load_that_lands_is_on_its_support_within_one_step_and_does_not_come_nearer_for_ever(above):
+    plant = RealPlant(reference(), BENCH, force=127.5, mass=13.0)
+    plant.x, plant.v = above, -0.078
+    steps = plant._steps(0.01)
+    next(steps)
+    while plant.x == above:
+        next(steps)
+    assert (plant.x, plant.v < 0) == (0.0, True)
+    next(steps)
+    assert (plant.x, plant.v) == (0.0, 0.0)
+
+
 def test_without_load_it_goes_back_by_its_rubber_and_the_cell_reads_no_push():
     plant = RealPlant(reference(), BENCH, force=0.0, mass=0.5)
     plant.command((Wave(0.0, 300e3), Wave(3.0, 0.0)))

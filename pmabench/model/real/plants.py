@@ -41,10 +41,10 @@ SETTLED_PRESSURE = 1e-3
 """Worth less than 1 nm of contraction [Pa]."""
 NEAR = 2e-8
 """Newton's method ends with a straight line where it moves less than this [m]."""
-AT_ONCE = 0.999
-"""A step that comes to a stop after this share of it ends there [1]."""
 ON_TIME = 0.01
 """A load that leaves its support within this fraction of a step does so at its begin [1]."""
+AT_ITS_END = 0.999
+"""An end that comes to a stop after this share of a step is there when it ends [1]."""
 
 
 class AtPressure(NamedTuple):
@@ -228,10 +228,12 @@ class RealPlant(Loaded, Stepped):
         if not 0 <= end <= self.muscle.stop:
             stop = 0.0 if end < 0 else self.muscle.stop
             share = (stop - x) / (end - x)
-            if share < AT_ONCE:
+            if share < AT_ITS_END:
                 self._over_P, self._P = over_P, P_before
                 self._breathe(P_before)
-                return share * self._step(share * h, P_before + (P - P_before) * share)
+                share *= self._step(share * h, P_before + (P - P_before) * share)
+                self.x = stop  # or it would come there in ever shorter steps
+                return share
             end = stop
             pull, _ = self._at(end - x, end - kept - end * self._last, 1.0)
         self._arrive(end, speed, crept, pull)
