@@ -126,8 +126,12 @@ def _serve(ui: Ui, served: Any, truth: Path | None, faults: Faults, file: Path |
     import threading
 
     planned = [] if file is None else faults.of_file(file)
-    ended = threading.Event()
-    signal.signal(signal.SIGTERM, lambda *_: ended.set())
+
+    def end(number: int, _frame: object) -> None:
+        signal.signal(number, signal.SIG_IGN)  # the next one would cut the end of the first
+        raise KeyboardInterrupt
+
+    signal.signal(signal.SIGTERM, end)
     ui.result(
         {
             "schema": "pmabench.emulate/1",
@@ -145,7 +149,7 @@ def _serve(ui: Ui, served: Any, truth: Path | None, faults: Faults, file: Path |
     schedule = Schedule(served.act, ui.note)
     schedule.add(planned)
     threading.Thread(target=_typed, args=(ui, faults, schedule), daemon=True).start()
-    ended.wait()
+    threading.Event().wait()
 
 
 def _in_si(text: str) -> str:

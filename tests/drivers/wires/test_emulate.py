@@ -123,3 +123,12 @@ def test_the_port_may_be_taken(tmp_path):
         code, why = refused(path)
     assert code == 2
     assert f"cannot serve regulator at 127.0.0.1:{port}" in why
+
+
+def test_signals_that_follow_each_other_end_it_once(tmp_path):
+    """Two at a time waited for each other: it served on, and held its ports, until it was killed."""
+    path = own_bench(tmp_path)
+    for _ in range(3):
+        with emulate(path) as (process, _said):
+            for _ in range(20):
+                process.terminate()
