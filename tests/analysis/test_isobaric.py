@@ -301,7 +301,7 @@ def test_stiffness_at_a_contraction_holds_that_of_a_muscle_whose_hysteresis_outl
         P, kappa = e.at["pressure"] / 1e3, e.at["contraction"] / 2.5e-3
         truth = 1e3 * (0.334 * (244.7 - 0.1115 * P) * np.exp(-0.334 * kappa) + 0.083 * P) / 2.5
         assert e.ci95[0] <= truth <= e.ci95[1], (e.at, e.value, truth, e.parts)
-        assert e.parts.combined < 0.5 * e.value
+        assert e.parts.combined < 0.6 * e.value
     assert all(e.value is None or e.parts.combined < e.value for e in found.estimates if e.symbol == "K")
 
 

@@ -82,11 +82,20 @@ def turns_of(x: Array, gap: Array, lower: float, upper: float) -> Turns | None:
     The gap of the open loop is a constant, or where that does not do a parabola over the stroke: pressure that depends
     on the motion makes one.
     """
-    return _found(x, gap, lower, upper, 0) or _found(x, gap, lower, upper, 2)
+    for order in (0, 2):
+        found, shown = _found(x, gap, lower, upper, order)
+        if shown:
+            return found
+    return None
 
 
-def _found(x: Array, gap: Array, lower: float, upper: float, order: int) -> Turns | None:
-    """The turns where the gap of the open loop is a polynomial of `order` over the stroke; None where none show."""
+def possible_turns(x: Array, gap: Array, lower: float, upper: float) -> Turns | None:
+    """The turns that fit a gap of one width best, whether something else in it is larger or not; None without a gap."""
+    return _found(x, gap, lower, upper, 0)[0]
+
+
+def _found(x: Array, gap: Array, lower: float, upper: float, order: int) -> tuple[Turns | None, bool]:
+    """The turns where the gap of the open loop is a polynomial of `order` over the stroke, and whether they show."""
     from scipy.optimize import minimize_scalar  # takes long to import, and most kinds have no ramps
 
     z = (2 * x - lower - upper) / (upper - lower)
@@ -100,7 +109,7 @@ def _found(x: Array, gap: Array, lower: float, upper: float, order: int) -> Turn
 
     flat = left(powers)[1] if len(x) >= 8 else 0.0
     if flat <= 1e-9 * float(np.max(np.abs(gap))):
-        return None
+        return None, False
 
     def solve(w: float) -> tuple[float, float]:
         first, second = _fading(x, lower, upper, w)
@@ -111,17 +120,16 @@ def _found(x: Array, gap: Array, lower: float, upper: float, order: int) -> Turn
     starts = np.linspace(*bounds, 40)
     best = starts[int(np.argmin([solve(float(np.exp(s)))[1] for s in starts]))]
     step = starts[1] - starts[0]
-    found = minimize_scalar(
+    finest = minimize_scalar(
         lambda s: solve(float(np.exp(s)))[1],
         bounds=(best - step, best + step),
         method="bounded",
         options={"xatol": 1e-6},
     )
-    w = float(np.exp(found.x))
+    w = float(np.exp(finest.x))
     h, rms = solve(w)
-    if rms > BETTER * flat or w >= WIDEST * stroke or h <= 0:
-        return None
-    return Turns(h, w, lower, upper, rms)
+    found = Turns(h, w, lower, upper, rms)
+    return (found if h > 0 else None), rms <= BETTER * flat and w < WIDEST * stroke and h > 0
 
 
 POINTS = 81
@@ -145,6 +153,8 @@ class Loop:
     expanding: Array
     turns: Turns | None
     """How the branches turn into each other; None where that does not show."""
+    possible: Turns | None
+    """How they may do so, although something else makes more of the gap; None where they do not."""
     speed: float
     """Of the measured displacement [m/s], mean of both directions."""
     pressure: float
@@ -255,6 +265,7 @@ def measure(run: RunData, trial: TrialData, discard: int, turn: float, axes: Axe
     moments = sorted([expand.t for _, expand, _ in cycles] + [contract.t for contract, _, _ in cycles[1:]])
     return Loop(
         turns=turns,
+        possible=turns or possible_turns(x, gap, lower, upper),
         x=x,
         contracting=contracting,
         expanding=expanding,

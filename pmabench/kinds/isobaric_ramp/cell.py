@@ -34,8 +34,12 @@ UNEVEN = 0.05
 """Share of the gap that unequal pressure of the branches may be worth before it is doubted."""
 GUESSED = 1.5
 """dF/dP may be so many times F/P, which is taken where one pressure was tested."""
-LEFT_OF_TURNS = 0.2
-"""Share of what taking off the turns changes that may still be in a value: they need not fade as an exponential."""
+LEFT_OF_TURNS = 0.4
+"""Share of what taking off the turns changes that may still be in a value: they need not fade as an exponential.
+
+Those of a Bouc-Wen muscle left four tenths. Where they are not taken off, as something else in the gap is larger, all
+may be left.
+"""
 SLOW_TURNS = 0.2
 """Share of the hysteresis that may fade over most of the stroke: the gap does not show it, and it adds to the slope.
 In a fluidic muscle, described by stops of several widths, a fifth of it has a reach of 16 mm."""
@@ -393,8 +397,13 @@ class Cell:
 
     def _of_turns(self, of: Callable[[Array], float]) -> float:
         """What the turns may still make of a number of the mean curve [as the number]."""
-        pairs = [(m.loop.mean.mean(axis=0), m.loop.raw_mean.mean(axis=0)) for m in self.members]
-        return LEFT_OF_TURNS * max(abs(of(mean) - of(raw)) for mean, raw in pairs)
+        found = [0.0]
+        for loop in (m.loop for m in self.members):
+            if loop.possible is not None:
+                raw, turns = loop.raw_mean.mean(axis=0), loop.turns or loop.possible
+                share = 1.0 if loop.turns is None else LEFT_OF_TURNS
+                found.append(share * abs(of(raw) - of(raw - turns.of_mean(loop.x))))
+        return max(found)
 
     def _window_error(self, place: float) -> tuple[float, float]:
         """What the width of the cubic, and turns that fade fast or slowly, make of force [N] and slope [N/m]."""
