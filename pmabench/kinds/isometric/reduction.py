@@ -20,12 +20,14 @@ from pmabench.analysis.shared.isometric_lines import (
     Pooled,
     Test,
     Used,
+    as_test,
     branches,
     estimates_of,
     forces_of,
     pool,
     tests_of,
 )
+from pmabench.analysis.shared.samples import noise_of
 from pmabench.analysis.shared.trials import ONE_SESSION, session_of
 from pmabench.analysis.verdict.agreement import SAME, Offer, Place, between
 from pmabench.base.quantities import show
@@ -37,6 +39,10 @@ LONGEST_TRACE = 1500
 RANGE = (0.025, 0.05, 0.1, 0.5)
 """Shares of the largest force that an analyst may as well have taken as the threshold where no rule names others; the
 last one, the upper half, is tried always: on a straight line it changes nothing."""
+AT_REST = 0.02
+"""Share of the pressures, and of the largest force, within which a muscle may be slack."""
+NOISE = 5.0
+"""So many standard deviations of the noise above what it reads slack, a force is one of the muscle."""
 SENSITIVE = 0.05
 """Relative change of the slope over the thresholds that is doubted."""
 
@@ -50,12 +56,12 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     `also_at` [N] are shown as methods of their own, since a threshold on the fitted quantity bends the fit; the largest
     change that one of them, the upper half of the force, or equal weights of the sessions make is the method part.
 
-    `options` (else the rule of the import map, else the values given here): `force_above` 0, `also_at` (`RANGE` of the
-    largest force above `force_above`), `phases` [] (all).
+    `options` (else the rule of the import map, else the values given here): `force_above` (what a slack muscle reads),
+    `also_at` (`RANGE` of the largest force above `force_above`), `phases` [] (all).
     """
     rule, findings = rule_of(runs, options or {})
-    above = float(rule.get("force_above") or 0.0)
     phases = [str(name) for name in rule.get("phases") or ()]
+    above = float(rule.get("force_above") or 0.0) or _above_slack(runs, phases)
     groups, dropped = tests_of(runs, phases, lambda test: _lack(test, above))
     asked = [float(x) for x in rule.get("also_at") or () if float(x) != above]
     sessions = {session_of(test.run) for tests in groups.values() for test in tests}
@@ -99,6 +105,20 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         traces=traces,
         facts={"rule": rule, "cells": cells, "flagged": flagged_counts(runs)},
     )
+
+
+def _above_slack(runs: Sequence[RunData], phases: Sequence[str]) -> float:
+    """Force [N] that a slack muscle does not read: what is read at the least pressures, if little, and its noise."""
+    found = [0.0]
+    for run in runs:
+        for trial in run.trials:
+            test, _ = as_test(run, trial, phases)
+            if test is not None and len(test.F) >= FEWEST:
+                least = test.P <= test.P.min() + AT_REST * np.ptp(test.P)
+                level = float(np.median(test.F[least]))
+                slack = level if 0 < level < AT_REST * float(test.F.max()) else 0.0
+                found.append(slack + NOISE * noise_of(test.F))
+    return max(found)
 
 
 def _fits(tests: Sequence[Test], above: float, asked: Sequence[float]) -> dict[float, Pooled]:
