@@ -109,8 +109,8 @@ class Chooser:
     """Longest time of all trials together, changes of load counted [s]."""
     fits: dict[tuple[str, ...], Known | Stop] = field(default_factory=dict, compare=False)
     """What was found for trials before: fits take a second."""
-    targets: dict[tuple[str, ...], Array] = field(default_factory=dict, compare=False)
-    """Trials in each cell that were found to be needed, after the same trials."""
+    targets: dict[tuple[object, ...], Array] = field(default_factory=dict, compare=False)
+    """Trials in each cell that were found to be needed for the same values, after the same trials."""
 
     @property
     def refusal(self) -> str:
@@ -127,7 +127,7 @@ class Chooser:
         fitted = self._fitted(course)
         known = self._known(runs, fitted)
         if not isinstance(known, Stop) and not course.held and len(fitted) < len(course.done):
-            counts = known.counts(course.done)
+            counts = self._confirmed_counts(known, course, fitted)
             if known.aim.reached(known.outlook.design.variances(counts)).all():
                 fitted = course.done  # the goal should be reached: see
                 known = self._known(runs, fitted)
@@ -147,7 +147,7 @@ class Chooser:
         if known.freedom < FEWEST_FREEDOM:
             return self._next(known, course, fitted, REPEAT if len(course.done) >= REPEATS_FROM else "")
         near = self._within_reach(known, course)
-        if len(fitted) == len(course.done) and near.reached(known.counts(fitted)):
+        if len(fitted) == len(course.done) and near.reached(self._confirmed_counts(near, course, fitted)):
             return self._next(near, course, fitted, CONFIRM)
         return self._next(near, course, fitted, "")
 
@@ -272,13 +272,28 @@ class Chooser:
             return Stop(False, f"reached as far as it can be, {trials}; out of reach: {far}")
         return Stop(True, f"the goal is reached {trials}")
 
+    def _confirmed_counts(self, known: Known, course: Course, fitted: Sequence[TrialData]) -> Array:
+        """Trials in each cell when those that confirm a goal are done, too, shape (cells,): they narrow it as well."""
+        counts, field, load = known.counts(course.done), self.field(known.outlook.cells), course.load
+        target = self._target(known, fitted)
+        for number in range(len(course.changes), len(course.changes) + CONFIRMING):
+            choice = choose(known.outlook.design, known.aim, field, counts, target, number, load, CONFIRM)
+            counts[choice.cell] += 1
+            load = field.places[choice.cell][0]
+        return counts
+
+    def _target(self, known: Known, fitted: Sequence[TrialData]) -> Array:
+        key = (*known.outlook.names, *(trial.name for trial in fitted))
+        if key not in self.targets:
+            reference = self.field(known.outlook.cells).reference
+            self.targets[key] = fewest(known.outlook.design, known.aim, known.counts(fitted), reference)
+        return self.targets[key]
+
     def _next(self, known: Known, course: Course, fitted: Sequence[TrialData], only: str) -> Next:
         cells, counts = known.outlook.cells, known.counts(course.done)
         design, aim, field = known.outlook.design, known.aim, self.field(cells)
-        key = tuple(trial.name for trial in fitted)
-        if key not in self.targets:
-            self.targets[key] = fewest(design, aim, known.counts(fitted), field.reference)
-        choice = choose(design, aim, field, counts, self.targets[key], len(course.changes), course.load, only)
+        target = self._target(known, fitted)
+        choice = choose(design, aim, field, counts, target, len(course.changes), course.load, only)
         cell = cells[choice.cell]
         free = [index for index in cell.trials if index not in course.used]
         index = free[0] if free else max([len(self.plan["trials"]) - 1, *course.used]) + 1
