@@ -2,7 +2,8 @@
 
 `fewest` finds the trials that are still needed, and `choose` takes the one of them with the largest gain per minute in
 the smooth maximum of U_k / goal_k. To see drift and models that do not fit, there are also a reference trial every
-eighth and a random cell every tenth, and each row and column of the sweep is done once before any cell is repeated.
+eighth and a random cell every fourteenth, and each row and column of the sweep is done once before any cell is
+repeated.
 """
 
 from __future__ import annotations
@@ -21,7 +22,8 @@ from pmabench.store.records import Array
 POWER = 8
 """Of the smooth maximum: nearly the largest U / goal, with a share of those close to it."""
 REFERENCE_EVERY = 8
-RANDOM_EVERY = 10
+RANDOM_EVERY = 14
+"""With those that confirm a goal, which are drawn by lot as well, a tenth of some eighty trials."""
 MOST_IN_CELL = 6
 
 REFERENCE, RANDOM, SPREAD, NARROW = "reference", "random", "spread", "narrow"
