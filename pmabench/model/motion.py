@@ -102,8 +102,12 @@ class Stepped(Supplied, ABC):
         """Go on to `until` [s], and yield wherever the way, its rate or the force begins another straight line."""
 
     @abstractmethod
+    def _state(self) -> tuple[float, float, float]:
+        """Contraction [m], gauge pressure [Pa] and force at the fixed end [N], before a jump that begins now."""
+
     def reading(self) -> tuple[float, float, float]:
         """Contraction [m], gauge pressure [Pa] and force at the fixed end [N] at this moment."""
+        return self._state()
 
     def reach(self, until: float) -> None:
         """Go on to `until` [s]."""
@@ -120,14 +124,18 @@ class Stepped(Supplied, ABC):
             return NOTHING
         t = np.asarray(times, dtype=np.float64)
         P_set, (P, _) = self.supply.setpoints(t), copy.copy(self.supply).values(t)
+        P = np.where(t <= self.time, self.reading()[1], P)  # at a jump that begins now, what is after it
         rows = [self._row()]
         rows += [self._row() for _ in self._steps(until)]
         passed, *values = np.array(rows).T
-        x, v, F = (np.interp(t, passed, value) for value in values)
+        right = np.clip(np.searchsorted(passed, t), 1, len(passed) - 1)  # where it jumps, what was before, as in P
+        long = passed[right] - passed[right - 1]
+        share = np.where(long > 0, (t - passed[right - 1]) / np.where(long > 0, long, 1.0), 1.0)
+        x, v, F = ((1 - share) * value[right - 1] + share * value[right] for value in values)
         return Motion(t, x, v, P, F, P_set, np.zeros(t.shape))
 
     def _row(self) -> tuple[float, float, float, float]:
-        place, _, force = self.reading()
+        place, _, force = self._state()
         return self.time, place, self.v, force
 
 

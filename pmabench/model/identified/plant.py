@@ -259,8 +259,7 @@ class IdentifiedPlant(Stepped):
         """Its rate [m/s]."""
         return self._end.v
 
-    def reading(self) -> tuple[float, float, float]:
-        """Contraction [m], gauge pressure [Pa] and force at the fixed end [N] at this moment."""
+    def _state(self) -> tuple[float, float, float]:
         return self.x, self._end.path.P, self._end.reading
 
     def _steps(self, until: float) -> Iterator[None]:

@@ -113,6 +113,9 @@ class RealPlant(Loaded, Stepped):
         trace, _ = self.supply.piece(self.time)
         if trace != self._trace:
             self._begin(trace)
+        return self._state()
+
+    def _state(self) -> tuple[float, float, float]:
         force = self._pull
         if self.v:
             force -= self._curves[1 if self.v > 0 else -1](self._P) * self.v
