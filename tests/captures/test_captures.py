@@ -46,7 +46,8 @@ def replayed(name, capture, tmp_path):
         try:
             return use(name, record), peer
         except DeviceError as error:
-            assert peer.wrong == "", error
+            expected = peer.wrong.partition(" was expected")[0]  # NI's package asks for this first, and goes on without
+            assert peer.wrong == "" or b"GetSystemInfoAttributeUInt32".hex(" ") in expected, error
         finally:
             peer.close()
     pytest.fail(f"{name}: no answer in time, three times")
