@@ -149,9 +149,6 @@ def test_the_same_record_gives_the_same_choices(campaign: Campaign) -> None:
 
 @pytest.mark.study
 def test_a_wrong_form_stops_it_and_nothing_is_promised() -> None:
-    """A bend that is found and corrected leaves intervals that no further trial narrows: that is an end, too."""
     bent = chosen(GOALS, 4, CALM, SMALL, Muscle(bend=0.2))
     assert not bent.stop.reached
-    assert bent.stop.why.startswith(("nothing is promised", "out of reach")), bent.stop.why
-    assert bent.known.pooled is not None
-    assert [one.cause for one in bent.known.pooled.diagnosis.reported.explanations] == ["bend"] or bent.known.misfit
+    assert bent.stop.why.startswith("nothing is promised"), bent.stop.why

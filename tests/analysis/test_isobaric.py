@@ -297,11 +297,13 @@ def test_stiffness_at_a_contraction_holds_that_of_a_muscle_whose_hysteresis_outl
     found = reduce([run])
     local = [e for e in found.estimates if e.symbol == "K" and e.method == "mean-curve, local"]
     assert len(local) == 10
+    least, most = min(e.at["contraction"] for e in local), max(e.at["contraction"] for e in local)
     for e in local:
         P, kappa = e.at["pressure"] / 1e3, e.at["contraction"] / 2.5e-3
         truth = 1e3 * (0.334 * (244.7 - 0.1115 * P) * np.exp(-0.334 * kappa) + 0.083 * P) / 2.5
         assert e.ci95[0] <= truth <= e.ci95[1], (e.at, e.value, truth, e.parts)
-        assert e.parts.combined < 0.6 * e.value
+        at_an_end = e.at["contraction"] in (least, most)  # where a turn is half of the slope
+        assert e.parts.combined < (0.6 if at_an_end else 0.5) * e.value
     assert all(e.value is None or e.parts.combined < e.value for e in found.estimates if e.symbol == "K")
 
 
