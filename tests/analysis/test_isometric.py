@@ -9,8 +9,10 @@ from pmabench.analysis.shared.trials import mean_over_sessions
 from pmabench.kinds.isometric import reduction as isometric
 from pmabench.store.reader import open_run
 from tests import fixtures_old_runs as made
+from tests.analysis.judged_forms import as_run, as_trials
 from tests.analysis.labs import SLOPE, lab
 from tests.importing import import_files
+from tests.judge import held
 from tests.recorded import recorded_data
 
 FIXTURES = Path(__file__).resolve().parents[2] / "fixtures"
@@ -188,3 +190,14 @@ def test_the_slopes_of_the_lab_are_held_by_two_tests_of_three_too(tmp_path):
         ).items():
             low, high = estimate.ci95
             assert low <= LAB[contraction][0] <= high, (left_out, contraction)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_what_a_slack_muscle_reads_is_no_part_of_the_line(seed):
+    """Up to 140 kPa the independent muscle is slack at its shortest length, and the map names no `force_above`."""
+    runs = [as_run("isometric", as_trials(held.campaign("clean", 0.0, seed)), held.RATE, {})]
+    found = slopes(isometric.reduce(runs))
+    assert sorted(found) == pytest.approx(held.CONTRACTIONS)
+    for contraction, estimate in found.items():
+        assert estimate.value == pytest.approx(float(held.slope(np.array(contraction))), abs=estimate.parts.combined)
+        assert estimate.parts.combined <= 0.01 * estimate.value
