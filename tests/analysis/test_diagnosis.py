@@ -16,7 +16,8 @@ import pytest
 
 from pmabench.kinds.reduce import reduce_runs, verdicts
 from tests.analysis.judged import as_run
-from tests.judge.campaign import CASES, FULL, campaign, truth
+from tests.analysis.test_judged import Value, compared
+from tests.judge.campaign import CASES, FULL, campaign, slope, truth
 
 RIGHT = {
     "clean": set[str](),
@@ -37,16 +38,6 @@ RIGHT = {
 }
 """Cause of the simulator -> names that are right."""
 SEEDS = int(os.environ.get("SEEDS", "2"))
-METHOD = "measured-pressure"
-
-
-@dataclass(frozen=True)
-class Value:
-    """One coefficient against the nearest value that is right, relative to it."""
-
-    symbol: str
-    error: float
-    half: float
 
 
 @dataclass(frozen=True)
@@ -79,21 +70,12 @@ def told(asked: tuple[str, float, int]) -> Told:
     cause, size, seed = asked
     run = as_run(campaign(cause, size, seed))
     analyses = reduce_runs([run])
-    form, right = analyses[0].facts["form"], truth(cause, size, seed)
+    form = analyses[0].facts["form"]
     names = {one["cause"] for one in form["explanations"]} | ({"mass"} if form["wrong_weight"] else set())
-    values, withheld = [], 0
-    for e in analyses[0].estimates:
-        if e.method != METHOD or e.symbol not in right:
-            continue
-        withheld += e.withheld
-        if e.value is not None and e.parts.combined is not None:
-            low, high = (float(end[0]) for end in right[e.symbol](np.array([e.at.get("pressure", 0.0)])))
-            middle = 0.5 * (low + high)
-            error = max(low - e.value, e.value - high, 0.0) / middle
-            values.append(Value(e.symbol, error, e.parts.combined / middle))
+    values, withheld = compared(analyses[0], truth(cause, size, seed), slope(cause, size, seed))
     sure = form["state"] in ("sound", "corrected", "doubtful") and all(one["alone"] for one in form["explanations"])
     return Told(
-        cause, size * FULL[cause], seed, frozenset(names), sure, not verdicts([run], analyses), tuple(values), withheld
+        cause, size * FULL[cause], seed, frozenset(names), sure, not verdicts([run], analyses), values, withheld
     )
 
 

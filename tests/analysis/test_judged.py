@@ -20,7 +20,7 @@ import pytest
 from pmabench.kinds.reduce import reduce_runs, verdicts
 from pmabench.store.analyses.results import Analysis
 from tests.analysis.judged import as_run, polled
-from tests.judge.campaign import CAUSES, SIZES, campaign, truth
+from tests.judge.campaign import CAUSES, SIZES, campaign, slope, truth
 
 METHOD = "measured-pressure"
 SEEDS = 20
@@ -85,9 +85,15 @@ class Judged:
         return max((value.score for value in self.values), default=0.0)
 
 
-def compared(analysis: Analysis, right: Mapping[str, Callable[[Any], Any]]) -> tuple[tuple[Value, ...], int]:
-    """The values of an analysis against their truth (symbol -> ends by pressure), and how many are withheld."""
+def compared(
+    analysis: Analysis, right: Mapping[str, Callable[[Any], Any]], slope: Callable[[Any, Any], Any]
+) -> tuple[tuple[Value, ...], int]:
+    """The values of an analysis against their truth (symbol -> ends by pressure), and how many are withheld.
+
+    K that is said to be the slope at some contraction is held against the tangent there, by `slope`.
+    """
     values, withheld = [], 0
+    places = {one["pressure"]: one["contraction"] for one in analysis.facts["form"]["K_at"]}
     for e in analysis.estimates:
         if e.method != METHOD or e.symbol not in right:
             continue
@@ -96,7 +102,10 @@ def compared(analysis: Analysis, right: Mapping[str, Callable[[Any], Any]]) -> t
         if e.value is None or half is None:
             continue
         P = e.at.get("pressure", 0.0)
-        low, high = (float(end[0]) for end in right[e.symbol](np.array([P])))
+        ends = right[e.symbol](np.array([P]))
+        if e.symbol == "K" and P in places:
+            ends = slope(np.array([P]), np.array([places[P]]))
+        low, high = (float(end[0]) for end in ends)
         middle = 0.5 * (low + high)
         values.append(Value(e.symbol, P, max(low - e.value, e.value - high, 0.0) / middle, half / middle))
     return tuple(values), withheld
@@ -109,7 +118,7 @@ def judged(asked: tuple[str, float, int], scatter: float = 0.0) -> Judged:
     if scatter:
         run = polled(run, scatter, seed)
     analyses = reduce_runs([run])
-    values, withheld = compared(analyses[0], truth(cause, size, seed))
+    values, withheld = compared(analyses[0], truth(cause, size, seed), slope(cause, size, seed))
     return Judged(cause, size, seed, tuple(verdicts([run], analyses)), values, withheld, named(analyses[0]))
 
 

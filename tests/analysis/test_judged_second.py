@@ -29,7 +29,7 @@ from tests.analysis.test_judged import (
     share,
     table,
 )
-from tests.judge.second.campaign import CASES, campaign, truth
+from tests.judge.second.campaign import CASES, campaign, slope, truth
 
 SEEDS = 5
 COVERED = 0.90
@@ -46,7 +46,7 @@ def judged(asked: tuple[str, float, int]) -> Judged:
     cause, amount, seed = asked
     run = as_run(campaign(cause, amount, seed))
     analyses = reduce_runs([run])
-    values, withheld = compared(analyses[0], truth(cause, amount))
+    values, withheld = compared(analyses[0], truth(cause, amount), slope(cause, amount))
     return Judged(cause, amount, seed, tuple(verdicts([run], analyses)), values, withheld, sure(analyses[0]))
 
 

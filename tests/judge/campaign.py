@@ -123,6 +123,11 @@ def truth(cause: str, size: float, seed: int) -> dict[str, Callable[[Array], Ran
     return muscle_of(cause, size, seed).truth(MASSES[0] * GRAVITY, MASSES[-1] * GRAVITY, CONTRACT)
 
 
+def slope(cause: str, size: float, seed: int) -> Callable[[Array, Array], Range]:
+    """K [N/m] over pressures [Pa] and contractions [m]: least and greatest value that is right; see `Muscle.slope`."""
+    return lambda P, x: muscle_of(cause, size, seed).slope(P, x, CONTRACT)
+
+
 @lru_cache(maxsize=32)
 def _motion(muscle: Muscle, slack: float, tube: float) -> Motion:
     masses = np.array([mass for mass, _ in PLAN])

@@ -124,7 +124,7 @@ class Muscle:
             return lambda P: (line(P), line(P))
 
         def of_K(P: Array) -> Range:
-            slow = 1.0 / (1.0 + self.creep * float(np.mean(-np.expm1(-hold / np.array(self.times)))))
+            slow = self._held(hold)
             low, high = (self._rest(P, load) / STROKE for load in (light, heavy))
             return (
                 stiffness(P) * slow * (1 + self.bend * (1 - 2 * low)),
@@ -139,6 +139,16 @@ class Muscle:
 
         lines = {"F_ce": pull, "B_c": damping_up, "B_r": damping_down, "K_0": steepest}
         return {"K": of_K, "F_c": friction, **{symbol: exactly(line) for symbol, line in lines.items()}}
+
+    def slope(self, P: Array, x: Array, hold: float) -> Range:
+        """K [N/m] of a test at contractions [m]: the tangent there, from after the longest hold [s] to before any creep."""
+        slow = self._held(hold)
+        after, before = (stiffness(P) * (1 + self.bend * (1 - 2 * x * one / STROKE)) for one in (1.0, slow))
+        return after * slow, before
+
+    def _held(self, hold: float) -> float:
+        """Share of a contraction that is no creep after a hold [s]."""
+        return 1.0 / (1.0 + self.creep * float(np.mean(-np.expm1(-hold / np.array(self.times)))))
 
     def _rest(self, P: Array, load: float) -> Array:
         """Contraction at which it carries a load without friction [m]; root of a quadratic where it is bent."""

@@ -72,10 +72,10 @@ class Known:
 
     @property
     def sure(self) -> bool:
-        """Whether a misfit is no chance of the few repeats that its scatter is estimated from."""
+        """Whether a misfit of what was recorded is no chance of the few repeats that scatter is estimated from."""
         if self.pooled is None or self.freedom < FEWEST:
             return False
-        test = self.pooled.diagnosis.reported.test
+        test = self.pooled.diagnosis.rounds.before.test
         excess = max((test.ratio / test.most_ratio) ** 2, (1 + test.alike) / (1 + test.most_alike))
         return excess > 1 + BY_CHANCE * sqrt(2 / self.freedom)
 

@@ -252,7 +252,9 @@ def compare(campaign: Campaign, pooled: Pooled, estimates: Sequence[Estimate], o
         return Further(findings=(Finding("doubt", text),), facts=facts)
     every = np.ones(len(pooled.segments), bool)
     trust = pooled.trust_of(polished, every, np.full(len(every), polished.unit))
-    found = values(Solution(campaign, pooled.segments, polished, polished.knots, trust, METHOD))
+    found = values(
+        Solution(campaign, pooled.segments, polished, polished.knots, trust, METHOD, slope_at=pooled.diagnosis.slope_at)
+    )
     return Further(
         estimates=tuple(found),
         findings=(_residual(polished, facts), *_moved(estimates, found), *_open(estimates, found)),

@@ -260,8 +260,9 @@ def _moving(campaign: Campaign, segments: Segments) -> list[tuple[Samples, slice
 
 def estimates_of(campaign: Campaign, pooled: Pooled) -> tuple[list[Estimate], list[Curve]]:
     """The primary method's coefficients at the tested pressures, and curves through them."""
+    found = pooled.diagnosis
     solution = Solution(
-        campaign, pooled.segments, pooled.fit, pooled.fit.knots, pooled.trust, METHOD, pooled.diagnosis.note
+        campaign, pooled.segments, pooled.fit, pooled.fit.knots, pooled.trust, METHOD, found.note, found.slope_at
     )
     estimates = values(solution)
     curves: list[Curve] = []

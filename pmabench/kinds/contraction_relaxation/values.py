@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from pmabench.analysis.shared import skew
-from pmabench.analysis.verdict.agreement import Offer, anywhere, at_pressures, everywhere, straight, weighted
+from pmabench.analysis.verdict.agreement import Offer, anywhere, at_pressures, everywhere, exactly, straight, weighted
+from pmabench.base.quantities import show
 from pmabench.kinds.contraction_relaxation.checks import WIDE
 from pmabench.kinds.contraction_relaxation.intervals import Trust
 from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, Solved
@@ -50,6 +51,8 @@ class Solution:
     trust: Trust
     method: str
     note: str = ""
+    slope_at: Callable[[float], float | None] = lambda P: None
+    """Pressure [Pa] -> contraction [m] at which K is the slope; None where it is that at any."""
 
 
 def values(solution: Solution) -> list[Estimate]:
@@ -88,7 +91,7 @@ def _estimate(solution: Solution, symbol: str, P: float) -> Estimate:
         "unit": unit,
         "quantity": quantity,
         "method": solution.method,
-        "note": solution.note,
+        "note": _note(solution, symbol, P),
         "at": {"pressure": P},
         "n": len(numbers),
         "trials": tuple(campaign.name(int(number)) for number in numbers),
@@ -105,6 +108,12 @@ def _estimate(solution: Solution, symbol: str, P: float) -> Estimate:
         return Estimate(value=None, **base | {"note": note})
     found = Estimate(value=value - bias, parts=parts, bias=bias, corrected=True, budget=budget, **base)
     return _settled(campaign, found)
+
+
+def _note(solution: Solution, symbol: str, P: float) -> str:
+    """What is said of a value: of K also the contraction that it belongs to."""
+    x = solution.slope_at(P) if symbol == "K" else None
+    return solution.note if x is None else f"{solution.note}; K is the slope at {show(x, 'length', 3)}"
 
 
 def _settled(campaign: Campaign, estimate: Estimate) -> Estimate:
@@ -139,7 +148,11 @@ ASKED = {METHOD: "", "joint": "joint fit", "output-error": "output-error fit"}
 
 
 def offers(analysis: Analysis) -> Iterator[Offer]:
-    """By the primary method and by those that were asked for; B is the mean of both directions, as others see it."""
+    """By the primary method and by those that were asked for; B is the mean of both directions, as others see it.
+
+    Where the muscle is bent, K is that of one contraction, and no straight line gives the force.
+    """
+    places = {one["pressure"]: one["contraction"] for one in analysis.facts.get("form", {}).get("K_at", ())}
     reached: dict[int, float] = {}
     unloaded = set[int]()
     for step in analysis.facts.get("steps", ()):
@@ -151,8 +164,13 @@ def offers(analysis: Analysis) -> Iterator[Offer]:
         F_ce, K, B_c, B_r = (at_pressures(analysis, symbol, method) for symbol in ("F_ce", "K", "B_c", "B_r"))
         B = {P: weighted([(one, 0.5), (B_r[P], 0.5)], "B") for P, one in B_c.items() if P in B_r}
         x = {P: _without_load(one, K[P]) for P, one in F_ce.items() if P in K and round(P) in unloaded}
-        yield straight(F_ce, K, lambda P: reached.get(round(P), 0.0), words)
-        yield from (everywhere(symbol, known, words) for symbol, known in (("K", K), ("B", B), ("x", x)))
+        if places:
+            yield exactly("F", {(P, 0.0): one for P, one in F_ce.items()}, words)
+            yield replace(exactly("K", {(P, places.get(P)): one for P, one in K.items()}, words), bent=True)
+        else:
+            yield straight(F_ce, K, lambda P: reached.get(round(P), 0.0), words)
+            yield from (everywhere(symbol, known, words) for symbol, known in (("K", K), ("x", x)))
+        yield everywhere("B", B, words)
         for e in analysis.estimates:
             if (e.symbol, e.method, dict(e.at)) == ("F_c", method, {}) and e.value is not None:
                 yield anywhere("F_c", e, words)

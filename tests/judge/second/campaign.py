@@ -177,6 +177,20 @@ def truth(cause: str, amount: float) -> dict[str, Callable[[Array], tuple[Array,
     }  # fmt: skip
 
 
+def slope(cause: str, amount: float) -> Callable[[Array, Array], tuple[Array, Array]]:
+    """K [N/m] over pressures [Pa] and contractions [m]: the tangent there, from after the longest hold to before any
+    creep.
+    """
+    muscle = muscle_of(cause, amount)
+    slow = 1 + float(muscle.crept(np.array(HOLD), MASSES[-1] * GRAVITY))
+
+    def right(P: Array, x: Array) -> tuple[Array, Array]:
+        both = muscle.tangent(x, P), muscle.tangent(x / slow, P)
+        return np.minimum(*both) / slow, np.maximum(*both)
+
+    return right
+
+
 def rest(muscle: Muscle, P: float, load: float) -> float:
     """Contraction at which it carries a load [N] without friction, hysteresis and creep [m]."""
 

@@ -115,17 +115,24 @@ def late(segments: Segments, fit: Solved, cell: bool) -> dict[str, tuple[Array, 
     return found | ({"force": (-pull[0], pull[1])} if cell else {})
 
 
+def middle(segments: Segments, P: Array) -> Array:
+    """The contraction [m] that K of a bent muscle belongs to at pressures [Pa]: a straight line over them through the
+    contractions of all segments, near the middle of those that were tested.
+    """
+    line = np.polynomial.Polynomial.fit(segments.pressure, segments.x @ segments.weights, 1)
+    return np.asarray(line(P))
+
+
 def _middle(segments: Segments) -> tuple[Array, Array, float]:
-    """Contraction of each segment, the middle of the contractions at its pressure, (n,) each, and their range [m]."""
-    x, P = segments.x @ segments.weights, segments.pressure
-    line = np.column_stack((np.ones(len(P)), P / TYPICAL))
-    return x, line @ np.linalg.lstsq(line, x, rcond=None)[0], reach if (reach := float(np.ptp(x))) > STROKE else 1.0
+    """Contraction of each segment, the `middle` at its pressure, (n,) each, and the range of contractions [m]."""
+    x = segments.x @ segments.weights
+    return x, middle(segments, segments.pressure), reach if (reach := float(np.ptp(x))) > STROKE else 1.0
 
 
 def bend(followed: Followed, segments: Segments, fit: Solved) -> Array:
     """K falls over the contractions that were tested by 1 N/m, and by that in proportion to pressure; shape (n, 2).
 
-    K of the straight line stays the slope in the middle of the contractions at that pressure.
+    K of the straight line stays the slope at the `middle` of that pressure.
     """
     x, middle, reach = _middle(segments)
     bent = x * (x - 2 * middle) / (2 * reach)

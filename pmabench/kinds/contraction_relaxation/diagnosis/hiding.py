@@ -144,7 +144,7 @@ def _late(test: Test, followed: Followed) -> Cause:
 
 
 def _bend(test: Test, followed: Followed) -> Cause:
-    """K changes with x. A straight line's K is the slope in the middle of the contractions at that pressure."""
+    """K changes with x. A straight line's K is the slope at the `middle` of that pressure."""
     text = "the force over contraction is bent: K changes by {size} over the contractions tested"
     both = columns.bend(followed, test.segments, test.fit).T
     kinds = zip(both, ("", ", in proportion to pressure"), strict=True)

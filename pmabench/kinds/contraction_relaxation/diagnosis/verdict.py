@@ -11,8 +11,11 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
+import numpy as np
+
 from pmabench.base.quantities import show
 from pmabench.kinds.contraction_relaxation.diagnosis.cell import Weighed
+from pmabench.kinds.contraction_relaxation.diagnosis.columns import middle
 from pmabench.kinds.contraction_relaxation.diagnosis.hiding import HARDLY, MOST_HIDDEN, Hidden, Size
 from pmabench.kinds.contraction_relaxation.diagnosis.rounds import EXPLAINS, STILL_TOLD, Rounds
 from pmabench.kinds.contraction_relaxation.diagnosis.search import State
@@ -165,7 +168,7 @@ class Diagnosis:
                 "intervals are wider by that"
             )
         if self.state == "corrected" and self.bent:
-            return "K changes over the contractions tested: it belongs to their middle, and is not one number"
+            return "K changes over the contractions tested: it is the slope at one of them, and not one number"
         return ""
 
     @property
@@ -176,10 +179,13 @@ class Diagnosis:
     @property
     def note(self) -> str:
         """What is said of every value; empty where nothing was corrected."""
-        if self.state == "withheld" or not self.named:
-            return ""
-        slope = "; K is the slope in the middle of the contractions at its pressure" if self.bent else ""
-        return f"corrected for {self.titles}{slope}"
+        return "" if self.state == "withheld" or not self.named else f"corrected for {self.titles}"
+
+    def slope_at(self, P: float) -> float | None:
+        """The contraction [m] at which K at a pressure [Pa] is the slope; None where it is that at any."""
+        if self.state == "withheld" or not self.bent:
+            return None
+        return float(middle(self.reported.test.segments, np.array([P]))[0])
 
     @property
     def between(self) -> str:
@@ -230,6 +236,11 @@ class Diagnosis:
                  "kind": one.explanation.kind, "which": one.explanation.which, "text": one.text, "size": one.size,
                  "error": one.error, "sizes": list(one.explanation.sizes), "advice": one.advice, **_rival(self, one)}
                 for one in self.named
+            ],
+            "K_at": [
+                {"pressure": P, "contraction": x}
+                for P in self.reported.test.campaign.tested
+                if (x := self.slope_at(P)) is not None
             ],
             "wrong_weight": None if wrong is None else {"load": wrong[0], "off": wrong[1], "error": wrong[2]},
             "departures": [
