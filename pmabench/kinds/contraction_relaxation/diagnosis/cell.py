@@ -7,7 +7,7 @@ Knows no muscle.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import inf, log, sqrt
 
@@ -39,6 +39,8 @@ correction or a name: lines of the budget hold it.
 """
 SAME = 1e-3
 """Weights this near are one [N]."""
+PIECES, EACH = 8, 4
+"""Most straight pieces of a drift that is no straight line itself, and fewest readings for each."""
 FEWEST_LOADS = 3
 """Fewest weights of which one can be found to be wrong."""
 NOTHING: Mapping[str, float] = {}
@@ -70,6 +72,10 @@ class Weighed:
     """Weight [N] that is not as it is marked, how much more the cell reads of it, and its standard deviation [N]."""
     found: tuple[Explanation, ...] = ()
     """Drift and gain, where the readings ask for them: to be taken off."""
+    errors: tuple[Array, ...] = ()
+    """Standard deviation of each size of these."""
+    uneven: float = 0.0
+    """Share of the drift by which its course may differ from the one that is taken off, as far as readings tell [1]."""
 
 
 def readings(campaign: Campaign) -> Readings:
@@ -98,7 +104,10 @@ def weighed(readings: Readings, known: Mapping[str, float] = NOTHING) -> Weighed
     weight, off = readings.weight[rows], (readings.read - readings.weight)[rows]
     loads = np.unique(np.round(weight[weight > 0], 3))
     base = {"offset": np.where(weight > 0, 1.0, 0.0), "rest": np.where(weight > 0, 0.0, 1.0)}
-    terms = {"drift": readings.course[rows] - 0.5} | ({"gain": weight} if len(loads) > 1 else {})
+    course, count = readings.course[rows], _pieces(readings)
+    pieces = {f"piece {number}": column for number, column in enumerate(_rising(course, count).T)}
+    terms = {"drift": course - 0.5, "bow": 4 * (course - 0.5) ** 2, **pieces, "gain": weight}
+    gain = ("gain",) if len(loads) > 1 else ()
 
     def sized(names: tuple[str, ...], load: float | None) -> tuple[float, dict[str, tuple[float, float]]]:
         """Cost of a model, and the size of each of its terms with its standard deviation."""
@@ -113,51 +122,85 @@ def weighed(readings: Readings, known: Mapping[str, float] = NOTHING) -> Weighed
         return cost, {name: (size, own) for name, size, own in both if own > 0}
 
     several = loads.tolist() if len(loads) >= FEWEST_LOADS else []
-    best = min(_models(tuple(terms), several), key=lambda model: sized(*model)[0])
-    if best[1] is not None and abs(sized(tuple(terms), best[1])[1]["wrong"][0]) < SMALL * best[1]:
-        best = min(_models(tuple(terms), ()), key=lambda model: sized(*model)[0])
-    chosen, load = best
-    sizes = sized(tuple(terms), load)[1]
+
+    def best(drifts: Sequence[tuple[str, ...]]) -> tuple[tuple[str, ...], float | None]:
+        """Names of the terms and the wrong weight of the model that costs least, with one of these drifts or none."""
+        names = [(*drift, *more) for drift in ((), *drifts) for more in ((), gain)]
+        found = min(((one, load) for one in names for load in (None, *several)), key=lambda model: sized(*model)[0])
+        if found[1] is not None and abs(sized(found[0] or gain, found[1])[1]["wrong"][0]) < SMALL * found[1]:
+            return min(((one, None) for one in names), key=lambda model: sized(*model)[0])
+        return found
+
+    chosen, load = best([("drift",), tuple(pieces)])
+    sizes = sized(("drift", *gain), load)[1]
+    drift = [name for name in chosen if name not in gain]
+    found = sized((*(drift or ["drift"]), *gain), load)[1]
     lying = bool((weight == 0).any())
     # without a weight nothing says how small a drift is: none is corrected
     small = {"drift": SMALL * float(np.median(weight[weight > 0])) if len(loads) else inf, "gain": SMALL}
-    least = {name: max(known.get(name, 0.0) + 3 * sizes[name][1], small[name]) for name in chosen}
-    clear = [name for name in chosen if abs(sizes[name][0]) > least[name]]
+    explanations, errors = list[Explanation](), list[Array]()
+    for kind, names in (("drift", drift), ("gain", [name for name in chosen if name in gain])):
+        size, own = np.array([found.get(name, (0.0, inf)) for name in names]).reshape(-1, 2).T
+        if lying and (np.abs(size) > np.maximum(known.get(kind, 0.0) + 3 * own, small[kind])).any():
+            explanations.append(Explanation(kind, "", tuple(size.tolist())))
+            errors.append(own)
     return Weighed(
         sizes.get("drift"), sizes.get("gain"), sizes.get("offset"),
-        (load, *sizes["wrong"]) if load is not None else None,
-        tuple(Explanation(name, "", (sizes[name][0],)) for name in clear if lying),
+        (load, *found["wrong"]) if load is not None else None,
+        tuple(explanations), tuple(errors), _uneven(explanations, errors, sized(("drift", "bow", *gain), load)[1]),
     )  # fmt: skip
 
 
-def _models(terms: tuple[str, ...], loads: Sequence[float]) -> Iterator[tuple[tuple[str, ...], float | None]]:
-    """Names of the terms of each model, and the weight that is wrong in it."""
-    for names in ((), *((term,) for term in terms), *([terms] if len(terms) > 1 else [])):
-        yield names, None
-        yield from ((names, load) for load in loads)
+def _uneven(
+    explanations: Sequence[Explanation], errors: Sequence[Array], bent: Mapping[str, tuple[float, float]]
+) -> float:
+    """See `Weighed`; `bent` has the size of a parabola and its standard deviation [N]."""
+    for one, error in zip(explanations, errors, strict=True):
+        if one.kind == "drift":
+            size, own = (0.0, 2 * float(np.mean(error))) if len(one.sizes) > 1 else bent.get("bow", (0.0, 0.0))
+            return 0.5 * (abs(size) + 2 * own) / max(map(abs, one.sizes))
+    return 0.0
+
+
+def _pieces(readings: Readings) -> int:
+    """Straight pieces that a drift may have."""
+    return min(PIECES, int(min(np.sum(rows) for rows in (readings.weight == 0, readings.weight > 0)) // EACH))
+
+
+def _rising(course: Array, count: int) -> Array:
+    """Columns of a drift in even pieces over the campaign, each its size at the end of a piece; shape (n, count)."""
+    ends = np.linspace(0.0, 1.0, count + 1)
+    return np.column_stack(
+        [np.interp(course, ends, one) for one in np.eye(count + 1)[1:]] or [np.empty((len(course), 0))]
+    )
 
 
 def _errors(readings: Readings) -> Array:
-    """Standard deviation of each reading, by their scatter about a line over time, of each weight about its own mean;
-    widened for few, and inf where they are too few; shape (n,).
+    """Standard deviation of each reading, by their scatter about a drift, of each weight about its own mean; widened
+    for few, and inf where they are too few; shape (n,).
     """
     weight, found = readings.weight, np.full(len(readings.weight), inf)
     typical = float(np.median(weight[weight > 0])) if (weight > 0).any() else 0.0
+    count = _pieces(readings)
     for rows in (weight == 0, weight > 0):
         if rows.sum() < FEWEST:
             continue
         marks = np.unique(np.round(weight[rows], 3))
-        if len(marks) > rows.sum() // 2:
-            columns = np.column_stack((np.ones(int(rows.sum())), readings.course[rows], weight[rows]))
-        else:
-            each = [np.abs(weight[rows] - mark) < SAME for mark in marks]
-            columns = np.column_stack((readings.course[rows], *each)).astype(np.float64)
-        values = readings.read[rows]
-        left = values - columns @ np.linalg.lstsq(columns, values, rcond=None)[0]
-        free = max(1, int(rows.sum()) - int(np.linalg.matrix_rank(columns)))
-        scatter = max(sqrt(float(left @ left) / free), LEAST * typical, 1e-6)
+        each = [np.abs(weight[rows] - mark) < SAME for mark in marks]
+        own = np.column_stack(each if len(marks) <= rows.sum() // 2 else (np.ones(int(rows.sum())), weight[rows]))
+        left, free = _left(readings.read[rows], np.column_stack((readings.course[rows], own)))
+        less, fewer = _left(readings.read[rows], np.column_stack((_rising(readings.course[rows], count), own)))
+        if fewer >= FEWEST and left - less > TERM * (free - fewer) * less / fewer:
+            left, free = less, fewer
+        scatter = max(sqrt(left / free), LEAST * typical, 1e-6)
         found[rows] = scatter * float(student.ppf(BEYOND, free)) / 3.0
     return found
+
+
+def _left(values: Array, columns: Array) -> tuple[float, int]:
+    """Sum of squares that columns leave of values, and its degrees of freedom, at least 1."""
+    left = values - columns @ np.linalg.lstsq(columns, values, rcond=None)[0]
+    return float(left @ left), max(1, len(values) - int(np.linalg.matrix_rank(columns)))
 
 
 def _means(campaign: Campaign, where: str) -> Array:

@@ -155,14 +155,6 @@ def steep(followed: Followed, segments: Segments, fit: Solved) -> Array:
     return np.hstack((bend(followed, segments, fit), np.column_stack((fallen, fallen * segments.pressure / TYPICAL))))
 
 
-def turned(segments: Segments, falls: Array) -> Array:
-    """K greater by half of what it `falls` by over the contractions that were tested (n,) [N/m], and F_ce such that
-    the force in the middle of them stays; shape (n,).
-    """
-    x, middle, _ = _middle(segments)
-    return np.asarray(-0.5 * falls * (x - middle))
-
-
 def bent_sensor(followed: Followed, segments: Segments, fit: Solved) -> Array:
     """K and B fall alike over the contractions that were tested, by their own size: so it looks where the displacement
     sensor is not straight; shape (n, 1).

@@ -36,7 +36,9 @@ class Explanation:
     which: str = ""
     """Channel that is late or lagged, number of the first trial after a slip, or variant."""
     sizes: tuple[float, ...] = ()
-    """[SI]: N over the campaign, share, m, s; of the muscle one for each column of `columns`."""
+    """[SI]: N, share, m, s; of a drift at the ends of so many even pieces of the campaign; of the muscle one for each
+    column of `columns`.
+    """
 
     @property
     def of_muscle(self) -> bool:
@@ -110,7 +112,8 @@ def in_samples(campaign: Campaign, explanations: Sequence[Explanation]) -> Campa
         for one in faults:
             size = one.sizes[0]
             if one.kind == "drift" and each.force is not None:
-                each = replace(each, force=each.force - size * course[i])
+                ends = np.linspace(0.0, 1.0, len(one.sizes) + 1)
+                each = replace(each, force=each.force - np.interp(course[i], ends, (0.0, *one.sizes)))
             elif one.kind == "gain" and each.force is not None:
                 each = replace(each, force=each.force / (1 + size))
             elif one.kind == "slip" and place[i] >= place[int(one.which)]:

@@ -47,13 +47,11 @@ def examined(
     rounds = explained(search, search.fitted(()))
     after, names = rounds.after, [recorded.name(i) for i in range(len(recorded.trials))]
     known = weighed(readings(search.campaign)) if weights.found else weights
-    errors = {"drift": weights.drift, "gain": weights.gain}
     of_cell = tuple(
-        named(one, np.array([[error[1]], [-error[1]]]), after.test.fit, 0.0)
-        for one in weights.found
-        if (error := errors[one.kind]) is not None
+        named(one, np.array([errors, -errors]), after.test.fit, 0.0)
+        for one, errors in zip(weights.found, weights.errors, strict=True)
     )
-    spread = Spread(search, rounds.before, after, segments, rounds.undecided(search), 1.0)
+    spread = Spread(search, rounds.before, after, segments, rounds.undecided(search), weights.uneven, 1.0)
     change = after.test.fit.theta - after.test.fit.again(segments, after.test.expected).theta
     diagnosis = Diagnosis(known, rounds, of_cell, name(after, spread.sizes(), names), change)
     if not of_cell and not diagnosis.reported.explanations:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.analysis.shared import student
-from pmabench.kinds.contraction_relaxation.diagnosis.columns import FINER, TYPICAL, turned
+from pmabench.kinds.contraction_relaxation.diagnosis.columns import FINER
 from pmabench.kinds.contraction_relaxation.diagnosis.corrections import Explanation
 from pmabench.kinds.contraction_relaxation.diagnosis.search import TIMES, Search, State
 from pmabench.kinds.contraction_relaxation.intervals import Correction
@@ -22,9 +22,7 @@ from pmabench.store.records import Array
 
 STEP = 1.5e-3
 """By which times of streams are moved to see what they change [s]."""
-PART_BY_WEIGHTS = 0.1
-"""Share of a drift or gain by the weights that may be wrong: a drift is no exact line over time."""
-PART_OF_MUSCLE, PART_OF_BENCH = (0.1, 0.3), (0.02, 0.1)
+PART_OF_MUSCLE, PART_OF_BENCH = (0.1, 0.3), (0.01, 0.05)
 """Least and greatest share of a correction by the fit that may be wrong: of what a muscle does no form is exact, of a
 delay, a drift or a slip nearly so. Chosen and confirmed on campaigns with known faults."""
 CHANCE = 0.1
@@ -48,6 +46,8 @@ class Spread:
     recorded: Segments
     others: tuple[State, ...]
     """With other explanations, which nobody can tell from the ones that were corrected."""
+    uneven: float
+    """See `Weighed`."""
     factor: float
     """By which all widths grow, for what the form still misses."""
 
@@ -60,19 +60,12 @@ class Spread:
         return Correction(self._unsure(fit, rows, noise), tuple(spreads), others_of, self.factor)
 
     def _unsure(self, fit: Solved, rows: NDArray[np.bool_], noise: float) -> Array:
-        """The part of each step of the correction that may be wrong, as changes of theta, shape (m, p): by the weights,
-        by the fit, and of a bend how far K goes to both ends of the contractions.
+        """The part of each step of the correction that may be wrong, as changes of theta, shape (2, p): by the weights,
+        and by the fit.
         """
         weighed = fit.again(self.search.uncorrected, noise).theta
         by_weights = weighed - fit.again(self.recorded, noise).theta
-        found = [PART_BY_WEIGHTS * by_weights, self._part * (fit.theta - weighed)]
-        segments, straight = self.state.test.segments, self.state.straight
-        for one in self.state.explanations:
-            if one.kind == "bend":
-                P, sizes = segments.pressure, np.array(one.sizes)
-                by_K = sizes[0] * straight.values("K", P)
-                parts = [by_K] if len(sizes) == 1 else [p[0] + p[1] * P / TYPICAL for p in sizes.reshape(-1, 2)]
-                found += [self._part * fit.change(turned(segments, falls)[rows, None])[:, 0] for falls in parts]
+        found = [max(PART_OF_BENCH[0], self.uneven) * by_weights, self._part * (fit.theta - weighed)]
         return np.array(found)
 
     @property

@@ -96,6 +96,8 @@ def named(one: Explanation, off: Array, fit: Solved, highest: float, trial: str 
 
 def _weights(one: Explanation, fit: Solved, highest: float) -> Array:
     """What makes one size of all, shape (sizes,)."""
+    if one.kind == "drift":  # the farthest that it went
+        return np.where(np.arange(len(one.sizes)) == np.argmax(np.abs(one.sizes)), 1.0, 0.0)
     if one.kind == "hysteresis":
         share = 0.5 if one.which == BY_WAY else 1.0
         return np.tile([share, share * highest / TYPICAL], len(one.sizes) // 2)
@@ -112,7 +114,8 @@ def _text(one: Explanation, size: float, error: float, highest: float, trial: st
     quantity = SIZES.get(one.kind, "time")
     much = f"{shown(size, quantity)} +- {shown(2 * error, quantity)}"
     if one.kind == "drift":
-        return f"the zero of the force cell drifted by {'-' if size < 0 else ''}{much} over the campaign"
+        course = "in the campaign, not evenly" if len(one.sizes) > 1 else "over the campaign"
+        return f"the zero of the force cell drifted by {'-' if size < 0 else ''}{much} {course}"
     if one.kind == "gain":
         return f"the force cell reads {much} too {'much' if size > 0 else 'little'}"
     if one.kind == "slip":
