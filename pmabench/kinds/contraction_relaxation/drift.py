@@ -1,16 +1,18 @@
 """What drifted during a campaign and its effect on the fit: the specimen and the zeros.
 
-The specimen by its reference trials, a zero by the check at the end of a run. Nobody knows what drifted in a specimen
-whose stroke did: its compliance or its force; nor when a zero went. Each cause is fitted both ways, the larger counts.
+The specimen by its reference trials, a zero by the check at the end of a run, and by what is read at rest before each
+trial. Nobody knows what drifted in a specimen whose stroke did: its compliance or its force; nor when a zero went. Each
+cause is fitted both ways, the larger counts.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pmabench.analysis.shared.samples import Samples
 from pmabench.analysis.shared.trials import compared
 from pmabench.kinds.contraction_relaxation.pooled import Solved
 from pmabench.kinds.contraction_relaxation.segments import Segments
@@ -30,11 +32,33 @@ class Cause:
     note: str = ""
 
 
+def at_rest(trials: Sequence[TrialData], samples: Sequence[Samples], channel: str) -> Array:
+    """What a channel reads before the first command of each trial, less the first, and less the median [SI], as far as
+    noise does not make it; shape (2, trials), 0 where nothing was recorded then.
+    """
+    found, noise = np.full(len(trials), np.nan), np.full(len(trials), np.nan)
+    for i, (trial, one) in enumerate(zip(trials, samples, strict=True)):
+        times = [c.t for c in trial.commands if c.output == "pressure"]
+        rest = one.ok & (one.t < min(times, default=-np.inf))
+        if rest.sum() > 1:
+            values = (one.P if channel == "pressure" else one.x)[rest]
+            found[i], noise[i] = float(np.mean(values)), float(np.var(values, ddof=1)) / len(values)
+    known = np.flatnonzero(np.isfinite(found))
+    if len(known) < 2:
+        return np.zeros((2, len(trials)))
+    seen = float(np.var(found[known], ddof=1))
+    share = np.sqrt(max(0.0, 1.0 - float(np.mean(noise[known])) / max(seen, 1e-300)))
+    first = known[np.argmin([float(samples[i].t[0]) for i in known.tolist()])]
+    return np.asarray(share * np.nan_to_num(found - np.array([[found[first]], [np.median(found[known])]])))
+
+
 def causes(
     runs: Sequence[RunData], trials: Sequence[TrialData], channels: Sequence[str], segments: Segments, fit: Solved,
-    noise: float,
+    noise: float, rests: Mapping[str, Array],
 ) -> tuple[Cause, ...]:  # fmt: skip
-    """All causes of drift of a fit to `segments`, whose trials are `trials`; `noise` [N] as in `again`."""
+    """All causes of drift of a fit to `segments`, whose trials are `trials`; `noise` [N] as in `again`, and `rests`
+    what channels read `at_rest`.
+    """
 
     def change(other: Segments, channel: str = "", by: Array | None = None) -> Array:
         begun = fit if by is None or channel != "pressure" else fit.followed(0.0, float(np.mean(by)))
@@ -51,6 +75,9 @@ def causes(
         # a stroke is (F_ce - F_L) / K: by a share of it F_ce went by that share of what is above the load
         weaker = segments.pulled(-each * np.maximum(0.0, pull - segments.force))
         found.append(Cause(SPECIMEN, np.array([change(shrunk), change(weaker)])))
+    for channel, rest in rests.items():
+        ways = [change(_offset(segments, channel, by), channel, by) for by in -rest[:, segments.trial] if by.any()]
+        found.append(Cause(f"zero of {channel} from trial to trial", np.array(ways).reshape(-1, len(fit.theta))))
     for channel in channels:
         if channel == "displacement":
             continue  # nobody knows of its zero: the specimen keeps it
@@ -114,4 +141,6 @@ def _offset(segments: Segments, channel: str, by: Array) -> Segments:
     """The segments with `by` (n,) [SI] added to what a channel read."""
     if channel == "pressure":
         return replace(segments, P=segments.P + by[:, None], P_mid=segments.P_mid + by[:, None])
+    if channel == "displacement":
+        return replace(segments, x=segments.x + by[:, None])
     return segments.pulled(np.where(segments.mass > 0, 0.0, by))

@@ -166,7 +166,7 @@ class Trust:
 
 
 def _drift(cause: Cause, combination: Array) -> Source:
-    half = None if cause.ways is None else float(np.max(np.abs(cause.ways @ combination)))
+    half = None if cause.ways is None else float(np.max(np.abs(cause.ways @ combination), initial=0.0))
     return Source(cause.name, "drift", "B", half, cause.note)
 
 

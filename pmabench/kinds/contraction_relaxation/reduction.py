@@ -182,6 +182,9 @@ def pool(recorded: Campaign, options: Mapping[str, Any]) -> Pooled | None:
     diagnosis, spread, test = found.diagnosis, found.spread, found.diagnosis.reported.test
     campaign, segments, solved = test.campaign, test.segments, test.fit
     noise = np.maximum(FLOOR * rms_of(segments.force), expected_noise(segments, solved, campaign.noise))
+    slipped = any(one.kind == "slip" for one in diagnosis.reported.explanations)  # what rests show of it is corrected
+    rested = ["pressure"] if slipped else ["pressure", "displacement"]
+    rests = {channel: drift.at_rest(campaign.trials, campaign.samples, channel) for channel in rested}
     work = simulated.stretches(_moving(campaign, segments), 1 / campaign.rate, round(0.1 * campaign.rate))
 
     def first(late: Segments) -> Array:
@@ -203,7 +206,7 @@ def pool(recorded: Campaign, options: Mapping[str, Any]) -> Pooled | None:
 
         replays = replay_fits(replayed, other, rms_of(seen), int(options.get("replays", REPLAYS)))
         skews = _skews(campaign, lambda late: found.corrected(segments_of(late)), again, other)
-        drifts = drift.causes(campaign.runs, campaign.trials, campaign.channels, mine, other, rms_of(seen))
+        drifts = drift.causes(campaign.runs, campaign.trials, campaign.channels, mine, other, rms_of(seen), rests)
         scales = Scales.of(campaign.runs)
         return assess(mine, other, seen, campaign.cells, replays, scales, skews, campaign.noise, campaign.steps, drifts)
 
