@@ -39,6 +39,8 @@ correction or a name: lines of the budget hold it.
 """
 SAME = 1e-3
 """Weights this near are one [N]."""
+PART_OF_GAIN = 0.1
+"""Share of a gain by the weights that may be wrong: a cell that is off may not be straight."""
 PIECES, EACH = 8, 4
 """Most straight pieces of a drift that is no straight line itself, and fewest readings for each."""
 FEWEST_LOADS = 3
@@ -74,8 +76,8 @@ class Weighed:
     """Drift and gain, where the readings ask for them: to be taken off."""
     errors: tuple[Array, ...] = ()
     """Standard deviation of each size of these."""
-    uneven: float = 0.0
-    """Share of the drift by which its course may differ from the one that is taken off, as far as readings tell [1]."""
+    unsure: float = 0.0
+    """Share of the correction that may be wrong [1]: by the course of a drift, or as the cell may not be straight."""
 
 
 def readings(campaign: Campaign) -> Readings:
@@ -105,8 +107,9 @@ def weighed(readings: Readings, known: Mapping[str, float] = NOTHING) -> Weighed
     loads = np.unique(np.round(weight[weight > 0], 3))
     base = {"offset": np.where(weight > 0, 1.0, 0.0), "rest": np.where(weight > 0, 0.0, 1.0)}
     course, count = readings.course[rows], _pieces(readings)
-    pieces = {f"piece {number}": column for number, column in enumerate(_rising(course, count).T)}
-    terms = {"drift": course - 0.5, "bow": 4 * (course - 0.5) ** 2, **pieces, "gain": weight}
+    pieces = (_rising(course, count) - _rising(np.array([0.5]), count)).T
+    drift = tuple(f"drift {number}" for number in range(len(pieces)))
+    terms = dict(zip(drift, pieces, strict=True)) | {"gain": weight, "bow": 4 * (course - 0.5) ** 2}
     gain = ("gain",) if len(loads) > 1 else ()
 
     def sized(names: tuple[str, ...], load: float | None) -> tuple[float, dict[str, tuple[float, float]]]:
@@ -121,50 +124,58 @@ def weighed(readings: Readings, known: Mapping[str, float] = NOTHING) -> Weighed
         both = zip(columns, solved.tolist(), errors.tolist(), strict=True)
         return cost, {name: (size, own) for name, size, own in both if own > 0}
 
-    several = loads.tolist() if len(loads) >= FEWEST_LOADS else []
+    def best(several: Sequence[float]) -> tuple[tuple[str, ...], float | None]:
+        """Names of the terms and the wrong weight of the model that costs least."""
+        models = [
+            ((*by_time, *more), load) for by_time in ((), drift) for more in ((), gain) for load in (None, *several)
+        ]
+        return min(models, key=lambda model: sized(*model)[0])
 
-    def best(drifts: Sequence[tuple[str, ...]]) -> tuple[tuple[str, ...], float | None]:
-        """Names of the terms and the wrong weight of the model that costs least, with one of these drifts or none."""
-        names = [(*drift, *more) for drift in ((), *drifts) for more in ((), gain)]
-        found = min(((one, load) for one in names for load in (None, *several)), key=lambda model: sized(*model)[0])
-        if found[1] is not None and abs(sized(found[0] or gain, found[1])[1]["wrong"][0]) < SMALL * found[1]:
-            return min(((one, None) for one in names), key=lambda model: sized(*model)[0])
-        return found
-
-    chosen, load = best([("drift",), tuple(pieces)])
-    sizes = sized(("drift", *gain), load)[1]
-    drift = [name for name in chosen if name not in gain]
-    found = sized((*(drift or ["drift"]), *gain), load)[1]
+    every = (*drift, *gain)
+    chosen, load = best(loads.tolist() if len(loads) >= FEWEST_LOADS else [])
+    if load is not None and abs(sized(every, load)[1]["wrong"][0]) < SMALL * load:
+        chosen, load = best(())
+    sizes = sized(every, load)[1]
     lying = bool((weight == 0).any())
     # without a weight nothing says how small a drift is: none is corrected
     small = {"drift": SMALL * float(np.median(weight[weight > 0])) if len(loads) else inf, "gain": SMALL}
     explanations, errors = list[Explanation](), list[Array]()
-    for kind, names in (("drift", drift), ("gain", [name for name in chosen if name in gain])):
-        size, own = np.array([found.get(name, (0.0, inf)) for name in names]).reshape(-1, 2).T
-        if lying and (np.abs(size) > np.maximum(known.get(kind, 0.0) + 3 * own, small[kind])).any():
+    for kind, names in (("drift", drift), ("gain", gain)):
+        size, own = np.array([sizes.get(name, (0.0, 0.0)) for name in names]).reshape(-1, 2).T
+        least = np.maximum(known.get(kind, 0.0) + 3 * own, small[kind])
+        if lying and set(names) & set(chosen) and (np.abs(size) > least).any():
             explanations.append(Explanation(kind, "", tuple(size.tolist())))
             errors.append(own)
     return Weighed(
-        sizes.get("drift"), sizes.get("gain"), sizes.get("offset"),
-        (load, *found["wrong"]) if load is not None else None,
-        tuple(explanations), tuple(errors), _uneven(explanations, errors, sized(("drift", "bow", *gain), load)[1]),
+        sizes.get(drift[-1]), sizes.get("gain"), sizes.get("offset"),
+        (load, *sizes["wrong"]) if load is not None else None,
+        tuple(explanations), tuple(errors), _unsure(explanations, errors, sized((*every, "bow"), load)[1]),
     )  # fmt: skip
 
 
-def _uneven(
+def _unsure(
     explanations: Sequence[Explanation], errors: Sequence[Array], bent: Mapping[str, tuple[float, float]]
 ) -> float:
-    """See `Weighed`; `bent` has the size of a parabola and its standard deviation [N]."""
+    """See `Weighed`; `bent` has the size of a parabola next to a line and its standard deviation [N]."""
+    if any(one.kind == "gain" for one in explanations):
+        return PART_OF_GAIN
     for one, error in zip(explanations, errors, strict=True):
-        if one.kind == "drift":
-            size, own = (0.0, 2 * float(np.mean(error))) if len(one.sizes) > 1 else bent.get("bow", (0.0, 0.0))
-            return 0.5 * (abs(size) + 2 * own) / max(map(abs, one.sizes))
+        size, own = (0.0, 2 * float(np.mean(error))) if len(one.sizes) > 1 else bent.get("bow", (0.0, 0.0))
+        return 0.5 * (abs(size) + 2 * own) / max(map(abs, one.sizes))
     return 0.0
 
 
 def _pieces(readings: Readings) -> int:
-    """Straight pieces that a drift may have."""
-    return min(PIECES, int(min(np.sum(rows) for rows in (readings.weight == 0, readings.weight > 0)) // EACH))
+    """Straight pieces that the drift has: 1 where a line does nearly as well for what is read without a load."""
+    rows = readings.weight == 0
+    course, read, count = readings.course[rows], readings.read[rows], min(PIECES, int(rows.sum()) // EACH)
+    if count < 2:
+        return 1
+    ones = np.ones(len(read))
+    (line, free), (less, fewer) = (
+        _left(read, np.column_stack((_rising(course, pieces), ones))) for pieces in (1, count)
+    )
+    return count if line - less > TERM * (free - fewer) * less / fewer else 1
 
 
 def _rising(course: Array, count: int) -> Array:
@@ -188,10 +199,7 @@ def _errors(readings: Readings) -> Array:
         marks = np.unique(np.round(weight[rows], 3))
         each = [np.abs(weight[rows] - mark) < SAME for mark in marks]
         own = np.column_stack(each if len(marks) <= rows.sum() // 2 else (np.ones(int(rows.sum())), weight[rows]))
-        left, free = _left(readings.read[rows], np.column_stack((readings.course[rows], own)))
-        less, fewer = _left(readings.read[rows], np.column_stack((_rising(readings.course[rows], count), own)))
-        if fewer >= FEWEST and left - less > TERM * (free - fewer) * less / fewer:
-            left, free = less, fewer
+        left, free = _left(readings.read[rows], np.column_stack((_rising(readings.course[rows], count), own)))
         scatter = max(sqrt(left / free), LEAST * typical, 1e-6)
         found[rows] = scatter * float(student.ppf(BEYOND, free)) / 3.0
     return found

@@ -51,7 +51,7 @@ def examined(
         named(one, np.array([errors, -errors]), after.test.fit, 0.0)
         for one, errors in zip(weights.found, weights.errors, strict=True)
     )
-    spread = Spread(search, rounds.before, after, segments, rounds.undecided(search), weights.uneven, 1.0)
+    spread = Spread(search, rounds.before, after, segments, rounds.undecided(search), weights.unsure, 1.0)
     change = after.test.fit.theta - after.test.fit.again(segments, after.test.expected).theta
     diagnosis = Diagnosis(known, rounds, of_cell, name(after, spread.sizes(), names), change)
     if not of_cell and not diagnosis.reported.explanations:

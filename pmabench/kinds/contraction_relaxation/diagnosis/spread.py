@@ -46,8 +46,8 @@ class Spread:
     recorded: Segments
     others: tuple[State, ...]
     """With other explanations, which nobody can tell from the ones that were corrected."""
-    uneven: float
-    """See `Weighed`."""
+    unsure: float
+    """Share of the correction by the weights that may be wrong [1]."""
     factor: float
     """By which all widths grow, for what the form still misses."""
 
@@ -65,7 +65,7 @@ class Spread:
         """
         weighed = fit.again(self.search.uncorrected, noise).theta
         by_weights = weighed - fit.again(self.recorded, noise).theta
-        found = [max(PART_OF_BENCH[0], self.uneven) * by_weights, self._part * (fit.theta - weighed)]
+        found = [max(PART_OF_BENCH[0], self.unsure) * by_weights, self._part * (fit.theta - weighed)]
         return np.array(found)
 
     @property
