@@ -12,6 +12,7 @@ with N_0 the weak prior of the fit. Knows matrices only: no kind of test, no run
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from math import exp, log
 
 import numpy as np
@@ -52,7 +53,16 @@ class Design:
     def after_each(self, counts: Array) -> Array:
         """The same after one more trial in each cell in turn, shape (cells, m)."""
         normal, spread = self._sums(counts)
-        return np.asarray(self._variances(normal + self.cells, spread + self._spreads()))
+        return np.asarray(self._variances(normal + self.cells, spread + self._spreads))
+
+    def slopes(self, counts: Array) -> Array:
+        """Derivatives of the variances by the count of each cell, shape (cells, m)."""
+        normal, spread = self._sums(counts)
+        told = np.linalg.solve(normal, self.wanted.T)
+        left = np.linalg.solve(normal, (self.noise**2 * normal + spread) @ told)
+        cells, between = self.cells @ told, self._spreads @ told
+        own = np.einsum("pm,cpm->cm", told, self.noise**2 * cells + between)
+        return np.asarray(own - 2 * np.einsum("pm,cpm->cm", left, cells))
 
     def without_each(self, counts: Array, cells: NDArray[np.intp]) -> Array:
         """The same after one trial less in each of some cells in turn, which have at least one; shape (len(cells), m).
@@ -60,7 +70,7 @@ class Design:
         Infinite where nothing is left that tells a combination.
         """
         normal, spread = self._sums(counts)
-        found = self._variances(normal - self.cells[cells], spread - self._spreads()[cells])
+        found = self._variances(normal - self.cells[cells], spread - self._spreads[cells])
         return np.where(found > 0, found, np.inf)
 
     def covariance(self, counts: Array) -> Array:
@@ -69,6 +79,7 @@ class Design:
         inverse = np.linalg.inv(normal)
         return np.asarray(inverse @ (self.noise**2 * normal + spread) @ inverse)
 
+    @cached_property
     def _spreads(self) -> Array:
         """N_c T N_c of each cell, shape (cells, p, p)."""
         return np.asarray(self.cells @ self.between @ self.cells)
@@ -76,7 +87,7 @@ class Design:
     def _sums(self, counts: Array) -> tuple[Array, Array]:
         """N, and the sum of all N_c T N_c."""
         normal = self.prior + np.tensordot(counts, self.cells, 1)
-        return normal, np.tensordot(counts, self._spreads(), 1)
+        return normal, np.tensordot(counts, self._spreads, 1)
 
     def _variances(self, normal: Array, spread: Array) -> Array:
         """Diagonal of W N^-1 (sigma^2 N + spread) N^-1 W', for matrices of shape (..., p, p)."""

@@ -25,6 +25,8 @@ REFERENCE_EVERY = 8
 RANDOM_EVERY = 14
 """With those that confirm a goal, which are drawn by lot as well, a tenth of some eighty trials."""
 MOST_IN_CELL = 6
+LOOKED_AT = 8
+"""Cells whose trials are looked at exactly, the best by the derivatives."""
 
 REFERENCE, RANDOM, SPREAD, NARROW = "reference", "random", "spread", "narrow"
 CONFIRM, REPEAT = "confirm", "repeat"
@@ -184,25 +186,55 @@ def fewest(design: Design, aim: Aim, counts: Array, reference: int | None) -> Ar
 
     From a sweep of all cells, as often as it takes, the trial that matters least is left out again and again, as long
     as the goals are reached: a backward elimination, for the smooth maximum. Choosing forward, one trial after the
-    other, took a fifth more. Trials in the cell `reference` come anyway, and are left out only as the others become
-    fewer. Where the most trials in every cell do not reach the goals, all of these are returned.
+    other, took a fifth more. Then one more trial is tried where it helps most, as long as two others are not needed
+    with it. Trials in the cell `reference` come anyway, and are left out only as the others become fewer. Where the
+    most trials in every cell do not reach the goals, all of these are returned.
     """
     level = 1
     while level < MOST_IN_CELL and not aim.reached(design.variances(np.maximum(counts, level))).all():
         level += 1
-    target, least = np.maximum(counts, level), counts.copy()
+    target = np.maximum(counts, level)
     if reference is not None:
         target[reference] = counts[reference] + ceil((target - counts).sum() / (REFERENCE_EVERY - 1))
+    target = _eliminated(design, aim, counts, target, reference)
+    while (other := _exchanged(design, aim, counts, target, reference)) is not None:
+        target = other
+    return target
+
+
+def _eliminated(
+    design: Design, aim: Aim, counts: Array, target: Array, reference: int | None, *, few_cells: bool = False
+) -> Array:
+    """The target without the trials that are not needed, in all cells or in the likeliest `few_cells`."""
+    target, least = target.copy(), counts.copy()
     while True:
         if reference is not None:
             least[reference] = counts[reference] + (target - counts).sum() // REFERENCE_EVERY
         more = np.flatnonzero(target > least)
-        without = design.without_each(target, more)
-        enough = aim.reached(without).all(axis=-1)
-        if not enough.any():
+        expected = np.maximum(design.variances(target) - design.slopes(target)[more], 0.0)
+        more = more[np.argsort(aim.worst(expected))]
+        for few in (more[:LOOKED_AT], more[LOOKED_AT : LOOKED_AT if few_cells else None]):
+            without = design.without_each(target, few)
+            enough = aim.reached(without).all(axis=-1)
+            if enough.any():
+                few, without = few[enough], without[enough]
+                target[few[np.argmin(aim.worst(without))]] -= 1
+                break
+        else:
             return target
-        more, without = more[enough], without[enough]
-        target[more[np.argmin(aim.worst(without))]] -= 1
+
+
+def _exchanged(design: Design, aim: Aim, counts: Array, target: Array, reference: int | None) -> Array | None:
+    """The target with one more trial and at least two fewer; None where none of the most useful ones allows it."""
+    ones = np.flatnonzero(target < MOST_IN_CELL)
+    expected = np.maximum(design.variances(target) + design.slopes(target)[ones], 0.0)
+    for cell in ones[np.argsort(aim.worst(expected))][:LOOKED_AT]:
+        more = target.copy()
+        more[cell] += 1
+        fewer = _eliminated(design, aim, counts, more, reference)
+        if fewer.sum() < target.sum():
+            return fewer
+    return None
 
 
 @dataclass(frozen=True)

@@ -32,8 +32,8 @@ from pmabench.store.records import Array, RunData, TrialData
 NOISE = 1e-3
 """Noise of a row before anything was measured, of the typical force; scatter between trials is far more."""
 
-BY_CHANCE = 3.0
-"""A misfit is sure beyond so many standard deviations of the scatter that repeats show: it is looked at ten times."""
+BY_CHANCE = 2.326
+"""A misfit is sure where chance makes it in one of 100 fits: so many standard deviations, and in two fits."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,12 +72,14 @@ class Known:
 
     @property
     def sure(self) -> bool:
-        """Whether a misfit of what was recorded is no chance of the few repeats that scatter is estimated from."""
+        """Whether a misfit of what was recorded is no chance of the few repeats that scatter is estimated from: by the
+        distribution of a variance that they give (its cube root is nearly normal, Wilson and Hilferty 1931).
+        """
         if self.pooled is None or self.freedom < FEWEST:
             return False
-        test = self.pooled.diagnosis.rounds.before.test
-        excess = max((test.ratio / test.most_ratio) ** 2, (1 + test.alike) / (1 + test.most_alike))
-        return excess > 1 + BY_CHANCE * sqrt(2 / self.freedom)
+        test, few = self.pooled.diagnosis.rounds.before.test, 2 / (9 * self.freedom)
+        least = max(0.0, 1 - few - BY_CHANCE * sqrt(few)) ** 3
+        return least * max(test.ratio**2, 1 + test.alike) > 1
 
     def reached(self, counts: Array) -> bool:
         """Whether `counts` (cells,) trials reach every goal, and the values are reported so."""

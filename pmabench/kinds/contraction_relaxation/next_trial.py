@@ -43,8 +43,6 @@ CONFIRMING = 3
 """Trials in cells that had no part in the fit, before a goal counts as reached."""
 MISSED = 4.0
 """Mean square of what these are missed by, over what noise and scatter explain: by chance more in 1 of 150."""
-LASTS = 3
-"""A misfit in so many fits one after the other is no chance."""
 CHANGE = 60.0
 """What another load takes at the bench [s]."""
 CHANGED = "plan-change"
@@ -202,21 +200,13 @@ class Chooser:
         return known
 
     def _misfit(self, known: Known, runs: Sequence[RunData], course: Course, fitted: int) -> Stop | None:
-        """The end where the data contradict the form: surely in two fits, in `LASTS` fits one after the other, or still
-        after as many trials as the sweep has.
-        """
+        """The end where the data contradict the form: surely, in two fits; or still after as many as the sweep has."""
         if not known.misfit:
             return None
         lasting = len(course.done) >= sum(len(cell.trials) for cell in known.outlook.cells)
-        one, sure, count = known, 0, 0
-        while not lasting and one.misfit and one.freedom >= FEWEST_FREEDOM:
-            sure, count = sure + one.sure, count + 1
-            lasting = sure == 2 or count == LASTS
-            fitted = _last_fit(fitted - 1)
-            before = self._known(runs, course.done[:fitted])
-            if isinstance(before, Stop):
-                break
-            one = before
+        if known.sure and not lasting:
+            before = self._known(runs, course.done[: _last_fit(fitted - 1)])
+            lasting = not isinstance(before, Stop) and bool(before.misfit) and before.sure
         return Stop(False, f"nothing is promised: {known.misfit}") if lasting else None
 
     def _over(self, known: Known, course: Course) -> Stop | None:

@@ -22,7 +22,7 @@ from pmabench.store.records import Array
 
 STEP = 1.5e-3
 """By which times of streams are moved to see what they change [s]."""
-PART_OF_MUSCLE, PART_OF_BENCH = (0.1, 0.3), (0.005, 0.05)
+PART_OF_MUSCLE, PART_OF_BENCH = (0.1, 0.3), (0.005, 0.02)
 """Least and greatest share of a correction by the fit that may be wrong: of what a muscle does no form is exact, of a
 delay, a drift or a slip nearly so. Chosen and confirmed on campaigns with known faults."""
 CHANCE = 0.1
@@ -54,7 +54,9 @@ class Spread:
     def of(self, fit: Solved, rows: NDArray[np.bool_], noise: float) -> Correction:
         """What a fit to some `rows` of the corrected segments, whose residual should be `noise` [N], owes to it."""
         others = [fit.again(state.test.segments, noise).theta - fit.theta for state in self.others]
-        groups = (self._loads[rows], self._trials[rows])
+        groups = (
+            (self._loads[rows], self._trials[rows]) if self.state.explanations else ()
+        )  # else nothing is found anew
         spreads = [self._spread(fit, rows, group, noise) for group in groups if len(np.unique(group)) >= FEWEST]
         others_of = np.array(others).reshape(-1, len(fit.theta))
         return Correction(self._unsure(fit, rows, noise), tuple(spreads), others_of, self.factor)
