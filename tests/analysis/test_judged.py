@@ -86,14 +86,15 @@ class Judged:
 
 
 def compared(
-    analysis: Analysis, right: Mapping[str, Callable[[Any], Any]], slope: Callable[[Any, Any], Any]
+    analysis: Analysis, right: Mapping[str, Callable[[Any], Any]], slope: Callable[[Any, Any, bool], Any]
 ) -> tuple[tuple[Value, ...], int]:
     """The values of an analysis against their truth (symbol -> ends by pressure), and how many are withheld.
 
-    K that is said to be the slope at some contraction is held against the tangent there, by `slope`.
+    K that is said to be the slope at some contraction, or that before creep, is held against that, by `slope`.
     """
     values, withheld = [], 0
-    places = {one["pressure"]: one["contraction"] for one in analysis.facts["form"]["K_at"]}
+    places = {one["pressure"]: np.array([one["contraction"]]) for one in analysis.facts["form"]["K_at"]}
+    crept = "creep" in named(analysis) and analysis.facts["form"]["state"] != "withheld"
     for e in analysis.estimates:
         if e.method != METHOD or e.symbol not in right:
             continue
@@ -102,9 +103,8 @@ def compared(
         if e.value is None or half is None:
             continue
         P = e.at.get("pressure", 0.0)
-        ends = right[e.symbol](np.array([P]))
-        if e.symbol == "K" and P in places:
-            ends = slope(np.array([P]), np.array([places[P]]))
+        at = np.array([P])
+        ends = slope(at, places.get(P), crept) if e.symbol == "K" else right[e.symbol](at)
         low, high = (float(end[0]) for end in ends)
         middle = 0.5 * (low + high)
         values.append(Value(e.symbol, P, max(low - e.value, e.value - high, 0.0) / middle, half / middle))

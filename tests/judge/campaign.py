@@ -123,9 +123,10 @@ def truth(cause: str, size: float, seed: int) -> dict[str, Callable[[Array], Ran
     return muscle_of(cause, size, seed).truth(MASSES[0] * GRAVITY, MASSES[-1] * GRAVITY, CONTRACT)
 
 
-def slope(cause: str, size: float, seed: int) -> Callable[[Array, Array], Range]:
-    """K [N/m] over pressures [Pa] and contractions [m]: least and greatest value that is right; see `Muscle.slope`."""
-    return lambda P, x: muscle_of(cause, size, seed).slope(P, x, CONTRACT)
+def slope(cause: str, size: float, seed: int) -> Callable[[Array, Array | None, bool], Range]:
+    """Least and greatest K [N/m] that is right, over pressures [Pa], contractions, creep taken off: `Muscle.slope`."""
+    muscle, loads = muscle_of(cause, size, seed), (MASSES[0] * GRAVITY, MASSES[-1] * GRAVITY)
+    return lambda P, x, crept: muscle.slope(P, *loads, CONTRACT, x, crept)
 
 
 @lru_cache(maxsize=32)

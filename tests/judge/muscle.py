@@ -124,12 +124,7 @@ class Muscle:
             return lambda P: (line(P), line(P))
 
         def of_K(P: Array) -> Range:
-            slow = self._held(hold)
-            low, high = (self._rest(P, load) / STROKE for load in (light, heavy))
-            return (
-                stiffness(P) * slow * (1 + self.bend * (1 - 2 * low)),
-                stiffness(P) * (1 + self.bend * (1 - high)),
-            )
+            return self.slope(P, light, heavy, hold)
 
         def friction(P: Array) -> Range:
             return np.full_like(P, FRICTION), np.full_like(P, FRICTION + self.hysteresis)
@@ -140,11 +135,18 @@ class Muscle:
         lines = {"F_ce": pull, "B_c": damping_up, "B_r": damping_down, "K_0": steepest}
         return {"K": of_K, "F_c": friction, **{symbol: exactly(line) for symbol, line in lines.items()}}
 
-    def slope(self, P: Array, x: Array, hold: float) -> Range:
-        """K [N/m] of a test at contractions [m]: the tangent there, from after the longest hold [s] to before any creep."""
-        slow = self._held(hold)
-        after, before = (stiffness(P) * (1 + self.bend * (1 - 2 * x * one / STROKE)) for one in (1.0, slow))
-        return after * slow, before
+    def slope(
+        self, P: Array, light: float, heavy: float, hold: float, x: Array | None = None, crept: bool = False
+    ) -> Range:
+        """K [N/m] as `truth` has it; where it is said to be the slope at contractions `x` [m] the tangent there, and
+        where creep is said to be taken off (`crept`) that before any.
+        """
+        held = self._held(hold)
+        least, most = stiffness(P) * (1.0 if crept else held), stiffness(P)
+        if x is not None:
+            return least * (1 + self.bend * (1 - 2 * x / STROKE)), most * (1 + self.bend * (1 - 2 * x * held / STROKE))
+        low, high = (self._rest(P, load) / STROKE for load in (light, heavy))
+        return least * (1 + self.bend * (1 - 2 * low)), most * (1 + self.bend * (1 - high))
 
     def _held(self, hold: float) -> float:
         """Share of a contraction that is no creep after a hold [s]."""

@@ -329,7 +329,7 @@ def compare(campaign: Campaign, pooled: Pooled, options: Mapping[str, Any]) -> F
     trust = pooled.trust_of(solved, rows, pooled.noise[rows])
     note = sentences(_forms(solved.forms), "" if _enough(solved, pooled) else SIMPLE)
     estimates = values(
-        Solution(campaign, segments, solved, pooled.fit.knots, trust, METHOD, note, pooled.diagnosis.slope_at)
+        Solution(campaign, segments, solved, pooled.fit.knots, trust, METHOD, note, pooled.diagnosis.stiffness_is)
     )
     known = [e for e in estimates if e.value is not None]
     curved = [s for s in SYMBOLS if solved.forms[s].knots is None and sum(e.symbol == s for e in known) > 1]

@@ -253,7 +253,15 @@ def compare(campaign: Campaign, pooled: Pooled, estimates: Sequence[Estimate], o
     every = np.ones(len(pooled.segments), bool)
     trust = pooled.trust_of(polished, every, np.full(len(every), polished.unit))
     found = values(
-        Solution(campaign, pooled.segments, polished, polished.knots, trust, METHOD, slope_at=pooled.diagnosis.slope_at)
+        Solution(
+            campaign,
+            pooled.segments,
+            polished,
+            polished.knots,
+            trust,
+            METHOD,
+            stiffness_is=pooled.diagnosis.stiffness_is,
+        )
     )
     return Further(
         estimates=tuple(found),

@@ -265,7 +265,7 @@ def estimates_of(campaign: Campaign, pooled: Pooled) -> tuple[list[Estimate], li
     """The primary method's coefficients at the tested pressures, and curves through them."""
     found = pooled.diagnosis
     solution = Solution(
-        campaign, pooled.segments, pooled.fit, pooled.fit.knots, pooled.trust, METHOD, found.note, found.slope_at
+        campaign, pooled.segments, pooled.fit, pooled.fit.knots, pooled.trust, METHOD, found.note, found.stiffness_is
     )
     estimates = values(solution)
     curves: list[Curve] = []

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from pmabench.analysis.shared import skew
+from pmabench.analysis.shared.calibration import sentences
 from pmabench.analysis.verdict.agreement import Offer, anywhere, at_pressures, everywhere, exactly, straight, weighted
-from pmabench.base.quantities import show
 from pmabench.kinds.contraction_relaxation.checks import WIDE
 from pmabench.kinds.contraction_relaxation.intervals import Trust
 from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, Solved
@@ -51,8 +51,8 @@ class Solution:
     trust: Trust
     method: str
     note: str = ""
-    slope_at: Callable[[float], float | None] = lambda P: None
-    """Pressure [Pa] -> contraction [m] at which K is the slope; None where it is that at any."""
+    stiffness_is: Callable[[float], str] = lambda P: ""
+    """Pressure [Pa] -> which K it is, in words; empty where there is one only."""
 
 
 def values(solution: Solution) -> list[Estimate]:
@@ -91,7 +91,7 @@ def _estimate(solution: Solution, symbol: str, P: float) -> Estimate:
         "unit": unit,
         "quantity": quantity,
         "method": solution.method,
-        "note": _note(solution, symbol, P),
+        "note": sentences(solution.note, solution.stiffness_is(P) if symbol == "K" else ""),
         "at": {"pressure": P},
         "n": len(numbers),
         "trials": tuple(campaign.name(int(number)) for number in numbers),
@@ -108,12 +108,6 @@ def _estimate(solution: Solution, symbol: str, P: float) -> Estimate:
         return Estimate(value=None, **base | {"note": note})
     found = Estimate(value=value - bias, parts=parts, bias=bias, corrected=True, budget=budget, **base)
     return _settled(campaign, found)
-
-
-def _note(solution: Solution, symbol: str, P: float) -> str:
-    """What is said of a value: of K also the contraction that it belongs to."""
-    x = solution.slope_at(P) if symbol == "K" else None
-    return solution.note if x is None else f"{solution.note}; K is the slope at {show(x, 'length', 3)}"
 
 
 def _settled(campaign: Campaign, estimate: Estimate) -> Estimate:

@@ -150,14 +150,6 @@ def truth(cause: str, amount: float) -> dict[str, Callable[[Array], tuple[Array,
     """
     muscle = muscle_of(cause, amount)
 
-    def stiffness(P: Array) -> tuple[Array, Array]:
-        light, heavy = (np.array([rest(muscle, float(one), mass * GRAVITY) for one in P]) for mass in (6.0, 41.0))
-        slow = 1 + muscle.crept(np.array(HOLD), MASSES[-1] * GRAVITY)
-        low, high = muscle.tangent(light, P), muscle.tangent(heavy, P)
-        out = heavy > 1e-6
-        high[out] = ((muscle.static(0 * P, P) - muscle.static(heavy, P))[out]) / heavy[out]
-        return low / slow, high
-
     def pull(P: Array) -> tuple[Array, Array]:
         both = muscle.static(0 * P, P), muscle.mean(0 * P, P)
         return np.minimum(*both), np.maximum(*both)
@@ -173,20 +165,26 @@ def truth(cause: str, amount: float) -> dict[str, Callable[[Array], tuple[Array,
         return (muscle.tangent(0 * P, P),) * 2
 
     return {
-        "K": stiffness, "F_ce": pull, "F_c": friction, "B_c": damping(1), "B_r": damping(-1), "K_0": steepest,
+        "K": lambda P: slope(cause, amount)(P, None, False), "F_ce": pull, "F_c": friction, "B_c": damping(1), "B_r": damping(-1), "K_0": steepest,
     }  # fmt: skip
 
 
-def slope(cause: str, amount: float) -> Callable[[Array, Array], tuple[Array, Array]]:
-    """K [N/m] over pressures [Pa] and contractions [m]: the tangent there, from after the longest hold to before any
-    creep.
+def slope(cause: str, amount: float) -> Callable[[Array, Array | None, bool], tuple[Array, Array]]:
+    """Least and greatest K [N/m] that is right, as `truth` has it, over pressures [Pa]; where it is said to be the slope
+    at contractions [m] the tangent there, and where creep is said to be taken off that before any.
     """
     muscle = muscle_of(cause, amount)
     slow = 1 + float(muscle.crept(np.array(HOLD), MASSES[-1] * GRAVITY))
 
-    def right(P: Array, x: Array) -> tuple[Array, Array]:
-        both = muscle.tangent(x, P), muscle.tangent(x / slow, P)
-        return np.minimum(*both) / slow, np.maximum(*both)
+    def right(P: Array, x: Array | None, crept: bool) -> tuple[Array, Array]:
+        if x is not None:
+            low, high = (of(muscle.tangent(x, P), muscle.tangent(x / slow, P)) for of in (np.minimum, np.maximum))
+        else:
+            light, heavy = (np.array([rest(muscle, float(one), mass * GRAVITY) for one in P]) for mass in (6.0, 41.0))
+            low, high = muscle.tangent(light, P), muscle.tangent(heavy, P)
+            out = heavy > 1e-6
+            high[out] = ((muscle.static(0 * P, P) - muscle.static(heavy, P))[out]) / heavy[out]
+        return low / (1.0 if crept else slow), high
 
     return right
 

@@ -181,6 +181,13 @@ class Diagnosis:
         """What is said of every value; empty where nothing was corrected."""
         return "" if self.state == "withheld" or not self.named else f"corrected for {self.titles}"
 
+    def stiffness_is(self, P: float) -> str:
+        """Which K the one at a pressure [Pa] is, in words; empty where there is one only."""
+        x, creeps = self.slope_at(P), any(one.key == "creep" for one in self.of_fit)
+        found = [] if x is None else [f"the slope at {show(x, 'length', 3)}"]
+        found += ["before any creep"] if creeps and self.note else []
+        return f"K is {', '.join(found)}" if found else ""
+
     def slope_at(self, P: float) -> float | None:
         """The contraction [m] at which K at a pressure [Pa] is the slope; None where it is that at any."""
         if self.state == "withheld" or not self.bent:

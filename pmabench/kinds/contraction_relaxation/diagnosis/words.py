@@ -41,7 +41,7 @@ ADVICE: Mapping[str, str] = {
     "late force": "look at the filter of the force cell's amplifier, and at the clock of its device",
     "tube": "put the gauge at the muscle, or shorten and widen the tube between them; see that the gauge's clock is "
     "not ahead",
-    "bend": "report K with the contraction that it belongs to",
+    "bend": "report K with the contraction at which it is the slope (printed with it)",
     "sensor": "calibrate the displacement sensor at several places; a muscle whose K and B change alike looks the same",
     "hysteresis": "repeat with strokes of other sizes: it belongs to the muscle",
     "creep": "state how long pressures were held: it belongs to the muscle",
