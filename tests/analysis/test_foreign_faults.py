@@ -13,6 +13,7 @@ from pmabench.kinds.reduce import reduce_runs, verdicts
 from tests.analysis.foreign_faults import CASES, campaign, truth
 from tests.analysis.judged import as_run
 from tests.analysis.test_judged import FAR, Value, compared
+from tests.judge.campaign import slope
 
 SEEDS = 3
 NEAR = {"bent-sensor": {"sensor"}, "eccentric": {"sensor"}}
@@ -40,7 +41,7 @@ def said(fault: str, amount: float, seed: int) -> Said:
     analyses = reduce_runs([run], {"replays": 2})
     form = analyses[0].facts["form"]
     names = frozenset(one["cause"] for one in form["explanations"])
-    values, _ = compared(analyses[0], truth("clean", 1.0, seed))
+    values, _ = compared(analyses[0], truth("clean", 1.0, seed), slope("clean", 1.0, seed))
     return Said(names, form["state"], not verdicts([run], analyses), values)
 
 

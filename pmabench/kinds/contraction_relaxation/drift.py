@@ -32,9 +32,10 @@ class Cause:
     note: str = ""
 
 
-def at_rest(trials: Sequence[TrialData], samples: Sequence[Samples], channel: str) -> Array:
+def at_rest(trials: Sequence[TrialData], samples: Sequence[Samples], channel: str, known: float) -> Array:
     """What a channel reads before the first command of each trial, less the first, and less the median [SI], as far as
-    noise does not make it; shape (2, trials), 0 where nothing was recorded then.
+    noise and a zero that its calibration leaves open, `known` [SI], do not make it; shape (2, trials), 0 where nothing
+    was recorded then.
     """
     found, noise = np.full(len(trials), np.nan), np.full(len(trials), np.nan)
     for i, (trial, one) in enumerate(zip(trials, samples, strict=True)):
@@ -43,13 +44,14 @@ def at_rest(trials: Sequence[TrialData], samples: Sequence[Samples], channel: st
         if rest.sum() > 1:
             values = (one.P if channel == "pressure" else one.x)[rest]
             found[i], noise[i] = float(np.mean(values)), float(np.var(values, ddof=1)) / len(values)
-    known = np.flatnonzero(np.isfinite(found))
-    if len(known) < 2:
+    read = np.flatnonzero(np.isfinite(found))
+    if len(read) < 2:
         return np.zeros((2, len(trials)))
-    seen = float(np.var(found[known], ddof=1))
-    share = np.sqrt(max(0.0, 1.0 - float(np.mean(noise[known])) / max(seen, 1e-300)))
-    first = known[np.argmin([float(samples[i].t[0]) for i in known.tolist()])]
-    return np.asarray(share * np.nan_to_num(found - np.array([[found[first]], [np.median(found[known])]])))
+    seen = float(np.var(found[read], ddof=1))
+    share = np.sqrt(max(0.0, 1.0 - float(np.mean(noise[read])) / max(seen, 1e-300)))
+    first = read[np.argmin([float(samples[i].t[0]) for i in read.tolist()])]
+    off = share * np.nan_to_num(found - np.array([[found[first]], [np.median(found[read])]]))
+    return np.asarray(off - np.clip(off, -known, known))
 
 
 def causes(

@@ -184,7 +184,11 @@ def pool(recorded: Campaign, options: Mapping[str, Any]) -> Pooled | None:
     noise = np.maximum(FLOOR * rms_of(segments.force), expected_noise(segments, solved, campaign.noise))
     slipped = any(one.kind == "slip" for one in diagnosis.reported.explanations)  # what rests show of it is corrected
     rested = ["pressure"] if slipped else ["pressure", "displacement"]
-    rests = {channel: drift.at_rest(campaign.trials, campaign.samples, channel) for channel in rested}
+    offsets = Scales.of(campaign.runs).offsets
+    rests = {
+        channel: drift.at_rest(campaign.trials, campaign.samples, channel, offsets.get(channel, 0.0))
+        for channel in rested
+    }
     work = simulated.stretches(_moving(campaign, segments), 1 / campaign.rate, round(0.1 * campaign.rate))
 
     def first(late: Segments) -> Array:

@@ -22,7 +22,7 @@ from pmabench.store.records import Array
 
 STEP = 1.5e-3
 """By which times of streams are moved to see what they change [s]."""
-PART_OF_MUSCLE, PART_OF_BENCH = (0.1, 0.3), (0.005, 0.02)
+PART_OF_MUSCLE, PART_OF_BENCH = (0.07, 0.25), (0.002, 0.01)
 """Least and greatest share of a correction by the fit that may be wrong: of what a muscle does no form is exact, of a
 delay, a drift or a slip nearly so. Chosen and confirmed on campaigns with known faults."""
 CHANCE = 0.1
@@ -54,9 +54,9 @@ class Spread:
     def of(self, fit: Solved, rows: NDArray[np.bool_], noise: float) -> Correction:
         """What a fit to some `rows` of the corrected segments, whose residual should be `noise` [N], owes to it."""
         others = [fit.again(state.test.segments, noise).theta - fit.theta for state in self.others]
-        groups = (
-            (self._loads[rows], self._trials[rows]) if self.state.explanations else ()
-        )  # else nothing is found anew
+        # over loads a form shows that is not exact; without an explanation by the fit nothing is found anew
+        groups = [self._trials[rows]] if self.state.explanations else []
+        groups += [self._loads[rows]] if self._of_muscle else []
         spreads = [self._spread(fit, rows, group, noise) for group in groups if len(np.unique(group)) >= FEWEST]
         others_of = np.array(others).reshape(-1, len(fit.theta))
         return Correction(self._unsure(fit, rows, noise), tuple(spreads), others_of, self.factor)
@@ -76,12 +76,14 @@ class Spread:
 
         The most where a coarser form of a muscle's property failed: nobody knows which one it has.
         """
-        mine = self.state.explanations
-        muscle = any(one.of_muscle for one in mine)
-        if any(one.which == FINER.get(one.kind) for one in mine):
+        if any(one.which == FINER.get(one.kind) for one in self.state.explanations):
             return PART_OF_MUSCLE[1]
         left = max(self.state.excess, CHANCE) / max(self.before.excess, CHANCE)
-        return float(np.clip(np.sqrt(left), *(PART_OF_MUSCLE if muscle else PART_OF_BENCH)))
+        return float(np.clip(np.sqrt(left), *(PART_OF_MUSCLE if self._of_muscle else PART_OF_BENCH)))
+
+    @property
+    def _of_muscle(self) -> bool:
+        return any(one.of_muscle for one in self.state.explanations)
 
     @property
     def _loads(self) -> Array:
