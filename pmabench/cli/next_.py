@@ -123,7 +123,7 @@ def _lines(runs: Sequence[RunData], found: Any, goal: str, written: str) -> list
         end = "no further trial is needed"
         if found.why != "reached":
             end = "but too few cells were repeated to tell scatter from a wrong form"
-        return [*lines, f"every {other}goal is reached, {end}"]
+        return [*lines, *wrap(f"every {other}goal is reached, {end}", WIDTH)]
     for number, (step, (why, _)) in enumerate(zip(found.steps, found.lines, strict=True), 1):
         text = shorten(why, WIDTH - 17, placeholder=" …")
         lines.append(f"{number:3d}  {text:{WIDTH - 17}}{in_words(step.seconds):>12}")

@@ -54,6 +54,14 @@ def test_what_does_not_agree_is_a_doubt():
     assert "do not agree" in found.findings[0].text
 
 
+def test_K_of_a_bent_muscle_is_compared_at_its_contraction_only():
+    for contraction, symbols in ((0.01, ["K", "B"]), (0.03, ["B"])):
+        slopes = [{"pressure": P, "contraction": contraction} for P in (3e5, 4e5)]
+        bent = replace(STEPS, facts={"form": {"K_at": slopes}})
+        found = compared([bent, sines(6800.0, 40.0)])
+        assert [e.symbol.removeprefix("d") for e in found.estimates] == symbols
+
+
 def test_nothing_in_common_is_nothing():
     assert compared([STEPS]) is None
     elsewhere = sines(6800.0, 40.0)
