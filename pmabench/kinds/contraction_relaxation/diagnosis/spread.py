@@ -22,7 +22,7 @@ from pmabench.store.records import Array
 
 STEP = 1.5e-3
 """By which times of streams are moved to see what they change [s]."""
-PART_OF_MUSCLE, PART_OF_BENCH = (0.07, 0.25), (0.002, 0.01)
+PART_OF_MUSCLE, PART_OF_BENCH = (0.05, 0.17), (0.002, 0.01)
 """Least and greatest share of a correction by the fit that may be wrong: of what a muscle does no form is exact, of a
 delay, a drift or a slip nearly so. Chosen and confirmed on campaigns with known faults."""
 CHANCE = 0.1
