@@ -114,7 +114,8 @@ def covered(found: Sequence[Told]) -> float:
 NARROW = {
     "clean": 0.06, "hysteresis": 0.1, "cell-drift": 0.7, "creep": 0.7, "bend": 3.4, "slip": 4.0, "several": 3.4,
 }  # fmt: skip
-"""Median half width of K [%] of the method that the present one came from, with three tenths of each correction."""
+"""Median half width of K [%] of the method that the present one came from, with three tenths of each correction; of
+several causes at once that of the bend among them."""
 SEVEN = ("clean", "cell-drift", "slip", "bend", "hysteresis", "creep", "several")
 """Conditions of which the intervals must hold what they promise, no less and hardly more."""
 

@@ -181,9 +181,7 @@ def _pieces(readings: Readings) -> int:
 def _rising(course: Array, count: int) -> Array:
     """Columns of a drift in even pieces over the campaign, each its size at the end of a piece; shape (n, count)."""
     ends = np.linspace(0.0, 1.0, count + 1)
-    return np.column_stack(
-        [np.interp(course, ends, one) for one in np.eye(count + 1)[1:]] or [np.empty((len(course), 0))]
-    )
+    return np.column_stack([np.interp(course, ends, one) for one in np.eye(count + 1)[1:]])
 
 
 def _errors(readings: Readings) -> Array:
