@@ -28,6 +28,8 @@ NEARLY = 0.9
 """Share of the excess that an explanation removes of which values are printed though the form is still doubted."""
 SURE = 2.0
 """An explanation whose size is not beyond so many of its standard deviations explains nothing."""
+NOT_STRAIGHT = "bend of K and B alike, which may be of the displacement sensor"
+"""Title of `sensor` next to another explanation."""
 REMEDY = "Look for the cause, mend it and measure again, or repeat trials if they differ by themselves"
 SURFACE = "`pmabench process RUN... --form surface` describes a muscle that does not follow this form"
 MOST_NAMED = 3
@@ -275,7 +277,7 @@ def _title(state: State) -> str:
     last = state.last
     if last.cause == "late pressure" and last.sizes[0] < 0:
         return TITLES["tube"]
-    return TITLES[last.cause]
+    return NOT_STRAIGHT if last.kind == "sensor" else TITLES[last.cause]
 
 
 def name(state: State, off: Sequence[Array], names: Sequence[str]) -> tuple[Named, ...]:
