@@ -119,8 +119,9 @@ def middle(segments: Segments, P: Array) -> Array:
     """The contraction [m] that K of a bent muscle belongs to at pressures [Pa]: a straight line over them through the
     contractions of all segments, near the middle of those that were tested.
     """
-    line = np.polynomial.Polynomial.fit(segments.pressure, segments.x @ segments.weights, 1)
-    return np.asarray(line(P))
+    x, own = segments.x @ segments.weights, segments.pressure
+    line = np.linalg.lstsq(np.column_stack((np.ones(len(own)), own / TYPICAL)), x, rcond=None)[0]
+    return np.asarray(line[0] + line[1] * P / TYPICAL)
 
 
 def _middle(segments: Segments) -> tuple[Array, Array, float]:
