@@ -58,10 +58,10 @@ class Design:
     def slopes(self, counts: Array) -> Array:
         """Derivatives of the variances by the count of each cell, shape (cells, m)."""
         normal, spread = self._sums(counts)
-        told = np.linalg.solve(normal, self.wanted.T)
-        left = np.linalg.solve(normal, (self.noise**2 * normal + spread) @ told)
-        cells, between = self.cells @ told, self._spreads @ told
-        own = np.einsum("pm,cpm->cm", told, self.noise**2 * cells + between)
+        solved = np.linalg.solve(normal, self.wanted.T)
+        left = np.linalg.solve(normal, (self.noise**2 * normal + spread) @ solved)
+        cells, between = self.cells @ solved, self._spreads @ solved
+        own = np.einsum("pm,cpm->cm", solved, self.noise**2 * cells + between)
         return np.asarray(own - 2 * np.einsum("pm,cpm->cm", left, cells))
 
     def without_each(self, counts: Array, cells: NDArray[np.intp]) -> Array:

@@ -26,7 +26,7 @@ RANDOM_EVERY = 14
 """With those that confirm a goal, which are drawn by lot as well, a tenth of some eighty trials."""
 MOST_IN_CELL = 6
 LOOKED_AT = 8
-"""Cells whose trials are looked at exactly, the best by the derivatives."""
+"""Cells whose trials are looked at exactly first, the best by the derivatives."""
 
 REFERENCE, RANDOM, SPREAD, NARROW = "reference", "random", "spread", "narrow"
 CONFIRM, REPEAT = "confirm", "repeat"
@@ -202,10 +202,8 @@ def fewest(design: Design, aim: Aim, counts: Array, reference: int | None) -> Ar
     return target
 
 
-def _eliminated(
-    design: Design, aim: Aim, counts: Array, target: Array, reference: int | None, *, few_cells: bool = False
-) -> Array:
-    """The target without the trials that are not needed, in all cells or in the likeliest `few_cells`."""
+def _eliminated(design: Design, aim: Aim, counts: Array, target: Array, reference: int | None) -> Array:
+    """The target without the trials that are not needed."""
     target, least = target.copy(), counts.copy()
     while True:
         if reference is not None:
@@ -213,7 +211,7 @@ def _eliminated(
         more = np.flatnonzero(target > least)
         expected = np.maximum(design.variances(target) - design.slopes(target)[more], 0.0)
         more = more[np.argsort(aim.worst(expected))]
-        for few in (more[:LOOKED_AT], more[LOOKED_AT : LOOKED_AT if few_cells else None]):
+        for few in (more[:LOOKED_AT], more[LOOKED_AT:]):
             without = design.without_each(target, few)
             enough = aim.reached(without).all(axis=-1)
             if enough.any():

@@ -54,7 +54,7 @@ class Spread:
     def of(self, fit: Solved, rows: NDArray[np.bool_], noise: float) -> Correction:
         """What a fit to some `rows` of the corrected segments, whose residual should be `noise` [N], owes to it."""
         others = [fit.again(state.test.segments, noise).theta - fit.theta for state in self.others]
-        # over loads a form shows that is not exact; without an explanation by the fit nothing is found anew
+        # loads left out show where a form is not exact; without an explanation by the fit nothing is sized anew
         groups = [self._trials[rows]] if self.state.explanations else []
         groups += [self._loads[rows]] if self._of_muscle else []
         spreads = [self._spread(fit, rows, group, noise) for group in groups if len(np.unique(group)) >= FEWEST]
