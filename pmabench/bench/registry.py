@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import re
 from functools import lru_cache
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint
 
 from pmabench.base.errors import did_you_mean
+from pmabench.base.extensions import registered
 
 EMULATOR_ONLY = "emulator only"
 """What a driver was tried on that does not say it by its class attribute `verified`."""
@@ -16,7 +17,7 @@ HARDWARE = "hardware"
 
 @lru_cache(maxsize=1)
 def _points() -> dict[str, EntryPoint]:
-    return {point.name: point for point in entry_points(group="pmabench.drivers")}
+    return {point.name: point for point in registered("pmabench.drivers")}
 
 
 def drivers() -> dict[str, str]:

@@ -85,8 +85,7 @@ def command(
     A shipped bench is emulated from its truth file, which says from data sheets what is wired and by which scales. For
     another bench without --truth that is taken from the bench file itself: then its scales are not proven.
     """
-    from importlib.metadata import entry_points
-
+    from pmabench.base.extensions import registered
     from pmabench.base.system import ENGINE, real_time
     from pmabench.bench.compile import mount_alone
     from pmabench.bench.truth import read_truth, truth_of
@@ -95,7 +94,7 @@ def command(
     path = find_file("bench", bench)
     mounted = mount_alone(path)
     real = truth_of(path) if truth is None else find_file("truth", truth)
-    found = entry_points(group="pmabench.emulators")
+    found = registered("pmabench.emulators")
     if not found:
         raise UsageError("no emulator is installed")
     served: Any = next(iter(found)).load()(

@@ -12,12 +12,12 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from importlib import import_module
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
 from pmabench.base.clock import Clock, RealClock, VirtualClock
 from pmabench.base.errors import DeviceError, UsageError
+from pmabench.base.extensions import registered
 from pmabench.bench.interface import Device, DeviceRecord, Identity, Rescue, Stream, Supervised, Watchdog
 from pmabench.bench.interface import Truth as Wiring
 from pmabench.conformance.relay import Relay, SerialRelay, TcpRelay
@@ -383,7 +383,7 @@ def _kept_port(_place: str, _driver: str) -> int:
 
 def _emulator(record: DeviceRecord, wiring: Wiring | None) -> Any:
     """The emulator of the project with this device in it; UsageError where there is none."""
-    found = [point for point in entry_points(group="pmabench.emulators") if point.name == "plant"]
+    found = [point for point in registered("pmabench.emulators") if point.name == "plant"]
     if not found:
         raise UsageError("no emulator is installed")
     return found[0].load()([record], preset="ideal", truth=wiring)

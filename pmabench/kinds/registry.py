@@ -8,11 +8,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import lru_cache
 from importlib import import_module
-from importlib.metadata import entry_points
 from pkgutil import iter_modules
 
 from pmabench import kinds
 from pmabench.base.errors import did_you_mean
+from pmabench.base.extensions import registered
 from pmabench.base.imported import Imported
 from pmabench.base.kind import Kind, load
 
@@ -25,7 +25,7 @@ def all_kinds() -> Mapping[str, Kind]:
     records = [
         import_module(f"pmabench.kinds.{module.name}").KIND for module in iter_modules(kinds.__path__) if module.ispkg
     ]
-    records += [point.load() for point in entry_points(group=GROUP)]
+    records += [point.load() for point in registered(GROUP)]
     found: dict[str, Kind] = {}
     every = [kind for record in records for kind in (record, *record.also)]
     for kind in sorted(every, key=lambda kind: (kind.order, kind.name)):

@@ -93,7 +93,7 @@ def fit_labels(figure: Figure) -> None:
 
     canvas: Any = FigureCanvasAgg(figure)
     renderer, width = canvas.get_renderer(), figure.bbox.width
-    places = [(axes, axes.get_position(), axes.get_tightbbox(renderer, bbox_extra_artists=[])) for axes in figure.axes]
+    places = [(axes, axes.get_position(), axes.yaxis.get_tightbbox(renderer)) for axes in figure.axes]
     columns: dict[float, float] = {}
     for _, place, box in places:
         if box is None:

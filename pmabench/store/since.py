@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import Any
 
 from pmabench.base.errors import InvalidFile
+from pmabench.base.extensions import registered
 from pmabench.store import folder as files
 from pmabench.store import notes
 from pmabench.store.folder import is_regular, kind_of, open_inside, open_regular, read_file
@@ -312,7 +313,7 @@ def program() -> str:
 
 def _extensions() -> Iterator[Path]:
     """Packages (folders) and modules (files) that are registered in `GROUPS`."""
-    modules = {point.module.partition(".")[0] for group in GROUPS for point in metadata.entry_points(group=group)}
+    modules = {point.module.partition(".")[0] for group in GROUPS for point in registered(group)}
     for module in sorted(modules - {"pmabench"}):
         with suppress(ImportError, ValueError):
             found = find_spec(module)

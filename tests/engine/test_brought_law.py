@@ -2,6 +2,7 @@
 
 import pytest
 
+from pmabench.base import extensions
 from pmabench.base.errors import UsageError
 from pmabench.engine.executor import Executor
 from pmabench.engine.laws import LAWS, law_of
@@ -34,7 +35,11 @@ def package(tmp_path, monkeypatch):
     about.mkdir()
     (about / "METADATA").write_text("Metadata-Version: 2.1\nName: greedy\nVersion: 1\n")
     (about / "entry_points.txt").write_text("[pmabench.laws]\ngreedy = greedy_law:Greedy\n")
-    monkeypatch.syspath_prepend(tmp_path)
+    with monkeypatch.context() as patch:
+        patch.syspath_prepend(tmp_path)
+        extensions.installed.cache_clear()
+        yield
+    extensions.installed.cache_clear()
 
 
 @pytest.mark.usefixtures("package")

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from pmabench.base import extensions
 from pmabench.base.kind import Kind, load
 from pmabench.kinds import registry
 from pmabench.model.library import MODELS
@@ -94,6 +95,11 @@ KIND = Kind(
 """
 
 
+def _read_anew():
+    extensions.installed.cache_clear()
+    registry.all_kinds.cache_clear()
+
+
 def test_a_package_brings_a_kind_by_an_entry_point(tmp_path, monkeypatch):
     (tmp_path / "weighing_kind.py").write_text(KIND)
     about = tmp_path / "weighing-1.dist-info"
@@ -101,7 +107,7 @@ def test_a_package_brings_a_kind_by_an_entry_point(tmp_path, monkeypatch):
     (about / "METADATA").write_text("Metadata-Version: 2.1\nName: weighing\nVersion: 1\n")
     (about / "entry_points.txt").write_text("[pmabench.kinds]\nweighing = weighing_kind:KIND\n")
     monkeypatch.syspath_prepend(tmp_path)
-    registry.all_kinds.cache_clear()
+    _read_anew()
     try:
         assert registry.kind_of("weighing").title == registry.title_of("weighing") == "Weighing"
         assert "weighing" in registry.protocols()
@@ -109,6 +115,6 @@ def test_a_package_brings_a_kind_by_an_entry_point(tmp_path, monkeypatch):
             registry.kind_of("weighin")
     finally:
         monkeypatch.undo()
-        registry.all_kinds.cache_clear()
+        _read_anew()
         sys.modules.pop("weighing_kind", None)
     assert registry.find("weighing") is None

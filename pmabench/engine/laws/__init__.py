@@ -8,10 +8,10 @@ A class is a small state machine that is fed one sample at a time: `pmabench.eng
 from __future__ import annotations
 
 from importlib import import_module
-from importlib.metadata import entry_points
 from typing import Any
 
 from pmabench.base.errors import UsageError, did_you_mean
+from pmabench.base.extensions import registered
 
 GROUP = "pmabench.laws"
 LAWS = {
@@ -32,7 +32,7 @@ def law_of(name: str) -> Any:
     if name in LAWS:
         module, _, attribute = LAWS[name].partition(":")
         return getattr(import_module(f"{__name__}.{module}"), attribute)
-    brought = {point.name: point for point in entry_points(group=GROUP)}
+    brought = {point.name: point for point in registered(GROUP)}
     if name not in brought:
         known = (*LAWS, *brought)
         raise UsageError(f'no installed package has a law "{name}"{did_you_mean(name, known)}')

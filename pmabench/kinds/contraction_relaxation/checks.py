@@ -87,12 +87,12 @@ def free_runs(campaign: Campaign, pooled: Pooled, estimates: Sequence[Estimate])
     work = simulated.stretches(whole, 1 / campaign.rate, 1)
     P = _thinned(work.P)
     run = simulated.run(pooled.fit, P, COARSE * work.dt, work.load, work.mass, work.x, substeps=1)
-    found = []
+    found, known = [], _identified(pooled)
     for column, i in enumerate(ordered):
         samples = campaign.samples[i]
         rows = np.arange(0, len(samples.t), COARSE)
         t, mine = samples.t[rows], P[: len(rows), column]
-        model = np.where(t >= _known_until(samples, pooled, campaign.rate), nan, run.x[: len(rows), column])
+        model = np.where(t >= _known_until(samples, known, campaign.rate), nan, run.x[: len(rows), column])
         ok = samples.ok[rows] & (mine >= pooled.fit.knots[0]) & np.isfinite(model)
         found.append(FreeRun(i, t, mine, samples.x[rows], model, ok, _way(campaign.trials[i])[rows]))
     return found
@@ -165,14 +165,15 @@ def _way(trial: TrialData) -> NDArray[np.intp]:
     return way
 
 
-def _known_until(samples: Samples, pooled: Pooled, rate: float) -> float:
-    """When the motion begins [s] that makes `BLIND` of it go where a coefficient is open that it asks for."""
-    solved = pooled.fit
-    low, high = solved.knots[0], solved.knots[-1]
-    grid = np.linspace(low, high, 256)
+def _known_until(samples: Samples, known: tuple[Array, Array], rate: float) -> float:
+    """When the motion begins [s] that makes `BLIND` of it go where a coefficient is open that it asks for; `known` is
+    what `_identified` found.
+    """
+    grid, identified = known
+    low, high = grid[0], grid[-1]
     P = np.where(np.isfinite(samples.P), samples.P, low)
-    cell = np.clip(((P - low) / (high - low) * 255).round().astype(np.intp), 0, 255)
-    F_ce, K, B_c, B_r = (_identified(pooled, symbol, grid)[cell] & (P >= low) for symbol in SYMBOLS)
+    cell = np.clip(((P - low) / (high - low) * (len(grid) - 1)).round().astype(np.intp), 0, len(grid) - 1)
+    F_ce, K, B_c, B_r = identified[:, cell] & (P >= low)
     v = velocity(samples.t, samples.x, Gate().samples(rate)[1])
     blind = samples.ok & (samples.x > Gate.lift) & ~(F_ce & K & np.where(v > 0, B_c, B_r))
     travelled = np.cumsum(np.where(blind, np.abs(v) / rate, 0.0))
@@ -183,15 +184,21 @@ def _known_until(samples: Samples, pooled: Pooled, rate: float) -> float:
     return float(samples.t[seeing[-1] + 1 if len(seeing) else 0])
 
 
-def _identified(pooled: Pooled, symbol: str, P: Array) -> NDArray[np.bool_]:
-    """Whether a coefficient is known at pressures P (n,) [Pa], by the scatter that is left to it there."""
+def _identified(pooled: Pooled) -> tuple[Array, Array]:
+    """Pressures [Pa] from the first knot to the last one, shape (n,), and whether each coefficient is known there, by
+    the scatter that is left to it, shape (4, n) in the order of `SYMBOLS`.
+    """
     solved = pooled.fit
     k = len(solved.knots)
-    mine = slice(solved.index(symbol), solved.index(symbol) + k)
-    hats = spread(place(P[:, None], solved.knots), np.ones((len(P), 1)), len(solved.knots))
-    half = NORMAL * np.sqrt(np.maximum(0.0, np.sum(hats @ pooled.trust.covariance[mine, mine] * hats, axis=1)))
-    size = float(np.median(np.abs(solved.theta[mine])))
-    return np.asarray(half <= WIDE * np.maximum(np.abs(hats @ solved.theta[mine]), size))
+    P = np.linspace(solved.knots[0], solved.knots[-1], 256)
+    hats = spread(place(P[:, None], solved.knots), np.ones((len(P), 1)), k)
+    found = []
+    for symbol in SYMBOLS:
+        mine = slice(solved.index(symbol), solved.index(symbol) + k)
+        half = NORMAL * np.sqrt(np.maximum(0.0, np.sum(hats @ pooled.trust.covariance[mine, mine] * hats, axis=1)))
+        size = float(np.median(np.abs(solved.theta[mine])))
+        found.append(half <= WIDE * np.maximum(np.abs(hats @ solved.theta[mine]), size))
+    return P, np.array(found)
 
 
 def _thinned(P: Array) -> Array:

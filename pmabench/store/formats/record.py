@@ -12,7 +12,6 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from functools import lru_cache
 from importlib import import_module
-from importlib.metadata import entry_points
 from pkgutil import iter_modules
 from typing import Annotated, Any, ClassVar
 
@@ -20,6 +19,7 @@ import numpy as np
 from pydantic import Field
 
 from pmabench.base.errors import InvalidFile, invalid
+from pmabench.base.extensions import registered
 from pmabench.files.document import Strict
 from pmabench.files.quantity import Time
 from pmabench.store import formats as folder
@@ -158,7 +158,7 @@ def formats() -> dict[str, Format]:
     modules = [each.name for each in iter_modules(folder.__path__, f"{folder.__name__}.") if not each.ispkg]
     records = [getattr(import_module(name), "FORMAT", None) for name in modules]
     known = {record.name: record for record in records if record is not None}
-    for point in entry_points(group=GROUP):
+    for point in registered(GROUP):
         try:
             found = point.load()
         except Exception as error:  # a package of somebody else may raise anything

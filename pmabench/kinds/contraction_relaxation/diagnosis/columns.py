@@ -6,7 +6,7 @@ are compared with what the fit leaves over. See docs/uncertainty.md, "Is the for
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
 
@@ -17,7 +17,7 @@ from pmabench.analysis.shared import skew
 from pmabench.analysis.shared.calibration import Scales
 from pmabench.kinds.contraction_relaxation.drift import zero_drifts
 from pmabench.kinds.contraction_relaxation.pooled import Solved, force_by_pressure
-from pmabench.kinds.contraction_relaxation.segments import Segments
+from pmabench.kinds.contraction_relaxation.segments import Gate, Segments
 from pmabench.kinds.contraction_relaxation.trials import Campaign
 from pmabench.store.records import Array
 
@@ -27,7 +27,7 @@ GONE = 1e-16
 """A lag that keeps less than this share of a row keeps nothing."""
 STROKE = 1e-6
 """Contractions that differ by less count as one [m]."""
-GRID = 0.004
+GRID = 0.008
 """Period at which hysteresis and creep follow the contraction [s]."""
 RADII = (0.3e-3, 1e-3, 3e-3, 8e-3)
 """Contraction over which a stop gives way [m]: those of a braid lie between."""
@@ -288,9 +288,11 @@ class Followed:
 
     begins: Array
     """Of the trials [s], shape (trials,)."""
+    column: NDArray[np.intp]
+    """Where each trial is in `sums`, shape (trials,); the last place of these is for those that did not lift."""
     sums: Array
-    """Integrals over time at every `GRID` of frictions by their size, from -1 to 1 [s], and of first-order lags of the
-    contraction [m.s]; shape (rows, radii + times, trials).
+    """Sums over rows of `GRID` of frictions by their size, from -1 to 1, and of lags of the contraction [m];
+    shape (rows, radii + times, trials that lifted + 1).
     """
     known: dict[bytes, Array] = field(default_factory=dict)
     """Means over segments that were asked for before, by the times of these."""
@@ -301,33 +303,31 @@ class Followed:
         braid that was strained stays so.
         """
         begins = np.array([samples.t[0] for samples in campaign.samples])
-        lasts = np.array([samples.t[-1] for samples in campaign.samples]) - begins
-        grid = np.arange(0.0, float(lasts.max()) + 2 * GRID, GRID)
-        x = np.empty((len(grid), len(begins)))
-        for column, samples in enumerate(campaign.samples):
-            usable = samples.ok if samples.ok.any() else np.ones(len(samples.t), bool)
-            x[:, column] = np.interp(grid, samples.t[usable] - begins[column], samples.x[usable])
+        lifted = [i for i, samples in enumerate(campaign.samples) if np.any(samples.x[samples.ok] > Gate.lift)]
+        column = np.full(len(begins), len(lifted))
+        column[lifted] = np.arange(len(lifted))
+        longest = max((float(campaign.samples[i].t[-1] - begins[i]) for i in lifted), default=0.0)
+        grid = np.arange(0.0, longest + 2 * GRID, GRID)
+        x = np.zeros((len(grid), len(lifted) + 1))
+        for place, samples in enumerate(campaign.samples[i] for i in lifted):
+            x[:, place] = np.interp(grid, samples.t[samples.ok] - samples.t[0], samples.x[samples.ok])
         x -= x[0]
-        times = np.array(TIMES)
-        sums = np.empty((len(grid), len(RADII) + len(times), x.shape[1]))
-        strained, slow = sums[:, : len(RADII)], sums[:, len(RADII) :]
-        for few in (slice(i, i + 8) for i in range(0, x.shape[1], 8)):  # what a processor keeps at hand
-            for number, time in enumerate(times):
-                slow[:, number, few] = lagged(x[:, few], time / GRID)
-        _strain(strained, x, np.zeros(strained.shape[1:]))
-        last = strained[-1].copy()
-        fades = np.exp(-grid[:, None] / times)
-        kept, ends = np.zeros((len(times), x.shape[1])), np.zeros((len(RADII), x.shape[1]))
-        for (i, pause), (after, _) in pairwise([*_followers(campaign), (-1, 0.0)]):
-            if after >= 0 and np.isfinite(pause):
-                row = min(len(grid) - 1, round(float(lasts[i]) / GRID))
-                kept[:, after] = (slow[row, :, i] + kept[:, i] * fades[row]) * np.exp(-pause / times)
-                ends[:, after] = last[:, i]
-        slow += fades[:, :, None] * kept
-        _strain(strained, x, ends)
-        np.cumsum(sums, axis=0, out=sums)
-        sums *= GRID
-        return cls(begins, sums)
+        parts, keep = len(RADII), np.exp(-GRID / np.array(TIMES))[:, None]
+        now = 1 - (1 - keep) * np.array(TIMES)[:, None] / GRID  # exact for straight lines
+        sums = np.empty((len(grid), parts + len(TIMES), x.shape[1]))
+        np.divide(np.diff(x, axis=0, prepend=x[:1])[:, None, :], np.array(RADII)[:, None], out=sums[:, :parts])
+        np.multiply(x[:, None, :], now, out=sums[:, parts:])
+        sums[1:, parts:] += (1 - keep - now) * x[:-1, None, :]
+        state = _left(campaign, column, sums, keep)
+        total = np.zeros_like(state)
+        stops, slow = state[:parts], state[parts:]
+        for row in sums:
+            slow *= keep
+            state += row
+            np.minimum(np.maximum(stops, -1.0, out=stops), 1.0, out=stops)
+            total += state
+            row[...] = total
+        return cls(begins, column, sums)
 
     def stops(self, segments: Segments) -> Array:
         """Mean over each segment of a friction that needs one of `RADII` after each turn, shape (n, radii)."""
@@ -342,8 +342,9 @@ class Followed:
         if key not in self.known:
             length = segments.v.shape[1] * segments.dt
             row = (segments.t - self.begins[segments.trial] - 0.5 * GRID) / GRID
-            ends = self._at(row + length / GRID, segments.trial) - self._at(row, segments.trial)
-            self.known[key] = ends / length
+            trial = self.column[segments.trial]
+            ends = self._at(row + length / GRID, trial) - self._at(row, trial)
+            self.known[key] = ends * GRID / length
         return self.known[key]
 
     def _at(self, row: Array, trial: NDArray[np.intp]) -> Array:
@@ -353,15 +354,30 @@ class Followed:
         return np.asarray((1 - share) * self.sums[left, :, trial] + share * self.sums[left + 1, :, trial])
 
 
-def _strain(found: Array, x: Array, begin: Array) -> None:
-    """Into `found` (rows, radii, trials), frictions of all `RADII` by their size while contractions x (rows, trials)
-    [m] go on, from those at the begin on, shape (radii, trials), both from -1 to 1.
+def _left(campaign: Campaign, column: NDArray[np.intp], steps: Array, keep: Array) -> Array:
+    """What each trial begins with of what the one before has left, shape (radii + times, trials).
+
+    `column` is as in `Followed`, `steps` (rows, radii + times, trials) what each row adds, `keep` (times, 1) what lags
+    keep of themselves in a row.
     """
-    np.divide(np.diff(x, axis=0, prepend=x[:1])[:, None, :], np.array(RADII)[:, None], out=found)
-    now = begin
-    for row in found:
-        row += now
-        now = np.minimum(np.maximum(row, -1.0, out=row), 1.0, out=row)
+    parts, times = len(RADII), np.array(TIMES)
+    left, stops = np.zeros(steps.shape[1:]), np.zeros((parts, steps.shape[2]))
+    for row in steps[:, :parts]:
+        stops += row
+        np.minimum(np.maximum(stops, -1.0, out=stops), 1.0, out=stops)
+    weights = keep ** np.arange(len(steps) - 1, -1, -1)
+    lifted = [(n, i) for n, i in enumerate(np.argsort(order(campaign)).tolist()) if column[i] < steps.shape[2] - 1]
+    for (n, i), (m, after) in pairwise(lifted):
+        pause = _pause(campaign, i, after)
+        if np.isfinite(pause):
+            own, to = column[i], column[after]
+            rows = min(len(steps) - 1, round(float(np.ptp(campaign.samples[i].t)) / GRID)) + 1
+            moved = np.einsum("kn,nk->k", weights[:, -rows:], steps[:rows, parts:, own])
+            kept = moved + left[parts:, own] * keep[:, 0] ** rows
+            left[parts:, to] = kept * np.exp((GRID - pause) / times)  # the first row takes that off
+            if m == n + 1:  # a pressure that did not lift it strains the braid, too, nobody knows how
+                left[:parts, to] = stops[:, own]
+    return left
 
 
 def lagged(values: Array, constant: float) -> Array:
@@ -383,11 +399,9 @@ def lagged(values: Array, constant: float) -> Array:
     return found
 
 
-def _followers(campaign: Campaign) -> Iterator[tuple[int, float]]:
-    """Number of each trial in the order of time, and how long after its end the next one begins [s]; inf if unknown."""
-    rank = np.argsort(order(campaign)).tolist()
-    for i, after in zip(rank, [*rank[1:], None], strict=True):
-        pause = np.inf
-        if after is not None and campaign.trials[i].run == campaign.trials[after].run:
-            pause = float(campaign.samples[after].t[0] - campaign.samples[i].t[-1])
-        yield i, pause if pause >= 0 else np.inf
+def _pause(campaign: Campaign, one: int, after: int) -> float:
+    """How long after the end of trial `one` trial `after` begins [s]; inf where that is not known."""
+    if campaign.trials[one].run != campaign.trials[after].run:
+        return np.inf
+    pause = float(campaign.samples[after].t[0] - campaign.samples[one].t[-1])
+    return pause if pause >= 0 else np.inf
