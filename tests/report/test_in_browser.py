@@ -2,10 +2,12 @@
 
 import io
 import re
-from dataclasses import replace
+from dataclasses import astuple, replace
 
 import pypdf
 import pytest
+
+from pmabench.store.analyses.results import Parts
 
 from . import samples
 from .samples import render
@@ -30,7 +32,17 @@ def fine():
     return [replace(made, estimates=tuple(more), facts={**made.facts, "steps": steps})]
 
 
+def sharp():
+    """The same test with intervals thirty times narrower: two to three digits more in each cell."""
+    made = samples.contraction()
+    estimates = [
+        replace(e, parts=Parts(*(None if p is None else p / 30 for p in astuple(e.parts)))) for e in made.estimates
+    ]
+    return [replace(made, estimates=tuple(estimates))]
+
+
 REPORTS = {
+    "narrow intervals": (sharp, lambda: [samples.run("contraction-relaxation")]),
     "many pressures": (fine, lambda: [samples.run("contraction-relaxation")]),
     "all four tests": (samples.all_analyses, samples.all_runs),
     "static load": (lambda: [samples.static_load()], lambda: [samples.run("static-load")]),
@@ -42,7 +54,9 @@ REPORTS = {
     "hostile": (hostile_analyses, hostile_runs),
 }
 CUT = """[...document.querySelectorAll('.sheet')].flatMap(sheet => [sheet, ...sheet.querySelectorAll('figure, .two, .main')])
-.filter(e => e.scrollHeight > e.clientHeight + 2).map(e => e.className + ' ' + e.scrollHeight + ' ' + e.clientHeight)"""
+.filter(e => e.scrollHeight > e.clientHeight + 2).map(e => e.className + ' ' + e.scrollHeight + ' ' + e.clientHeight)
+.concat([...document.querySelectorAll('.sheet .scroll')].filter(e => e.scrollWidth > e.clientWidth)
+.map(e => e.innerText + ' ' + e.scrollWidth + ' ' + e.clientWidth))"""
 OVERLAP = """[...document.querySelectorAll('.sheet')].flatMap(sheet => {
   const boxes = [...sheet.children].map(e => e.getBoundingClientRect());
   return boxes.slice(1).filter((box, n) => box.top < boxes[n].bottom - 2).map(box => box.top);

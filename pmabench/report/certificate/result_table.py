@@ -17,8 +17,8 @@ from pmabench.report.words import declared
 from pmabench.store.analyses.results import AGREEMENT, Analysis, Estimate
 
 MOST_ROWS = 11
-MOST_LETTERS = 66
-"""Letters of a row that fit its column of the page."""
+MOST_LETTERS, WIDE = 62, 48
+"""Letters of the coefficients in a row that fit its column of the page, and above which they are smaller."""
 MOST_NOTES = 3
 FIGURE, POINT, THIN = "\u2007", "\u2008", "\u2009"
 """Spaces as wide as a digit, as a point, and a thin one."""
@@ -43,6 +43,8 @@ class ResultTable:
     notes: list[str] = field(default_factory=list)
     symbols: frozenset[str] = frozenset()
     """Whose values it has."""
+    tight: bool = False
+    """Its letters are smaller."""
 
 
 def result_table(analyses: Sequence[Analysis]) -> tuple[ResultTable, list[Estimate], str]:
@@ -60,13 +62,15 @@ def result_table(analyses: Sequence[Analysis]) -> tuple[ResultTable, list[Estima
     stride = -(-len(places) // MOST_ROWS)
     chosen = places[::stride]
     columns = {s: _aligned([cell(by[p, s]) if (p, s) in by else "not measured" for p in chosen]) for s in symbols}
+    named = {s: (symbol_text(s), _unit(members, s)) for s in symbols}
+    letters = {s: _letters(columns[s], named[s]) for s in symbols}
     kept = list(symbols)
-    while len(kept) > 1 and sum(_letters(columns[s]) for s in kept) > MOST_LETTERS:
+    while len(kept) > 1 and sum(letters[s] for s in kept) > MOST_LETTERS:
         kept.pop()
     label, unit = point_shown(over)
     others = sorted({name for e in members for name in e.at} - {over, "mass"})
     heads = [(label, unit.unit), *((point_shown(name)[0], point_shown(name)[1].unit) for name in others)]
-    heads += [(symbol_text(s), _unit(members, s)) for s in kept] + [("n", "")]
+    heads += [*(named[s] for s in kept), ("n", "")]
     rows: list[list[Value]] = []
     for n, place in enumerate(chosen):
         mine = [by[place, s] for s in kept if (place, s) in by]
@@ -78,14 +82,16 @@ def result_table(analyses: Sequence[Analysis]) -> tuple[ResultTable, list[Estima
     if len(kept) < len(symbols):
         hidden = ", ".join(symbol_text(s) for s in symbols if s not in kept)
         notes.append(f"{hidden}: in appendix B")
-    return ResultTable(heads, rows, notes[:MOST_NOTES], frozenset(symbols)), members, over
+    tight = sum(letters[s] for s in kept) > WIDE
+    return ResultTable(heads, rows, notes[:MOST_NOTES], frozenset(symbols), tight), members, over
 
 
 def _matrix(members: Sequence[Estimate], over: str, across: str) -> ResultTable:
     """Values of one symbol by two coordinates; columns as far as they fit."""
     heads, rows = matrix_table(members, over, across)
     columns = [_aligned([row[n] for row in rows]) for n in range(1, len(heads))]
-    while sum(_letters(column) for column in columns) > MOST_LETTERS:
+    letters = [_letters(column, (head, "")) for column, head in zip(columns, heads[1:], strict=True)]
+    while sum(letters[: len(columns)]) > MOST_LETTERS:
         columns.pop()
     label, down = point_shown(over)
     found = [(label, down.unit), *((head, "") for head in heads[1 : len(columns) + 1])]
@@ -93,7 +99,9 @@ def _matrix(members: Sequence[Estimate], over: str, across: str) -> ResultTable:
     symbol = f"{symbol_text(members[0].symbol)} [{_unit(members, members[0].symbol)}]"
     notes = [f"{symbol} at each pressure and contraction; –: not tested, or not known well enough."]
     notes += ["More columns are in appendix B."] if len(found) < len(heads) else []
-    return ResultTable(found, body[:MOST_ROWS], notes, frozenset({members[0].symbol}))
+    return ResultTable(
+        found, body[:MOST_ROWS], notes, frozenset({members[0].symbol}), sum(letters[: len(columns)]) > WIDE
+    )
 
 
 def _place(e: Estimate, over: str) -> tuple[float, ...]:
@@ -106,8 +114,10 @@ def _unit(members: Sequence[Estimate], symbol: str) -> str:
     return shown(first.quantity, first.unit).unit
 
 
-def _letters(column: Sequence[Value]) -> int:
-    return max(len(value.text) + len(value.half) + 2 for value in column)
+def _letters(column: Sequence[Value], head: tuple[str, str]) -> int:
+    """Letters that a column is wide, of its widest cell or of its head, symbol and unit, which is set smaller."""
+    cells = max(len(value.text) + (len(value.half) + 3 if value.half else 0) for value in column)
+    return max(cells, round(0.9 * len(" ".join(head))))
 
 
 def _whole(tests: Sequence[Analysis]) -> ResultTable:
