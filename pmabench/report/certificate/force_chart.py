@@ -1,7 +1,7 @@
 """The second figure of the certificate: force over contraction at each pressure, measured dots on the fitted lines.
 
-What no trial reached is grey. The lines are F = F_ce(P) − K(P) x of the first method that gives both; dots are where
-strokes ended under a load, or forces at held contractions, as the analyses hold them.
+What no trial reached is grey. The lines are F = F_ce(P) − K(P) x of the first method that gives both, bent where the
+fit found them so; dots are where strokes ended under a load, or forces at held contractions, as the analyses hold them.
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ PALE, DEEP = (0x9D, 0xB7, 0xD5), (0x06, 0x2C, 0x52)
 """Ends of the sequence of blues, from the least to the largest pressure."""
 READABLE = 0.45
 """Share of the way to `DEEP` from which on a blue is dark enough for text."""
+ZERO = np.zeros(())
 SAME = 500.0
 """Pressures that differ by less are one [Pa]."""
 
@@ -44,6 +45,19 @@ class Level:
     """Ends of contracting strokes and held forces: contraction and force, shape (n, 2)."""
     back: Array
     """Ends of relaxing strokes, as `rest`."""
+    middle: float = 0.0
+    """The contraction at which K is the slope, of a bent line [m]."""
+    bend: float = 0.0
+    """Half of what its slope changes by with contraction [N/m2]; 0 of a straight line."""
+
+    def force(self, x: Array) -> Array:
+        """Force [N] at contractions [m]."""
+        return np.asarray(self.F_ce - self.K * x + self.bend * x * (x - 2 * self.middle))
+
+    def contraction(self, force: Array) -> Array:
+        """The inverse; negative above F_ce."""
+        slope, left = self.K + 2 * self.bend * self.middle, self.F_ce - force
+        return np.asarray(2 * left / (slope + np.sqrt(np.maximum(0.0, slope**2 - 4 * self.bend * left))))
 
 
 def blue(share: float) -> str:
@@ -65,11 +79,13 @@ def force_picture(analyses: Sequence[Analysis], less: float = 0.0) -> Picture | 
     dots = np.concatenate([np.concatenate([level.rest, level.back]) for level in levels])
     low, high, far = float(dots[:, 1].min()), float(dots[:, 1].max()), float(dots[:, 0].max())
     simulated = any(a.simulated for a in analyses)
-    reach = max(far * 1.12, min(max(level.F_ce / level.K for level in levels), 1.6 * far))
+    reach = max(far * 1.12, min(max(float(level.contraction(ZERO)) for level in levels), 1.6 * far))
     series = [one for n, level in enumerate(levels) for one in _series(level, n / (len(levels) - 1), reach)]
     ends = f"{_shown(levels[0].P)} to {_shown(levels[-1].P)} kPa"
+    bent = any(level.bend for level in levels)
+    kind = "bent lines, −K their slope at one contraction" if bent else "straight lines with slope −K"
     alt = (
-        f"Force over contraction at {len(levels)} pressures from {ends}: straight lines with slope −K, "
+        f"Force over contraction at {len(levels)} pressures from {ends}: {kind}, "
         f"from {levels[0].F_ce:.4g} N and {levels[-1].F_ce:.4g} N at no contraction; "
         f"measured from {low:.3g} to {high:.3g} N."
     )
@@ -88,7 +104,8 @@ def force_picture(analyses: Sequence[Analysis], less: float = 0.0) -> Picture | 
     size = rounded(friction.value, None, 3) if friction else ""
     off = f" Friction lets a muscle rest up to F_c = {size} N off its line." if size else ""
     hollow = " Hollow: where relaxing strokes ended." if any(len(level.back) for level in levels) else ""
-    caption = f"Lines: F = F_ce − K x of the fit. Dots: where strokes ended under each load.{hollow}{off}"
+    lines = "the fitted force; K is its slope at one contraction" if bent else "F = F_ce − K x of the fit"
+    caption = f"Lines: {lines}. Dots: where strokes ended under each load.{hollow}{off}"
     title = f"Force over contraction, {ends}"
     return of_charts((chart,), title, caption, alt, _table(levels), simulated=simulated)
 
@@ -99,8 +116,22 @@ def _levels(analyses: Sequence[Analysis]) -> list[Level]:
         F_ce, K = (_over_pressure(analyses, symbol, method) for symbol in ("F_ce", "K"))
         both = sorted(P for P in set(F_ce) & set(K) if K[P] > 0)
         if len(both) >= FEWEST:
-            return [Level(P, F_ce[P], K[P], *_measured(analyses, P)) for P in both]
+            bends = _bends(analyses)
+            return [Level(P, F_ce[P], K[P], *_measured(analyses, P), *_bend(F_ce[P], K[P], bends.get(P))) for P in both]
     return []
+
+
+def _bends(analyses: Sequence[Analysis]) -> dict[float, tuple[float, float]]:
+    """Contraction [m] at which K is the slope, and the force there [N], by pressure [Pa]; none of straight lines."""
+    found = [one for a in analyses for one in mappings((a.facts.get("form") or {}).get("K_at"))]
+    names = ("pressure", "contraction", "force")
+    rows = [tuple(float(one[name]) for name in names) for one in found if all(is_number(one.get(n)) for n in names)]
+    return {P: (x, F) for P, x, F in rows if x > 0}
+
+
+def _bend(F_ce: float, K: float, at: tuple[float, float] | None) -> tuple[float, float]:
+    """`middle` and `bend` of the parabola from F_ce through a force, with slope -K there."""
+    return (0.0, 0.0) if at is None else (at[0], (F_ce - K * at[0] - at[1]) / at[0] ** 2)
 
 
 def _over_pressure(analyses: Sequence[Analysis], symbol: str, method: str) -> dict[float, float]:
@@ -132,10 +163,10 @@ def _is_end(step: Mapping[str, object]) -> bool:
 def _series(level: Level, share: float, reach: float) -> list[Series]:
     """The line with its name at its end, and the dots."""
     color, text = blue(share), blue(max(share, READABLE))
-    end = min(reach, level.F_ce / level.K)
+    end = min(reach, float(level.contraction(ZERO)))
     x = np.linspace(0.0, end, 25)
     name = f"{_shown(level.P)} kPa"
-    found = [Series(name, 1e3 * x, level.F_ce - level.K * x, color, width=1.6, name_color=text, named_first=True)]
+    found = [Series(name, 1e3 * x, level.force(x), color, width=1.6, name_color=text, named_first=True)]
     for marks, hollow in ((level.rest, False), (level.back, True)):
         if len(marks):
             order = np.argsort(marks[:, 0], kind="stable")
@@ -147,7 +178,7 @@ def _series(level: Level, share: float, reach: float) -> list[Series]:
 def _tested(levels: Sequence[Level], low: float, high: float) -> Array:
     """Corners of the zone between the least and the largest pressure and load [mm, N]."""
     force = np.linspace(low, high, 40)
-    near, far = ((level.F_ce - force) / level.K for level in (levels[0], levels[-1]))
+    near, far = (level.contraction(force) for level in (levels[0], levels[-1]))
     inside = far >= 0
     left, right = np.maximum(near, 0.0)[inside], far[inside]
     return 1e3 * np.array([[*left, *right[::-1]], [*(1e-3 * force[inside]), *(1e-3 * force[inside])[::-1]]]).T
@@ -159,7 +190,7 @@ def _table(levels: Sequence[Level]) -> Frame:
             "P [kPa]": _shown(level.P),
             "x [mm]": rounded(1e3 * x, None, 4),
             "F [N]": rounded(F, None, 4),
-            "line [N]": rounded(level.F_ce - level.K * x, None, 4),
+            "line [N]": rounded(float(level.force(x)), None, 4),
             "after": word,
         }
         for level in levels

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -115,55 +116,58 @@ def late(segments: Segments, fit: Solved, cell: bool) -> dict[str, tuple[Array, 
     return found | ({"force": (-pull[0], pull[1])} if cell else {})
 
 
-def middle(segments: Segments, P: Array) -> Array:
-    """The contraction [m] that K of a bent muscle belongs to at pressures [Pa]: a straight line over them through the
-    contractions of all segments, near the middle of those that were tested.
+@dataclass(frozen=True)
+class Span:
+    """Which contractions were tested: a straight line over pressure through all segments, and their range [m]."""
+
+    line: Array
+    reach: float
+
+    @classmethod
+    def of(cls, segments: Segments) -> Span:
+        """Those of the segments."""
+        x, P = segments.x @ segments.weights, segments.pressure
+        line = np.linalg.lstsq(np.column_stack((np.ones(len(P)), P / TYPICAL)), x, rcond=None)[0]
+        reach = float(np.ptp(x))
+        return cls(np.asarray(line), reach if reach > STROKE else 1.0)
+
+    def middle(self, P: Array) -> Array:
+        """The contraction [m] that K of a bent muscle belongs to at pressures [Pa], near the middle of those tested."""
+        return np.asarray(self.line[0] + self.line[1] * P / TYPICAL)
+
+
+def bent(which: str, x: Array, P: Array, K: Array, span: Span) -> Array:
+    """How much more the muscle pulls at contractions x [m] and pressures P [Pa], by sizes of a bend; shape (n, sizes).
+
+    K falls over the contractions that were tested `as K`, by its own size; as a `line`, by 1 N/m, and by that in
+    proportion to pressure; `steep`: besides by 1 N/m near no contraction (see `STEEP`), and that in proportion to
+    pressure. K of the straight line stays the slope at the middle, F_ce the force without contraction.
     """
-    x, own = segments.x @ segments.weights, segments.pressure
-    line = np.linalg.lstsq(np.column_stack((np.ones(len(own)), own / TYPICAL)), x, rcond=None)[0]
-    return np.asarray(line[0] + line[1] * P / TYPICAL)
+    middle = span.middle(P)
+    shape = x * (x - 2 * middle) / (2 * span.reach)
+    if which == "as K":
+        return np.asarray(K * shape)[:, None]
+    shapes = [shape]
+    if which == "steep":
+        length = STEEP * span.reach
+        shapes.append(np.exp(-middle / length) * x + length * np.expm1(-np.maximum(x, -length) / length))
+    return np.column_stack([column for one in shapes for column in (one, one * P / TYPICAL)])
 
 
-def _middle(segments: Segments) -> tuple[Array, Array, float]:
-    """Contraction of each segment, the `middle` at its pressure, (n,) each, and the range of contractions [m]."""
-    x = segments.x @ segments.weights
-    return x, middle(segments, segments.pressure), reach if (reach := float(np.ptp(x))) > STROKE else 1.0
-
-
-def bend(followed: Followed, segments: Segments, fit: Solved) -> Array:
-    """K falls over the contractions that were tested by 1 N/m, and by that in proportion to pressure; shape (n, 2).
-
-    K of the straight line stays the slope at the `middle` of that pressure.
-    """
-    x, middle, reach = _middle(segments)
-    bent = x * (x - 2 * middle) / (2 * reach)
-    return np.column_stack((bent, bent * segments.pressure / TYPICAL))
-
-
-def bend_as_stiffness(followed: Followed, segments: Segments, fit: Solved) -> Array:
-    """K falls over the contractions that were tested by its own size at each pressure; shape (n, 1)."""
-    x, middle, reach = _middle(segments)
-    return np.asarray(fit.values("K", segments.pressure) * x * (x - 2 * middle) / (2 * reach))[:, None]
-
-
-def steep(followed: Followed, segments: Segments, fit: Solved) -> Array:
-    """The same as `bend`, and K that falls by 1 N/m near no contraction (see `STEEP`), and by that in proportion to
-    pressure; shape (n, 4). F_ce stays the force without contraction.
-    """
-    x, middle, reach = _middle(segments)
-    length = STEEP * reach
-    fallen = np.exp(-middle / length) * x + length * np.expm1(-np.maximum(x, -length) / length)
-    return np.hstack((bend(followed, segments, fit), np.column_stack((fallen, fallen * segments.pressure / TYPICAL))))
+def bend(which: str, followed: Followed, segments: Segments, fit: Solved) -> Array:
+    """`bent` at each segment."""
+    P = segments.pressure
+    return bent(which, segments.x @ segments.weights, P, fit.values("K", P), Span.of(segments))
 
 
 def bent_sensor(followed: Followed, segments: Segments, fit: Solved) -> Array:
     """K and B fall alike over the contractions that were tested, by their own size: so it looks where the displacement
     sensor is not straight; shape (n, 1).
     """
-    x, middle, reach = _middle(segments)
-    contracts, P = segments.way > 0, segments.pressure
-    damping = np.where(contracts, fit.values("B_c", P), fit.values("B_r", P)) * segments.v.mean(axis=1)
-    return np.asarray(bend_as_stiffness(followed, segments, fit) + (damping * (x - middle) / reach)[:, None])
+    x, P, span = segments.x @ segments.weights, segments.pressure, Span.of(segments)
+    damping = np.where(segments.way > 0, fit.values("B_c", P), fit.values("B_r", P)) * segments.v.mean(axis=1)
+    by_speed = damping * (x - span.middle(P)) / span.reach
+    return np.asarray(bent("as K", x, P, fit.values("K", P), span) + by_speed[:, None])
 
 
 def off_straight(segments: Segments, fit: Solved, radius: float, phase: float) -> Array:
@@ -230,7 +234,7 @@ def creep_by_load(followed: Followed, segments: Segments, fit: Solved) -> Array:
 
 
 OF_MUSCLE: Mapping[str, Mapping[str, Callable[[Followed, Segments, Solved], Array]]] = {
-    "bend": {"as K": bend_as_stiffness, "line": bend, "steep": steep},
+    "bend": {which: partial(bend, which) for which in ("as K", "line", "steep")},
     "sensor": {"": bent_sensor},
     "hysteresis": {"": hysteresis, BY_WAY: hysteresis_by_way},
     "creep": {"even": creep, "by decade": creep_decades, "by time": creep_parts, BY_LOAD: creep_by_load},

@@ -144,9 +144,9 @@ def _late(test: Test, followed: Followed) -> Cause:
 
 
 def _bend(test: Test, followed: Followed) -> Cause:
-    """K changes with x. A straight line's K is the slope at the `middle` of that pressure."""
+    """K changes with x. A straight line's K is the slope at the middle of those tested."""
     text = "the force over contraction is bent: K changes by {size} over the contractions tested"
-    both = columns.bend(followed, test.segments, test.fit).T
+    both = columns.bend("line", followed, test.segments, test.fit).T
     kinds = zip(both, ("", ", in proportion to pressure"), strict=True)
     ways = tuple(Way(text + more, "stiffness", column) for column, more in kinds)
     return Cause("bend of the force over contraction that the fit does not exclude", "method", ways)

@@ -15,7 +15,7 @@ import numpy as np
 
 from pmabench.base.quantities import show
 from pmabench.kinds.contraction_relaxation.diagnosis.cell import Weighed
-from pmabench.kinds.contraction_relaxation.diagnosis.columns import middle
+from pmabench.kinds.contraction_relaxation.diagnosis.columns import Span, bent
 from pmabench.kinds.contraction_relaxation.diagnosis.hiding import HARDLY, MOST_HIDDEN, Hidden, Size
 from pmabench.kinds.contraction_relaxation.diagnosis.rounds import EXPLAINS, STILL_TOLD, Rounds
 from pmabench.kinds.contraction_relaxation.diagnosis.search import State
@@ -194,7 +194,16 @@ class Diagnosis:
         """The contraction [m] at which K at a pressure [Pa] is the slope; None where it is that at any."""
         if self.state == "withheld" or not self.bent:
             return None
-        return float(middle(self.reported.test.segments, np.array([P]))[0])
+        return float(Span.of(self.reported.test.segments).middle(np.array([P]))[0])
+
+    def force_at(self, P: float, x: float) -> float:
+        """Force of the fitted muscle [N] at rest at a pressure [Pa] and a contraction [m], with what bends it."""
+        test, there, at = self.reported.test, np.array([x]), np.array([P])
+        F_ce, K = (test.fit.values(symbol, at) for symbol in ("F_ce", "K"))
+        sizes = [(one.which, np.array(one.sizes)) for one in self.reported.explanations if one.kind == "bend"]
+        span = Span.of(test.segments)
+        more = sum(float((bent(which, there, at, K, span) @ by)[0]) for which, by in sizes)
+        return float((F_ce - K * there)[0]) + more
 
     @property
     def between(self) -> str:
@@ -247,7 +256,7 @@ class Diagnosis:
                 for one in self.named
             ],
             "K_at": [
-                {"pressure": P, "contraction": x}
+                {"pressure": P, "contraction": x, "force": self.force_at(P, x)}
                 for P in self.reported.test.campaign.tested
                 if (x := self.slope_at(P)) is not None
             ],
