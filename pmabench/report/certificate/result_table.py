@@ -17,7 +17,7 @@ from pmabench.report.words import declared
 from pmabench.store.analyses.results import AGREEMENT, Analysis, Estimate
 
 MOST_ROWS = 11
-MOST_LETTERS, WIDE = 62, 48
+MOST_LETTERS, WIDE = 62, 55
 """Letters of the coefficients in a row that fit its column of the page, and above which they are smaller."""
 MOST_NOTES = 3
 FIGURE, POINT, THIN = "\u2007", "\u2008", "\u2009"
