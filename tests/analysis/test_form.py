@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from pmabench.kinds.contraction_relaxation.diagnosis.cell import Readings, readings, weighed
-from pmabench.kinds.contraction_relaxation.diagnosis.columns import LOADED, STEEP, Followed, creep_by_load, steep
+from pmabench.kinds.contraction_relaxation.diagnosis.columns import LOADED, STEEP, Followed, bend, creep_by_load
 from pmabench.kinds.contraction_relaxation.diagnosis.corrections import Explanation, plausible
 from pmabench.kinds.contraction_relaxation.diagnosis.hiding import causes
 from pmabench.kinds.contraction_relaxation.intervals import Pooled
@@ -234,7 +234,7 @@ def test_a_column_is_what_the_departure_does_to_the_coefficients(name: str, text
 
 def test_a_steep_begin_is_a_stiffness_that_falls_and_leaves_that_in_the_middle_as_it_is() -> None:
     segments = recorded_segments(clean())
-    _, _, even, by_pressure = steep(Followed.of(gathered(clean())), segments, as_it_is().fit).T
+    _, _, even, by_pressure = bend("steep", Followed.of(gathered(clean())), segments, as_it_is().fit).T
     x, P = segments.x @ segments.weights, segments.pressure
     middle, length = np.polyval(np.polyfit(P, x, 1), P), STEEP * np.ptp(x)
     way = np.linspace(0.0, 1.0, 2001)[:, None] * x
