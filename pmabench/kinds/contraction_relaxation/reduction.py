@@ -24,6 +24,7 @@ from pmabench.kinds.contraction_relaxation.checks import free_runs
 from pmabench.kinds.contraction_relaxation.curves import curve
 from pmabench.kinds.contraction_relaxation.diagnosis.columns import sensor_known
 from pmabench.kinds.contraction_relaxation.diagnosis.examination import examined
+from pmabench.kinds.contraction_relaxation.diagnosis.held_out import Test
 from pmabench.kinds.contraction_relaxation.diagnosis.hiding import hidden, of_the_cell, of_the_sensor
 from pmabench.kinds.contraction_relaxation.diagnosis.verdict import Diagnosis
 from pmabench.kinds.contraction_relaxation.intervals import Pooled, Trust, assess, replay_fits
@@ -197,10 +198,9 @@ def pool(recorded: Campaign, options: Mapping[str, Any]) -> Pooled | None:
         polygons = [again.values(symbol, solved.knots) for symbol in SYMBOLS]
         return np.concatenate((*polygons, [again.coulomb]))
 
-    def trusted(other: Solved, rows: NDArray[np.bool_], seen: Array, again: Callable[[Segments], Array]) -> Trust:
-        """How far a fit to these rows of the segments can be trusted; `seen` [N] is the noise of each."""
+    def replays_of(other: Solved) -> Callable[[int], Segments]:
+        """Segments of replays of a fitted muscle, by their seed."""
         run = simulated.run(other, work.P, work.dt, work.load, work.mass, work.x)
-        mine = segments.where(rows)
 
         def replayed(seed: int) -> Segments:
             seen_again = segments_of(simulated.measured(work, run, campaign.noise, campaign.cell, seed))
@@ -208,7 +208,12 @@ def pool(recorded: Campaign, options: Mapping[str, Any]) -> Pooled | None:
                 raise NotUsable("the fitted muscle does not move under the loads and pressures that moved the real one")
             return seen_again
 
-        replays = replay_fits(replayed, other, rms_of(seen), int(options.get("replays", REPLAYS)))
+        return replayed
+
+    def trusted(other: Solved, rows: NDArray[np.bool_], seen: Array, again: Callable[[Segments], Array]) -> Trust:
+        """How far a fit to these rows of the segments can be trusted; `seen` [N] is the noise of each."""
+        mine = segments.where(rows)
+        replays = replay_fits(replays_of(other), other, rms_of(seen), int(options.get("replays", REPLAYS)))
         skews = _skews(campaign, lambda late: found.corrected(segments_of(late)), again, other)
         drifts = drift.causes(campaign.runs, campaign.trials, campaign.channels, mine, other, rms_of(seen), rests)
         scales = Scales.of(campaign.runs)
@@ -218,7 +223,13 @@ def pool(recorded: Campaign, options: Mapping[str, Any]) -> Pooled | None:
     alone = trusted(solved, every, noise, first)
     if spread is not None:
         alone = replace(alone, correction=spread.of(solved, every, test.expected))
-    diagnosis = replace(diagnosis, hidden=hidden(test, found.search.followed, diagnosis.weighed, alone))
+
+    def tests_of_noise(count: int) -> list[Test]:
+        found = map(replays_of(solved), range(count))
+        return [Test.of(campaign, one, solved.again(one, test.expected), test.expected) for one in found]
+
+    departures = hidden(test, found.search.followed, diagnosis.weighed, alone, tests_of_noise)
+    diagnosis = replace(diagnosis, hidden=departures)
 
     def with_hidden(other: Solved, rows: NDArray[np.bool_], trust: Trust) -> Trust:
         mine, scales = segments.where(rows), Scales.of(campaign.runs)

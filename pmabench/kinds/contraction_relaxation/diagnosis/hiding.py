@@ -6,7 +6,7 @@ size that could be there, is a line of the budget.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from math import inf, sqrt
 from statistics import NormalDist
@@ -22,7 +22,7 @@ from pmabench.kinds.contraction_relaxation.diagnosis.columns import RADII, TIMES
 from pmabench.kinds.contraction_relaxation.diagnosis.held_out import SURE, Test
 from pmabench.kinds.contraction_relaxation.diagnosis.words import shown
 from pmabench.kinds.contraction_relaxation.intervals import Hiding, Trust
-from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, Fit, Solved
+from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, Fit, Solved, force_by_pressure
 from pmabench.kinds.contraction_relaxation.segments import Segments
 from pmabench.store.records import Array
 
@@ -42,6 +42,8 @@ ALONE = 1e-6
 HARDLY = 0.01
 """A column of which less than this share is left is hardly distinguished from the coefficients: its size may be that of
 the columns' noise, and of bends between the knots."""
+REPLAYS, FEWEST_REPLAYS = 6, 3
+"""Replays that show what noise alone makes of sizes, where one is significant; and how many have to show it."""
 INEXACT = 0.1
 """Share of the effect of a known delay that its first and second order may miss. Another delay is not sized beyond what
 a known one may do at all: the two differ by such small terms only."""
@@ -110,8 +112,8 @@ class Size:
 
 def causes(test: Test, followed: Followed) -> tuple[Cause, ...]:
     """All causes that the channels of the campaign allow."""
-    found = [make(test, followed) for make in (_drift, _slip, _late, _bend, _hysteresis, _creep, _crooked, _play)]
-    return tuple(cause for cause in found if cause.ways)
+    makes = (_drift, _scales, _slip, _late, _bend, _hysteresis, _creep, _crooked, _play)
+    return tuple(cause for make in makes if (cause := make(test, followed)).ways)
 
 
 def _drift(test: Test, followed: Followed) -> Cause:
@@ -119,6 +121,21 @@ def _drift(test: Test, followed: Followed) -> Cause:
     column = columns.drift(test.campaign, test.segments) - 0.5  # its mean is a zero, which `of_the_cell` has
     own = (Way(text, "force", column, columns.zero_known(test.campaign)),) if test.campaign.cell else ()
     return Cause(f"{name} that weights and fit do not exclude", "drift", own)
+
+
+def _scales(test: Test, followed: Followed) -> Cause:
+    """Scale of a channel that drifts evenly, from the begin of the campaign on: the muscle changing looks the same."""
+    segments, P = test.segments, test.segments.pressure
+    course = columns.drift(test.campaign, segments)
+    push = force_by_pressure(segments, test.fit) * P
+    pull = test.fit.values("K", P) * (segments.x @ segments.weights)
+    ways = (
+        Way("the scale of the pressure, or the force of the muscle, drifted by {size} over the campaign", "ratio",
+            -push * course),
+        Way("the scale of the displacement, or the stiffness of the muscle, drifted by {size} over the campaign",
+            "ratio", -pull * course),
+    )  # fmt: skip
+    return Cause("drift of a scale, or of the muscle, that the fit does not exclude", "drift", ways)
 
 
 def _slip(test: Test, followed: Followed) -> Cause:
@@ -220,11 +237,16 @@ class Hidden:
         return found
 
 
-def hidden(test: Test, followed: Followed, weights: Weighed, trust: Trust) -> Hidden:
-    """What could hide in a fit; `trust` is that of the fit without it."""
-    known = causes(test, followed)
-    sizes = [_with_weights(size, weights) for size in _sizes(test, known)]
+def hidden(
+    test: Test, followed: Followed, weights: Weighed, trust: Trust, replays: Callable[[int], Sequence[Test]]
+) -> Hidden:
+    """What could hide in a fit; `trust` is that of the fit without it, `replays` tests so many replays of it."""
+    sizes = _sizes(test, causes(test, followed))
     limit = NormalDist().inv_cdf(1 - 0.5 * FALSE_ALARMS / max(1, len(sizes)))
+    if any(size.beyond > limit for size in sizes):
+        again = [_sizes(other, causes(other, followed)) for other in replays(REPLAYS)]
+        sizes = [_as_replayed(size, again) if size.beyond > limit else size for size in sizes]
+    sizes = [_with_weights(size, weights) for size in sizes]
     significant = [size for size in sizes if size.beyond > limit]
     found, moved = _matter(significant, test.fit, trust, test.campaign.tested)
     return Hidden(tuple(sizes), tuple(found), moved)
@@ -299,6 +321,18 @@ def _weights(columns: Array, design: Array, may: Array, noise: float) -> Array:
     weighed, alone = weigh(scaled), weigh(columns)
     alone = alone - weighed @ np.linalg.lstsq(scaled.T @ weighed, scaled.T @ alone)[0]
     return np.asarray(alone / np.sum(columns * alone, axis=0))
+
+
+def _as_replayed(size: Size, replays: Sequence[Sequence[Size]]) -> Size:
+    """The size less what replays of the fitted muscle, which has none of it, show by noise alone, and as unsure as they
+    scatter: noise in the columns makes sizes, as it makes biased coefficients.
+    """
+    seen = [one.size for replay in replays for one in replay if one.way.text == size.way.text]
+    if len(seen) < FEWEST_REPLAYS:
+        return size
+    variance = float(np.var(seen, ddof=1))
+    error = sqrt(max(size.error**2, variance) + variance / len(seen))
+    return replace(size, size=size.size - float(np.mean(seen)), error=error)
 
 
 def _with_weights(size: Size, weights: Weighed) -> Size:
