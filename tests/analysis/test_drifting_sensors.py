@@ -69,15 +69,27 @@ def test_the_zero_of_another_sensor_that_drifts_is_in_the_intervals(channel: str
     assert f"zero of {channel} from trial to trial" in [line.name for line in budget[:2]]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("channel", "size", "seed"), [("displacement", 0.001, 700), ("pressure", 0.003, 701), ("pressure", 0.003, 702)]
-)
-def test_a_scale_that_drifts_is_in_the_intervals(channel: str, size: float, seed: int):
-    """By 0.1 and 0.3 % over a campaign: values 3 to 9 half widths off were accepted. The interval is at most 1.5 % wide."""
+def scaled(channel: str, size: float, seed: int):
+    """Values, and how many are withheld, of a clean campaign in which the scale of a channel drifted by `size` [1]."""
     length, clean = STARTS[-1] + DURATION, campaign("clean", 0.0, seed)
     trials = [replace(one, **{channel: getattr(one, channel) * (1 + size * one.t / length)}) for one in clean]
     (analysis,) = reduce_runs([as_run(trials)])
-    values, withheld = compared(analysis, truth("clean", 0.0, seed), slope("clean", 0.0, seed))
+    return compared(analysis, truth("clean", 0.0, seed), slope("clean", 0.0, seed))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [701, 702])
+def test_a_gauge_whose_scale_drifts_by_3_per_mille_is_in_the_intervals(seed: int):
+    """Values 5 and 9 half widths off were accepted. Intervals stay within 1.5 %."""
+    values, withheld = scaled("pressure", 0.003, seed)
     assert max(value.score for value in values) <= 1.5
-    assert (max(value.half for value in values if value.symbol in ("K", "F_ce")) <= 0.015, withheld) == (True, 0)
+    assert max(value.half for value in values if value.symbol in ("K", "F_ce")) <= 0.015
+    assert withheld == 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("size", [0.002, 0.003])
+def test_values_that_a_drifting_scale_of_the_displacement_could_change_are_withheld(size: float):
+    values, withheld = scaled("displacement", size, 700)
+    assert withheld > 0
+    assert max((value.score for value in values), default=0.0) <= 1.5

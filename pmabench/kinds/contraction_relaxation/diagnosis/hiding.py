@@ -33,6 +33,9 @@ HIDES = 2.0
 EVEN = 2.0
 """A departure of so many standard deviations is as likely to be there as not: the fit is better for it by as much as
 two more coefficients cost by Akaike's criterion."""
+RARELY = 3.3
+"""The same of a drift of scales: they are hardly distinguished from the coefficients, and would make all intervals of
+campaigns without any twice as wide."""
 MOST_HIDDEN = 0.02
 """A significant departure that could change a coefficient by more than this share is not left to its interval."""
 GAIN, ZERO = "gain of the force cell against the weights", "zero of the force cell against the weights"
@@ -74,6 +77,8 @@ class Cause:
     part: str
     """Field of `Parts` that it belongs to."""
     ways: tuple[Way, ...]
+    even: float = EVEN
+    """From so many standard deviations on it is as likely to be there as not."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,7 +131,7 @@ def _drift(test: Test, followed: Followed) -> Cause:
 def _scales(test: Test, followed: Followed) -> Cause:
     """Scale of a channel that drifts evenly, from the begin of the campaign on: the muscle changing looks the same."""
     segments, P = test.segments, test.segments.pressure
-    course = columns.drift(test.campaign, segments)
+    course = columns.drift(test.campaign, segments) - 0.5
     push = force_by_pressure(segments, test.fit) * P
     pull = test.fit.values("K", P) * (segments.x @ segments.weights)
     ways = (
@@ -135,7 +140,7 @@ def _scales(test: Test, followed: Followed) -> Cause:
         Way("the scale of the displacement, or the stiffness of the muscle, drifted by {size} over the campaign",
             "ratio", -pull * course),
     )  # fmt: skip
-    return Cause("drift of a scale, or of the muscle, that the fit does not exclude", "drift", ways)
+    return Cause("drift of a scale, or of the muscle, that the fit does not exclude", "drift", ways, RARELY)
 
 
 def _slip(test: Test, followed: Followed) -> Cause:
@@ -228,7 +233,7 @@ class Hidden:
         clear = {one.cause.name for one in self.found}
         for cause in {id(size.cause): size.cause for size in self.sizes}.values():
             mine = [size for size in self.sizes if size.cause is cause]
-            strength = np.array([0.5 * (one.beyond**2 - EVEN**2) for one in mine])
+            strength = np.array([0.5 * (one.beyond**2 - cause.even**2) for one in mine])
             likely = np.exp(strength - max(0.0, strength.max())) / len(mine)
             none = np.exp(-max(0.0, strength.max()))
             change = fit.change(np.column_stack([size.way.column[rows] for size in mine]))
