@@ -33,7 +33,7 @@ HIDES = 2.0
 EVEN = 2.0
 """A departure of so many standard deviations is as likely to be there as not: the fit is better for it by as much as
 two more coefficients cost by Akaike's criterion."""
-RARELY = 3.3
+RARELY = 3.5
 """The same of a drift of scales: they are hardly distinguished from the coefficients, and would make all intervals of
 campaigns without any twice as wide."""
 MOST_HIDDEN = 0.02
