@@ -110,8 +110,10 @@ def nrmse(runs: Sequence[FreeRun], phase: str = "") -> float | None:
     return sqrt(error / size) if size > 0 else None
 
 
-def check(campaign: Campaign, runs: Sequence[FreeRun]) -> Check | None:
-    """NRMSE over all trials, by direction, of reference trials, and the worst operating point."""
+def check(campaign: Campaign, runs: Sequence[FreeRun], *, bent: bool = False) -> Check | None:
+    """NRMSE over all trials, by direction, of reference trials, and the worst operating point; `bent`: the muscle was
+    found to be, and is run as a straight one.
+    """
     value, error = nrmse(runs), rms(runs)
     if value is None or error is None:
         return None
@@ -122,9 +124,10 @@ def check(campaign: Campaign, runs: Sequence[FreeRun]) -> Check | None:
     rows = [row for row in table(campaign, runs) if row["nrmse"] is not None]
     worst = max(rows, key=lambda row: row["nrmse"])
     cut = sum(not run.whole for run in runs)
+    straight = ", without its bend," if bent else ""
     text = (
-        f"free run of the fitted muscle with the measured pressure over {len(runs)} trials: NRMSE {_percent(value)} "
-        f"(fit {100 * (1 - value):.4g} %), {show(error, 'length', 2)} rms; {', '.join(kinds)}; worst "
+        f"free run of the fitted muscle{straight} with the measured pressure over {len(runs)} trials: NRMSE "
+        f"{_percent(value)} (fit {100 * (1 - value):.4g} %), {show(error, 'length', 2)} rms; {', '.join(kinds)}; worst "
         f"{_percent(worst['nrmse'])} at {show(worst['pressure'], 'pressure', 4)}, {show(worst['load'], 'force', 4)}"
     )
     if cut:

@@ -59,9 +59,10 @@ def stroke_picture(analyses: Sequence[Analysis]) -> tuple[Picture, Trace] | None
         together="stroke",
     )
     alt = f"{upper.alt} {lower.alt}"
+    straight = ", without its bend," if (analysis.facts.get("form") or {}).get("K_at") else ""
     caption = (
-        f"The fitted muscle with the measured pressure as its only input, from the first sample on. It misses this "
-        f"trial by {misfit}, {share:.2g} % of the stroke."
+        f"The fitted muscle{straight} with the measured pressure as its only input, from the first sample on. It "
+        f"misses this trial by {misfit}, {share:.2g} % of the stroke."
     )
     title = f"One stroke, {where}: measured and free run"
     table = numbers([("", trace)], ("t", "displacement", "model"))
