@@ -1,10 +1,12 @@
 """The certificate of a muscle that is bent: its line is the force of the closed form, and runs through the dots."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from pmabench.kinds.reduce import reduce_runs
-from pmabench.report.certificate.force_chart import _levels
+from pmabench.report.certificate.force_chart import Level, _levels
 from pmabench.report.certificate.result_table import result_table
 from tests.analysis.judged import as_run
 from tests.judge.campaign import campaign, muscle_of
@@ -46,3 +48,40 @@ def test_the_table_gives_the_contraction_of_each_K(analyses, levels):
     table, _, _ = result_table(analyses)
     places = ", ".join(f"{1e3 * level.middle:.1f}" for level in levels)
     assert f"K: the slope at {places} mm of contraction, row by row" in table.notes
+
+
+@pytest.mark.parametrize(
+    "form",
+    [
+        "parallel",
+        {"K_at": 3},
+        {"K_at": [{"pressure": 350e3}, 5]},
+        {"K_at": [{"pressure": 350e3, "contraction": "far", "force": None}]},
+        {"K_at": [{"pressure": 350e3, "contraction": 1e-3, "force": float("inf")}]},
+    ],
+)
+def test_facts_that_hold_anything_else_make_straight_lines(analyses, form):
+    """Another program's analysis may call something else `form`."""
+    other = [replace(a, facts={**a.facts, "form": form}) for a in analyses]
+    assert all(level.bend == 0 for level in _levels(other))
+    assert not [note for note in result_table(other)[0].notes if note.startswith("K: the slope")]
+
+
+def test_the_contractions_are_said_of_the_K_that_they_belong_to(analyses):
+    """The same facts next to a K of another method say nothing of it."""
+    others = [
+        replace(
+            a,
+            estimates=tuple(replace(e, method="isometric-sections") for e in a.estimates if e.symbol in ("K", "F_ce")),
+        )
+        for a in analyses
+    ]
+    assert any(note.startswith("K: the slope") for note in result_table(analyses)[0].notes)
+    beside = [replace(others[0], facts={}), replace(analyses[0], estimates=())]
+    assert not [note for note in result_table(beside)[0].notes if note.startswith("K: the slope")]
+
+
+def test_a_line_that_does_not_come_down_ends_where_it_is_lowest():
+    level = Level(350e3, 1000.0, 10e3, np.empty((0, 2)), np.empty((0, 2)), middle=0.03, bend=400e3)
+    x = np.linspace(0.0, 0.1, 10_001)
+    assert float(level.contraction(np.array(0.0))) == pytest.approx(x[np.argmin(level.force(x))], abs=1e-5)

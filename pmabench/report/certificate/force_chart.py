@@ -16,7 +16,7 @@ from pmabench.plotting.frame import Frame
 from pmabench.plotting.pictures import Picture, has, of_charts
 from pmabench.plotting.plots import Array
 from pmabench.plotting.wording import rounded
-from pmabench.report.document.tables import is_number, mappings
+from pmabench.report.document.tables import is_number, mappings, slopes_of
 from pmabench.report.figures.characteristic_figures import FIGURE, MODELS
 from pmabench.store.analyses.results import Analysis, Estimate
 
@@ -55,8 +55,10 @@ class Level:
         return np.asarray(self.F_ce - self.K * x + self.bend * x * (x - 2 * self.middle))
 
     def contraction(self, force: Array) -> Array:
-        """The inverse; negative above F_ce."""
+        """The inverse, negative above F_ce; where the line does not come down to a force, where it is lowest."""
         slope, left = self.K + 2 * self.bend * self.middle, self.F_ce - force
+        if self.bend > 0:
+            left = np.minimum(left, slope**2 / (4 * self.bend))
         return np.asarray(2 * left / (slope + np.sqrt(np.maximum(0.0, slope**2 - 4 * self.bend * left))))
 
 
@@ -116,22 +118,17 @@ def _levels(analyses: Sequence[Analysis]) -> list[Level]:
         F_ce, K = (_over_pressure(analyses, symbol, method) for symbol in ("F_ce", "K"))
         both = sorted(P for P in set(F_ce) & set(K) if K[P] > 0)
         if len(both) >= FEWEST:
-            bends = _bends(analyses)
+            bends = slopes_of(analyses, (method,))
             return [Level(P, F_ce[P], K[P], *_measured(analyses, P), *_bend(F_ce[P], K[P], bends.get(P))) for P in both]
     return []
 
 
-def _bends(analyses: Sequence[Analysis]) -> dict[float, tuple[float, float]]:
-    """Contraction [m] at which K is the slope, and the force there [N], by pressure [Pa]; none of straight lines."""
-    found = [one for a in analyses for one in mappings((a.facts.get("form") or {}).get("K_at"))]
-    names = ("pressure", "contraction", "force")
-    rows = [tuple(float(one[name]) for name in names) for one in found if all(is_number(one.get(n)) for n in names)]
-    return {P: (x, F) for P, x, F in rows if x > 0}
-
-
 def _bend(F_ce: float, K: float, at: tuple[float, float] | None) -> tuple[float, float]:
-    """`middle` and `bend` of the parabola from F_ce through a force, with slope -K there."""
-    return (0.0, 0.0) if at is None else (at[0], (F_ce - K * at[0] - at[1]) / at[0] ** 2)
+    """`middle` and `bend` of the parabola from F_ce through a force, with slope -K there; 0 where it does not fall."""
+    if at is None:
+        return 0.0, 0.0
+    bend = (F_ce - K * at[0] - at[1]) / at[0] ** 2
+    return (at[0], bend) if K + 2 * bend * at[0] > 0 else (0.0, 0.0)
 
 
 def _over_pressure(analyses: Sequence[Analysis], symbol: str, method: str) -> dict[float, float]:

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from pmabench.plotting.wording import clean, number, point_shown, rounded, shown, symbol_text
-from pmabench.report.document.tables import cell, mappings, matrix_table, two_coordinates
+from pmabench.report.document.tables import cell, matrix_table, slopes_of, two_coordinates
 from pmabench.report.foremost import richest
 from pmabench.report.terminal_coefficients import reasons
 from pmabench.report.words import declared
@@ -77,7 +77,7 @@ def result_table(analyses: Sequence[Analysis]) -> tuple[ResultTable, list[Estima
         at = [Value(number(v / point_shown(name)[1].scale)) for name, v in zip((over, *others), place, strict=True)]
         rows.append([*at, *(columns[s][n] for s in kept), Value(str(max(e.n for e in mine)) if mine else "0")])
     notes = [clean(note, 160) for note in reasons([by[p, s] for p in chosen for s in kept if (p, s) in by])]
-    if slopes := _slopes(tests, [place[0] for place in chosen], over):
+    if slopes := _slopes(tests, members, [place[0] for place in chosen], over):
         notes.insert(0, slopes)
     if stride > 1:
         notes.append(f"One of {stride} rows; all are in appendix B")
@@ -88,10 +88,10 @@ def result_table(analyses: Sequence[Analysis]) -> tuple[ResultTable, list[Estima
     return ResultTable(heads, rows, notes[:MOST_NOTES], frozenset(symbols), tight), members, over
 
 
-def _slopes(tests: Sequence[Analysis], chosen: Sequence[float], over: str) -> str:
+def _slopes(tests: Sequence[Analysis], members: Sequence[Estimate], chosen: Sequence[float], over: str) -> str:
     """At which contraction K is the slope, for the rows of the table; empty where it is that at any."""
-    found = [one for a in tests for one in mappings((a.facts.get("form") or {}).get("K_at"))]
-    at = {round(one["pressure"], 9): one["contraction"] for one in found if over == "pressure"}
+    found = slopes_of(tests, (e.method for e in members if e.symbol == "K")) if over == "pressure" else {}
+    at = {round(P, 9): x for P, (x, _) in found.items()}
     places = [rounded(1e3 * at[P], None, 3) if P in at else "–" for P in chosen]
     return f"K: the slope at {', '.join(places)} mm of contraction, row by row" if at else ""
 
