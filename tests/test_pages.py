@@ -174,6 +174,7 @@ def rows():
 ROWS = list(rows())
 AT_THE_BENCH = [row for row in ROWS if "`pmabench run " in row[1]]
 CHOSEN = commit_number() % len(AT_THE_BENCH)
+OF_ROWS = {"with": "RUN = runs/2*, ARM = runs/2*arm-of*, SINGLE = runs/2*_contractor-30*"}
 
 
 @pytest.mark.parametrize(
@@ -197,9 +198,18 @@ def test_a_test_of_the_papers_can_be_typed(row, tmp_path, monkeypatch):
         else:
             continue
         accepted = (0, 6) if "pmabench process" in line else (0,)
-        execute(Command(place, line, {"with": "RUN = runs/2*"}), accepted)
+        execute(Command(place, line, OF_ROWS), accepted)
         done.append(line)
     assert any(path.name != "state" for path in Path("runs").iterdir())
+
+
+def test_a_row_names_only_runs_that_it_made():
+    """At each commit, of the rows that are not run at this one: each word in capitals is one of `OF_ROWS`."""
+    known = set(Command("", "", OF_ROWS).placeholders())
+    typed = {(place, word) for place, cell, _ in AT_THE_BENCH for word in re.findall(r"`pmabench [^`]*`", cell)}
+    words = {(place, word) for place, line in typed for word in re.findall(r"(?<![-/\w])[A-Z]{2,}(?![-/\w])", line)}
+    assert {word for _, word in words} >= {"RUN", "ARM"}
+    assert [(place, word) for place, word in sorted(words) if word not in known] == []
 
 
 def test_the_models_of_the_papers_can_be_typed(tmp_path, monkeypatch):
