@@ -308,7 +308,7 @@ def _late(
     if shown is None:
         return Doubt(LATE, "method", max(known, 2 * sample), False)
     doubtful = shown.half + 0.5 * sample
-    seen = not shown.within or abs(shown.time) > doubtful + known
+    seen = abs(shown.time) > doubtful + known
     way, channel = ("behind", axes.pulls) if shown.time > 0 else ("ahead of", axes.moved)
     size = f"{1e3 * abs(shown.time):.2g} ms" if shown.within else "far"
     reason = (

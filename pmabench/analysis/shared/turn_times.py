@@ -16,19 +16,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.analysis.shared import student
+from pmabench.analysis.shared.projection import left_by
 from pmabench.store.records import Array
 
 FEWEST = 6
 """Samples that are needed on either side of a turn."""
 TRIED = 41
-"""Delays that are tried either way."""
+"""Delays that are tried either way at most: a sampling period apart or more, as what lies within one looks the same."""
 REACH = 0.6
 """Longest delay that is tried, as a share of the time that is looked at on either side of a turn."""
 WIDER = 3.0
 """The motion may turn so many of these times before or after its command."""
 ORDER = 3
-
-
+ALIKE = 1e-9
+"""Sums of squares that differ by less than this share of theirs are the same: delays between the same two samples."""
 SURE = 4.0
 """A filter is taken for a delay that leaves so many standard deviations more."""
 
@@ -56,7 +57,9 @@ def behind(t: Array, moved: Array, pulls: Array, turns: Sequence[float], span: f
 
     `t`, `moved`, `pulls` have shape (n,), `turns` are the commanded ones [s]. Half of `span` [s] before and after each
     turn is looked at: before it a straight line, after it a polynomial of third order from a jump on, late by a delay
-    or through a filter of first order. What the whole of `span` gives says how much that form matters.
+    or through a filter of first order. What the whole of `span` gives says how much that form matters. The interval is
+    that of the profile likelihood, by Student's t for as many delays as there are samples to tell them apart: what is
+    left jumps from sample to sample, and its curvature says nothing.
     """
     near, wide = (_of_turns(t, moved, pulls, turns, share * span) for share in (0.5, 1.0))
     if near is None or wide is None:
@@ -91,7 +94,7 @@ def _about(t: Array, moment: float, span: float) -> NDArray[np.intp] | None:
 def corner(t: Array, y: Array) -> float | None:
     """When y(t) goes over from one straight line to another [s], shape (n,) each; None where that is at an end."""
     tried = np.linspace(0.7 * float(t[0]), 0.7 * float(t[-1]), 2 * TRIED)
-    left = np.array([_left(np.column_stack([np.ones_like(t), t, np.maximum(t - k, 0.0)]), y) for k in tried])
+    left = left_by(np.stack([np.ones_like(t), t]), np.maximum(t - tried[:, None], 0.0)[:, None], y)
     place = int(np.argmin(left))
     return None if place in (0, len(tried) - 1) else float(tried[place] + _vertex(left, place) * (tried[1] - tried[0]))
 
@@ -103,39 +106,39 @@ def _vertex(left: Array, place: int) -> float:
     return float(0.5 * (low - high) / bend) if bend > 0 else 0.0
 
 
-def _left(design: Array, y: Array) -> float:
-    terms, *_ = np.linalg.lstsq(design, y, rcond=None)
-    return float(np.sum((y - design @ terms) ** 2))
+def _delayed(t: Array, late: Array) -> Array:
+    """1, t, t2, t3 from each of `late` on, shape (k, 4, n)."""
+    since = np.maximum(t - late[:, None], 0.0)
+    return np.stack([np.where(t >= late[:, None], 1.0, 0.0), since, since * since, since * since * since], axis=1)
 
 
-def _delayed(t: Array, late: float) -> list[Array]:
-    """1, t, t2, t3 from `late` on, shape (n,) each."""
-    since = np.maximum(t - late, 0.0)
-    return [np.where(t >= late, 1.0, 0.0), *(since**n for n in range(1, ORDER + 1))]
+def _filtered(t: Array, constant: Array) -> Array:
+    """1, t, t2, t3 from 0 on through a filter of first order with each time constant, shape (k, 4, n).
 
-
-def _filtered(t: Array, constant: float) -> list[Array]:
-    """1, t, t2, t3 from 0 on through a filter of first order with this time constant, shape (n,) each."""
-    if constant <= 0:
-        return _delayed(t, constant)
+    A constant that is not above 0 is a delay.
+    """
+    early = constant <= 0
+    tau = np.where(early, 1.0, constant)[:, None]
     since = np.maximum(t, 0.0)
-    found = [1 - np.exp(-since / constant)]
+    found = [1 - np.exp(-since / tau)]
     for n in range(1, ORDER + 1):
-        found.append(since**n - n * constant * found[-1])
-    return found
+        found.append(since**n - n * tau * found[-1])
+    columns = np.stack(found, axis=1)
+    columns[early] = _delayed(t, constant[early])
+    return columns
 
 
-def _best(windows: Sequence[tuple[Array, Array]], reach: float, of: Callable[[Array, float], list[Array]]) -> _Best:
+def _best(windows: Sequence[tuple[Array, Array]], reach: float, of: Callable[[Array, Array], Array]) -> _Best:
     tried = np.linspace(-reach, reach, 2 * TRIED - 1)
-    left = np.array([
-        sum(_left(np.column_stack([np.ones_like(t), t, *of(t, float(late))]), y) for t, y in windows) for late in tried
-    ])  # fmt: skip
-    place = int(np.clip(np.argmin(left), 1, len(tried) - 2))
-    step = float(tried[1] - tried[0])
-    freedom = sum(len(t) for t, _ in windows) - len(windows) * (ORDER + 3) - 1
-    bend = float(left[place - 1] - 2 * left[place] + left[place + 1]) / step**2
-    variance = float(left.min()) / max(freedom, 1)
-    half = float(student.ppf(0.975, max(freedom, 1))) * (2 * variance / bend) ** 0.5 if bend > 0 else reach
-    inside = bool(0 < np.argmin(left) < len(tried) - 1)
-    time = float(tried[place]) + _vertex(left, place) * step
-    return _Best(float(left.min()), variance, Behind(time, min(half, reach), inside))
+    left = np.sum([left_by(np.stack([np.ones_like(t), t]), of(t, tried), y) for t, y in windows], axis=0)
+    least = float(left.min())
+    freedom = max(1, sum(len(t) for t, _ in windows) - len(windows) * (ORDER + 3) - 1)
+    variance = least / freedom
+    best = tried[left <= least * (1 + ALIKE)]
+    period = max(float(np.median(np.diff(t))) for t, _ in windows)
+    apart = min(2 * TRIED - 1, 1 + 2 * reach / period)
+    sure = float(student.ppf(1 - 0.025 / apart, freedom))
+    held = tried[left <= least * (1 + ALIKE) + sure**2 * variance]
+    time, step = 0.5 * float(best[0] + best[-1]), float(tried[1] - tried[0])
+    half = max(time - float(held[0]), float(held[-1]) - time) + step
+    return _Best(least, variance, Behind(time, min(half, reach), bool(-reach < best[0] and best[-1] < reach)))

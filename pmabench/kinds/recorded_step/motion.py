@@ -180,7 +180,8 @@ def _free(t: Array, x: Array, known: Motion) -> Swing:
         return np.column_stack([np.ones(len(since)), decay * np.cos(turn), decay * np.sin(turn)])
 
     def misfit(p: Array) -> Array:
-        return np.asarray(shapes(p) @ np.linalg.lstsq(shapes(p), x, rcond=None)[0] - x) / max(float(np.ptp(x)), 1e-9)
+        design = shapes(p)
+        return np.asarray(design @ np.linalg.lstsq(design, x, rcond=None)[0] - x) / max(float(np.ptp(x)), 1e-9)
 
     solved = least_squares(misfit, np.log([known.D * known.w, known.w * sqrt(1 - min(known.D, 0.9) ** 2)]), max_nfev=60)
     terms = np.linalg.lstsq(shapes(solved.x), x, rcond=None)[0]

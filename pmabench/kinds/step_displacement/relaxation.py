@@ -10,6 +10,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 from scipy.signal import lfilter
 
+from pmabench.analysis.shared.projection import left_by
 from pmabench.analysis.shared.samples import UNDECLARED, UNUSABLE_SHARE, Held, NotUsable, noise_of, on_time
 from pmabench.store.records import Array, Command, RunData, TrialData
 
@@ -203,9 +204,9 @@ def recovery(t: Array, y: Array) -> Recovery | None:
     return Recovery(size, tau, max(abs(other - tau) for other in others))
 
 
-def _exponential(t: Array, y: Array, tau: float, order: int = 0) -> tuple[Array, float]:
-    """Constant and size of an exponential through y, and the mean square of what is left; `order` 1 adds a drift."""
-    design = np.column_stack([np.ones_like(t), np.exp(-t / tau), *[t] * order])
+def _exponential(t: Array, y: Array, tau: float) -> tuple[Array, float]:
+    """Constant and size of an exponential through y, and the mean square of what is left."""
+    design = np.column_stack([np.ones_like(t), np.exp(-t / tau)])
     terms, *_ = np.linalg.lstsq(design, y, rcond=None)
     return np.asarray(terms), float(np.mean((y - design @ terms) ** 2))
 
@@ -214,13 +215,16 @@ def _time_constant(t: Array, y: Array, order: int = 0) -> tuple[float, bool]:
     """The time constant that leaves least [s], and whether it is within the range that is looked at."""
     step = float(np.median(np.diff(t)))
     grid = np.log(np.geomspace(step, 0.5 * float(t[-1]), 30))
-    costs = [_exponential(t, y, float(np.exp(s)), order)[1] for s in grid]
-    best = int(np.argmin(costs))
+    fixed = np.stack([np.ones_like(t), *[t] * order])
+
+    def left(logarithms: Array) -> Array:
+        return left_by(fixed, np.exp(-t / np.exp(logarithms)[:, None])[:, None], y) / len(t)
+
+    best = int(np.argmin(left(grid)))
     low, high = grid[max(0, best - 1)], grid[min(len(grid) - 1, best + 1)]
     found = minimize_scalar(
-        lambda s: _exponential(t, y, float(np.exp(s)), order)[1], bounds=(low, high), method="bounded",
-        options={"xatol": 1e-5},
-    )  # fmt: skip
+        lambda s: left(np.array([s]))[0], bounds=(low, high), method="bounded", options={"xatol": 1e-5}
+    )
     return float(np.exp(found.x)), best not in (0, len(grid) - 1)
 
 
