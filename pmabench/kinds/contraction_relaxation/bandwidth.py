@@ -256,14 +256,19 @@ def crossing(gain: Callable[[Array], Array]) -> float | None:
 
 
 def of_model(K: float, B: float, M: float, lags: Sequence[float]) -> float | None:
-    """Bandwidth [Hz] with K [N/m], B [N.s/m], M [kg] and the regulator's lags [s]."""
+    """Bandwidth [Hz] with K [N/m], B [N.s/m], M [kg] and the regulator's lags [s]; None where it is not looked for.
 
-    def gain(f: Array) -> Array:
-        omega = 2 * pi * f
-        muscle = K**2 / ((K - M * omega**2) ** 2 + (B * omega) ** 2)
-        return np.asarray(np.sqrt(muscle / np.prod([1 + (omega * T) ** 2 for T in lags], axis=0)))
-
-    return crossing(gain) if K > 0 and B >= 0 else None
+    With w = omega^2, |G|^2 = 1/2 where prod(1 + T_i^2 w) ((K - M w)^2 + B^2 w) = 2 K^2: the lowest root above 0.
+    """
+    if K <= 0 or B < 0:
+        return None
+    left = np.array([(M / K) ** 2, (B / K) ** 2 - 2 * M / K, 1.0])
+    for T in lags:
+        left = np.convolve(left, [T * T, 1.0])
+    left[-1] -= 2.0
+    w = np.roots(left)
+    f = np.sqrt(w.real[(np.abs(w.imag) < EXACT * np.abs(w)) & (w.real > 0)]) / (2 * pi)
+    return float(f.min()) if len(f) and LOWEST < f.min() < HIGHEST else None
 
 
 def of_step(t: Array, y: Array) -> float | None:
