@@ -10,6 +10,7 @@ from pmabench.base.errors import InvalidFile, UsageError
 from pmabench.bench.dry_run import PredictedMuscle, as_expected, by_surface, nearest_surface
 from pmabench.bench.files.specimen import ExpectedFile, ExpectedPoint
 from pmabench.bench.plant import read_plant
+from pmabench.report.bends import slopes_of
 from pmabench.store.analyses.folder import analyses_below, read_analysis
 from pmabench.store.folder import run_name
 
@@ -67,7 +68,9 @@ def of_analysis(folder: Path, specimen: SpecimenFile, highest: float) -> Predict
 
 
 def _expected(analysis: Analysis, name: str) -> ExpectedFile | None:
-    """F_ce, K, B_c and B_r at each pressure at which F_ce and K are known; a damping that is not is the other one."""
+    """F_ce, K, B_c and B_r at each pressure at which F_ce and K are known; a damping that is not is the other one. Of a
+    bent muscle they are the tangent where K is the slope.
+    """
     table: dict[float, dict[str, float]] = {}
     friction = 0.0
     for e in analysis.estimates:
@@ -77,6 +80,10 @@ def _expected(analysis: Analysis, name: str) -> ExpectedFile | None:
             friction = e.value
         elif e.symbol in SYMBOLS and set(e.at) == {"pressure"}:
             table.setdefault(e.at["pressure"], {}).setdefault(e.symbol, e.value)
+    methods = [e.method for e in analysis.estimates if e.symbol == "K"]
+    for pressure, (x, force) in slopes_of([analysis], methods[:1]).items():
+        if {"F_ce", "K"} <= set(table.get(pressure, ())):
+            table[pressure]["F_ce"] = force + table[pressure]["K"] * x
     points = []
     for pressure, row in sorted(table.items()):
         damping = [row[symbol] for symbol in ("B_c", "B_r") if symbol in row]

@@ -5,7 +5,7 @@ Many stretches are integrated side by side.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import inf
 from typing import TYPE_CHECKING, Any, Protocol
@@ -47,8 +47,9 @@ class Replayed:
 
 
 def run(
-    fit: Coefficients, P: Array, dt: float, load: Array, mass: Array, x: Array, substeps: int = SUBSTEPS
-) -> Replayed:
+    fit: Coefficients, P: Array, dt: float, load: Array, mass: Array, x: Array, substeps: int = SUBSTEPS,
+    more: Callable[[Array, Array], Array] | None = None,
+) -> Replayed:  # fmt: skip
     """Integrate M x'' = F_ce(P) - K(P) x - B(P) x' - F_c sign(x') - F_L with x >= 0, from rest.
 
     Per step: exact in the velocity for the damping, trapezoidal in the spring, coefficients at the middle; so no mass
@@ -62,6 +63,8 @@ def run(
         Sampling period [s].
     load, mass, x
         F_L [N], moving mass [kg] and contraction at the start [m] of each stretch, shape (m,).
+    more
+        Force [N] by contraction [m] and pressure [Pa], shape (m,): what a bent muscle pulls more than F_ce - K x.
     """
     F_ce, K, B_c, B_r = _coefficients(fit, P)
     F_c = max(0.0, fit.coulomb)
@@ -69,10 +72,10 @@ def run(
     v = np.zeros(P.shape[1])
     all_x, all_v = np.empty(P.shape), np.empty(P.shape)
     middles = [
-        [values[:-1] + (part + 0.5) / substeps * np.diff(values, axis=0) for values in (F_ce, K, B_c, B_r)]
+        [values[:-1] + (part + 0.5) / substeps * np.diff(values, axis=0) for values in (F_ce, K, B_c, B_r, P)]
         for part in range(substeps)
     ]
-    for F, k, B_1, B_2 in middles:
+    for F, k, B_1, B_2, _ in middles:
         F -= load
         B_1 += 0.5 * h * k
         B_2 += 0.5 * h * k
@@ -80,8 +83,10 @@ def run(
         all_x[i], all_v[i] = x, v
         if i + 1 == len(P):
             break
-        for F, k, B_1, B_2 in middles:
+        for F, k, B_1, B_2, at in middles:
             drive = F[i] - k[i] * x
+            if more is not None:
+                drive = drive + more(x, at[i])
             way = np.where(v != 0, np.sign(v), np.sign(drive))
             damping = np.where(way > 0, B_1[i], B_2[i])
             final = (way * drive - F_c) / damping

@@ -76,7 +76,7 @@ def free_runs(campaign: Campaign, pooled: Pooled, estimates: Sequence[Estimate])
     """Every trial of the fit from rest on, by pressure, load and number.
 
     Trials at pressures where a coefficient is not identifiable, but for B_r, are not run; the others as far as the
-    coefficients are known that their motion asks for.
+    coefficients are known that their motion asks for. A bent muscle is run with its bend.
     """
     unknown = {e.at["pressure"] for e in estimates if e.value is None and e.symbol in ("F_ce", "K", "B_c")}
     used = [i for i in np.unique(pooled.segments.trial).tolist() if campaign.trials[i].point["pressure"] not in unknown]
@@ -86,7 +86,8 @@ def free_runs(campaign: Campaign, pooled: Pooled, estimates: Sequence[Estimate])
     whole = [(campaign.samples[i], slice(0, len(campaign.samples[i].t))) for i in ordered]
     work = simulated.stretches(whole, 1 / campaign.rate, 1)
     P = _thinned(work.P)
-    run = simulated.run(pooled.fit, P, COARSE * work.dt, work.load, work.mass, work.x, substeps=1)
+    more = pooled.diagnosis.more if pooled.diagnosis.bent else None
+    run = simulated.run(pooled.fit, P, COARSE * work.dt, work.load, work.mass, work.x, 1, more)
     found, known = [], _identified(pooled)
     for column, i in enumerate(ordered):
         samples = campaign.samples[i]
@@ -110,10 +111,8 @@ def nrmse(runs: Sequence[FreeRun], phase: str = "") -> float | None:
     return sqrt(error / size) if size > 0 else None
 
 
-def check(campaign: Campaign, runs: Sequence[FreeRun], *, bent: bool = False) -> Check | None:
-    """NRMSE over all trials, by direction, of reference trials, and the worst operating point; `bent`: the muscle was
-    found to be, and is run as a straight one.
-    """
+def check(campaign: Campaign, runs: Sequence[FreeRun]) -> Check | None:
+    """NRMSE over all trials, by direction, of reference trials, and the worst operating point."""
     value, error = nrmse(runs), rms(runs)
     if value is None or error is None:
         return None
@@ -124,9 +123,8 @@ def check(campaign: Campaign, runs: Sequence[FreeRun], *, bent: bool = False) ->
     rows = [row for row in table(campaign, runs) if row["nrmse"] is not None]
     worst = max(rows, key=lambda row: row["nrmse"])
     cut = sum(not run.whole for run in runs)
-    straight = ", without its bend," if bent else ""
     text = (
-        f"free run of the fitted muscle{straight} with the measured pressure over {len(runs)} trials: NRMSE "
+        f"free run of the fitted muscle with the measured pressure over {len(runs)} trials: NRMSE "
         f"{_percent(value)} (fit {100 * (1 - value):.4g} %), {show(error, 'length', 2)} rms; {', '.join(kinds)}; worst "
         f"{_percent(worst['nrmse'])} at {show(worst['pressure'], 'pressure', 4)}, {show(worst['load'], 'force', 4)}"
     )

@@ -29,7 +29,7 @@ LONGEST_TRACE = 1500
 def facts(campaign: Campaign, pooled: Pooled, runs: Sequence[FreeRun]) -> dict[str, Any]:
     """Numbers behind the fit and its free runs, SI."""
     used = np.unique(pooled.segments.trial)
-    free = checks.check(campaign, runs, bent=pooled.diagnosis.bent)
+    free = checks.check(campaign, runs)
     return {
         "trials_used": len(used),
         "cells": len(np.unique(campaign.cells)),

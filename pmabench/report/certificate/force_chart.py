@@ -16,7 +16,8 @@ from pmabench.plotting.frame import Frame
 from pmabench.plotting.pictures import Picture, has, of_charts
 from pmabench.plotting.plots import Array
 from pmabench.plotting.wording import rounded
-from pmabench.report.document.tables import is_number, mappings, slopes_of
+from pmabench.report.bends import slopes_of
+from pmabench.report.document.tables import is_number, mappings
 from pmabench.report.figures.characteristic_figures import FIGURE, MODELS
 from pmabench.store.analyses.results import Analysis, Estimate
 

@@ -10,7 +10,6 @@ from pmabench.plotting.chart import MOST_POINTS, Chart, Series, with_common_side
 from pmabench.plotting.pictures import Picture, column, has, head, label, numbers, of_charts, unit_of
 from pmabench.plotting.plots import BLUE, BROWN, FAINT, QUIET, Array
 from pmabench.plotting.wording import half_width
-from pmabench.report.document.tables import slopes_of
 from pmabench.store.analyses.results import Analysis, Trace
 
 WIDTH, HIGH, LOW = 510.0, 142.0, 82.0
@@ -60,9 +59,8 @@ def stroke_picture(analyses: Sequence[Analysis]) -> tuple[Picture, Trace] | None
         together="stroke",
     )
     alt = f"{upper.alt} {lower.alt}"
-    straight = ", without its bend," if slopes_of([analysis], {e.method for e in analysis.estimates}) else ""
     caption = (
-        f"The fitted muscle{straight} with the measured pressure as its only input, from the first sample on. It "
+        f"The fitted muscle with the measured pressure as its only input, from the first sample on. It "
         f"misses this trial by {misfit}, {share:.2g} % of the stroke."
     )
     title = f"One stroke, {where}: measured and free run"

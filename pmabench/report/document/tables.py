@@ -5,9 +5,9 @@ Cells are text, rounded as their interval says; numbers for programs are in `csv
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import isfinite, radians
+from math import radians
 from typing import Any, TypeGuard
 
 from pmabench.base.kind import Result
@@ -373,21 +373,6 @@ _MARGINS = (
 def mappings(value: Any) -> list[Mapping[str, Any]]:
     """The mappings in a list; facts may hold anything."""
     return [item for item in value if isinstance(item, Mapping)] if isinstance(value, list | tuple) else []
-
-
-def slopes_of(analyses: Sequence[Analysis], methods: Iterable[str]) -> dict[float, tuple[float, float]]:
-    """Of a muscle that is bent, where K of one of the methods is the slope: contraction [m] and the force there [N], by
-    pressure [Pa]; empty of a straight one.
-    """
-    known, found = {*methods}, {}
-    for analysis in analyses:
-        form = analysis.facts.get("form")
-        if isinstance(form, Mapping) and any(e.symbol == "K" and e.method in known for e in analysis.estimates):
-            for one in mappings(form.get("K_at")):
-                P, x, F = (one.get(name) for name in ("pressure", "contraction", "force"))
-                if is_number(P) and is_number(x) and is_number(F) and isfinite(P * x * F) and x > 0:
-                    found[float(P)] = float(x), float(F)
-    return found
 
 
 def is_number(value: Any) -> TypeGuard[float]:

@@ -15,6 +15,7 @@ from pmabench.plotting.frame import Frame
 from pmabench.plotting.pictures import Picture, bound, drawable, has, picture
 from pmabench.plotting.plots import FAINT, FULL, INK, PALETTE, Array, blank, few_ticks, grid
 from pmabench.plotting.wording import rounded, shown
+from pmabench.report.bends import bend_of
 from pmabench.store.analyses.results import Analysis, Estimate, Trace
 
 if TYPE_CHECKING:
@@ -45,7 +46,7 @@ class _Model:
     """F_ce [N] and K [N/m] over pressure [Pa], with straight lines between tested pressures; NaN beyond them."""
 
     def __init__(self, analyses: Sequence[Analysis]) -> None:
-        self.words = ""
+        self.words, self.bend = "", None
         self.P, self.F_ce, self.K = np.empty(0), np.empty(0), np.empty(0)
         for method, words in MODELS:
             known = {
@@ -54,7 +55,7 @@ class _Model:
             }
             both = sorted(set(known["F_ce"]) & set(known["K"]))
             if len(both) > 1:
-                self.words = words
+                self.words, self.bend = words, bend_of(analyses, (method,))
                 self.P = np.array(both)
                 self.F_ce, self.K = (np.array([known[symbol][P] for P in both]) for symbol in ("F_ce", "K"))
                 return
@@ -62,7 +63,8 @@ class _Model:
     def force(self, P: float, x: Array) -> Array:
         """Force [N] over contraction x [m], shape (n,)."""
         F_ce, K = self.at(P)
-        return np.asarray(F_ce - K * x)
+        more = np.zeros_like(x) if self.bend is None else np.interp(x, self.bend.x, self.bend.at(P))
+        return np.asarray(F_ce - K * x + more)
 
     def at(self, P: float) -> tuple[float, float]:
         """F_ce and K at a pressure."""
@@ -215,7 +217,8 @@ def _family(analyses: Sequence[Analysis]) -> list[Picture]:
     caption += " Diamonds: free contraction, no load." if any(len(level[3]) for level in levels) else ""
     rms = float(np.sqrt(np.mean(np.square(off)))) if off else 0.0
     if off:
-        caption += f" Lines: F = F_ce(P) − K(P) x of {model.words}; the circles lie {rms:.2g} N rms off them."
+        form = "F_ce(P) − K(P) x" if model.bend is None else "F_ce(P) − K(P) x + F_bend(P, x)"
+        caption += f" Lines: F = {form} of {model.words}; the circles lie {rms:.2g} N rms off them."
     some = f" {len(chosen)} of {len(every)} pressures are shown." if len(chosen) < len(every) else ""
     alt = (
         f"Force over contraction at {', '.join(f'{P / 1e3:g}' for P in chosen)} kPa: forces fall from "

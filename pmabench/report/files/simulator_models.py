@@ -19,6 +19,7 @@ from pmabench import __version__
 from pmabench.base.errors import UsageError
 from pmabench.plotting.pictures import has
 from pmabench.plotting.wording import clean
+from pmabench.report.bends import bend_of, slopes_of
 from pmabench.store.analyses.results import Analysis, Trace
 from pmabench.store.records import Array, RunData
 
@@ -27,7 +28,8 @@ def rates(t: float, state: Any, inputs: Any, params: dict[str, Any]) -> Any:
     """Rates of [contraction m, speed m/s] under [pressure Pa gauge, load N]: M x'' = F_ce - K x - B x' - F_c - F_L.
 
     Coefficients are joined by straight lines over the pressure, which go on beyond its ends; stiffness and damping stay
-    above 0. Friction grows with the speed up to F_c within a few `v_0`; a stop of 1e8 N/m holds the muscle at 0.
+    above 0. A muscle that is bent pulls more by `bend` at contractions `x`. Friction grows with the speed up to F_c
+    within a few `v_0`; a stop of 1e8 N/m holds the muscle at 0.
     """
     x, v = float(state[0]), float(state[1])
     pressure, load = float(inputs[0]), float(inputs[1])
@@ -42,7 +44,11 @@ def rates(t: float, state: Any, inputs: Any, params: dict[str, Any]) -> Any:
     damping = max(at("B_c" if v >= 0 else "B_r"), 1.0)
     friction = params["F_c"] * np.tanh(v / params["v_0"])
     stop = max(0.0, -1e8 * x - 4e4 * v) if x < 0 else 0.0
-    a = (at("F_ce") - max(at("K"), 1.0) * x - damping * v - friction - load + stop) / params["M"]
+    more = 0.0
+    if "bend" in params:
+        rows = params["bend"][left : left + 2]
+        more = float(np.interp(x, params["x"], rows[0] + share * (rows[-1] - rows[0])))
+    a = (at("F_ce") - max(at("K"), 1.0) * x + more - damping * v - friction - load + stop) / params["M"]
     return np.array([v, a])
 
 
@@ -112,6 +118,8 @@ def control_model(analysis: Analysis, runs: Sequence[RunData] = ()) -> ControlMo
             notes.append(f"{symbol} is not known at {', '.join(lacking)}: taken from the pressures next to it")
         places = sorted(known)
         params[symbol] = _joined(P, places, [known[at] for at in places])
+    if (bend := bend_of([analysis], (primary,))) is not None:
+        params |= {"x": bend.x, "bend": np.array([bend.at(at) for at in shared])}
     friction = [
         e.value for e in analysis.estimates if e.symbol == "F_c" and e.method == primary and e.value is not None
     ]
@@ -187,12 +195,11 @@ def control_text(model: ControlModel, analysis: Analysis) -> str:
     lines += ["The coefficients hold inside the pressures of `P`; M is the moving mass: put yours.", '"""', ""]
     lines += ["from typing import Any", "", "import control", "import numpy as np", ""]
     lines += [
-        "# SI: P [Pa gauge], F_ce [N], K [N/m], B_c and B_r [N.s/m], F_c [N], M [kg], v_0 [m/s]",
+        "# SI: P [Pa gauge], F_ce [N], K [N/m], B_c and B_r [N.s/m], F_c [N], M [kg], v_0 [m/s], x [m], bend [N]",
         "PARAMETERS = {",
     ]
     for name, value in model.params.items():
-        literal = f"np.array({[float(f'{v:.12g}') for v in value]})" if np.ndim(value) else f"{float(value):.12g}"
-        lines.append(f'    "{name}": {literal},')
+        lines.append(f'    "{name}": {_literal(value)},')
     lines += ["}", "", "", inspect.getsource(rates).rstrip(), "", ""]
     lines += [
         "def law(t, state, inputs, params):",
@@ -211,6 +218,14 @@ def control_text(model: ControlModel, analysis: Analysis) -> str:
         '"""Contraction x [m] under pressure P [Pa gauge] and load F_L [N]."""',
     ]
     return "\n".join(lines) + "\n"
+
+
+def _literal(value: Any) -> str:
+    """A number, or the rows of an array, as Python text."""
+    rows = [[float(f"{v:.12g}") for v in row] for row in np.atleast_2d(value)]
+    if np.ndim(value) < 2:
+        return f"np.array({rows[0]})" if np.ndim(value) else f"{float(value):.12g}"
+    return "\n        ".join(["np.array([", *(f"    {row}," for row in rows), "])"])
 
 
 def remarks_of(model: ControlModel) -> list[str]:
@@ -242,17 +257,25 @@ LINES = (("F_ce", "f"), ("K", "k"), ("B", "b"))
 def mujoco_model(analysis: Analysis, runs: Sequence[RunData] = ()) -> ControlModel:
     """The model of `control_model` with each coefficient on one straight line; UsageError where it makes none.
 
-    The lines are those of least squares through the values at the tested pressures. B is the mean of B_c and B_r.
+    The lines are those of least squares through the values at the tested pressures. B is the mean of B_c and B_r. Of a
+    bent muscle it is the tangent where K is the slope.
     """
     model = control_model(analysis, runs)
-    P = model.params["P"]
+    P, notes = model.params["P"], list(model.notes)
+    straight = {name: value for name, value in model.params.items() if name not in ("x", "bend")}
+    places = slopes_of([analysis], (analysis.estimates[0].method,))
+    if "bend" in model.params and set(P) <= set(places):
+        straight["F_ce"] = np.array([places[at][1] + K * places[at][0] for at, K in zip(P, straight["K"], strict=True)])
+        x = [1e3 * place for place, _ in places.values()]
+        notes.append(f"the muscle is bent: this is its tangent at {min(x):.3g} to {max(x):.3g} mm of contraction")
+    model = replace(model, params=straight, notes=notes)
     ends = np.array([P[0], P[-1] if len(P) > 1 else P[0] + 1e5])
     values = {name: model.params[name] for name in ("F_ce", "K", "B_c", "B_r")}
     values["B"] = 0.5 * (values["B_c"] + values["B_r"])
     lines = {name: np.polyval(line_through(P, values[name]), ends) for name, _ in LINES}
     both = {"B_c": lines["B"], "B_r": lines["B"]}
     params = model.params | {"P": ends, "F_ce": lines["F_ce"], "K": lines["K"], **both}
-    notes = [*model.notes, "one damping for both directions: the mean of B_c and B_r"]
+    notes = [*notes, "one damping for both directions: the mean of B_c and B_r"]
     return replace(model, params=params, notes=notes, deviation=deviation_of(analysis, runs, params))
 
 

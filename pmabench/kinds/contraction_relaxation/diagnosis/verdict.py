@@ -35,6 +35,8 @@ SURFACE = "`pmabench process RUN... --form surface` describes a muscle that does
 MOST_NAMED = 3
 MANY = 3
 """From so many causes on values are not accepted: several seldom act at once, and each takes up a part of another."""
+BEND_POINTS = 33
+"""Contractions at which a bend is written down, from 0 to a tenth beyond those tested."""
 QUANTITIES = {"F_ce": "force", "K": "stiffness", "B_c": "damping", "B_r": "damping"}
 
 
@@ -196,14 +198,32 @@ class Diagnosis:
             return None
         return float(Span.of(self.reported.test.segments).middle(np.array([P]))[0])
 
+    def more(self, x: Array, P: Array) -> Array:
+        """How much more than F_ce - K x the fitted muscle pulls [N] at contractions [m] and pressures [Pa], shape (n,):
+        its bend.
+        """
+        test, found = self.reported.test, np.zeros(len(x))
+        for one in self.reported.explanations:
+            if one.kind == "bend":
+                shapes = bent(one.which, x, P, test.fit.values("K", P), Span.of(test.segments))
+                found = found + shapes @ np.array(one.sizes)
+        return found
+
     def force_at(self, P: float, x: float) -> float:
         """Force of the fitted muscle [N] at rest at a pressure [Pa] and a contraction [m], with what bends it."""
-        test, there, at = self.reported.test, np.array([x]), np.array([P])
-        F_ce, K = (test.fit.values(symbol, at) for symbol in ("F_ce", "K"))
-        sizes = [(one.which, np.array(one.sizes)) for one in self.reported.explanations if one.kind == "bend"]
-        span = Span.of(test.segments)
-        more = sum(float((bent(which, there, at, K, span) @ by)[0]) for which, by in sizes)
-        return float((F_ce - K * there)[0]) + more
+        there, at = np.array([x]), np.array([P])
+        F_ce, K = (self.reported.test.fit.values(symbol, at) for symbol in ("F_ce", "K"))
+        return float((F_ce - K * there + self.more(there, at))[0])
+
+    def _bend(self) -> dict[str, Any]:
+        """What the fitted muscle pulls more than F_ce - K x [N] over contraction [m], at each tested pressure [Pa]."""
+        tested = [P for P in self.reported.test.campaign.tested if self.slope_at(P) is not None]
+        if not tested:
+            return {}
+        segments = self.reported.test.segments
+        x = np.linspace(0.0, 1.1 * float(np.max(segments.x @ segments.weights)), BEND_POINTS)
+        more = [self.more(x, np.full(len(x), P)).tolist() for P in tested]
+        return {"contraction": x.tolist(), "pressure": tested, "force": more}
 
     @property
     def between(self) -> str:
@@ -260,6 +280,7 @@ class Diagnosis:
                 for P in self.reported.test.campaign.tested
                 if (x := self.slope_at(P)) is not None
             ],
+            "bend": self._bend(),
             "wrong_weight": None if wrong is None else {"load": wrong[0], "off": wrong[1], "error": wrong[2]},
             "departures": [
                 {"cause": s.cause.name, "text": s.text, "size": s.size, "error": s.error, "beyond": s.beyond}
