@@ -8,6 +8,6 @@
 - `files`: analyses as files, for us and for other programs
 - `publishing`: records, analyses and report as a package for a repository of research data
 - `many`: reports over thousands of runs
-- `words`: names of symbols, tests and methods
+- `words`: names of symbols, tests and methods; `bends`: the bend of a muscle, as its analysis wrote it down
 - on a terminal: `glance`, `terminal_coefficients`, `terminal`
 """

@@ -1,7 +1,8 @@
 """What reductions share: trials sorted, lines fitted, and what instruments do to a result.
 
 - `trials` (by operating point, repeats, references, sessions), `samples` of one trial (noise, motion, onset, rest)
-- `lines` (weighted lines and their intervals), `student` (quantiles, means with half widths)
+- `lines` (weighted lines and their intervals), `student` (quantiles, means with half widths), `projection` (least
+  squares where one number is tried at many values)
 - `isometric_lines` (F over P at a contraction), `ramp_loop`, `sine_loop` (loops of a driven end), `oscillation` (swings
   of a signal), `response` (one step of a set-point), `simulated` (a model run next to a trial),
   `joint` (two muscles against each other)
