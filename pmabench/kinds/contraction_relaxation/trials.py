@@ -137,7 +137,7 @@ def strokes(trial: TrialData) -> list[slice]:
     return [slice(first, last) for first, last in zip(edges, [*edges[1:], len(trial.t)], strict=True) if last > first]
 
 
-def settled(trial: TrialData) -> slice:
-    """The last fifth of the hold at pressure."""
-    first = strokes(trial)[0]
-    return slice(first.stop - max(8, (first.stop - first.start) // 5), first.stop)
+def settled(trial: TrialData, number: int = 0) -> slice:
+    """The last fifth of the hold at pressure, or of that after a later command; empty where there is none."""
+    rows = strokes(trial)[number : number + 1]
+    return slice(rows[0].stop - max(8, (rows[0].stop - rows[0].start) // 5), rows[0].stop) if rows else slice(0, 0)

@@ -39,8 +39,8 @@ correction or a name: lines of the budget hold it.
 """
 SAME = 1e-3
 """Weights this near are one [N]."""
-PART_OF_GAIN = 0.1
-"""Share of a gain by the weights that may be wrong: a cell that is off may not be straight."""
+PART_OF_GAIN = 1.1
+"""Share of a gain by the weights that may be wrong: the marks may be, or what hangs may swing."""
 PIECES, EACH = 8, 4
 """Most straight pieces of a drift that is no straight line itself, and fewest readings for each."""
 FEWEST_LOADS = 3
@@ -81,17 +81,32 @@ class Weighed:
 
 
 def readings(campaign: Campaign) -> Readings:
-    """The mean reading of each trial at rest before it, and at its plateau; none without a cell."""
+    """The mean reading of each trial at rest before it, and at its plateau; none without a cell.
+
+    Of loads that rest once more after they have come down a little, what lies in the middle of both counts: friction of
+    a guide makes them heavier after the way up, and as much lighter after the way down.
+    """
     if not campaign.cell:
         return Readings(*(np.empty(0) for _ in range(3)))
     loads = np.array([samples.load for samples in campaign.samples])
-    shares, rest, held = course(campaign), _means(campaign, "rest"), _means(campaign, "plateau")
+    shares, rest, held, lower = course(campaign), *(_means(campaign, where) for where in ("rest", "plateau", "lower"))
+    held = held - _of_guide(held, lower, loads) * loads
     if not np.nanmedian(np.abs([*rest, inf])) < LYING * np.median(loads):
         rest[:] = np.nan  # the load hangs before the trial, too: a second reading of the same
     read = np.concatenate((rest, held))
     ends = np.concatenate([[share[0] for share in shares], [share[len(share) // 2] for share in shares]])
     known = np.isfinite(read)
     return Readings(ends[known], np.concatenate((0 * loads, loads))[known], read[known])
+
+
+def _of_guide(held: Array, lower: Array, loads: Array) -> float:
+    """Friction below the cell as a share of the load, by what it reads less after the way down; 0 where none shows."""
+    both = np.isfinite(held - lower)
+    share = 0.5 * (held - lower)[both] / loads[both]
+    if len(share) < FEWEST:
+        return 0.0
+    mean, error = float(share.mean()), float(share.std(ddof=1)) / sqrt(len(share))
+    return mean if mean > max(SMALL, float(student.ppf(BEYOND, len(share) - 1)) * error) else 0.0
 
 
 def weighed(readings: Readings, known: Mapping[str, float] = NOTHING) -> Weighed:
@@ -210,16 +225,20 @@ def _left(values: Array, columns: Array) -> tuple[float, int]:
 
 
 def _means(campaign: Campaign, where: str) -> Array:
-    """Mean reading of the cell in each trial [N], at rest before it or at its plateau; nan where there is none."""
+    """Mean reading of the cell in each trial [N], at rest before it, at its plateau, or after the command that follows
+    it; nan where there is none.
+    """
     found = np.full(len(campaign.trials), np.nan)
     for i, (samples, trial) in enumerate(zip(campaign.samples, campaign.trials, strict=True)):
         if samples.force is None or samples.mass * G < HANGING * samples.load:
             continue
         times = [c.t for c in trial.commands if c.output == "pressure"]
-        if where == "plateau":
+        if where != "rest":
             rows = np.zeros(len(samples.t), bool)
-            rows[settled(trial)] = True
-            rows &= samples.ok & (samples.x > Gate.lift)
+            rows[settled(trial, int(where == "lower"))] = True
+            if (samples.x[rows] <= Gate.lift).any():
+                continue
+            rows &= samples.ok
         elif times and len(strokes(trial)):
             rows = samples.ok & (samples.t < min(times))
         else:
