@@ -28,6 +28,12 @@ AROUND = 1.0
 """Of the end of the ramp up, in which a late force shows [s]."""
 SMOOTH = 0.2
 """Pressure and force are means over this time before one is compared with the slope of the other [s]."""
+WITHOUT = 0.02
+"""Share of the highest pressure below which there is none."""
+STRETCHED = 1e-4
+"""A muscle that is longer than its nominal length by this is stretched [m]."""
+DRIFTS = 6.0
+"""The zero of the cell differs from file to file where it does by so many times the noise of one sample."""
 YIELDS = 1e-5
 """Change of the displacement below which nothing gives way [m]."""
 
@@ -132,22 +138,58 @@ def scatter_of(cells: Sequence[Cell]) -> float | None:
     return float(student.ppf(0.975, freedom)) * sqrt(float(np.sum(_off(np.array(shares), groups) ** 2)) / freedom)
 
 
+def _at_rest(test: Test) -> list[tuple[int, float, float]]:
+    """What the cell reads [N] before (0) and after (1) the ramps, without pressure, and the middle of that time [s]."""
+    trial, found = test.trial, []
+    ramps = {c.phase: c for c in trial.commands if c.kind == "ramp" and c.data.get("rate")}
+    if not {"fill", "empty"} <= set(ramps):
+        return []
+    begin, over = ramps["fill"].t, ends(ramps["empty"])
+    P, F = trial.channels["pressure"], trial.channels["force"]
+    for which, (low, high) in enumerate(((begin - REST + SWINGS, begin), (over + SWINGS, over + REST))):
+        rows = (trial.t >= low) & (trial.t < high) & trial.usable & np.isfinite(F)
+        if rows.sum() > 2 and float(P[rows].mean()) < WITHOUT * float(test.P.max()):
+            found.append((which, 0.5 * (low + high), float(F[rows].mean())))
+    return found
+
+
+def _zeros(ordered: Sequence[tuple[Test, object, Cell]]) -> Departure | None:
+    """Of tests that are a file each: the zero of the cell in each, as a muscle that is not stretched pulls nothing
+    without pressure.
+    """
+    zeros = {test: float(np.mean([read for _, _, read in rests]))
+             for test, _, cell in ordered if cell.contraction > -STRETCHED and (rests := _at_rest(test))}  # fmt: skip
+    if len(zeros) < 2:
+        return None
+    low, high = min(zeros.values()), max(zeros.values())
+    noise = max(noise_of(test.F) for test in zeros)
+    reason = (
+        f"at rest without pressure the force cell reads from {show(low, 'force', 2)} to {show(high, 'force', 2)}: its "
+        "zero drifts from file to file. Let the cell warm up, and measure again"
+    )
+    nearest = dict(zeros)
+    for number, (test, _, _) in enumerate(ordered):
+        if test not in nearest:
+            known = [i for i, (other, _, _) in enumerate(ordered) if other in zeros]
+            nearest[test] = zeros[ordered[min(known, key=lambda i: abs(i - number))][0]]
+
+    def force(test: Test) -> Array:
+        return np.full(len(test.t), nearest[test])
+
+    return Departure("drift of the force cell", "drift", force, high - low > DRIFTS * noise, reason)
+
+
 def _drift(cells: Sequence[Cell]) -> tuple[Departure | None, float]:
     """A drift of the zero of the cell, by what it reads at rest before and after the ramps; and its slope [N/s]."""
     times, readings, groups = [], [], []
-    for test, group, _ in _rows(cells):
-        trial = test.trial
-        ramps = {c.phase: c for c in trial.commands if c.kind == "ramp" and c.data.get("rate")}
-        if not {"fill", "empty"} <= set(ramps):
-            continue
-        begin, over = ramps["fill"].t, ends(ramps["empty"])
-        rests = ((begin - REST + SWINGS, begin), (over + SWINGS, over + REST))
-        for which, (low, high) in enumerate(rests):
-            rows = (trial.t >= low) & (trial.t < high) & trial.usable & np.isfinite(trial.channels["force"])
-            if rows.sum() > 2:
-                times.append(0.5 * (low + high))
-                readings.append(float(trial.channels["force"][rows].mean()))
-                groups.append((*group, which))
+    ordered = _rows(cells)
+    for test, group, _ in ordered:
+        for which, t, read in _at_rest(test):
+            times.append(t)
+            readings.append(read)
+            groups.append((*group, which))
+    if len({test.run.id for test, _, _ in ordered}) == len(ordered) > 1:
+        return _zeros(ordered), 0.0
     if len(times) < 3:
         return None, 0.0
     t, z = (_off(np.array(values), groups) for values in (times, readings))

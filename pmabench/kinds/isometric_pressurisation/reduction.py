@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import sqrt
+from math import hypot, sqrt
 from typing import Any
 
 import numpy as np
@@ -37,6 +37,7 @@ from pmabench.kinds.isometric_pressurisation.curve import LEAST, PHASES, begins,
 from pmabench.kinds.isometric_pressurisation.flow import by_flow
 from pmabench.kinds.isometric_pressurisation.form import departures, late, scatter_of
 from pmabench.kinds.isometric_pressurisation.sections import (
+    APART,
     BEYOND,
     BLOCKED,
     Across,
@@ -141,11 +142,33 @@ def _found(groups: Groups, given: Mapping[str, Any], scales: Scales) -> _Found:
         others = [cell.pooled.mean] if cell.upper is None else [cell.pooled.mean, (cell.upper.m, cell.upper.c)]
         m, c = estimates_of(cell.pooled, cell.tests, {"contraction": cell.contraction}, others=others)
         estimates += [m, c, _width(cell, scales)]
+    estimates = _placed(estimates, cells, scales)
     over = across(cells)
     sections, force = _sections(cells, given), _corrected(cells, given)
     estimates += begun + _sides(cells) + blocked_estimates(cells, given, scales) + _three_elements(over, scales)
-    estimates += _section_estimates(sections, scales) + _corrected_estimate(force, scales)
+    estimates += _section_estimates(sections, scales, given) + _corrected_estimate(force, scales)
     return _Found(cells, over, sections, force, estimates)
+
+
+def _placed(estimates: Sequence[Estimate], cells: Sequence[Cell], scales: Scales) -> list[Estimate]:
+    """The lines F = m P + c with what the place at which the muscle is held may be off, by their neighbours' slopes."""
+    lines = [(float(cell.place.mean()), cell.pooled.line) for cell in cells if cell.pooled is not None]
+    x = np.array([place for place, _ in lines])
+    if len(x) < 2 or np.diff(x).min() < APART:
+        return list(estimates)
+    over = {coordinate: np.gradient([getattr(line, name) for _, line in lines], x)
+            for coordinate, name in (("slope", "m"), ("intercept", "c"))}  # fmt: skip
+    number = {cell.contraction: i for i, cell in enumerate(one for one in cells if one.pooled is not None)}
+    found = []
+    for e in estimates:
+        if e.coordinate in over:
+            i = number[e.at["contraction"]]
+            change = float(over[e.coordinate][i])
+            by = scales.part({"displacement": change * float(x[i])}, {"displacement": change})
+            known = [part for part in (e.parts.calibration, by) if part is not None]
+            e = replace(e, parts=replace(e.parts, calibration=hypot(*known) if known else None))
+        found.append(e)
+    return found
 
 
 def _curves(cells: Sequence[Cell], estimates: Sequence[Estimate]) -> list[Curve]:
@@ -352,7 +375,9 @@ def _three_elements(found: Sequence[Across], scales: Scales) -> list[Estimate]:
     for i, one in enumerate(found):
         F_ce, K = one.line.start, -one.line.slope
         dF, dK = float(over[0][i]), float(over[1][i])
-        scale_F = scales.part({"force": F_ce, "pressure": dF * one.pressure}, {"force": 1.0, "pressure": dF})
+        scale_F = scales.part(
+            {"force": F_ce, "pressure": dF * one.pressure}, {"force": 1.0, "pressure": dF, "displacement": K}
+        )
         scale_K = scales.part({"force": K, "displacement": K, "pressure": dK * one.pressure}, {"pressure": dK})
         note = "" if one.line.half_slope is not None else "no repeats part: too few contractions"
         for symbol, value, unit, quantity, half, scale in (
@@ -389,23 +414,43 @@ def _sections(cells: Sequence[Cell], given: Mapping[str, Any]) -> dict[str, curv
     return {name: one for name, one in fits.items() if one is not None}
 
 
-def _section_estimates(sections: Mapping[str, curve.Section], scales: Scales) -> list[Estimate]:
-    """The free parameters of each way; no value where the slopes do not determine it."""
+def _section_estimates(
+    sections: Mapping[str, curve.Section], scales: Scales, given: Mapping[str, float]
+) -> list[Estimate]:
+    """The free parameters of each way; no value where the slopes do not determine it.
+
+    Calibration: the section is fitted again to what it is where the gains of force or pressure, the zero or the gain of
+    the displacement are off by their uncertainty.
+    """
     found = []
     for method, one in sections.items():
+        again = _sections_again(one, scales, given["nominal_length"])
         for name in one.free:
             half, is_open = one.half(name), one.other_form or name in one.open
             quantity, unit = QUANTITY[name]
             value = float(getattr(one, name))
-            # A gain of force or pressure scales S, and so D0 squared; one of the contraction is not assessed.
-            gain = {"force": value / 2, "pressure": value / 2} if name == "D_0" else {"force": 0.0, "pressure": 0.0}
+            changes = [float(getattr(other, name)) - value for other in again]
             text = f"fitted {show(value, quantity, 4)}" + (f" +- {show(half, quantity, 2)}" if half is not None else "")
             why = "S(eps) has another form" if one.other_form else "not determined separately from the others"
             note = f"{why}: {text}" if is_open else ""
-            parts = Parts() if is_open else Parts(repeats=half, calibration=scales.part(gain))
+            parts = Parts() if is_open else Parts(repeats=half, calibration=hypot(*changes) if changes else None)
             n = len(one.slopes.S)
             found.append(Estimate(name, None if is_open else value, unit, quantity, method, {}, parts, n, note=note))
     return found
+
+
+def _sections_again(one: curve.Section, scales: Scales, length: float) -> list[curve.Section]:
+    """A section fitted to its slopes with each scale off by its uncertainty; none where the record gives none."""
+    slopes = one.slopes
+    known = {name: getattr(one, name) for name in curve.NAMES if name not in one.free}
+    gain = hypot(scales.gains.get("force", 0.0), scales.gains.get("pressure", 0.0))
+    ways = [replace(slopes, S=slopes.S * (1 + gain))] if gain else []
+    if zero := scales.offsets.get("displacement", 0.0):
+        ways.append(replace(slopes, eps=slopes.eps + zero / length))
+    if share := scales.gains.get("displacement", 0.0):
+        ways.append(replace(slopes, eps=slopes.eps * (1 + share)))
+    fits = [curve.fit(way, **known) for way in ways]
+    return [other for other in fits if other is not None]
 
 
 def _corrected(cells: Sequence[Cell], given: Mapping[str, Any]) -> Corrected | None:
