@@ -7,6 +7,7 @@ What one trial says by itself, for the display.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -14,6 +15,7 @@ from math import hypot
 from typing import Any
 
 import numpy as np
+from scipy.interpolate import PchipInterpolator
 
 from pmabench.analysis.model_fit import ModelFit, fit_model
 from pmabench.analysis.shared.calibration import Scales, sentences
@@ -44,10 +46,7 @@ FORM, PAPER = "sigmoid-length-coefficients", "sigmoid-length"
 """Models of the library: with fitted coefficients, and with those that paper 2 derives from the length."""
 UNKNOWN = ("a", "b", "c", "d", "e")
 UNITS = {"length": "m", "pressure": "Pa", "count": "1"}
-RESIDUALS = (
-    "repeats part: residuals of the fit; no calibration part, no method part: those of L are not carried into the "
-    "coefficients"
-)
+RESIDUALS = "repeats part: residuals of the fit; no method part: that of L is not carried into the coefficients"
 LAST = 0.2
 """Share of each rest at its end whose mean counts."""
 FEWEST = 5
@@ -59,6 +58,12 @@ FURTHEST = 3.0
 """Errors by which a length may be off the sigmoid."""
 CHANNELS = ("displacement", "pressure")
 UNUSABLE_SHARE = 0.5
+PRESSED = 1e3
+"""Change of pressure by which the slope of the sigmoid is found [Pa]."""
+STEEPER = 1.4
+"""What a scale does to a to e goes beyond the first order by so much: the curve is steep where it begins."""
+CARRIED = 0.35
+"""What the way from the measured pressure to the commanded one may be off, as a share: the curve bends between two."""
 UNEQUAL = 0.25
 """Share of half the width between both sides by which their mean may be off: friction is not the same both ways."""
 
@@ -144,7 +149,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     estimates = _weighed([*estimates, *_largest(points, length, scales)], points, length)
     other = "" if fit is None else _other_form(points, fit)
     shifted = {} if fit is None or other else _shifted(points, length)
-    estimates += _coefficients(fit, why, other, shifted)
+    estimates += _coefficients(fit, why, other, shifted, {} if fit is None else _scaled(fit, length), scales)
     curve = curves(points, fit, length, compare=compare) if points else None
     findings = [
         *of_points(points),
@@ -224,16 +229,21 @@ def _points(runs: Sequence[RunData]) -> tuple[list[Point], list[Dropped]]:
     points = []
     for pressure, rests in sorted(groups.items()):
         by: dict[object, dict[float, list[float]]] = {}
-        for rest in rests:
-            by.setdefault((rest.run.id, rest.trial.repeat), {}).setdefault(rest.side, []).append(rest.x)
+        order = Counter[object]()
+        of = list[object]()
+        for rest in rests:  # trials of one file are repeats too, where nothing else tells them apart
+            side = rest.run.id, rest.trial.repeat, rest.side
+            of.append((rest.run.id, rest.trial.repeat, order[side]))
+            order[side] += 1
+            by.setdefault(of[-1], {}).setdefault(rest.side, []).append(rest.x)
         sides = {rest.side for rest in rests}
         means = [{side: float(np.mean(values)) for side, values in repeat.items()} for repeat in by.values()]
         whole = [one for one in means if set(one) == sides]
         for key, one in zip(by, means, strict=True):
             if set(one) != sides:
-                lost = [rest for rest in rests if (rest.run.id, rest.trial.repeat) == key]
+                lost = [rest for rest, mine in zip(rests, of, strict=True) if mine == key]
                 dropped += [Dropped(r.trial.name, r.trial.point, "the other side of its repeat is lost") for r in lost]
-        rests = [r for r in rests if set(by[(r.run.id, r.trial.repeat)]) == sides]
+        rests = [rest for rest, mine in zip(rests, of, strict=True) if set(by[mine]) == sides]
         if whole:
             gaps = [one[1.0] - one[-1.0] for one in whole if {1.0, -1.0} <= set(one)]
             repeats = np.array([np.mean(list(one.values())) for one in whole])
@@ -242,19 +252,35 @@ def _points(runs: Sequence[RunData]) -> tuple[list[Point], list[Dropped]]:
     return points, dropped
 
 
+def _rises(points: Sequence[Point]) -> Array:
+    """dx/dP at each measured pressure [m/Pa]."""
+    P, x = np.array([point.pressure for point in points]), np.array([point.x for point in points])
+    return np.gradient(x, P) if len(points) > 1 and bool((np.diff(P) > 0).all()) else np.zeros(len(points))
+
+
+def _carried(points: Sequence[Point]) -> list[float]:
+    """How much further than measured it contracts at each commanded pressure [m]: a regulator rests beside it."""
+    P, x = np.array([point.pressure for point in points]), np.array([point.x for point in points])
+    wanted = np.array([point.set for point in points])
+    further = _rises(points) * (wanted - P)
+    if len(points) > 2 and bool((np.diff(P) > 0).all()):
+        within = (wanted >= P[0]) & (wanted <= P[-1])
+        further = np.where(within, PchipInterpolator(P, x)(np.clip(wanted, P[0], P[-1])) - x, further)
+    return [float(one) for one in further]
+
+
 def _lengths(points: Sequence[Point], length: float, scales: Scales) -> list[Estimate]:
     """L, and the difference of both sides, at each pressure."""
-    P, x = np.array([p.pressure for p in points]), np.array([p.x for p in points])
-    over = np.gradient(x, P) if len(points) > 1 and bool((np.diff(P) > 0).all()) else np.zeros(len(points))
     found, gaps = [], []
-    for point, slope in zip(points, over, strict=True):
+    for point, slope, carried in zip(points, _rises(points), _carried(points), strict=True):
         at, names = {"pressure": point.set}, tuple(rest.trial.name for rest in point.rests)
         rises = {"displacement": point.x, "pressure": float(slope) * point.pressure}
         scale = scales.part(rises, {"displacement": 1.0, "pressure": float(slope)})
         half, n = spread(point.repeats), len(point.repeats)
         note = "" if half is not None else "no repeats part: one repeat only"
-        parts = Parts(repeats=half, method=0.0, calibration=scale)
-        found.append(Estimate("L", length - point.x, "m", "length", FREE, at, parts, n, note=note, trials=names))
+        parts = Parts(repeats=half, method=CARRIED * abs(carried), calibration=scale)
+        L = length - point.x - carried
+        found.append(Estimate("L", L, "m", "length", FREE, at, parts, n, note=note, trials=names))
         if len(point.gaps):
             value, half = float(point.gaps.mean()), spread(point.gaps)
             note = "" if half is not None else "no repeats part: one repeat only"
@@ -287,12 +313,18 @@ def _largest(points: Sequence[Point], length: float, scales: Scales) -> list[Est
     if top is None or not length > 0 or not np.isfinite(length):
         return []
     half, names = spread(top.repeats), tuple(rest.trial.name for rest in top.rests)
-    scale = scales.part({"displacement": top.x / length}, {"displacement": 1 / length})
-    parts = Parts(None if half is None else half / length, method=0.0, calibration=scale)
+    place = next(i for i, point in enumerate(points) if point is top)
+    carried, rise = _carried(points)[place], float(_rises(points)[place])
+    scale = scales.part(
+        {"displacement": top.x / length, "pressure": rise * top.pressure / length},
+        {"displacement": 1 / length, "pressure": rise / length},
+    )
+    method = CARRIED * abs(carried) / length
+    parts = Parts(None if half is None else half / length, method=method, calibration=scale)
     note = "" if half is not None else "no repeats part: one repeat only"
     at = {"pressure": top.set}
     n = len(top.repeats)
-    return [Estimate("eps_max", top.x / length, "1", "ratio", FREE, at, parts, n, note=note, trials=names)]
+    return [Estimate("eps_max", (top.x + carried) / length, "1", "ratio", FREE, at, parts, n, note=note, trials=names)]
 
 
 def _fit(points: Sequence[Point], length: float, off: Array | float = 0.0) -> tuple[ModelFit | None, str]:
@@ -388,17 +420,45 @@ def _shifted(points: Sequence[Point], length: float) -> dict[str, ModelFit]:
     return {name: fit for name, fit in fits.items() if fit is not None and fit.converged}
 
 
-def _coefficients(fit: ModelFit | None, why: str, other: str, shifted: Mapping[str, ModelFit]) -> list[Estimate]:
+def _scaled(fit: ModelFit, length: float) -> dict[tuple[str, str], Array]:
+    """Change of a to e, shape (5,), by a relative change (`gain`) or an offset of 1 [SI] of each channel."""
+    P = fit.columns["pressure"]
+    known = {unknown.name: unknown.value for unknown in fit.unknowns}
+
+    def computed(P: Array, **changed: float) -> Array:
+        return fit.model.evaluate({**fit.fixed, "pressure": P, **known, **changed})["length"]
+
+    steps = {name: 1e-5 * max(abs(value), 1e-6) for name, value in known.items()}
+    slopes = np.array([computed(P, **{n: known[n] + h}) - computed(P, **{n: known[n] - h}) for n, h in steps.items()])
+    slopes /= 2 * np.array(list(steps.values()))[:, None]
+    most = next(p.high for p in fit.model.parameters if p.name == "pressure")
+    below, above = np.maximum(P - PRESSED, 0.0), np.minimum(P + PRESSED, most)
+    rises = (computed(above) - computed(below)) / (above - below)
+    x = length - fit.measured
+    moved = {("pressure", "offset"): -rises, ("pressure", "gain"): -rises * P,
+             ("displacement", "offset"): -np.ones_like(x), ("displacement", "gain"): -x}  # fmt: skip
+    size = np.linalg.norm(slopes, axis=1)
+    size = np.where(size > 0, size, 1.0)
+    columns = (slopes / size[:, None]).T
+    return {name: STEEPER * np.linalg.lstsq(columns, by, rcond=None)[0] / size for name, by in moved.items()}
+
+
+def _coefficients(
+    fit: ModelFit | None, why: str, other: str, shifted: Mapping[str, ModelFit],
+    scaled: Mapping[tuple[str, str], Array], scales: Scales,
+) -> list[Estimate]:  # fmt: skip
     """The coefficients a to e, those without an interval as not identifiable, withheld for the reason `other`.
 
-    What they differ by from those of `shifted` is in the interval.
+    What they differ by from those of `shifted` is in the interval, and what a scale does to them (`_scaled`).
     """
     quantities = {p.name: p.quantity for p in MODELS[FORM].parameters}
     found = []
     for name in UNKNOWN:
         quantity = quantities[name]
         value, half, note = (None, None, why) if fit is None else fit.identified(name, UNITS[quantity])
-        parts = Parts(repeats=half)
+        place = UNKNOWN.index(name)
+        by = {kind: {c: float(scaled[c, kind][place]) for c in CHANNELS} for kind in ("gain", "offset") if scaled}
+        parts = Parts(repeats=half, calibration=scales.part(by["gain"], by["offset"]) if by else None)
         n = 0 if fit is None else len(fit.measured)
         note = sentences(note, RESIDUALS if half is not None else "")
         e = Estimate("L", value, UNITS[quantity], quantity, SIGMOID, {}, parts, n, note=note, coordinate=name)
@@ -423,7 +483,8 @@ def offers(analysis: Analysis) -> Iterator[Offer]:
     widest = max(widths, default=0.0)
     known = [
         (P, replace(e, symbol="x", value=length - e.value, parts=_wider(e.parts, UNEQUAL * widest / 2)))
-        for P, e in zip(analysis.facts.get("measured", ()), by["L"], strict=False)
+        for e in by["L"]
+        for P in [e.at["pressure"]]
         if length and e.value is not None and length - e.value > 1.5 * widest
     ]
     if not (np.diff([P for P, _ in known]) > 0).all():
