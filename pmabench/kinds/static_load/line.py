@@ -81,7 +81,7 @@ def _fit(load: Array, P: Array) -> Line | None:
     middle = np.array([1.0, float(load.mean())])
     means = np.bincount(group, residual) / count
     for power, freedom in ((float(residual @ residual), len(P) - 2), (float(count @ means**2), len(names) - 2)):
-        if freedom < 1:
+        if freedom < 1 or len(names) == 2:  # of two loads nothing shows whether the line between them is straight
             continue
         covariance, t = power / freedom * inverse, float(student.ppf(0.975, freedom))
         if t**2 * (middle @ covariance @ middle) > factor**2 * (middle @ chosen @ middle):
@@ -273,14 +273,13 @@ class Mean:
         return float(np.mean(apart)) * self.line.s if len(apart) else None
 
     def off(self, row: Array) -> float:
-        """Half width [N] of what the mean may be off, for `row` @ (a, s)."""
-        if not row[0]:
-            return 0.0
+        """Half width [N] of what the mean may be off, for `row` @ (a, s); of s as if it grew with pressure."""
         share = UNTESTED if not self.raised else UNEQUAL if self.kept is None else UNTOLD
         friction = share * abs(self.friction or 0.0)
         place = 0.5 * self.points.uncertain * self.line.s if self.carried else 0.0
         loop = 0.0 if self.kept is None else float(np.nanmax(self.kept.half))
-        return hypot(friction, place, loop)
+        whole = hypot(friction, place, loop)
+        return whole if row[0] else whole / float(np.nanmean(self.points.side(MEAN)))
 
 
 def mean_of(runs: Sequence[RunData], plain: Points, slope: float, stiffness: Stiffness | None) -> Mean | None:

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pmabench.analysis.shared.samples import noise_of
+from pmabench.analysis.shared.samples import noise_of, on_time
 from pmabench.analysis.verdict.agreement import Offer
 from pmabench.store.analyses.results import Dropped
 from pmabench.store.records import Array, RunData, TrialData
@@ -50,6 +50,46 @@ class Points:
         if method == MEAN:
             return 0.5 * (self.lift + self.set_down)
         return self.lift if method == LIFT else self.set_down
+
+
+def on_time_run(run: RunData) -> RunData:
+    """The run without the lags of its sensors, as far as its channels declare them: channels, and what was found."""
+    late = {name: run.channels[name].sensor_lag for name in ("pressure", "displacement") if name in run.channels}
+    return replace(run, trials=tuple(_on_time(run, trial, late) for trial in run.trials)) if any(late.values()) else run
+
+
+def _on_time(run: RunData, trial: TrialData, late: Mapping[str, float]) -> TrialData:
+    """A crossing is looked for again without the lag of the displacement, and the pressure there without its own."""
+    channels = {name: on_time(run, trial, name) if name in late else y for name, y in trial.channels.items()}
+    by = late.get("displacement", 0.0)
+    found = {}
+    for phase, result in trial.found.items():
+        t = result.get("t") if isinstance(result, Mapping) else None
+        if isinstance(t, int | float) and np.isfinite(pressure_of(result)) and "pressure" in channels:
+            earlier = _crossed(trial, by, float(t), phase) if by else float(t)
+            before, after = (float(np.interp(at, trial.t, trial.channels["pressure"])) for at in (t, earlier))
+            later = float(np.interp(earlier, trial.t, channels["pressure"])) - after
+            result = {**result, "t": earlier, "pressure": pressure_of(result) + after - before + later}
+        found[phase] = result
+    return replace(trial, channels=channels, found=found)
+
+
+def _crossed(trial: TrialData, lag: float, t: float, phase: str) -> float:
+    """When a load really lifted or set down [s] that a displacement behind a filter showed to do so at `t` [s].
+
+    What was given to a filter of first order is what it reads and the lag times its rate.
+    """
+    times, x = trial.t, trial.channels["displacement"]
+    width = max(1, round(SMOOTH / float(np.median(np.diff(times))))) if len(times) > 1 else 1
+    if len(times) < 2 * width or width < 2:
+        return t - lag
+    smooth = np.convolve(np.pad(x, (width // 2, width - 1 - width // 2), mode="edge"), np.ones(width) / width, "valid")
+    given = smooth + lag * np.gradient(smooth, times)
+    rest = float(np.median(x[: max(FEWEST, len(x) // 100)]))
+    down = np.flatnonzero((given - rest <= LIFTED) & (times <= t) & ((times > t - LASTS * lag) | (phase == "lift")))
+    if not len(down):
+        return t - lag
+    return float(times[down[-1] if phase == "lift" else down[0]])
 
 
 def points_of(runs: Sequence[RunData]) -> tuple[Points, list[Dropped]]:
@@ -143,6 +183,8 @@ def option_of(others: Mapping[str, Sequence[Offer]]) -> dict[str, Any]:
 
 NEAR = (0.8e-3, 2e-3)
 """The ways up and down are fitted over at least and at most this contraction [m]: the curve is bent near 0."""
+LIFTED, LASTS = 0.02e-3, 8.0
+"""A load is off its support from that contraction on [m]; a filter shows it so many time constants later at most."""
 CLEAR = 10e-6
 """Contraction from which on the load is off its support [m]."""
 FEWEST = 20

@@ -19,7 +19,7 @@ from pmabench.analysis.verdict.agreement import SAME, Offer, Place, anywhere, at
 from pmabench.base.quantities import show
 from pmabench.kinds.static_load import RESULTS, figures
 from pmabench.kinds.static_load.line import Line, Mean, fit_side, mean_of
-from pmabench.kinds.static_load.points import LIFT, MEAN, SET_DOWN, Points, Stiffness, points_of
+from pmabench.kinds.static_load.points import LIFT, MEAN, SET_DOWN, Points, Stiffness, on_time_run, points_of
 from pmabench.store.analyses.results import Analysis, Curve, Estimate, Finding, Parts, withhold
 from pmabench.store.records import Array, RunData
 
@@ -42,6 +42,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     `points.option_of`) where that is too short; the sides by themselves are the paper's, as they were found. What a
     load that was raised shows of hysteresis is taken off, and without that the interval holds it (`loops`).
     """
+    runs = [on_time_run(run) for run in runs]
     plain, dropped = points_of(runs)
     estimates: list[Estimate] = []
     curves: list[Curve] = []
@@ -118,7 +119,7 @@ def _of_line(
     names = tuple(name for name, use in zip(points.names, usable, strict=True) if use)
     two_sided = method == MEAN
     of_mean = "bias: K x at set-down" if mean is None or mean.kept is None else "bias: hysteresis, and K x at set-down"
-    few = "" if line.factor else "no repeats part: two points leave no scatter about the line through them"
+    few = "" if line.factor else "no repeats part: two loads do not show whether the line between them is straight"
 
     def estimate(row: Array, calibration: float | None, at: float | None, coordinate: str = "") -> Estimate:
         value = float(row @ (line.a, line.s))
@@ -187,12 +188,13 @@ def _half_differences(points: Points, lines: Mapping[str, Line]) -> list[Estimat
                 quantity="force",
                 method=HALF,
                 at=at,
-                parts=Parts(repeats=spread, calibration=0.0),
+                parts=Parts(repeats=spread, method=abs(float(np.mean(values))), calibration=0.0),
                 n=n,
                 note=sentences(
                     f"no repeats part: {'one trial at this load' if at else 'one load'}" if few else "",
-                    "half the difference of lift and set-down: between sliding and static friction",
-                    "no method part: what the search adds is not assessed",
+                    "half the difference of lift and set-down: between sliding and static friction, and what damping "
+                    "and the search add at this rate of the ramp",
+                    "method part: all of it, for what they add is not known",
                 ),
                 trials=tuple(name for name, use in zip(points.names, rows, strict=True) if use),
             )
@@ -223,4 +225,5 @@ def offers(analysis: Analysis) -> Iterator[Offer]:
     why = "that of a muscle at rest is static friction, F_c is that of a moving one, and the smaller"
     for e in analysis.estimates:
         if e.method == HALF and not e.at and e.value is not None:
-            yield replace(anywhere("F_c", e, "friction at rest"), side=1, why=why)
+            most = replace(e, parts=replace(e.parts, method=0.0))
+            yield replace(anywhere("F_c", most, "friction at rest"), side=1, why=why)

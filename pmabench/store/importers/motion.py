@@ -242,7 +242,8 @@ CLEARLY = 3.0
 AT_ONCE = 0.06
 """A change that is over in this time [s] is a step."""
 LIFTED = 0.02e-3
-"""A load is off its support where the displacement exceeds its rest by this [m]."""
+"""A load is off its support where the displacement exceeds its rest by this [m]: the median of `TOGETHER` samples."""
+TOGETHER = 5
 AROUND = 0.05
 """Samples so far from that moment [s] are averaged, and two on either side at least."""
 FEWEST = 20
@@ -503,7 +504,7 @@ def lift_and_set_down(t: Array, channels: Mapping[str, Array]) -> list[dict[str,
     x = channels["displacement"]
     rest = x[: max(FEWEST, len(x) // 100)]
     level = float(np.median(rest)) + max(LIFTED, 5.0 * float(np.std(rest)))
-    up = x > level
+    up = _medians(x) > level
     rises, falls = np.flatnonzero(~up[:-1] & up[1:]), np.flatnonzero(up[:-1] & ~up[1:])
     if not len(rises):
         return []
@@ -522,6 +523,12 @@ def lift_and_set_down(t: Array, channels: Mapping[str, Array]) -> list[dict[str,
         if "pressure" in result:
             found.append({"t": at, "phase": phase, "law": "displacement of the file", "result": result})
     return found
+
+
+def _medians(x: Array) -> Array:
+    """The median of each sample and its neighbours, `TOGETHER` of them, shape (n,): one stray sample lifts no load."""
+    padded = np.pad(x, TOGETHER // 2, mode="edge")
+    return np.asarray(np.median(np.lib.stride_tricks.sliding_window_view(padded, TOGETHER), axis=1))
 
 
 def cell_load(t: Array, channels: Mapping[str, Array], commands: list[dict[str, Any]]) -> float | None:
