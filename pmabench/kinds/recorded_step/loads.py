@@ -11,7 +11,7 @@ K and B are taken as the same at all their pressures, and that is tested.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import hypot, sqrt
 
@@ -102,11 +102,31 @@ def of_loads(groups: Mapping[Pair, Sequence[tuple[RunData, Step]]], estimates: S
     F_ce and dF_ce/dP are not given: steps come to rest with friction in them, to one side at one pressure.
     """
     found: list[Estimate] = []
-    for pair, group in sorted(groups.items()):
-        K = secant(pair, rests_of([step for _, step in group]), Scales.of([run for run, _ in group]))
+    for pair in sorted(groups):
+        K = _secant_of(pair, groups)
         if K is not None:
+            K = _by_friction(K, [_secant_of(other, groups) for other in groups if _opposite(pair, other)])
             found += [K, *_damping(K, estimates)]
     return found
+
+
+def _secant_of(pair: Pair, groups: Mapping[Pair, Sequence[tuple[RunData, Step]]]) -> Estimate | None:
+    group = groups[pair]
+    return secant(pair, rests_of([step for _, step in group]), Scales.of([run for run, _ in group]))
+
+
+def _opposite(pair: Pair, other: Pair) -> bool:
+    """Whether two steps come to the same pressure, one from below and one from above."""
+    return pair[1] == other[1] and (pair[0] - pair[1]) * (other[0] - other[1]) < 0
+
+
+def _by_friction(K: Estimate, others: Sequence[Estimate | None]) -> Estimate:
+    """K with what it differs by from that of steps to the same pressure from the other side: friction is in both."""
+    apart = [abs((K.value or 0.0) - (other.value or 0.0)) for other in others if other is not None]
+    if not apart:
+        note = "no repeats part: no step came to this pressure from the other side, what friction does is not seen"
+        return replace(K, note=sentences(K.note, note), parts=replace(K.parts, repeats=None))
+    return replace(K, parts=replace(K.parts, method=hypot(K.parts.method or 0.0, max(apart))))
 
 
 def _times(parts: Parts, factor: float) -> Parts:

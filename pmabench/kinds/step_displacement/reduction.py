@@ -123,9 +123,13 @@ def _estimates(
         values = [np.array([value(one) for one in steps]) for steps in each]
         means = np.array([float(one.mean()) for one in values])
         half, mean = mean_half(means, values), float(means.mean())
-        part = scales.part(
-            {name: mean * power for name, power in powers.items()}, {"force": 1.0} if symbol == "F" else {}
-        )
+        gains = {name: mean * power for name, power in powers.items()}
+        offsets: dict[str, float] = {}
+        if symbol == "F":  # as a force that grows with the pressure, along the stiffness
+            P, K = at.get("pressure", 0.0), float(np.mean([one.static for one in every]))
+            gains |= {"pressure": mean} if P > 0 else {}
+            offsets = {"force": 1.0, "displacement": K} | ({"pressure": mean / P} if P > 0 else {})
+        part = scales.part(gains, offsets)
         note = ONE_STEP if half is None else STEPS_OF_ONE if len(group) == 1 else ""
         if part is None and set(powers) - {"force", "displacement"}:
             note = sentences(note, scales.lack(powers))
@@ -140,8 +144,9 @@ def _estimates(
     estimate("F", newton, RELAXED, lambda one: one.before, {"force": 1}, 0.0, "before", (before,))
     estimate("F", newton, PEAK, lambda one: one.peak, {"force": 1}, extreme, "peak", (blunt,))
     estimate("F", newton, RELAXED, lambda one: one.relaxed, {"force": 1}, 0.0, "relaxed", (after,))
+    leap = EXTREME * max(one.pressure_noise for one in every)
     if all(np.isfinite(one.pressure_peak) for one in every):
-        estimate("P_err", ("Pa", "pressure"), PEAK, lambda one: one.pressure_peak, {"pressure": 1}, 0.0)
+        estimate("P_err", ("Pa", "pressure"), PEAK, lambda one: one.pressure_peak, {"pressure": 1}, leap)
     for symbol, name in (("tau_F", "force_back"), ("tau_p", "pressure_back")):
         back = [getattr(one, name) for one in every]
         if None in back:

@@ -54,6 +54,8 @@ class Relaxation:
     """Change of the force over the sample before its peak [N]: so far the peak may lie beyond it."""
     pressure_peak: float
     """Largest difference of the pressure from that before; nan where it is not recorded."""
+    pressure_noise: float
+    """Of the pressure [Pa]: the largest difference is that of the noise where the pressure stays."""
     force_back: Recovery | None
     pressure_back: Recovery | None
     noise: float
@@ -161,6 +163,7 @@ def _one(
         blunted=_blunted(t[moving], away, moved, filter_of(run)),
         sampled=abs(float(away[place] - away[max(0, place - 1)])),
         pressure_peak=pressure_peak,
+        pressure_noise=noise_of(P[moving]) if known else 0.0,
         force_back=recovery(since, F[still]),
         pressure_back=recovery(since, P[still]) if known else None,
         noise=noise,
