@@ -184,8 +184,8 @@ def _drift(cells: Sequence[Cell]) -> tuple[Departure | None, float]:
     times, readings, groups = [], [], []
     ordered = _rows(cells)
     for test, group, _ in ordered:
-        for which, t, read in _at_rest(test):
-            times.append(t)
+        for which, middle, read in _at_rest(test):
+            times.append(middle)
             readings.append(read)
             groups.append((*group, which))
     if len({test.run.id for test, _, _ in ordered}) == len(ordered) > 1:
