@@ -72,7 +72,7 @@ RIGS = {
     "wires": Rig("wires", 100, POLLED, B_OF_POLLED, 2),
     "alicat": Rig("alicat", 50, POLLED, B_OF_POLLED, 2, vents="relay", keeps=True),
     "alicat-modbus": Rig("alicat", 50, POLLED, B_OF_POLLED, 2, TO_MODBUS, vents="relay", keeps=True, slow=True),
-    "dataq": Rig("dataq", 500, SHARP, B_OF_POLLED, vents="regulator"),
+    "dataq": Rig("dataq", 500, SHARP, B_OF_POLLED, 2, vents="regulator"),
     "festo": Rig("festo", 100, POLLED, B_OF_POLLED, 2),
     "labjack": Rig("labjack", 500, HARDWARE_TIMED, watchdog=2.0),
     "labjack-t8": Rig("labjack-t8", 100, POLLED, B_OF_POLLED, watchdog=2.0, slow=True),
