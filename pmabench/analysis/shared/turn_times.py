@@ -22,7 +22,7 @@ from pmabench.store.records import Array
 FEWEST = 6
 """Samples that are needed on either side of a turn."""
 TRIED = 41
-"""Delays that are tried either way at most: a sampling period apart or more, as what lies within one looks the same."""
+"""Delays that are tried either way, with none."""
 REACH = 0.6
 """Longest delay that is tried, as a share of the time that is looked at on either side of a turn."""
 WIDER = 3.0

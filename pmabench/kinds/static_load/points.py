@@ -60,13 +60,15 @@ def on_time_run(run: RunData) -> RunData:
 
 def _on_time(run: RunData, trial: TrialData, late: Mapping[str, float]) -> TrialData:
     """A crossing is looked for again without the lag of the displacement, and the pressure there without its own."""
+    if len(trial.t) < 2:
+        return trial
     channels = {name: on_time(run, trial, name) if name in late else y for name, y in trial.channels.items()}
-    by = late.get("displacement", 0.0)
+    by = late.get("displacement", 0.0) if "displacement" in channels else 0.0
     found = {}
     for phase, result in trial.found.items():
         t = result.get("t") if isinstance(result, Mapping) else None
         if isinstance(t, int | float) and np.isfinite(pressure_of(result)) and "pressure" in channels:
-            earlier = _crossed(trial, by, float(t), phase) if by else float(t)
+            earlier = _crossed(trial, by, float(t), phase, result.get("displacement")) if by else float(t)
             before, after = (float(np.interp(at, trial.t, trial.channels["pressure"])) for at in (t, earlier))
             later = float(np.interp(earlier, trial.t, channels["pressure"])) - after
             result = {**result, "t": earlier, "pressure": pressure_of(result) + after - before + later}
@@ -74,10 +76,11 @@ def _on_time(run: RunData, trial: TrialData, late: Mapping[str, float]) -> Trial
     return replace(trial, channels=channels, found=found)
 
 
-def _crossed(trial: TrialData, lag: float, t: float, phase: str) -> float:
+def _crossed(trial: TrialData, lag: float, t: float, phase: str, read: object) -> float:
     """When a load really lifted or set down [s] that a displacement behind a filter showed to do so at `t` [s].
 
-    What was given to a filter of first order is what it reads and the lag times its rate.
+    `read` is what the displacement read then [m]: the level above its rest that was looked for. What was given to a
+    filter of first order is what it reads and the lag times its rate.
     """
     times, x = trial.t, trial.channels["displacement"]
     width = max(1, round(SMOOTH / float(np.median(np.diff(times))))) if len(times) > 1 else 1
@@ -86,7 +89,8 @@ def _crossed(trial: TrialData, lag: float, t: float, phase: str) -> float:
     smooth = np.convolve(np.pad(x, (width // 2, width - 1 - width // 2), mode="edge"), np.ones(width) / width, "valid")
     given = smooth + lag * np.gradient(smooth, times)
     rest = float(np.median(x[: max(FEWEST, len(x) // 100)]))
-    down = np.flatnonzero((given - rest <= LIFTED) & (times <= t) & ((times > t - LASTS * lag) | (phase == "lift")))
+    level = read - rest if isinstance(read, int | float) and read - rest > LIFTED else LIFTED
+    down = np.flatnonzero((given - rest <= level) & (times <= t) & ((times > t - LASTS * lag) | (phase == "lift")))
     if not len(down):
         return t - lag
     return float(times[down[-1] if phase == "lift" else down[0]])
