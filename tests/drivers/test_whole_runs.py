@@ -32,7 +32,7 @@ from tests.drivers.judged import (
 from tests.drivers.sines import TRUE, dying, pooled, sines, stopped_after
 from tests.drivers.whole_run import LONGEST, SPECIMEN, TRIES, WholeRun, coefficients, one_step
 
-pytestmark = [pytest.mark.realtime, pytest.mark.singly, pytest.mark.timeout(600)]
+pytestmark = [pytest.mark.realtime, pytest.mark.timeout(600)]
 
 
 def ni_alone():

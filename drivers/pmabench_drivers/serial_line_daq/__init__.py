@@ -61,6 +61,7 @@ class Link(SerialPort):
         One question is under way at a time: a board has little room for what comes in. One that goes `aside` does not
         wait for its turn. Raises DeviceError where the board refuses, Unanswered where nothing comes.
         """
+        asked = monotonic()
         busy = f"has not answered yet what was asked before; the question {letter} was not sent"
         with contextlib.nullcontext() if aside else turn(self._turn, deadline, self._device, busy=busy):
             event, answer = threading.Event(), list[list[str]]()
@@ -75,7 +76,7 @@ class Link(SerialPort):
             event.wait(max(0.0, deadline - monotonic()))
             self._waiting.pop(number, None)
         if not answer:
-            raise Unanswered(self._device, self.gone or "did not answer")
+            raise Unanswered(self._device, self.gone or f"did not answer within {max(0.0, deadline - asked):.2g} s")
         kind, *fields = answer[0]
         if kind == "E":
             word = fields[0] if fields else ""
@@ -337,7 +338,7 @@ class SerialLineDaq(Led):
             try:
                 answer = link.ask(until, letter, index, aside=aside)
             except Unanswered:
-                message = f"did not answer; whether it took {value} is not known"
+                message = f"did not answer within {CALL:g} s; whether it took {value} is not known"
                 raise Unanswered(self._device.name, message, f"{'o' if letter == 'W' else 'v'}{index}") from None
         held = self._number(answer)
         if held != value:
