@@ -30,8 +30,6 @@ FEWEST = 12
 """Samples of a stretch of free swinging."""
 LAGS = (0.005, 0.01, 0.02, 0.04)
 """Lags [s] between the pressure that was measured and the one that drives."""
-AS_GOOD = 1.02
-"""Motions whose misfit is within this factor of the least cannot be distinguished."""
 PERIODS = 1.5
 """Of a stretch of free swinging."""
 CLEAR = 20.0
@@ -71,9 +69,7 @@ def fit_motion(t: Array, P: Array, x: Array, late: float) -> Motion:
     changes at each sample nor one that is polled, and is moved `late` [s] ahead. The response is the sum of the exact
     step responses of all changes: no resampling.
     """
-    changes = np.flatnonzero(np.diff(P)) + 1
-    jumps = np.diff(P)[changes - 1]
-    at = 0.5 * (t[changes - 1] + t[changes]) - late
+    at, jumps = _jumps(t, P, late)
 
     def answer(p: Array) -> tuple[Array, float]:
         driven = respond(t, at, jumps, float(np.exp(p[0])), float(np.exp(p[1])))
@@ -95,16 +91,16 @@ def fit_motion(t: Array, P: Array, x: Array, late: float) -> Motion:
     return Motion(late, w, D, g, rms, model)
 
 
+def _jumps(t: Array, P: Array, late: float) -> tuple[Array, Array]:
+    """When a pressure changes, in the middle between two samples and `late` [s] ahead, and by how much [Pa]."""
+    steps = np.diff(P)
+    changes = np.flatnonzero(steps) + 1
+    return 0.5 * (t[changes - 1] + t[changes]) - late, steps[changes - 1]
+
+
 def from_rest(P: Array, rest: float) -> Array:
     """A pressure [Pa] whose first sample is that at rest: its noise would be a step of the motion from there on."""
     return np.concatenate([[rest], P[1:]])
-
-
-def lagged_motions(t: Array, P: Array, x: Array, known: Motion) -> list[Motion]:
-    """Motions of a pressure that lags behind the measured one by `LAGS`, those that fit no worse than `known`."""
-    found = [fit_motion(t, behind(t, P, lag), x, known.late) for lag in LAGS]
-    least = min(motion.rms for motion in [known, *found])
-    return [motion for motion in found if motion.rms <= AS_GOOD * least]
 
 
 def behind(t: Array, y: Array, lag: float) -> Array:
@@ -152,21 +148,24 @@ class Swing:
     w: float
     D: float
     size: float
-    at: float
-    """Its middle [s from the step]."""
+    expected: float
+    """Swing of the driven motion there [m]."""
 
 
 def free_swings(t: Array, P: Array, x: Array, known: Motion, noise: float) -> list[Swing]:
     """Stretches after the pressure has come to its end, one after another: the time of the pressure is not in them."""
     off = np.abs(P - np.median(P[t > t[-1] - 1.0])) > REACHED * np.ptp(P)
-    begin = SETTLED * float(t[np.flatnonzero(off)[-1]]) if off.any() else 0.0
+    begin = max(0.0, SETTLED * float(t[np.flatnonzero(off)[-1]])) if off.any() else 0.0
     length = PERIODS * 2 * np.pi / known.w
+    at, jumps = _jumps(t, P, known.late)
+    model = known.g * respond(t, at, jumps, known.w, known.D)
     found: list[Swing] = []
     while begin + length < t[-1]:
         rows = (t > begin) & (t <= begin + length)
         if np.count_nonzero(rows) < FEWEST or (found and found[-1].size < CLEAR * noise):
             break
-        found.append(_free(t[rows], x[rows], known))
+        swing, expected = _free(t[rows], x[rows], known), _free(t[rows], model[rows], known)
+        found.append(replace(swing, expected=expected.size))
         begin += length
     return found
 
@@ -187,7 +186,7 @@ def _free(t: Array, x: Array, known: Motion) -> Swing:
     terms = np.linalg.lstsq(shapes(solved.x), x, rcond=None)[0]
     rate, turn = (float(value) for value in np.exp(solved.x))
     w = float(np.hypot(rate, turn))
-    return Swing(w, rate / w, float(np.hypot(*terms[1:]) * np.exp(-rate * since[-1] / 2)), float(t.mean()))
+    return Swing(w, rate / w, float(np.hypot(*terms[1:]) * np.exp(-rate * since[-1] / 2)), 0.0)
 
 
 def respond(t: Array, at: Array, jumps: Array, w: float, D: float) -> Array:
@@ -243,7 +242,7 @@ FASTEST = 8e-3
 WIDE = 3.0
 """Standard deviations of the interval: the noise of the pressure drives the model and hides in what is fitted."""
 REMAINS = 0.3
-"""Share of what the second column changes that is added to the half widths."""
+"""Share of what a further column changes that is added to the half widths."""
 
 
 @dataclass(frozen=True)
@@ -260,6 +259,12 @@ class Delayed:
     """[m]."""
     place: Array
     """Where the fit ended: the delay over `FREE`, logarithms of damping ratio and natural frequency."""
+    K: float
+    """Stiffness over mass, w^2 [1/s2]."""
+    half_K: float
+    B: float
+    """Damping over mass, 2 D w [1/s]."""
+    half_B: float
 
     @property
     def bounded(self) -> bool:
@@ -276,9 +281,9 @@ def fit_delayed(t: Array, P: Array, x: Array, start: Motion, w: float | None = N
     correlation of what is left, and half the sample period: what a sample shows has come since the one before it.
     """
     period = float(np.median(np.diff(t)))
-    first = np.array([-start.late / FREE, np.log(start.D * (1.0 if w is None else w / start.w)), np.log(start.w)])
-    one = _delayed(t, P, x, first, w, columns=1)
-    two = min((_delayed(t, P, x, begin, w, columns=2) for begin in (first, one.place)), key=lambda found: found.rms)
+    first = _place(start, w)
+    one = _delayed(t, P, x, first, w, ())
+    two = min((_delayed(t, P, x, begin, w, (SQUARE,)) for begin in (first, one.place)), key=lambda found: found.rms)
     return replace(
         two,
         half_tau=float(np.hypot(two.half_tau, REMAINS * (two.tau - one.tau))),
@@ -286,17 +291,80 @@ def fit_delayed(t: Array, P: Array, x: Array, start: Motion, w: float | None = N
     )
 
 
-def _delayed(t: Array, P: Array, x: Array, first: Array, w: float | None, columns: int) -> Delayed:
-    changes = np.flatnonzero(np.diff(P)) + 1
-    came = 0.5 * (t[changes] + t[changes - 1])
-    change = (P - P[0]) / max(float(np.ptp(P)), 1e-9)
-    jumps = [np.diff(values)[changes - 1] for values in (change, change * np.abs(change))[:columns]]
+def fit_swings(t: Array, P: Array, x: Array, start: Motion, worst: float = np.inf) -> list[Delayed]:
+    """Swings that a pressure drives: least squares over natural frequency, damping ratio and delay behind it.
+
+    t [s], P [Pa], x [m], shapes (n,). The stiffness changes with the pressure along the step, to second order; with it
+    the damping changes, or dry friction holds, or neither, to first order: three forms, the last of these first, the
+    others wider by a share of what they change. What the mass still did before the step is in all of them. Frequency
+    and damping are those at the pressure that the step ends at. Empty where the first form misses by more than `worst`
+    [m].
+    """
+    first = _place(start, None)
+    plain = _delayed(t, P, x, first, None, (START, STIFFNESS))
+    if plain.rms > worst:
+        return []
+    more = [_delayed(t, P, x, first, None, (START, STIFFNESS, one)) for one in (DAMPED, FRICTION)]
+    return [plain, *(_wider(one, plain) for one in more)]
+
+
+def _wider(one: Delayed, plain: Delayed) -> Delayed:
+    half_K = float(np.hypot(one.half_K, REMAINS * (one.K - plain.K)))
+    half_B = float(np.hypot(one.half_B, REMAINS * (one.B - plain.B)))
+    return replace(one, half_K=half_K, half_B=half_B)
+
+
+def _place(start: Motion, w: float | None) -> Array:
+    """Where a fit begins: the delay over `FREE`, logarithms of damping ratio and natural frequency."""
+    damping = start.D * (1.0 if w is None else w / start.w)
+    return np.array([-start.late / FREE, np.log(damping), np.log(start.w)])
+
+
+SQUARE, STIFFNESS, DAMPED, FRICTION, START = "square", "stiffness", "damping", "friction", "start"
+"""Columns next to the driven motion: its answer to the square of the change of pressure; how much it differs where
+stiffness, or damping, change with the pressure, or friction pulls against the speed; what goes on from before."""
+TURNS = 0.02
+"""Share of the greatest speed over which friction turns."""
+
+
+def _columns(t: Array, P: Array, w: float, D: float, delay: float, terms: tuple[str, ...]) -> Array:
+    """1, the motion driven by the change of pressure over its range, and one column or two for each of `terms`.
+
+    Where w^2 is w^2 (1 + k p), p being the pressure above its end, x = x0 + k x1 + k^2 x2, where x1 is the answer to
+    -p x0 and x2 that to -p x1; likewise for the damping, with the speed over w, and for a friction of constant size
+    against the speed.
+    """
+    span = max(float(np.ptp(P)), 1e-9)
+    change = (P - P[0]) / span
+
+    def answer(drive: Array, delay: float = 0.0) -> Array:
+        return respond(t, *_jumps(t, drive, -delay), w, D)
+
+    motion = answer(change, delay)
+    found = [np.ones(len(t)), motion]
+    above, speed = np.interp(t - delay, t, change) - change[-1], np.gradient(motion, t) / w
+    for term in terms:
+        if term == SQUARE:
+            found.append(answer(change * np.abs(change), delay))
+        elif term == STIFFNESS:
+            first = answer(above * (motion - change[-1]))
+            found += [first, answer(above * first)]
+        elif term == DAMPED:
+            found.append(answer(above * speed))
+        elif term == FRICTION:
+            found.append(answer(np.tanh(speed / (TURNS * float(np.max(np.abs(speed)))))))
+        else:
+            turn, dies = w * sqrt(max(0.0, 1 - D * D)), np.exp(-D * w * (t - t[0]))
+            found += [dies * np.cos(turn * (t - t[0])), dies * np.sin(turn * (t - t[0]))]
+    return np.column_stack(found)
+
+
+def _delayed(t: Array, P: Array, x: Array, first: Array, w: float | None, terms: tuple[str, ...]) -> Delayed:
     scale = max(float(np.ptp(x)), 1e-9)
 
     def misfit(p: Array) -> Array:
         frequency, damping = w if w is not None else float(np.exp(p[2])), float(np.exp(p[1]))
-        driven = [respond(t, came + FREE * p[0], one, frequency, damping) for one in jumps]
-        design = np.column_stack([np.ones(len(t)), *driven])
+        design = _columns(t, P, frequency, damping, FREE * p[0], terms)
         return np.asarray(x - design @ np.linalg.lstsq(design, x, rcond=None)[0]) / scale
 
     low, high = [-1.0, np.log(DAMPING[0]), np.log(FREQUENCY[0])], [1.0, np.log(HEAVIEST), np.log(FREQUENCY[1])]
@@ -304,24 +372,31 @@ def _delayed(t: Array, P: Array, x: Array, first: Array, w: float | None, column
     begin = np.clip(first[:free], np.array(low[:free]) + 1e-3, np.array(high[:free]) - 1e-3)
     solved = least_squares(misfit, begin, bounds=(low[:free], high[:free]), x_scale=0.1, max_nfev=100)
     frequency = w if w is not None else float(np.exp(solved.x[2]))
-    fast = 1 / (2 * float(np.exp(solved.x[1])) * frequency)
+    damping = float(np.exp(solved.x[1]))
+    fast = 1 / (2 * damping * frequency)
     if w is None and fast < 0.5 * float(np.median(np.diff(t))):
         massless = FREQUENCY[1]
         heavy = solved.x[1] + np.log(massless / frequency)
-        found = _delayed(t, P, x, np.array([solved.x[0], heavy, np.log(massless)]), massless, columns)
+        found = _delayed(t, P, x, np.array([solved.x[0], heavy, np.log(massless)]), massless, terms)
         halves = (float(np.hypot(half, FASTEST)) for half in (found.half_tau, found.half_delay))
         return replace(found, half_tau=next(halves), half_delay=next(halves))
     rest = solved.fun
     power = float(rest @ rest)
-    variance = power / (len(rest) - free - 1 - columns) * _together(rest)
+    columns = 2 + len(terms) + (START in terms) + (STIFFNESS in terms)
+    variance = power / (len(rest) - free - columns) * _together(rest)
     slopes = np.asarray(solved.jac, dtype=np.float64)
     covariance = np.linalg.pinv(slopes.T @ slopes) * variance
-    ratio = np.array([0.0, 1.0, -1.0][:free])
-    tau = 2 * float(np.exp(solved.x[1])) / frequency
-    half_tau = WIDE * tau * sqrt(max(0.0, float(ratio @ covariance @ ratio)))
-    half_delay = WIDE * FREE * sqrt(max(0.0, float(covariance[0, 0])))
-    place = np.array([*solved.x[:2], np.log(frequency)])
-    return Delayed(tau, half_tau, FREE * float(solved.x[0]), half_delay, sqrt(power / len(rest)) * scale, place)
+
+    def half(delay: float, damping: float, frequency: float) -> float:
+        along = np.array([delay, damping, frequency][:free])
+        return WIDE * sqrt(max(0.0, float(along @ covariance @ along)))
+
+    tau = 2 * damping / frequency
+    return Delayed(
+        tau, tau * half(0, 1, -1), FREE * float(solved.x[0]), FREE * half(1, 0, 0), sqrt(power / len(rest)) * scale,
+        np.array([*solved.x[:2], np.log(frequency)]), frequency**2, 2 * frequency**2 * half(0, 0, 1),
+        2 * damping * frequency, 2 * damping * frequency * half(0, 1, 1),
+    )  # fmt: skip
 
 
 def _together(rest: Array) -> float:

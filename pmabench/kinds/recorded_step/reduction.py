@@ -28,7 +28,7 @@ from pmabench.store.records import RunData
 KIND = "recorded-step"
 STEP = "recorded-step"
 UNTOLD = 0.005
-"""What pressure and position may be apart [s] where the map gives no `late_by`, for K and B."""
+"""What pressure and position may be apart [s] where the map gives no `late_by`."""
 UNKNOWN = "nothing is known of the time between the channels"
 SWUNG = 7.0
 """After so many times its time of decay a swing is over: a thousandth is left."""
@@ -41,10 +41,11 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     Pressure and displacement at one load give the ratios B/K and (dF_ce/dP)/K only, never K itself. Where the moving
     `mass` of the point is known and the motion rings, M x'' + B x' + K x = (dF_ce/dP) P + const, driven by the measured
     pressure, gives K = M w^2 and B = 2 D w M. It rings where its damping ratio is below a half and two extremes or more
-    are seen: else the mass shows in the fast pole B/M alone, which a few ms between the channels hide. The pressure may
-    be older than its time stamp (`late_by` of the map) and lag behind the sensor: K and B are given as the range over
-    that, and withheld where it is wider than 15 % either way. Lags of sensors (`sensor_lag`, first order) are taken
-    off, a fifth of them being left open.
+    are seen: else the mass shows in the fast pole B/M alone, which a few ms between the channels hide. The time between
+    pressure and motion, up to 40 ms, is found with them. Along the step K changes with the pressure, and B may, or dry
+    friction hold, each to first order: K and B, those at its end, are the range of what fits alike, and withheld where
+    it is wider than 15 % either way. Lags of sensors (`sensor_lag`, first order) are taken off, a fifth of them being
+    left open.
 
     Repeats are trials with the same load and commanded pressures before and after. `options`: `mass` [kg] and `late_by`
     [[least, most] in s] instead of what the record says.
@@ -67,7 +68,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     for key, group in sorted(groups.items()):
         at = dict(zip(("from", "pressure", "load", "mass"), key, strict=False))
         K = secant((key[0], key[1]), rests_of([step for _, step in pairs[key[0], key[1]]]), Scales({}, {}))
-        estimates += _at(at, group, options, () if read_off else (-UNTOLD, UNTOLD), None if K is None else K.value)
+        estimates += _at(at, group, options, late, None if K is None else K.value)
         here = [step for _, step in group]
         findings += _sentences(at, here)
         findings += [one for e in estimates if e.coordinate == TO_MOTION and e.at == at for one in check(at, here, e)]
@@ -100,7 +101,9 @@ def _of_all(steps: Sequence[tuple[RunData, Step]], estimates: Sequence[Estimate]
     if found:
         findings.append(Finding("note", f"{found} steps were found in the measured pressure: they tell no dead time"))
     if steps and not read_off:
-        findings.append(Finding("doubt", f"{UNKNOWN}: K and B assume at most {show(UNTOLD, 'time')}"))
+        findings.append(
+            Finding("doubt", f"{UNKNOWN}: t_d, and K and B of the cell, assume at most {show(UNTOLD, 'time')}")
+        )
     if any(e.method == RINGING and e.value is not None for e in estimates):
         text = "K and B rest on the moving mass alone, taken as exact; the load hangs and F_ce(P) is not known here"
         findings.append(Finding("doubt", text))
@@ -134,12 +137,13 @@ def _dead_time(steps: Sequence[Step], late: float) -> Estimate:
 
 
 def _at(
-    at: Mapping[str, float], group: Sequence[tuple[RunData, Step]], options: Mapping[str, Any], apart: Sequence[float],
+    at: Mapping[str, float], group: Sequence[tuple[RunData, Step]], options: Mapping[str, Any], late: float,
     stiffness: float | None,
 ) -> list[Estimate]:  # fmt: skip
-    """All estimates at one pair of commanded pressures; `apart` [s] are further times between pressure and position.
+    """All estimates at one pair of commanded pressures.
 
-    `stiffness` [N/m] is that of two loads, where they were stepped.
+    `late` [s] is what the pressure may be late where nothing says it; `stiffness` [N/m] is that of two loads, where
+    they were stepped.
     """
     steps = [step for _, step in group]
     parents = tuple(step.name for step in steps)
@@ -155,7 +159,7 @@ def _at(
         e = Estimate(symbol, mean, *kind, STEP, at, parts, len(values), note=note, trials=parents)
         return weighed(e, [replace(one, half=one.half * abs(mean)) for one in doubts])
 
-    seconds, late = ("s", "time"), max(apart, default=0.0)
+    seconds = ("s", "time")
     found: list[Estimate] = []
     if not any(step.found for step in steps):
         half = late + max(step.dead_half for step in steps)
@@ -171,7 +175,7 @@ def _at(
     ratios, scaled = [step.size / step.stroke for step in moved], ("pressure", "displacement")
     note = "at rest, includes friction"
     found.append(estimate("dP/dx", ("Pa/m", "gain"), ratios, 0.0, scaled, note, _unsettled(moved)))
-    return [*times(at, moved, stiffness, late), *found, *ringing(at, moved, options, apart)]
+    return [*times(at, moved, stiffness, late), *found, *ringing(at, moved, options)]
 
 
 def _unsettled(steps: Sequence[Step]) -> list[Doubt]:

@@ -19,15 +19,17 @@ from pmabench.base.quantities import show
 from pmabench.kinds.recorded_step.motion import (
     CLEAR,
     DAMPING,
+    FREE,
     FREQUENCY,
+    LAGS,
     SHOWN,
     Delayed,
     Swing,
+    behind,
     extremes,
     fit_delayed,
-    fit_motion,
+    fit_swings,
     free_swings,
-    lagged_motions,
 )
 from pmabench.kinds.recorded_step.step import SEEN, Step
 from pmabench.store.analyses.results import Estimate, Finding, Parts, withhold
@@ -42,13 +44,17 @@ ILL_FITTED = 0.1
 """Rms of the misfit as a share of the stroke, above which K and B are withheld."""
 INSTEAD = "with a column of force or the load, a map of `kind: contraction-relaxation` gives K from such steps"
 ONCE = "no repeats part: one step only"
+OF_SWINGS = {
+    "K": "of small, fast swings: what creeps, and hysteresis, stiffen them",
+    "B": "of contracting and relaxing together",
+}
+ALIKE = 1.5
+"""Forms whose misfit is within this factor of the least are all held possible."""
 STOPPED = 0.3
 """Share of the swing that the motion should have, below which friction has stopped it."""
 
 
-def ringing(
-    at: Mapping[str, float], steps: Sequence[Step], options: Mapping[str, Any], apart: Sequence[float]
-) -> list[Estimate]:
+def ringing(at: Mapping[str, float], steps: Sequence[Step], options: Mapping[str, Any]) -> list[Estimate]:
     """K and B where the motion rings, or why not; from times and a mass, no scale of a channel enters."""
     parents = tuple(step.name for step in steps)
     kinds = (("K", "N/m", "stiffness"), ("B", "N.s/m", "damping"))
@@ -63,18 +69,12 @@ def ringing(
             held = bool(why)
         if why:
             break
-        near = step.driven
-        possible = [
-            *step.motions,
-            *step.slower,
-            *(fit_motion(*near, late) for late in apart),
-            *lagged_motions(*near, step.best),
-        ]
-        for symbol, values in (
-            ("K", [mass * motion.w**2 for motion in possible]),
-            ("B", [2 * motion.D * motion.w * mass for motion in possible]),
-        ):
-            ranges[symbol].append((min(values), max(values)))
+        possible = _possible(step)
+        if why := _unlike(step, possible):
+            held = True
+            break
+        ranges["K"].append(_range([(mass * one.K, mass * one.half_K) for one in possible]))
+        ranges["B"].append(_range([(mass * one.B, mass * one.half_B) for one in possible]))
     found: list[Estimate] = []
     for symbol, unit, quantity in kinds:
         empty = Estimate(symbol, None, unit, quantity, RINGING, at, n=len(steps), trials=parents)
@@ -85,24 +85,46 @@ def ringing(
         value, half = mean_with_half([(low + high) / 2 for low, high in ranges[symbol]])
         wide = max((high - low) / 2 for low, high in ranges[symbol])
         if wide > RANGE * value:
-            spread = f"+-{wide / value:.0%} for what is known of the time between pressure and position"
+            spread = f"+-{wide / value:.0%} for the motions that fit alike"
             found.append(withhold(empty, f"it lies within {spread}, accepted is +-{RANGE:.0%}; {INSTEAD}"))
             continue
         parts = Parts(repeats=half, method=wide, calibration=0.0)
-        once = ONCE if half is None else ""
-        given = replace(empty, value=value, parts=parts, note=once)
+        note = sentences(OF_SWINGS[symbol], ONCE if half is None else "")
+        given = replace(empty, value=value, parts=parts, note=note)
         found.append(weighed(given, _free_doubts(symbol, value, wide, steps, masses)))
     return found
+
+
+def _possible(step: Step) -> list[Delayed]:
+    """The motions of a step that fit alike: with more and less lag of its sensors, and with one not declared."""
+    t, P, x = step.driven
+    nominal = fit_swings(t, P, x, step.best)
+    found = _alike(nominal)
+    for pressure, contraction in step.others:
+        found += _alike(fit_swings(t, pressure, contraction, step.best))
+    least = min(one.rms for one in found)
+    for lag in LAGS:
+        lagging = fit_swings(t, behind(t, P, lag), x, step.best, nominal[0].rms)
+        found += [one for one in lagging if one.rms <= least and one.bounded]
+    return found
+
+
+def _alike(forms: Sequence[Delayed]) -> list[Delayed]:
+    least = min(one.rms for one in forms)
+    return [one for one in forms if one.rms <= ALIKE * least]
+
+
+def _range(values: Sequence[tuple[float, float]]) -> tuple[float, float]:
+    """From the least to the greatest of values with half widths."""
+    return min(value - half for value, half in values), max(value + half for value, half in values)
 
 
 def _free_doubts(symbol: str, value: float, wide: float, steps: Sequence[Step], masses: Sequence[float]) -> list[Doubt]:
     """What the free swinging after the step says against K or B, beyond the range `wide`: it knows no times."""
     others, stopped = [], False
     for step, mass in zip(steps, masses, strict=True):
-        after, best = step.t > 0, step.best
-        swings = free_swings(step.t[after], step.P[after], step.x[after], best, step.noise)[:2]
-        expected = [abs(step.stroke) * np.exp(-best.D * best.w * one.at) for one in swings]
-        sizes = [(one.size, size) for one, size in zip(swings, expected, strict=True) if size > CLEAR * step.noise]
+        swings = free_swings(step.t, step.P, step.x, step.best, step.noise)[:2]
+        sizes = [(one.size, one.expected) for one in swings if one.expected > CLEAR * step.noise]
         stopped = stopped or any(size < STOPPED * more for size, more in sizes)
         if symbol == "K":
             others += [mass * one.w**2 for one in swings[:1] if one.size > CLEAR * step.noise]
@@ -116,7 +138,7 @@ def _free_doubts(symbol: str, value: float, wide: float, steps: Sequence[Step], 
         why = "friction does not grow with the speed, for small swings die faster"
     if stopped:
         apart, text = abs(value), "the swinging after the step ends early"
-        why = "dry friction holds it, and this form has none"
+        why = "dry friction holds it, longer than this form takes"
     return [Doubt("free swinging", "method", apart, seen=True, reason=f"{text}: {why}; {INSTEAD}")] if apart > 0 else []
 
 
@@ -127,31 +149,40 @@ def _without_friction(first: Swing, second: Swing, mass: float) -> float:
     return (one * big - other * small) / (big - small) if big > small else one
 
 
-def ill_fitted(step: Step) -> str:
-    """The reason why the driven motion does not describe a step; empty where it does."""
-    share = max(motion.rms for motion in step.motions) / abs(step.stroke)
-    return f"the misfit is {share:.0%} of the stroke (trial {step.name})" if share > ILL_FITTED else ""
+HIDDEN = "its mass shows in a fast pole only, which a few ms between pressure and position hide"
 
 
 def _why_not(step: Step) -> str:
-    """The reason why the motion of a step says nothing of K; empty where it does."""
+    """The reason why the motion of a step does not ring; empty where it may."""
     if step.sprung:
         return "a spring pulls, too, and swings with the mass"
-    damped = max(motion.D for motion in step.motions)
-    frequencies = [motion.w for motion in step.motions]
-    hidden = "its mass shows in a fast pole only, which a few ms between pressure and position hide"
-    if damped >= RINGS:
-        most = f"{damped:.1f}" if damped < DAMPING[1] / 1.02 else f"{DAMPING[1]:g} or more"
-        return f"the motion does not ring (damping ratio {most}, less than {RINGS:g} is needed): {hidden}"
-    if min(frequencies) <= 1.02 * FREQUENCY[0] or max(frequencies) >= FREQUENCY[1] / 1.02:
+    if step.best.D >= RINGS:
+        return _damped(step.best.D)
+    if not 1.02 * FREQUENCY[0] < step.best.w < FREQUENCY[1] / 1.02:
         low, high = FREQUENCY
-        return f"the motion does not ring (no natural frequency from {low:g} to {high:g} rad/s fits it): {hidden}"
-    if why := ill_fitted(step):
-        return why
+        return f"the motion does not ring (no natural frequency from {low:g} to {high:g} rad/s fits it): {HIDDEN}"
     end = float(np.median(step.x[step.t > step.t[-1] - 1.0]))
     seen = extremes(step.x[step.t > 0], end, step.noise)
     if seen < 2:
-        return f"the motion does not ring ({seen} extremes beyond {SHOWN:g} times its noise, 2 are needed): {hidden}"
+        return f"the motion does not ring ({seen} extremes beyond {SHOWN:g} times its noise, 2 are needed): {HIDDEN}"
+    return ""
+
+
+def _damped(ratio: float) -> str:
+    most = f"{ratio:.1f}" if ratio < DAMPING[1] / 1.02 else f"{DAMPING[1]:g} or more"
+    return f"the motion does not ring (damping ratio {most}, less than {RINGS:g} is needed): {HIDDEN}"
+
+
+def _unlike(step: Step, possible: Sequence[Delayed]) -> str:
+    """The reason why the motions that fit alike say nothing of K; empty where they do."""
+    damped = max(one.B / (2 * sqrt(one.K)) for one in possible)
+    if damped >= RINGS:
+        return _damped(damped)
+    share = max(one.rms for one in possible) / abs(step.stroke)
+    if share > ILL_FITTED:
+        return f"the misfit is {share:.0%} of the stroke (trial {step.name})"
+    if not all(one.bounded for one in possible):
+        return f"the motion is more than {show(FREE, 'time')} off the pressure (trial {step.name})"
     return ""
 
 

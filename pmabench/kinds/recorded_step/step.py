@@ -55,8 +55,8 @@ class Step:
     rise_half: float
     """Half the times between the samples that the onset, and the 63 %, lie between [s]."""
     motions: tuple[Motion, ...]
-    slower: tuple[Motion, ...]
-    """The best of them were the lags of the sensors as small and as large as they may be; none without lags."""
+    others: tuple[tuple[Array, Array], ...]
+    """Pressure and contraction of the fit were the lags of the sensors as small and as large as they may be."""
     noise: float
     """Of the displacement at rest before the step, as recorded [m]."""
 
@@ -143,32 +143,28 @@ def measure(run: RunData, trial: TrialData, late: tuple[float, float]) -> Step |
     dead_half = doubt + within / 2 + (late[1] - late[0]) / 2 + unsure
     crossed = t[max(0, most[0] - 1) : most[0] + 1]
     rise_half = doubt + float(np.ptp(crossed)) / 2 + unsure
-    motions, slower = _motions(t, read, x, late, (lags["displacement"], lags["pressure"]))
+    slow, lagging = lags["displacement"], lags["pressure"]
+    driving, near = _driving(t, read, x, (slow, lagging)), t[(t >= -BEFORE) & (t <= AFTER)]
+    shifts = np.linspace(*late, SHIFTS if late[1] > late[0] else 1)
+    motions = tuple(fit_motion(near, *driving, float(shift)) for shift in shifts)
+    lagged = [(slow * (1 + by), lagging) for by in (-LAG_KNOWN, LAG_KNOWN) if slow]
+    lagged += [(slow, lagging * (1 + by)) for by in (-LAG_KNOWN, LAG_KNOWN) if lagging]
+    others = tuple(_driving(t, read, x, one) for one in lagged)
     alike = behind(t, read, lags["displacement"]), behind(t, x, lags["pressure"])
     return Step(
         trial, t, *alike, size, stroke, dead, dead_half, begins + within / 2, doubt + within / 2 + unsure,
-        float(crossed.mean()) - begins, rise_half, motions, slower, noise_of(x[t < 0]),
+        float(crossed.mean()) - begins, rise_half, motions, others, noise_of(x[t < 0]),
     )  # fmt: skip
 
 
-def _motions(
-    t: Array, P: Array, x: Array, late: tuple[float, float], lags: tuple[float, float]
-) -> tuple[tuple[Motion, ...], tuple[Motion, ...]]:
-    """Motions over the lateness of the pressure, and the best with each sensor's lag as small and large as it may be.
+def _driving(t: Array, P: Array, x: Array, lags: tuple[float, float]) -> tuple[Array, Array]:
+    """Pressure and contraction of the samples that the fit uses, each behind the lag of the other's sensor.
 
-    `lags` [s] are those of displacement and pressure: pressure is put behind the first, contraction behind the second.
+    `lags` [s] are those of displacement and pressure.
     """
     near = (t >= -BEFORE) & (t <= AFTER)
-
-    def fitted(late: float, lags: tuple[float, float]) -> Motion:
-        driving = from_rest(behind(t, P, lags[0])[near], float(np.median(P[near & (t < 0)])))
-        return fit_motion(t[near], driving, behind(t, x, lags[1])[near], late)
-
-    motions = tuple(fitted(float(shift), lags) for shift in np.linspace(*late, SHIFTS if late[1] > late[0] else 1))
-    best = min(motions, key=lambda motion: motion.rms)
-    others = [(lags[0] * (1 + by), lags[1]) for by in (-LAG_KNOWN, LAG_KNOWN) if lags[0]]
-    others += [(lags[0], lags[1] * (1 + by)) for by in (-LAG_KNOWN, LAG_KNOWN) if lags[1]]
-    return motions, tuple(fitted(best.late, one) for one in others)
+    pressure = from_rest(behind(t, P, lags[0])[near], float(np.median(P[near & (t < 0)])))
+    return pressure, behind(t, x, lags[1])[near]
 
 
 def _blurred(t: Array, P: Array, lag: float) -> float:
