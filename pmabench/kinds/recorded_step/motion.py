@@ -9,8 +9,9 @@ goes on from sample to sample; it is found for all samples by cumulative sums ov
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from math import sqrt
+from math import hypot, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -276,19 +277,33 @@ def fit_delayed(t: Array, P: Array, x: Array, start: Motion, w: float | None = N
     """Least squares of the driven motion over natural frequency, damping ratio and delay behind the pressure.
 
     t [s], P [Pa], x [m], shapes (n,). `w` is the natural frequency sqrt(K/M) [rad/s], where stiffness and moving mass
-    are known. K and B change with the pressure along the step; a second column, driven by the square of its change,
-    takes that up to first order, and what it changes widens the intervals. They hold the covariance with the serial
-    correlation of what is left, and half the sample period: what a sample shows has come since the one before it.
+    are known. K and B change with the pressure along the step, or dry friction holds, and a motion that does not ring
+    cannot tell which. The result is that of a second column, driven by the square of the pressure's change, and what
+    that changes widens it; the intervals reach over the other forms that fit alike. They hold the covariance with the
+    serial correlation of what is left, and half the sample period: what a sample shows has come since the one before.
     """
     period = float(np.median(np.diff(t)))
     first = _place(start, w)
     one = _delayed(t, P, x, first, w, ())
     two = min((_delayed(t, P, x, begin, w, (SQUARE,)) for begin in (first, one.place)), key=lambda found: found.rms)
+    two = replace(
+        two,
+        half_tau=hypot(two.half_tau, REMAINS * (two.tau - one.tau)),
+        half_delay=hypot(two.half_delay, REMAINS * (two.delay - one.delay)),
+    )
+    others = [(STIFFNESS, DAMPED), (STIFFNESS if w is None else SQUARE, FRICTION)]
+    forms = alike([two, *(_delayed(t, P, x, two.place, w, terms) for terms in others)])
     return replace(
         two,
-        half_tau=float(np.hypot(two.half_tau, REMAINS * (two.tau - one.tau))),
-        half_delay=float(np.linalg.norm([two.half_delay, REMAINS * (two.delay - one.delay), 0.5 * period])),
+        half_tau=max(abs(form.tau - two.tau) + form.half_tau for form in forms),
+        half_delay=max(hypot(abs(form.delay - two.delay) + form.half_delay, 0.5 * period) for form in forms),
     )
+
+
+def alike(forms: Sequence[Delayed]) -> list[Delayed]:
+    """Those that fit about as well as the best one."""
+    least = min(one.rms for one in forms)
+    return [one for one in forms if one.rms <= ALIKE * least]
 
 
 def fit_swings(t: Array, P: Array, x: Array, start: Motion, worst: float = np.inf) -> list[Delayed]:
@@ -309,8 +324,8 @@ def fit_swings(t: Array, P: Array, x: Array, start: Motion, worst: float = np.in
 
 
 def _wider(one: Delayed, plain: Delayed) -> Delayed:
-    half_K = float(np.hypot(one.half_K, REMAINS * (one.K - plain.K)))
-    half_B = float(np.hypot(one.half_B, REMAINS * (one.B - plain.B)))
+    half_K = hypot(one.half_K, REMAINS * (one.K - plain.K))
+    half_B = hypot(one.half_B, REMAINS * (one.B - plain.B))
     return replace(one, half_K=half_K, half_B=half_B)
 
 
@@ -323,6 +338,8 @@ def _place(start: Motion, w: float | None) -> Array:
 SQUARE, STIFFNESS, DAMPED, FRICTION, START = "square", "stiffness", "damping", "friction", "start"
 """Columns next to the driven motion: its answer to the square of the change of pressure; how much it differs where
 stiffness, or damping, change with the pressure, or friction pulls against the speed; what goes on from before."""
+ALIKE = 1.5
+"""Forms whose misfit is within this factor of the least are all held possible."""
 TURNS = 0.02
 """Share of the greatest speed over which friction turns."""
 

@@ -25,6 +25,7 @@ from pmabench.kinds.recorded_step.motion import (
     SHOWN,
     Delayed,
     Swing,
+    alike,
     behind,
     extremes,
     fit_delayed,
@@ -48,8 +49,6 @@ OF_SWINGS = {
     "K": "of small, fast swings: what creeps, and hysteresis, stiffen them",
     "B": "of contracting and relaxing together",
 }
-ALIKE = 1.5
-"""Forms whose misfit is within this factor of the least are all held possible."""
 STOPPED = 0.3
 """Share of the swing that the motion should have, below which friction has stopped it."""
 
@@ -99,19 +98,14 @@ def _possible(step: Step) -> list[Delayed]:
     """The motions of a step that fit alike: with more and less lag of its sensors, and with one not declared."""
     t, P, x = step.driven
     nominal = fit_swings(t, P, x, step.best)
-    found = _alike(nominal)
+    found = alike(nominal)
     for pressure, contraction in step.others:
-        found += _alike(fit_swings(t, pressure, contraction, step.best))
+        found += alike(fit_swings(t, pressure, contraction, step.best))
     least = min(one.rms for one in found)
     for lag in LAGS:
         lagging = fit_swings(t, behind(t, P, lag), x, step.best, nominal[0].rms)
         found += [one for one in lagging if one.rms <= least and one.bounded]
     return found
-
-
-def _alike(forms: Sequence[Delayed]) -> list[Delayed]:
-    least = min(one.rms for one in forms)
-    return [one for one in forms if one.rms <= ALIKE * least]
 
 
 def _range(values: Sequence[tuple[float, float]]) -> tuple[float, float]:
@@ -192,6 +186,8 @@ SHARES = (0.002, 0.01)
 """Of the stroke: where the contraction is looked at for the root rule."""
 ROOT = 8e-3
 """What the root rule leaves of a mass of up to 26 kg, with noise [s]."""
+WIDEST = 0.5
+"""B/K is given where it lies within so much of its value for all motions that fit alike."""
 LONGEST = 0.02
 """A dead time whose interval is wider than this [s] either way says nothing of a delay."""
 
@@ -221,8 +217,12 @@ def times(at: Mapping[str, float], steps: Sequence[Step], stiffness: float | Non
         return [replace(B_K, note=why)]
     tau, of_tau = mean_with_half([one.tau for one in found])
     where = f"B/K at {show(at['pressure'], 'pressure', 3)}, {'contracting' if rises else 'relaxing'}"
+    half = max(one.half_tau for one in found)
     note = sentences(where, ONCE if of_tau is None else "")
-    B_K = replace(B_K, value=tau, parts=Parts(of_tau, max(one.half_tau for one in found), 0.0), note=note)
+    B_K = replace(B_K, value=tau, parts=Parts(of_tau, half, 0.0), note=note)
+    if half > WIDEST * tau:
+        spread = f"+-{half / tau:.0%} for the motions that fit alike, accepted is +-{WIDEST:.0%}"
+        B_K = withhold(B_K, f"{where}, lies within {spread}: {INSTEAD}")
     t_d = _to_motion(at, steps, found, late)
     return [B_K] if t_d is None else [B_K, t_d]
 
