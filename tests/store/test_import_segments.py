@@ -190,3 +190,24 @@ def test_every_finding_has_its_row_and_time(tmp_path):
     found = data.manifest["imported"]["findings"]
     assert {"rate", "sign"} <= {finding["kind"] for finding in found}
     assert all(finding["index"] is not None and finding["t"] is not None for finding in found)
+
+
+@pytest.mark.parametrize("typed_in", [-3.0, -1.5, -0.1, 0.3])
+def test_a_weight_that_is_typed_in_between_two_trials_is_that_of_the_trial(tmp_path, typed_in):
+    """`typed_in` [s] from the first command of the trial; 0.3 s after it the column contradicts the trial."""
+    t = np.arange(0, 30, 0.01)
+    p_set = np.where((t >= 2) & ((t - 2) % 10 < 4), 300.0, 0.0)
+    weight = np.where(t < 12 + typed_in, 4.0, np.where(t < 22 + typed_in, 8.0, 12.0))
+    P = lagged(t, p_set, 0.06) + noise(len(t), 0.1)
+    data = imported(
+        tmp_path,
+        {"t": t, "p": P, "x": P / 20, "c": p_set, "kg": weight},
+        "contraction-relaxation",
+        "{by: command, smallest: 20 kPa, lead: 1 s}",
+        f"{DISPLACEMENT}\n  c: {{is: pressure_command, unit: kPa}}\n  kg: {{is: point, of: load, unit: kg}}",
+    )
+    loads = [trial.point.get("load", 0.0) / 9.80665 for trial in data.trials]
+    assert loads == pytest.approx([4.0, 8.0, 12.0] if typed_in < 0 else [4.0, 0.0, 0.0])
+    if typed_in < 0:
+        assert data.trials[0].t[-1] - data.trials[0].t[0] == pytest.approx(min(10, 11 + typed_in), abs=0.05)
+        assert data.trials[1].t[0] == pytest.approx(max(11, 12 + typed_in), abs=0.05)

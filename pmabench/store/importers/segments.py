@@ -90,6 +90,10 @@ class _Rows:
         """From the first to the last sample [s]."""
         return float(self.t.min()), float(self.t.max())
 
+    def between(self, part: Segment) -> Bools:
+        """Those of a trial that lie later than all samples before them."""
+        return np.asarray(self.rising & (self.t >= part.begin - 1e-9) & (self.t <= part.end + 1e-9))
+
     @property
     def smallest(self) -> float:
         """Smallest change of pressure that counts [Pa]."""
@@ -159,10 +163,13 @@ def _as_own(found: Sequence[Segment], all_rows: _Rows) -> tuple[list[Segment], l
     hanging = 0
     channels = {name: column for name, column in values.items() if name in CHANNEL_QUANTITY}
     for number, part in enumerate(found):
-        rows = all_rows.rising & (t >= part.begin - 1e-9) & (t <= part.end + 1e-9)
+        rows = all_rows.between(part)
         mine = {name: column[rows] for name, column in channels.items()}
         how = rules.test.commanded
         commands, known = motion.commands_of(how, t[rows], mine, rules.trials.smallest) if how else ([], {})
+        part = _at_one_point(part, commands, all_rows)
+        rows = all_rows.between(part)
+        mine = {name: column[rows] for name, column in channels.items()}
         columns: dict[str, float] = {}
         for name, column in values.items():
             if not name.startswith(POINT):
@@ -194,6 +201,30 @@ def _as_own(found: Sequence[Segment], all_rows: _Rows) -> tuple[list[Segment], l
     for number, load in zip(loads, motion.alike(list(loads.values())), strict=True):
         parts[number] = replace(parts[number], point={"mass": load / G, **parts[number].point, "load": load})
     return parts, doubts
+
+
+def _at_one_point(part: Segment, commands: Sequence[Mapping[str, Any]], all_rows: _Rows) -> Segment:
+    """A trial without what lies before its first command, or after its last one, where its point was another one.
+
+    Somebody exchanges a weight, and types it in, between two trials: such a change is no part of either.
+    """
+    if not commands:
+        return part
+    first, last = commands[0]["t"], commands[-1]["t"]
+    if commands[-1]["type"] == "ramp":
+        last += abs(commands[-1]["value"] - commands[-1]["before"]) / commands[-1]["rate"]
+    t, begin, end = all_rows.t, part.begin, part.end
+    for name, column in all_rows.values.items():
+        if not name.startswith(POINT):
+            continue
+        rows = np.flatnonzero(all_rows.between(part) & np.isfinite(column))
+        for n in np.flatnonzero(np.diff(column[rows])):
+            before, after = float(t[rows[n]]), float(t[rows[n + 1]])
+            if after <= first:
+                begin = max(begin, after)
+            elif before >= last:
+                end = min(end, before)
+    return replace(part, begin=begin, end=end)
 
 
 def _by_step(rows: _Rows) -> list[_Span]:
