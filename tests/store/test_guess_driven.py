@@ -8,6 +8,7 @@ import json
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from scipy.signal import lfilter
 
 from pmabench.cli.main import main
 from pmabench.store.importers import apart
@@ -132,6 +133,23 @@ def test_measured_ramps_are_found_at_any_speed(speed):
     assert len(found) == 6
     assert all(abs(abs(c.value - c.before) - 0.02) < 0.2e-3 for c in found)
     assert all(c.speed == pytest.approx(1e-3 * speed, rel=0.02) for c in found)
+
+
+@pytest.mark.parametrize("polled", [1, 5])
+@pytest.mark.parametrize("noise", [20.0, 150.0, 400.0, 1000.0])
+@pytest.mark.parametrize(("rate", "lag"), [(100, 0.1), (200, 0.3), (50, 0.02)])
+def test_a_noisy_pressure_has_the_two_ramps_that_were_made(rate, lag, noise, polled):
+    """Of 250 such files with any speed 107 had others: noise and a slow end were ramps of their own."""
+    for speed, top, hold in ((9e3, 600e3, 4.0), (23e3, 200e3, 0.8), (76e3, 200e3, 4.2)):
+        made = np.cumsum([2.2, top / speed, hold, top / speed, 3.0])
+        t = np.arange(0, made[-1], 1 / rate)
+        keep = np.exp(-1 / rate / lag)
+        P, _ = lfilter([1 - keep], [1, -keep], np.interp(t, [0, *made], [0, 0, top, top, 0, 0]), zi=[0.0])
+        P = np.round((P + np.random.default_rng(rate).normal(0, noise, len(t))) / 100) * 100
+        found = changes(t, P[np.arange(len(t)) // polled * polled], 1e3, measured=True)
+        assert [c.value > c.before for c in found] == [True, False]
+        assert [c.t for c in found] == pytest.approx(made[[0, 2]], abs=0.3 + 0.05 * top / speed + 2 * lag)
+        assert found[0].value == pytest.approx(top, abs=0.05 * top + 4 * noise)
 
 
 def test_levels_of_a_slow_log_step_from_one_sample_to_the_next():

@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import pairwise
+from math import sqrt
 from typing import Any
 
 import numpy as np
@@ -235,10 +236,14 @@ MOVING_SAMPLES = 2
 STILL = 1e-3
 """Share of the span of a channel that it may move over that time and be held (a measured one: `NOISY`)."""
 NOISY = 0.01
+ABOVE, ABOVE_SPAN = 12.0, 0.02
+"""A measured change is larger than so many standard deviations of its noise, and than that share of the span."""
 MOST, LONGEST = 0.8, 0.1
 """Share of the travel that changes must make up, and the longest time of `changes` as a share of the record."""
 CLEARLY = 3.0
 """So many times further than what is held a measured ramp moves over that time."""
+OVERLAP = 0.2
+"""A change of which that share lies in a larger one is an end of it."""
 AT_ONCE = 0.06
 """A change that is over in this time [s] is a step."""
 LIFTED = 0.02e-3
@@ -320,18 +325,35 @@ def changes(t: Array, values: Array, smallest: float, *, measured: bool = False)
     if not period > 0 or not np.isfinite(values).all():
         return []
     if not measured:
-        return _changes(t, values, smallest, MOVING_SAMPLES, STILL)
-    travel = float(np.abs(np.diff(values[turns(values, smallest)])).sum())
+        return _changes(t, values, values, smallest, MOVING_SAMPLES, STILL)
     reach = max(MOVING_SAMPLES, round(MOVING / 2 / period))
-    first = _changes(t, values, smallest, reach, NOISY)
-    while 2 * reach < len(values) * LONGEST:
-        pieces = _changes(t, values, smallest, reach, NOISY)
+    first: list[Change] | None = None
+    while first is None or 2 * reach < len(values) * LONGEST:
+        even = _even(values, reach)
+        least = max(smallest, ABOVE * _noise(even, reach), ABOVE_SPAN * float(np.ptp(even)))
+        exact = values if ABOVE * _noise(values, reach) <= least else even  # means are short of a sharp turn
+        travel = float(np.abs(np.diff(exact[turns(exact, least)])).sum())
+        pieces = _changes(t, even, exact, least, reach, NOISY)
         found = [one for one in pieces if not _in_another(one, pieces)]
         travelled = sum(abs(one.value - one.before) for one in found)
-        if MOST * travel <= travelled <= travel / MOST and _clear(values, reach):
+        if found and MOST * travel <= travelled <= travel / MOST and _clear(even, reach):
             return found
+        first = found if first is None else first
         reach *= 2
     return first
+
+
+def _even(values: Array, reach: int) -> Array:
+    """Means over `reach` samples, so that noise is no change of its own."""
+    width = 2 * (reach // 2) + 1
+    return np.convolve(np.pad(values, width // 2, mode="edge"), np.full(width, 1 / width), "valid")
+
+
+def _noise(values: Array, reach: int) -> float:
+    """Standard deviation of the noise, from second differences over `reach` samples: a ramp has none."""
+    width = 2 * (reach // 2) + 1
+    bent = values[2 * width :] - 2 * values[width:-width] + values[: -2 * width]
+    return 1.48 * float(np.median(np.abs(bent))) / sqrt(6) if len(bent) else 0.0
 
 
 def _moves(values: Array, reach: int) -> Array:
@@ -348,13 +370,20 @@ def _clear(values: Array, reach: int) -> bool:
 
 
 def _in_another(one: Change, found: list[Change]) -> bool:
-    """Whether the middle of a change lies in a larger one: an end of it that was seen twice."""
-    middle, size = 0.5 * (one.t + one.end), abs(one.value - one.before)
-    return any(other.t < middle < other.end and abs(other.value - other.before) > size for other in found)
+    """Whether a change lies in a larger one: an end of it that was seen twice."""
+    length, size = one.end - one.t, abs(one.value - one.before)
+    return any(
+        min(one.end, other.end) - max(one.t, other.t) > OVERLAP * length
+        for other in found
+        if abs(other.value - other.before) > size
+    )
 
 
-def _changes(t: Array, values: Array, smallest: float, reach: int, share: float) -> list[Change]:
-    """Changes of values that move by more than a `share` of their span between `reach` samples before and after."""
+def _changes(t: Array, values: Array, exact: Array, smallest: float, reach: int, share: float) -> list[Change]:
+    """Changes of values that move by more than a `share` of their span between `reach` samples before and after.
+
+    Their ends are those of the `exact` values.
+    """
     moved, still = _moves(values, reach), share * float(np.ptp(values))
     if share == STILL:
         # a slow ramp goes on by less than `still` from sample to sample: what never rests is a ramp, too
@@ -367,7 +396,7 @@ def _changes(t: Array, values: Array, smallest: float, reach: int, share: float)
         if way[first] == 0:
             continue
         begin, end = max(0, first - reach), min(len(values) - 1, last - 1 + reach)
-        change = _change(t, values, begin, end, smallest)
+        change = _change(t, exact, begin, end, smallest)
         if change is not None:
             found.append(change)
     return found
