@@ -195,3 +195,27 @@ def test_forces_of_steps_hold_the_gauge_and_a_pressure_that_stays_has_no_error()
     peaks = [one for one in found.estimates if one.symbol == "P_err" and one.value is not None]
     noise = float(np.std(run.trials[0].channels["pressure"][:200]))
     assert all(one.parts.combined > 2 * noise for one in peaks)
+
+
+def play(x, width):
+    """What a sensor with backlash reads: it follows when the motion has taken up the play."""
+    read, at = np.empty(len(x)), float(x[0])
+    for n, value in enumerate(x):
+        at = min(max(at, value - width / 2), value + width / 2)
+        read[n] = at
+    return read
+
+
+def test_steps_of_displacement_hold_the_backlash_that_the_calibration_allows():
+    trials = judged_forms.as_trials(displaced.campaign("clean", 1.0, 4))
+    loose = [
+        replace(t, channels={**t.channels, "displacement": play(t.channels["displacement"], 0.1e-3)}) for t in trials
+    ]
+    found = [
+        reduce_steps([judged_forms.as_run("step-displacement", each, displaced.RATE, {"discard": 1},
+                                          {"displacement": {"offset_uncertainty": 50e-6}})])
+        for each in (trials, loose)
+    ]  # fmt: skip
+    for true, e in zip(*([one for one in each.estimates if one.symbol == "K"] for each in found), strict=True):
+        assert abs(e.value - true.value) > 0.002 * true.value
+        assert abs(e.value - true.value) < e.parts.calibration < 0.05 * true.value

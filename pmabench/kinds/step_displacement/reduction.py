@@ -124,7 +124,8 @@ def _estimates(
         means = np.array([float(one.mean()) for one in values])
         half, mean = mean_half(means, values), float(means.mean())
         gains = {name: mean * power for name, power in powers.items()}
-        offsets: dict[str, float] = {}
+        # a sensor with backlash is off one way at one end of the step and the other way at the other end
+        offsets = {"displacement": 2 * mean / moved} if symbol == "K" else {}
         if symbol == "F":  # as a force that grows with the pressure, along the stiffness
             P, K = at.get("pressure", 0.0), float(np.mean([one.static for one in every]))
             gains |= {"pressure": mean} if P > 0 else {}
