@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pmabench.kinds.isometric.reduction import reduce as isometric
+from pmabench.kinds.isometric_pressurisation.reduction import reduce as isometric_pressurisation
 from pmabench.kinds.recorded_sine.reduction import reduce as sines
 from pmabench.kinds.recorded_step.reduction import reduce as steps
 from pmabench.store.importers import apart, motion
@@ -211,3 +212,18 @@ def test_a_weight_that_is_typed_in_between_two_trials_is_that_of_the_trial(tmp_p
     if typed_in < 0:
         assert data.trials[0].t[-1] - data.trials[0].t[0] == pytest.approx(min(10, 11 + typed_in), abs=0.05)
         assert data.trials[1].t[0] == pytest.approx(max(11, 12 + typed_in), abs=0.05)
+
+
+def test_ramps_of_a_test_with_phases_of_its_own_keep_their_rests(tmp_path):
+    t = np.arange(0, 70, 0.01)
+    P = 400 * np.interp(t, [0, 3, 18, 20, 35, 40, 55, 57, 70], [0, 0, 1, 1, 0, 0, 1, 1, 0])
+    F = np.maximum(0.9 * P - 40 + np.where(np.gradient(P) < 0, 6, 0), 0)
+    columns = {"t": t, "p": P + noise(len(t), 0.15), "x": 10 + noise(len(t), 0.003, 2), "f": F + noise(len(t), 0.3, 3)}
+    trials = "{by: ramp, smallest: 50 kPa}"
+    data = imported(
+        tmp_path, columns, "isometric-pressurisation", trials, f"{DISPLACEMENT}\n  f: {{is: force, unit: N}}"
+    )
+    assert [[command.phase for command in trial.commands] for trial in data.trials] == [["fill", "empty"]] * 2
+    assert [len(trial.t) for trial in data.trials] == pytest.approx([3750, 3250], abs=60)
+    (slope,) = [e.value for e in isometric_pressurisation([data]).estimates if e.symbol == "m" and "line" in e.method]
+    assert slope == pytest.approx(0.9e-3, rel=2e-3)

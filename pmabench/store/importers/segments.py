@@ -246,11 +246,19 @@ def _by_level(rows: _Rows) -> list[_Span]:
 
 
 def _by_ramp(rows: _Rows) -> list[_Span]:
-    """Rises of the measured pressure, `fill`, each with the fall after it, `exhaust`."""
+    """Rises of the measured pressure, `fill`, each with the fall after it, `exhaust`.
+
+    A test that has phases of its own gets the rest before the rise and after the fall, too: half of it each.
+    """
     seen = rows.rising & ((rows.flags & np.uint16(Flag.OVERRANGE)) == 0)
     named = "phase" in rows.values or bool(rows.rules.trials.phases)
     spans: list[_Span] = []
-    for cycle in motion.cycles(rows.t[seen], rows.values["pressure"][seen], rows.smallest):
+    cycles = motion.cycles(rows.t[seen], rows.values["pressure"][seen], rows.smallest)
+    if not rows.rules.test.recording:
+        begin, end = rows.whole
+        cuts = [begin, *(0.5 * (one.end + after.begin) for one, after in pairwise(cycles)), end]
+        return [(cut, until - 1e-5, dict(rows.point), [], []) for cut, until in pairwise(cuts)] if cycles else []
+    for cycle in cycles:
         own = [(cycle.begin, "fill"), *([(cycle.turn, "exhaust")] if cycle.end > cycle.turn else [])]
         spans.append((cycle.begin, cycle.end, dict(rows.point), [], [] if named else own))
     return spans
