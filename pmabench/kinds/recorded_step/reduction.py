@@ -101,9 +101,8 @@ def _of_all(steps: Sequence[tuple[RunData, Step]], estimates: Sequence[Estimate]
     if found:
         findings.append(Finding("note", f"{found} steps were found in the measured pressure: they tell no dead time"))
     if steps and not read_off:
-        findings.append(
-            Finding("doubt", f"{UNKNOWN}: t_d, and K and B of the cell, assume at most {show(UNTOLD, 'time')}")
-        )
+        of = "t_d, and K and B by the cell," if any("force" in s.trial.channels for _, s in steps) else "the dead times"
+        findings.append(Finding("doubt", f"{UNKNOWN}: {of} assume at most {show(UNTOLD, 'time')}"))
     if any(e.method == RINGING and e.value is not None for e in estimates):
         text = "K and B rest on the moving mass alone, taken as exact; the load hangs and F_ce(P) is not known here"
         findings.append(Finding("doubt", text))
