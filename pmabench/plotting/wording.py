@@ -7,7 +7,7 @@ test needs no entry here. Holds no results; titles of coefficients are in `pmabe
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
 from math import floor, isfinite, log10
@@ -176,6 +176,11 @@ def brief(text: str, most: int) -> str:
         return text
     end = max(text.rfind(mark, most // 3, most) for mark in ("; ", ". "))
     return text[:end] if end > 0 else f"{text[: most - 2].rpartition(' ')[0].rstrip(',;:')} …"
+
+
+def listed(words: Sequence[str]) -> str:
+    """Words as a sentence lists them: `a, b and c`."""
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}" if words else ""
 
 
 def number(value: float) -> str:

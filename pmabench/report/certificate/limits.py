@@ -12,7 +12,7 @@ import numpy as np
 
 from pmabench.plotting.pictures import column, has, unit_of, usable
 from pmabench.plotting.wording import POINTS, in_order, number, point_shown, rounded
-from pmabench.report.certificate.coverage import FOLLOWING
+from pmabench.report.certificate.quality import FOLLOWING
 from pmabench.report.document.provenance import get
 from pmabench.report.document.tables import is_number, mappings
 from pmabench.report.words import reverses
