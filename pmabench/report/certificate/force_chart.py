@@ -8,7 +8,7 @@ The stroke is measured, and run freely by the fitted muscle, with the residual b
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -139,17 +139,14 @@ def _measured(analyses: Sequence[Analysis], P: float) -> tuple[Array, Array]:
     back: list[tuple[float, float]] = []
     for a in analyses:
         for step in mappings(a.facts.get("steps")):
-            if _is_end(step) and abs(step["pressure"] - P) < SAME:
+            known = all(is_number(step.get(name)) for name in ("pressure", "load", "x_inf"))
+            if known and abs(step["pressure"] - P) < SAME:
                 (rest if step.get("phase") == "contract" else back).append((step["x_inf"], step["load"]))
         for t in a.traces:
             if t.figure == FIGURE and has(t, "pressure", "displacement", "force"):
                 near = np.abs(t.columns["pressure"] - P) < SAME
                 rest += list(zip(t.columns["displacement"][near], t.columns["force"][near], strict=True))
     return np.array(rest, dtype=np.float64).reshape(-1, 2), np.array(back, dtype=np.float64).reshape(-1, 2)
-
-
-def _is_end(step: Mapping[str, object]) -> bool:
-    return all(is_number(step.get(name)) for name in ("pressure", "load", "x_inf"))
 
 
 def _series(level: Level, share: float, reach: float) -> list[Series]:

@@ -82,10 +82,7 @@ def _speed(analysis: Analysis | None, runs: Sequence[RunData]) -> Line | None:
         fastest = list(_recorded(analysis))
     if not fastest or max(fastest) <= 0:
         return None
-    return (
-        "Speed",
-        f"motion faster than {rounded(1e3 * max(fastest), None, 2)} mm/s, the fastest here",
-    )
+    return "Speed", f"motion faster than {rounded(1e3 * max(fastest), None, 2)} mm/s, the fastest here"
 
 
 def _recorded(analysis: Analysis) -> Iterator[float]:

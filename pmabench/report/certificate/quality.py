@@ -204,11 +204,11 @@ def coverage(analysis: Analysis, runs: Sequence[RunData]) -> Coverage | None:
     columns, rows = columns[:: -(-len(columns) // MOST_COLUMNS)], rows[:: -(-len(rows) // MOST_ROWS)]
 
     def box(row: float, column: float) -> Box:
-        here = [
-            sum(n for key, n in counts.items() if dict(key).get(across) == column and _matches(key, down, row))
-            for counts in (used, left)
-        ]
-        return Box(*here)
+        def there(key: Key) -> bool:
+            at = dict(key)
+            return at.get(across) == column and (not down or at.get(down) == row)
+
+        return Box(*(sum(n for key, n in counts.items() if there(key)) for counts in (used, left)))
 
     return Coverage(
         _head(down) if down else "",
@@ -243,10 +243,6 @@ def _free_runs(analysis: Analysis) -> Iterator[tuple[Key, int]]:
 
 def _key(point: Point) -> Key:
     return tuple(sorted((k, float(f"{v:.6g}")) for k, v in point.items() if k not in FOLLOWING))
-
-
-def _matches(key: Key, name: str, value: float) -> bool:
-    return not name or dict(key).get(name) == value
 
 
 def _head(name: str) -> str:
