@@ -30,7 +30,7 @@ class Characterised:
         """The results at a glance, and where the report is."""
         from pmabench.cli.outcome import next_lines
         from pmabench.cli.process import described_by, verdict_of_all
-        from pmabench.report.glance import glance
+        from pmabench.report.foremost import glance
 
         verdict = verdict_of_all(self.analyses, self.runs, self.failed)
         then = described_by(self.recorded, self.analyses, self.failed)

@@ -118,7 +118,7 @@ def _process_together(
     ui.begin(f"processing {len(runs)} {'run' if len(runs) == 1 else 'runs'}")
     from pmabench.kinds.reduce import reduce_together, verdicts
     from pmabench.plotting.wording import clean
-    from pmabench.report.glance import glance
+    from pmabench.report.foremost import glance
     from pmabench.store.analyses.folder import key_of
 
     given = without_analyses(ui, runs)
@@ -366,7 +366,7 @@ def write(
 def print_analyses(ui: Ui, analyses: Sequence[Analysis]) -> None:
     """The coefficient table, what was left out, and the findings."""
     from pmabench.plotting.wording import clean, printed
-    from pmabench.report.terminal_coefficients import print_coefficients
+    from pmabench.report.foremost import print_coefficients
 
     console = ui.console()
     print_coefficients(analyses, console)

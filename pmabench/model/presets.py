@@ -359,7 +359,8 @@ def _muscle(muscle: AnyMuscle, change: Overrides, share: float, *, real: bool) -
         if getattr(change, name) is not None:
             raise ValueError(f"{name} is not for the muscle {muscle.name}; it is for the plant real")
     if isinstance(muscle, Muscle):
-        return _rubbed(muscle, change, share, real=real)
+        slower: dict[str, Any] = {"B_r": muscle.B_c, "tau_r": None} if change.b_relax else {}
+        return replace(muscle, friction=_friction(muscle.friction, change, share, real=real), **slower)
     if isinstance(muscle, Arm):
         if change.b_relax:
             raise ValueError(f"b_relax is not for the {muscle.name}: it has one damping")
@@ -400,14 +401,6 @@ def _air(air: Air, chosen: _Chosen) -> Air | None:
     if not 1.0 <= air.polytropic <= 1.4:
         raise ValueError(f"polytropic {air.polytropic:g} is no exponent of air: 1 to 1.4 are expected")
     return air if air.fill or air.vent else None
-
-
-def _rubbed(muscle: Muscle, change: Overrides, share: float, *, real: bool) -> Muscle:
-    """The muscle with the friction and the damping that are asked for."""
-    friction = _friction(muscle.friction, change, share, real=real)
-    if change.b_relax:
-        return replace(muscle, friction=friction, B_r=muscle.B_c, tau_r=None)
-    return replace(muscle, friction=friction)
 
 
 def _friction(given: Friction, change: Overrides, share: float, *, real: bool) -> Friction:

@@ -78,9 +78,7 @@ def find_type(make: str, name: str) -> MuscleType | None:
 
 def length_on_label(name: str) -> float | None:
     """The nominal length in a label such as `DMSP-20-250N` [m]; None where it has none."""
-    found = re.match(r"[A-Z]+-\d+-(\d{2,4})N?\b", name.upper().replace(" ", "")) or re.match(
-        r"[A-Z]+-\d+-(\d{2,4})N", name.upper().replace(" ", "")
-    )
+    found = re.match(r"[A-Z]+-\d+-(\d{2,4})(?:N|\b)", name.upper().replace(" ", ""))
     return float(found[1]) * 1e-3 if found else None
 
 

@@ -22,6 +22,8 @@ TICK, LABEL, NAME = 7.4, 7.8, 8.0
 WIDE, BOLD = 0.55, 0.62
 """Mean width of a letter, and of one of the bold names, as a share of its size."""
 RADIUS = 2.3
+GAP = 12.0
+"""Between charts in a row [pt]."""
 MOST_POINTS = 2000
 """Points of a line that the page holds."""
 STATIC = 700
@@ -171,36 +173,23 @@ def with_common_sides(charts: Sequence[Chart]) -> tuple[Chart, ...]:
 
 def to_svg(chart: Chart) -> str:
     """The chart as one `<svg>` element; the same bytes for the same chart."""
-    inner = _drawn(chart)
-    name = f"c{hashlib.sha256((chart.alt + inner).encode()).hexdigest()[:8]}"
-    return _whole(chart.width, chart.height, chart.alt, chart.stamp, name, inner)
+    return _whole(chart.width, chart.height, chart.alt, chart.stamp, _drawn(chart))
 
 
-def side_by_side(charts: Sequence[Chart], alt: str, gap: float = 12.0) -> str:
-    """Charts in a row as one `<svg>` element."""
-    inner, left = [], 0.0
+def joined(charts: Sequence[Chart], alt: str, *, stacked: bool) -> str:
+    """Charts in a row, or `stacked` in a column, as one `<svg>` element."""
+    inner, place = [], 0.0
     for chart in charts:
-        inner.append(f'<g transform="translate({_n(left)} 0)">\n{_drawn(chart)}\n</g>')
-        left += chart.width + gap
-    return _joined(charts, alt, inner, left - gap, max(chart.height for chart in charts))
+        at = f"0 {_n(place)}" if stacked else f"{_n(place)} 0"
+        inner.append(f'<g transform="translate({at})">\n{_drawn(chart)}\n</g>')
+        place += chart.height if stacked else chart.width + GAP
+    across, down = max(chart.width for chart in charts), max(chart.height for chart in charts)
+    width, height = (across, place) if stacked else (place - GAP, down)
+    return _whole(width, height, alt, charts[0].stamp, "\n".join(inner))
 
 
-def one_below_the_other(charts: Sequence[Chart], alt: str) -> str:
-    """Charts in a column as one `<svg>` element."""
-    inner, top = [], 0.0
-    for chart in charts:
-        inner.append(f'<g transform="translate(0 {_n(top)})">\n{_drawn(chart)}\n</g>')
-        top += chart.height
-    return _joined(charts, alt, inner, max(chart.width for chart in charts), top)
-
-
-def _joined(charts: Sequence[Chart], alt: str, inner: Sequence[str], width: float, height: float) -> str:
-    text = "\n".join(inner)
-    name = f"c{hashlib.sha256((alt + text).encode()).hexdigest()[:8]}"
-    return _whole(width, height, alt, charts[0].stamp, name, text)
-
-
-def _whole(width: float, height: float, alt: str, stamp: str, name: str, inner: str) -> str:
+def _whole(width: float, height: float, alt: str, stamp: str, inner: str) -> str:
+    name = f"c{hashlib.sha256((alt + inner).encode()).hexdigest()[:8]}"
     described = escape(f"{'Simulated. ' if stamp else ''}{alt}")
     head = f'viewBox="0 0 {_n(width)} {_n(height)}" role="img" aria-labelledby="{name}"'
     return f'<svg {head}><desc id="{name}">{described}</desc>\n{inner}\n</svg>'

@@ -8,13 +8,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.plotting import plots
-from pmabench.plotting.chart import Chart, one_below_the_other, side_by_side
+from pmabench.plotting.chart import Chart, joined
 from pmabench.plotting.frame import Frame
 from pmabench.plotting.plots import Array, Panel
 from pmabench.plotting.svg import drawing, to_svg
@@ -24,6 +24,7 @@ from pmabench.store.analyses.results import Analysis, Estimate, Trace
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+Item = TypeVar("Item")
 TABLE_ROWS = 24
 """Rows of a panel in the table of numbers below its figure."""
 LARGEST = 1e30
@@ -68,8 +69,8 @@ def of_charts(
     stacked: bool = False,
 ) -> Picture:
     """A picture of charts side by side, or one below the other."""
-    whole = one_below_the_other if stacked else side_by_side
-    return Picture(title, caption, alt, partial(whole, charts, alt), table, True, simulated, charts, stacked)
+    draw = partial(joined, charts, alt, stacked=stacked)
+    return Picture(title, caption, alt, draw, table, True, simulated, charts, stacked)
 
 
 def picture(
@@ -179,7 +180,7 @@ def _texts(values: Array, rows: NDArray[np.intp]) -> list[str]:
     ]
 
 
-def spread(items: Sequence[Trace], most: int) -> list[Trace]:
+def spread(items: Sequence[Item], most: int) -> list[Item]:
     """At most `most` of the items, evenly chosen."""
     if len(items) <= most:
         return list(items)

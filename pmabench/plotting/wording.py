@@ -7,7 +7,7 @@ test needs no entry here. Holds no results; titles of coefficients are in `pmabe
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
 from math import floor, isfinite, log10
@@ -178,6 +178,11 @@ def brief(text: str, most: int) -> str:
     return text[:end] if end > 0 else f"{text[: most - 2].rpartition(' ')[0].rstrip(',;:')} …"
 
 
+def listed(words: Sequence[str]) -> str:
+    """Words as a sentence lists them: `a, b and c`."""
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}" if words else ""
+
+
 def number(value: float) -> str:
     """A setting as people write it, six digits at most."""
     return f"{value:.6g}".replace("-", "−")
@@ -220,7 +225,7 @@ def rounded(value: float | None, half: float | None = None, digits: int = 4) -> 
     if size != 0 and not PLAIN[0] <= size < PLAIN[1]:
         power = floor(log10(size))
     scaled, width = value / 10.0**power, None if half is None else half / 10.0**power
-    text = _pair(scaled, width, digits)
+    text = _pair(scaled, width, digits).replace("-", "−")
     if power == 0:
         return text
     raised = f"×10{str(power).translate(RAISED)}"
@@ -258,15 +263,12 @@ def half_width(half: float | None, least: float = 0.0) -> str:
 
 
 def _pair(value: float, half: float | None, digits: int) -> str:
-    if half is None:
-        return _fixed(value, _decimals(value, digits)).replace("-", "−")
-    finest = _decimals(value, MOST_DIGITS)
-    if half == 0:
-        return f"{_fixed(value, _decimals(value, digits))} ± 0".replace("-", "−")
-    decimals = _decimals(half, 2)
+    if not half:
+        return _fixed(value, _decimals(value, digits)) + ("" if half is None else " ± 0")
+    finest, decimals = _decimals(value, MOST_DIGITS), _decimals(half, 2)
     if decimals > finest:
-        return f"{_fixed(value, finest)} ± {_fixed(10.0**-finest, finest)}".replace("-", "−")
-    return f"{_fixed(value, decimals)} ± {_fixed(half, decimals)}".replace("-", "−")
+        return f"{_fixed(value, finest)} ± {_fixed(10.0**-finest, finest)}"
+    return f"{_fixed(value, decimals)} ± {_fixed(half, decimals)}"
 
 
 def _decimals(number: float, digits: int) -> int:

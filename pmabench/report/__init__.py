@@ -1,6 +1,7 @@
 """Tables, figures and the characterisation report; nothing here computes an estimate.
 
-- `certificate`: the first two pages of a report; `foremost`: which values and findings come first
+- `certificate`: the first two pages of a report; `foremost`: which values and findings come first, there and on a
+  terminal, whose tables `terminal` prints
 - `document`: what the report says, and as HTML, PDF and workbook; `templates` are its pages; `writing`: pages and files
 - `figures`: every picture in it
 - `pages`: other pages: bench card, comparison, history, a fitted model
@@ -9,5 +10,4 @@
 - `publishing`: records, analyses and report as a package for a repository of research data
 - `many`: reports over thousands of runs
 - `words`: names of symbols, tests and methods; `bends`: the bend of a muscle, as its analysis wrote it down
-- on a terminal: `glance`, `terminal_coefficients`, `terminal`
 """

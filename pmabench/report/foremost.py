@@ -1,23 +1,50 @@
 """The table that comes first, on the terminal and on the certificate: the test with most headline values.
 
-Both take their rows from here, so that they cannot say different things. Computes no estimate.
+Both take their rows from here, so that they cannot say different things. On the terminal: results at a glance (verdict,
+one table, the findings that matter; 25 lines of 80 columns with what follows), and the coefficients of each test,
+primary methods in full, others by name. Computes no estimate.
 """
 
 from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from math import isfinite
+from textwrap import shorten, wrap
+from typing import TYPE_CHECKING
 
+from pmabench.base.kind import Result
 from pmabench.base.quantities import show
-from pmabench.plotting.wording import POINTS, clean, in_order, number, point_shown, printed, symbol_text
-from pmabench.report.terminal_coefficients import for_terminal, reasons, without_comparison
-from pmabench.report.words import declared
-from pmabench.store.analyses.results import Analysis, Dropped, Estimate
+from pmabench.base.text import sparkline
+from pmabench.plotting.wording import (
+    POINTS,
+    clean,
+    in_order,
+    number,
+    point_head,
+    point_shown,
+    point_text,
+    printed,
+    rounded,
+    shown,
+    spoken,
+    symbol_text,
+)
+from pmabench.report.document.front import Verdict, tiles_of
+from pmabench.report.document.tables import matrix_table, pivot_table, two_coordinates, whole_table
+from pmabench.report.terminal import print_grid
+from pmabench.report.words import declared, kind_title
+from pmabench.store.analyses.results import AGREEMENT, Analysis, Dropped, Estimate
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
 
 NEAR_0 = 0.5
 """Half width as a share of its value above which a share says little."""
-WIDTH = 80
+ALIKE = 80
 """Letters of a reason by which two are the same."""
 _SIZE = re.compile(r"(,|=|<|>| of)? ?[-\u2212]?\d[\d.,]*( ?(N|mm|m|kPa|Pa|s|ms|Hz|%)(/\w+)?)?(?=\W|$),?")
 
@@ -69,18 +96,194 @@ def left_out(dropped: Sequence[Dropped]) -> str:
     return ", ".join(f"{clean(reason)} ({count})" for reason, count in counts.most_common(3))
 
 
-def costliest(tests: Sequence[Analysis], failed: Sequence[str]) -> list[str]:
+def costliest(tests: Sequence[Analysis], failed: Sequence[str]) -> tuple[list[str], int]:
     """What costs most first: not accepted (`failed`: why), withheld, faults, doubts, trials that are missing.
 
-    Findings that all is well are not among them.
+    At most `MOST_FINDINGS`, and how many more findings there are. That all is well is not among the first.
     """
     found = [f"not accepted: {text}" for text in failed]
     held = [text for a in tests for text in reasons([e for e in a.estimates if e.withheld])]
-    found += [text for text in held if not any(text.partition("withheld: ")[2][:WIDTH] in one for one in failed)]
+    found += [text for text in held if not any(text.partition("withheld: ")[2][:ALIKE] in one for one in failed)]
     for level in ("fault", "doubt"):
         texts = (f.text for a in tests for f in a.findings if f.level == level)
-        found += [printed(t) for t in texts if not any(t.removeprefix("form: ")[:WIDTH] in one for one in failed)]
+        found += [printed(t) for t in texts if not any(t.removeprefix("form: ")[:ALIKE] in one for one in failed)]
     for analysis in tests:
         if analysis.dropped:
             found.append(f"{len(analysis.dropped)} trials not used: {left_out(analysis.dropped)}")
-    return list(dict.fromkeys(clean(text) for text in found))
+    found = list(dict.fromkeys(clean(text) for text in found))
+    notes = sum(f.level == "note" for a in tests for f in a.findings)
+    return found[:MOST_FINDINGS], len(found[MOST_FINDINGS:]) + notes
+
+
+WIDTH = 80
+MOST_LINES = 21
+"""The others of 25 say what came to runs since, where everything is, and what to type next."""
+MOST_ROWS = 8
+MOST_FINDINGS = 3
+GAP = "  "
+
+
+def glance(analyses: Sequence[Analysis], verdict: Verdict, failed: Sequence[str]) -> list[str]:
+    """The lines above those that say where everything is and what to type next.
+
+    `failed`: reasons why results are not accepted. The table is that of the test with most values; of the other tests
+    the key numbers. Findings are those that cost most: not accepted, withheld, faults, doubts, trials that are missing.
+    """
+    tests = [a for a in analyses if a.kind != AGREEMENT]
+    simulated = "SIMULATED  " if any(a.simulated for a in tests) else ""
+    title = kind_title(tests[0].kind) if len(tests) == 1 else f"{len(tests)} tests of one specimen"
+    members, over = richest(tests)
+    lines = [f"{simulated}{title}", _verdict(verdict, members, over), ""]
+    if members:
+        lines += _table(members, over, tests)
+    known = {symbol_text(e.symbol) for e in members}
+    rest = [tile for tile in tiles_of(analyses) if tile.symbol not in known]
+    lines += _joined([f"{tile.symbol} {tile.value} {tile.unit}".rstrip() for tile in rest])
+    lines += _spark(members, over)
+    return [line[:WIDTH] for line in [*lines, "", *_findings(tests, failed, MOST_LINES - len(lines) - 1)]]
+
+
+def _table(members: Sequence[Estimate], over: str, tests: Sequence[Analysis]) -> list[str]:
+    """Columns as far as they fit, rows at most `MOST_ROWS`, else every second."""
+    across = two_coordinates(members, over)
+    if across:
+        heads, body = matrix_table(members, over, across)
+        rows, above = [heads, *body], [_head(members[0])]
+    else:
+        frame = pivot_table(members, declared(tests)).without("method").filled()
+        rows, above = [frame.columns, *frame.cells()], []
+    while len(rows) - 1 > MOST_ROWS:
+        rows = [rows[0], *rows[1::2]]
+    widths = [max(len(row[place]) for row in rows) for place in range(len(rows[0]))]
+    while sum(widths) + len(GAP) * (len(widths) - 1) > WIDTH:
+        widths.pop()
+    hidden = rows[0][len(widths) :]
+    more = [f"   more with -v, or in the report: {', '.join(hidden)}"] if hidden else []
+    lines = [GAP.join(text.rjust(width) for text, width in zip(row, widths, strict=False)) for row in rows]
+    return [*above, *lines, *more]
+
+
+def _head(e: Estimate) -> str:
+    return shown(e.quantity, e.unit).label(symbol_text(e.symbol))
+
+
+def _verdict(verdict: Verdict, members: Sequence[Estimate], over: str) -> str:
+    """The word, and for good results how well the values of the table are known."""
+    text = verdict.text
+    if verdict.level == "good" and members:
+        text = how_well(members, over) or text
+    word = f"{verdict.word.upper()}  "
+    return word + shorten(text, WIDTH - len(word), placeholder=" …")
+
+
+def _joined(parts: Sequence[str]) -> list[str]:
+    """Key numbers, several on a line, at most two lines."""
+    lines: list[str] = []
+    for part in parts:
+        if lines and len(lines[-1]) + 4 + len(part) <= WIDTH:
+            lines[-1] += f"    {part}"
+        else:
+            lines.append(part)
+    return lines[:2]
+
+
+def _spark(members: Sequence[Estimate], over: str) -> list[str]:
+    """How K goes over the operating points, else the first coefficient that is known at three of them."""
+    courses: dict[str, list[Estimate]] = {}
+    if any(len(e.at) > 1 for e in members):
+        return []
+    for e in sorted((e for e in members if e.value is not None), key=lambda e: e.at[over]):
+        courses.setdefault(e.symbol, []).append(e)
+    usable = {symbol: course for symbol, course in courses.items() if len({e.at[over] for e in course}) > 2}
+    symbol = "K" if "K" in usable else next(iter(usable), "")
+    if not symbol:
+        return []
+    unit = shown(usable[symbol][0].quantity, usable[symbol][0].unit)
+    values = [v for e in usable[symbol] if isfinite(v := (e.value or 0.0) / unit.scale)]
+    head = f"{symbol_text(symbol)}({symbol_text(point_head(over).partition(' ')[0])})"
+    return [f"{head}  {rounded(values[0], None, 3)} {sparkline(values)} {rounded(values[-1], None, 3)} {unit.unit}"]
+
+
+def _findings(tests: Sequence[Analysis], failed: Sequence[str], room: int) -> list[str]:
+    """The costliest, in full where `room` lines allow it; how many more there are."""
+    first, more = costliest(tests, failed)
+    spare = room - len(first) - bool(more)
+    lines = []
+    for text in first:
+        whole = wrap(text, WIDTH - 3, max_lines=1 + max(0, spare), placeholder=" …")
+        spare -= len(whole) - 1
+        lines += [f"{'   ' if place else '!  '}{part}" for place, part in enumerate(whole)]
+    return [*lines, *([f"   {more} more finding{'s'[: more > 1]}: -v, or the report"] if more else [])]
+
+
+def print_coefficients(analyses: Sequence[Analysis], console: Console) -> None:
+    """The main coefficients of each test as tables that fit 80 columns; of methods for comparison the names only."""
+    from rich.text import Text
+
+    for analysis in (a for a in analyses if a.estimates or a.kind != AGREEMENT):
+        mark = "SIMULATED  " if analysis.simulated else ""
+        console.print(Text(f"{mark}{kind_title(analysis.kind)}", style="bold"))
+        shown_estimates, compared = without_comparison(analysis)
+        results = declared([analysis])
+        groups = for_terminal(shown_estimates, results)
+        for names, (members, constant) in groups.items():
+            frame = pivot_table(members, results) if names else whole_table(members, results).without("quantity")
+            over = in_order(members[0].at, POINTS)
+            by = f"by {' and '.join(spoken(name) for name in over)}" if over else "for the whole campaign"
+            at = f", at {point_text(constant)}" if constant else ""
+            for method in dict.fromkeys(frame["method"]):
+                console.print(Text(f"  {method}, {by}{at}", style="italic"))
+                mine = [e for e in members if clean(e.method) == method]
+                body = frame.where(cell == method for cell in frame["method"]).without("method").filled()
+                print_grid(console, body.columns, body.cells(), ("symbol", "unit"), len(names) or 1)
+                for reason in reasons(mine):
+                    console.print(Text(f"  {reason}"))
+        shown_symbols = {e.symbol for members, _ in groups.values() for e in members}
+        more = [
+            name for name in results if name not in shown_symbols and any(e.symbol == name for e in shown_estimates)
+        ]
+        if more:
+            others = ", ".join(f"{symbol_text(symbol)} ({clean(results[symbol].title)})" for symbol in more)
+            console.print(Text(f"  more in the tables of the analysis folder: {others}"))
+        if compared:
+            console.print(Text(f"  for comparison, in the tables of the analysis folder: {', '.join(compared)}"))
+        console.print()
+
+
+def without_comparison(analysis: Analysis) -> tuple[list[Estimate], list[str]]:
+    """Estimates without those whose symbol an earlier method gives at the same kind of point; names of such methods."""
+    first: dict[tuple[str, str, tuple[str, ...]], str] = {}
+    kept, compared = [], []
+    for e in analysis.estimates:
+        if first.setdefault((e.symbol, e.coordinate, tuple(sorted(e.at))), e.method) == e.method:
+            kept.append(e)
+        else:
+            compared.append(clean(e.method))
+    return kept, list(dict.fromkeys(compared))
+
+
+def reasons(estimates: Sequence[Estimate]) -> list[str]:
+    """Why values or intervals are missing, the symbols with one reason together."""
+    found: dict[str, list[str]] = {}
+    for e in estimates:
+        if e.note and (e.value is None or e.parts.combined is None):
+            lack = "withheld: " if e.withheld else "" if e.value is None else "no interval: "
+            found.setdefault(f"{lack}{clean(e.note)}", []).append(symbol_text(e.symbol, e.coordinate))
+    return [f"{', '.join(dict.fromkeys(symbols))}: {reason}" for reason, symbols in found.items()]
+
+
+def for_terminal(
+    estimates: Sequence[Estimate], results: Mapping[str, Result]
+) -> dict[tuple[str, ...], tuple[list[Estimate], dict[str, float]]]:
+    """The estimates for the terminal by kind of operating point: headlines and what is withheld; what is constant."""
+    groups: dict[tuple[str, ...], list[Estimate]] = {}
+    for e in estimates:
+        if e.withheld or results[e.symbol].headline:
+            groups.setdefault(tuple(sorted(e.at)), []).append(e)
+    shown_groups: dict[tuple[str, ...], tuple[list[Estimate], dict[str, float]]] = {}
+    for names, members in groups.items():
+        moving = [name for name in names if len({e.at[name] for e in members}) > 1 and name != "mass"]
+        kept = moving or in_order(names, POINTS)[:1]
+        constant = {name: members[0].at[name] for name in names if name not in kept and name != "mass"}
+        shown_groups[names] = ([replace(e, at={name: e.at[name] for name in kept}) for e in members], constant)
+    return shown_groups

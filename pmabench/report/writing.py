@@ -98,12 +98,7 @@ class Page:
 def write_page(page: Page, path: Path) -> Path:
     """Write a page to `path`; raises RecordError where it cannot be."""
     tables = [
-        TextTable(
-            f"Numbers of figure {number}: {picture.title}",
-            picture.table.columns,
-            picture.table.cells(),
-            2,
-        )
+        TextTable(f"Numbers of figure {number}: {picture.title}", picture.table.columns, picture.table.cells(), 2)
         for number, picture in enumerate(page.pictures, 1)
     ]
     context = {"page": page, "numbers": tables, "version": __version__}

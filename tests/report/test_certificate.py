@@ -11,7 +11,7 @@ import pytest
 
 from pmabench.plotting import chart, plots
 from pmabench.plotting.chart import Chart, Series
-from pmabench.report.certificate import sources
+from pmabench.report.certificate import quality
 from pmabench.report.certificate.force_chart import READABLE, blue
 from pmabench.report.certificate.limits import limits
 from pmabench.report.certificate.result_table import result_table, thousands
@@ -91,7 +91,7 @@ def test_every_text_of_the_page_is_readable(page_text):
     assert {color: contrast(color) for color in texts if contrast(color) < 4.5} == {}
     assert contrast(blue(READABLE)) >= 4.5
     assert contrast("#16202a", "#d3e1f0") >= 4.5
-    assert all(contrast(color) >= 4.5 for color in sources.COLORS.values())
+    assert all(contrast(color) >= 4.5 for color in quality.COLORS.values())
 
 
 @pytest.fixture(scope="module")

@@ -23,7 +23,7 @@ from pmabench.report.document.workbook import workbook_bytes
 from pmabench.report.files import latex
 from pmabench.report.files.export import export_results
 from pmabench.report.files.simulator_models import control_model, control_text
-from pmabench.report.terminal_coefficients import print_coefficients
+from pmabench.report.foremost import print_coefficients
 from pmabench.store.analyses.results import Analysis, Dropped, Estimate, Finding, Parts, Trace
 from pmabench.store.notes import Note, add_note
 from tests.store.runs import begin, record

@@ -11,7 +11,7 @@ from rich.console import Console
 from pmabench.plotting.wording import half_width, printed, rounded, shown
 from pmabench.report.document import tables
 from pmabench.report.files.csv_files import write_tables
-from pmabench.report.terminal_coefficients import print_coefficients
+from pmabench.report.foremost import print_coefficients
 from pmabench.store.analyses.results import Analysis, Dropped, Estimate, Finding, Parts
 
 from . import samples

@@ -75,11 +75,11 @@ KIND = Kind(
     offers="pmabench.kinds.isometric_pressurisation.reduction:offers",
     methods=METHODS,
     figures={
-        "isometric": "pmabench.plotting.isometric:lines",
+        "isometric": "pmabench.plotting.loops:isometric",
         "flow-volume": "pmabench.kinds.isometric_pressurisation.figures:volumes",
         "section": "pmabench.kinds.isometric_pressurisation.figures:sections",
     },
-    front={"isometric": "pmabench.plotting.isometric:lines"},
+    front={"isometric": "pmabench.plotting.loops:isometric"},
     published={"isometric": ("pressure", "force", "displacement")},
     parts={"slow rows": "pmabench.analysis.surface.trials:driven"},
     imported=Imported(

@@ -15,25 +15,11 @@ NEUTRAL = math.acos(1 / math.sqrt(3))
 """Braid angle at which a muscle neither contracts nor extends, 54.7356 deg [rad]."""
 
 PRESSURE = Parameter(
-    "pressure",
-    "P",
-    "pressure",
-    5 * BAR,
-    "gauge pressure",
-    0.0,
-    1e6,
+    "pressure", "P", "pressure", 5 * BAR, "gauge pressure", 0.0, 1e6,
     "a muscle is not worked at a vacuum or above 10 bar",
-)
+)  # fmt: skip
 CONTRACTION = Parameter(
-    "contraction",
-    "eps",
-    "ratio",
-    0.0,
-    "x / L0 from the nominal length",
-    0.0,
-    1.0,
-    "it is stretched, or gone",
-    above=False,
+    "contraction", "eps", "ratio", 0.0, "x / L0 from the nominal length", 0.0, 1.0, "it is stretched, or gone"
 )
 RADIUS = Parameter(
     "radius", "r0", "length", 10 * MM, "radius at eps = 0", 0.0, 1.0, "no radius of a muscle", above=True

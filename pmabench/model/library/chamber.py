@@ -33,15 +33,9 @@ R = 287.0
 PRESSURE = Parameter("pressure", "P", "pressure", 5 * BAR, "gauge pressure", 0.0, 2e6, "no pressure of a muscle")
 VOLUME = Parameter("volume", "V", "volume", 62.832 * CM3, "volume of the gas", 0.0, above=True)
 POLYTROPIC = Parameter(
-    "polytropic",
-    "k",
-    "count",
-    1.2,
-    "exponent: 1 isothermal, 1.4 adiabatic",
-    1.0,
-    1.4,
+    "polytropic", "k", "count", 1.2, "exponent: 1 isothermal, 1.4 adiabatic", 1.0, 1.4,
     "between isothermal and adiabatic",
-)
+)  # fmt: skip
 TEMPERATURE = Parameter("temperature", "T", "temperature", 293.0, "of the air", 200.0, 400.0, "no air of a bench")
 
 

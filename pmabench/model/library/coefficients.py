@@ -115,10 +115,8 @@ FIT = Parameter("fit", "fit", "", "polynomial", "sixth order, or the straight li
 
 def dmsp_coefficients(pressure: Array, fit: str) -> tuple[Array, Array, Array]:
     """S [N/m], D_c and D_r [N.s/m] of paper 1 at P [Pa gauge], 1 to 6 bar."""
-    if fit == "line":
-        return tuple(np.polyval(LINES[name], pressure) for name in POLYNOMIALS)  # type: ignore[return-value]
-    z = (pressure - CENTRE) / SCALE
-    return tuple(np.polyval(POLYNOMIALS[name], z) for name in POLYNOMIALS)  # type: ignore[return-value]
+    known, z = (LINES, pressure) if fit == "line" else (POLYNOMIALS, (pressure - CENTRE) / SCALE)
+    return tuple(np.polyval(known[name], z) for name in POLYNOMIALS)  # type: ignore[return-value]
 
 
 @described(
@@ -194,8 +192,7 @@ def dmsp_40_305(pressure: Array, fit: str) -> Values:
     ),
     notes=(
         "One convention in plant and fit: a plant whose F_ce follows x has a time constant other than D / S (0.20 s "
-        "for "
-        "0.355 s at 6 bar).",
+        "for 0.355 s at 6 bar).",
     ),
 )  # fmt: skip
 def dmsp_40_305_contraction(
@@ -209,8 +206,7 @@ def dmsp_40_305_contraction(
     refuse("load", "it is more than the muscle lifts at this pressure", arrays[1] > force0, arrays[1])
     force = force0
     if fce_at == "xmax":
-        columns = [np.atleast_1d(array).ravel() for array in (*arrays, S, most)]
-        force = np.array([_at_rest(*map(float, row)) for row in zip(*columns, strict=True)]).reshape(shape)
+        force = np.vectorize(_at_rest, otypes=[float])(*arrays, S, most)
     x = (force - arrays[1]) / S
     return {"force_ce": force, "displacement": x, "contraction": x / arrays[3], "stiffness": S}
 

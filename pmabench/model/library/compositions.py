@@ -121,11 +121,9 @@ def series_pair(
     length_2: Array,
 ) -> Values:
     """F [N], eps_1 and eps_2 [1] from x [m], P_i [Pa gauge], r_i [m], theta_i [rad], L_i [m]."""
-    inputs = np.broadcast_arrays(
+    force, first, second = np.vectorize(_balance, otypes=[float] * 3)(
         displacement, pressure_1, radius_1, braid_angle_1, length_1, pressure_2, radius_2, braid_angle_2, length_2
     )
-    rows = [_balance(*map(float, row)) for row in zip(*map(np.ravel, inputs), strict=True)]
-    force, first, second = (np.array(column).reshape(inputs[0].shape) for column in zip(*rows, strict=True))
     return {"force": force, "contraction_1": first, "contraction_2": second}
 
 
@@ -195,8 +193,7 @@ def _balance(
         Reference("force_ce_sum", "10624", "N", 1.0, "by hand: the first is off again", {"time": 10.5}),
     ),
     notes=(
-        "Displacements add; the force of a chain is that of one muscle. Paper 1's total F_ce is a sum of "
-        "coefficients.",
+        "Displacements add; the force of a chain is that of one muscle. Paper 1's total F_ce is a sum of coefficients.",
         "Muscles of other kinds, with steps and delays of their own: pmabench cascade.",
     ),
 )  # fmt: skip
@@ -270,17 +267,14 @@ def cascade(
 )  # fmt: skip
 def ultimate_gain(dead_time: Array, lag_regulator: Array, lag_muscle: Array, sample_period: Array) -> Values:
     """K_u k_g [1] and T_u [s] from L, T_1, T_2 and T_s [s]."""
-    inputs = np.broadcast_arrays(dead_time + sample_period / 2, lag_regulator, lag_muscle)
+
+    def found(L: float, *lags: float) -> tuple[float, float]:
+        pair = ultimate(Loop(1.0, L, tuple(lag for lag in lags if lag > 0)))
+        return pair.gain, pair.period
+
     try:
-        found = [
-            ultimate(Loop(1.0, L, tuple(lag for lag in lags if lag > 0)))
-            for L, *lags in zip(*(np.ravel(item).tolist() for item in inputs), strict=True)
-        ]
+        gain, period = np.vectorize(found, otypes=[float] * 2)(dead_time + sample_period / 2, lag_regulator, lag_muscle)
     except ValueError:
         refuse("dead_time", "it is too short to matter next to the lags: two lags alone never oscillate")
         raise
-    shape = inputs[0].shape
-    return {
-        "loop_gain": np.array([item.gain for item in found]).reshape(shape),
-        "period": np.array([item.period for item in found]).reshape(shape),
-    }
+    return {"loop_gain": gain, "period": period}

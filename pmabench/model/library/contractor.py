@@ -58,8 +58,7 @@ LENGTHS = (
     ),
     notes=(
         "The printed exponent 0.75 puts 65 to 97 % of the contraction below 0.6 bar, against the paper's own "
-        "zero-force "
-        "pressure of 0.45 bar; -0.248, found in two public scripts, gives the sigmoid that is described.",
+        "zero-force pressure of 0.45 bar; -0.248, found in two public scripts, gives the sigmoid that is described.",
         "Rounding of the printed coefficients is worth 1.4 cm in a at 30 cm and 3.3 cm at 40 cm: compare shapes.",
         "An independent fit from corrected-force: their free contractions do not agree.",
     ),

@@ -140,8 +140,7 @@ def daerden_inverse(
     ),
     notes=(
         "With one alpha for S and V the work of force and volume agrees only for alpha = 2: dV/deps = l0 S. With 2.6 "
-        "it is "
-        "1.337 l0 S at eps = 0; the authors accept that as losses.",
+        "it is 1.337 l0 S at eps = 0; the authors accept that as losses.",
         "D0 is the free diameter; the text of paper 3 calls it the diameter at theta = 90 deg once, which gives "
         "another V.",
     ),
@@ -169,8 +168,7 @@ def daerden_volume(contraction: Array, diameter: Array, length: Array, braid_ang
     outputs=(Output("volume", "V", "volume", "volume now"),),
     references=(Reference("volume", "79.912", "cm3", CM3, "by hand: 60 (401.325 / 301.325)"),),
     notes=(
-        "Pressures are gauge, the room's is added: P V of gauge pressures is not constant and is wrong by up "
-        "to 122 %.",
+        "Pressures are gauge, the room's is added: P V of gauge pressures is not constant and is wrong by up to 122 %.",
     ),
 )  # fmt: skip
 def closed_volume(pressure_start: Array, pressure: Array, volume_start: Array, atmosphere: Array) -> Values:

@@ -77,13 +77,9 @@ def _contractions(angle: Array, radius: Array, preload: Array, length: Array) ->
     return both
 
 
-def _forces(sides: tuple[_Side, _Side], P1: Array, P2: Array) -> tuple[Array, Array]:
-    """Pull of each [N]; a slack muscle neither pushes nor holds."""
-    first, second = sides
-    return (
-        np.maximum(0.0, first.section * P1 + first.rubber),
-        np.maximum(0.0, second.section * P2 + second.rubber),
-    )
+def _force(side: _Side, P: Array) -> Array:
+    """Pull of one [N]; a slack muscle neither pushes nor holds."""
+    return np.asarray(np.maximum(0.0, side.section * P + side.rubber))
 
 
 @described(
@@ -137,11 +133,11 @@ def joint(
     """Tau [N.m], K and K_air [N.m/rad], F_i [N] from th [rad], P_i [Pa gauge], R and l0 [m], e0 [1] and the muscle."""
     shape = (diameter, braid_angle, alpha, A, B1, B2)
     both = _contractions(angle, pulley_radius, preload, length)
-    sides = _side(both[0], *shape), _side(both[1], *shape)
-    forces, pressures = _forces(sides, pressure_1, pressure_2), (pressure_1, pressure_2)
-    arm, K, air = pulley_radius**2 / length, np.zeros(()), np.zeros(())
-    for eps, side, force, P in zip(both, sides, forces, pressures, strict=True):
-        taut = force > 0
+    arm, K, air, forces = pulley_radius**2 / length, np.zeros(()), np.zeros(()), []
+    for eps, P in zip(both, (pressure_1, pressure_2), strict=True):
+        side = _side(eps, *shape)
+        forces.append(_force(side, P))
+        taut = forces[-1] > 0
         K = K - arm * np.where(taut, side.section_slope * P + side.rubber_slope, 0.0)
         volume = muscle_volume(eps, diameter, length, braid_angle, alpha)
         size = math.pi / 4 * diameter**2 * length
@@ -256,11 +252,8 @@ def joint_rest(
     braid_angle: Array, alpha: Array, A: Array, B1: Array, B2: Array,
 ) -> Values:  # fmt: skip
     """Th [rad] from P_i [Pa gauge], R and l0 [m], e0 [1] and the muscle."""
-    inputs = np.broadcast_arrays(
-        pressure_1, pressure_2, pulley_radius, preload, diameter, length, braid_angle, alpha, A, B1, B2
-    )
-    found = [_rest(*map(float, row)) for row in zip(*map(np.ravel, inputs), strict=True)]
-    return {"angle": np.array(found).reshape(inputs[0].shape)}
+    inputs = (pressure_1, pressure_2, pulley_radius, preload, diameter, length, braid_angle, alpha, A, B1, B2)
+    return {"angle": np.vectorize(_rest, otypes=[float])(*inputs)}
 
 
 def _rest(P1: float, P2: float, R: float, e0: float, D0: float, l0: float, *shape: float) -> float:
@@ -270,8 +263,7 @@ def _rest(P1: float, P2: float, R: float, e0: float, D0: float, l0: float, *shap
     def torque(angle: float) -> float:
         way = R * angle / l0
         one, two = (_side(np.asarray(eps), np.asarray(D0), *map(np.asarray, shape)) for eps in (e0 + way, e0 - way))
-        first, second = _forces((one, two), np.asarray(P1), np.asarray(P2))
-        return R * float(first - second)
+        return R * float(_force(one, np.asarray(P1)) - _force(two, np.asarray(P2)))
 
     refuse("pressure_1", f"no rest within {farthest / DEG:.1f} deg to either side",
            torque(-farthest) <= 0 or torque(farthest) >= 0, P1)  # fmt: skip

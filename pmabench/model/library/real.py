@@ -8,7 +8,7 @@ from scipy.optimize import brentq
 from pmabench.model.curve import Array
 from pmabench.model.library.braid import MM
 from pmabench.model.library.description import Output, Parameter, Reference, Values, described, refuse
-from pmabench.model.real.muscle import RealMuscle, reference
+from pmabench.model.real.muscle import reference
 
 KPA = 1e3
 MUSCLE = reference()
@@ -174,8 +174,7 @@ def real_creep(pressure: Array, load: Array, time: Array) -> Values:
     weak = MUSCLE.pull(P, np.zeros(P.shape)) < F
     refuse("load", "the muscle cannot lift it at this pressure", weak, F)
     refuse("load", "the muscle is at its end", MUSCLE.pull(P, np.full(P.shape, HIGH)) > F, F)
-    at_once = [_balance(MUSCLE, *pair) for pair in zip(P.ravel().tolist(), F.ravel().tolist(), strict=True)]
-    u = np.array(at_once).reshape(P.shape)
+    u = np.vectorize(_balance, otypes=[float])(P, F)
     times = np.array(MUSCLE.creep.times)
     share = MUSCLE.creep.share
     rates, modes = np.linalg.eig((share * np.ones((len(times), len(times))) - np.eye(len(times))) / times[:, None])
@@ -185,10 +184,10 @@ def real_creep(pressure: Array, load: Array, time: Array) -> Values:
     return {"displacement": u + crept, "crept": crept}
 
 
-def _balance(muscle: RealMuscle, P: float, F: float) -> float:
+def _balance(P: float, F: float) -> float:
     """Where the force without history is F [N] at P [Pa]; [m]."""
 
     def over(x: float) -> float:
-        return float(muscle.pull(np.array(P), np.array(x))) - F
+        return float(MUSCLE.pull(np.array(P), np.array(x))) - F
 
     return float(brentq(over, 0.0, HIGH, xtol=1e-12)) if over(0.0) > 0 else 0.0

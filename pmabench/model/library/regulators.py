@@ -191,8 +191,7 @@ def regulator_flow_limited(
     ),
     source=(
         "describing function of a rate limiter; in the public data set mit-2-151 sines of 3 bar fall off like this "
-        "from "
-        "9 rad/s on, with R about 28 bar/s and 40 ms of dead time"
+        "from 9 rad/s on, with R about 28 bar/s and 40 ms of dead time"
     ),
     parameters=(
         Parameter("amplitude", "A", "pressure", 3 * BAR, "of the commanded sine", 0.0, above=True),
@@ -218,7 +217,7 @@ def regulator_flow_limited(
 def regulator_sine(amplitude: Array, frequency: Array, rate: Array, dead_time: Array) -> Values:
     """Gain [1], phase [rad], answer [Pa] from A [Pa], f [Hz], R [Pa/s], t_d [s]."""
     ease = rate / (2 * math.pi * frequency * amplitude)
-    harmonic = np.array([_limited_harmonic(float(value)) for value in np.ravel(ease)]).reshape(np.shape(ease))
+    harmonic = np.vectorize(_limited_harmonic, otypes=[complex])(ease)
     gain = np.abs(harmonic)
     phase = np.angle(harmonic) - 2 * math.pi * frequency * dead_time
     return {"gain": gain + 0 * phase, "phase": phase, "answer": gain * amplitude}

@@ -127,9 +127,8 @@ def three_element_strain(
         Reference("tau", "0.248", "s", 1.0, "table of plant paper0 at 300 kPa"),
     ),
     notes=(
-        "Holds for M far below B^2 / (4 K), constant pressure, and a load below F_ce; a hanging load is mass: 46 kg "
-        "on a "
-        "MAS-20 make the fitted tau 9 % short.",
+        "Holds for M far below B^2 / (4 K), constant pressure, and a load below F_ce; a hanging load is mass: 46 kg on "
+        "a MAS-20 make the fitted tau 9 % short.",
         "A single exponential fitted behind a real regulator gives B 11 to 80 % too high: fit with the measured "
         "pressure.",
     ),
@@ -189,9 +188,8 @@ def release_response(time: Array, displacement_start: Array, stiffness: Array, d
         Reference("damping", "24.69", "N.s/mm", 1e3, "by hand: 0.355 5307 / 76.3"),
     ),
     notes=(
-        "S depends on where F_ce is taken: at x_max, as the paper does, it comes out 1.5 to 4 times lower than at x "
-        "= 0. Use "
-        "one convention in the model and in the fit.",
+        "S depends on where F_ce is taken: at x_max, as the paper does, it comes out 1.5 to 4 times lower than at x = "
+        "0. Use one convention in the model and in the fit.",
     ),
 )  # fmt: skip
 def coefficients_of_step(force_ce: Array, load: Array, displacement: Array, tau: Array) -> Values:

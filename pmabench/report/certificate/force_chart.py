@@ -1,25 +1,27 @@
-"""The second figure of the certificate: force over contraction at each pressure, measured dots on the fitted lines.
+"""The second and the third figure of the certificate: force over contraction at each pressure, and one stroke.
 
 What no trial reached is grey. The lines are F = F_ce(P) − K(P) x of the first method that gives both, bent where the
 fit found them so; dots are where strokes ended under a load, or forces at held contractions, as the analyses hold them.
+
+The stroke is measured, and run freely by the fitted muscle, with the residual below.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from pmabench.plotting.chart import Chart, Series
+from pmabench.plotting.chart import MOST_POINTS, Chart, Series, with_common_sides
 from pmabench.plotting.frame import Frame
-from pmabench.plotting.pictures import Picture, has, of_charts
-from pmabench.plotting.plots import Array
-from pmabench.plotting.wording import rounded
+from pmabench.plotting.pictures import Picture, column, has, head, label, numbers, of_charts, spread, unit_of
+from pmabench.plotting.plots import BLUE, BROWN, FAINT, QUIET, Array
+from pmabench.plotting.wording import half_width, rounded
 from pmabench.report.bends import slopes_of
 from pmabench.report.document.tables import is_number, mappings
-from pmabench.report.figures.characteristic_figures import FIGURE, MODELS
-from pmabench.store.analyses.results import Analysis, Estimate
+from pmabench.report.figures.characteristic_figures import FIGURE, MODELS, by_pressure
+from pmabench.store.analyses.results import Analysis, Trace
 
 WIDTH, HEIGHT = 510.0, 158.0
 FEWEST = 2
@@ -77,8 +79,7 @@ def force_picture(analyses: Sequence[Analysis], less: float = 0.0) -> Picture | 
     levels = _levels(analyses)
     if len(levels) < FEWEST or not any(len(level.rest) for level in levels):
         return None
-    if len(levels) > MOST:
-        levels = [levels[i] for i in np.unique(np.linspace(0, len(levels) - 1, MOST).astype(int))]
+    levels = spread(levels, MOST)
     dots = np.concatenate([np.concatenate([level.rest, level.back]) for level in levels])
     low, high, far = float(dots[:, 1].min()), float(dots[:, 1].max()), float(dots[:, 0].max())
     simulated = any(a.simulated for a in analyses)
@@ -116,7 +117,7 @@ def force_picture(analyses: Sequence[Analysis], less: float = 0.0) -> Picture | 
 def _levels(analyses: Sequence[Analysis]) -> list[Level]:
     """Pressures at which F_ce and K of one method are known, rising."""
     for method, _ in MODELS:
-        F_ce, K = (_over_pressure(analyses, symbol, method) for symbol in ("F_ce", "K"))
+        F_ce, K = (by_pressure(analyses, symbol, method) for symbol in ("F_ce", "K"))
         both = sorted(P for P in set(F_ce) & set(K) if K[P] > 0)
         if len(both) >= FEWEST:
             bends = slopes_of(analyses, (method,))
@@ -132,30 +133,20 @@ def _bend(F_ce: float, K: float, at: tuple[float, float] | None) -> tuple[float,
     return (at[0], bend) if K + 2 * bend * at[0] > 0 else (0.0, 0.0)
 
 
-def _over_pressure(analyses: Sequence[Analysis], symbol: str, method: str) -> dict[float, float]:
-    found: list[Estimate] = [
-        e for a in analyses for e in a.estimates if (e.symbol, e.method) == (symbol, method) and not e.coordinate
-    ]
-    return {e.at["pressure"]: e.value for e in found if e.value is not None and set(e.at) == {"pressure"}}
-
-
 def _measured(analyses: Sequence[Analysis], P: float) -> tuple[Array, Array]:
     """Contraction [m] and force [N] at rest near a pressure, after contracting (or held), and after relaxing."""
     rest: list[tuple[float, float]] = []
     back: list[tuple[float, float]] = []
     for a in analyses:
         for step in mappings(a.facts.get("steps")):
-            if _is_end(step) and abs(step["pressure"] - P) < SAME:
+            known = all(is_number(step.get(name)) for name in ("pressure", "load", "x_inf"))
+            if known and abs(step["pressure"] - P) < SAME:
                 (rest if step.get("phase") == "contract" else back).append((step["x_inf"], step["load"]))
         for t in a.traces:
             if t.figure == FIGURE and has(t, "pressure", "displacement", "force"):
                 near = np.abs(t.columns["pressure"] - P) < SAME
                 rest += list(zip(t.columns["displacement"][near], t.columns["force"][near], strict=True))
     return np.array(rest, dtype=np.float64).reshape(-1, 2), np.array(back, dtype=np.float64).reshape(-1, 2)
-
-
-def _is_end(step: Mapping[str, object]) -> bool:
-    return all(is_number(step.get(name)) for name in ("pressure", "load", "x_inf"))
 
 
 def _series(level: Level, share: float, reach: float) -> list[Series]:
@@ -200,3 +191,65 @@ def _table(levels: Sequence[Level]) -> Frame:
 
 def _shown(P: float) -> str:
     return f"{P / 1e3:.4g}"
+
+
+HIGH, LOW = 142.0, 82.0
+"""Heights of the two charts of a stroke [pt]."""
+
+
+def stroke_picture(analyses: Sequence[Analysis]) -> tuple[Picture, Trace] | None:
+    """The figure and the trace that it shows, the one with the largest stroke; None where no test has a free run."""
+    able = [
+        (trace, analysis)
+        for analysis in analyses
+        for trace in analysis.traces
+        if trace.figure == "overlay" and has(trace, "t", "displacement", "model")
+    ]
+    if not able:
+        return None
+    trace, analysis = max(able, key=lambda pair: float(np.nanmax(np.abs(pair[0].columns["displacement"]))))
+    t, x, model = (_thin(column(trace, name)) for name in ("t", "displacement", "model"))
+    apart = model - x
+    rms = float(np.sqrt(np.mean(apart[np.isfinite(apart)] ** 2)))
+    unit, where = unit_of(trace, "displacement").unit, head(trace)
+    stamp = "SIMULATED" if analysis.simulated else ""
+    misfit = f"{half_width(rms)} {unit} rms"
+    share = 100 * rms / float(np.ptp(x[np.isfinite(x)]) or 1.0)
+    upper = Chart(
+        x_label=label(trace, "t"),
+        y_label=f"contraction x [{unit}]",
+        series=(
+            Series("measured", t, x, FAINT, width=4.0, name_color=QUIET),
+            Series("free run", t, model, BLUE, width=1.4),
+        ),
+        width=WIDTH,
+        height=HIGH,
+        alt=f"Contraction over time at {where}: measured, and the fitted muscle on it.",
+        together="stroke",
+        stamp=stamp,
+        x_named=False,
+    )
+    lower = Chart(
+        x_label=label(trace, "t"),
+        y_label=f"free run − measured [{unit}]",
+        series=(Series("residual", t, apart, BROWN, width=1.0),),
+        width=WIDTH,
+        height=LOW,
+        alt=f"Their difference, {misfit}.",
+        words=misfit,
+        y_ticks=3,
+        together="stroke",
+    )
+    alt = f"{upper.alt} {lower.alt}"
+    caption = (
+        f"The fitted muscle with the measured pressure as its only input, from the first sample on. It "
+        f"misses this trial by {misfit}, {share:.2g} % of the stroke."
+    )
+    title = f"One stroke, {where}: measured and free run"
+    table = numbers([("", trace)], ("t", "displacement", "model"))
+    charts = with_common_sides((upper, lower))
+    return of_charts(charts, title, caption, alt, table, simulated=analysis.simulated, stacked=True), trace
+
+
+def _thin(values: Array) -> Array:
+    return values[:: max(1, -(-len(values) // MOST_POINTS))]

@@ -12,7 +12,7 @@ import numpy as np
 
 from pmabench.plotting.pictures import column, has, unit_of, usable
 from pmabench.plotting.wording import POINTS, in_order, number, point_shown, rounded
-from pmabench.report.certificate.coverage import FOLLOWING
+from pmabench.report.certificate.quality import FOLLOWING
 from pmabench.report.document.provenance import get
 from pmabench.report.document.tables import is_number, mappings
 from pmabench.report.words import reverses
@@ -82,10 +82,7 @@ def _speed(analysis: Analysis | None, runs: Sequence[RunData]) -> Line | None:
         fastest = list(_recorded(analysis))
     if not fastest or max(fastest) <= 0:
         return None
-    return (
-        "Speed",
-        f"motion faster than {rounded(1e3 * max(fastest), None, 2)} mm/s, the fastest here",
-    )
+    return "Speed", f"motion faster than {rounded(1e3 * max(fastest), None, 2)} mm/s, the fastest here"
 
 
 def _recorded(analysis: Analysis) -> Iterator[float]:

@@ -1,17 +1,39 @@
-"""Why the values can be believed, in short lines: fit statistics, checks next to the residual, findings that matter."""
+"""The second page of the certificate but for its figure: why the values can be believed, in short lines.
+
+- fit statistics, checks next to the residual, findings that matter
+- where the uncertainty comes from: one bar for each coefficient, shares of the variance by cause, at the middle
+- which operating points the results rest on: a matrix of trials used over two coordinates of the sweep. Counts come
+  from the runs where these are at hand, else from the free runs that the analysis holds
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 
 from pmabench.analysis.verdict.checks import checks_of
-from pmabench.plotting.wording import brief, clean, printed, rounded, shown, symbol_text
-from pmabench.report.document.tables import is_number
-from pmabench.report.foremost import costliest
-from pmabench.store.analyses.results import Analysis, Curve
+from pmabench.plotting.plots import BLUE, BROWN, DARK, GREEN, QUIET
+from pmabench.plotting.wording import (
+    POINTS,
+    brief,
+    clean,
+    half_width,
+    in_order,
+    number,
+    point_shown,
+    point_text,
+    printed,
+    rounded,
+    shown,
+    symbol_text,
+)
+from pmabench.report.document.tables import is_number, mappings
+from pmabench.report.foremost import costliest, left_out
+from pmabench.store.analyses.results import Analysis, Curve, Estimate
+from pmabench.store.records import RunData
 
-MOST = 4
-MOST_FINDINGS = 3
+LINES = 4
 LONGEST = 230
 """Letters of a finding on the certificate; the whole text is in the appendix."""
 SHORT = {
@@ -43,7 +65,7 @@ def statistics(analysis: Analysis) -> list[tuple[str, str]]:
         unit = shown(curve.terms[0].quantity, curve.terms[0].unit)
         rms = f"{rounded(curve.residual_rms / unit.scale, None, 2)} {unit.unit}"
         found.append((symbol_text(symbol), f"{clean(curve.form, 40)} over {clean(curve.against, 40)} within {rms} rms"))
-    return found[:MOST]
+    return found[:LINES]
 
 
 def checks(analysis: Analysis) -> list[tuple[str, str, str]]:
@@ -56,13 +78,177 @@ def checks(analysis: Analysis) -> list[tuple[str, str, str]]:
             SHORT[name],
             f"{rounded(100 * abs(known[name].value), None, 2)}\u00a0%",
         )
-        for name in order[:MOST]
+        for name in order[:LINES]
     ]
 
 
 def findings(tests: Sequence[Analysis], failed: Sequence[str]) -> tuple[list[str], int]:
     """What costs most, at most three, and how many more findings the appendix has."""
-    found = costliest(tests, failed)
-    notes = sum(f.level == "note" for a in tests for f in a.findings)
-    cut = [brief(text, LONGEST) for text in found[:MOST_FINDINGS]]
-    return [f"{text[:1].upper()}{text[1:]}" for text in cut], len(found[MOST_FINDINGS:]) + notes
+    found, more = costliest(tests, failed)
+    return [f"{text[:1].upper()}{text[1:]}" for text in (brief(text, LONGEST) for text in found)], more
+
+
+COLORS = {"repeats": BLUE, "calibration": BROWN, "method": GREEN, "drift": QUIET, "skew": DARK}
+"""Cause -> its colour; the same words are in the appendix."""
+BARS = 5
+SMALL = 0.005
+"""Share of the variance below which a piece is not drawn."""
+
+
+@dataclass(frozen=True)
+class Bar:
+    """One coefficient: half width in per cent, pieces (cause, colour, share from 0 to 1), its largest single source."""
+
+    symbol: str
+    percent: str
+    pieces: list[tuple[str, str, float]]
+    largest: str
+
+
+@dataclass(frozen=True)
+class Sources:
+    """Bars at one operating point, and the causes that are in them."""
+
+    where: str
+    bars: list[Bar]
+    causes: list[tuple[str, str]]
+
+
+def sources(members: Sequence[Estimate], over: str) -> Sources | None:
+    """The bars for the values of the first table, each symbol at the middle of `over`; None without any interval."""
+    known = [e for e in members if e.value and e.parts.combined]
+    places = sorted({e.at.get(over, 0.0) for e in known})
+    if not places:
+        return None
+    middle = places[len(places) // 2]
+    here = {e.symbol: e for e in known if e.at.get(over, 0.0) == middle}
+    bars = [_bar(e) for e in list(here.values())[:BARS]]
+    if not bars:
+        return None
+    used = {cause for bar in bars for cause, _, _ in bar.pieces}
+    at = next(iter(here.values())).at
+    where = point_text({over: at[over]} if over in at else at)
+    return Sources(where, bars, [(cause, color) for cause, color in COLORS.items() if cause in used])
+
+
+def _bar(e: Estimate) -> Bar:
+    combined = e.parts.combined or 1.0
+    shares = {cause: ((part or 0.0) / combined) ** 2 for cause, part in vars(e.parts).items()}
+    pieces = [(cause, COLORS[cause], shares[cause]) for cause in COLORS if shares.get(cause, 0.0) >= SMALL]
+    largest = max(e.budget, key=lambda s: s.half or 0.0, default=None)
+    words = ""
+    if largest is not None and largest.half:
+        words = f"{clean(largest.name, 60)}, {100 * min(1.0, largest.half / combined) ** 2:.0f} %"
+    elif pieces:
+        cause, _, share = max(pieces, key=lambda piece: piece[2])
+        words = f"{cause}, {100 * share:.0f} %"
+    return Bar(symbol_text(e.symbol), half_width(100 * combined / abs(e.value or 1.0)), pieces, words)
+
+
+MOST_ROWS, MOST_COLUMNS = 9, 12
+FOLLOWING = ("mass", "cycles", "speed")
+"""Coordinates that follow from others."""
+Point = Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Box:
+    """Trials of one operating point: how many are used, and how many were left out."""
+
+    used: int
+    left: int
+
+    @property
+    def text(self) -> str:
+        """What is printed: `2`, `1 !` where others were left out, nothing where none was planned."""
+        return f"{self.used or ''}{' !' if self.left and self.used else ''}".strip()
+
+    @property
+    def look(self) -> str:
+        """`used`, `none` (all were left out) or `empty`."""
+        return "used" if self.used else "none" if self.left else "empty"
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """The matrix; `down` and `across` name its sides with their units."""
+
+    down: str
+    across: str
+    columns: list[str]
+    rows: list[tuple[str, list[Box]]]
+    used: int
+    left: int
+    words: str
+    """Why trials were left out; empty where none was."""
+
+
+def coverage(analysis: Analysis, runs: Sequence[RunData]) -> Coverage | None:
+    """The matrix of one analysis; None where its trials name no operating point."""
+    used, left = _counts(analysis, runs)
+    every = [dict(point) for point in (*used, *left)]
+    names = [
+        name
+        for name in in_order((key for point in every for key in point), POINTS)
+        if name not in FOLLOWING and len({point.get(name) for point in every}) > 1
+    ]
+    names = names or in_order((key for point in every for key in point if key not in FOLLOWING), POINTS)[:1]
+    if not names:
+        return None
+    across = "pressure" if "pressure" in names else names[0]
+    down = next((name for name in names if name != across), "")
+    columns = sorted({point[across] for point in every if across in point})
+    rows = sorted({point[down] for point in every if down in point}, reverse=True) if down else [0.0]
+    if not columns or not rows:
+        return None
+    columns, rows = columns[:: -(-len(columns) // MOST_COLUMNS)], rows[:: -(-len(rows) // MOST_ROWS)]
+
+    def box(row: float, column: float) -> Box:
+        def there(key: Key) -> bool:
+            at = dict(key)
+            return at.get(across) == column and (not down or at.get(down) == row)
+
+        return Box(*(sum(n for key, n in counts.items() if there(key)) for counts in (used, left)))
+
+    return Coverage(
+        _head(down) if down else "",
+        _head(across),
+        [_value(across, column) for column in columns],
+        [(_value(down, row) if down else "all", [box(row, column) for column in columns]) for row in rows],
+        used.total(),
+        left.total(),
+        left_out(analysis.dropped),
+    )
+
+
+Key = tuple[tuple[str, float], ...]
+
+
+def _counts(analysis: Analysis, runs: Sequence[RunData]) -> tuple[Counter[Key], Counter[Key]]:
+    """Trials that are used and left out, by operating point."""
+    left = Counter(_key(one.point) for one in analysis.dropped)
+    out = {one.trial for one in analysis.dropped}
+    mine = [t for run in runs if run.id in analysis.runs for t in run.trials]
+    if mine:
+        return Counter(_key(t.point) for t in mine if t.name not in out and t.status == "finished"), left
+    return Counter(dict(_free_runs(analysis))), left
+
+
+def _free_runs(analysis: Analysis) -> Iterator[tuple[Key, int]]:
+    for row in mappings(analysis.facts.get("free_run")):
+        point = {name: row[name] for name in ("pressure", "load") if is_number(row.get(name))}
+        if point and is_number(row.get("trials")):
+            yield _key(point), int(row["trials"])
+
+
+def _key(point: Point) -> Key:
+    return tuple(sorted((k, float(f"{v:.6g}")) for k, v in point.items() if k not in FOLLOWING))
+
+
+def _head(name: str) -> str:
+    label, unit = point_shown(name)
+    return unit.label(label)
+
+
+def _value(name: str, value: float) -> str:
+    return number(float(f"{value / point_shown(name)[1].scale:.4g}"))

@@ -12,8 +12,7 @@ from dataclasses import dataclass, field
 from pmabench.plotting.wording import clean, number, point_shown, rounded, shown, symbol_text
 from pmabench.report.bends import slopes_of
 from pmabench.report.document.tables import cell, matrix_table, two_coordinates
-from pmabench.report.foremost import richest
-from pmabench.report.terminal_coefficients import reasons
+from pmabench.report.foremost import reasons, richest
 from pmabench.report.words import declared
 from pmabench.store.analyses.results import AGREEMENT, Analysis, Estimate
 

@@ -17,13 +17,10 @@ from pmabench.plotting.pictures import Picture, drawable
 from pmabench.plotting.wording import brief, clean, number
 from pmabench.report.certificate import limits as not_for
 from pmabench.report.certificate import quality
-from pmabench.report.certificate.coefficient_charts import coefficient_picture
-from pmabench.report.certificate.coverage import Coverage, coverage
-from pmabench.report.certificate.force_chart import force_picture
+from pmabench.report.certificate.coefficient_charts import coefficient_picture, surface_picture
+from pmabench.report.certificate.force_chart import force_picture, stroke_picture
+from pmabench.report.certificate.quality import Coverage, Sources, coverage, sources
 from pmabench.report.certificate.result_table import ResultTable, result_table
-from pmabench.report.certificate.sources import Sources, sources
-from pmabench.report.certificate.stroke_chart import stroke_picture
-from pmabench.report.certificate.surface_chart import surface_picture
 from pmabench.report.document import provenance
 from pmabench.report.document.front import Verdict, tiles_of
 from pmabench.report.document.tables import two_coordinates

@@ -14,9 +14,6 @@ from pmabench.report.document.provenance import get
 from pmabench.store.analyses.results import Analysis, Estimate
 from pmabench.store.records import RunData
 
-Answer = tuple[str, str, bool, str]
-"""Clause, what it asks for, whether that is there, and where, or what to do."""
-
 
 @dataclass(frozen=True)
 class Issuer:
@@ -60,19 +57,19 @@ def checklist(
     sources = all(run.manifest.get("source") or run.manifest.get("protocol") for run in runs) and bool(runs)
     mounted = all(get(run.manifest, "specimen", "mounted") for run in runs) and bool(runs)
     session = all(run.manifest.get("session") for run in runs) and bool(runs)
-    items = [
-        ("7.8.2.1 a", "a title", True, "first page"),
+    return [
+        Item("7.8.2.1 a", "a title", True, "first page"),
         _asked("7.8.2.1 b, c", "the laboratory, its address, where it was tested", issuer.laboratory, "--laboratory"),
-        ("7.8.2.1 d", "an identification on every page", True, "the report's number is at the foot of each page"),
+        Item("7.8.2.1 d", "an identification on every page", True, "the report's number is at the foot of each page"),
         _asked("7.8.2.1 e", "the customer", issuer.customer, "--customer"),
         _either("7.8.2.1 f", "the method", sources, "Protocol, Methods", "name the source in the protocol"),
         _either("7.8.2.1 g", "the item, unmistakably", bool(specimen), specimen, "give make, type and serial number"),
         _either("7.8.2.1 g", "its condition", mounted, "first page", "give the specimen's `mounted` in its file"),
         _either("7.8.2.1 i", "dates of the tests", bool(when), when, "the runs are not at hand"),
         _asked("7.8.2.1 j", "date of issue", issuer.issued, "--issued"),
-        ("7.8.2.1 l", "“relates only to the items tested”", True, "Provenance"),
+        Item("7.8.2.1 l", "“relates only to the items tested”", True, "Provenance"),
         _either("7.8.2.1 m", "results with units", bool(estimates), "first page, All values", "there is no result"),
-        (
+        Item(
             "7.8.2.1 n",
             "deviations, additions, exclusions",
             bool(runs),
@@ -86,7 +83,7 @@ def checklist(
             "warm-up, self-test and zeros: session of each run",
             "no session with zeros and supply is in the record; room temperature and supply are not known",
         ),
-        (
+        Item(
             "7.8.3.1 b",
             "conformity, where it is asked for",
             True,
@@ -94,10 +91,9 @@ def checklist(
         ),
         *_measurement(estimates, runs),
     ]
-    return [Item(clause, asked, there, said) for clause, asked, there, said in items]
 
 
-def _measurement(estimates: Sequence[Estimate], runs: Sequence[RunData]) -> Iterator[Answer]:
+def _measurement(estimates: Sequence[Estimate], runs: Sequence[RunData]) -> Iterator[Item]:
     """Uncertainty of the values, and calibration of the channels behind them."""
     without = sum(e.ci95 is None for e in estimates)
     yield _either(
@@ -118,9 +114,9 @@ def _measurement(estimates: Sequence[Estimate], runs: Sequence[RunData]) -> Iter
     )
 
 
-def _asked(clause: str, asked: str, answer: str, option: str) -> Answer:
-    return clause, asked, bool(answer), answer or f"not given; use {option}, or write it by hand"
+def _asked(clause: str, asked: str, answer: str, option: str) -> Item:
+    return Item(clause, asked, bool(answer), answer or f"not given; use {option}, or write it by hand")
 
 
-def _either(clause: str, asked: str, there: bool, where: str, otherwise: str) -> Answer:
-    return clause, asked, there, where if there else otherwise
+def _either(clause: str, asked: str, there: bool, where: str, otherwise: str) -> Item:
+    return Item(clause, asked, there, where if there else otherwise)

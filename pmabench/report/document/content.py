@@ -86,7 +86,6 @@ class Content:
     missing: list[str]
     verdict: Verdict
     failed: list[str]
-    accept: list[str]
     findings: list[list[str]]
     """Level, test and text."""
     tiles: list[Tile]
@@ -143,8 +142,9 @@ def content_of(
     identity = _identity(analyses, runs, published)
     failed = [wording.clean(text) for text in verdicts(runs, analyses)]
     analyses, theirs, compared = overlays.with_published(distinct(analyses), published, overlays.length_of(runs))
-    judged = _judged(analyses, runs, names, failed)
-    sheet = sheet_of(analyses, theirs, runs, names, judged["verdict"], failed)
+    accepted = any(limits_of(run) for run in runs)
+    verdict = verdict_of(analyses, runs, failed, accepted=accepted)
+    sheet = sheet_of(analyses, theirs, runs, names, verdict, failed)
     front = [figures.add(p) for p in (*sheet.first, *sheet.second)]
     sections = _together(analyses, figures)
     sections += [_section(a, figures, sheet.used, parents) for a in analyses if a.estimates or a.kind != AGREEMENT]
@@ -163,6 +163,8 @@ def content_of(
         simulated=any(simulated),
         mixed=any(simulated) and not all(simulated),
         tested=", ".join(title.lower() if n else title for n, title in enumerate(kinds)),
+        verdict=verdict,
+        failed=failed,
         missing=[wording.clean(run, 200) for run in ids if run not in {r.id for r in runs}],
         sheet=sheet,
         front=front,
@@ -172,12 +174,9 @@ def content_of(
         publishers=[(wording.clean(p.label, 80), wording.clean(p.source, 600)) for p in published],
         calibrations=grid(provenance.calibration_table(runs, names, reduced_with(analyses)), group=False),
         issuer=who,
-        checklist=checklist(
-            analyses, runs, who, specimen=specimen, when=when, deviations=remarks, accepted=bool(judged["accept"])
-        ),
+        checklist=checklist(analyses, runs, who, specimen=specimen, when=when, deviations=remarks, accepted=accepted),
         paragraph=methods_paragraph(analyses, runs),
         cite=citation(name, identity, when, any(simulated)),
-        **judged,
         **about_runs,
         **_results(analyses, names, parents),
     )
@@ -195,21 +194,12 @@ def page_of(content: Content, *, long: bool = False) -> str:
     return render("report.html.j2", vars(content) | more)
 
 
-def _judged(
-    analyses: Sequence[Analysis], runs: Sequence[RunData], names: Mapping[str, str], failed: list[str]
-) -> dict[str, Any]:
-    """Fields of `Content` that say what the results are worth; `failed`: why they are not accepted."""
-    accept = list(dict.fromkeys(wording.clean(limit.short, 80) for run in runs for limit in limits_of(run)))
+def _findings(analyses: Sequence[Analysis], names: Mapping[str, str]) -> list[list[str]]:
+    """Level, test and text of every finding, with runs as the report names them."""
     findings = tables.findings_table(analyses)
     for row in findings.rows:
         row["finding"] = _named(row["finding"], names)
-    return {
-        "verdict": verdict_of(analyses, runs, failed, accepted=bool(accept)),
-        "failed": failed,
-        "accept": accept,
-        "findings": findings.cells(),
-        "tiles": tiles_of(analyses),
-    }
+    return findings.cells()
 
 
 def _about_runs(runs: Sequence[RunData], names: Mapping[str, str]) -> dict[str, Any]:
@@ -229,8 +219,10 @@ def _about_runs(runs: Sequence[RunData], names: Mapping[str, str]) -> dict[str, 
 
 
 def _results(analyses: Sequence[Analysis], names: Mapping[str, str], parents: Parents) -> dict[str, Any]:
-    """Fields of `Content` with coefficients, curves and methods."""
+    """Fields of `Content` with findings, coefficients, curves and methods."""
     return {
+        "findings": _findings(analyses, names),
+        "tiles": tiles_of(analyses),
         "coefficients": _primary(analyses),
         "compared": [grid(t.frame, t.caption) for t in tables.method_tables(analyses)],
         "curves": grid(tables.curves_table(analyses), group=True),

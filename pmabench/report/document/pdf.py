@@ -54,19 +54,16 @@ def pdf_bytes(content: Content) -> bytes:
         fonts = Path(mpl.get_data_path()) / "fonts" / "ttf"
         known = FT2Font(str(fonts / "DejaVuSans.ttf")).get_charmap()
         try:
-            return packed(
-                bytes(
-                    typst.compile(
-                        str(folder / "report.typ"),
-                        root=str(folder),
-                        font_paths=[str(fonts)],
-                        ignore_system_fonts=all(ord(sign) in known for sign in set(content_json)),
-                        format="pdf",
-                        pdf_standards="ua-1",
-                        timestamp=0,
-                    )
-                )
+            data = typst.compile(
+                str(folder / "report.typ"),
+                root=str(folder),
+                font_paths=[str(fonts)],
+                ignore_system_fonts=all(ord(sign) in known for sign in set(content_json)),
+                format="pdf",
+                pdf_standards="ua-1",
+                timestamp=0,
             )
+            return packed(bytes(data))
         except (RuntimeError, typst.TypstError) as error:
             raise PmaError(f"typst could not set the PDF: {clean(error, 300)}; write the HTML page alone") from error
 

@@ -11,7 +11,8 @@ from typing import Any
 from pmabench.analysis.verdict.checks import NAMES, checks_of
 from pmabench.plotting.frame import Frame
 from pmabench.plotting.wording import clean, half_width, number, point_shown, point_text, rounded, shown, symbol_text
-from pmabench.report.document.tables import Table, half_of, is_number, least, mappings, note_text
+from pmabench.report.document.provenance import get
+from pmabench.report.document.tables import Table, half_of, is_number, least, mappings, note_text, numbers_of
 from pmabench.report.words import kind_title
 from pmabench.store.analyses.results import Analysis, Estimate
 
@@ -79,8 +80,7 @@ def check_tables(analysis: Analysis) -> Iterator[Table]:
     ]
     if rows:
         yield Table("Checks other than the residual", Frame(rows))
-    free_runs = analysis.facts.get("free_run")
-    runs = [row for entry in (free_runs if isinstance(free_runs, list | tuple) else ()) if (row := _run(entry))]
+    runs = [row for entry in mappings(analysis.facts.get("free_run")) if (row := _run(entry))]
     if runs:
         caption = (
             "The fitted muscle run freely through whole trials with the measured pressure: NRMSE = "
@@ -90,10 +90,8 @@ def check_tables(analysis: Analysis) -> Iterator[Table]:
         yield Table(caption, Frame(runs))
 
 
-def _run(entry: Any) -> dict[str, str]:
+def _run(entry: Mapping[str, Any]) -> dict[str, str]:
     """One row; empty for what is none."""
-    if not isinstance(entry, Mapping):
-        return {}
     row = {}
     for name in ("pressure", "load"):
         label, unit = point_shown(name)
@@ -133,23 +131,22 @@ def reduced_with(analyses: Sequence[Analysis]) -> dict[tuple[str, str], str]:
 
 def _calibration(record: Any, scale: Mapping[str, Any]) -> str:
     """The new calibration in words: id, date, reference and hash."""
-    about = record if isinstance(record, Mapping) else {}
-    after = scale.get("after")
-    parts = [str(about.get("id") or (after.get("calibration") if isinstance(after, Mapping) else "") or "not named")]
-    parts += [str(about[key]) for key in ("date", "reference") if about.get(key)]
-    if about.get("sha256"):
-        parts.append(f"sha256 {str(about['sha256'])[:12]}")
+    parts = [str(get(record, "id") or get(scale, "after", "calibration") or "not named")]
+    parts += [str(record[key]) for key in ("date", "reference") if get(record, key)]
+    if get(record, "sha256"):
+        parts.append(f"sha256 {str(record['sha256'])[:12]}")
     return clean(", ".join(parts), 200)
 
 
 def who(analyses: Sequence[Analysis]) -> Iterator[tuple[tuple[str, ...], str]]:
     """The runs of each recalibration, and a sentence: what, when, by whom and why."""
     for analysis in analyses:
-        recalibration, channels = analysis.facts.get("recalibration"), mappings(analysis.facts.get("recalibrated"))
+        channels = mappings(analysis.facts.get("recalibrated"))
         if not channels:
             continue
-        about = recalibration if isinstance(recalibration, Mapping) else {}
-        when, by, because = (clean(about.get(key) or "", 300) for key in ("at", "operator", "because"))
+        when, by, because = (
+            clean(get(analysis.facts, "recalibration", key) or "", 300) for key in ("at", "operator", "because")
+        )
         day = f" on {when[:16].replace('T', ' ')} UTC" if when else ""
         why = f"because {because}" if because else "no reason was given"
         what = "; ".join(clean(channel.get("sentence", ""), 300) for channel in channels)
@@ -158,12 +155,7 @@ def who(analyses: Sequence[Analysis]) -> Iterator[tuple[tuple[str, ...], str]]:
 
 def change_tables(analysis: Analysis) -> Iterator[Table]:
     """Every coefficient before and after; one table, none without a recalibration."""
-    recalibration = analysis.facts.get("recalibration")
-    rows = [
-        row
-        for entry in mappings(recalibration.get("changes") if isinstance(recalibration, Mapping) else None)
-        if (row := _row(entry))
-    ]
+    rows = [row for entry in mappings(get(analysis.facts, "recalibration", "changes")) if (row := _row(entry))]
     if rows:
         caption = (
             "What the recalibration changed: as recorded, as reduced here, difference with the 95 % half width "
@@ -174,26 +166,23 @@ def change_tables(analysis: Analysis) -> Iterator[Table]:
 
 def _row(entry: Mapping[str, Any]) -> dict[str, str]:
     """One row; empty for what is none."""
-    symbol, at = entry.get("symbol"), entry.get("at")
+    symbol = entry.get("symbol")
     if not isinstance(symbol, str):
         return {}
     unit = shown(str(entry.get("quantity", "")), str(entry.get("unit", "")))
-    point = {str(k): float(v) for k, v in at.items() if is_number(v)} if isinstance(at, Mapping) else {}
     row = {
         "method": clean(entry.get("method", ""), 120),
         "coefficient": symbol_text(symbol, str(entry.get("coordinate", ""))),
-        "at": point_text(point),
+        "at": point_text(numbers_of(entry.get("at"))),
         "unit": unit.unit,
     }
     values = {}
     for side, head in (("before", "as recorded"), ("after", "as reduced here")):
-        about = entry.get(side)
-        value = about.get("value") if isinstance(about, Mapping) else None
-        ends = about.get("ci95") if isinstance(about, Mapping) else None
+        value = get(entry, side, "value")
         row[head] = "none"
         if is_number(value):
             values[side] = float(value)
-            row[head] = unit.rounded(value, half_of(ends))
+            row[head] = unit.rounded(value, half_of(get(entry, side, "ci95")))
     if len(values) == 2:
         difference, size = values["after"] - values["before"], abs(values["before"])
         half_width, small = entry.get("half_width"), abs(difference) <= SAME * size

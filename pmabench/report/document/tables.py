@@ -5,7 +5,7 @@ Cells are text, rounded as their interval says; numbers for programs are in `csv
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import radians
 from typing import Any, TypeGuard
@@ -53,17 +53,16 @@ class Table:
 
 def cell(estimate: Estimate) -> str:
     """An estimate as text in its display unit, without the unit: `7.552 ± 0.021`; a bound as `≤ 0.04`."""
-    scale = shown(estimate.quantity, estimate.unit).scale
-    half = estimate.parts.combined
+    unit, half = shown(estimate.quantity, estimate.unit), estimate.parts.combined
     if estimate.value is None and estimate.bound is not None:
-        return f"{AT_MOST}{shown(estimate.quantity, estimate.unit).rounded(estimate.bound, digits=3)}"
+        return f"{AT_MOST}{unit.rounded(estimate.bound, digits=3)}"
     if estimate.value is None:
         return WITHHELD if estimate.withheld else "not identifiable"
-    if 0 < max(abs(estimate.value), half or 0.0) / scale < least(estimate):
+    if 0 < max(abs(estimate.value), half or 0.0) / unit.scale < least(estimate):
         return UNRESOLVED
     if half is not None and estimate.positive and 0 <= estimate.value < half:
-        return cut(estimate.value / scale, half / scale)
-    return shown(estimate.quantity, estimate.unit).rounded(estimate.value, half)
+        return cut(estimate.value / unit.scale, half / unit.scale)
+    return unit.rounded(estimate.value, half)
 
 
 def note_text(estimate: Estimate) -> str:
@@ -79,9 +78,14 @@ def least(estimate: Estimate) -> float:
 
 def coefficient_table(analyses: Sequence[Analysis]) -> Frame:
     """F_ce, K, B_c, B_r, ... with their 95 % intervals: one row per method and pressure, rounded text."""
-    chosen = [e for analysis in analyses for e in analysis.estimates if set(e.at) == {"pressure"} and not e.coordinate]
+    return pivot_table(_over_pressure(e for a in analyses for e in a.estimates), declared(analyses))
+
+
+def _over_pressure(estimates: Iterable[Estimate]) -> list[Estimate]:
+    """Those over pressure alone, by the methods that give a coefficient of the table."""
+    chosen = [e for e in estimates if set(e.at) == {"pressure"} and not e.coordinate]
     methods = {e.method for e in chosen if e.symbol in COEFFICIENTS}
-    return pivot_table([e for e in chosen if e.method in methods], declared(analyses))
+    return [e for e in chosen if e.method in methods]
 
 
 def primary_table(analyses: Sequence[Analysis]) -> tuple[Frame, str]:
@@ -109,7 +113,7 @@ def primary_table(analyses: Sequence[Analysis]) -> tuple[Frame, str]:
 
 def method_tables(analyses: Sequence[Analysis]) -> list[Table]:
     """For each coefficient that several methods give, one row per pressure and one column per method; text."""
-    chosen = [e for a in analyses for e in a.estimates if set(e.at) == {"pressure"} and not e.coordinate]
+    chosen = _over_pressure(e for a in analyses for e in a.estimates)
     tables = []
     results = declared(analyses)
     for symbol, result in results.items():
@@ -137,13 +141,11 @@ def _by_point(estimates: Sequence[Estimate], results: Mapping[str, Result], colu
 
 def other_tables(analysis: Analysis) -> list[Table]:
     """All estimates that are not in the coefficient table, one table for each kind of operating point."""
-    chosen = [e for e in analysis.estimates if set(e.at) == {"pressure"} and not e.coordinate]
-    methods = {e.method for e in chosen if e.symbol in COEFFICIENTS}
+    elsewhere = {id(e) for e in _over_pressure(analysis.estimates)}
     groups: dict[tuple[str, ...], list[Estimate]] = {}
     for e in analysis.estimates:
-        if set(e.at) == {"pressure"} and not e.coordinate and e.method in methods:
-            continue
-        groups.setdefault(tuple(sorted(e.at)), []).append(e)
+        if id(e) not in elsewhere:
+            groups.setdefault(tuple(sorted(e.at)), []).append(e)
     tables = []
     results = declared([analysis])
     for names, members in groups.items():
@@ -191,8 +193,7 @@ def pivot_table(estimates: Sequence[Estimate], results: Mapping[str, Result]) ->
             row[point_head(name)] = number(e.at[name] / point_shown(name)[1].scale) if name in e.at else ""
         row[_column(e)] = cell(e)
     heads = [point_head(name) for name in names]
-    frame = Frame([rows[key] for key in sorted(rows)], columns=["method", *heads, *columns])
-    return frame
+    return Frame([rows[key] for key in sorted(rows)], columns=["method", *heads, *columns])
 
 
 def two_coordinates(members: Sequence[Estimate], over: str) -> str:
@@ -337,17 +338,16 @@ def tuning_table(analyses: Sequence[Analysis]) -> Frame:
     """Controller settings of every rule, ideal and parallel form, with margins where a model is known; text."""
     rows = []
     for entry in (e for a in analyses for e in mappings(a.facts.get("tuning"))):
-        row = {"operating point": point_text(_numbers(entry.get("at"))), "rule": clean(entry.get("rule", ""))}
+        row = {"operating point": point_text(numbers_of(entry.get("at"))), "rule": clean(entry.get("rule", ""))}
         gains = entry.get("gains")
         for symbol, found in gains.items() if isinstance(gains, Mapping) else ():
             if not isinstance(found, Mapping):
                 continue
             unit = shown(str(found.get("quantity", "")), str(found.get("unit", "")))
-            value, ends = found.get("value"), found.get("ci95")
-            if not isinstance(value, int | float):
-                continue
-            row[unit.label(clean(symbol))] = unit.rounded(value, half_of(ends))
-        margins = _numbers(entry.get("margins"))
+            value = found.get("value")
+            if isinstance(value, int | float):
+                row[unit.label(clean(symbol))] = unit.rounded(value, half_of(found.get("ci95")))
+        margins = numbers_of(entry.get("margins"))
         for name, head, scale in _MARGINS:
             if name in margins:
                 row[head] = rounded(margins[name] / scale, None, 3)
@@ -386,7 +386,7 @@ def half_of(ends: Any) -> float | None:
     return (ends[1] - ends[0]) / 2 if pair else None
 
 
-def _numbers(value: Any) -> dict[str, float]:
+def numbers_of(value: Any) -> dict[str, float]:
     """The numbers of a mapping; facts may hold anything."""
     return {str(k): float(v) for k, v in value.items() if is_number(v)} if isinstance(value, Mapping) else {}
 

@@ -12,10 +12,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pmabench.plotting.frame import Frame
-from pmabench.plotting.pictures import Picture, bound, drawable, has, picture
+from pmabench.plotting.pictures import Picture, bound, drawable, has, picture, spread
 from pmabench.plotting.plots import FAINT, FULL, INK, PALETTE, Array, blank, few_ticks, grid
 from pmabench.plotting.wording import rounded, shown
 from pmabench.report.bends import bend_of
+from pmabench.report.document.tables import is_number
 from pmabench.store.analyses.results import Analysis, Estimate, Trace
 
 if TYPE_CHECKING:
@@ -49,15 +50,12 @@ class _Model:
         self.words, self.bend = "", None
         self.P, self.F_ce, self.K = np.empty(0), np.empty(0), np.empty(0)
         for method, words in MODELS:
-            known = {
-                symbol: {e.at["pressure"]: e.value or 0.0 for e in _over_pressure(analyses, symbol, method)}
-                for symbol in ("F_ce", "K")
-            }
-            both = sorted(set(known["F_ce"]) & set(known["K"]))
+            known = [by_pressure(analyses, symbol, method) for symbol in ("F_ce", "K")]
+            both = sorted(set(known[0]) & set(known[1]))
             if len(both) > 1:
                 self.words, self.bend = words, bend_of(analyses, (method,))
                 self.P = np.array(both)
-                self.F_ce, self.K = (np.array([known[symbol][P] for P in both]) for symbol in ("F_ce", "K"))
+                self.F_ce, self.K = (np.array([values[P] for P in both]) for values in known)
                 return
 
     def force(self, P: float, x: Array) -> Array:
@@ -84,6 +82,11 @@ def _over_pressure(analyses: Sequence[Analysis], symbol: str, method: str) -> li
     return sorted((e for e in found if e.value is not None), key=lambda e: e.at["pressure"])
 
 
+def by_pressure(analyses: Sequence[Analysis], symbol: str, method: str) -> dict[float, float]:
+    """Values of a symbol by one method [SI] over the pressure alone [Pa]."""
+    return {e.at["pressure"]: e.value or 0.0 for e in _over_pressure(analyses, symbol, method)}
+
+
 def _points(estimates: Sequence[Estimate]) -> tuple[Array, Array, Array]:
     P = np.array([e.at["pressure"] for e in estimates])
     return P, np.array([e.value or 0.0 for e in estimates]), np.array([e.parts.combined or 0.0 for e in estimates])
@@ -96,7 +99,7 @@ def _nominal(analyses: Sequence[Analysis]) -> float:
         specimen = a.facts.get("specimen")
         if value is None and isinstance(specimen, dict):
             value = specimen.get("nominal_length")
-        if isinstance(value, int | float) and not isinstance(value, bool) and value > 0:
+        if is_number(value) and value > 0:
             return float(value)
     return float("nan")
 
@@ -242,7 +245,7 @@ def _number(value: float, form: str) -> str:
 def _chosen(every: Sequence[float], wanted: Sequence[float]) -> list[float]:
     """At most `PRESSURES` of them, the highest among them, those of the ramps first, the rest evenly spread."""
     kept = sorted({P for P in every if any(abs(P - other) < SAME for other in wanted)} | {every[-1]})
-    kept = [kept[i] for i in np.unique(np.linspace(0, len(kept) - 1, min(PRESSURES, len(kept))).astype(int))]
+    kept = spread(kept, PRESSURES)
     while len(kept) < min(PRESSURES, len(every)):
         left = [P for P in every if P not in kept]
         kept.append(max(left, key=lambda P: min(abs(P - other) for other in kept)))

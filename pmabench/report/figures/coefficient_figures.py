@@ -19,6 +19,7 @@ from pmabench.plotting.wording import (
     Shown,
     clean,
     in_order,
+    listed,
     number,
     point_shown,
     shown,
@@ -108,7 +109,7 @@ def _figure(
     unit, (x_label, x_unit) = _sized(units.pop(), known), point_shown(over)
     points = _points(members, over, unit, x_unit)
     titled = {e.symbol: results.get(e.symbol) for e in known}
-    names = _and([clean(f"{result.title if result else ''} {s}".strip()) for s, result in titled.items()])
+    names = listed([clean(f"{result.title if result else ''} {s}".strip()) for s, result in titled.items()])
     y_label = unit.label(", ".join(clean(s) for s in in_order(titled, results)))
     ends = sorted(e.at[over] / x_unit.scale for e in known)
     values = sorted((e.value or 0.0) / unit.scale for e in known)
@@ -116,7 +117,7 @@ def _figure(
     methods = dict.fromkeys(clean(e.method, 60) for e in known)
     alt = (
         f"Plot of {names} over {x_label}, {reach}; values between {values[0]:.4g} and {values[-1]:.4g} {unit.unit}, "
-        f"by {_and(list(methods))}. The numbers are in the table below the figure."
+        f"by {listed(list(methods))}. The numbers are in the table below the figure."
     )
     leading = next(iter(titled.values()))
     named = names[:1].upper() + names[1:] if leading and leading.title else names
@@ -176,12 +177,12 @@ def _caption(points: Sequence[Points], members: Sequence[tuple[Analysis, Estimat
     caption += "; filled: primary method of each test, open: others." if mixed else "."
     theirs = [clean(e.method, 60) for a, e in members if a.kind == PUBLISHED and e.value is not None]
     if theirs:
-        caption += f" Crosses: {_and(list(dict.fromkeys(theirs)))}, not measured here."
+        caption += f" Crosses: {listed(list(dict.fromkeys(theirs)))}, not measured here."
     for withheld, word in ((False, "Not identifiable"), (True, "Withheld")):
         missing = [e for _, e in members if e.value is None and e.withheld == withheld]
         if missing:
             where = [f"{e.symbol} at {number(e.at[over] / x_unit.scale)} {x_unit.unit}".strip() for e in missing[:6]]
-            caption += f" {word}: {_and(where)}{' and others' if len(missing) > 6 else ''}."
+            caption += f" {word}: {listed(where)}{' and others' if len(missing) > 6 else ''}."
     return caption
 
 
@@ -193,10 +194,6 @@ def _sized(unit: Shown, known: Sequence[Estimate]) -> Shown:
     power = 3 * floor(log10(largest) / 3)
     power_text = f"10{str(power).translate(RAISED)}"
     return Shown(f"{power_text} {unit.unit}".rstrip(), unit.scale * 10.0**power)
-
-
-def _and(words: Sequence[str]) -> str:
-    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}" if words else ""
 
 
 def reach_of(e: Estimate) -> tuple[float, float]:

@@ -112,7 +112,7 @@ def _drawn_by(kind: str) -> dict[str, set[str]]:
 
 def _generic(traces: Sequence[Trace], simulated: bool) -> list[Picture]:
     found = []
-    for trace in spread(list(traces), GENERIC):
+    for trace in spread(traces, GENERIC):
         names = [name for name in trace.columns if has(trace, name)]
         if len(names) < 2:
             continue
@@ -164,7 +164,7 @@ def _where(e: Estimate, rate: str, alike: Sequence[str]) -> str:
 def _energy(mine: Sequence[Estimate], rate: str, simulated: bool) -> Picture:
     alike = [name for name in mine[0].at if name != "pressure" and len({e.at.get(name) for e in mine}) == 1]
     places = list(dict.fromkeys(_where(e, rate, alike) for e in mine))
-    kept = [places[i] for i in np.unique(np.linspace(0, len(places) - 1, min(MOST, len(places))).astype(int))]
+    kept = spread(places, MOST)
     series: list[Series] = []
     for place in kept:
         for symbol in SYMBOLS:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from pmabench.analysis.verdict.comparison import Change
 from pmabench.plotting.wording import Shown, plain_unit, point_text, shown, symbol_text
+from pmabench.report.document.special_tables import SAME
 from pmabench.report.files.csv_files import csv_text
 from pmabench.report.terminal import print_grid
 from pmabench.report.writing import write_file
@@ -20,8 +21,6 @@ if TYPE_CHECKING:
 
 NAME = "changes"
 SCHEMA = "pmabench.changes/1"
-SAME = 1e-7
-"""Share of a value below which a difference is that of rounding and of where a fit stops."""
 HEADS = ("kind", "coefficient", "at", "unit", "before", "after", "difference", "%", "method")
 
 
