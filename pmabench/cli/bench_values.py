@@ -14,7 +14,7 @@ import click
 from pmabench.base.errors import DeviceError, UsageError, did_you_mean
 from pmabench.base.quantities import CHANNEL_QUANTITY, QUANTITIES, show
 from pmabench.cli.common import Ui, common, fields, read_quantity
-from pmabench.cli.names import BENCH, SPECIMEN
+from pmabench.cli.names import BENCH, PATH, SPECIMEN
 from pmabench.cli.operator import AtLines
 from pmabench.cli.outcome import show_outcome
 from pmabench.engine.operator import ConfirmedBeforehand, Operator
@@ -132,7 +132,7 @@ def _print_reading(record: ChannelRecord, reading: Reading, data: Mapping[str, A
 @click.argument("value")
 @click.option("--specimen", type=SPECIMEN, required=True, help="The specimen that is mounted; its limits hold.")
 @click.option("--for", "lasting", metavar="TIME", help='Hold for so long: "10 s"; else until Ctrl-C.')
-@click.option("--out", default="runs", show_default=True, type=click.Path(path_type=Path), help="Where run folders go.")
+@click.option("--out", default="runs", show_default=True, type=PATH, help="Where run folders go.")
 @click.option("--operator", default="", help="Who is at the bench; the login name if not given.")
 @click.option("--yes", is_flag=True, help="The question counts as answered; the record says so.")
 @common

@@ -13,7 +13,7 @@ import click
 from pmabench.base.errors import UsageError
 from pmabench.base.quantities import CHANNEL_QUANTITY
 from pmabench.cli.common import Ui, common, read_quantity, say
-from pmabench.cli.names import BENCH, SPECIMEN
+from pmabench.cli.names import BENCH, PATH, SPECIMEN
 from pmabench.cli.operator import AtLines
 from pmabench.cli.outcome import outcome_json, print_outcome, progress_line
 from pmabench.engine.operator import ConfirmedBeforehand, Nobody
@@ -39,11 +39,9 @@ if TYPE_CHECKING:
 @click.option("--points", required=True, metavar="LIST", help='Reference points: "0 N, 58.86 N, 107.91 N".')
 @click.option("--cycles", default=2, show_default=True, help="How often up and down.")
 @click.option("--hold", default="0 kPa", metavar="PRESSURE", help="Pressure that lifts loads off their support.")
-@click.option(
-    "--into", default="calibrations", show_default=True, type=click.Path(path_type=Path), help="Where the file goes."
-)
+@click.option("--into", default="calibrations", show_default=True, type=PATH, help="Where the file goes.")
 @click.option("--valid-until", type=click.DateTime(["%Y-%m-%d"]), help="Last day of the calibration.")
-@click.option("--out", default="runs", show_default=True, type=click.Path(path_type=Path), help="Where run folders go.")
+@click.option("--out", default="runs", show_default=True, type=PATH, help="Where run folders go.")
 @click.option("--operator", default="", help="Who is at the bench; the login name if not given.")
 @click.option(
     "--yes", is_flag=True, help="Simulated benches: the nominal value counts as the reading of the reference."

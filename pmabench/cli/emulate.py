@@ -21,7 +21,7 @@ import click
 
 from pmabench.base.errors import InvalidFile, Problem, RecordError, UsageError, did_you_mean
 from pmabench.cli.common import Ui, common
-from pmabench.cli.names import BENCH
+from pmabench.cli.names import BENCH, FILE
 from pmabench.files.shipped import find_file
 
 if TYPE_CHECKING:
@@ -48,10 +48,8 @@ NOT_PROVEN = "scales not proven: wiring and scales are taken from the bench file
     "--preset", type=click.Choice(["bench", "ideal"]), default="bench", help="bench: lag, friction, noise; or ideal."
 )
 @click.option("--seed", type=int, default=1, show_default=True, help="Seed of the noise.")
-@click.option("--log", type=click.Path(dir_okay=False, path_type=Path), help="Append every exchange as JSON lines.")
-@click.option(
-    "--faults", type=click.Path(dir_okay=False, path_type=Path), help="YAML file of what goes wrong, and when."
-)
+@click.option("--log", type=FILE, help="Append every exchange as JSON lines.")
+@click.option("--faults", type=FILE, help="YAML file of what goes wrong, and when.")
 @click.option("--truth", help="What is really wired, and by which scales: a shipped rig's name, or a truth file.")
 @click.option(
     "--wrong",
@@ -74,7 +72,7 @@ def command(
     wrong: tuple[str, ...],
     *,
     expose: bool,
-) -> int | None:
+) -> None:
     """Serve the devices of BENCH whose drivers have an emulator on this machine, in real time, until Ctrl-C.
 
     Devices answer at the addresses of the bench file: TCP at its address (port 0 takes a free one, which is printed),
@@ -116,7 +114,6 @@ def command(
         served.close()
     if served.log.problem:
         raise RecordError(served.log.problem)
-    return None
 
 
 def _serve(ui: Ui, served: Any, truth: Path | None, faults: Faults, file: Path | None) -> None:

@@ -15,6 +15,7 @@ from pmabench.base.errors import RecordError, UsageError
 from pmabench.base.quantities import CHANNEL_QUANTITY
 from pmabench.base.text import printable
 from pmabench.cli.common import Ui, common, fields
+from pmabench.cli.names import PATH
 from pmabench.files.shipped import find_file
 
 if TYPE_CHECKING:
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 
 
 @click.command(name="import")
-@click.argument("files", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="FILE...")
+@click.argument("files", nargs=-1, required=True, type=PATH, metavar="FILE...")
 @click.option("--map", "map_name", help="Map file, or the name of a shipped one.")
 @click.option("--guess", "guessing", is_flag=True, help="Propose a map with its reasons, and import nothing.")
 @click.option(
@@ -33,14 +34,14 @@ if TYPE_CHECKING:
     metavar="CHANNEL=LOW..HIGH",
     help='With --guess: what a sensor measures, "pressure=0 bar..12 bar".',
 )
-@click.option("-o", "--output", type=click.Path(path_type=Path), help="With --guess: where the map is written.")
+@click.option("-o", "--output", type=PATH, help="With --guess: where the map is written.")
 @click.option("--set", "answers", multiple=True, metavar="KEY=VALUE", help="The answer to a question (??) of the map.")
 @click.option(
     "--unresolved",
     is_flag=True,
     help="Take what the map proposes where its questions are not answered; no result is accepted then.",
 )
-@click.option("--out", default="runs", show_default=True, type=click.Path(path_type=Path), help="Where run folders go.")
+@click.option("--out", default="runs", show_default=True, type=PATH, help="Where run folders go.")
 @common
 def command(
     ui: Ui,
@@ -53,13 +54,14 @@ def command(
     out: Path,
     *,
     unresolved: bool,
-) -> int | None:
+) -> None:
     """Make one run of each FILE, as the map says; the files themselves are never touched."""
     if guessing == (map_name is not None) or (not guessing and (span or output)) or (guessing and answers):
         raise UsageError("give --map to import, or --guess (with --span and -o) to have a map proposed")
     ui.begin(f"reading {len(files)} {'file' if len(files) == 1 else 'files'}")
     if guessing or map_name is None:
-        return guess(ui, files, span, output)
+        guess(ui, files, span, output)
+        return
     from pmabench.kinds.registry import importable
     from pmabench.store.importers.importing import import_files
 
@@ -93,7 +95,6 @@ def command(
             click.echo(printable(f"not answered: {question.what}: {question.question}; taken: {question.used}"))
 
     ui.result(data, human, [str(run.path) for run in runs])
-    return None
 
 
 def _plain(run: ImportedRun) -> dict[str, Any]:
@@ -106,7 +107,7 @@ SECONDS = 10.0
 """Shown of the beginning."""
 
 
-def guess(ui: Ui, files: Sequence[Path], spans: Sequence[str], output: Path | None) -> int | None:
+def guess(ui: Ui, files: Sequence[Path], spans: Sequence[str], output: Path | None) -> None:
     """Report what the files seem to hold, and write the map where `output` says."""
     from pmabench.files.document import Document
     from pmabench.kinds.registry import importable
@@ -162,7 +163,6 @@ def guess(ui: Ui, files: Sequence[Path], spans: Sequence[str], output: Path | No
             click.echo(f"then: pmabench import FILE... --map {output}")
 
     ui.result(data, human, [] if output is None else [str(output)])
-    return None
 
 
 def _span(text: str) -> tuple[str, Span]:

@@ -13,12 +13,14 @@ from typing import TYPE_CHECKING
 import click
 
 from pmabench.base.errors import InvalidFile, RecordError, UsageError, did_you_mean
-from pmabench.cli.common import Ui, common
-from pmabench.cli.names import BENCH
+from pmabench.cli.common import Ui, common, say
+from pmabench.cli.names import BENCH, FILE, PATH
 from pmabench.cli.outcome import next_lines
 
 if TYPE_CHECKING:
     from pmabench.bench.lab.answers import Answers
+    from pmabench.bench.lab.questions import Question
+
 
 ANSWERS = "answers.yaml"
 CHECK = "protocol.yaml --bench bench.yaml --specimen specimen.yaml"
@@ -49,15 +51,15 @@ function.
 
 
 @click.command(name="init")
-@click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
-@click.option("--answers", type=click.Path(path_type=Path, dir_okay=False), help="Answers from a file; nothing asked.")
+@click.argument("folder", metavar="DIR", type=PATH)
+@click.option("--answers", type=FILE, help="Answers from a file; nothing asked.")
 @click.option("--answer", "single", multiple=True, metavar="KEY=VALUE", help="One answer; nothing is asked.")
 @click.option("--like", type=BENCH, help="No questions: a copy of a shipped bench, to be changed by hand.")
 @click.option("--bench", "former", type=BENCH, hidden=True)
 @common
 def command(
     ui: Ui, folder: Path, answers: Path | None, single: tuple[str, ...], like: str | None, former: str | None
-) -> int | None:
+) -> None:
     """Write a lab folder DIR from at most 20 questions: bench, specimen, protocol, and all that they need.
 
     Enter takes the value in brackets; ? explains; b goes back; - leaves what is not known yet, to be confirmed later.
@@ -82,7 +84,6 @@ def command(
     _write(folder, files)
     data = {"schema": "pmabench.init/1", "folder": str(folder), "files": sorted(files)}
     ui.result(data, lambda: click.echo("\n".join(_end(folder, note))))
-    return None
 
 
 def _refuse_full(folder: Path) -> None:
@@ -106,8 +107,6 @@ def _answers(ui: Ui, folder: Path, path: Path | None, single: tuple[str, ...]) -
     answers = Answers(given, day or datetime.date.today())
     check_answers(answers)
     if path is None and not single:
-        from pmabench.cli.init_questions import ask
-
         ask(ui, answers, lambda: _keep(kept, answers))
     missing = answers.missing()
     if missing:
@@ -198,3 +197,64 @@ def _end(folder: Path, note: str) -> list[str]:
         *lines,
         *next_lines("cd", shlex.quote(str(folder)), "&&", "pmabench", "check", *CHECK.split(), "--simulate"),
     ]
+
+
+BACK, EXPLAIN, UNKNOWN = "b", "?", "-"
+
+
+def ask(ui: Ui, answers: Answers, keep: Callable[[], None]) -> None:
+    """Ask every question that has no answer yet; `keep` is called after each answer.
+
+    Raises UsageError where the answers end too early.
+    """
+    from pmabench.bench.lab.questions import MOST
+
+    ui.note("Enter takes the value in brackets; ? explains, b goes back, - is for what you do not know yet.")
+    done: list[str] = []
+    while True:
+        questions = answers.questions()
+        question = next((one for one in questions if one.key not in answers.given), None)
+        if question is None:
+            return
+        place = questions.index(question) + 1
+        try:
+            typed = _typed(question, answers, f"{place} of at most {MOST}")
+        except click.Abort:
+            raise UsageError(f"no answer to {question.key}; `pmabench init` in the same folder goes on here") from None
+        if typed == BACK:
+            if done:
+                del answers.given[done.pop()]
+            continue
+        answers.given[question.key] = None if typed == UNKNOWN else typed
+        done.append(question.key)
+        keep()
+
+
+def _typed(question: Question, answers: Answers, place: str) -> str:
+    """One valid answer as it is kept, `BACK` or `UNKNOWN`."""
+    choices = list(question.choices(answers).items())
+    default = None if question.needed else question.default(answers)
+    hint = question.hint(answers)
+    click.echo(f"\n{place}  {question.text}" + (f"   ({hint})" if hint else ""), err=True)
+    for number, (key, words) in enumerate(choices, start=1):
+        click.echo(f"   {number}  {words}" + ("" if key == words else f"  [{key}]"), err=True)
+    while True:
+        typed = str(click.prompt("  ", default=default, prompt_suffix="> ", err=True)).strip()
+        if typed == EXPLAIN:
+            say(f"   {question.explain}")
+            continue
+        if typed == BACK:
+            return BACK
+        if typed == UNKNOWN:
+            if not question.needed and default is not None:
+                return UNKNOWN
+            say("   this answer is needed: nothing else says it")
+            continue
+        if choices and typed.isdecimal() and 0 < int(typed) <= len(choices):
+            typed = choices[int(typed) - 1][0]
+        try:
+            question.read(typed, answers)
+        except ValueError as error:
+            say(f"   {error}")
+            continue
+        return typed

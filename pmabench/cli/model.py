@@ -55,7 +55,7 @@ command.add_command(cascade)
 
 @command.command(name="list")
 @common
-def list_models(ui: Ui) -> int | None:
+def list_models(ui: Ui) -> None:
     """Every model, by family."""
     from pmabench.model.library import FAMILIES, models
 
@@ -74,13 +74,12 @@ def list_models(ui: Ui) -> int | None:
         print_grid(ui.console(columns=120), heads, rows, heads)
 
     ui.result(data, human, (model.name for model in known))
-    return None
 
 
 @command.command(name="show")
 @click.argument("name")
 @common
-def show_model(ui: Ui, name: str) -> int | None:
+def show_model(ui: Ui, name: str) -> None:
     """Equation, inputs with their domain, outputs, source and reference values of the model NAME."""
     model = named_model(name)
     checks = []
@@ -88,7 +87,6 @@ def show_model(ui: Ui, name: str) -> int | None:
         now = float(model.evaluate(reference.at)[reference.output])
         checks.append((reference, now, abs(now - reference.value) <= 1.001 * reference.rounding + 1e-12 * abs(now)))
     ui.result(_facts(model, checks), lambda: _print_model(ui, model, checks))
-    return None
 
 
 def _facts(model: Model, checks: Sequence[Check]) -> dict[str, Any]:
@@ -162,10 +160,8 @@ def _print_checks(ui: Ui, model: Model, checks: Sequence[Check]) -> None:
 @common
 def eval_model(
     ui: Ui, name: str, settings: list[tuple[str, str]], axes: list[tuple[str, str]], *, as_csv: bool
-) -> int | None:
+) -> None:
     """Values of the model NAME; inputs that are not given are at their reference values."""
-    if as_csv and ui.json:
-        raise UsageError("--csv or --json, not both")
     model = named_model(name)
     given, table = read_inputs(model, settings, axes)
     inputs, columns = grid(model, given, table)
@@ -196,7 +192,6 @@ def eval_model(
             _print_outputs(ui, model, outputs)
 
     ui.result(data, human)
-    return None
 
 
 def _evaluate(model: Model, values: dict[str, Any]) -> dict[str, list[float | None]]:

@@ -15,6 +15,7 @@ from pmabench.base.errors import UsageError, did_you_mean
 from pmabench.base.quantities import QUANTITIES
 from pmabench.cli.common import Ui, common, fields
 from pmabench.cli.model_inputs import display_unit, named_model, pairs, read_inputs, shown, si_unit
+from pmabench.cli.names import FILE, PATH
 from pmabench.report.terminal import print_grid
 
 if TYPE_CHECKING:
@@ -37,7 +38,7 @@ MOST_CORRELATED = 8
 
 @click.command(name="fit", epilog=EXAMPLE)
 @click.argument("name", metavar="MODEL")
-@click.argument("table", type=click.Path(path_type=Path), metavar="FILE.csv|ANALYSIS")
+@click.argument("table", type=PATH, metavar="FILE.csv|ANALYSIS")
 @click.option("--free", help="Inputs to fit, with commas; without it those that the model names as fitted.")
 @click.option("--set", "settings", multiple=True, callback=pairs, metavar="NAME=VALUE", help="An input that is known.")
 @click.option("--start", "starts", multiple=True, callback=pairs, metavar="NAME=VALUE", help="Where to begin.")
@@ -48,7 +49,7 @@ MOST_CORRELATED = 8
     "--within", multiple=True, callback=pairs, metavar="NAME=RANGE", help='Rows in it: "FIRST..LAST" with units.'
 )
 @click.option("--csv", "as_csv", is_flag=True, help="The fitted values comma-separated, SI, on stdout.")
-@click.option("--plot", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE.svg", help="Draw data and fit.")
+@click.option("--plot", type=FILE, metavar="FILE.svg", help="Draw data and fit.")
 @common
 def fit(
     ui: Ui,
@@ -72,8 +73,6 @@ def fit(
     """
     from pmabench.cli.model_measured import read_measured
 
-    if as_csv and ui.json:
-        raise UsageError("--csv or --json, not both")
     if plot is not None and plot.suffix.lower() != ".svg":
         raise UsageError(f"--plot {plot}: an SVG is drawn; give a name that ends in .svg")
     model = named_model(name)

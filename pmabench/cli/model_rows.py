@@ -9,7 +9,7 @@ import click
 
 from pmabench.base.errors import UsageError, did_you_mean
 from pmabench.cli.common import Ui, common
-from pmabench.cli.model_inputs import column_of, named_model, number_of, pairs, print_csv, print_table, read_inputs
+from pmabench.cli.model_inputs import column_of, named_model, number_of, pairs, read_inputs, show_columns
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -42,7 +42,7 @@ Groups = list[tuple[tuple[str, ...], float]]
 @common
 def rows(
     ui: Ui, name: str, table: Path, settings: list[tuple[str, str]], unsure: list[tuple[str, str]], *, as_csv: bool
-) -> int | None:
+) -> None:
     """Values of the model NAME at each row of the CSV file TABLE, whose heads are inputs with their units.
 
     Every input is in the table or given; other columns are repeated as they are. Uncertainties are carried through to
@@ -50,8 +50,6 @@ def rows(
     """
     from pmabench.files.table import read_table
 
-    if as_csv and ui.json:
-        raise UsageError("--csv or --json, not both")
     model = named_model(name)
     given, _ = read_inputs(model, settings, [])
     inputs, others = _inputs(model, table, given)
@@ -74,16 +72,8 @@ def rows(
         "notes": notes,
     }
 
-    def human() -> None:
-        if as_csv:
-            print_csv(columns)
-            return
-        print_table(ui, columns, len(columns) - len(model.outputs) * (2 if groups else 1))
-        for note in notes if not ui.quiet else ():
-            click.echo(note)
-
-    ui.result(data, human)
-    return None
+    keys = len(columns) - len(model.outputs) * (2 if groups else 1)
+    show_columns(ui, data, keys=keys, as_csv=as_csv, below=() if ui.quiet else notes)
 
 
 def _inputs(model: Model, path: Path, given: Mapping[str, Any]) -> tuple[dict[str, Any], list[Any]]:

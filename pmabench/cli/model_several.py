@@ -6,12 +6,10 @@ import math
 import re
 from typing import TYPE_CHECKING, Any
 
-import click
-
 from pmabench.base.errors import UsageError
 from pmabench.base.quantities import show
 from pmabench.cli.common import Ui
-from pmabench.cli.model_inputs import column_of, print_csv, print_table
+from pmabench.cli.model_inputs import column_of, show_columns
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -49,34 +47,18 @@ def simulate_several(
             raise ValueError(f'--every "{every}": from 1 to {MOST_ROWS} rows are made')
         times = [number * spacing for number in range(int(seconds / spacing * (1 + 1e-9)) + 1)]
         if plant == "joint":
-            columns = _joint(_courses(steps, _refused(openings, "--open", "platform")), drive, times)
+            if openings:
+                raise ValueError("--open is for the platform")
+            columns = _joint(_courses(steps), drive, times)
         else:
             if drive is not None:
                 raise ValueError("--drive is for the joint; the platform is free")
             columns, said = _platform(steps, openings, chain, times)
     except ValueError as error:
         raise UsageError(str(error)) from error
-    if as_csv and ui.json:
-        raise UsageError("--csv or --json, not both")
     data = {"schema": "pmabench.model-simulation/1", "simulated": True, "plant": plant, "columns": columns}
-
-    def human() -> None:
-        if as_csv:
-            print_csv(columns)
-            return
-        if not ui.quiet:
-            click.echo(f"SIMULATED: plant {plant}; true values, no sensors\n")
-        print_table(ui, columns, keys=1)
-        if said and not ui.quiet:
-            click.echo(f"\n{said}")
-
-    ui.result(data, human)
-
-
-def _refused(given: Sequence[str], option: str, plant: str) -> Sequence[str]:
-    if given:
-        raise ValueError(f"{option} is for the {plant}")
-    return given
+    below = [f"\n{said}"] if said and not ui.quiet else []
+    show_columns(ui, data, as_csv=as_csv, above=f"SIMULATED: plant {plant}; true values, no sensors", below=below)
 
 
 def _within(text: str, quantity: str, least: float, most: float) -> float:
@@ -88,7 +70,7 @@ def _within(text: str, quantity: str, least: float, most: float) -> float:
     return value
 
 
-def _courses(steps: Sequence[str], _none: Sequence[str]) -> tuple[tuple[Wave, ...], tuple[Wave, ...]]:
+def _courses(steps: Sequence[str]) -> tuple[tuple[Wave, ...], tuple[Wave, ...]]:
     """Commanded pressures of both muscles, from 0 on."""
     from pmabench.model.regulator import constant, to_nanosecond
 

@@ -12,7 +12,7 @@ import click
 from pmabench.base.errors import UsageError, did_you_mean
 from pmabench.base.quantities import show
 from pmabench.cli.common import Ui, common
-from pmabench.cli.model_inputs import column_of, print_csv, print_table
+from pmabench.cli.model_inputs import column_of, show_columns
 from pmabench.cli.model_several import PLANTS, simulate_several
 from pmabench.cli.model_surface import described_by, next_to
 from pmabench.cli.names import RunFolder
@@ -97,7 +97,7 @@ def simulate(
     chain: str,
     *,
     as_csv: bool,
-) -> int | None:
+) -> None:
     """Simulate PLANT (paper0, serres2009, real; daerden with --drive; or the path of a plant file) from rest.
 
     Two muscles on a pulley: joint, with --step "1: 300 kPa at 0 s" and free, or --drive "0 deg +- 30 deg, 0.05 Hz".
@@ -112,11 +112,14 @@ def simulate(
         if sine or load or settings or along:
             raise UsageError(f"{plant}: --sine, --load, --set and --along are for plants of one muscle")
         simulate_several(ui, plant, steps, openings, drive, chain, every, duration, as_csv=as_csv)
-        return None
+        return
     if along is not None:
-        _along_only(as_csv and ui.json, steps, sine, load, drive, settings)
+        if any((steps, sine, load, drive, settings)):
+            raise UsageError(
+                "--along takes pressures and loads from the run; give no --step, --sine, --load, --drive, --set"
+            )
         next_to(ui, Path(plant), along, trial, as_csv=as_csv)
-        return None
+        return
     problems = _misplaced(trial, openings, load, drive, nothing=not steps and sine is None)
     seconds = _parsed(problems, "--for", _quantity, duration, "time", 1e-3, LONGEST)
     default: Any = None if seconds is None else seconds / 25
@@ -127,8 +130,6 @@ def simulate(
     changes = _parsed(problems, "--set", _overrides, settings)
     if seconds and spacing and seconds / spacing > MOST_ROWS:
         problems.append(f"--every: {seconds / spacing:.0f} rows; at most {MOST_ROWS} are made")
-    if as_csv and ui.json:
-        problems.append("--csv or --json, not both")
     if problems:
         raise UsageError("\n".join(problems))
     try:
@@ -138,18 +139,7 @@ def simulate(
     columns = [column_of(name, quantity, getattr(motion, field).tolist()) for name, quantity, field in COLUMNS]
     data = {"schema": "pmabench.model-simulation/1", "simulated": True}
     data |= {"plant": plant, "kind": kind, "columns": columns}
-    ui.result(data, lambda: print_csv(columns) if as_csv else _print(ui, f"{plant}, {kind}", columns))
-    return None
-
-
-def _along_only(both: bool, *others: Any) -> None:
-    """Refuse options that --along makes no use of."""
-    if any(others):
-        raise UsageError(
-            "--along takes pressures and loads from the run; give no --step, --sine, --load, --drive, --set"
-        )
-    if both:
-        raise UsageError("--csv or --json, not both")
+    show_columns(ui, data, as_csv=as_csv, above=f"SIMULATED: plant {plant}, {kind}; true values, no sensors")
 
 
 def _misplaced(
@@ -163,12 +153,6 @@ def _misplaced(
         '--step: nothing is commanded; for instance --step "300 kPa at 0.5 s"': nothing,
     }
     return [text for text, is_so in wrong.items() if is_so]
-
-
-def _print(ui: Ui, plant: str, columns: list[dict[str, Any]]) -> None:
-    if not ui.quiet:
-        click.echo(f"SIMULATED: plant {plant}; true values, no sensors\n")
-    print_table(ui, columns, keys=1)
 
 
 def _simulated(

@@ -15,8 +15,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pmabench.cli.common import Ui, fields, rewrite, say
-from pmabench.cli.names import short
-from pmabench.files.shipped import shipped_folder
+from pmabench.cli.names import short, typed
 from pmabench.report.terminal import print_grid
 
 if TYPE_CHECKING:
@@ -55,20 +54,12 @@ def show_next(ui: Ui, outcome: Outcome, bench: CompiledBench, *, trials: bool) -
     from pmabench.guard.station import Station
 
     if bench.realtime and Station(bench.name).latched():
-        reset = f"pmabench vent {_named(bench)} --reset --operator NAME --because TEXT"
+        reset = f"pmabench vent {typed(Path(bench.path), 'bench')} --reset --operator NAME --because TEXT"
         if not trials and outcome.folder is not None:
             reset = f"pmabench continue {short(outcome.folder)}"
         say(f"the bench is now tripped, and nothing runs on it: look at it, then  {reset}")
     if trials and outcome.folder is not None and outcome.status not in FINISHED:
         ui.note(f"the trials that are left:  pmabench run --resume {shlex.quote(str(outcome.folder))}")
-
-
-def _named(bench: CompiledBench) -> str:
-    """The bench as it can be typed here: a shipped one by its name, another by its file."""
-    path = Path(bench.path)
-    if path == (shipped_folder("bench") / path.name).resolve():
-        return path.stem
-    return shlex.quote(str(path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path))
 
 
 def outcome_json(outcome: Outcome) -> dict[str, Any]:

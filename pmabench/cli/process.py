@@ -12,7 +12,7 @@ import click
 
 from pmabench.base.errors import InvalidFile, UsageError, invalid
 from pmabench.cli.common import Ui, common
-from pmabench.cli.names import RunFolder, short
+from pmabench.cli.names import PATH, RunFolder, short
 from pmabench.cli.outcome import next_lines
 
 if TYPE_CHECKING:
@@ -29,9 +29,7 @@ MOST_SINCE = 2
 
 @click.command(name="process")
 @click.argument("runs", nargs=-1, required=True, type=RunFolder(), metavar="RUN...|FOLDER...")
-@click.option(
-    "--out", type=click.Path(path_type=Path), help="Analysis folder; in analyses/ next to runs/ if not given."
-)
+@click.option("--out", type=PATH, help="Analysis folder; in analyses/ next to runs/ if not given.")
 @click.option("--each", is_flag=True, help="Each run on its own and one table, as for a folder of runs.")
 @click.option("--jobs", type=click.IntRange(1, 256), metavar="N", help="So many processes share a folder of runs.")
 @click.option("--cluster", metavar="ADDRESS", help="A Dask scheduler whose workers share a folder of runs.")

@@ -13,7 +13,7 @@ import click
 from pmabench.base.errors import InvalidFile, invalid
 from pmabench.base.text import printable
 from pmabench.cli.common import Ui, common, fields
-from pmabench.cli.names import RunFolder
+from pmabench.cli.names import PATH, RunFolder
 from pmabench.report.terminal import print_grid
 
 if TYPE_CHECKING:
@@ -31,9 +31,9 @@ def command() -> None:
 
 
 @command.command(name="list")
-@click.argument("folder", default="runs", type=click.Path(path_type=Path))
+@click.argument("folder", default="runs", type=PATH)
 @common
-def list_runs(ui: Ui, folder: Path) -> int | None:
+def list_runs(ui: Ui, folder: Path) -> None:
     """Every run in FOLDER, by date."""
     from pmabench.store.catalogue import catalogue
 
@@ -64,7 +64,6 @@ def list_runs(ui: Ui, folder: Path) -> int | None:
                 click.echo(f"{row['id']} was interrupted; to go on with it: {row['resume']}")
 
     ui.result({"schema": "pmabench.runs/1", "runs": rows}, human)
-    return None
 
 
 def _resume(run: Path, row: Mapping[str, Any]) -> str:
@@ -76,7 +75,7 @@ def _resume(run: Path, row: Mapping[str, Any]) -> str:
 @command.command(name="show")
 @click.argument("run", type=RunFolder())
 @common
-def show_run(ui: Ui, run: Path) -> int | None:
+def show_run(ui: Ui, run: Path) -> None:
     """One RUN in full: what, when, by whom, how it ended, its trials and channels."""
     from pmabench.store.folder import plain
     from pmabench.store.reader import open_run
@@ -84,7 +83,6 @@ def show_run(ui: Ui, run: Path) -> int | None:
     data = open_run(run)
     after = going_on(run, data)
     ui.result(plain(_summary(data, after)), lambda: _print_run(data, after))
-    return None
 
 
 def _summary(data: RunData, after: Mapping[str, str]) -> dict[str, Any]:

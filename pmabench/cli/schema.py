@@ -10,6 +10,7 @@ import click
 
 from pmabench.base.errors import RecordError, UsageError
 from pmabench.cli.common import Ui, common
+from pmabench.cli.names import FOLDER
 
 KINDS = (
     "protocol",
@@ -29,9 +30,9 @@ KINDS = (
 @click.command(name="schema")
 @click.argument("kind", required=False, type=click.Choice(KINDS))
 @click.option("--all", "write_all", is_flag=True, help="Write every schema into the folder given with --out.")
-@click.option("--out", type=click.Path(path_type=Path, file_okay=False), help="Folder for --all.")
+@click.option("--out", type=FOLDER, help="Folder for --all.")
 @common
-def command(ui: Ui, kind: str | None, out: Path | None, *, write_all: bool) -> int | None:
+def command(ui: Ui, kind: str | None, out: Path | None, *, write_all: bool) -> None:
     """Print the JSON Schema of KIND, or write all of them into a folder."""
     if write_all and out is not None:
         try:
@@ -41,11 +42,10 @@ def command(ui: Ui, kind: str | None, out: Path | None, *, write_all: bool) -> i
         except OSError as error:
             raise RecordError(f"{out}: no schemas can be written here: {error.strerror or error}") from error
         ui.note(f"{len(KINDS)} schemas in {out}")
-        return None
+        return
     if kind is None or write_all or out is not None:
         raise UsageError(f"say which: {', '.join(KINDS)}; or --all --out FOLDER")
     ui.result(_schema(kind), lambda: click.echo(schema_text(kind), nl=False))
-    return None
 
 
 def schema_text(kind: str) -> str:

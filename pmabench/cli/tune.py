@@ -17,7 +17,7 @@ from pmabench.base.errors import UsageError, invalid
 from pmabench.base.kind import load
 from pmabench.base.quantities import QUANTITIES, show
 from pmabench.cli.common import Ui, common, read_quantity
-from pmabench.cli.names import RunFolder
+from pmabench.cli.names import PATH, RunFolder
 from pmabench.report.terminal import print_grid
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 @click.option("--tu", help='Ultimate period, for instance "9 s".')
 @click.option(
     "--analysis",
-    type=click.Path(path_type=Path),
+    type=PATH,
     help="Analysis folder of kind ultimate-gain, or of contraction-relaxation (processed with --regulator).",
 )
 @click.option(
