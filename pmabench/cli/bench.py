@@ -20,10 +20,10 @@ from pmabench.cli.names import BENCH, FILE, PATH, SPECIMEN
 from pmabench.cli.operator import AtLines
 from pmabench.cli.outcome import outcome_json, print_checks, print_outcome, progress_line
 from pmabench.engine.operator import ConfirmedBeforehand, Nobody, Operator
-from pmabench.files.shipped import find_file
-from pmabench.report.terminal import print_grid
+from pmabench.report.terminal import print_grid, print_texts
 
 if TYPE_CHECKING:
+    from pmabench.bench.interface import DeviceRecord, Identity
     from pmabench.session.checks import Check
 
 
@@ -46,12 +46,10 @@ command.add_command(set_)
 def card(ui: Ui, bench: str, specimen: str | None, output: Path) -> None:
     """Write the card of BENCH: limits, what vents, what happens when something fails, wiring; one A4 page."""
     from pmabench.bench.card import make_card
-    from pmabench.bench.compile import mount, mount_alone
+    from pmabench.cli.prepare import mounted_of
     from pmabench.report.pages.bench_card import write_card
 
-    path = find_file("bench", bench)
-    mounted = mount(path, find_file("specimen", specimen)) if specimen is not None else mount_alone(path)
-    made = make_card(mounted, datetime.date.today().isoformat())
+    made = make_card(mounted_of(bench, specimen), datetime.date.today().isoformat())
     write_card(asdict(made), output)
     ui.result({"schema": "pmabench.bench-card/1", "path": str(output)}, lambda: click.echo(str(output)))
 
@@ -74,11 +72,9 @@ def probe(
     address: str | None,
     options: tuple[str, ...],
     specimen: str | None,
-    out: Path,
-    operator: str,
     *,
     test: bool,
-    yes: bool,
+    **how: Any,
 ) -> int | None:
     """Open the devices of BENCH, show who answers and one value of each channel, and close; nothing is commanded.
 
@@ -86,17 +82,16 @@ def probe(
     """
     if (bench is None) == (driver is None) or (driver is None) != (address is None) or (test and bench is None):
         raise UsageError("give a BENCH, or --driver and --address of one device")
+    name: str | None = None
+    channels: list[dict[str, Any]] = []
     if driver is not None and address is not None:
         identities = who_answers(driver, address, options)
-        data: dict[str, Any] = {"schema": "pmabench.probe/1", "bench": None, "devices": identities, "channels": []}
-        ui.result(data, lambda: _print_probe(ui, identities, []))
-        return None
-    bench = str(bench)
-    if test:
+    elif test:
         if specimen is None:
             raise UsageError("--self-test puts pressure on the muscle: say which one is mounted, with --specimen")
-        return _self_test(ui, bench, specimen, out, operator, yes=yes)
-    name, identities, channels = _read_once(bench)
+        return _self_test(ui, str(bench), specimen, **how)
+    else:
+        name, identities, channels = _read_once(str(bench))
     data = {"schema": "pmabench.probe/1", "bench": name, "devices": identities, "channels": channels}
     ui.result(data, lambda: _print_probe(ui, identities, channels))
     silent = [row for row in channels if row["value"] is None]
@@ -107,21 +102,13 @@ def probe(
 
 def _read_once(bench: str) -> tuple[str, dict[str, dict[str, Any]], list[dict[str, Any]]]:
     """Name of the bench, identity of each device, and a row per channel with its mean and noise over half a second."""
-    from pmabench.bench.compile import mount_alone
-    from pmabench.engine.untried import doubt
+    from pmabench.cli.prepare import mounted_of
     from pmabench.session.guided import listen, looking
 
-    compiled = mount_alone(find_file("bench", bench)).bench
+    compiled = mounted_of(bench).bench
     with looking(compiled) as look:
         series = listen(look.acquisition, 0.5)
-        identities = {
-            device.name: {
-                **vars(look.identities[device.name]),
-                "verified": device.verified,
-                "doubt": doubt(device, look.identities[device.name]),
-            }
-            for device in compiled.devices
-        }
+        identities = {device.name: _about(device, look.identities[device.name]) for device in compiled.devices}
     channels = []
     for channel in compiled.channels:
         one = series.get(channel.name)
@@ -132,13 +119,18 @@ def _read_once(bench: str) -> tuple[str, dict[str, dict[str, Any]], list[dict[st
     return compiled.name, identities, channels
 
 
+def _about(device: DeviceRecord, identity: Identity) -> dict[str, Any]:
+    from pmabench.engine.untried import doubt
+
+    return {**vars(identity), "verified": device.verified, "doubt": doubt(device, identity)}
+
+
 def _print_probe(ui: Ui, identities: dict[str, dict[str, Any]], channels: Sequence[dict[str, Any]]) -> None:
     console = ui.console()
     rows = [
         [name, f"{i['maker']} {i['model']}", i["serial"], i["firmware"], _proven(i)] for name, i in identities.items()
     ]
-    heads = ["device", "answers as", "serial", "firmware", ""]
-    print_grid(console, heads, rows, heads)
+    print_texts(console, ["device", "answers as", "serial", "firmware", ""], rows)
     if not channels:
         return
     console.print()
@@ -162,11 +154,11 @@ def _proven(identity: dict[str, Any]) -> str:
 
 
 def _self_test(ui: Ui, bench: str, specimen: str, out: Path, operator: str, *, yes: bool) -> int:
-    from pmabench.bench.compile import mount
+    from pmabench.cli.prepare import mounted_of
     from pmabench.session.self_test import run_self_test
     from pmabench.store.folder import read_manifest
 
-    mounted = mount(find_file("bench", bench), find_file("specimen", specimen))
+    mounted = mounted_of(bench, specimen)
     there = sys.stdin.isatty()
     person: Operator = AtLines(realtime=mounted.bench.realtime) if there else Nobody()
     tables: list[Sequence[Check]] = []
@@ -206,7 +198,6 @@ def who_answers(driver: str, address: str, options: Sequence[str]) -> dict[str, 
     """
     from pmabench.bench.interface import DeviceRecord
     from pmabench.bench.registry import driver_class, verified
-    from pmabench.engine.untried import doubt
     from pmabench.guard.links import OPENS_WITHIN, load_driver
     from pmabench.guard.owner import Owner
 
@@ -222,7 +213,7 @@ def who_answers(driver: str, address: str, options: Sequence[str]) -> dict[str, 
     finally:
         owner.call(device.close, OPENS_WITHIN)
     record = DeviceRecord("device", target, address, verified=verified(type(device)))
-    return {record.name: {**vars(identity), "verified": record.verified, "doubt": doubt(record, identity)}}
+    return {record.name: _about(record, identity)}
 
 
 def _option(text: str) -> tuple[str, Any]:

@@ -17,8 +17,7 @@ from pmabench.cli.names import BENCH, PATH, SPECIMEN
 from pmabench.cli.operator import AtLines
 from pmabench.cli.outcome import outcome_json, print_outcome, progress_line
 from pmabench.engine.operator import ConfirmedBeforehand, Nobody
-from pmabench.files.shipped import find_file
-from pmabench.report.terminal import print_grid
+from pmabench.report.terminal import print_texts
 
 if TYPE_CHECKING:
     from pmabench.bench.compile import Mounted
@@ -65,7 +64,7 @@ def command(
     yes: bool,
 ) -> int:
     """Calibrate CHANNEL (force, pressure, displacement, angle; pressure_command: the regulator) by points."""
-    from pmabench.bench.compile import mount
+    from pmabench.cli.prepare import mounted_of
     from pmabench.session.calibration import Request, check, uncovered
 
     quantity = CHANNEL_QUANTITY.get(channel, "force")
@@ -80,7 +79,7 @@ def command(
     )
     if request.reference_uncertainty < 0:
         raise UsageError("--reference-uncertainty: an uncertainty is not below zero")
-    mounted = mount(find_file("bench", bench), find_file("specimen", specimen))
+    mounted = mounted_of(bench, specimen)
     check(mounted, request)
     for trip in uncovered(mounted, request):
         ui.note(f"warning: {trip}")
@@ -158,10 +157,8 @@ def _show_result(ui: Ui, request: Request, done: Calibrated, path: Path | None, 
 
     def human() -> None:
         if done.fit is not None:
-            console = ui.console()
             rows = [[name, value] for name, value in budget(done.fit, quantity, done.raw_unit)]
-            heads = [f"calibration of {request.channel}", ""]
-            print_grid(console, heads, rows, heads)
+            print_texts(ui.console(), [f"calibration of {request.channel}", ""], rows)
         print_outcome(done.outcome)
         if path is None:
             return

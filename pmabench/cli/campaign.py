@@ -103,15 +103,9 @@ def run_campaign(
         prepared = Prepared(run.plan, mounted, run.protocol_text, run.deviations, run.sources, run.slower, run.doubts)
         about = {"campaign": {"name": name, "number": number, "of": len(planned)}}
         outcome = execute(
-            ui,
-            prepared,
-            out,
-            operator_name=operator_name,
-            yes=yes,
-            continues=continues,
-            about=about,
-            session=session if number == 0 else None,
+            ui, prepared, out, operator_name=operator_name, yes=yes, continues=continues, about=about, session=session
         )
+        session = None  # options of the first run alone
         outcomes.append(outcome)
         if outcome.exit_code not in {0, 6}:
             say(f"the campaign ends here: {outcome.status}: {outcome.why}")

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from pmabench.base.clock import RealClock
+from pmabench.base.clock import Clock, RealClock
 from pmabench.base.errors import UsageError
 from pmabench.base.quantities import show
 from pmabench.cli.common import Ui, common, fields, rewrite, say, with_options
@@ -18,7 +18,6 @@ from pmabench.cli.names import FOLDER, PATH
 from pmabench.files.shipped import find_file
 
 if TYPE_CHECKING:
-    from pmabench.base.clock import Clock
     from pmabench.model.cascade import Course
     from pmabench.model.curve import Array
     from pmabench.report.cascade_record import Result

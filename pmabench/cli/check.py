@@ -13,18 +13,18 @@ import click
 from pmabench.base.errors import InvalidFile, RecordError, UsageError
 from pmabench.base.quantities import in_words, show
 from pmabench.base.text import clean
+from pmabench.bench.compile import Mounted
 from pmabench.cli.common import Ui, common, fields, plan_options
 from pmabench.cli.history import ANALYSES
 from pmabench.cli.names import FILE, PATH, short, typed
 from pmabench.cli.outcome import next_lines, progress_line
+from pmabench.cli.prepare import Prepared, needed, size, too_little
 from pmabench.protocol.idle import Idle, foreseen, without
+from pmabench.protocol.plan import Plan
 from pmabench.report.terminal import print_grid
 
 if TYPE_CHECKING:
-    from pmabench.bench.compile import Mounted
     from pmabench.bench.dry_run import PredictedMuscle
-    from pmabench.cli.prepare import Prepared
-    from pmabench.protocol.plan import Plan
 
 
 @click.command(name="check")
@@ -40,10 +40,6 @@ if TYPE_CHECKING:
 @common
 def command(
     ui: Ui,
-    protocol: str,
-    bench: str,
-    specimen: str,
-    settings: list[tuple[str, str]],
     out: Path,
     *,
     muscle: Path | None,
@@ -51,11 +47,12 @@ def command(
     drop_idle: bool,
     show_plan: bool,
     simulate: bool,
+    **files: Any,
 ) -> int | None:
     """Check PROTOCOL against a bench and a specimen, and show the plan."""
-    from pmabench.cli.prepare import prepare, too_little
+    from pmabench.cli.prepare import prepare
 
-    prepared = prepare(protocol, bench, specimen, settings)
+    prepared = prepare(**files)
     plan, mounted, warnings = prepared.plan, prepared.mounted, prepared.warnings()
     summary = plan_summary(plan, mounted)
     summary["disk"] = too_little(summary["bytes"], out)
@@ -70,7 +67,7 @@ def command(
     idle = foreseen(plan, known.expected) if known is not None and known.expected is not None else None
     summary["idle"] = None if idle is None else {"trials": idle.idle, "doubtful": idle.doubtful, "first": idle.first}
     if output is not None:
-        _write_without(prepared, idle, output, settings)
+        _write_without(prepared, idle, output)
         summary["written"] = str(output)
     refused = bool(mounted.unconfirmed) and mounted.bench.realtime
     if show_plan:
@@ -134,7 +131,6 @@ def plan_summary(plan: Plan, mounted: Mounted) -> dict[str, Any]:
 
     The duration holds the session that comes first, where the bench declares one and none counts now.
     """
-    from pmabench.cli.prepare import needed
     from pmabench.session.session import kept, out_of_date, session_length, utc_now
 
     shortest, longest = plan.duration()
@@ -181,8 +177,6 @@ def _plants(mounted: Mounted) -> dict[str, str]:
 
 
 def _print(ui: Ui, plan: Plan, summary: dict[str, Any], warnings: list[str]) -> None:
-    from pmabench.cli.prepare import size
-
     console = ui.console()
     console.print(f"{plan.name} ({plan.kind})\n  source    {plan.source}\n  bench     {summary['bench']}")
     for plant in summary["plants"].values():
@@ -240,14 +234,14 @@ def _then(prepared: Prepared, idle: Idle | None, written: Path | None, *, refuse
     return next_lines("pmabench", "run", files["protocol"] if written is None else shlex.quote(str(written)), *rest)
 
 
-def _write_without(prepared: Prepared, idle: Idle | None, path: Path, settings: list[tuple[str, str]]) -> None:
+def _write_without(prepared: Prepared, idle: Idle | None, path: Path) -> None:
     from pmabench.kinds.compile import read_protocol
 
     if idle is None:
         raise UsageError("--drop-idle: a plant file says nothing that could be foreseen; give an analysis")
     if path.exists():
         raise UsageError(f"{path} is there already; give the name of a new file")
-    document, model = read_protocol(Path(prepared.sources["protocol"]), settings)
+    document, model = read_protocol(Path(prepared.sources["protocol"]), prepared.sources["set"])
     text = without(document, model.sweep, prepared.protocol_text, idle.all)
     try:
         path.write_text(text, encoding="utf-8")
@@ -296,7 +290,7 @@ def last_words(mounted: Mounted, runs: Path) -> list[str]:
         for of, what in (("bench", "bench"), ("muscle", "specimen")):
             if same[of] and what in asked:
                 del asked[what]
-                lines += _lines(form, of, f"last diagnosis of this {what} ({_place(folder)})")
+                lines += _lines(form, of, f"last diagnosis of this {what} ({short(folder.parent)})")
         if not asked:
             break
     return lines[:MOST]
@@ -337,8 +331,3 @@ def _diagnosed(runs: Path) -> Iterator[tuple[Path, Mapping[str, Any], Mapping[st
                 yield path.parent, form, read_manifest(folders[-1])
         except (InvalidFile, RecordError, OSError):
             continue  # `check` is not about analyses: who opens it learns what is wrong with it
-
-
-def _place(folder: Path) -> str:
-    """The analyses of the same runs, as they are shortest typed here."""
-    return short(folder.parent)

@@ -76,17 +76,14 @@ def _newest(out: Path) -> Path:
 
 def _left(folder: Path, data: RunData) -> tuple[int, str]:
     """How many trials are left, and the command to type where none can be done by going on."""
-    from pmabench.cli.runs import ENDED_EARLY, going_on
+    from pmabench.cli.runs import ENDED_EARLY, going_on, trials_left
 
     after = going_on(folder, data)
     if after["continued_by"]:
         later = folder.resolve().parent / after["continued_by"]
         return 0, f"pmabench continue {typed(later)}    goes on after the run that continued this one"
     if after["resume"]:
-        link = data.manifest.get("continues")
-        before = link.get("trials_done", ()) if isinstance(link, dict) else ()
-        done = {trial.index for trial in data.trials if trial.status == "finished" and not trial.again} | set(before)
-        return int(data.manifest.get("trials_planned") or 0) - len(done), ""
+        return trials_left(data), ""
     if data.status in ENDED_EARLY and not any(trial.status == "finished" for trial in data.trials):
         return 0, "nothing of this run can be processed or continued; run the protocol again"
     return 0, f"pmabench process {typed(folder.resolve())}"

@@ -10,10 +10,11 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from textwrap import wrap
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from pmabench.base.errors import InvalidFile, UsageError
 from pmabench.base.quantities import CHANNEL_QUANTITY, in_words, show
+from pmabench.bench.compile import Mounted
 from pmabench.bench.dry_run import (
     PredictedMuscle,
     as_expected,
@@ -25,27 +26,21 @@ from pmabench.bench.dry_run import (
     options_of,
 )
 from pmabench.bench.dry_run_several import several
-from pmabench.bench.files.specimen import ExpectedFile, ExpectedPoint
+from pmabench.bench.files.specimen import ExpectedFile, ExpectedPoint, SpecimenFile
 from pmabench.bench.plant import read_plant
 from pmabench.cli.common import fields
 from pmabench.cli.outcome import WIDTH, cut
+from pmabench.engine.executor import Progress
 from pmabench.engine.operator import ConfirmedBeforehand
-from pmabench.engine.run import run_plan
+from pmabench.engine.run import Outcome, run_plan
 from pmabench.engine.trial_peaks import TrialPeaks
+from pmabench.model.real.muscle import Surface
 from pmabench.protocol.idle import foreseen
+from pmabench.protocol.plan import Plan
 from pmabench.report.bends import slopes_of
 from pmabench.store.analyses.folder import analyses_below, read_analysis
+from pmabench.store.analyses.results import Analysis
 from pmabench.store.folder import run_name
-
-if TYPE_CHECKING:
-    from pmabench.bench.compile import Mounted
-    from pmabench.bench.files.specimen import SpecimenFile
-    from pmabench.engine.executor import Progress
-    from pmabench.engine.run import Outcome
-    from pmabench.model.real.muscle import Surface
-    from pmabench.protocol.plan import Plan
-    from pmabench.store.analyses.results import Analysis
-
 
 PART = "intervals of a plan"
 """Part of a kind of test: what a plan will tell."""
@@ -94,23 +89,20 @@ def simulate(
 
     Where its force is uncertain, the others that it may have are looked at without simulation.
     """
-    if muscle is None:
-        outcome, peaks = _tried(_at_most(plan) if _slow(mounted) else plan, mounted, progress)
-        return {"muscle": "", "left_out": (), **_result(outcome, mounted), "predicted": _predicted(peaks), "others": []}
-    dry = dry_run(mounted, options_of(muscle, mounted), muscle.source)
-    left_out = dry.left_out
-    if muscle.numbers.get("law") == "real" and plan.rate > RATE:
-        left_out = (*left_out, f"samples are taken at {RATE:g} Hz: this kind of simulated muscle needs long")
-        plan = _at_most(plan)
-    outcome, peaks = _tried(plan, dry.mounted, progress)
-    others = [_at_rest(plan, muscle.times(factor / muscle.factors[0]), factor) for factor in muscle.factors[1:]]
-    return {
-        "muscle": muscle.source,
-        "left_out": left_out,
-        **_result(outcome, dry.mounted),
-        "predicted": _predicted(peaks),
-        "others": others,
-    }
+    source, left_out, others = "", tuple[str, ...](), list[dict[str, Any]]()
+    slow = plan.rate > RATE and (_slow(mounted) if muscle is None else muscle.numbers.get("law") == "real")
+    if muscle is not None:
+        dry = dry_run(mounted, options_of(muscle, mounted), muscle.source)
+        source, left_out, mounted = muscle.source, dry.left_out, dry.mounted
+        if slow:
+            left_out = (*left_out, f"samples are taken at {RATE:g} Hz: this kind of simulated muscle needs long")
+        others = [_at_rest(plan, muscle.times(factor / muscle.factors[0]), factor) for factor in muscle.factors[1:]]
+    peaks = TrialPeaks(mounted.bench)
+    plan = replace(plan, rate=RATE) if slow else plan
+    outcome = run_plan(plan, mounted, ConfirmedBeforehand(), out=None, progress=progress, trying=peaks)
+    predicted = [{"trial": peak.trial + 1, **fields(peak, "point", "highest", "duration")} for peak in peaks.trials]
+    found = {"muscle": source, "left_out": left_out, **_result(outcome, mounted)}
+    return found | {"predicted": predicted, "others": others}
 
 
 def _at_rest(plan: Plan, muscle: PredictedMuscle, factor: float) -> dict[str, Any]:
@@ -164,17 +156,6 @@ def _slow(mounted: Mounted) -> bool:
     return any(plant == "real" or (isinstance(plant, dict) and plant.get("law") == "real") for plant in plants)
 
 
-def _at_most(plan: Plan) -> Plan:
-    return replace(plan, rate=min(plan.rate, RATE))
-
-
-def _tried(
-    plan: Plan, mounted: Mounted, progress: Callable[[Progress], None] = lambda _progress: None
-) -> tuple[Outcome, TrialPeaks]:
-    peaks = TrialPeaks(mounted.bench)
-    return run_plan(plan, mounted, ConfirmedBeforehand(), out=None, progress=progress, trying=peaks), peaks
-
-
 def _result(outcome: Outcome, mounted: Mounted) -> dict[str, Any]:
     return {
         **fields(outcome, "status", "exit_code", "why"),
@@ -215,13 +196,6 @@ def findings_of(simulated: dict[str, Any]) -> list[str]:
     if simulated["beyond"]:
         lines.append(f"at the end of the range of the channel: {', '.join(simulated['beyond'])}")
     return lines
-
-
-def _predicted(peaks: TrialPeaks) -> list[dict[str, Any]]:
-    return [
-        {"trial": peak.trial + 1, "point": peak.point, "highest": peak.highest, "duration": peak.duration}
-        for peak in peaks.trials
-    ]
 
 
 def report(

@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import heapq
 import re
+import signal
 import sys
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import count
@@ -25,8 +26,6 @@ from pmabench.cli.names import BENCH, FILE
 from pmabench.files.shipped import find_file
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
     from pmabench.bench.interface import OutputRecord
 
 PRESETS = (
@@ -60,18 +59,7 @@ NOT_PROVEN = "scales not proven: wiring and scales are taken from the bench file
 @click.option("--control", type=click.IntRange(0, 65535), default=0, help="Port for loads and faults; 0: a free one.")
 @common
 def command(
-    ui: Ui,
-    bench: str,
-    plant: str,
-    preset: str,
-    seed: int,
-    log: Path | None,
-    faults: Path | None,
-    control: int,
-    truth: str | None,
-    wrong: tuple[str, ...],
-    *,
-    expose: bool,
+    ui: Ui, bench: str, plant: str, faults: Path | None, truth: str | None, wrong: tuple[str, ...], **how: Any
 ) -> None:
     """Serve the devices of BENCH whose drivers have an emulator on this machine, in real time, until Ctrl-C.
 
@@ -100,11 +88,7 @@ def command(
         truth=None if real is None else read_truth(real),
         wrong=[_in_si(text) for text in wrong],
         plant=_muscle(plant, mounted.bench.outputs),
-        preset=preset,
-        seed=seed,
-        log=log,
-        control=control,
-        expose=expose,
+        **how,
     )
     try:
         _serve(ui, served, real, Faults(served, mounted.bench.gravity, mounted.bench.carriage), faults)
@@ -118,9 +102,6 @@ def command(
 
 def _serve(ui: Ui, served: Any, truth: Path | None, faults: Faults, file: Path | None) -> None:
     """Say what is served and by which wiring, then let what `file` and the keyboard ask happen, until SIGTERM."""
-    import signal
-    import threading
-
     planned = [] if file is None else faults.of_file(file)
 
     def end(number: int, _frame: object) -> None:

@@ -173,11 +173,7 @@ def _loaded(ui: Ui, folder: Path, rows: Sequence[Row]) -> Iterator[RunData]:
 
 
 def _json(
-    title: str,
-    life: Sequence[Past],
-    series: Sequence[Series],
-    references: Sequence[References],
-    remarks: Sequence[Finding],
+    title: str, life: list[Past], series: list[Series], references: list[References], remarks: list[Finding]
 ) -> dict[str, Any]:
     return {
         "schema": "pmabench.history/1",

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from pmabench.base.errors import RecordError, UsageError
+from pmabench.base.errors import UsageError
 from pmabench.base.quantities import CHANNEL_QUANTITY
-from pmabench.base.text import printable
+from pmabench.base.text import printable, sparkline
 from pmabench.cli.common import Ui, common, fields
 from pmabench.cli.names import PATH
 from pmabench.files.shipped import find_file
@@ -65,10 +65,9 @@ def command(
     from pmabench.kinds.registry import importable
     from pmabench.store.importers.importing import import_files
 
-    split = [tuple(text.split("=", 1)) for text in answers if "=" in text]
-    if len(split) < len(answers):
+    if any("=" not in text for text in answers):
         raise UsageError("--set needs KEY=VALUE, for instance --set columns.F.unit=N")
-    pairs = [(key, value) for key, value in split]
+    pairs = [(key, value) for key, _, value in (text.partition("=") for text in answers)]
     runs = import_files(files, find_file("map", map_name), out, importable(), pairs, unresolved=unresolved)
     asked = list(dict.fromkeys(question for run in runs for question in run.unresolved))
     data = {
@@ -111,6 +110,7 @@ def guess(ui: Ui, files: Sequence[Path], spans: Sequence[str], output: Path | No
     """Report what the files seem to hold, and write the map where `output` says."""
     from pmabench.files.document import Document
     from pmabench.kinds.registry import importable
+    from pmabench.report.writing import writing
     from pmabench.store.importers.guess.guess import guess_files
     from pmabench.store.importers.guess.write import map_text, still_open
     from pmabench.store.importers.map_file import questions_of
@@ -123,10 +123,8 @@ def guess(ui: Ui, files: Sequence[Path], spans: Sequence[str], output: Path | No
     left = still_open(text)
     questions = questions_of(Document("map" if output is None else str(output), text))
     if output is not None:
-        try:
+        with writing(output, "the map"):
             output.write_text(text, encoding="utf-8")
-        except OSError as error:
-            raise RecordError(f"{output}: the map cannot be written: {error.strerror or error}") from error
     data = {
         "schema": "pmabench.import-guess/1",
         "files": [str(path) for path in files],
@@ -186,8 +184,6 @@ def _span(text: str) -> tuple[str, Span]:
 
 def _show(found: Guess) -> None:
     """Layout, columns with their course, and what is doubtful."""
-    from pmabench.base.text import sparkline
-
     click.echo(printable(f"{found.files[0]}{f' and {len(found.files) - 1} more' if len(found.files) > 1 else ''}"))
     for key in ("file", "sampling", "trials", "name_tells"):
         for reason in found.reasons.get(key, []):

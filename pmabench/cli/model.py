@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from textwrap import wrap
+from textwrap import fill
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -27,7 +27,7 @@ from pmabench.cli.model_inputs import (
 )
 from pmabench.cli.model_rows import rows
 from pmabench.cli.model_simulate import simulate
-from pmabench.report.terminal import print_grid
+from pmabench.report.terminal import print_grid, print_texts
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -66,12 +66,11 @@ def list_models(ui: Ui) -> None:
     }
 
     def human() -> None:
-        heads = ["family", "model", "what it gives"]
         rows = []
         for before, model in zip([None, *known], known, strict=False):
             again = before is not None and before.family == model.family
             rows.append(["" if again else model.family, model.name, model.title])
-        print_grid(ui.console(columns=120), heads, rows, heads)
+        print_texts(ui.console(columns=120), ["family", "model", "what it gives"], rows)
 
     ui.result(data, human, (model.name for model in known))
 
@@ -116,21 +115,17 @@ def _print_model(ui: Ui, model: Model, checks: Sequence[Check]) -> None:
     for p in model.parameters:
         origin = f" ({p.origin})" if p.origin != "example" else ""
         rows.append([p.name, p.symbol, shown(p, p.value), _domain(p), p.meaning + origin])
-    heads = ["input", "symbol", "reference", "domain", "meaning"]
-    print_grid(console, heads, rows, heads)
+    print_texts(console, ["input", "symbol", "reference", "domain", "meaning"], rows)
     if model.fitted:
-        for line in wrap(f"A fit takes as unknown: {', '.join(model.fitted)}.", console.width):
-            click.echo(line)
+        click.echo(fill(f"A fit takes as unknown: {', '.join(model.fitted)}.", console.width))
     click.echo()
     rows = [[o.name, o.symbol, display_unit(o.quantity), o.meaning] for o in model.outputs]
-    heads = ["output", "symbol", "unit", "meaning"]
-    print_grid(console, heads, rows, heads)
+    print_texts(console, ["output", "symbol", "unit", "meaning"], rows)
     if checks:
         _print_checks(ui, model, checks)
     click.echo()
     for note in model.notes:
-        for line in wrap(note, console.width, initial_indent="- ", subsequent_indent="  "):
-            click.echo(line)
+        click.echo(fill(note, console.width, initial_indent="- ", subsequent_indent="  "))
 
 
 def _print_checks(ui: Ui, model: Model, checks: Sequence[Check]) -> None:
@@ -255,8 +250,7 @@ def _print_inputs(width: int, model: Model, given: dict[str, Any], inputs: dict[
     for own, word in ((True, "given:"), (False, "at their reference values:")):
         settings = [f"{key} {shown(parameters[key], value)}" for key, value in inputs.items() if (key in given) == own]
         if settings:
-            for line in wrap(f"{word} {', '.join(settings)}", width, subsequent_indent="  ", break_on_hyphens=False):
-                click.echo(line)
+            click.echo(fill(f"{word} {', '.join(settings)}", width, subsequent_indent="  ", break_on_hyphens=False))
     click.echo()
 
 

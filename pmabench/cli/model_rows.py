@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from pmabench.files.table import Table
     from pmabench.model.library import Model
 
     Array = NDArray[np.float64]
@@ -52,8 +53,9 @@ def rows(
 
     model = named_model(name)
     given, _ = read_inputs(model, settings, [])
-    inputs, others = _inputs(model, table, given)
-    count = len(read_table(table).columns[0].cells)
+    read = read_table(table)
+    inputs, others = _inputs(model, read, given)
+    count = len(read.columns[0].cells)
     groups = _groups(model, unsure)
     values, halves = _evaluated(model, inputs, groups, count)
     columns = others
@@ -76,24 +78,25 @@ def rows(
     show_columns(ui, data, keys=keys, as_csv=as_csv, below=() if ui.quiet else notes)
 
 
-def _inputs(model: Model, path: Path, given: Mapping[str, Any]) -> tuple[dict[str, Any], list[Any]]:
+def _inputs(model: Model, table: Table, given: Mapping[str, Any]) -> tuple[dict[str, Any], list[Any]]:
     """Inputs by name [SI], single or of each row, and columns of all that the table has, as the model reads them."""
     from pmabench.cli.model_measured import columns_of
-    from pmabench.files.table import numbers, read_table
+    from pmabench.files.table import numbers
 
-    table = read_table(path)
     found, unused = columns_of(model, table)
     twice = [name for name in found if name in given]
     if twice:
-        raise UsageError(f"--set {twice[0]}: {path} has a column of it; give one or the other")
+        raise UsageError(f"--set {twice[0]}: {table.path} has a column of it; give one or the other")
     missing = [p.name for p in model.parameters if p.name not in found and p.name not in given]
     if missing:
-        raise UsageError(f"{path} has no column of {', '.join(missing)}; add it, or give it with --set")
+        raise UsageError(f"{table.path} has no column of {', '.join(missing)}; add it, or give it with --set")
     quantities = {p.name: p.quantity for p in model.parameters}
     read, kept = numbers(table, [(column, quantities[name], unit) for name, (column, unit) in found.items()])
     if len(kept) < len(table.columns[0].cells):
         empty = next(row for row in range(len(table.columns[0].cells)) if row not in kept)
-        raise UsageError(f"{path}: row {empty + 1} of the table has an empty cell; measure it, or leave the row out")
+        raise UsageError(
+            f"{table.path}: row {empty + 1} of the table has an empty cell; measure it, or leave the row out"
+        )
     shown = [column for column in table.columns if column.head.text in unused]
     others = [column_of(column.head.text, "", [cell.text for cell in column.cells]) for column in shown]
     others += [column_of(name, quantities[name], values.tolist()) for name, values in zip(found, read, strict=True)]

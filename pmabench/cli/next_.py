@@ -11,14 +11,13 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pmabench.base.errors import RecordError, UsageError
-from pmabench.base.kind import load
+from pmabench.base.kind import Kind, load
 from pmabench.base.quantities import in_words
 from pmabench.cli.common import Ui, common, read_quantity
 from pmabench.cli.names import FILE, RunFolder
 from pmabench.cli.until import PART, goals_of
 
 if TYPE_CHECKING:
-    from pmabench.base.kind import Kind
     from pmabench.store.records import RunData
 
 MOST = 10

@@ -16,7 +16,7 @@ import click
 
 from pmabench.cli.common import Ui, fields, rewrite, say
 from pmabench.cli.names import short, typed
-from pmabench.report.terminal import print_grid
+from pmabench.report.terminal import print_texts
 
 if TYPE_CHECKING:
     from pmabench.bench.interface import CompiledBench
@@ -168,9 +168,8 @@ def print_checks(ui: Ui, checks: Sequence[Check], *, err: bool = False) -> None:
     if not checks:
         return
     console = ui.console(err=err)
-    heads = ["check", "value", "limit", "verdict"]
     rows = [[c.name, c.value or (c.hint if c.verdict.startswith("not ") else ""), c.limit, c.verdict] for c in checks]
-    print_grid(console, heads, rows, heads)
+    print_texts(console, ["check", "value", "limit", "verdict"], rows)
     for check in checks:
         if check.verdict == "failed":
             console.print(f"{check.name}: {check.hint}")

@@ -11,7 +11,7 @@ import click
 from pmabench.base.errors import UsageError
 from pmabench.cli.common import Ui, common
 from pmabench.cli.names import PATH, RunFolder
-from pmabench.report.publishing.about import LICENCES
+from pmabench.report.publishing.about import LICENCES, About, Author, Place
 
 
 @click.command(name="publish")
@@ -43,8 +43,6 @@ def command(
     Sealed records, coefficients, report, README and checksums, described as RO-Crate, DataCite, Data Package and
     CITATION.cff. Runs are processed first, unless `process` did that and nothing has changed since.
     """
-    from pmabench.report.publishing.about import About, Author, Place
-
     if output.exists():
         raise UsageError(f"{output} is there already: a publication is not mixed with other files; give a new name")
     today = datetime.now(UTC).date().isoformat()

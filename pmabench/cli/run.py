@@ -17,13 +17,12 @@ from pmabench.cli.common import Ui, common, plan_options, rewrite, session_optio
 from pmabench.cli.names import PATH, RunFolder
 from pmabench.cli.operator import AtDisplay, Confirmed, InLines
 from pmabench.cli.outcome import print_checks, progress_line, show_end, show_next
-from pmabench.engine.operator import AtTerminal, ConfirmedBeforehand, Nobody
+from pmabench.engine.operator import AtTerminal, ConfirmedBeforehand, Nobody, Operator
 
 if TYPE_CHECKING:
     from pmabench.bench.compile import Mounted
     from pmabench.cli.prepare import Prepared
     from pmabench.cli.until import Until
-    from pmabench.engine.operator import Operator
     from pmabench.engine.run import Continues, Outcome
     from pmabench.session.checks import Check
 
@@ -94,7 +93,7 @@ def run_or_resume(
     from pmabench.cli.prepare import prepare
 
     if resume is not None:
-        from pmabench.engine.resume import sources
+        from pmabench.engine.resume import continue_run, sources
         from pmabench.store.folder import read_manifest
 
         until = read_manifest(resume).get("until")
@@ -109,8 +108,6 @@ def run_or_resume(
     prepared = prepare(protocol, bench, specimen, settings)
     continues = None
     if resume is not None:
-        from pmabench.engine.resume import continue_run
-
         continues = continue_run(resume, prepared.plan, prepared.mounted, prepared.protocol_text, accept)
     if web:
         from pmabench.cli.watch import start_view
@@ -204,9 +201,7 @@ def _chosen(chooser: Until, shown: Mapping[str, Any]) -> dict[str, Any]:
     return {"begun": begun, "further": lambda executor: Choosing(executor, chooser)}
 
 
-def _in_session(
-    ui: Ui, mounted: Mounted, out: Path, operator_name: str, options: dict[str, Any], *, yes: bool
-) -> Mounted:
+def _in_session(ui: Ui, mounted: Mounted, out: Path, who: str, options: dict[str, Any], *, yes: bool) -> Mounted:
     """The bench within a valid session, which is run first where none is; `options` are those of `ensure`."""
     from pmabench.session.session import SessionFailed, ensure
 
@@ -214,14 +209,7 @@ def _in_session(
         tables: list[Sequence[Check]] = []
         try:
             return ensure(
-                mounted,
-                operator,
-                out,
-                operator_name=operator_name,
-                say=ui.note,
-                report=tables.append,
-                **shown,
-                **options,
+                mounted, operator, out, operator_name=who, say=ui.note, report=tables.append, **shown, **options
             )
         except SessionFailed as error:
             show_next(ui, error.outcome, mounted.bench, trials=False)

@@ -42,7 +42,8 @@ def list_runs(ui: Ui, folder: Path) -> None:
     rows = sorted(({**vars(row)} for row in catalogue(folder)), key=lambda row: (row["date"], row["folder"]))
     continued = {row["continues"] for row in rows}
     for row in rows:
-        row["resume"] = "" if row["id"] in continued else _resume(folder / row["folder"], row)
+        left = row["trials_planned"] - row["trials_finished"] - row["trials_before"]
+        row["resume"] = "" if row["id"] in continued else _resume(folder / row["folder"], row["status"], left)
 
     def human() -> None:
         from pmabench.store.since import Added, Since
@@ -66,10 +67,9 @@ def list_runs(ui: Ui, folder: Path) -> None:
     ui.result({"schema": "pmabench.runs/1", "runs": rows}, human)
 
 
-def _resume(run: Path, row: Mapping[str, Any]) -> str:
+def _resume(run: Path, status: str, left: int) -> str:
     """The command that continues a run that ended early; empty where it cannot be continued."""
-    left = row["trials_planned"] - row["trials_finished"] - row["trials_before"]
-    return f"pmabench run --resume {quote(str(run))}" if row["status"] in ENDED_EARLY and left > 0 else ""
+    return f"pmabench run --resume {quote(str(run))}" if status in ENDED_EARLY and left > 0 else ""
 
 
 @command.command(name="show")
@@ -171,17 +171,17 @@ def going_on(run: Path, data: RunData) -> dict[str, str]:
     if data.status not in ENDED_EARLY or not isinstance(data.manifest.get("sources"), Mapping):
         return {"continued_by": "", "resume": ""}
     after = goes_on(run)
+    resume = "" if after else _resume(run, data.status, trials_left(data))
+    return {"continued_by": after.name if after else "", "resume": resume}
+
+
+def trials_left(data: RunData) -> int:
+    """How many planned trials were finished neither in this run nor in those that it continues."""
     link = data.manifest.get("continues")
     before = link.get("trials_done") if isinstance(link, Mapping) else None
     done = {t.index for t in data.trials if t.status == "finished" and not t.again}
     done |= set(before) if isinstance(before, list) else set()
-    row = {
-        "status": data.status,
-        "trials_planned": int(data.manifest.get("trials_planned") or 0),
-        "trials_finished": len(done),
-        "trials_before": 0,
-    }
-    return {"continued_by": after.name if after else "", "resume": "" if after else _resume(run, row)}
+    return int(data.manifest.get("trials_planned") or 0) - len(done)
 
 
 def _print_rest(data: RunData) -> None:

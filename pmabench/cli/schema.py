@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Union
 
 import click
 
 from pmabench.base.errors import RecordError, UsageError
+from pmabench.base.kind import load
 from pmabench.cli.common import Ui, common
 from pmabench.cli.names import FOLDER
 
@@ -72,18 +73,13 @@ def _schema(kind: str) -> dict[str, Any]:
 
 def _of_driver(name: str) -> dict[str, Any]:
     """The schema of the map files of a driver, which its `map_schema` gives."""
-    from importlib import import_module
-
     from pmabench.bench.registry import driver_class
 
-    module, _, driver = driver_class(name).partition(":")
-    schema: dict[str, Any] = getattr(import_module(module), driver).map_schema()
+    schema: dict[str, Any] = load(driver_class(name)).map_schema()
     return schema
 
 
 def _of_models(kind: str) -> dict[str, Any]:
-    from typing import Annotated, Union
-
     from pydantic import BaseModel, Field, TypeAdapter
 
     from pmabench.bench.files.bench import BenchFile

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pmabench.base.errors import PmaError, UsageError, did_you_mean
-from pmabench.base.kind import load
+from pmabench.base.kind import Kind, load
 from pmabench.base.quantities import show
 from pmabench.cli.common import Ui, read_quantity
 from pmabench.engine.choosing import CHANGED, Chosen, NoMore
@@ -27,7 +27,6 @@ from pmabench.protocol.plan import TrialRecord
 
 if TYPE_CHECKING:
     from pmabench.analysis.next_trial import Goal
-    from pmabench.base.kind import Kind
     from pmabench.cli.prepare import Prepared
     from pmabench.store.records import RunData
 
@@ -93,12 +92,8 @@ class Until:
         if self.folder is None:
             raise UsageError("a run that is not recorded cannot choose its trials")
         answer = self._answer(self.folder, wait)
-        if self.shown:
-            return answer
-        if isinstance(answer, NoMore):
-            self.ui.note(f"no further trial: {answer.why}")
-        else:
-            self.ui.note(f"next: {answer.why}")
+        if not self.shown:
+            self.ui.note(f"{'no further trial' if isinstance(answer, NoMore) else 'next'}: {answer.why}")
         return answer
 
     def _answer(self, folder: Path, wait: Callable[[], None]) -> Chosen | NoMore:
