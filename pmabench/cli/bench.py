@@ -1,18 +1,30 @@
-"""`pmabench bench`: its card to hang at the rig, and what its devices answer (`bench_probe`, `bench_values`)."""
+"""`pmabench bench`: its card to hang at the rig, and what its devices answer (`bench_values`)."""
 
 from __future__ import annotations
 
 import datetime
+import sys
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from pmabench.cli.bench_probe import probe
+from pmabench.base.clock import RealClock
+from pmabench.base.errors import DeviceError, UsageError
+from pmabench.base.quantities import show
 from pmabench.cli.bench_values import read, set_
-from pmabench.cli.common import Ui, common
-from pmabench.cli.names import BENCH, SPECIMEN
-from pmabench.files.shipped import find_file
+from pmabench.cli.common import Ui, common, fields
+from pmabench.cli.names import BENCH, FILE, PATH, SPECIMEN
+from pmabench.cli.operator import AtLines
+from pmabench.cli.outcome import outcome_json, print_checks, print_outcome, progress_line
+from pmabench.engine.operator import ConfirmedBeforehand, Nobody, Operator
+from pmabench.report.terminal import print_grid, print_texts
+
+if TYPE_CHECKING:
+    from pmabench.bench.interface import DeviceRecord, Identity
+    from pmabench.session.checks import Check
 
 
 @click.group(name="bench")
@@ -20,7 +32,6 @@ def command() -> None:
     """A bench: its card for people at the rig; ask its devices, read one channel, set one output."""
 
 
-command.add_command(probe)
 command.add_command(read)
 command.add_command(set_)
 
@@ -30,17 +41,190 @@ command.add_command(set_)
 @click.option(
     "--specimen", type=SPECIMEN, help="Specimen file, or the name of a shipped one: its limits are counted in."
 )
-@click.option("-o", "--output", required=True, type=click.Path(path_type=Path, dir_okay=False), help="The HTML file.")
+@click.option("-o", "--output", required=True, type=FILE, help="The HTML file.")
 @common
-def card(ui: Ui, bench: str, specimen: str | None, output: Path) -> int | None:
+def card(ui: Ui, bench: str, specimen: str | None, output: Path) -> None:
     """Write the card of BENCH: limits, what vents, what happens when something fails, wiring; one A4 page."""
     from pmabench.bench.card import make_card
-    from pmabench.bench.compile import mount, mount_alone
+    from pmabench.cli.prepare import mounted_of
     from pmabench.report.pages.bench_card import write_card
 
-    path = find_file("bench", bench)
-    mounted = mount(path, find_file("specimen", specimen)) if specimen is not None else mount_alone(path)
-    made = make_card(mounted, datetime.date.today().isoformat())
+    made = make_card(mounted_of(bench, specimen), datetime.date.today().isoformat())
     write_card(asdict(made), output)
     ui.result({"schema": "pmabench.bench-card/1", "path": str(output)}, lambda: click.echo(str(output)))
+
+
+@command.command(name="probe")
+@click.argument("bench", type=BENCH, required=False)
+@click.option("--driver", help="Without a bench file: a driver's name, or module:Class; needs --address.")
+@click.option("--address", help="Where its device is, as a bench file says it.")
+@click.option("--option", "options", multiple=True, metavar="NAME=VALUE", help="An option of the driver.")
+@click.option("--self-test", "test", is_flag=True, help="Try the bench under a small pressure; needs --specimen.")
+@click.option("--specimen", type=SPECIMEN, help="The specimen that is mounted; its limits hold during the self-test.")
+@click.option("--out", default="runs", show_default=True, type=PATH, help="Where run folders go.")
+@click.option("--operator", default="", help="Who is at the bench; the login name if not given.")
+@click.option("--yes", is_flag=True, help="Every prompt of the self-test counts as answered; the record says so.")
+@common
+def probe(
+    ui: Ui,
+    bench: str | None,
+    driver: str | None,
+    address: str | None,
+    options: tuple[str, ...],
+    specimen: str | None,
+    *,
+    test: bool,
+    **how: Any,
+) -> int | None:
+    """Open the devices of BENCH, show who answers and one value of each channel, and close; nothing is commanded.
+
+    With --driver and --address: the one device there, before there is a bench file.
+    """
+    if (bench is None) == (driver is None) or (driver is None) != (address is None) or (test and bench is None):
+        raise UsageError("give a BENCH, or --driver and --address of one device")
+    name: str | None = None
+    channels: list[dict[str, Any]] = []
+    if driver is not None and address is not None:
+        identities = who_answers(driver, address, options)
+    elif test:
+        if specimen is None:
+            raise UsageError("--self-test puts pressure on the muscle: say which one is mounted, with --specimen")
+        return _self_test(ui, str(bench), specimen, **how)
+    else:
+        name, identities, channels = _read_once(str(bench))
+    data = {"schema": "pmabench.probe/1", "bench": name, "devices": identities, "channels": channels}
+    ui.result(data, lambda: _print_probe(ui, identities, channels))
+    silent = [row for row in channels if row["value"] is None]
+    if silent:
+        raise DeviceError(str(silent[0]["device"]), "gives no samples", str(silent[0]["channel"]))
     return None
+
+
+def _read_once(bench: str) -> tuple[str, dict[str, dict[str, Any]], list[dict[str, Any]]]:
+    """Name of the bench, identity of each device, and a row per channel with its mean and noise over half a second."""
+    from pmabench.cli.prepare import mounted_of
+    from pmabench.session.guided import listen, looking
+
+    compiled = mounted_of(bench).bench
+    with looking(compiled) as look:
+        series = listen(look.acquisition, 0.5)
+        identities = {device.name: _about(device, look.identities[device.name]) for device in compiled.devices}
+    channels = []
+    for channel in compiled.channels:
+        one = series.get(channel.name)
+        reading = one.reading() if one is not None else None
+        about = {"channel": channel.name} | fields(channel, "device", "input", "quantity", "raw_unit")
+        measured = (channel.scale.to_raw(reading.mean), reading.mean, reading.noise) if reading else (None,) * 3
+        channels.append(about | dict(zip(("raw", "value", "noise"), measured, strict=True)))
+    return compiled.name, identities, channels
+
+
+def _about(device: DeviceRecord, identity: Identity) -> dict[str, Any]:
+    from pmabench.engine.untried import doubt
+
+    return {**vars(identity), "verified": device.verified, "doubt": doubt(device, identity)}
+
+
+def _print_probe(ui: Ui, identities: dict[str, dict[str, Any]], channels: Sequence[dict[str, Any]]) -> None:
+    console = ui.console()
+    rows = [
+        [name, f"{i['maker']} {i['model']}", i["serial"], i["firmware"], _proven(i)] for name, i in identities.items()
+    ]
+    print_texts(console, ["device", "answers as", "serial", "firmware", ""], rows)
+    if not channels:
+        return
+    console.print()
+    table = []
+    for row in channels:
+        values = ["no sample", "", ""]
+        if row["value"] is not None:
+            measured = [show(row[name], row["quantity"], digits) for name, digits in (("value", 5), ("noise", 2))]
+            values = [f"{row['raw']:.6g} {row['raw_unit']}", *measured]
+        table.append([row["channel"], f"{row['device']}.{row['input']}", *values])
+    print_grid(console, ["channel", "wire", "raw", "value", "noise (rms)"], table, ("channel", "wire"))
+
+
+def _proven(identity: dict[str, Any]) -> str:
+    """Whether a device is simulated, and its scales not proven by that, or what its driver was verified on."""
+    from pmabench.bench.interface import UNPROVEN
+
+    if identity["simulated"]:
+        return "SIMULATED, scales not proven" if identity["model"].startswith(UNPROVEN) else "SIMULATED"
+    return f"verified: {identity['doubt'] or identity['verified']}"
+
+
+def _self_test(ui: Ui, bench: str, specimen: str, out: Path, operator: str, *, yes: bool) -> int:
+    from pmabench.cli.prepare import mounted_of
+    from pmabench.session.self_test import run_self_test
+    from pmabench.store.folder import read_manifest
+
+    mounted = mounted_of(bench, specimen)
+    there = sys.stdin.isatty()
+    person: Operator = AtLines(realtime=mounted.bench.realtime) if there else Nobody()
+    tables: list[Sequence[Check]] = []
+    with progress_line(ui, "self-test") as progress:
+        outcome = run_self_test(
+            mounted,
+            ConfirmedBeforehand() if yes else person,
+            out,
+            operator_name=operator,
+            report=tables.append,
+            progress=progress,
+        )
+    checks = tables[0] if tables else ()
+    unproven = read_manifest(outcome.folder).get("scales_not_proven", []) if outcome.folder is not None else []
+    data = {
+        "schema": "pmabench.self-test/1",
+        "checks": [asdict(check) for check in checks],
+        "outcome": outcome_json(outcome),
+        "scales_not_proven": unproven,
+    }
+
+    def human() -> None:
+        print_checks(ui, checks)
+        if unproven:
+            ui.note(f"scales not proven: the emulator of {', '.join(unproven)} takes them from this bench file")
+        print_outcome(outcome)
+
+    ui.result(data, human)
+    return outcome.exit_code
+
+
+def who_answers(driver: str, address: str, options: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """Open a device by the name of its driver (or `module:Class`) and its address, ask who it is, and close.
+
+    `options` are those of a bench file, as name=value. Raises UsageError where they cannot be read, DeviceError where
+    the driver refuses them or nobody answers.
+    """
+    from pmabench.bench.interface import DeviceRecord
+    from pmabench.bench.registry import driver_class, verified
+    from pmabench.guard.links import OPENS_WITHIN, load_driver
+    from pmabench.guard.owner import Owner
+
+    try:
+        target = driver_class(driver)
+    except ValueError as error:
+        raise UsageError(f"--driver: {error}; or give module:Class") from error
+    record = DeviceRecord("device", target, address, dict(_option(text) for text in options))
+    device = load_driver(record, RealClock())
+    owner = Owner(record.name)
+    try:
+        identity = owner.call(device.open, OPENS_WITHIN)
+    finally:
+        owner.call(device.close, OPENS_WITHIN)
+    record = DeviceRecord("device", target, address, verified=verified(type(device)))
+    return {record.name: _about(record, identity)}
+
+
+def _option(text: str) -> tuple[str, Any]:
+    """`rate=50 Hz` as a bench file would give it."""
+    from ruamel.yaml import YAML
+    from ruamel.yaml.error import YAMLError
+
+    name, equals, value = text.partition("=")
+    if not equals or not name:
+        raise UsageError(f'--option: "{text}" is not name=value, for instance rate=50 Hz')
+    try:
+        return name, YAML(typ="safe", pure=True).load(value)
+    except YAMLError as error:
+        raise UsageError(f'--option {name}: "{value}" cannot be read as in a bench file') from error

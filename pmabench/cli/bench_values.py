@@ -14,11 +14,10 @@ import click
 from pmabench.base.errors import DeviceError, UsageError, did_you_mean
 from pmabench.base.quantities import CHANNEL_QUANTITY, QUANTITIES, show
 from pmabench.cli.common import Ui, common, fields, read_quantity
-from pmabench.cli.names import BENCH, SPECIMEN
+from pmabench.cli.names import BENCH, PATH, SPECIMEN
 from pmabench.cli.operator import AtLines
 from pmabench.cli.outcome import show_outcome
 from pmabench.engine.operator import ConfirmedBeforehand, Operator
-from pmabench.files.shipped import find_file
 
 if TYPE_CHECKING:
     from pmabench.bench.interface import ChannelRecord
@@ -43,12 +42,12 @@ SHOWN = 1.0
 @common
 def read(ui: Ui, bench: str, channel: str, lasting: str | None, rate: str) -> None:
     """Read one CHANNEL of BENCH: its value with unit, and what the device gave. Arms nothing and commands nothing."""
-    from pmabench.bench.compile import mount_alone
+    from pmabench.cli.prepare import mounted_of
     from pmabench.session.guided import looking
 
     seconds = None if lasting is None else _above_zero(lasting, "time", "--for")
     hertz = _above_zero(rate, "frequency", "--rate")
-    compiled = mount_alone(find_file("bench", bench)).bench
+    compiled = mounted_of(bench).bench
     known = {record.name: record for record in compiled.channels}
     if channel not in known:
         raise UsageError(f'"{compiled.name}" has no channel "{channel}"{did_you_mean(channel, known)}')
@@ -132,32 +131,23 @@ def _print_reading(record: ChannelRecord, reading: Reading, data: Mapping[str, A
 @click.argument("value")
 @click.option("--specimen", type=SPECIMEN, required=True, help="The specimen that is mounted; its limits hold.")
 @click.option("--for", "lasting", metavar="TIME", help='Hold for so long: "10 s"; else until Ctrl-C.')
-@click.option("--out", default="runs", show_default=True, type=click.Path(path_type=Path), help="Where run folders go.")
+@click.option("--out", default="runs", show_default=True, type=PATH, help="Where run folders go.")
 @click.option("--operator", default="", help="Who is at the bench; the login name if not given.")
 @click.option("--yes", is_flag=True, help="The question counts as answered; the record says so.")
 @common
 def set_(
-    ui: Ui,
-    bench: str,
-    output: str,
-    value: str,
-    specimen: str,
-    lasting: str | None,
-    out: Path,
-    operator: str,
-    *,
-    yes: bool,
+    ui: Ui, bench: str, output: str, value: str, specimen: str, lasting: str | None, out: Path, operator: str, yes: bool
 ) -> int:
     """Send OUTPUT of BENCH to VALUE ("50 kPa") by hand, hold it, and leave the bench in its safe state.
 
     At most the bench's set-up pressure, as with monitor --jog: after the proof test, under every limit, recorded as a
     run of kind setup. It ends by --for or by Ctrl-C, and vents on every way out.
     """
-    from pmabench.bench.compile import mount
+    from pmabench.cli.prepare import mounted_of
     from pmabench.session.jog import hold_at
 
     seconds = None if lasting is None else _above_zero(lasting, "time", "--for")
-    mounted = mount(find_file("bench", bench), find_file("specimen", specimen))
+    mounted = mounted_of(bench, specimen)
     known = {record.name: record for record in mounted.bench.outputs}
     if output not in known:
         valve = output in mounted.bench_file.valves

@@ -13,12 +13,11 @@ import click
 from pmabench.base.errors import UsageError
 from pmabench.base.quantities import CHANNEL_QUANTITY
 from pmabench.cli.common import Ui, common, read_quantity, say
-from pmabench.cli.names import BENCH, SPECIMEN
+from pmabench.cli.names import BENCH, PATH, SPECIMEN
 from pmabench.cli.operator import AtLines
 from pmabench.cli.outcome import outcome_json, print_outcome, progress_line
 from pmabench.engine.operator import ConfirmedBeforehand, Nobody
-from pmabench.files.shipped import find_file
-from pmabench.report.terminal import print_grid
+from pmabench.report.terminal import print_texts
 
 if TYPE_CHECKING:
     from pmabench.bench.compile import Mounted
@@ -39,11 +38,9 @@ if TYPE_CHECKING:
 @click.option("--points", required=True, metavar="LIST", help='Reference points: "0 N, 58.86 N, 107.91 N".')
 @click.option("--cycles", default=2, show_default=True, help="How often up and down.")
 @click.option("--hold", default="0 kPa", metavar="PRESSURE", help="Pressure that lifts loads off their support.")
-@click.option(
-    "--into", default="calibrations", show_default=True, type=click.Path(path_type=Path), help="Where the file goes."
-)
+@click.option("--into", default="calibrations", show_default=True, type=PATH, help="Where the file goes.")
 @click.option("--valid-until", type=click.DateTime(["%Y-%m-%d"]), help="Last day of the calibration.")
-@click.option("--out", default="runs", show_default=True, type=click.Path(path_type=Path), help="Where run folders go.")
+@click.option("--out", default="runs", show_default=True, type=PATH, help="Where run folders go.")
 @click.option("--operator", default="", help="Who is at the bench; the login name if not given.")
 @click.option(
     "--yes", is_flag=True, help="Simulated benches: the nominal value counts as the reading of the reference."
@@ -67,7 +64,7 @@ def command(
     yes: bool,
 ) -> int:
     """Calibrate CHANNEL (force, pressure, displacement, angle; pressure_command: the regulator) by points."""
-    from pmabench.bench.compile import mount
+    from pmabench.cli.prepare import mounted_of
     from pmabench.session.calibration import Request, check, uncovered
 
     quantity = CHANNEL_QUANTITY.get(channel, "force")
@@ -82,7 +79,7 @@ def command(
     )
     if request.reference_uncertainty < 0:
         raise UsageError("--reference-uncertainty: an uncertainty is not below zero")
-    mounted = mount(find_file("bench", bench), find_file("specimen", specimen))
+    mounted = mounted_of(bench, specimen)
     check(mounted, request)
     for trip in uncovered(mounted, request):
         ui.note(f"warning: {trip}")
@@ -160,10 +157,8 @@ def _show_result(ui: Ui, request: Request, done: Calibrated, path: Path | None, 
 
     def human() -> None:
         if done.fit is not None:
-            console = ui.console()
             rows = [[name, value] for name, value in budget(done.fit, quantity, done.raw_unit)]
-            heads = [f"calibration of {request.channel}", ""]
-            print_grid(console, heads, rows, heads)
+            print_texts(ui.console(), [f"calibration of {request.channel}", ""], rows)
         print_outcome(done.outcome)
         if path is None:
             return

@@ -11,7 +11,7 @@ import click
 
 from pmabench.base.quantities import in_words
 from pmabench.cli.common import Ui, common, say, session_options
-from pmabench.cli.names import CAMPAIGN, short
+from pmabench.cli.names import CAMPAIGN, PATH, short
 from pmabench.cli.outcome import cut, next_lines, outcome_json, show_next
 from pmabench.files.shipped import find_file
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @click.command(name="campaign")
 @click.argument("file", type=CAMPAIGN)
-@click.option("--out", default="runs", show_default=True, type=click.Path(path_type=Path), help="Where run folders go.")
+@click.option("--out", default="runs", show_default=True, type=PATH, help="Where run folders go.")
 @click.option("--operator", default="", help="Who is at the bench; the login name if not given.")
 @click.option("--yes", is_flag=True, help="Every prompt counts as answered; the record says so.")
 @click.option("--resume", is_flag=True, help="Leave out what is finished in --out, and go on with what is not.")
@@ -103,15 +103,9 @@ def run_campaign(
         prepared = Prepared(run.plan, mounted, run.protocol_text, run.deviations, run.sources, run.slower, run.doubts)
         about = {"campaign": {"name": name, "number": number, "of": len(planned)}}
         outcome = execute(
-            ui,
-            prepared,
-            out,
-            operator_name=operator_name,
-            yes=yes,
-            continues=continues,
-            about=about,
-            session=session if number == 0 else None,
+            ui, prepared, out, operator_name=operator_name, yes=yes, continues=continues, about=about, session=session
         )
+        session = None  # options of the first run alone
         outcomes.append(outcome)
         if outcome.exit_code not in {0, 6}:
             say(f"the campaign ends here: {outcome.status}: {outcome.why}")

@@ -6,18 +6,18 @@ import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from shutil import get_terminal_size
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
-from pmabench.base.clock import RealClock
+from pmabench.base.clock import Clock, RealClock
 from pmabench.base.errors import UsageError
 from pmabench.base.quantities import show
-from pmabench.cli.common import Ui, common, fields, rewrite, say
+from pmabench.cli.common import Ui, common, fields, rewrite, say, with_options
+from pmabench.cli.names import FOLDER, PATH
 from pmabench.files.shipped import find_file
 
 if TYPE_CHECKING:
-    from pmabench.base.clock import Clock
     from pmabench.model.cascade import Course
     from pmabench.model.curve import Array
     from pmabench.report.cascade_record import Result
@@ -35,22 +35,19 @@ def command() -> None:
     """Muscles end to end, each with its pressure steps: simulate, draw, play again."""
 
 
-def _output_options(function: Callable[..., Any]) -> Callable[..., Any]:
-    for option in (
-        click.option("--csv", "as_csv", is_flag=True, help="Comma-separated values in SI units on stdout."),
-        click.option("--at", "moments", multiple=True, metavar="TIME", help="A moment of the still; repeatable."),
-        click.option("--pace", is_flag=True, help="In real time, drawn in the terminal."),
-    ):
-        function = option(function)
-    return function
+_output_options = with_options(
+    click.option("--csv", "as_csv", is_flag=True, help="Comma-separated values in SI units on stdout."),
+    click.option("--at", "moments", multiple=True, metavar="TIME", help="A moment of the still; repeatable."),
+    click.option("--pace", is_flag=True, help="In real time, drawn in the terminal."),
+)
 
 
 @command.command(name="simulate", epilog=EXAMPLE)
 @click.argument("file")
-@click.option("--out", type=click.Path(path_type=Path, file_okay=False), help="Folder for result and drawings.")
+@click.option("--out", type=FOLDER, help="Folder for result and drawings.")
 @_output_options
 @common
-def simulate(ui: Ui, file: str, out: Path | None, moments: tuple[str, ...], *, pace: bool, as_csv: bool) -> int | None:
+def simulate(ui: Ui, file: str, out: Path | None, moments: tuple[str, ...], *, pace: bool, as_csv: bool) -> None:
     """Simulate the chain of a cascade FILE (or the shipped paper1, unlike) as fast as possible, or paced."""
     import numpy as np
 
@@ -58,7 +55,6 @@ def simulate(ui: Ui, file: str, out: Path | None, moments: tuple[str, ...], *, p
     from pmabench.protocol.cascade import read_cascade
     from pmabench.report.cascade_record import result
 
-    _not_both(ui, as_csv=as_csv)
     plan = read_cascade(find_file("cascade", file))
     at = _moments(moments, plan.duration, out)
     members = [muscle.member() for muscle in plan.muscles]
@@ -74,22 +70,20 @@ def simulate(ui: Ui, file: str, out: Path | None, moments: tuple[str, ...], *, p
     about = fields(plan, "name", "source", "fce_eval") | {"load": plan.load[0]}
     muscles = [fields(m, "name", "law", "length", "radius", "braid_angle", "assumed") for m in plan.muscles]
     _deliver(ui, result(about, muscles, course, pace_kept), out, at, result_too=True, as_csv=as_csv)
-    return None
 
 
 @command.command(name="replay", epilog=EXAMPLE)
-@click.argument("source", type=click.Path(path_type=Path), metavar="RESULT")
-@click.option("--out", type=click.Path(path_type=Path, file_okay=False), help="Folder for the drawings.")
+@click.argument("source", type=PATH, metavar="RESULT")
+@click.option("--out", type=FOLDER, help="Folder for the drawings.")
 @_output_options
 @common
-def replay(ui: Ui, source: Path, out: Path | None, moments: tuple[str, ...], *, pace: bool, as_csv: bool) -> int | None:
+def replay(ui: Ui, source: Path, out: Path | None, moments: tuple[str, ...], *, pace: bool, as_csv: bool) -> None:
     """Show or draw a RESULT (cascade.json, or the folder with it) again, without a simulation."""
     import numpy as np
 
     from pmabench.model.cascade import Course
     from pmabench.report.cascade_record import read_result
 
-    _not_both(ui, as_csv=as_csv)
     found = read_result(source)
     at = _moments(moments, found.time[-1], out)
     if pace:
@@ -105,7 +99,6 @@ def replay(ui: Ui, source: Path, out: Path | None, moments: tuple[str, ...], *, 
 
         _play(ui, t, part, [m.length for m in found.muscles])
     _deliver(ui, found, out, at, result_too=False, as_csv=as_csv)
-    return None
 
 
 def _play(ui: Ui, times: Array, step: Callable[[Array], Course], lengths: list[float]) -> tuple[Course, float]:
@@ -120,11 +113,6 @@ def _play(ui: Ui, times: Array, step: Callable[[Array], Course], lengths: list[f
     t, force = (np.concatenate([getattr(block, name) for block in blocks]) for name in ("t", "force"))
     P, x, F_ce = (np.concatenate([getattr(block, name) for block in blocks], axis=1) for name in ("P", "x", "F_ce"))
     return Course(t, P, x, F_ce, force), elapsed
-
-
-def _not_both(ui: Ui, *, as_csv: bool) -> None:
-    if as_csv and ui.json:
-        raise UsageError("--csv or --json, not both")
 
 
 def _moments(texts: tuple[str, ...], last: float, out: Path | None) -> list[float]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections import Counter
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,37 +12,34 @@ import click
 
 from pmabench.base.errors import InvalidFile, RecordError, UsageError
 from pmabench.base.quantities import in_words, show
+from pmabench.base.text import clean
+from pmabench.bench.compile import Mounted
 from pmabench.cli.common import Ui, common, fields, plan_options
-from pmabench.cli.last_analysis import last_words
+from pmabench.cli.history import ANALYSES
+from pmabench.cli.names import FILE, PATH, short, typed
 from pmabench.cli.outcome import next_lines, progress_line
-from pmabench.files.shipped import shipped_folder
+from pmabench.cli.prepare import Prepared, needed, size, too_little
 from pmabench.protocol.idle import Idle, foreseen, without
+from pmabench.protocol.plan import Plan
 from pmabench.report.terminal import print_grid
 
 if TYPE_CHECKING:
-    from pmabench.bench.compile import Mounted
     from pmabench.bench.dry_run import PredictedMuscle
-    from pmabench.cli.prepare import Prepared
-    from pmabench.protocol.plan import Plan
 
 
 @click.command(name="check")
 @plan_options()
 @click.option("--plan", "show_plan", is_flag=True, help="Print every step.")
-@click.option("--out", default="runs", type=click.Path(path_type=Path), help="Where the run would go, for the disk.")
+@click.option("--out", default="runs", type=PATH, help="Where the run would go, for the disk.")
 @click.option("--simulate", is_flag=True, help="Run the plan on the bench with a simulated muscle; show the peaks.")
 @click.option(
     "--muscle", type=click.Path(path_type=Path, exists=True), help="What to simulate: an analysis, or a plant file."
 )
 @click.option("--drop-idle", is_flag=True, help="Write the protocol without trials that cannot lift; with -o.")
-@click.option("-o", "--output", type=click.Path(path_type=Path, dir_okay=False), help="The file for --drop-idle.")
+@click.option("-o", "--output", type=FILE, help="The file for --drop-idle.")
 @common
 def command(
     ui: Ui,
-    protocol: str,
-    bench: str,
-    specimen: str,
-    settings: list[tuple[str, str]],
     out: Path,
     *,
     muscle: Path | None,
@@ -49,11 +47,12 @@ def command(
     drop_idle: bool,
     show_plan: bool,
     simulate: bool,
+    **files: Any,
 ) -> int | None:
     """Check PROTOCOL against a bench and a specimen, and show the plan."""
-    from pmabench.cli.prepare import prepare, too_little
+    from pmabench.cli.prepare import prepare
 
-    prepared = prepare(protocol, bench, specimen, settings)
+    prepared = prepare(**files)
     plan, mounted, warnings = prepared.plan, prepared.mounted, prepared.warnings()
     summary = plan_summary(plan, mounted)
     summary["disk"] = too_little(summary["bytes"], out)
@@ -68,7 +67,7 @@ def command(
     idle = foreseen(plan, known.expected) if known is not None and known.expected is not None else None
     summary["idle"] = None if idle is None else {"trials": idle.idle, "doubtful": idle.doubtful, "first": idle.first}
     if output is not None:
-        _write_without(prepared, idle, output, settings)
+        _write_without(prepared, idle, output)
         summary["written"] = str(output)
     refused = bool(mounted.unconfirmed) and mounted.bench.realtime
     if show_plan:
@@ -132,7 +131,6 @@ def plan_summary(plan: Plan, mounted: Mounted) -> dict[str, Any]:
 
     The duration holds the session that comes first, where the bench declares one and none counts now.
     """
-    from pmabench.cli.prepare import needed
     from pmabench.session.session import kept, out_of_date, session_length, utc_now
 
     shortest, longest = plan.duration()
@@ -179,8 +177,6 @@ def _plants(mounted: Mounted) -> dict[str, str]:
 
 
 def _print(ui: Ui, plan: Plan, summary: dict[str, Any], warnings: list[str]) -> None:
-    from pmabench.cli.prepare import size
-
     console = ui.console()
     console.print(f"{plan.name} ({plan.kind})\n  source    {plan.source}\n  bench     {summary['bench']}")
     for plant in summary["plants"].values():
@@ -227,7 +223,7 @@ def _idle_lines(plan: Plan, idle: Idle | None, written: Path | None) -> list[str
 
 def _then(prepared: Prepared, idle: Idle | None, written: Path | None, *, refused: bool, done: bool) -> list[str]:
     """What to type after a dry run."""
-    files = {role: _typed(role, Path(prepared.sources[role])) for role in ("protocol", "bench", "specimen")}
+    files = {role: typed(Path(prepared.sources[role]), role) for role in ("protocol", "bench", "specimen")}
     rest = ["--bench", files["bench"], "--specimen", files["specimen"]]
     if not done:
         return ["next    change the protocol or the limits, and check again"]
@@ -238,21 +234,14 @@ def _then(prepared: Prepared, idle: Idle | None, written: Path | None, *, refuse
     return next_lines("pmabench", "run", files["protocol"] if written is None else shlex.quote(str(written)), *rest)
 
 
-def _typed(kind: str, path: Path) -> str:
-    """A file as it can be typed here: a shipped one by its name."""
-    if path.parent == shipped_folder(kind).resolve():
-        return path.stem
-    return shlex.quote(str(path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path))
-
-
-def _write_without(prepared: Prepared, idle: Idle | None, path: Path, settings: list[tuple[str, str]]) -> None:
+def _write_without(prepared: Prepared, idle: Idle | None, path: Path) -> None:
     from pmabench.kinds.compile import read_protocol
 
     if idle is None:
         raise UsageError("--drop-idle: a plant file says nothing that could be foreseen; give an analysis")
     if path.exists():
         raise UsageError(f"{path} is there already; give the name of a new file")
-    document, model = read_protocol(Path(prepared.sources["protocol"]), settings)
+    document, model = read_protocol(Path(prepared.sources["protocol"]), prepared.sources["set"])
     text = without(document, model.sweep, prepared.protocol_text, idle.all)
     try:
         path.write_text(text, encoding="utf-8")
@@ -272,3 +261,73 @@ def _print_steps(plan: Plan) -> None:
 
 def _plain(value: Any) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+MOST = 3
+"""Lines that are printed."""
+NEWEST = 40
+"""Analyses that are looked at, the newest first."""
+LONGEST = 400
+SURE = ("sound", "corrected", "doubtful")
+"""States of a diagnosis that names what it found; in others a name may be wrong, and nobody should look for it."""
+DESCRIBE = "pmabench campaign real-muscle and process --form surface describe it"
+
+
+def last_words(mounted: Mounted, runs: Path) -> list[str]:
+    """At most three lines from the newest analysis with a diagnosis: of this bench its faults, of this specimen itself.
+
+    Looked for in the folder `analyses` next to the folder of runs; one that found nothing ends the search without a
+    line, and simulated runs say nothing about a real bench.
+    """
+    asked = {"bench": mounted.bench.name, "specimen": (mounted.specimen_file.type, mounted.specimen_file.serial)}
+    lines: list[str] = []
+    for folder, form, manifest in _diagnosed(runs):
+        if bool(manifest.get("simulated")) is mounted.bench.realtime:
+            continue
+        specimen = manifest.get("specimen")
+        mine = (specimen.get("type"), specimen.get("serial")) if isinstance(specimen, Mapping) else None
+        same = {"bench": manifest.get("bench") == asked["bench"], "muscle": mine == asked["specimen"]}
+        for of, what in (("bench", "bench"), ("muscle", "specimen")):
+            if same[of] and what in asked:
+                del asked[what]
+                lines += _lines(form, of, f"last diagnosis of this {what} ({short(folder.parent)})")
+        if not asked:
+            break
+    return lines[:MOST]
+
+
+def _lines(form: Mapping[str, Any], of: str, head: str) -> list[str]:
+    """What a diagnosis says of the bench, or of the muscle."""
+    if form.get("state") not in SURE:
+        return [f"{head}: it did not follow straight lines, and why is undecided; {DESCRIBE}"] if of == "muscle" else []
+    found = [one for one in form["explanations"] if isinstance(one, Mapping) and one.get("of") == of]
+    lines = [f"{head}: {clean(one.get('text', ''), LONGEST)}. {_sentence(one.get('advice', ''))}" for one in found]
+    if of == "muscle" and lines:
+        lines[-1] += f"; {DESCRIBE}"
+    return lines
+
+
+def _sentence(text: Any) -> str:
+    words = clean(text, LONGEST)
+    return words[:1].upper() + words[1:]
+
+
+def _diagnosed(runs: Path) -> Iterator[tuple[Path, Mapping[str, Any], Mapping[str, Any]]]:
+    """Folder, diagnosis, and manifest of the last run, of analyses that have one, the newest first."""
+    from pmabench.store.analyses.folder import read_analysis, runs_of
+    from pmabench.store.folder import read_manifest
+
+    parent = runs.resolve().parent if runs.resolve().name == "runs" else runs
+    files = {path for pattern in ANALYSES for path in (parent / "analyses").glob(pattern)}
+    for path in sorted(files, key=lambda path: path.stat().st_mtime_ns, reverse=True)[:NEWEST]:
+        try:
+            facts = read_analysis(path.parent).facts
+            form = facts.get("form")
+            if not isinstance(form, Mapping) or not isinstance(form.get("explanations"), list):
+                continue
+            if facts.get("recalibrated"):
+                continue  # what was taken off the record is still wrong at the bench
+            if folders := runs_of(path.parent):
+                yield path.parent, form, read_manifest(folders[-1])
+        except (InvalidFile, RecordError, OSError):
+            continue  # `check` is not about analyses: who opens it learns what is wrong with it

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from errno import EPIPE
-from functools import wraps
+from functools import reduce, wraps
 from pathlib import Path
 from threading import Event, Thread
 from time import monotonic
@@ -127,19 +127,20 @@ def common(function: Callable[..., int | None]) -> Callable[..., None]:
         ui = Ui(as_json, verbose, quiet, not no_color and "NO_COLOR" not in os.environ)
         code: int | None
         try:
-            code = function(ui, *args, **kwargs)
-            ui.done()
+            if as_json and kwargs.get("as_csv"):
+                raise UsageError("--csv or --json, not both")
+            try:
+                code = function(ui, *args, **kwargs)
+            finally:
+                ui.done()
         except PmaError as error:
-            ui.done()
             _explain(ui, error)
             code = error.exit_code
         except OSError as error:
-            ui.done()
             where = "a file, a device or another program" if error.filename is None else _shown(error.filename)
             say(f"{where}: cannot be read or written: {error.strerror or error}")
             code = NOT_WRITTEN
         except KeyboardInterrupt:
-            ui.done()
             say("interrupted")
             code = 130
         if ui.lost is not None:
@@ -152,17 +153,15 @@ def common(function: Callable[..., int | None]) -> Callable[..., None]:
 
 def prepare_streams() -> None:
     """Streams that take any text: closed ones lead nowhere, signs that a terminal lacks or would obey are spelled."""
-    if sys.stdout is None:
-        sys.stdout = Path(os.devnull).open("w")  # noqa: SIM115
-    if sys.stderr is None:
-        sys.stderr = Path(os.devnull).open("w")  # noqa: SIM115
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="backslashreplace")
-    sys.stdout, sys.stderr = (
-        stream if isinstance(stream, Spelled) else cast("TextIO", Spelled(stream))
-        for stream in (sys.stdout, sys.stderr)
-    )
+    sys.stdout, sys.stderr = _prepared(sys.stdout), _prepared(sys.stderr)
+
+
+def _prepared(stream: TextIO | None) -> TextIO:
+    if stream is None:
+        stream = Path(os.devnull).open("w")  # noqa: SIM115
+    if isinstance(stream, io.TextIOWrapper):
+        stream.reconfigure(errors="backslashreplace")
+    return stream if isinstance(stream, Spelled) else cast("TextIO", Spelled(stream))
 
 
 def rewrite(text: str = "") -> None:
@@ -222,7 +221,7 @@ def plan_options(*, required: bool = True) -> Callable[[Callable[..., Any]], Cal
             pairs.append((name, text))
         return pairs
 
-    options = (
+    return with_options(
         click.option("--set", "settings", multiple=True, callback=split, metavar="NAME=VALUE", help="Change a value."),
         click.option(
             "--specimen", type=SPECIMEN, required=required, help="Specimen file, or the name of a shipped one."
@@ -231,12 +230,10 @@ def plan_options(*, required: bool = True) -> Callable[[Callable[..., Any]], Cal
         click.argument("protocol", type=PROTOCOL, required=required),
     )
 
-    def add(function: Callable[..., Any]) -> Callable[..., Any]:
-        for option in options:
-            function = option(function)
-        return function
 
-    return add
+def with_options(*options: Callable[..., Any]) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """A decorator that adds these options, the last of them first in the help."""
+    return lambda function: reduce(lambda made, option: option(made), options, function)
 
 
 def session_options(function: Callable[..., Any]) -> Callable[..., Any]:

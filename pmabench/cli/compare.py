@@ -13,7 +13,7 @@ import click
 
 from pmabench.base.errors import InvalidFile, UsageError, invalid
 from pmabench.cli.common import Ui, common, fields, read_quantity
-from pmabench.cli.names import complete_runs
+from pmabench.cli.names import FILE, RunFolder
 from pmabench.report.terminal import print_grid
 
 if TYPE_CHECKING:
@@ -25,14 +25,12 @@ _LIMIT = re.compile(r"\s*(E_n|difference)\s*(?:<=?|≤|=)\s*(.+?)\s*")
 
 
 @click.command(name="compare")
-@click.argument("a", shell_complete=complete_runs)
-@click.argument("b", required=False, shell_complete=complete_runs)
+@click.argument("a", shell_complete=RunFolder().shell_complete)
+@click.argument("b", required=False, shell_complete=RunFolder().shell_complete)
 @click.option("--method", "methods", multiple=True, help="Of both; given twice: that of A, then that of B.")
 @click.option("--at", "places", multiple=True, metavar="PRESSURE", help="At this pressure; between points by a line.")
 @click.option("--accept", "accepted", multiple=True, metavar='"E_n<=1"', help='Exit 6 beyond; also "difference<=2 %".')
-@click.option(
-    "-o", "--output", type=click.Path(path_type=Path, dir_okay=False), help="Write figures and tables (HTML)."
-)
+@click.option("-o", "--output", type=FILE, help="Write figures and tables (HTML).")
 @click.option("--fresh", is_flag=True, help="Compute anew what `process` stored and nothing has changed.")
 @common
 def command(

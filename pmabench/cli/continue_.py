@@ -13,7 +13,7 @@ import click
 
 from pmabench.base.errors import UsageError, invalid
 from pmabench.cli.common import Ui, common, login_name, say
-from pmabench.cli.names import RunFolder, short
+from pmabench.cli.names import PATH, RunFolder, short, typed
 from pmabench.cli.outcome import WIDTH
 
 if TYPE_CHECKING:
@@ -24,9 +24,7 @@ LOOKED = "Have you looked at the rig, and may pressure be put on it again?"
 
 @click.command(name="continue")
 @click.argument("run", required=False, type=RunFolder())
-@click.option(
-    "--out", default="runs", show_default=True, type=click.Path(path_type=Path), help="Where run folders are."
-)
+@click.option("--out", default="runs", show_default=True, type=PATH, help="Where run folders are.")
 @click.option("--operator", default="", help="Who is at the bench; asked for if not given.")
 @click.option("--because", default="", help="Why the bench may be used again; asked for where it is tripped.")
 @click.option("--yes", is_flag=True, help="Ask nothing: every question counts as answered, and the record says so.")
@@ -52,11 +50,11 @@ def command(ui: Ui, run: Path | None, out: Path, operator: str, because: str, *,
         return 0
     until = (data.manifest.get("until") or {}).get("goal")
     question = f"Go on choosing trials until {until}?" if until else f"Do the {left} trials that are left now?"
-    if not yes and not _agreed(question, f"pmabench run --resume {_typed(folder)}"):
+    if not yes and not _agreed(question, f"pmabench run --resume {typed(folder.resolve())}"):
         return 0
     from pmabench.cli.run import run_or_resume
 
-    return run_or_resume(ui, (None, None, None), [], folder, (), None, operator, {}, yes=yes)
+    return run_or_resume(ui, (None, None, None), resume=folder, operator=operator, yes=yes)
 
 
 def say_next(line: str) -> None:
@@ -78,20 +76,17 @@ def _newest(out: Path) -> Path:
 
 def _left(folder: Path, data: RunData) -> tuple[int, str]:
     """How many trials are left, and the command to type where none can be done by going on."""
-    from pmabench.cli.runs import ENDED_EARLY, going_on
+    from pmabench.cli.runs import ENDED_EARLY, going_on, trials_left
 
     after = going_on(folder, data)
     if after["continued_by"]:
         later = folder.resolve().parent / after["continued_by"]
-        return 0, f"pmabench continue {_typed(later)}    goes on after the run that continued this one"
+        return 0, f"pmabench continue {typed(later)}    goes on after the run that continued this one"
     if after["resume"]:
-        link = data.manifest.get("continues")
-        before = link.get("trials_done", ()) if isinstance(link, dict) else ()
-        done = {trial.index for trial in data.trials if trial.status == "finished" and not trial.again} | set(before)
-        return int(data.manifest.get("trials_planned") or 0) - len(done), ""
+        return trials_left(data), ""
     if data.status in ENDED_EARLY and not any(trial.status == "finished" for trial in data.trials):
         return 0, "nothing of this run can be processed or continued; run the protocol again"
-    return 0, f"pmabench process {_typed(folder)}"
+    return 0, f"pmabench process {typed(folder.resolve())}"
 
 
 def _happened(data: RunData, left: int, tripped: Any) -> str:
@@ -143,9 +138,3 @@ def _agreed(question: str, command: str) -> bool:
         return True
     say(f"not done; later:  {command}")
     return False
-
-
-def _typed(folder: Path) -> str:
-    here = Path.cwd()
-    path = folder.resolve()
-    return shlex.quote(str(path.relative_to(here) if path.is_relative_to(here) else path))

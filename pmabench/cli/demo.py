@@ -8,17 +8,18 @@ from pathlib import Path
 import click
 
 from pmabench.cli.common import Ui, common, say
+from pmabench.cli.names import FOLDER
 
 
 @click.command(name="demo")
-@click.option("--out", default="pmabench-demo", show_default=True, type=click.Path(path_type=Path, file_okay=False))
+@click.option("--out", default="pmabench-demo", show_default=True, type=FOLDER)
 @click.option("--seed", default=1, show_default=True, help="Seed of the simulated noise.")
 @common
 def command(ui: Ui, out: Path, seed: int) -> int | None:
     """Characterise a simulated muscle: run every shipped kind of protocol, fit, and write the report."""
     from pmabench.cli.campaign import run_campaign, severity
-    from pmabench.cli.characterise import characterise
     from pmabench.cli.process import print_analyses
+    from pmabench.cli.report import characterise
 
     started = time.monotonic()
     outcomes = run_campaign(ui, "demo", out / "runs", operator_name="demo", yes=True, seed=seed)

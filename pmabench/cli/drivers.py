@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pmabench.base.errors import UsageError, VerdictFailed, did_you_mean
+from pmabench.base.kind import load
 from pmabench.cli.common import Ui, common, say
 from pmabench.cli.names import BENCH
 from pmabench.files.shipped import find_file
-from pmabench.report.terminal import print_grid
+from pmabench.report.terminal import print_texts
 
 if TYPE_CHECKING:
     from pmabench.conformance import Result
@@ -47,14 +48,11 @@ def list_(ui: Ui) -> None:
 
 
 def _driver(name: str, target: str) -> dict[str, Any]:
-    from importlib import import_module
-
     from pmabench.bench import interface
     from pmabench.bench.registry import verified
 
-    module, _, attribute = target.partition(":")
     try:
-        made = getattr(import_module(module), attribute)
+        made = load(target)
     except (ImportError, AttributeError) as error:
         return {"name": name, "driver": target, "can": [], "verified": "", "problem": f"cannot be loaded: {error}"}
     can = [word for kind, word in CAPABILITIES.items() if issubclass(made, getattr(interface, kind))]
@@ -68,9 +66,8 @@ def _driver(name: str, target: str) -> dict[str, Any]:
 
 
 def _print_drivers(ui: Ui, rows: Sequence[dict[str, Any]]) -> None:
-    heads = ["driver", "verified", "can"]
     table = [[row["name"], row["verified"], row["problem"] or ", ".join(row["can"])] for row in rows]
-    print_grid(ui.console(), heads, table, heads)
+    print_texts(ui.console(), ["driver", "verified", "can"], table)
 
 
 @command.command(name="conformance")

@@ -1,29 +1,46 @@
-"""The dry run of `check --simulate`: whose muscle is simulated, what the plan does on it, and that in a few lines."""
+"""The dry run of `check --simulate`: whose muscle is simulated, what the plan does on it, and that in a few lines.
+
+The muscle is that of an earlier analysis of the same specimen or of a plant file, where there is one.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
 from textwrap import wrap
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from pmabench.base.errors import UsageError
+from pmabench.base.errors import InvalidFile, UsageError
 from pmabench.base.quantities import CHANNEL_QUANTITY, in_words, show
-from pmabench.bench.dry_run import PredictedMuscle, as_expected, dry_run, highest_pressure, of_specimen, options_of
+from pmabench.bench.compile import Mounted
+from pmabench.bench.dry_run import (
+    PredictedMuscle,
+    as_expected,
+    by_surface,
+    dry_run,
+    highest_pressure,
+    nearest_surface,
+    of_specimen,
+    options_of,
+)
 from pmabench.bench.dry_run_several import several
+from pmabench.bench.files.specimen import ExpectedFile, ExpectedPoint, SpecimenFile
+from pmabench.bench.plant import read_plant
 from pmabench.cli.common import fields
 from pmabench.cli.outcome import WIDTH, cut
+from pmabench.engine.executor import Progress
 from pmabench.engine.operator import ConfirmedBeforehand
-from pmabench.engine.run import run_plan
+from pmabench.engine.run import Outcome, run_plan
 from pmabench.engine.trial_peaks import TrialPeaks
+from pmabench.model.real.muscle import Surface
 from pmabench.protocol.idle import foreseen
-
-if TYPE_CHECKING:
-    from pmabench.bench.compile import Mounted
-    from pmabench.engine.executor import Progress
-    from pmabench.engine.run import Outcome
-    from pmabench.protocol.plan import Plan
+from pmabench.protocol.plan import Plan
+from pmabench.report.bends import slopes_of
+from pmabench.store.analyses.folder import analyses_below, read_analysis
+from pmabench.store.analyses.results import Analysis
+from pmabench.store.folder import run_name
 
 PART = "intervals of a plan"
 """Part of a kind of test: what a plan will tell."""
@@ -42,8 +59,6 @@ def muscle_of(mounted: Mounted, given: Path | None) -> PredictedMuscle:
 
     Then `expected` of the specimen file, then its type, then its braid. Of several muscles the braid alone.
     """
-    from pmabench.cli.muscle_of_analysis import newest_of, of_file
-
     if mounted.bench_file.muscles:
         if given is not None:
             raise UsageError(
@@ -74,23 +89,20 @@ def simulate(
 
     Where its force is uncertain, the others that it may have are looked at without simulation.
     """
-    if muscle is None:
-        outcome, peaks = _tried(_at_most(plan) if _slow(mounted) else plan, mounted, progress)
-        return {"muscle": "", "left_out": (), **_result(outcome, mounted), "predicted": _predicted(peaks), "others": []}
-    dry = dry_run(mounted, options_of(muscle, mounted), muscle.source)
-    left_out = dry.left_out
-    if muscle.numbers.get("law") == "real" and plan.rate > RATE:
-        left_out = (*left_out, f"samples are taken at {RATE:g} Hz: this kind of simulated muscle needs long")
-        plan = _at_most(plan)
-    outcome, peaks = _tried(plan, dry.mounted, progress)
-    others = [_at_rest(plan, muscle.times(factor / muscle.factors[0]), factor) for factor in muscle.factors[1:]]
-    return {
-        "muscle": muscle.source,
-        "left_out": left_out,
-        **_result(outcome, dry.mounted),
-        "predicted": _predicted(peaks),
-        "others": others,
-    }
+    source, left_out, others = "", tuple[str, ...](), list[dict[str, Any]]()
+    slow = plan.rate > RATE and (_slow(mounted) if muscle is None else muscle.numbers.get("law") == "real")
+    if muscle is not None:
+        dry = dry_run(mounted, options_of(muscle, mounted), muscle.source)
+        source, left_out, mounted = muscle.source, dry.left_out, dry.mounted
+        if slow:
+            left_out = (*left_out, f"samples are taken at {RATE:g} Hz: this kind of simulated muscle needs long")
+        others = [_at_rest(plan, muscle.times(factor / muscle.factors[0]), factor) for factor in muscle.factors[1:]]
+    peaks = TrialPeaks(mounted.bench)
+    plan = replace(plan, rate=RATE) if slow else plan
+    outcome = run_plan(plan, mounted, ConfirmedBeforehand(), out=None, progress=progress, trying=peaks)
+    predicted = [{"trial": peak.trial + 1, **fields(peak, "point", "highest", "duration")} for peak in peaks.trials]
+    found = {"muscle": source, "left_out": left_out, **_result(outcome, mounted)}
+    return found | {"predicted": predicted, "others": others}
 
 
 def _at_rest(plan: Plan, muscle: PredictedMuscle, factor: float) -> dict[str, Any]:
@@ -144,17 +156,6 @@ def _slow(mounted: Mounted) -> bool:
     return any(plant == "real" or (isinstance(plant, dict) and plant.get("law") == "real") for plant in plants)
 
 
-def _at_most(plan: Plan) -> Plan:
-    return replace(plan, rate=min(plan.rate, RATE))
-
-
-def _tried(
-    plan: Plan, mounted: Mounted, progress: Callable[[Progress], None] = lambda _progress: None
-) -> tuple[Outcome, TrialPeaks]:
-    peaks = TrialPeaks(mounted.bench)
-    return run_plan(plan, mounted, ConfirmedBeforehand(), out=None, progress=progress, trying=peaks), peaks
-
-
 def _result(outcome: Outcome, mounted: Mounted) -> dict[str, Any]:
     return {
         **fields(outcome, "status", "exit_code", "why"),
@@ -197,13 +198,6 @@ def findings_of(simulated: dict[str, Any]) -> list[str]:
     return lines
 
 
-def _predicted(peaks: TrialPeaks) -> list[dict[str, Any]]:
-    return [
-        {"trial": peak.trial + 1, "point": peak.point, "highest": peak.highest, "duration": peak.duration}
-        for peak in peaks.trials
-    ]
-
-
 def report(
     plan: Plan, mounted: Mounted, simulated: dict[str, Any], findings: list[str], then: list[str]
 ) -> Iterator[str]:
@@ -242,3 +236,92 @@ def _peaks(mounted: Mounted, simulated: dict[str, Any]) -> Iterator[str]:
             shown.append(f"{top}{limit}")
     if shown:
         yield from wrap(f"highest {', '.join(shown)}", WIDTH, initial_indent="   ", subsequent_indent="   ")
+
+
+SYMBOLS = ("F_ce", "K", "B_c", "B_r")
+FEWEST_POINTS = 2
+FEWEST_FORCES = 8
+"""Values of a surface from which its five factors are found."""
+
+
+def newest_of(folder: Path, specimen: SpecimenFile, highest: float) -> PredictedMuscle | None:
+    """The muscle of the newest analysis of this type and serial number on a real bench; None where there is none."""
+    name = run_name(datetime.now(UTC), f"{specimen.type}-{specimen.serial}", "any", simulated=False).split("_")[1]
+    found = [place for place in folder.glob(f"*_{name}_*") if "_SIMULATED_" not in place.name and place.is_dir()]
+    for place in sorted(found, reverse=True):
+        try:
+            return of_analysis(place, specimen, highest)
+        except (InvalidFile, UsageError):
+            continue  # nothing that describes the muscle, or damaged: an older one may
+    return None
+
+
+def of_file(path: Path, specimen: SpecimenFile, highest: float) -> PredictedMuscle:
+    """The muscle of a folder of analyses, or of a plant file, up to `highest` [Pa]."""
+    if path.is_dir():
+        return of_analysis(path, specimen, highest)
+    plant = read_plant(path)
+    return PredictedMuscle({**plant.numbers, "file": path.name}, None, f"plant file {path}")
+
+
+def of_analysis(folder: Path, specimen: SpecimenFile, highest: float) -> PredictedMuscle:
+    """The muscle of the analyses in a folder: a surface where one was fitted, else coefficients over pressure.
+
+    Raises UsageError where none has enough values.
+    """
+    analyses = [read_analysis(place) for place in analyses_below(folder)]
+    if not analyses:
+        raise UsageError(f"{folder} holds no analysis; `pmabench process` makes one")
+    mark = "SIMULATED " if any(analysis.simulated for analysis in analyses) else ""
+    for analysis in analyses:
+        if (found := _surface(analysis, specimen)) is not None:
+            source = f"{mark}analysis {folder.name}: surface of {len(analysis.runs)} runs"
+            return by_surface(found, specimen, highest, source)
+    for analysis in analyses:
+        expected = _expected(analysis, folder.name)
+        if expected is not None:
+            return as_expected(expected, specimen, highest, f"{mark}analysis {folder.name}: {analysis.kind}")
+    raise UsageError(
+        f"{folder} says too little of the muscle: F_ce, K, B_c and B_r at two pressures are needed, or a surface"
+    )
+
+
+def _expected(analysis: Analysis, name: str) -> ExpectedFile | None:
+    """F_ce, K, B_c and B_r at each pressure at which F_ce and K are known; a damping that is not is the other one. Of a
+    bent muscle they are the tangent where K is the slope.
+    """
+    table: dict[float, dict[str, float]] = {}
+    friction = 0.0
+    for e in analysis.estimates:
+        if e.value is None or e.withheld or e.coordinate:
+            continue
+        if e.symbol == "F_c" and not e.at:
+            friction = e.value
+        elif e.symbol in SYMBOLS and set(e.at) == {"pressure"}:
+            table.setdefault(e.at["pressure"], {}).setdefault(e.symbol, e.value)
+    methods = [e.method for e in analysis.estimates if e.symbol == "K"]
+    for pressure, (x, force) in slopes_of([analysis], methods[:1]).items():
+        if {"F_ce", "K"} <= set(table.get(pressure, ())):
+            table[pressure]["F_ce"] = force + table[pressure]["K"] * x
+    points = []
+    for pressure, row in sorted(table.items()):
+        damping = [row[symbol] for symbol in ("B_c", "B_r") if symbol in row]
+        if {"F_ce", "K"} <= set(row) and damping:
+            points.append(
+                ExpectedPoint.model_construct(
+                    pressure=pressure, F_ce=row["F_ce"], K=row["K"], B_c=damping[0], B_r=damping[-1]
+                )
+            )
+    if len(points) < FEWEST_POINTS:
+        return None
+    return ExpectedFile.model_construct(source=f"analysis {name}", F_c=friction, points=points)
+
+
+def _surface(analysis: Analysis, specimen: SpecimenFile) -> Surface | None:
+    """The force surface nearest to the values of F at pressures and contractions, by least squares."""
+    known = [e for e in analysis.estimates if e.symbol == "F" and e.value is not None and not e.withheld]
+    known = [e for e in known if {"pressure", "contraction"} == set(e.at)]
+    if len(known) < FEWEST_FORCES:
+        return None
+    places = [(e.at["pressure"], e.at["contraction"] / specimen.mounted.length, e.value or 0.0) for e in known]
+    return nearest_surface(places)

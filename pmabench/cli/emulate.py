@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import heapq
 import re
+import signal
 import sys
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import count
@@ -21,12 +22,10 @@ import click
 
 from pmabench.base.errors import InvalidFile, Problem, RecordError, UsageError, did_you_mean
 from pmabench.cli.common import Ui, common
-from pmabench.cli.names import BENCH
+from pmabench.cli.names import BENCH, FILE
 from pmabench.files.shipped import find_file
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
     from pmabench.bench.interface import OutputRecord
 
 PRESETS = (
@@ -48,10 +47,8 @@ NOT_PROVEN = "scales not proven: wiring and scales are taken from the bench file
     "--preset", type=click.Choice(["bench", "ideal"]), default="bench", help="bench: lag, friction, noise; or ideal."
 )
 @click.option("--seed", type=int, default=1, show_default=True, help="Seed of the noise.")
-@click.option("--log", type=click.Path(dir_okay=False, path_type=Path), help="Append every exchange as JSON lines.")
-@click.option(
-    "--faults", type=click.Path(dir_okay=False, path_type=Path), help="YAML file of what goes wrong, and when."
-)
+@click.option("--log", type=FILE, help="Append every exchange as JSON lines.")
+@click.option("--faults", type=FILE, help="YAML file of what goes wrong, and when.")
 @click.option("--truth", help="What is really wired, and by which scales: a shipped rig's name, or a truth file.")
 @click.option(
     "--wrong",
@@ -62,19 +59,8 @@ NOT_PROVEN = "scales not proven: wiring and scales are taken from the bench file
 @click.option("--control", type=click.IntRange(0, 65535), default=0, help="Port for loads and faults; 0: a free one.")
 @common
 def command(
-    ui: Ui,
-    bench: str,
-    plant: str,
-    preset: str,
-    seed: int,
-    log: Path | None,
-    faults: Path | None,
-    control: int,
-    truth: str | None,
-    wrong: tuple[str, ...],
-    *,
-    expose: bool,
-) -> int | None:
+    ui: Ui, bench: str, plant: str, faults: Path | None, truth: str | None, wrong: tuple[str, ...], **how: Any
+) -> None:
     """Serve the devices of BENCH whose drivers have an emulator on this machine, in real time, until Ctrl-C.
 
     Devices answer at the addresses of the bench file: TCP at its address (port 0 takes a free one, which is printed),
@@ -102,11 +88,7 @@ def command(
         truth=None if real is None else read_truth(real),
         wrong=[_in_si(text) for text in wrong],
         plant=_muscle(plant, mounted.bench.outputs),
-        preset=preset,
-        seed=seed,
-        log=log,
-        control=control,
-        expose=expose,
+        **how,
     )
     try:
         _serve(ui, served, real, Faults(served, mounted.bench.gravity, mounted.bench.carriage), faults)
@@ -116,14 +98,10 @@ def command(
         served.close()
     if served.log.problem:
         raise RecordError(served.log.problem)
-    return None
 
 
 def _serve(ui: Ui, served: Any, truth: Path | None, faults: Faults, file: Path | None) -> None:
     """Say what is served and by which wiring, then let what `file` and the keyboard ask happen, until SIGTERM."""
-    import signal
-    import threading
-
     planned = [] if file is None else faults.of_file(file)
 
     def end(number: int, _frame: object) -> None:

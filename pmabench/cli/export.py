@@ -8,7 +8,7 @@ import click
 
 from pmabench.base.errors import UsageError
 from pmabench.cli.common import Ui, common
-from pmabench.cli.names import RunFolder
+from pmabench.cli.names import PATH, RunFolder
 
 FORMATS = ("csv", "parquet", "mat", "latex", "json", "python-control", "mujoco")
 SAMPLES = ("csv", "parquet", "mat")
@@ -18,12 +18,10 @@ SAMPLES = ("csv", "parquet", "mat")
 @click.command(name="export")
 @click.argument("sources", nargs=-1, required=True, type=RunFolder(), metavar="RUN-OR-ANALYSIS...")
 @click.option("--format", "form", required=True, type=click.Choice(FORMATS), help="Kind of file.")
-@click.option(
-    "-o", "--output", required=True, type=click.Path(path_type=Path), help="Folder for csv and parquet, else the file."
-)
+@click.option("-o", "--output", required=True, type=PATH, help="Folder for csv and parquet, else the file.")
 @click.option("--fresh", is_flag=True, help="Compute anew what `process` stored and nothing has changed.")
 @common
-def command(ui: Ui, sources: tuple[Path, ...], form: str, output: Path, fresh: bool) -> int | None:
+def command(ui: Ui, sources: tuple[Path, ...], form: str, output: Path, fresh: bool) -> None:
     """Write samples and trials of one RUN (csv, parquet, mat), or the coefficients of analyses (all formats).
 
     A folder of analyses means all in it. For latex, json, python-control and mujoco runs are processed first,
@@ -58,4 +56,3 @@ def command(ui: Ui, sources: tuple[Path, ...], form: str, output: Path, fresh: b
     written = [str(path) for path in paths]
     data = {"schema": "pmabench.export/1", "format": form, "written": written}
     ui.result(data, lambda: click.echo("\n".join(written)), written)
-    return None

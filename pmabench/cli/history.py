@@ -11,6 +11,7 @@ import click
 
 from pmabench.base.errors import InvalidFile, UsageError, invalid
 from pmabench.cli.common import Ui, common, fields
+from pmabench.cli.names import FILE, PATH
 from pmabench.files.shipped import find_file
 from pmabench.report.terminal import print_grid
 
@@ -26,12 +27,10 @@ ANALYSES = ("*/analysis.json", "*/*/analysis.json", "*/*/*/analysis.json")
 
 @click.command(name="history")
 @click.argument("specimen")
-@click.argument("folder", default="runs", type=click.Path(path_type=Path))
-@click.option(
-    "-o", "--output", type=click.Path(path_type=Path, dir_okay=False), help="Write figures and tables (HTML)."
-)
+@click.argument("folder", default="runs", type=PATH)
+@click.option("-o", "--output", type=FILE, help="Write figures and tables (HTML).")
 @common
-def command(ui: Ui, specimen: str, folder: Path, output: Path | None) -> int | None:
+def command(ui: Ui, specimen: str, folder: Path, output: Path | None) -> None:
     """One SPECIMEN over its life: coefficients, cycles and time at pressure from its runs in FOLDER.
 
     SPECIMEN is a specimen file, the name of a shipped one, or a serial number as in the runs. Coefficients come from
@@ -60,7 +59,6 @@ def command(ui: Ui, specimen: str, folder: Path, output: Path | None) -> int | N
 
         data["path"] = str(write_history(title, life, series, references, remarks, output))
     ui.result(data, lambda: _print(ui, life, series, remarks, data.get("path")))
-    return None
 
 
 def _note(text: str) -> Finding:
@@ -175,11 +173,7 @@ def _loaded(ui: Ui, folder: Path, rows: Sequence[Row]) -> Iterator[RunData]:
 
 
 def _json(
-    title: str,
-    life: Sequence[Past],
-    series: Sequence[Series],
-    references: Sequence[References],
-    remarks: Sequence[Finding],
+    title: str, life: list[Past], series: list[Series], references: list[References], remarks: list[Finding]
 ) -> dict[str, Any]:
     return {
         "schema": "pmabench.history/1",

@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from pmabench.base.errors import RecordError, UsageError
+from pmabench.base.errors import UsageError
 from pmabench.base.quantities import CHANNEL_QUANTITY
-from pmabench.base.text import printable
+from pmabench.base.text import printable, sparkline
 from pmabench.cli.common import Ui, common, fields
+from pmabench.cli.names import PATH
 from pmabench.files.shipped import find_file
 
 if TYPE_CHECKING:
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 
 
 @click.command(name="import")
-@click.argument("files", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="FILE...")
+@click.argument("files", nargs=-1, required=True, type=PATH, metavar="FILE...")
 @click.option("--map", "map_name", help="Map file, or the name of a shipped one.")
 @click.option("--guess", "guessing", is_flag=True, help="Propose a map with its reasons, and import nothing.")
 @click.option(
@@ -33,14 +34,14 @@ if TYPE_CHECKING:
     metavar="CHANNEL=LOW..HIGH",
     help='With --guess: what a sensor measures, "pressure=0 bar..12 bar".',
 )
-@click.option("-o", "--output", type=click.Path(path_type=Path), help="With --guess: where the map is written.")
+@click.option("-o", "--output", type=PATH, help="With --guess: where the map is written.")
 @click.option("--set", "answers", multiple=True, metavar="KEY=VALUE", help="The answer to a question (??) of the map.")
 @click.option(
     "--unresolved",
     is_flag=True,
     help="Take what the map proposes where its questions are not answered; no result is accepted then.",
 )
-@click.option("--out", default="runs", show_default=True, type=click.Path(path_type=Path), help="Where run folders go.")
+@click.option("--out", default="runs", show_default=True, type=PATH, help="Where run folders go.")
 @common
 def command(
     ui: Ui,
@@ -53,20 +54,20 @@ def command(
     out: Path,
     *,
     unresolved: bool,
-) -> int | None:
+) -> None:
     """Make one run of each FILE, as the map says; the files themselves are never touched."""
     if guessing == (map_name is not None) or (not guessing and (span or output)) or (guessing and answers):
         raise UsageError("give --map to import, or --guess (with --span and -o) to have a map proposed")
     ui.begin(f"reading {len(files)} {'file' if len(files) == 1 else 'files'}")
     if guessing or map_name is None:
-        return guess(ui, files, span, output)
+        guess(ui, files, span, output)
+        return
     from pmabench.kinds.registry import importable
     from pmabench.store.importers.importing import import_files
 
-    split = [tuple(text.split("=", 1)) for text in answers if "=" in text]
-    if len(split) < len(answers):
+    if any("=" not in text for text in answers):
         raise UsageError("--set needs KEY=VALUE, for instance --set columns.F.unit=N")
-    pairs = [(key, value) for key, value in split]
+    pairs = [(key, value) for key, _, value in (text.partition("=") for text in answers)]
     runs = import_files(files, find_file("map", map_name), out, importable(), pairs, unresolved=unresolved)
     asked = list(dict.fromkeys(question for run in runs for question in run.unresolved))
     data = {
@@ -93,7 +94,6 @@ def command(
             click.echo(printable(f"not answered: {question.what}: {question.question}; taken: {question.used}"))
 
     ui.result(data, human, [str(run.path) for run in runs])
-    return None
 
 
 def _plain(run: ImportedRun) -> dict[str, Any]:
@@ -106,10 +106,11 @@ SECONDS = 10.0
 """Shown of the beginning."""
 
 
-def guess(ui: Ui, files: Sequence[Path], spans: Sequence[str], output: Path | None) -> int | None:
+def guess(ui: Ui, files: Sequence[Path], spans: Sequence[str], output: Path | None) -> None:
     """Report what the files seem to hold, and write the map where `output` says."""
     from pmabench.files.document import Document
     from pmabench.kinds.registry import importable
+    from pmabench.report.writing import writing
     from pmabench.store.importers.guess.guess import guess_files
     from pmabench.store.importers.guess.write import map_text, still_open
     from pmabench.store.importers.map_file import questions_of
@@ -122,10 +123,8 @@ def guess(ui: Ui, files: Sequence[Path], spans: Sequence[str], output: Path | No
     left = still_open(text)
     questions = questions_of(Document("map" if output is None else str(output), text))
     if output is not None:
-        try:
+        with writing(output, "the map"):
             output.write_text(text, encoding="utf-8")
-        except OSError as error:
-            raise RecordError(f"{output}: the map cannot be written: {error.strerror or error}") from error
     data = {
         "schema": "pmabench.import-guess/1",
         "files": [str(path) for path in files],
@@ -162,7 +161,6 @@ def guess(ui: Ui, files: Sequence[Path], spans: Sequence[str], output: Path | No
             click.echo(f"then: pmabench import FILE... --map {output}")
 
     ui.result(data, human, [] if output is None else [str(output)])
-    return None
 
 
 def _span(text: str) -> tuple[str, Span]:
@@ -186,8 +184,6 @@ def _span(text: str) -> tuple[str, Span]:
 
 def _show(found: Guess) -> None:
     """Layout, columns with their course, and what is doubtful."""
-    from pmabench.base.text import sparkline
-
     click.echo(printable(f"{found.files[0]}{f' and {len(found.files) - 1} more' if len(found.files) > 1 else ''}"))
     for key in ("file", "sampling", "trials", "name_tells"):
         for reason in found.reasons.get(key, []):

@@ -5,20 +5,24 @@ from __future__ import annotations
 import datetime
 import shlex
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from pmabench.base.errors import InvalidFile, RecordError, UsageError, did_you_mean
-from pmabench.cli.common import Ui, common
-from pmabench.cli.names import BENCH
+from pmabench.base.errors import InvalidFile, RecordError, UsageError, did_you_mean, invalid
+from pmabench.cli.common import Ui, common, say
+from pmabench.cli.names import BENCH, FILE, PATH
 from pmabench.cli.outcome import next_lines
+from pmabench.files.shipped import find_file, shipped_folder
 
 if TYPE_CHECKING:
     from pmabench.bench.lab.answers import Answers
+    from pmabench.bench.lab.questions import Question
+    from pmabench.cli.prepare import Prepared
+
 
 ANSWERS = "answers.yaml"
 CHECK = "protocol.yaml --bench bench.yaml --specimen specimen.yaml"
@@ -49,15 +53,15 @@ function.
 
 
 @click.command(name="init")
-@click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
-@click.option("--answers", type=click.Path(path_type=Path, dir_okay=False), help="Answers from a file; nothing asked.")
+@click.argument("folder", metavar="DIR", type=PATH)
+@click.option("--answers", type=FILE, help="Answers from a file; nothing asked.")
 @click.option("--answer", "single", multiple=True, metavar="KEY=VALUE", help="One answer; nothing is asked.")
 @click.option("--like", type=BENCH, help="No questions: a copy of a shipped bench, to be changed by hand.")
 @click.option("--bench", "former", type=BENCH, hidden=True)
 @common
 def command(
     ui: Ui, folder: Path, answers: Path | None, single: tuple[str, ...], like: str | None, former: str | None
-) -> int | None:
+) -> None:
     """Write a lab folder DIR from at most 20 questions: bench, specimen, protocol, and all that they need.
 
     Enter takes the value in brackets; ? explains; b goes back; - leaves what is not known yet, to be confirmed later.
@@ -70,8 +74,6 @@ def command(
     if like is not None:
         if answers is not None or single:
             raise UsageError("--like copies a bench and takes no answers; give one or the other")
-        from pmabench.cli.init_like import copy_of
-
         files, simulated = copy_of(like)
         note = "" if simulated else "where ?? is written only you know what is true; check names each place"
     else:
@@ -82,7 +84,6 @@ def command(
     _write(folder, files)
     data = {"schema": "pmabench.init/1", "folder": str(folder), "files": sorted(files)}
     ui.result(data, lambda: click.echo("\n".join(_end(folder, note))))
-    return None
 
 
 def _refuse_full(folder: Path) -> None:
@@ -106,8 +107,6 @@ def _answers(ui: Ui, folder: Path, path: Path | None, single: tuple[str, ...]) -
     answers = Answers(given, day or datetime.date.today())
     check_answers(answers)
     if path is None and not single:
-        from pmabench.cli.init_questions import ask
-
         ask(ui, answers, lambda: _keep(kept, answers))
     missing = answers.missing()
     if missing:
@@ -137,7 +136,6 @@ def _keep(path: Path, answers: Answers) -> None:
 
 def _lab(answers: Answers) -> dict[str, str]:
     from pmabench.bench.lab.files import lab_files
-    from pmabench.files.shipped import find_file
 
     shipped = find_file("protocol", answers.text("protocol")).read_text(encoding="utf-8")
     readme = README.format(check=CHECK, day=answers.asked.isoformat())
@@ -198,3 +196,186 @@ def _end(folder: Path, note: str) -> list[str]:
         *lines,
         *next_lines("cd", shlex.quote(str(folder)), "&&", "pmabench", "check", *CHECK.split(), "--simulate"),
     ]
+
+
+BACK, EXPLAIN, UNKNOWN = "b", "?", "-"
+
+
+def ask(ui: Ui, answers: Answers, keep: Callable[[], None]) -> None:
+    """Ask every question that has no answer yet; `keep` is called after each answer.
+
+    Raises UsageError where the answers end too early.
+    """
+    from pmabench.bench.lab.questions import MOST
+
+    ui.note("Enter takes the value in brackets; ? explains, b goes back, - is for what you do not know yet.")
+    done: list[str] = []
+    while True:
+        questions = answers.questions()
+        question = next((one for one in questions if one.key not in answers.given), None)
+        if question is None:
+            return
+        place = questions.index(question) + 1
+        try:
+            typed = _typed(question, answers, f"{place} of at most {MOST}")
+        except click.Abort:
+            raise UsageError(f"no answer to {question.key}; `pmabench init` in the same folder goes on here") from None
+        if typed == BACK:
+            if done:
+                del answers.given[done.pop()]
+            continue
+        answers.given[question.key] = None if typed == UNKNOWN else typed
+        done.append(question.key)
+        keep()
+
+
+def _typed(question: Question, answers: Answers, place: str) -> str:
+    """One valid answer as it is kept, `BACK` or `UNKNOWN`."""
+    choices = list(question.choices(answers).items())
+    default = None if question.needed else question.default(answers)
+    hint = question.hint(answers)
+    click.echo(f"\n{place}  {question.text}" + (f"   ({hint})" if hint else ""), err=True)
+    for number, (key, words) in enumerate(choices, start=1):
+        click.echo(f"   {number}  {words}" + ("" if key == words else f"  [{key}]"), err=True)
+    while True:
+        typed = str(click.prompt("  ", default=default, prompt_suffix="> ", err=True)).strip()
+        if typed == EXPLAIN:
+            say(f"   {question.explain}")
+            continue
+        if typed == BACK:
+            return BACK
+        if typed == UNKNOWN:
+            if not question.needed and default is not None:
+                return UNKNOWN
+            say("   this answer is needed: nothing else says it")
+            continue
+        if choices and typed.isdecimal() and 0 < int(typed) <= len(choices):
+            typed = choices[int(typed) - 1][0]
+        try:
+            question.read(typed, answers)
+        except ValueError as error:
+            say(f"   {error}")
+            continue
+        return typed
+
+
+SCHEMAS = "schemas"
+ROLES = ("protocol", "bench", "specimen")
+BLANK_SPECIMEN = """\
+# yaml-language-server: $schema=schemas/specimen.schema.json
+# `check` refuses this file until every ?? is what is true of your muscle.
+schema: pmabench.specimen/1
+make: ??
+type: ??                                       # as on its label
+serial: ??
+nominal_length: ??                             # between the fittings, as ordered: 250 mm
+inner_diameter: ??                             # 20 mm
+mounted: {date: "??", length: "??", at: {load: 0 kg, pressure: 0 kPa}}  # in the rig, with that load
+limits: {pressure: {command: "??", never_above: "??"}, contraction: "??", source: "??"}   # by the maker's data sheet
+"""
+CALIBRATION = """\
+# yaml-language-server: $schema=../schemas/calibration.schema.json
+# `check` refuses this file until every ?? is filled in: by the sensor's certificate or data sheet at first, later by
+# `pmabench calibrate`, which compares the sensor with a reference at the bench and writes a file like this one.
+schema: pmabench.calibration/1
+id: {id}
+quantity: {quantity}
+reference: ??                                  # what the sensor was compared with, with its serial or certificate
+date: ??                                       # 2026-11-23
+points: ??                                     # readings, true values: [[0 V, 0 N], [10 V, 500 N]]
+expanded_uncertainty: ??                       # k = 2, with a unit
+"""
+
+
+def copy_of(like: str) -> tuple[dict[str, str], bool]:
+    """Path -> text of a lab folder with the shipped bench `like`, and whether that bench is simulated.
+
+    For devices that `init` does not ask about. Of a simulated bench it passes `check`. Of a bench with devices, what is
+    true at one lab only (calibrations, the muscle) is written as `??`, and `check` refuses each until it is filled in.
+    """
+    from pmabench.cli.prepare import prepare
+
+    prepared = prepare("contraction-relaxation", like, "mas-20-250-paper0")
+    return dict(_files(prepared)), _simulated(prepared)
+
+
+def _files(prepared: Prepared) -> Iterator[tuple[str, str]]:
+    """Path in the lab folder and text of each file."""
+    from pmabench.files.document import Document
+
+    paths = {role: Path(prepared.sources[role]) for role in ROLES}
+    own = not _simulated(prepared)
+    for role, path in paths.items():
+        if own and role == "specimen" and _shipped(role, path):
+            yield f"{role}.yaml", BLANK_SPECIMEN
+            continue
+        yield f"{role}.yaml", _own_text(path)
+        yield from _included(path)
+    bench_folder = paths["bench"].parent
+    for name in prepared.mounted.documents:
+        if own and name.startswith("calibrations/") and _shipped("bench", paths["bench"]):
+            shipped = Document(name, _own_text(bench_folder / name)).data  # of another sensor: only its quantity counts
+            yield name, CALIBRATION.format(id=Path(name).stem, quantity=shipped["quantity"])
+        elif "/" in name:
+            yield name, _own_text(bench_folder / name, depth=name.count("/"))
+    yield "README.md", _readme_like(prepared, paths["bench"].stem)
+
+
+def _shipped(role: str, path: Path) -> bool:
+    return shipped_folder(role).resolve() in path.resolve().parents
+
+
+def _included(path: Path) -> Iterator[tuple[str, str]]:
+    """What a file includes, and what that includes."""
+    from pmabench.files.document import Document
+
+    name = Document(str(path), path.read_text()).data.get("include")
+    if not isinstance(name, str):
+        return
+    if Path(name).parent != Path() or name in {f"{role}.yaml" for role in ROLES}:
+        raise invalid(path, f'includes "{name}", which cannot lie in a lab folder; name a file next to it')
+    yield name, _own_text(path.parent / name)
+    yield from _included(path.parent / name)
+
+
+def _own_text(path: Path, depth: int = 0) -> str:
+    """A file's text; editors find its schema in the lab folder."""
+    lines = path.read_text().splitlines(keepends=True)
+    mark = "yaml-language-server: $schema="
+    for i, line in enumerate(lines):
+        if line.startswith("#") and mark in line:
+            lines[i] = f"# {mark}{'../' * depth}{SCHEMAS}/{line.strip().rsplit('/', 1)[-1]}\n"
+    return "".join(lines)
+
+
+def _simulated(prepared: Prepared) -> bool:
+    return all(device.driver.startswith("mock") for device in prepared.mounted.bench_file.devices.values())
+
+
+def _readme_like(prepared: Prepared, bench: str) -> str:
+    mounted, plan = prepared.mounted, prepared.plan
+    kind = "A simulated muscle: write your devices in its place, or copy the shipped bench that is most like yours"
+    muscle = f": {mounted.specimen_file.type}" if _simulated(prepared) else ""
+    if not _simulated(prepared):
+        kind = "Addresses, ranges and limits are examples: put in yours"
+    return f"""# Lab folder
+
+| file | what |
+| --- | --- |
+| `bench.yaml` | what is wired where, limits, safe state; the shipped bench `{bench}`. {kind} |
+| `calibrations/` | of the bench's channels; fill in what is `??`. `pmabench calibrate CHANNEL ...` writes new ones |
+| `specimen.yaml` | the muscle{muscle}. Put in type, serial, lengths and limits of yours |
+| `protocol.yaml` | what is tested: {plan.name} (kind {plan.kind}) |
+| `schemas/` | for editors, which complete and check the files with them |
+
+```
+pmabench check {CHECK}    # nothing moves
+pmabench run {CHECK}      # records into runs/
+pmabench process runs/*          # coefficients, into analyses/
+pmabench report runs/* -o report.html
+```
+
+Before air is on: `pmabench check` names what the bench lacks, `pmabench bench card bench.yaml -o card.html` is the page
+to hang at the rig, `pmabench bench probe bench.yaml` asks the devices who they are. Keep this folder under version
+control, all but `runs/` and `analyses/`. pmabench is not a safety function.
+"""

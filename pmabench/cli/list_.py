@@ -10,7 +10,7 @@ import click
 
 from pmabench.cli.common import Ui, common
 from pmabench.cli.names import head_of, own_files, shipped_files
-from pmabench.report.terminal import print_grid
+from pmabench.report.terminal import print_texts
 
 KINDS = {
     "benches": "bench",
@@ -39,9 +39,8 @@ def command(ui: Ui, what: str | None) -> None:
         rows += [_row(kind, path, path.stem, "shipped") for path in shipped_files(kind)]
 
     def human() -> None:
-        heads = ["kind", "name", "what it is", "where"]
         table = [[row["kind"], row["name"], row["title"], row["from"]] for row in rows]
-        print_grid(ui.console(columns=120), heads, table, heads)
+        print_texts(ui.console(columns=120), ["kind", "name", "what it is", "where"], table)
 
     ui.result({"schema": "pmabench.files/1", "files": rows}, human, (row["name"] for row in rows))
 

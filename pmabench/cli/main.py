@@ -13,9 +13,8 @@ from pmabench import __version__
 from pmabench.cli.common import output_lost, prepare_streams, say
 
 for _threads in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ.setdefault(
-        _threads, "1"
-    )  # small matrices: threads cost time, and sums in another order change last digits
+    # small matrices: threads cost time, and sums in another order change last digits
+    os.environ.setdefault(_threads, "1")
 
 SECTIONS = {
     "Start": {

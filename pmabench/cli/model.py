@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from textwrap import wrap
+from textwrap import fill
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -27,7 +27,7 @@ from pmabench.cli.model_inputs import (
 )
 from pmabench.cli.model_rows import rows
 from pmabench.cli.model_simulate import simulate
-from pmabench.report.terminal import print_grid
+from pmabench.report.terminal import print_grid, print_texts
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -55,7 +55,7 @@ command.add_command(cascade)
 
 @command.command(name="list")
 @common
-def list_models(ui: Ui) -> int | None:
+def list_models(ui: Ui) -> None:
     """Every model, by family."""
     from pmabench.model.library import FAMILIES, models
 
@@ -66,21 +66,19 @@ def list_models(ui: Ui) -> int | None:
     }
 
     def human() -> None:
-        heads = ["family", "model", "what it gives"]
         rows = []
         for before, model in zip([None, *known], known, strict=False):
             again = before is not None and before.family == model.family
             rows.append(["" if again else model.family, model.name, model.title])
-        print_grid(ui.console(columns=120), heads, rows, heads)
+        print_texts(ui.console(columns=120), ["family", "model", "what it gives"], rows)
 
     ui.result(data, human, (model.name for model in known))
-    return None
 
 
 @command.command(name="show")
 @click.argument("name")
 @common
-def show_model(ui: Ui, name: str) -> int | None:
+def show_model(ui: Ui, name: str) -> None:
     """Equation, inputs with their domain, outputs, source and reference values of the model NAME."""
     model = named_model(name)
     checks = []
@@ -88,7 +86,6 @@ def show_model(ui: Ui, name: str) -> int | None:
         now = float(model.evaluate(reference.at)[reference.output])
         checks.append((reference, now, abs(now - reference.value) <= 1.001 * reference.rounding + 1e-12 * abs(now)))
     ui.result(_facts(model, checks), lambda: _print_model(ui, model, checks))
-    return None
 
 
 def _facts(model: Model, checks: Sequence[Check]) -> dict[str, Any]:
@@ -118,21 +115,17 @@ def _print_model(ui: Ui, model: Model, checks: Sequence[Check]) -> None:
     for p in model.parameters:
         origin = f" ({p.origin})" if p.origin != "example" else ""
         rows.append([p.name, p.symbol, shown(p, p.value), _domain(p), p.meaning + origin])
-    heads = ["input", "symbol", "reference", "domain", "meaning"]
-    print_grid(console, heads, rows, heads)
+    print_texts(console, ["input", "symbol", "reference", "domain", "meaning"], rows)
     if model.fitted:
-        for line in wrap(f"A fit takes as unknown: {', '.join(model.fitted)}.", console.width):
-            click.echo(line)
+        click.echo(fill(f"A fit takes as unknown: {', '.join(model.fitted)}.", console.width))
     click.echo()
     rows = [[o.name, o.symbol, display_unit(o.quantity), o.meaning] for o in model.outputs]
-    heads = ["output", "symbol", "unit", "meaning"]
-    print_grid(console, heads, rows, heads)
+    print_texts(console, ["output", "symbol", "unit", "meaning"], rows)
     if checks:
         _print_checks(ui, model, checks)
     click.echo()
     for note in model.notes:
-        for line in wrap(note, console.width, initial_indent="- ", subsequent_indent="  "):
-            click.echo(line)
+        click.echo(fill(note, console.width, initial_indent="- ", subsequent_indent="  "))
 
 
 def _print_checks(ui: Ui, model: Model, checks: Sequence[Check]) -> None:
@@ -162,10 +155,8 @@ def _print_checks(ui: Ui, model: Model, checks: Sequence[Check]) -> None:
 @common
 def eval_model(
     ui: Ui, name: str, settings: list[tuple[str, str]], axes: list[tuple[str, str]], *, as_csv: bool
-) -> int | None:
+) -> None:
     """Values of the model NAME; inputs that are not given are at their reference values."""
-    if as_csv and ui.json:
-        raise UsageError("--csv or --json, not both")
     model = named_model(name)
     given, table = read_inputs(model, settings, axes)
     inputs, columns = grid(model, given, table)
@@ -196,7 +187,6 @@ def eval_model(
             _print_outputs(ui, model, outputs)
 
     ui.result(data, human)
-    return None
 
 
 def _evaluate(model: Model, values: dict[str, Any]) -> dict[str, list[float | None]]:
@@ -260,8 +250,7 @@ def _print_inputs(width: int, model: Model, given: dict[str, Any], inputs: dict[
     for own, word in ((True, "given:"), (False, "at their reference values:")):
         settings = [f"{key} {shown(parameters[key], value)}" for key, value in inputs.items() if (key in given) == own]
         if settings:
-            for line in wrap(f"{word} {', '.join(settings)}", width, subsequent_indent="  ", break_on_hyphens=False):
-                click.echo(line)
+            click.echo(fill(f"{word} {', '.join(settings)}", width, subsequent_indent="  ", break_on_hyphens=False))
     click.echo()
 
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import csv
 import sys
+from collections.abc import Mapping
 from math import floor, log10
 from pathlib import Path
-from textwrap import wrap
+from textwrap import fill
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -14,12 +15,11 @@ import click
 from pmabench.base.errors import UsageError, did_you_mean
 from pmabench.base.quantities import QUANTITIES
 from pmabench.cli.common import Ui, common, fields
-from pmabench.cli.model_inputs import display_unit, named_model, pairs, read_inputs, shown, si_unit
+from pmabench.cli.model_inputs import display_unit, named_model, number_of, pairs, read_inputs, shown, si_unit
+from pmabench.cli.names import FILE, PATH
 from pmabench.report.terminal import print_grid
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from pmabench.analysis.model_fit import ModelFit
     from pmabench.cli.model_measured import Measured
     from pmabench.model.library import Model, Parameter
@@ -37,18 +37,18 @@ MOST_CORRELATED = 8
 
 @click.command(name="fit", epilog=EXAMPLE)
 @click.argument("name", metavar="MODEL")
-@click.argument("table", type=click.Path(path_type=Path), metavar="FILE.csv|ANALYSIS")
+@click.argument("table", type=PATH, metavar="FILE.csv|ANALYSIS")
 @click.option("--free", help="Inputs to fit, with commas; without it those that the model names as fitted.")
 @click.option("--set", "settings", multiple=True, callback=pairs, metavar="NAME=VALUE", help="An input that is known.")
 @click.option("--start", "starts", multiple=True, callback=pairs, metavar="NAME=VALUE", help="Where to begin.")
 @click.option("--output", metavar="NAME", help="What was measured, where the table has several outputs.")
-@click.option("--column", "columns", multiple=True, callback=pairs, metavar="NAME=HEAD", help="A column of other name.")
+@click.option("--column", "renamed", multiple=True, callback=pairs, metavar="NAME=HEAD", help="A column of other name.")
 @click.option("--only", multiple=True, callback=pairs, metavar="COLUMN=TEXT", help="Rows with this text.")
 @click.option(
     "--within", multiple=True, callback=pairs, metavar="NAME=RANGE", help='Rows in it: "FIRST..LAST" with units.'
 )
 @click.option("--csv", "as_csv", is_flag=True, help="The fitted values comma-separated, SI, on stdout.")
-@click.option("--plot", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE.svg", help="Draw data and fit.")
+@click.option("--plot", type=FILE, metavar="FILE.svg", help="Draw data and fit.")
 @common
 def fit(
     ui: Ui,
@@ -57,13 +57,11 @@ def fit(
     free: str | None,
     settings: list[tuple[str, str]],
     starts: list[tuple[str, str]],
-    output: str | None,
-    columns: list[tuple[str, str]],
-    only: list[tuple[str, str]],
     within: list[tuple[str, str]],
     *,
     as_csv: bool,
     plot: Path | None,
+    **rows: Any,
 ) -> int | None:
     """Fit inputs of MODEL to the rows of a table with units in its head.
 
@@ -72,16 +70,12 @@ def fit(
     """
     from pmabench.cli.model_measured import read_measured
 
-    if as_csv and ui.json:
-        raise UsageError("--csv or --json, not both")
     if plot is not None and plot.suffix.lower() != ".svg":
         raise UsageError(f"--plot {plot}: an SVG is drawn; give a name that ends in .svg")
     model = named_model(name)
     given, _ = read_inputs(model, settings, [])
     begin, _ = read_inputs(model, starts, [], option="--start")
-    measured = read_measured(
-        model, table, output=output, renamed=columns, only=only, ranges=_ranges(model, within), given=list(given)
-    )
+    measured = read_measured(model, table, ranges=_ranges(model, within), given=list(given), **rows)
     found = _fit(model, measured, given, begin, free)
     if plot is not None:
         from pmabench.report.pages.fit_figure import write_fit
@@ -105,8 +99,6 @@ def fit(
 
 def _ranges(model: Model, within: list[tuple[str, str]]) -> dict[str, tuple[float, float]]:
     """Ends of the inputs or outputs [SI] between which rows count."""
-    from pmabench.cli.model_inputs import number_of
-
     quantities = {o.name: o.quantity for o in model.outputs}
     quantities |= {p.name: p.quantity for p in model.parameters if not p.choices}
     found = {}
@@ -275,9 +267,10 @@ def _print(ui: Ui, found: ModelFit, measured: Measured, table: Path, given: Mapp
             for key, value in found.fixed.items()
             if (key in given) == own and (own or key not in found.idle)
         ]
-        for line in wrap(f"{word} {', '.join(named)}", console.width, subsequent_indent="  ", break_on_hyphens=False):
-            if named:
-                click.echo(line)
+        if named:
+            click.echo(
+                fill(f"{word} {', '.join(named)}", console.width, subsequent_indent="  ", break_on_hyphens=False)
+            )
     if 1 < len(found.unknowns) <= MOST_CORRELATED:
         click.echo()
         names = [u.name for u in found.unknowns]
@@ -288,8 +281,7 @@ def _print(ui: Ui, found: ModelFit, measured: Measured, table: Path, given: Mapp
         rows = [row + [""] * (len(names) + 1 - len(row)) for row in cells]
         print_grid(console, ["correlation", *names], rows, ("correlation",))
     for finding in found.findings:
-        for line in wrap(f"{finding.level}: {finding.text}", console.width, subsequent_indent="  "):
-            click.echo(line)
+        click.echo(fill(f"{finding.level}: {finding.text}", console.width, subsequent_indent="  "))
 
 
 def _print_values(ui: Ui, found: ModelFit, known: Mapping[str, Parameter], outputs: Mapping[str, Output]) -> None:

@@ -147,6 +147,24 @@ def column_of(name: str, quantity: str, values: Sequence[Any]) -> dict[str, Any]
     return {"name": name, "quantity": quantity, "unit": si_unit(quantity), "values": values}
 
 
+def show_columns(
+    ui: Ui, data: dict[str, Any], *, keys: int = 1, as_csv: bool, above: str = "", below: Sequence[str] = ()
+) -> None:
+    """The result `data`, whose `columns` people see as CSV, or as a table between texts; --quiet drops the first."""
+
+    def human() -> None:
+        if as_csv:
+            print_csv(data["columns"])
+            return
+        if above and not ui.quiet:
+            click.echo(f"{above}\n")
+        print_table(ui, data["columns"], keys)
+        for line in below:
+            click.echo(line)
+
+    ui.result(data, human)
+
+
 def print_table(ui: Ui, columns: Sequence[Column], keys: int) -> None:
     """The columns in display units; the first `keys` of them are repeated in every part of a table that is too wide."""
     heads = [f"{column['name']} {display_unit(column['quantity'])}".strip() for column in columns]

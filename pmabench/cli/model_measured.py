@@ -55,10 +55,10 @@ def read_measured(
     path: Path,
     *,
     output: str | None,
-    renamed: Sequence[tuple[str, str]] = (),
-    only: Sequence[tuple[str, str]] = (),
-    ranges: Mapping[str, tuple[float, float]] | None = None,
-    given: Sequence[str] = (),
+    renamed: Sequence[tuple[str, str]],
+    only: Sequence[tuple[str, str]],
+    ranges: Mapping[str, tuple[float, float]],
+    given: Sequence[str],
 ) -> Measured:
     """The inputs and the one output that the table has; `renamed` are (name in the model, head in the table).
 
@@ -91,8 +91,8 @@ def read_measured(
     for item, quantity, unit in chosen_columns:
         if quantity == "ratio" and unit in (None, ""):
             notes.append(f'column "{item.head.text}" has no unit: taken as a fraction, not in %')
-    ends = [(ranges or {}).get(name, (-inf, inf)) for name, _ in read]
-    for name in ranges or {}:
+    ends = [ranges.get(name, (-inf, inf)) for name, _ in read]
+    for name in ranges:
         if name not in (*names, chosen):
             raise UsageError(f"--within {name}: {table.path} has no column of it")
     found, kept = numbers(
@@ -152,7 +152,7 @@ def _columns(
     outputs: Found = {}
     unused: list[str] = []
     problems: list[Any] = []
-    wanted = [*_wanted(model, given_as_output=False), *_wanted(model, given_as_output=True)]
+    wanted = _wanted(model)
     names = [item.names[0] for item in wanted]
     taken: dict[str, str] = {}
     for name, head in renamed:
@@ -186,16 +186,14 @@ def _columns(
     return inputs, outputs, unused, problems
 
 
-def _wanted(model: Model, *, given_as_output: bool) -> list[Wanted]:
-    """Names and symbols of inputs or outputs; a symbol that two share counts for none."""
+def _wanted(model: Model) -> list[Wanted]:
+    """Names and symbols of inputs, then of outputs; a symbol that two share counts for none."""
     inputs = [p for p in model.parameters if not p.choices]
     own = {p.name for p in inputs}
-    outputs = [o for o in model.outputs if o.name not in own]
-    everything: list[Parameter | Output] = [*inputs, *outputs]
+    everything: list[Parameter | Output] = [*inputs, *(o for o in model.outputs if o.name not in own)]
     used = [item.name for item in everything] + [item.symbol for item in everything if item.symbol]
     found = []
-    chosen: list[Parameter | Output] = [*outputs] if given_as_output else [*inputs]
-    for item in chosen:
+    for item in everything:
         names = [item.name]
         if item.symbol and used.count(item.symbol) == 1:
             names.append(item.symbol)

@@ -9,7 +9,7 @@ import click
 
 from pmabench.base.errors import UsageError, did_you_mean
 from pmabench.cli.common import Ui, common
-from pmabench.cli.model_inputs import column_of, named_model, number_of, pairs, print_csv, print_table, read_inputs
+from pmabench.cli.model_inputs import column_of, named_model, number_of, pairs, read_inputs, show_columns
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from pmabench.files.table import Table
     from pmabench.model.library import Model
 
     Array = NDArray[np.float64]
@@ -42,7 +43,7 @@ Groups = list[tuple[tuple[str, ...], float]]
 @common
 def rows(
     ui: Ui, name: str, table: Path, settings: list[tuple[str, str]], unsure: list[tuple[str, str]], *, as_csv: bool
-) -> int | None:
+) -> None:
     """Values of the model NAME at each row of the CSV file TABLE, whose heads are inputs with their units.
 
     Every input is in the table or given; other columns are repeated as they are. Uncertainties are carried through to
@@ -50,12 +51,11 @@ def rows(
     """
     from pmabench.files.table import read_table
 
-    if as_csv and ui.json:
-        raise UsageError("--csv or --json, not both")
     model = named_model(name)
     given, _ = read_inputs(model, settings, [])
-    inputs, others = _inputs(model, table, given)
-    count = len(read_table(table).columns[0].cells)
+    read = read_table(table)
+    inputs, others = _inputs(model, read, given)
+    count = len(read.columns[0].cells)
     groups = _groups(model, unsure)
     values, halves = _evaluated(model, inputs, groups, count)
     columns = others
@@ -74,36 +74,29 @@ def rows(
         "notes": notes,
     }
 
-    def human() -> None:
-        if as_csv:
-            print_csv(columns)
-            return
-        print_table(ui, columns, len(columns) - len(model.outputs) * (2 if groups else 1))
-        for note in notes if not ui.quiet else ():
-            click.echo(note)
-
-    ui.result(data, human)
-    return None
+    keys = len(columns) - len(model.outputs) * (2 if groups else 1)
+    show_columns(ui, data, keys=keys, as_csv=as_csv, below=() if ui.quiet else notes)
 
 
-def _inputs(model: Model, path: Path, given: Mapping[str, Any]) -> tuple[dict[str, Any], list[Any]]:
+def _inputs(model: Model, table: Table, given: Mapping[str, Any]) -> tuple[dict[str, Any], list[Any]]:
     """Inputs by name [SI], single or of each row, and columns of all that the table has, as the model reads them."""
     from pmabench.cli.model_measured import columns_of
-    from pmabench.files.table import numbers, read_table
+    from pmabench.files.table import numbers
 
-    table = read_table(path)
     found, unused = columns_of(model, table)
     twice = [name for name in found if name in given]
     if twice:
-        raise UsageError(f"--set {twice[0]}: {path} has a column of it; give one or the other")
+        raise UsageError(f"--set {twice[0]}: {table.path} has a column of it; give one or the other")
     missing = [p.name for p in model.parameters if p.name not in found and p.name not in given]
     if missing:
-        raise UsageError(f"{path} has no column of {', '.join(missing)}; add it, or give it with --set")
+        raise UsageError(f"{table.path} has no column of {', '.join(missing)}; add it, or give it with --set")
     quantities = {p.name: p.quantity for p in model.parameters}
     read, kept = numbers(table, [(column, quantities[name], unit) for name, (column, unit) in found.items()])
     if len(kept) < len(table.columns[0].cells):
         empty = next(row for row in range(len(table.columns[0].cells)) if row not in kept)
-        raise UsageError(f"{path}: row {empty + 1} of the table has an empty cell; measure it, or leave the row out")
+        raise UsageError(
+            f"{table.path}: row {empty + 1} of the table has an empty cell; measure it, or leave the row out"
+        )
     shown = [column for column in table.columns if column.head.text in unused]
     others = [column_of(column.head.text, "", [cell.text for cell in column.cells]) for column in shown]
     others += [column_of(name, quantities[name], values.tolist()) for name, values in zip(found, read, strict=True)]

@@ -6,12 +6,10 @@ import math
 import re
 from typing import TYPE_CHECKING, Any
 
-import click
-
 from pmabench.base.errors import UsageError
 from pmabench.base.quantities import show
 from pmabench.cli.common import Ui
-from pmabench.cli.model_inputs import column_of, print_csv, print_table
+from pmabench.cli.model_inputs import column_of, show_columns
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -31,7 +29,7 @@ SAMPLE = 0.002
 """Period of the platform's loop [s]."""
 OF_MUSCLE = re.compile(r"\s*([12])\s*:\s*(.+)")
 OPEN = re.compile(r"\s*(fill|exhaust)\s+([123])\s*,\s*(.+?)\s+to\s+(.+?)\s*")
-TURNED = re.compile(r"(?P<mean>[^,]+?)\s*\+-\s*(?P<amplitude>[^,]+),(?P<frequency>[^,]+)")
+DRIVE = re.compile(r"(?P<mean>[^,]+?)\s*\+-\s*(?P<amplitude>[^,]+),(?P<frequency>[^,]+)")
 
 
 def simulate_several(
@@ -43,43 +41,28 @@ def simulate_several(
 
     said = ""
     try:
-        seconds = _within(duration, "time", 1e-3, LONGEST)
+        seconds = within(duration, "time", 1e-3, LONGEST)
         spacing = seconds / 25 if every is None else parse_quantity(every, "time")
         if not spacing > 0 or seconds / spacing > MOST_ROWS:
             raise ValueError(f'--every "{every}": from 1 to {MOST_ROWS} rows are made')
         times = [number * spacing for number in range(int(seconds / spacing * (1 + 1e-9)) + 1)]
         if plant == "joint":
-            columns = _joint(_courses(steps, _refused(openings, "--open", "platform")), drive, times)
+            if openings:
+                raise ValueError("--open is for the platform")
+            columns = _joint(_courses(steps), drive, times)
         else:
             if drive is not None:
                 raise ValueError("--drive is for the joint; the platform is free")
             columns, said = _platform(steps, openings, chain, times)
     except ValueError as error:
         raise UsageError(str(error)) from error
-    if as_csv and ui.json:
-        raise UsageError("--csv or --json, not both")
     data = {"schema": "pmabench.model-simulation/1", "simulated": True, "plant": plant, "columns": columns}
-
-    def human() -> None:
-        if as_csv:
-            print_csv(columns)
-            return
-        if not ui.quiet:
-            click.echo(f"SIMULATED: plant {plant}; true values, no sensors\n")
-        print_table(ui, columns, keys=1)
-        if said and not ui.quiet:
-            click.echo(f"\n{said}")
-
-    ui.result(data, human)
+    below = [f"\n{said}"] if said and not ui.quiet else []
+    show_columns(ui, data, as_csv=as_csv, above=f"SIMULATED: plant {plant}; true values, no sensors", below=below)
 
 
-def _refused(given: Sequence[str], option: str, plant: str) -> Sequence[str]:
-    if given:
-        raise ValueError(f"{option} is for the {plant}")
-    return given
-
-
-def _within(text: str, quantity: str, least: float, most: float) -> float:
+def within(text: str, quantity: str, least: float, most: float) -> float:
+    """What was typed [SI]; ValueError where it is outside, with room for rounding of units."""
     from pmabench.files.quantity import parse_quantity
 
     value = parse_quantity(text.strip(), quantity)
@@ -88,7 +71,7 @@ def _within(text: str, quantity: str, least: float, most: float) -> float:
     return value
 
 
-def _courses(steps: Sequence[str], _none: Sequence[str]) -> tuple[tuple[Wave, ...], tuple[Wave, ...]]:
+def _courses(steps: Sequence[str]) -> tuple[tuple[Wave, ...], tuple[Wave, ...]]:
     """Commanded pressures of both muscles, from 0 on."""
     from pmabench.model.regulator import constant, to_nanosecond
 
@@ -99,12 +82,12 @@ def _courses(steps: Sequence[str], _none: Sequence[str]) -> tuple[tuple[Wave, ..
         if match is None or not at:
             raise ValueError(f'"{text}" is no step of a muscle; write --step "1: 300 kPa at 0.5 s"')
         course = courses[int(match[1]) - 1]
-        begin = to_nanosecond(_within(at, "time", 0.0, LONGEST))
+        begin = to_nanosecond(within(at, "time", 0.0, LONGEST))
         if begin < course[-1].start:
             raise ValueError(f'"{text}" begins before the one before it; give the steps in order of time')
         if begin == course[-1].start:
             course.pop()
-        course += constant(begin, _within(level, "pressure", 0.0, HIGHEST))
+        course += constant(begin, within(level, "pressure", 0.0, HIGHEST))
     return tuple(courses[0]), tuple(courses[1])
 
 
@@ -116,12 +99,12 @@ def _joint(courses: tuple[tuple[Wave, ...], tuple[Wave, ...]], drive: str | None
     for muscle, course in enumerate(courses):
         plant.command(muscle, course)
     if drive is not None:
-        match = TURNED.fullmatch(drive.strip())
+        match = DRIVE.fullmatch(drive.strip())
         if match is None:
             raise ValueError(f'"{drive}" is no drive of a joint; write --drive "0 deg +- 30 deg, 0.05 Hz"')
-        mean = _within(match["mean"], "angle", -MOST_TURN, MOST_TURN)
-        amplitude = _within(match["amplitude"], "angle", 0.0, MOST_TURN - abs(mean))
-        frequency = _within(match["frequency"], "frequency", 1e-6, 10.0)
+        mean = within(match["mean"], "angle", -MOST_TURN, MOST_TURN)
+        amplitude = within(match["amplitude"], "angle", 0.0, MOST_TURN - abs(mean))
+        frequency = within(match["frequency"], "frequency", 1e-6, 10.0)
         plant.angle = mean
         plant.drive(sine(0.0, mean, amplitude, frequency, math.ceil(times[-1] * frequency) + 1))
     found = plant.advance(times[-1], times)
@@ -139,7 +122,7 @@ def _opening(text: str) -> Opening:
     match = OPEN.fullmatch(text)
     if match is None:
         raise ValueError(f'"{text}" is no opening of a valve; write --open "fill 1, 100 ms to 130 ms"')
-    begin, end = (_within(part, "time", 0.0, LONGEST) for part in match.groups()[2:])
+    begin, end = (within(part, "time", 0.0, LONGEST) for part in match.groups()[2:])
     if end <= begin:
         raise ValueError(f'"{text}" shuts before it opens')
     return Opening(match[1], int(match[2]) - 1, begin, end)
@@ -151,7 +134,7 @@ def _attitude(text: str) -> list[float]:
     phi, comma, psi = angles.partition(",")
     if not comma or not at:
         raise ValueError(f'"{text}" is no step of a platform; write --step "10 deg, 0 deg at 1 s"')
-    return [_within(at, "time", 0.0, LONGEST), *(_within(part, "angle", -MOST_TILT, MOST_TILT) for part in (phi, psi))]
+    return [within(at, "time", 0.0, LONGEST), *(within(part, "angle", -MOST_TILT, MOST_TILT) for part in (phi, psi))]
 
 
 def _controlled(goals: list[list[float]], chain: str, times: list[float]) -> tuple[list[Any], str]:

@@ -12,8 +12,8 @@ import click
 from pmabench.base.errors import UsageError, did_you_mean
 from pmabench.base.quantities import show
 from pmabench.cli.common import Ui, common
-from pmabench.cli.model_inputs import column_of, print_csv, print_table
-from pmabench.cli.model_several import PLANTS, simulate_several
+from pmabench.cli.model_inputs import column_of, show_columns
+from pmabench.cli.model_several import DRIVE, PLANTS, simulate_several, within
 from pmabench.cli.model_surface import described_by, next_to
 from pmabench.cli.names import RunFolder
 
@@ -97,7 +97,7 @@ def simulate(
     chain: str,
     *,
     as_csv: bool,
-) -> int | None:
+) -> None:
     """Simulate PLANT (paper0, serres2009, real; daerden with --drive; or the path of a plant file) from rest.
 
     Two muscles on a pulley: joint, with --step "1: 300 kPa at 0 s" and free, or --drive "0 deg +- 30 deg, 0.05 Hz".
@@ -112,23 +112,24 @@ def simulate(
         if sine or load or settings or along:
             raise UsageError(f"{plant}: --sine, --load, --set and --along are for plants of one muscle")
         simulate_several(ui, plant, steps, openings, drive, chain, every, duration, as_csv=as_csv)
-        return None
+        return
     if along is not None:
-        _along_only(as_csv and ui.json, steps, sine, load, drive, settings)
+        if any((steps, sine, load, drive, settings)):
+            raise UsageError(
+                "--along takes pressures and loads from the run; give no --step, --sine, --load, --drive, --set"
+            )
         next_to(ui, Path(plant), along, trial, as_csv=as_csv)
-        return None
+        return
     problems = _misplaced(trial, openings, load, drive, nothing=not steps and sine is None)
-    seconds = _parsed(problems, "--for", _quantity, duration, "time", 1e-3, LONGEST)
+    seconds = _parsed(problems, "--for", within, duration, "time", 1e-3, LONGEST)
     default: Any = None if seconds is None else seconds / 25
-    spacing = _parsed(problems, "--every", _quantity, every, "time", 1e-6, LONGEST) if every else default
+    spacing = _parsed(problems, "--every", within, every, "time", 1e-6, LONGEST) if every else default
     waves = _parsed(problems, "--step", _course, steps, sine)
     weight = _parsed(problems, "--load", _load, load)
     driven = _parsed(problems, "--drive", _drive, drive)
     changes = _parsed(problems, "--set", _overrides, settings)
     if seconds and spacing and seconds / spacing > MOST_ROWS:
         problems.append(f"--every: {seconds / spacing:.0f} rows; at most {MOST_ROWS} are made")
-    if as_csv and ui.json:
-        problems.append("--csv or --json, not both")
     if problems:
         raise UsageError("\n".join(problems))
     try:
@@ -138,18 +139,7 @@ def simulate(
     columns = [column_of(name, quantity, getattr(motion, field).tolist()) for name, quantity, field in COLUMNS]
     data = {"schema": "pmabench.model-simulation/1", "simulated": True}
     data |= {"plant": plant, "kind": kind, "columns": columns}
-    ui.result(data, lambda: print_csv(columns) if as_csv else _print(ui, f"{plant}, {kind}", columns))
-    return None
-
-
-def _along_only(both: bool, *others: Any) -> None:
-    """Refuse options that --along makes no use of."""
-    if any(others):
-        raise UsageError(
-            "--along takes pressures and loads from the run; give no --step, --sine, --load, --drive, --set"
-        )
-    if both:
-        raise UsageError("--csv or --json, not both")
+    show_columns(ui, data, as_csv=as_csv, above=f"SIMULATED: plant {plant}, {kind}; true values, no sensors")
 
 
 def _misplaced(
@@ -163,12 +153,6 @@ def _misplaced(
         '--step: nothing is commanded; for instance --step "300 kPa at 0.5 s"': nothing,
     }
     return [text for text, is_so in wrong.items() if is_so]
-
-
-def _print(ui: Ui, plant: str, columns: list[dict[str, Any]]) -> None:
-    if not ui.quiet:
-        click.echo(f"SIMULATED: plant {plant}; true values, no sensors\n")
-    print_table(ui, columns, keys=1)
 
 
 def _simulated(
@@ -287,18 +271,8 @@ def _parsed(problems: list[str], option: str, parse: Any, *arguments: Any) -> An
         return None
 
 
-def _quantity(text: str, quantity: str, least: float, most: float) -> float:
-    from pmabench.files.quantity import parse_quantity
-
-    value = parse_quantity(text, quantity)
-    if not least <= value <= most * (1 + 1e-12):
-        raise ValueError(f'"{text}" is outside {show(least, quantity)} to {show(most, quantity)}')
-    return value
-
-
 STEP = re.compile(r"(?P<level>.+?)\s+at\s+(?P<at>.+?)(?:\s+by\s+(?P<rate>.+))?")
 SINE = re.compile(r"(?P<amplitude>[^,]+),(?P<frequency>[^,]+?)\s+at\s+(?P<at>.+)")
-DRIVE = re.compile(r"(?P<mean>[^,]+?)\s*\+-\s*(?P<amplitude>[^,]+),(?P<frequency>[^,]+)")
 
 
 def _course(steps: tuple[str, ...], sine: str | None) -> tuple[Wave, ...]:
@@ -310,27 +284,27 @@ def _course(steps: tuple[str, ...], sine: str | None) -> tuple[Wave, ...]:
         match = STEP.fullmatch(text.strip())
         if match is None:
             raise ValueError(f'"{text}" is no step; write "300 kPa at 0.5 s" or "300 kPa at 0.5 s by 50 kPa/s"')
-        level = _quantity(match["level"], "pressure", 0.0, HIGHEST)
-        at = to_nanosecond(_quantity(match["at"], "time", 0.0, LONGEST))
+        level = within(match["level"], "pressure", 0.0, HIGHEST)
+        at = to_nanosecond(within(match["at"], "time", 0.0, LONGEST))
         if at < waves[-1].start or (at == waves[-1].start > 0):
             raise ValueError(f'"{text}" begins before the one before it has ended; give the steps in order of time')
         before = waves[-1].level
         if at == 0:
             waves.pop()
         if match["rate"]:
-            waves += ramp(at, before, level, _quantity(match["rate"], "pressure rate", 1.0, 1e9))
+            waves += ramp(at, before, level, within(match["rate"], "pressure rate", 1.0, 1e9))
         else:
             waves += constant(at, level)
     if sine is not None:
         match = SINE.fullmatch(sine.strip())
         if match is None:
             raise ValueError(f'"{sine}" is no sine; write --sine "20 kPa, 0.5 Hz at 4 s"')
-        at = to_nanosecond(_quantity(match["at"], "time", 0.0, LONGEST))
+        at = to_nanosecond(within(match["at"], "time", 0.0, LONGEST))
         mean = waves[-1].level
         if at <= waves[-1].start:
             raise ValueError(f'"{sine}" begins before the last step has ended')
-        amplitude = _quantity(match["amplitude"], "pressure", 0.0, min(mean, HIGHEST - mean))
-        omega = 2 * math.pi * _quantity(match["frequency"], "frequency", 1e-6, FASTEST)
+        amplitude = within(match["amplitude"], "pressure", 0.0, min(mean, HIGHEST - mean))
+        omega = 2 * math.pi * within(match["frequency"], "frequency", 1e-6, FASTEST)
         waves.append(Wave(at, mean, amplitude=amplitude, omega=omega))
     return tuple(waves)
 
@@ -352,9 +326,9 @@ def _drive(text: str | None) -> tuple[float, float, float] | None:
     match = DRIVE.fullmatch(text.strip())
     if match is None:
         raise ValueError(f'"{text}" is no drive; write "20 mm +- 10 mm, 0.5 Hz"')
-    mean = _quantity(match["mean"], "length", -0.1, 0.1)
-    amplitude = _quantity(match["amplitude"], "length", 0.0, 0.1)
-    return mean, amplitude, _quantity(match["frequency"].strip(), "frequency", 1e-6, FASTEST)
+    mean = within(match["mean"], "length", -0.1, 0.1)
+    amplitude = within(match["amplitude"], "length", 0.0, 0.1)
+    return mean, amplitude, within(match["frequency"], "frequency", 1e-6, FASTEST)
 
 
 def _overrides(settings: tuple[str, ...]) -> Overrides:

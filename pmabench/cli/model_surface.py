@@ -5,12 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import click
-
 from pmabench.base.errors import UsageError
 from pmabench.base.quantities import show
 from pmabench.cli.common import Ui
-from pmabench.cli.model_inputs import column_of, print_csv, print_table
+from pmabench.cli.model_inputs import column_of, show_columns
 
 if TYPE_CHECKING:
     from pmabench.analysis.surface.replay import Replay
@@ -90,17 +88,7 @@ def next_to(ui: Ui, folder: Path, run_folder: Path, number: int | None, *, as_cs
     data: dict[str, Any] = {"schema": "pmabench.model-replay/1", "simulated": run.simulated, "run": run.id}
     data |= {"model": model.source, "left_out": refused, "columns": columns}
 
-    def human() -> None:
-        if as_csv:
-            print_csv(columns)
-            return
-        if run.simulated and not ui.quiet:
-            click.echo("SIMULATED\n")
-        print_table(ui, columns, keys=1)
-        for line in [*refused, *_in_all(found)]:
-            click.echo(line)
-
-    ui.result(data, human)
+    show_columns(ui, data, as_csv=as_csv, above="SIMULATED" if run.simulated else "", below=[*refused, *_in_all(found)])
 
 
 def _errors(replays: list[Replay]) -> list[dict[str, Any]]:

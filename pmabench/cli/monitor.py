@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
@@ -15,9 +16,8 @@ import click
 
 from pmabench.base.errors import Interrupted, UsageError
 from pmabench.cli.common import Ui, common, fields
-from pmabench.cli.names import BENCH, SPECIMEN
+from pmabench.cli.names import BENCH, PATH, SPECIMEN
 from pmabench.cli.outcome import show_outcome
-from pmabench.files.shipped import find_file
 
 if TYPE_CHECKING:
     from pmabench.bench.compile import Mounted
@@ -34,36 +34,26 @@ NOTICES = 6
 
 @click.command(name="monitor")
 @click.argument("bench", type=BENCH)
-@click.option("--jog", "jogging", is_flag=True, help="Move outputs by keys; needs --specimen, and is recorded.")
+@click.option("--jog", is_flag=True, help="Move outputs by keys; needs --specimen, and is recorded.")
 @click.option("--specimen", type=SPECIMEN, help="The specimen that is mounted; its limits hold with --jog.")
-@click.option("--out", default="runs", show_default=True, type=click.Path(path_type=Path), help="Where run folders go.")
+@click.option("--out", default="runs", show_default=True, type=PATH, help="Where run folders go.")
 @click.option("--operator", default="", help="Who is at the bench; the login name if not given.")
 @click.option("--plain", is_flag=True, help="A line a second; so it is where the output is no terminal.")
 @click.option("--seconds", type=click.FloatRange(min=0), help="End by itself after so long.")
 @common
 def command(
-    ui: Ui,
-    bench: str,
-    specimen: str | None,
-    out: Path,
-    operator: str,
-    seconds: float | None,
-    *,
-    jogging: bool,
-    plain: bool,
+    ui: Ui, bench: str, specimen: str | None, out: Path, operator: str, seconds: float | None, jog: bool, plain: bool
 ) -> int | None:
     """Show every channel of BENCH live: raw, value, noise, rate, age, limits. Arms nothing and commands nothing."""
-    from pmabench.bench.compile import mount, mount_alone
+    from pmabench.cli.prepare import mounted_of
 
-    if jogging:
+    if jog:
         if specimen is None:
             raise UsageError("--jog moves the muscle: say which one is mounted, with --specimen")
         if plain or ui.json or not (sys.stdin.isatty() and sys.stdout.isatty()):
             raise UsageError("--jog needs a terminal for its keys")
-        return _jog(ui, mount(find_file("bench", bench), find_file("specimen", specimen)), out, operator, seconds)
-    path = find_file("bench", bench)
-    mounted = mount_alone(path) if specimen is None else mount(path, find_file("specimen", specimen))
-    _monitor(ui, mounted.bench, seconds, plain=plain or not sys.stdout.isatty())
+        return _jog(ui, mounted_of(bench, specimen), out, operator, seconds)
+    _monitor(ui, mounted_of(bench, specimen).bench, seconds, plain=plain or not sys.stdout.isatty())
     return None
 
 
@@ -174,22 +164,18 @@ class _Live:
 
 
 class _Keys:
-    """Keys pressed since they were taken last."""
+    """Keys pressed since they were taken last; one thread adds (both ends of a deque are safe), another takes."""
 
     def __init__(self) -> None:
-        self._pressed: list[str] = []
-        self._lock = threading.Lock()
+        self._pressed: deque[str] = deque()
 
     def add(self, keys: Sequence[str]) -> None:
         """Add keys that were pressed."""
-        with self._lock:
-            self._pressed.extend(keys)
+        self._pressed.extend(keys)
 
     def taken(self) -> list[str]:
         """Keys pressed since the last call."""
-        with self._lock:
-            keys, self._pressed = self._pressed, []
-        return keys
+        return [self._pressed.popleft() for _ in range(len(self._pressed))]
 
 
 class _AtKeys:

@@ -57,25 +57,26 @@ class RunFolder(click.Path):
         return super().convert(value, param, ctx)
 
     def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
-        """The newest runs and analyses here, else any folder."""
-        return complete_runs(ctx, param, incomplete)
+        """The newest folders below `runs` and `analyses` here that begin like `incomplete`, else any folder."""
+        places = [Path(name) for name in ("runs", "analyses")]
+        found = [str(one) for place in places if place.is_dir() for one in place.iterdir() if one.is_dir()]
+        found = sorted((name for name in found if name.startswith(incomplete)), reverse=True)[:MOST]
+        return [CompletionItem(name) for name in found] or [CompletionItem(incomplete, type="dir")]
 
 
 def short(folder: Path) -> str:
     """A run or analysis as it is shortest typed here: `runs/3efe`, where no other folder there ends so."""
     path = folder.resolve()
-    path = path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path
     tail = path.name.rpartition("_")[2]
     alone = TAIL.fullmatch(tail) and len([one for one in folder.parent.glob(f"*_{tail}") if one.is_dir()]) == 1
-    return shlex.quote(str(path.with_name(tail) if alone else path))
+    return typed(path.with_name(tail) if alone else path)
 
 
-def complete_runs(_ctx: click.Context, _param: click.Parameter, incomplete: str) -> list[CompletionItem]:
-    """The newest folders below `runs` and `analyses` here that begin like `incomplete`, else any folder."""
-    places = [Path(name) for name in ("runs", "analyses")]
-    found = [str(one) for place in places if place.is_dir() for one in place.iterdir() if one.is_dir()]
-    found = sorted((name for name in found if name.startswith(incomplete)), reverse=True)[:MOST]
-    return [CompletionItem(name) for name in found] or [CompletionItem(incomplete, type="dir")]
+def typed(path: Path, kind: str = "") -> str:
+    """A resolved path as it can be typed here; a shipped file of a `kind` by its name."""
+    if kind and path.parent == shipped_folder(kind).resolve():
+        return path.stem
+    return shlex.quote(str(path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path))
 
 
 def own_files(kind: str) -> Iterator[Path]:
@@ -100,4 +101,7 @@ def shipped_files(kind: str) -> list[Path]:
     return sorted(shipped_folder(kind).glob("*.yaml"))
 
 
+PATH = click.Path(path_type=Path)
+FILE = click.Path(path_type=Path, dir_okay=False)
+FOLDER = click.Path(path_type=Path, file_okay=False)
 BENCH, SPECIMEN, PROTOCOL, CAMPAIGN = (Named(kind) for kind in ("bench", "specimen", "protocol", "campaign"))

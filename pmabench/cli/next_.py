@@ -11,15 +11,13 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pmabench.base.errors import RecordError, UsageError
-from pmabench.base.kind import load
+from pmabench.base.kind import Kind, load
 from pmabench.base.quantities import in_words
 from pmabench.cli.common import Ui, common, read_quantity
-from pmabench.cli.goals import goals_of
-from pmabench.cli.names import RunFolder
-from pmabench.cli.until import PART
+from pmabench.cli.names import FILE, RunFolder
+from pmabench.cli.until import PART, goals_of
 
 if TYPE_CHECKING:
-    from pmabench.base.kind import Kind
     from pmabench.store.records import RunData
 
 MOST = 10
@@ -31,9 +29,9 @@ WIDTH = 80
 @click.argument("sources", nargs=-1, required=True, type=RunFolder(), metavar="RUN-OR-ANALYSIS...")
 @click.option("--until", "goal", required=True, metavar="GOAL", help="Half widths that are wanted: 'K 1 %, B_r 2 %'.")
 @click.option("--time", "length", default="", metavar="TIME", help="Longest time of the trials, '40 min'.")
-@click.option("-o", "--output", type=click.Path(path_type=Path, dir_okay=False), help="Write them as a protocol.")
+@click.option("-o", "--output", type=FILE, help="Write them as a protocol.")
 @common
-def command(ui: Ui, sources: tuple[Path, ...], goal: str, length: str, output: Path | None) -> int | None:
+def command(ui: Ui, sources: tuple[Path, ...], goal: str, length: str, output: Path | None) -> None:
     """Propose at most 10 trials that narrow the 95 % intervals of a test most per minute.
 
     They are cells of the sweep that was run. With -o they become a protocol, which `check` and `run` take.
@@ -61,7 +59,6 @@ def command(ui: Ui, sources: tuple[Path, ...], goal: str, length: str, output: P
         "written": written,
     }
     ui.result(data, lambda: click.echo("\n".join(_lines(runs, found, goal, written))))
-    return None
 
 
 def _runs(ui: Ui, sources: Sequence[Path]) -> tuple[list[RunData], Kind]:

@@ -7,13 +7,13 @@ from pathlib import Path
 import click
 
 from pmabench.cli.common import Ui, common, login_name
-from pmabench.cli.names import RunFolder
+from pmabench.cli.names import PATH, RunFolder
 
 
 @click.command(name="note")
 @click.argument("run", type=RunFolder())
 @click.argument("text", default="")
-@click.option("--attach", multiple=True, type=click.Path(path_type=Path), metavar="FILE", help="A copy is kept.")
+@click.option("--attach", multiple=True, type=PATH, metavar="FILE", help="A copy is kept.")
 @click.option(
     "--exclude",
     type=click.IntRange(min=1),
@@ -25,7 +25,7 @@ from pmabench.cli.names import RunFolder
 @common
 def command(
     ui: Ui, run: Path, text: str, attach: tuple[Path, ...], exclude: int | None, because: str, operator: str
-) -> int | None:
+) -> None:
     """Append a note to RUN, open or closed: TEXT, files, or a trial that is left out of fits and why."""
     from pmabench.store.notes import add_note
 
@@ -39,7 +39,6 @@ def command(
             click.echo(f"left out: {_trial(run, note.exclude)}")
 
     ui.result(data, human)
-    return None
 
 
 def _trial(run: Path, index: int) -> str:

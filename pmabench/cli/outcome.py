@@ -15,9 +15,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pmabench.cli.common import Ui, fields, rewrite, say
-from pmabench.cli.names import short
-from pmabench.files.shipped import shipped_folder
-from pmabench.report.terminal import print_grid
+from pmabench.cli.names import short, typed
+from pmabench.report.terminal import print_texts
 
 if TYPE_CHECKING:
     from pmabench.bench.interface import CompiledBench
@@ -55,20 +54,12 @@ def show_next(ui: Ui, outcome: Outcome, bench: CompiledBench, *, trials: bool) -
     from pmabench.guard.station import Station
 
     if bench.realtime and Station(bench.name).latched():
-        reset = f"pmabench vent {_named(bench)} --reset --operator NAME --because TEXT"
+        reset = f"pmabench vent {typed(Path(bench.path), 'bench')} --reset --operator NAME --because TEXT"
         if not trials and outcome.folder is not None:
             reset = f"pmabench continue {short(outcome.folder)}"
         say(f"the bench is now tripped, and nothing runs on it: look at it, then  {reset}")
     if trials and outcome.folder is not None and outcome.status not in FINISHED:
         ui.note(f"the trials that are left:  pmabench run --resume {shlex.quote(str(outcome.folder))}")
-
-
-def _named(bench: CompiledBench) -> str:
-    """The bench as it can be typed here: a shipped one by its name, another by its file."""
-    path = Path(bench.path)
-    if path == (shipped_folder("bench") / path.name).resolve():
-        return path.stem
-    return shlex.quote(str(path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path))
 
 
 def outcome_json(outcome: Outcome) -> dict[str, Any]:
@@ -177,9 +168,8 @@ def print_checks(ui: Ui, checks: Sequence[Check], *, err: bool = False) -> None:
     if not checks:
         return
     console = ui.console(err=err)
-    heads = ["check", "value", "limit", "verdict"]
     rows = [[c.name, c.value or (c.hint if c.verdict.startswith("not ") else ""), c.limit, c.verdict] for c in checks]
-    print_grid(console, heads, rows, heads)
+    print_texts(console, ["check", "value", "limit", "verdict"], rows)
     for check in checks:
         if check.verdict == "failed":
             console.print(f"{check.name}: {check.hint}")

@@ -6,18 +6,15 @@ import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from pmabench.base.errors import InvalidFile, Problem
-from pmabench.bench.compile import Mounted, mount
+from pmabench.bench.compile import Mounted, mount, mount_alone
 from pmabench.files.document import document_text
 from pmabench.files.shipped import find_file
 from pmabench.kinds.compile import compile_protocol, read_protocol, slower
-from pmabench.protocol.plan import Plan
+from pmabench.protocol.plan import Plan, Step
 from pmabench.protocol.sweep import long_ranges
-
-if TYPE_CHECKING:
-    from pmabench.protocol.plan import Step
 
 
 @dataclass(frozen=True)
@@ -72,6 +69,12 @@ def prepare(protocol: str, bench: str, specimen: str, settings: Sequence[tuple[s
     sources["set"] = [list(pair) for pair in settings]
     deviations = tuple(f"{name} set to {value}" for name, value in settings)
     return Prepared(plan, mounted, text, deviations, sources, slower(plan, document, mounted), doubts)
+
+
+def mounted_of(bench: str, specimen: str | None = None) -> Mounted:
+    """A bench by file or name, with the specimen's limits where one is given."""
+    path = find_file("bench", bench)
+    return mount_alone(path) if specimen is None else mount(path, find_file("specimen", specimen))
 
 
 def seeded(mounted: Mounted, seed: int) -> Mounted:

@@ -12,8 +12,11 @@ import click
 
 from pmabench.base.errors import InvalidFile, UsageError, invalid
 from pmabench.cli.common import Ui, common
-from pmabench.cli.names import RunFolder, short
+from pmabench.cli.names import PATH, RunFolder, short
 from pmabench.cli.outcome import next_lines
+from pmabench.kinds import registry
+from pmabench.store.catalogue import ANALYSES, chain_of, holds_runs
+from pmabench.store.folder import LATE, read_manifest
 
 if TYPE_CHECKING:
     from pmabench.report.document.front import Verdict
@@ -29,9 +32,7 @@ MOST_SINCE = 2
 
 @click.command(name="process")
 @click.argument("runs", nargs=-1, required=True, type=RunFolder(), metavar="RUN...|FOLDER...")
-@click.option(
-    "--out", type=click.Path(path_type=Path), help="Analysis folder; in analyses/ next to runs/ if not given."
-)
+@click.option("--out", type=PATH, help="Analysis folder; in analyses/ next to runs/ if not given.")
 @click.option("--each", is_flag=True, help="Each run on its own and one table, as for a folder of runs.")
 @click.option("--jobs", type=click.IntRange(1, 256), metavar="N", help="So many processes share a folder of runs.")
 @click.option("--cluster", metavar="ADDRESS", help="A Dask scheduler whose workers share a folder of runs.")
@@ -66,10 +67,8 @@ def command(
     jobs: int | None,
     cluster: str | None,
     forms: tuple[str, ...],
-    bootstrap: int | None,
-    polish: bool,
-    regulator: bool,
     fresh: bool,
+    **options: Any,
 ) -> int | None:
     """Fit the coefficients of RUNS, each with its 95 % interval.
 
@@ -79,19 +78,15 @@ def command(
     analyses/each, and one table over all of them next to those (all-runs.csv, .parquet, .json). Runs that have not
     changed since the last time are not computed again. A run that cannot be used is named at the end; the others go on.
     """
-    from pmabench.kinds import registry
     from pmabench.kinds.reduce import FORM
-    from pmabench.store.catalogue import ANALYSES, holds_runs
 
     together = [form for form in forms if form in registry.with_part(FORM)]
     if together:
-        if len(forms) > 1 or bootstrap or polish or regulator or each or any(holds_runs(path) for path in runs):
+        if len(forms) > 1 or any(options.values()) or each or any(holds_runs(path) for path in runs):
             what = f"--form {together[0]} takes all runs that are named into one muscle, and no other option"
             raise UsageError(f"{what}: name run folders, for instance with /*")
         return _process_together(ui, runs, out, {}, together[0])
-    asked = registry.options_for(
-        {"forms": list(forms), "bootstrap": bootstrap, "regulator": regulator, "polish": polish}
-    )
+    asked = registry.options_for({"forms": list(forms), **options})
     below = [path for path in runs if holds_runs(path)]
     if each or below:
         if jobs is not None and cluster is not None:
@@ -172,7 +167,6 @@ def _process_together(
 
 def described_by(runs: Sequence[Path], analyses: Sequence[Analysis], failed: Sequence[str]) -> list[str]:
     """The command that describes a muscle which does not follow the form of its test; empty where it does."""
-    from pmabench.kinds import registry
     from pmabench.kinds.reduce import FORM
 
     facts = [analysis.facts.get("form") for analysis in analyses]
@@ -208,16 +202,11 @@ def campaign_folder(folder: Path) -> Path:
 
 def place_of(run: Path) -> Path:
     """Where the analyses of runs are that are processed together, of which `run` is named first."""
-    from pmabench.store.catalogue import ANALYSES
-    from pmabench.store.folder import read_manifest
-
     return campaign_folder(run.resolve().parent) / ANALYSES / str(read_manifest(run)["id"])
 
 
 def chains(runs: Sequence[Path]) -> list[Path]:
     """The runs with those that they continue, each once."""
-    from pmabench.store.catalogue import chain_of
-
     with suppress(InvalidFile):  # whoever loads them reports what is wrong
         return list({run.resolve(): run for given in runs for run in chain_of(given)}.values())
     return []
@@ -235,7 +224,7 @@ def stored(ui: Ui, runs: Sequence[Path]) -> list[Path]:
     key = key_of(chain, {}) if chain else ""
     if not key:
         return []
-    each = campaign_folder(runs[0].resolve().parent) / "analyses" / "each" / runs[0].resolve().name
+    each = campaign_folder(runs[0].resolve().parent) / ANALYSES / "each" / runs[0].resolve().name
     found = [kept(place, key, {}) for place in (place_of(runs[0]), each)]
     best = next((one for one in found if one.folders), Kept(why=next((one.why for one in found if one.why), "")))
     if best.why:
@@ -290,17 +279,12 @@ def since_lines(runs: Sequence[RunData]) -> list[str]:
 
 def _nothing_to_process(path: Path) -> str:
     """What a folder is that nothing can be fitted to, in words; empty for any other."""
-    from pmabench.store.folder import LATE
-
     if path.name.endswith(LATE) and path.is_dir() and not (path / "manifest.json").exists():
         return "holds what came after a run was closed"
     if _holds_analyses(path):
         return "holds analyses"
-    manifest = path / "manifest.json"
-    if not manifest.is_file():
+    if not (path / "manifest.json").is_file():
         return ""
-    from pmabench.store.folder import read_manifest
-
     with suppress(InvalidFile):  # what is wrong with it is reported when it is loaded
         kind = read_manifest(path).get("kind")
         return f"is a run of kind {kind}" if kind in GUIDED else ""
@@ -308,8 +292,6 @@ def _nothing_to_process(path: Path) -> str:
 
 
 def _holds_analyses(path: Path) -> bool:
-    from pmabench.store.catalogue import ANALYSES
-
     if not path.is_dir() or (path / "manifest.json").exists():
         return False
     return path.resolve().name == ANALYSES or any(
@@ -319,15 +301,11 @@ def _holds_analyses(path: Path) -> bool:
 
 def load_runs(paths: Sequence[Path]) -> list[RunData]:
     """Every run with those that it continues, or `InvalidFile` with what is wrong with each that is none."""
-    from pmabench.store.catalogue import holds_runs
     from pmabench.store.chain import open_chains
 
-    for path in paths:
-        if holds_runs(path):
-            advice = (
-                "is a folder of runs: name those in it, for instance with /*; process takes it as it is, run by run"
-            )
-            raise invalid(path, advice)
+    for path in filter(holds_runs, paths):
+        advice = "is a folder of runs: name those in it, for instance with /*; process takes it as it is, run by run"
+        raise invalid(path, advice)
     return open_chains(paths)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -24,14 +25,7 @@ MOST_LINES = 20
 
 
 def process_folders(
-    ui: Ui,
-    given: Sequence[Path],
-    out: Path,
-    jobs: int,
-    cluster: str | None,
-    options: Mapping[str, Any],
-    *,
-    fresh: bool,
+    ui: Ui, given: Sequence[Path], out: Path, jobs: int, cluster: str | None, options: Mapping[str, Any], *, fresh: bool
 ) -> int | None:
     """Process each run below `given` on its own, with options by kind; the exit code."""
     tasks = tasks_below(given)
@@ -112,9 +106,7 @@ def _data(many: Many, paths: Sequence[Path]) -> dict[str, Any]:
 
 
 def _human(many: Many, paths: Sequence[Path]) -> None:
-    kinds: dict[str, int] = {}
-    for entry in many.results():
-        kinds[entry["kind"]] = kinds.get(entry["kind"], 0) + 1
+    kinds = Counter(entry["kind"] for entry in many.results())
     for kind, count in sorted(kinds.items()):
         click.echo(f"{kind}: {count:,} {'run' if count == 1 else 'runs'}")
     if many.count("unchanged"):
@@ -134,7 +126,7 @@ def _human(many: Many, paths: Sequence[Path]) -> None:
     click.echo(
         f"Not accepted: {refused:,} of {done:,} runs" if refused else f"None of {done:,} runs is refused acceptance"
     )
-    click.echo("\n".join(_failures(many)), nl=bool(_failures(many)))
+    click.echo("".join(f"{line}\n" for line in _failures(many)), nl=False)
 
 
 def _failures(many: Many) -> list[str]:
@@ -145,9 +137,6 @@ def _failures(many: Many) -> list[str]:
     if failed:
         what = "1 run could" if len(failed) == 1 else f"{len(failed):,} runs could"
         lines += [f"{what} not be processed:", *failed]
-    if not lines:
-        return []
-
     return [clean(line) for line in lines]
 
 

@@ -10,13 +10,13 @@ import click
 
 from pmabench.base.errors import UsageError
 from pmabench.cli.common import Ui, common
-from pmabench.cli.names import RunFolder
-from pmabench.report.publishing.about import LICENCES
+from pmabench.cli.names import PATH, RunFolder
+from pmabench.report.publishing.about import LICENCES, About, Author, Place
 
 
 @click.command(name="publish")
 @click.argument("sources", nargs=-1, required=True, type=RunFolder(), metavar="RUN-OR-ANALYSIS...")
-@click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="A new folder, or NAME.zip.")
+@click.option("-o", "--output", required=True, type=PATH, help="A new folder, or NAME.zip.")
 @click.option(
     "--author", "authors", multiple=True, required=True, metavar="TEXT",
     help='"Family, Given; ORCID; Affiliation https://address", as far as known; once for each author.',
@@ -37,14 +37,12 @@ def command(
     fresh: bool,
     publisher: str,
     **facts: str,
-) -> int | None:
+) -> None:
     """Put runs, their analyses and the report together for a repository of research data.
 
     Sealed records, coefficients, report, README and checksums, described as RO-Crate, DataCite, Data Package and
     CITATION.cff. Runs are processed first, unless `process` did that and nothing has changed since.
     """
-    from pmabench.report.publishing.about import About, Author, Place
-
     if output.exists():
         raise UsageError(f"{output} is there already: a publication is not mixed with other files; give a new name")
     today = datetime.now(UTC).date().isoformat()
@@ -77,4 +75,3 @@ def command(
             click.echo("!  no DOI yet: reserve one at the repository and give --doi, or let it add one")
 
     ui.result(data, human, [str(output)])
-    return None

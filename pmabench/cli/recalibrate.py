@@ -12,7 +12,7 @@ import click
 
 from pmabench.base.errors import UsageError
 from pmabench.cli.common import Ui, common, fields, login_name, read_quantity
-from pmabench.cli.names import RunFolder
+from pmabench.cli.names import PATH, RunFolder
 
 if TYPE_CHECKING:
     from pmabench.analysis.verdict.comparison import Change
@@ -42,7 +42,7 @@ SCALE = ("calibration", "slope", "offset", "offset_uncertainty", "gain_uncertain
 )
 @click.option("--because", default="", metavar="TEXT", help="Why; the new analyses and their report say so.")
 @click.option("--operator", default="", help="Who says so; the login name if not given.")
-@click.option("--out", type=click.Path(path_type=Path), help="Folder of the new analyses, which must not exist.")
+@click.option("--out", type=PATH, help="Folder of the new analyses, which must not exist.")
 @common
 def command(
     ui: Ui,
@@ -52,7 +52,7 @@ def command(
     because: str,
     operator: str,
     out: Path | None,
-) -> int | None:
+) -> None:
     """Process RUNS again from their raw samples with other calibrations, and say what becomes of each coefficient.
 
     The runs and what was made of them before stay as they are; the new analyses get a folder of their own.
@@ -103,7 +103,6 @@ def command(
         click.echo("\n".join(str(path) for path in (*folders, *tables)))
 
     ui.result(data, human, [str(path) for path in (*folders, *tables)])
-    return None
 
 
 def _asked(runs: Sequence[RunData], calibrations: Sequence[str], skews: Sequence[str]) -> Recalibration:

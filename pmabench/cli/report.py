@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +11,7 @@ import click
 
 from pmabench.base.errors import UsageError
 from pmabench.cli.common import Ui, common
-from pmabench.cli.names import RunFolder
+from pmabench.cli.names import FILE, RunFolder
 
 if TYPE_CHECKING:
     from pmabench.report.document.kept_page import Page
@@ -22,13 +22,9 @@ if TYPE_CHECKING:
 
 @click.command(name="report")
 @click.argument("sources", nargs=-1, required=True, type=RunFolder(), metavar="RUN-OR-ANALYSIS...")
-@click.option("-o", "--output", required=True, type=click.Path(path_type=Path, dir_okay=False), help="The HTML file.")
-@click.option(
-    "--pdf", type=click.Path(path_type=Path, dir_okay=False), help="Also as a tagged PDF; needs the extra pdf."
-)
-@click.option(
-    "--xlsx", type=click.Path(path_type=Path, dir_okay=False), help="Also as a workbook; needs the extra xlsx."
-)
+@click.option("-o", "--output", required=True, type=FILE, help="The HTML file.")
+@click.option("--pdf", type=FILE, help="Also as a tagged PDF; needs the extra pdf.")
+@click.option("--xlsx", type=FILE, help="Also as a workbook; needs the extra xlsx.")
 @click.option(
     "--overlay", "overlays", multiple=True, metavar="FILE.csv[:LABEL]", help="Published points for the figures."
 )
@@ -53,7 +49,7 @@ def command(
     long: bool,
     fresh: bool,
     **issuer: str,
-) -> int | None:
+) -> None:
     """Write the characterisation report of runs, of analysis folders, or of folders of them.
 
     Two pages that print on A4, then appendices that fold out, in one file that needs nothing else.
@@ -93,7 +89,6 @@ def command(
             kept_page.keep(used[0].parent, key, page)
     data: dict[str, Any] = {"schema": "pmabench.report/1", **written, "since": dict(page.since)}
     ui.result(data, lambda: click.echo("\n".join(written.values())))
-    return None
 
 
 def analysed(
@@ -155,3 +150,44 @@ def _written(
 
         written["xlsx"] = str(write_workbook(content, analyses, xlsx))
     return written, page
+
+
+@dataclass(frozen=True)
+class Characterised:
+    """What came of runs."""
+
+    runs: list[RunData]
+    analyses: list[Analysis]
+    folders: list[Path]
+    """Of the analyses."""
+    report: Path
+    failed: list[str]
+    """Why results are not accepted."""
+    recorded: Sequence[Path] = ()
+    """Run folders, as they were given."""
+
+    def lines(self) -> list[str]:
+        """The results at a glance, and where the report is."""
+        from pmabench.cli.outcome import next_lines
+        from pmabench.cli.process import described_by, verdict_of_all
+        from pmabench.report.foremost import glance
+
+        verdict = verdict_of_all(self.analyses, self.runs, self.failed)
+        then = described_by(self.recorded, self.analyses, self.failed)
+        lines = [*glance(self.analyses, verdict, self.failed), f"report  {self.report}"]
+        return [*lines, *(next_lines(*then) if then else [])]
+
+
+def characterise(recorded: Sequence[Path], place: Path, report: Path, title: str | None = None) -> Characterised:
+    """Process the runs in `recorded` together into `place`, and write the page `report`."""
+    from pmabench.cli.process import analyse, chains, load_runs, write
+    from pmabench.kinds.reduce import verdicts
+    from pmabench.report.document.content import content_of, write_page
+    from pmabench.store.analyses.folder import key_of
+
+    key = key_of(chains(recorded), {})
+    runs = load_runs(recorded)
+    analyses = analyse(runs)
+    folders = write(analyses, runs, place, key)
+    page = write_page(content_of(analyses, runs, title=title), report)
+    return Characterised(runs, analyses, folders, page, verdicts(runs, analyses), recorded)

@@ -14,23 +14,22 @@ import click
 from pmabench.base.errors import RecordError, UsageError
 from pmabench.base.system import ENGINE, ordinary, real_time
 from pmabench.cli.common import Ui, common, plan_options, rewrite, session_options
-from pmabench.cli.names import RunFolder
+from pmabench.cli.names import PATH, RunFolder
 from pmabench.cli.operator import AtDisplay, Confirmed, InLines
 from pmabench.cli.outcome import print_checks, progress_line, show_end, show_next
-from pmabench.engine.operator import AtTerminal, ConfirmedBeforehand, Nobody
+from pmabench.engine.operator import AtTerminal, ConfirmedBeforehand, Nobody, Operator
 
 if TYPE_CHECKING:
     from pmabench.bench.compile import Mounted
     from pmabench.cli.prepare import Prepared
     from pmabench.cli.until import Until
-    from pmabench.engine.operator import Operator
     from pmabench.engine.run import Continues, Outcome
     from pmabench.session.checks import Check
 
 
 @click.command(name="run")
 @plan_options(required=False)
-@click.option("--out", default=None, type=click.Path(path_type=Path), help="Where run folders go.  [default: runs]")
+@click.option("--out", default=None, type=PATH, help="Where run folders go.  [default: runs]")
 @click.option("--operator", default="", help="Who is at the bench; the login name if not given.")
 @click.option("--yes", is_flag=True, help="Every prompt counts as answered; the record says so.")
 @click.option("--resume", type=RunFolder(exists=True), help="Go on after the last trial of this run.")
@@ -53,23 +52,7 @@ if TYPE_CHECKING:
 @session_options
 @common
 def command(
-    ui: Ui,
-    protocol: str | None,
-    bench: str | None,
-    specimen: str | None,
-    out: Path | None,
-    settings: list[tuple[str, str]],
-    operator: str,
-    resume: Path | None,
-    accept: tuple[str, ...],
-    session: dict[str, Any],
-    *,
-    yes: bool,
-    web: bool,
-    vent: bool,
-    report: bool,
-    until: str,
-    length: str,
+    ui: Ui, protocol: str | None, bench: str | None, specimen: str | None, until: str, length: str, **how: Any
 ) -> int | None:
     """Execute PROTOCOL on a bench with a specimen and record it.
 
@@ -77,30 +60,26 @@ def command(
     GOAL trials are chosen from the protocol's sweep one by one, each where it helps most, until the 95 % intervals of
     the coefficients are so narrow.
     """
-    files = (protocol, bench, specimen)
-    if vent and not web:
+    if how["vent"] and not how["web"]:
         raise UsageError("--vent belongs to --web")
     if length and not until:
         raise UsageError("--time belongs to --until")
-    if until and resume is not None:
+    if until and how["resume"] is not None:
         raise UsageError("--resume keeps the goal of its run; leave --until out")
     goal = {"goal": until, "time": length} if until else {}
-    return run_or_resume(
-        ui, files, settings, resume, accept, out, operator, session,
-        yes=yes, web=web, vent=vent, report=report, until=goal,
-    )  # fmt: skip
+    return run_or_resume(ui, (protocol, bench, specimen), until=goal, **how)
 
 
 def run_or_resume(
     ui: Ui,
-    files: tuple[str | None, str | None, str | None],
-    settings: list[tuple[str, str]],
-    resume: Path | None,
-    accept: tuple[str, ...],
-    out: Path | None,
-    operator: str,
-    session: dict[str, Any],
+    files: Sequence[str | None],
     *,
+    resume: Path | None,
+    settings: Sequence[tuple[str, str]] = (),
+    accept: Sequence[str] = (),
+    out: Path | None = None,
+    operator: str = "",
+    session: dict[str, Any] | None = None,
     yes: bool,
     web: bool = False,
     vent: bool = False,
@@ -113,29 +92,25 @@ def run_or_resume(
     """
     from pmabench.cli.prepare import prepare
 
-    protocol, bench, specimen = files
     if resume is not None:
-        from pmabench.engine.resume import sources
+        from pmabench.engine.resume import continue_run, sources
         from pmabench.store.folder import read_manifest
 
         until = read_manifest(resume).get("until")
-        before = sources(resume) if None in {protocol, bench, specimen} else {}
-        protocol, bench, specimen = (
-            given or str(before[name])
-            for given, name in ((protocol, "protocol"), (bench, "bench"), (specimen, "specimen"))
-        )
+        before = sources(resume) if None in files else {}
+        roles = ("protocol", "bench", "specimen")
+        files = [given or str(before[role]) for given, role in zip(files, roles, strict=True)]
         settings = settings or [(name, value) for name, value in before.get("set", ())]
         out = out or resume.resolve().parent
+    protocol, bench, specimen = files
     if protocol is None or bench is None or specimen is None:
         raise UsageError("a run needs PROTOCOL, --bench and --specimen (or --resume RUN)")
     prepared = prepare(protocol, bench, specimen, settings)
     continues = None
     if resume is not None:
-        from pmabench.engine.resume import continue_run
-
         continues = continue_run(resume, prepared.plan, prepared.mounted, prepared.protocol_text, accept)
     if web:
-        from pmabench.cli.web import start_view
+        from pmabench.cli.watch import start_view
 
         start_view(ui, out or Path("runs"), vent=vent)
     outcome = execute(
@@ -150,8 +125,8 @@ def run_or_resume(
 
 def _reported(ui: Ui, folder: Path) -> int:
     """Process a run and write its report next to `runs`; 6 where its results are not accepted."""
-    from pmabench.cli.characterise import characterise
     from pmabench.cli.process import campaign_folder, place_of
+    from pmabench.cli.report import characterise
 
     found = characterise([folder], place_of(folder), campaign_folder(folder.resolve().parent) / f"{folder.name}.html")
     if not ui.json:
@@ -226,9 +201,7 @@ def _chosen(chooser: Until, shown: Mapping[str, Any]) -> dict[str, Any]:
     return {"begun": begun, "further": lambda executor: Choosing(executor, chooser)}
 
 
-def _in_session(
-    ui: Ui, mounted: Mounted, out: Path, operator_name: str, options: dict[str, Any], *, yes: bool
-) -> Mounted:
+def _in_session(ui: Ui, mounted: Mounted, out: Path, who: str, options: dict[str, Any], *, yes: bool) -> Mounted:
     """The bench within a valid session, which is run first where none is; `options` are those of `ensure`."""
     from pmabench.session.session import SessionFailed, ensure
 
@@ -236,14 +209,7 @@ def _in_session(
         tables: list[Sequence[Check]] = []
         try:
             return ensure(
-                mounted,
-                operator,
-                out,
-                operator_name=operator_name,
-                say=ui.note,
-                report=tables.append,
-                **shown,
-                **options,
+                mounted, operator, out, operator_name=who, say=ui.note, report=tables.append, **shown, **options
             )
         except SessionFailed as error:
             show_next(ui, error.outcome, mounted.bench, trials=False)

@@ -13,7 +13,7 @@ import click
 from pmabench.base.errors import InvalidFile, invalid
 from pmabench.base.text import printable
 from pmabench.cli.common import Ui, common, fields
-from pmabench.cli.names import RunFolder
+from pmabench.cli.names import PATH, RunFolder
 from pmabench.report.terminal import print_grid
 
 if TYPE_CHECKING:
@@ -31,9 +31,9 @@ def command() -> None:
 
 
 @command.command(name="list")
-@click.argument("folder", default="runs", type=click.Path(path_type=Path))
+@click.argument("folder", default="runs", type=PATH)
 @common
-def list_runs(ui: Ui, folder: Path) -> int | None:
+def list_runs(ui: Ui, folder: Path) -> None:
     """Every run in FOLDER, by date."""
     from pmabench.store.catalogue import catalogue
 
@@ -42,7 +42,8 @@ def list_runs(ui: Ui, folder: Path) -> int | None:
     rows = sorted(({**vars(row)} for row in catalogue(folder)), key=lambda row: (row["date"], row["folder"]))
     continued = {row["continues"] for row in rows}
     for row in rows:
-        row["resume"] = "" if row["id"] in continued else _resume(folder / row["folder"], row)
+        left = row["trials_planned"] - row["trials_finished"] - row["trials_before"]
+        row["resume"] = "" if row["id"] in continued else _resume(folder / row["folder"], row["status"], left)
 
     def human() -> None:
         from pmabench.store.since import Added, Since
@@ -64,19 +65,17 @@ def list_runs(ui: Ui, folder: Path) -> int | None:
                 click.echo(f"{row['id']} was interrupted; to go on with it: {row['resume']}")
 
     ui.result({"schema": "pmabench.runs/1", "runs": rows}, human)
-    return None
 
 
-def _resume(run: Path, row: Mapping[str, Any]) -> str:
+def _resume(run: Path, status: str, left: int) -> str:
     """The command that continues a run that ended early; empty where it cannot be continued."""
-    left = row["trials_planned"] - row["trials_finished"] - row["trials_before"]
-    return f"pmabench run --resume {quote(str(run))}" if row["status"] in ENDED_EARLY and left > 0 else ""
+    return f"pmabench run --resume {quote(str(run))}" if status in ENDED_EARLY and left > 0 else ""
 
 
 @command.command(name="show")
 @click.argument("run", type=RunFolder())
 @common
-def show_run(ui: Ui, run: Path) -> int | None:
+def show_run(ui: Ui, run: Path) -> None:
     """One RUN in full: what, when, by whom, how it ended, its trials and channels."""
     from pmabench.store.folder import plain
     from pmabench.store.reader import open_run
@@ -84,7 +83,6 @@ def show_run(ui: Ui, run: Path) -> int | None:
     data = open_run(run)
     after = going_on(run, data)
     ui.result(plain(_summary(data, after)), lambda: _print_run(data, after))
-    return None
 
 
 def _summary(data: RunData, after: Mapping[str, str]) -> dict[str, Any]:
@@ -173,17 +171,17 @@ def going_on(run: Path, data: RunData) -> dict[str, str]:
     if data.status not in ENDED_EARLY or not isinstance(data.manifest.get("sources"), Mapping):
         return {"continued_by": "", "resume": ""}
     after = goes_on(run)
+    resume = "" if after else _resume(run, data.status, trials_left(data))
+    return {"continued_by": after.name if after else "", "resume": resume}
+
+
+def trials_left(data: RunData) -> int:
+    """How many planned trials were finished neither in this run nor in those that it continues."""
     link = data.manifest.get("continues")
     before = link.get("trials_done") if isinstance(link, Mapping) else None
     done = {t.index for t in data.trials if t.status == "finished" and not t.again}
     done |= set(before) if isinstance(before, list) else set()
-    row = {
-        "status": data.status,
-        "trials_planned": int(data.manifest.get("trials_planned") or 0),
-        "trials_finished": len(done),
-        "trials_before": 0,
-    }
-    return {"continued_by": after.name if after else "", "resume": "" if after else _resume(run, row)}
+    return int(data.manifest.get("trials_planned") or 0) - len(done)
 
 
 def _print_rest(data: RunData) -> None:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Union
 
 import click
 
 from pmabench.base.errors import RecordError, UsageError
+from pmabench.base.kind import load
 from pmabench.cli.common import Ui, common
+from pmabench.cli.names import FOLDER
 
 KINDS = (
     "protocol",
@@ -29,9 +31,9 @@ KINDS = (
 @click.command(name="schema")
 @click.argument("kind", required=False, type=click.Choice(KINDS))
 @click.option("--all", "write_all", is_flag=True, help="Write every schema into the folder given with --out.")
-@click.option("--out", type=click.Path(path_type=Path, file_okay=False), help="Folder for --all.")
+@click.option("--out", type=FOLDER, help="Folder for --all.")
 @common
-def command(ui: Ui, kind: str | None, out: Path | None, *, write_all: bool) -> int | None:
+def command(ui: Ui, kind: str | None, out: Path | None, *, write_all: bool) -> None:
     """Print the JSON Schema of KIND, or write all of them into a folder."""
     if write_all and out is not None:
         try:
@@ -41,11 +43,10 @@ def command(ui: Ui, kind: str | None, out: Path | None, *, write_all: bool) -> i
         except OSError as error:
             raise RecordError(f"{out}: no schemas can be written here: {error.strerror or error}") from error
         ui.note(f"{len(KINDS)} schemas in {out}")
-        return None
+        return
     if kind is None or write_all or out is not None:
         raise UsageError(f"say which: {', '.join(KINDS)}; or --all --out FOLDER")
     ui.result(_schema(kind), lambda: click.echo(schema_text(kind), nl=False))
-    return None
 
 
 def schema_text(kind: str) -> str:
@@ -72,18 +73,13 @@ def _schema(kind: str) -> dict[str, Any]:
 
 def _of_driver(name: str) -> dict[str, Any]:
     """The schema of the map files of a driver, which its `map_schema` gives."""
-    from importlib import import_module
-
     from pmabench.bench.registry import driver_class
 
-    module, _, driver = driver_class(name).partition(":")
-    schema: dict[str, Any] = getattr(import_module(module), driver).map_schema()
+    schema: dict[str, Any] = load(driver_class(name)).map_schema()
     return schema
 
 
 def _of_models(kind: str) -> dict[str, Any]:
-    from typing import Annotated, Union
-
     from pydantic import BaseModel, Field, TypeAdapter
 
     from pmabench.bench.files.bench import BenchFile

@@ -14,15 +14,16 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pmabench.base.errors import UsageError, invalid
-from pmabench.base.kind import load
+from pmabench.base.kind import Kind, load
 from pmabench.base.quantities import QUANTITIES, show
 from pmabench.cli.common import Ui, common, read_quantity
-from pmabench.cli.names import RunFolder
+from pmabench.cli.names import PATH, RunFolder
+from pmabench.cli.process import load_runs, without_analyses
+from pmabench.kinds import registry
 from pmabench.report.terminal import print_grid
 
 if TYPE_CHECKING:
     from pmabench.analysis.tuning import Gains
-    from pmabench.base.kind import Kind
     from pmabench.model.loop import Loop
     from pmabench.model.rules import Rule
     from pmabench.store.analyses.results import Analysis, Estimate
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
 @click.option("--tu", help='Ultimate period, for instance "9 s".')
 @click.option(
     "--analysis",
-    type=click.Path(path_type=Path),
+    type=PATH,
     help="Analysis folder of kind ultimate-gain, or of contraction-relaxation (processed with --regulator).",
 )
 @click.option(
@@ -56,20 +57,18 @@ def command(
     ku: str | None,
     tu: str | None,
     analysis: Path | None,
-    setpoints: tuple[str, ...],
-    load: str | None,
-    period: str | None,
     rule: str | None,
     dead_time: str | None,
     lags: tuple[str, ...],
+    **place: Any,
 ) -> int | None:
     """Gains of the tuning rules from K_u and T_u, from an analysis, or from RUNS in which no loop was closed."""
     from pmabench.analysis.tuning import facts, rules_named
     from pmabench.model.rules import all_rules
 
     _check_one_source(runs, [ku is not None, tu is not None], analysis, steps=steps, model=model)
-    where = Where.read(setpoints, load, period)
-    if where.given and not model and (analysis is None or not holds_model(analysis)):
+    where = Where.read(**place)
+    if any(place.values()) and not model and (analysis is None or not holds_model(analysis)):
         raise UsageError("--setpoint, --load and --period are for --model, or an analysis that holds a model")
     try:
         rules = all_rules() if rule is None else rules_named(rule)
@@ -122,13 +121,16 @@ def _measured_pairs(
 ) -> tuple[Pairs, list[str]]:
     """K_u, T_u and the loop where it is known, from runs or else from an analysis, with what was found on the way."""
     from pmabench.analysis.tuning import measured_loops
+    from pmabench.store.analyses.folder import read_analysis
 
     if analysis is None:
         reduced = _reduced(ui, runs) if steps else by_runs(ui, runs, where)
     elif holds_model(analysis):
-        reduced = by_folder(analysis, where)
+        reduced = _found(analysis, read_analysis(analysis), where, where.period or 0.0)  # without it no hold is counted
+    elif pairs := measured_loops(read_analysis(analysis)):
+        return pairs, []
     else:
-        return _measured(analysis), []
+        raise invalid(analysis, "holds no ultimate gain and period")
     return measured_loops(reduced), [f"{finding.level}: {finding.text}" for finding in reduced.findings]
 
 
@@ -149,9 +151,6 @@ def _tuned(pairs: Pairs, rules: tuple[Rule, ...]) -> list[tuple[Estimate, Estima
 
 def _reduced(ui: Ui, runs: tuple[Path, ...]) -> Analysis:
     """What the open-loop steps of runs give; other ways to K_u in them are in the findings."""
-    from pmabench.cli.process import load_runs, without_analyses
-    from pmabench.kinds import registry
-
     loaded = load_runs(without_analyses(ui, runs))
     able = registry.with_part("tune by steps")
     for run in loaded:
@@ -219,18 +218,8 @@ def _within(option: str, text: str, quantity: str, value: float, least: float, m
     return value
 
 
-def _measured(folder: Path) -> list[tuple[Estimate, Estimate, Loop | None]]:
-    """Gain, period and the identified loop (where there is one) at each operating point."""
-    from pmabench.analysis.tuning import measured_loops
-    from pmabench.store.analyses.folder import read_analysis
-
-    found = measured_loops(read_analysis(folder))
-    if not found:
-        raise invalid(folder, "holds no ultimate gain and period")
-    return found
-
-
 Pairs = list[tuple["Estimate", "Estimate", "Loop | None"]]
+"""Gain, period and the identified loop (where there is one) at each operating point."""
 
 
 def _with_loop(pairs: Pairs, dead_time: str | None, lags: tuple[str, ...]) -> tuple[Pairs, list[str]]:
@@ -298,8 +287,6 @@ class Where:
     load: float
     mass: float
     period: float | None
-    given: bool
-    """Whether any of it was given."""
 
     @classmethod
     def read(cls, setpoints: Sequence[str], load: str | None, period: str | None) -> Where:
@@ -318,7 +305,7 @@ class Where:
         if not 0 <= force <= MOST:
             raise UsageError(f'--load: "{load}" is no load of a muscle; expected is 0 to {MOST:g} N')
         step = None if period is None else quantity("--period", period, "time", SLOWEST)
-        return cls(places, force, mass, step, bool(setpoints) or load is not None or period is not None)
+        return cls(places, force, mass, step)
 
 
 def holds_model(folder: Path) -> bool:
@@ -330,22 +317,11 @@ def holds_model(folder: Path) -> bool:
 
 def models() -> dict[str, Kind]:
     """The kinds of test whose coefficients make a loop."""
-    from pmabench.kinds import registry
-
     return registry.with_results(*LOOP)
-
-
-def by_folder(folder: Path, where: Where) -> Analysis:
-    """K_u and T_u by the model of an analysis; without `--period` no hold is counted."""
-    from pmabench.store.analyses.folder import read_analysis
-
-    return _found(folder, read_analysis(folder), where, where.period or 0.0)
 
 
 def by_runs(ui: Ui, runs: Sequence[Path], where: Where) -> Analysis:
     """K_u and T_u by the model that is fitted to runs; they must be of one specimen."""
-    from pmabench.cli.process import load_runs, without_analyses
-    from pmabench.kinds import registry
     from pmabench.kinds.reduce import reduce_runs, reduction_of
 
     loaded = load_runs(without_analyses(ui, runs))
@@ -361,8 +337,6 @@ def by_runs(ui: Ui, runs: Sequence[Path], where: Where) -> Analysis:
 
 
 def _found(path: Path, analysis: Analysis, where: Where, period: float) -> Analysis:
-    from pmabench.kinds import registry
-
     try:
         made: Analysis = load(next(iter(registry.with_part(PART).values())).parts[PART])(
             analysis, where.setpoints, where.load, where.mass, period

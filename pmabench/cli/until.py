@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import re
 import signal
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -17,16 +18,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pmabench.base.errors import PmaError, UsageError
-from pmabench.base.kind import load
+from pmabench.base.errors import PmaError, UsageError, did_you_mean
+from pmabench.base.kind import Kind, load
+from pmabench.base.quantities import show
 from pmabench.cli.common import Ui, read_quantity
-from pmabench.cli.goals import goals_of
 from pmabench.engine.choosing import CHANGED, Chosen, NoMore
 from pmabench.protocol.plan import TrialRecord
 
 if TYPE_CHECKING:
+    from pmabench.analysis.next_trial import Goal
     from pmabench.cli.prepare import Prepared
     from pmabench.store.records import RunData
+
 
 PART = "next trial"
 """Of `Kind.parts`: what chooses the trials of a kind of test."""
@@ -89,12 +92,8 @@ class Until:
         if self.folder is None:
             raise UsageError("a run that is not recorded cannot choose its trials")
         answer = self._answer(self.folder, wait)
-        if self.shown:
-            return answer
-        if isinstance(answer, NoMore):
-            self.ui.note(f"no further trial: {answer.why}")
-        else:
-            self.ui.note(f"next: {answer.why}")
+        if not self.shown:
+            self.ui.note(f"{'no further trial' if isinstance(answer, NoMore) else 'next'}: {answer.why}")
         return answer
 
     def _answer(self, folder: Path, wait: Callable[[], None]) -> Chosen | NoMore:
@@ -161,3 +160,39 @@ def _recorded(folder: Path) -> tuple[RunData, ...]:
         if time.monotonic() > until:
             raise PmaError(f"the samples of trial {chosen[-1] + 1} did not reach {folder}")
         time.sleep(0.05)
+
+
+EXAMPLE = 'for instance --until "K 1 %, B_r 2 %"'
+_SWEEP = re.compile(r"\s*(\d+(?:\.\d+)?)\s*x\s*sweep\s*")
+_GOAL = re.compile(r"\s*([A-Za-z][A-Za-z_]*)\s*[= ]\s*(.+?)\s*")
+
+
+def goals_of(text: str, kind: Kind) -> tuple[Goal, ...]:
+    """The goals in `text`; UsageError where a coefficient is none of the kind's, or a size is none of its."""
+    from pmabench.analysis.next_trial import SWEEP, Goal
+    from pmabench.files.quantity import parse_quantity
+
+    if match := _SWEEP.fullmatch(text):
+        sweeps = float(match.group(1))
+        if not sweeps >= 1:
+            raise UsageError(f"--until: {text.strip()}: fewer trials give no narrower intervals; at least 1 x sweep")
+        return (Goal(SWEEP, sweeps, True),)
+    known = {result.symbol: result for result in kind.results if result.symbol in ("F_ce", "K", "B_c", "B_r", "F_c")}
+    found = []
+    for part in text.split(","):
+        match = _GOAL.fullmatch(part)
+        if match is None:
+            raise UsageError(f'--until: "{part.strip()}" is no goal; {EXAMPLE}')
+        symbol, size = match.groups()
+        if symbol not in known:
+            raise UsageError(f'--until: no coefficient "{symbol}" to wait for{did_you_mean(symbol, known)}; {EXAMPLE}')
+        relative = size.endswith("%")
+        quantity = "ratio" if relative else known[symbol].quantity
+        try:
+            value = parse_quantity(size, quantity)
+        except ValueError as error:
+            raise UsageError(f"--until: {symbol}: {error}") from error
+        if not value > 0:
+            raise UsageError(f"--until: {symbol}: {show(value, quantity)}: a goal is above 0; {EXAMPLE}")
+        found.append(Goal(symbol, value, relative))
+    return tuple(found)

@@ -1,19 +1,34 @@
-"""`pmabench watch`: what a run is doing now, from its folder alone; nothing of the bench is touched."""
+"""`pmabench watch`: what a run is doing now, from its folder alone; nothing of the bench is touched.
+
+In a browser `watch --web` serves it, and `run --web` starts that as a process that only reads.
+"""
 
 from __future__ import annotations
 
+import ipaddress
+import json
+import os
+import secrets
+import select
+import subprocess
+import sys
 import time
+from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from pmabench.base.errors import UsageError, invalid
+from pmabench.base.errors import Interrupted, UsageError, invalid
+from pmabench.base.system import ordinary
 from pmabench.cli.common import Ui, common, fields
 from pmabench.cli.names import RunFolder
+from pmabench.guard.station import root as state_folder
 
 if TYPE_CHECKING:
     from pmabench.display.state import RunState
+    from pmabench.display.web.server import Server
 
 
 @click.command(name="watch")
@@ -32,8 +47,6 @@ def command(ui: Ui, run: Path, listen: str | None, *, plain: bool, wait: bool, w
     For instance: pmabench watch --web
     """
     if web:
-        from pmabench.cli.web import serve
-
         return serve(ui, run, listen, vent=vent)
     if listen or vent:
         raise UsageError("--listen and --vent belong to --web")
@@ -83,3 +96,137 @@ def _json(folder: Path, state: RunState) -> dict[str, Any]:
             for line in state.lines
         ],
     }
+
+
+PORT = 8437
+"""The port that is taken where it is free, so that a page finds its server again."""
+TOKEN_HOURS = 12
+"""A token is the same for so long, so that a page goes on after a restart of the server."""
+STARTS_WITHIN = 5.0
+"""A run waits so long for the address of its view [s], before anything is moved."""
+LEFT = 30.0
+"""A view that a run has started ends so long after the run, and after the last browser has left [s]."""
+RISK = (
+    "everybody in this network who has the address can read the runs in this folder, and the address is not encrypted; "
+    "nobody can command anything. Ctrl-C ends it."
+)
+
+BUTTON = "the vent button is no emergency stop; it is there where the bench file has `web_vent: true`"
+
+
+def serve(ui: Ui, run: Path, listen: str | None, *, vent: bool) -> int:
+    """Serve the view of RUN, or of a folder of runs, until a signal ends it."""
+    address = _address(listen)
+    if vent and not ipaddress.ip_address(address).is_loopback:
+        raise UsageError("--vent is for this computer only; leave out --listen")
+    one = (run / "manifest.json").exists()
+    folder = run.resolve().parent if one else run
+    server = _start(folder, address, vent=vent)
+    path = f"/run/{run.resolve().name}" if one else "/"
+    _until_ended(server, lambda: _say(ui, server, path, vent=vent))
+    return 0
+
+
+def _say(ui: Ui, server: Server, path: str, *, vent: bool) -> None:
+    """Where to look, and the risk."""
+    link, folder = server.link(path), server.room.places.root
+    data = {"schema": "pmabench.web/1", "address": link, "folder": str(folder), "pid": os.getpid()}
+    if ui.json:
+        click.echo(json.dumps(data))
+    else:
+        click.echo(link)
+        ui.note(f"shows the runs in {folder}; reads only. Ctrl-C ends it")
+        if not server.local:
+            ui.note(f"risk: {RISK}")
+        if vent:
+            ui.note(BUTTON)
+    sys.stdout.flush()
+
+
+def _address(listen: str | None) -> str:
+    """The address to listen at; raises UsageError where it is not one of a computer."""
+    if listen is None:
+        return "127.0.0.1"
+    try:
+        address = ipaddress.ip_address(listen)
+    except ValueError:
+        raise UsageError(
+            f'--listen needs an address of this computer in numbers, as 192.168.1.20; not "{listen}"'
+        ) from None
+    if address.is_unspecified or address.is_multicast:
+        raise UsageError(f"--listen {listen} is every network; name the address of the one that the phone is in")
+    return str(address)
+
+
+def _start(folder: Path, address: str, *, vent: bool) -> Server:
+    """The server, at the usual port where it is free; below the priority of every bench."""
+    ordinary()
+    if hasattr(os, "nice"):
+        with suppress(OSError):
+            os.nice(10)
+    from pmabench.display.web.server import start
+
+    try:
+        return start(folder, token(), address, (PORT, 0), vent=vent)
+    except OSError as error:
+        raise UsageError(
+            f"cannot listen at {address}: {error.strerror or error}; is it an address of this computer?"
+        ) from error
+
+
+def token() -> str:
+    """128 random bits, kept for hours in a file that only this user can read."""
+    path = state_folder() / "web-token"
+    with suppress(OSError, ValueError):
+        kept = path.read_text("ascii").strip()
+        if len(kept) >= 22 and 0 <= time.time() - path.stat().st_mtime < TOKEN_HOURS * 3600:
+            return kept
+    fresh = secrets.token_urlsafe(16)
+    with suppress(OSError):
+        path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+        path.unlink(missing_ok=True)
+        path.touch(0o600, exist_ok=False)
+        path.write_text(fresh, "ascii")
+    return fresh
+
+
+def _until_ended(server: Server, begin: Callable[[], None]) -> None:
+    """`begin`, then until a signal; where a run has started this, until the run has ended and nobody looks any more."""
+    from pmabench.display.console import Terminate, tidy_signals
+
+    parent = os.getppid() if os.environ.get("PMABENCH_WEB_OF_RUN") else 0
+    alone_since = time.monotonic()
+    try:
+        with tidy_signals(child=False):
+            begin()
+            while True:
+                time.sleep(0.5)
+                if server.room.viewers or (parent and os.getppid() == parent):
+                    alone_since = time.monotonic()
+                if parent and time.monotonic() - alone_since > LEFT:
+                    return
+    except Terminate as end:
+        raise Interrupted(str(end), 128 + end.number) from None
+    finally:
+        server.stop()
+
+
+def start_view(ui: Ui, out: Path, *, vent: bool = False) -> None:
+    """Start the view of a run that is about to begin, and say its address; without one the run goes on all the same."""
+    options = ["--web", *(["--vent"] if vent else []), "--json"]
+    command = [sys.executable, "-P", "-m", "pmabench", "watch", *options, str(out)]
+    quiet: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "start_new_session": True}
+    try:
+        process = subprocess.Popen(
+            command, stdout=subprocess.PIPE, env={**os.environ, "PMABENCH_WEB_OF_RUN": "1"}, **quiet
+        )
+        said = b""
+        if process.stdout is not None and select.select([process.stdout], [], [], STARTS_WITHIN)[0]:
+            said = os.read(process.stdout.fileno(), 10_000)
+        link = json.loads(said)["address"]
+    except (OSError, ValueError, KeyError):
+        ui.note("the view in a browser did not start; the run goes on without it")
+        return
+    ui.note(f"in a browser: {link}")
+    if vent:
+        ui.note(BUTTON)

@@ -45,6 +45,11 @@ class Channel:
         slip = 0.005 * abs(self.command_high or 0.0)
         return 1 if near or (self.command_high is not None and value > self.command_high + slip) else 0
 
+    @property
+    def span(self) -> float:
+        """The largest value that is expected [SI], for the number of decimals."""
+        return max((abs(v) for v in self.axis() if isfinite(v)), default=1.0)
+
     def axis(self) -> tuple[float, float]:
         """Ends of the bar [SI]: its trip limits, a little beyond; else limits of the command or of the range."""
         low = self.trip_low if self.trip_low is not None else min(0.0, self.command_low or 0.0)

@@ -18,11 +18,11 @@ from typing import Any
 import numpy as np
 
 from pmabench.base.errors import InvalidFile
-from pmabench.base.quantities import QUANTITIES
 from pmabench.store import folder as files
 from pmabench.store.arrow import pa
 from pmabench.store.folder import decode_lines, open_json, open_regular, read_manifest, read_seal, status_of
 from pmabench.store.livestream import FLAGS, TIME, LiveReader, numbers
+from pmabench.store.reader import channel_info
 from pmabench.store.records import Array, ChannelInfo, ClockInfo, Event, Flags
 from pmabench.store.seal import read_archive
 from pmabench.store.timebase import fit_clock, onto
@@ -179,20 +179,7 @@ class StreamTail:
 
     def _describe(self, about: Mapping[str, Any]) -> None:
         self.rate = float(about.get("rate") or 0.0)
-        for column in about["columns"]:
-            scale, calibration = column.get("scale") or {}, column.get("calibration") or {}
-            quantity = str(column.get("quantity", ""))
-            low, high = column.get("low"), column.get("high")
-            self.infos[column["name"]] = ChannelInfo(
-                name=column["name"],
-                quantity=quantity,
-                unit=QUANTITIES[quantity].unit if quantity in QUANTITIES else "",
-                slope=float(scale.get("slope", 1.0)),
-                offset=float(scale.get("offset", 0.0)),
-                low=-np.inf if low is None else float(low),
-                high=np.inf if high is None else float(high),
-                sensor_lag=float(calibration.get("sensor_lag") or 0.0),
-            )
+        self.infos |= {column["name"]: channel_info(column, self.name, self.rate) for column in about["columns"]}
 
     def _block(self, columns: dict[str, Any]) -> Block:
         time_ns, flags = columns.pop(TIME), columns.pop(FLAGS)

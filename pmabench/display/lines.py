@@ -8,7 +8,7 @@ from rich.text import Text
 
 from pmabench.display.state import Notice, RunState
 from pmabench.display.verdicts import Number, TrialLine
-from pmabench.display.wording import POINT, clean, clock, point_text, quantity, wrapped
+from pmabench.display.wording import clean, clock, of_point, point_text, quantity, wrapped
 
 FAINT, WARN, GOOD = "dim", "bold black on yellow", "green"
 VALUE, OFF, PLACE = 7, 6, 7
@@ -52,8 +52,8 @@ def off_text(number: Number) -> str:
 def _heading(lines: Sequence[TrialLine], names: Sequence[str]) -> str:
     text = "   trial"
     for name in names:
-        symbol, q = POINT.get(name, (clean(name), ""))
-        text += f"{f'{symbol} {quantity(q).shown_in}'.strip()[:PLACE]:>{PLACE}}"
+        symbol, q = of_point(name)
+        text += f"{f'{symbol} {q.shown_in}'.strip()[:PLACE]:>{PLACE}}"
     numbers = max((line.numbers for line in lines), key=len)
     for number in numbers:
         label = f"{number.symbol} {quantity(number.quantity).shown_in}"
@@ -65,8 +65,8 @@ def _row(line: TrialLine, names: Sequence[str]) -> Text:
     """One trial: verdict, number, point, each quantity with its distance from prediction or repeats."""
     text = Text().append(line.mark, GOOD if line.ok else WARN).append(f" {line.number:>5}", "bold")
     for name in names:
-        value, q = line.point.get(name), quantity(POINT.get(name, ("", ""))[1])
-        text.append(f"{'-' if value is None else format(value / q.scale, '.4g'):>{PLACE}}")
+        value, scale = line.point.get(name), of_point(name)[1].scale
+        text.append(f"{'-' if value is None else format(value / scale, '.4g'):>{PLACE}}")
     for number in line.numbers:
         share = half_text(number) or off_text(number)
         text.append(f" {number_text(number):>{VALUE}}").append(f"{share:>{OFF}}", FAINT)
@@ -107,12 +107,18 @@ def trial_table(lines: Sequence[TrialLine], width: int, room: int, spare: int = 
 
 def _legend(lines: Sequence[TrialLine]) -> str:
     """What percent and star mean in these lines."""
-    kinds = {n.reference_is for line in lines for n in line.numbers if n.reference_is}
-    against = {"expected": "the specimen file", "repeats": "earlier repeats"}
-    text = f"  % against {' or '.join(against[kind] for kind in sorted(kinds))}" if kinds else ""
+    against = against_text(lines)
+    text = f"  % against {against}" if against else ""
     text += "; ± 95 %, by scatter" if any(half_text(n) for line in lines for n in line.numbers) else ""
     starred = any(n.assumed for line in lines for n in line.numbers)
     return text + ("; * leans on the specimen file" if starred else "")
+
+
+def against_text(lines: Sequence[TrialLine]) -> str:
+    """What the numbers of these lines are compared with."""
+    kinds = {n.reference_is for line in lines for n in line.numbers if n.reference_is}
+    words = {"expected": "the specimen file", "repeats": "earlier repeats"}
+    return " or ".join(words[kind] for kind in sorted(kinds))
 
 
 def first_line(state: RunState) -> str:

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from math import isfinite
 
 from rich.text import Text
 
 from pmabench.display.channel import Channel
-from pmabench.display.view import BAD, FAINT, STRONG, WARN, fill, limit_bar
+from pmabench.display.view import BAD, FAINT, STRONG, WARN, channel_text, fill, limit_bar
 from pmabench.display.wording import clean, quantity, value_text
 
 FIXED = 71
@@ -30,11 +29,6 @@ class Row:
     rate: float = 0.0
     tare: float = 0.0
     """What the key z took off what is shown [SI]."""
-
-    @property
-    def span(self) -> float:
-        """The largest value that is expected [SI], for the number of decimals."""
-        return max((abs(v) for v in self.channel.axis() if isfinite(v)), default=1.0) or 1.0
 
 
 @dataclass
@@ -67,13 +61,9 @@ def monitor_screen(page: Page, width: int, height: int) -> list[Text]:
 
 def _line(row: Row, width: int) -> Text:
     channel = row.channel
-    q = quantity(channel.quantity)
-    style = ("", WARN, BAD)[channel.alarm]
-    name = clean(channel.name).replace("_command", " set")
-    line = Text((" ", "!", "!!")[channel.alarm].ljust(2), style).append(f"{name[:14]:<14}")
-    value = None if channel.value is None else channel.value - row.tare
-    line.append(f"{value_text(value, channel.quantity, row.span):>9}", style or STRONG)
-    line.append(f" {q.shown_in:<5}{'z' if row.tare else ' '}")
+    line = channel_text(channel, None if channel.value is None else channel.value - row.tare, 14)
+    line.style = ("", WARN, BAD)[channel.alarm]
+    line.append("z" if row.tare else " ")
     raw = "no sample" if row.raw is None else f"{row.raw:.6g} {clean(row.raw_unit)}"
     noise = _noise(row)
     line.append(f"{raw[:14]:>14}{noise:>11}{row.rate:>4.3g} Hz", FAINT)
@@ -89,7 +79,7 @@ def _noise(row: Row) -> str:
     """In display units; what is nothing but rounding is 0."""
     if row.noise is None:
         return "-"
-    return f"{row.noise / quantity(row.channel.quantity).scale:.2g}" if row.noise > 1e-9 * row.span else "0"
+    return f"{row.noise / quantity(row.channel.quantity).scale:.2g}" if row.noise > 1e-9 * row.channel.span else "0"
 
 
 def monitor_line(page: Page, t: float) -> str:
@@ -97,7 +87,7 @@ def monitor_line(page: Page, t: float) -> str:
     parts = []
     for row in page.rows.values():
         q = quantity(row.channel.quantity)
-        value = value_text(row.channel.value, row.channel.quantity, row.span)
+        value = value_text(row.channel.value, row.channel.quantity, row.channel.span)
         noise = "" if row.noise is None else f" (noise {_noise(row)})"
         mark = ("", " !", " !!")[row.channel.alarm]
         parts.append(f"{clean(row.channel.name)} {value} {q.shown_in}{noise}{mark}")

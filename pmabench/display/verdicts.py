@@ -6,7 +6,7 @@ specimen file's prediction and with earlier repeats. Draws nothing.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from math import isfinite, sqrt
 from pathlib import Path
@@ -125,9 +125,12 @@ class Verdicts:
         doubts = [] if trial.status == "finished" else [f"the trial is {trial.status}"]
         doubts += at_limit
         doubts += _flagged(trial)
-        if trial.status not in USED:
-            return TrialLine(trial.index, dict(trial.point), trial.repeat, trial.status, (), tuple(doubts), trial.again)
-        numbers: list[Number] = []
+        numbers = tuple(self._numbers(run, trial, doubts)) if trial.status in USED else ()
+        point = dict(trial.point)
+        return TrialLine(trial.index, point, trial.repeat, trial.status, numbers, tuple(doubts), trial.again)
+
+    def _numbers(self, run: RunData, trial: TrialData, doubts: list[str]) -> Iterator[Number]:
+        """What a trial that came to its end measured; adds to the `doubts`."""
         try:
             measured, reasons = measure(run, trial, self.expected, self._quick)
         except (ValueError, KeyError, IndexError, TypeError, ZeroDivisionError, np.linalg.LinAlgError) as error:
@@ -143,14 +146,12 @@ class Verdicts:
             before.pop(trial.index, None)  # done again
         for item in measured:
             number, doubt = _compare(item, [seen[item.symbol] for seen in before.values() if item.symbol in seen])
-            numbers.append(number)
+            yield number
             if doubt:
                 doubts.append(doubt)
         if trial.status == "finished":
             kept = {m.symbol: m.value for m in measured if m.value is not None and not m.pooled and isfinite(m.value)}
             before[trial.index] = kept
-        judged = tuple(numbers), tuple(doubts), trial.again
-        return TrialLine(trial.index, dict(trial.point), trial.repeat, trial.status, *judged)
 
 
 def _compare(item: Measured, earlier: list[float]) -> tuple[Number, str]:

@@ -10,12 +10,12 @@ from dataclasses import dataclass
 from math import isfinite
 
 import numpy as np
+from numpy.typing import NDArray
 from rich.text import Text
 
 from pmabench.base.quantities import without_number
 from pmabench.display.channel import Channel, Setting
 from pmabench.display.lines import trial_table
-from pmabench.display.plot import curve
 from pmabench.display.state import RunState
 from pmabench.display.wording import clean, clock, point_text, quantity, value_text, wrapped
 from pmabench.store.records import Array
@@ -177,21 +177,23 @@ def _channels(state: RunState, width: int) -> list[Text]:
 
 
 def _channel(state: RunState, channel: Channel, bar: int, width: int) -> Text:
-    q = quantity(channel.quantity)
-    span = max(abs(v) for v in (*channel.axis(), 0.0) if isfinite(v)) or 1.0
-    alarm = channel.alarm
-    style = ("", WARN, BAD)[alarm]
-    line = Text().append((" ", "!", "!!")[alarm].ljust(2), style)
-    name = clean(channel.name).replace("_command", " set")
-    line.append(f"{name[:16]:<16}").append(f"{value_text(channel.value, channel.quantity, span):>9}", style or STRONG)
-    line.append(f" {q.shown_in:<5}")
-    seen = "…".join(value_text(v, channel.quantity, span) for v in (channel.least, channel.most))
+    line = channel_text(channel, channel.value, 16)
+    seen = "…".join(value_text(v, channel.quantity, channel.span) for v in (channel.least, channel.most))
     line.append(f"{seen if channel.least is not None else '':>15}", FAINT)
     if bar >= 8:
         line.append(" ").append_text(limit_bar(channel, bar))
     old = channel.age is not None and channel.age > OLD and state.trial is not None and state.status == "running"
     age = "" if channel.age is None or state.status != "running" else _age(channel.age)
     return _row(line, Text(("! " if old else "") + age, BAD if old else FAINT), width)
+
+
+def channel_text(channel: Channel, value: float | None, wide: int) -> Text:
+    """The begin of a channel's line: its alarm, its name `wide` columns wide, and a value with its unit."""
+    alarm, name = channel.alarm, clean(channel.name).replace("_command", " set")
+    style = ("", WARN, BAD)[alarm]
+    line = Text().append((" ", "!", "!!")[alarm].ljust(2), style).append(f"{name[:wide]:<{wide}}")
+    line.append(f"{value_text(value, channel.quantity, channel.span):>9}", style or STRONG)
+    return line.append(f" {quantity(channel.quantity).shown_in:<5}")
 
 
 def _age(seconds: float) -> str:
@@ -355,3 +357,42 @@ def _footer(extra: Extra) -> Text | None:
 def closing(state: RunState, width: int) -> list[Text]:
     """The last trials, which stay on the terminal when the picture is closed."""
     return fill(table := trial_table(state.lines, width, CLOSING, spare=1), width, len(table))
+
+
+_DOTS = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]], dtype=np.int64)
+
+
+def curve(
+    t: Array, y: Array, span: tuple[float, float], range_: tuple[float, float], size: tuple[int, int]
+) -> list[str]:
+    """Lines of text, from the top, of y over t (both of shape (n,)) inside a span of t and a range of y.
+
+    `size` is columns and rows of characters. Between neighbouring dots the curve is joined; what is no number is left
+    out, and what lies outside the range is drawn at its edge.
+    """
+    columns, rows = max(1, size[0]), max(1, size[1])
+    grid = np.zeros((rows * 4, columns * 2), dtype=bool)
+    good = np.isfinite(y) & np.isfinite(t) & (t >= span[0]) & (t <= span[1])
+    if good.any() and span[1] > span[0] and range_[1] > range_[0]:
+        x = ((t[good] - span[0]) / (span[1] - span[0]) * (columns * 2 - 1) + 0.5).astype(np.int64)
+        up = np.clip((y[good] - range_[0]) / (range_[1] - range_[0]), 0.0, 1.0)
+        row = ((1.0 - up) * (rows * 4 - 1) + 0.5).astype(np.int64)
+        _draw(grid, x, row)
+    cells = grid.reshape(rows, 4, columns, 2).transpose(0, 2, 1, 3)
+    codes = 0x2800 + (cells * _DOTS).sum(axis=(2, 3))
+    return ["".join(chr(code) if code > 0x2800 else " " for code in line) for line in codes.tolist()]
+
+
+def _draw(grid: NDArray[np.bool_], x: NDArray[np.int64], row: NDArray[np.int64]) -> None:
+    """Dots from lowest to highest of each column, joined to the column before."""
+    order = np.argsort(x, kind="stable")
+    x, row = x[order], row[order]
+    starts = np.flatnonzero(np.diff(x, prepend=-1))
+    tops, bottoms = np.minimum.reduceat(row, starts), np.maximum.reduceat(row, starts)
+    last = np.concatenate((starts[1:], [len(x)])) - 1
+    before: tuple[int, int] | None = None
+    for column, top, bottom, end in zip(x[starts], tops, bottoms, row[last], strict=True):
+        if before is not None and column - before[0] <= 2:
+            top, bottom = min(top, before[1]), max(bottom, before[1])
+        grid[top : bottom + 1, column] = True
+        before = int(column), int(end)

@@ -43,7 +43,6 @@ POINT = {
     "psi": ("ψ", "angle"),
 }
 """Names of an operating point -> symbol and quantity."""
-_HIDDEN = ("mass",)
 
 
 def clean(text: object) -> str:
@@ -54,6 +53,12 @@ def clean(text: object) -> str:
 def quantity(name: str) -> Quantity:
     """The quantity of this name; one without a unit where it is not known."""
     return QUANTITIES.get(name, Quantity(name, "", "", 1.0))
+
+
+def of_point(name: str) -> tuple[str, Quantity]:
+    """Symbol and quantity of a name of an operating point."""
+    symbol, of = POINT.get(name, (clean(name), ""))
+    return symbol, quantity(of)
 
 
 def clock(seconds: float) -> str:
@@ -83,11 +88,18 @@ def point_text(point: Mapping[str, float]) -> str:
     """An operating point in words; the moving mass is left out where the load is given."""
     shown = []
     for name, value in point.items():
-        if name in _HIDDEN and "load" in point:
+        if name == "mass" and "load" in point:
             continue
         value_text = quantity(POINT[name][1]).show(value, 4) if name in POINT else f"{value:.4g}"
         shown.append(f"{clean(name)} {value_text}")
     return ", ".join(shown)
+
+
+def about_run(manifest: Mapping[str, Any]) -> dict[str, str]:
+    """Of which kind, when and of which campaign a run is; a day is a session."""
+    campaign, started = manifest.get("campaign"), clean(manifest.get("started_utc", ""))
+    name = clean(campaign.get("name", "")) if isinstance(campaign, dict) else ""
+    return {"kind": clean(manifest.get("kind", "")), "started": started, "session": started[:10], "campaign": name}
 
 
 _ELSEWHERE = ("command", "clock", "found", "trial-begin", "trial-end", "key", "live")

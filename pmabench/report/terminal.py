@@ -49,6 +49,11 @@ def print_grid(
                 console.print(Text(GAP.join(padded).rstrip(), style=style), soft_wrap=True)
 
 
+def print_texts(console: Console, heads: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """`print_grid` of columns that are all texts."""
+    print_grid(console, heads, rows, heads)
+
+
 def _least(cells: Sequence[str], *, text: bool) -> int:
     """The narrowest width of a column: numbers stay in one piece, words and heads break at blanks."""
     head = max((len(word) for word in cells[0].split()), default=0)

@@ -295,7 +295,7 @@ def _in_si(table: Any, about: Mapping[str, Any], clock: ClockInfo, whole: bool) 
     time_ns = columns.pop(TIME)
     flags = columns.pop(FLAGS)
     rate = float(about.get("rate") or 0.0)
-    infos = {column["name"]: _info(column, about["stream"], rate) for column in about["columns"]}
+    infos = {column["name"]: channel_info(column, about["stream"], rate) for column in about["columns"]}
     with np.errstate(all="ignore"):  # an imported file may hold any bits
         channels = {name: values * infos[name].slope for name, values in columns.items()}
         for name, values in channels.items():
@@ -315,7 +315,8 @@ def _in_si(table: Any, about: Mapping[str, Any], clock: ClockInfo, whole: bool) 
     )
 
 
-def _info(column: Mapping[str, Any], stream: str, rate: float) -> ChannelInfo:
+def channel_info(column: Mapping[str, Any], stream: str, rate: float) -> ChannelInfo:
+    """A channel as the head of its stream describes it."""
     scale, calibration = column.get("scale") or {}, column.get("calibration") or {}
     quantity = str(column.get("quantity", ""))
     return ChannelInfo(

@@ -13,10 +13,9 @@ import pytest
 from click.testing import CliRunner, Result
 
 from pmabench.base.errors import Interrupted, UsageError
-from pmabench.cli.goals import goals_of
 from pmabench.cli.main import main
 from pmabench.cli.prepare import prepare
-from pmabench.cli.until import asked_of
+from pmabench.cli.until import asked_of, goals_of
 from pmabench.engine.executor import Executor
 from pmabench.kinds import registry
 from pmabench.kinds.contraction_relaxation import KIND

@@ -12,7 +12,7 @@ import pytest
 from click.testing import CliRunner
 
 from pmabench.cli.main import main
-from pmabench.cli.web import TOKEN_HOURS, token
+from pmabench.cli.watch import TOKEN_HOURS, token
 from tests.display.recorded import Recorded
 
 POINTS = [(58.86, 3e5)]
@@ -98,7 +98,7 @@ def test_a_run_says_where_it_is_seen_and_does_not_wait_for_it(tmp_path):
 @pytest.mark.parametrize("vent", [True, False])
 def test_the_view_of_a_run_has_a_vent_button_only_where_it_was_asked_for(monkeypatch, vent):
     from pmabench.cli.common import Ui
-    from pmabench.cli.web import start_view
+    from pmabench.cli.watch import start_view
 
     started = []
 
@@ -106,7 +106,7 @@ def test_the_view_of_a_run_has_a_vent_button_only_where_it_was_asked_for(monkeyp
         started.append(command)
         raise OSError
 
-    monkeypatch.setattr("pmabench.cli.web.subprocess.Popen", popen)
+    monkeypatch.setattr("pmabench.cli.watch.subprocess.Popen", popen)
     start_view(Ui(), Path("runs"), vent=vent)
     assert ("--vent" in started[0]) == vent
     assert started[0][4:6] == ["watch", "--web"]
@@ -121,8 +121,8 @@ def test_a_vent_button_needs_a_view():
 
 def test_without_a_view_the_run_goes_on(tmp_path, monkeypatch, capsys):
     from pmabench.cli.common import Ui
-    from pmabench.cli.web import start_view
+    from pmabench.cli.watch import start_view
 
-    monkeypatch.setattr("pmabench.cli.web.sys.executable", str(tmp_path / "nowhere"))
+    monkeypatch.setattr("pmabench.cli.watch.sys.executable", str(tmp_path / "nowhere"))
     start_view(Ui(), Path("runs"))
     assert "the run goes on without it" in capsys.readouterr().err

@@ -11,9 +11,8 @@ from hypothesis import strategies as st
 from pmabench.display.channel import Channel
 from pmabench.display.console import LINKED, rendered
 from pmabench.display.lines import last_line, plain_line
-from pmabench.display.plot import curve
 from pmabench.display.state import RunState
-from pmabench.display.view import Extra, Question, screen
+from pmabench.display.view import Extra, Question, curve, screen
 from tests.display.recorded import Recorded
 
 PICTURES = Path(__file__).parent / "pictures"

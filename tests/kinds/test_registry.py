@@ -15,7 +15,7 @@ from pmabench.model.library import MODELS
 ROOT = Path(__file__).resolve().parents[2]
 FOLDERS = sorted(path.parent for path in (ROOT / "pmabench/kinds").glob("*/__init__.py"))
 DEFAULTS = {
-    ("pmabench/cli/init_like.py", "contraction-relaxation"),
+    ("pmabench/cli/init.py", "contraction-relaxation"),
     *(
         ("pmabench/bench/lab/questions.py", name)
         for name in (

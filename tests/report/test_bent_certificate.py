@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pmabench.cli.muscle_of_analysis import _expected
+from pmabench.cli.dry_run import _expected
 from pmabench.kinds.contraction_relaxation.values import METHOD
 from pmabench.kinds.reduce import reduce_runs
 from pmabench.report.bends import bend_of

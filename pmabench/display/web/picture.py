@@ -13,12 +13,12 @@ from typing import Any
 from pmabench.analysis.trial import Expected
 from pmabench.base.errors import InvalidFile
 from pmabench.display.channel import Channel
-from pmabench.display.lines import half_text, number_text, off_text, point_columns
+from pmabench.display.lines import against_text, half_text, number_text, off_text, point_columns
 from pmabench.display.state import RunState
 from pmabench.display.verdicts import Number, TrialLine
 from pmabench.display.view import WANTED
 from pmabench.display.web.loop import axes_of
-from pmabench.display.wording import POINT, clean, decimals, point_text, quantity
+from pmabench.display.wording import POINT, about_run, clean, decimals, of_point, point_text, quantity
 from pmabench.files.document import Document
 from pmabench.kinds import registry
 
@@ -36,27 +36,22 @@ def _shown(value: float | None, scale: float, digits: int) -> float | None:
 
 def digits_of(channel: Channel) -> int:
     """Decimals of a channel's values in its unit."""
-    span = max((abs(v) for v in channel.axis() if isfinite(v)), default=1.0)
-    return decimals(span / quantity(channel.quantity).scale)
+    return decimals(channel.span / quantity(channel.quantity).scale)
 
 
 def run_part(state: RunState, root: Path, *, vent: bool) -> dict[str, Any]:
     """Which run this is, how it ended, what to type next, and whether there is a vent button."""
     manifest = state.files.manifest
-    campaign = manifest.get("campaign") if isinstance(manifest.get("campaign"), dict) else {}
     status, folder = state.status, state.files.folder
     return {
         "id": folder.name if state.files.there else "",
         "there": state.files.there,
         "problem": clean(state.files.problem or ("" if state.files.there else f"waiting for a run in {root}")),
-        "kind": clean(state.kind),
+        **about_run(manifest),
         "simulated": state.simulated,
         "specimen": clean(state.specimen),
         "bench": clean(state.files.bench.get("name", "")),
         "operator": clean(manifest.get("operator", "")),
-        "started": clean(manifest.get("started_utc", "")),
-        "session": clean(manifest.get("started_utc", ""))[:10],
-        "campaign": clean((campaign or {}).get("name", "")),
         "status": clean(status),
         "why": clean(state.why) if status not in {"running", "waiting"} else "",
         "vent": clean(state.vent),
@@ -161,12 +156,8 @@ def values_of(state: RunState) -> dict[str, list[Any]]:
 
 
 def _heading(name: str) -> dict[str, str]:
-    symbol, of = POINT.get(name, (clean(name), ""))
-    return {"symbol": symbol, "unit": quantity(of).shown_in}
-
-
-def _scale(name: str) -> float:
-    return quantity(POINT.get(name, ("", ""))[1]).scale
+    symbol, q = of_point(name)
+    return {"symbol": symbol, "unit": q.shown_in}
 
 
 def trials_part(state: RunState) -> dict[str, Any]:
@@ -183,19 +174,19 @@ def trials_part(state: RunState) -> dict[str, Any]:
             "trial": line.number,
             "again": line.again,
             "status": clean(line.status),
-            "point": ["–" if (v := line.point.get(name)) is None else f"{v / _scale(name):.4g}" for name in names],
+            "point": [
+                "–" if (v := line.point.get(name)) is None else f"{v / of_point(name)[1].scale:.4g}" for name in names
+            ],
             "numbers": [_both(n) for n in line.numbers],
             "doubts": [clean(doubt) for doubt in line.doubts],
         }
         for line in lines
     ]
-    references = {n.reference_is for line in lines for n in line.numbers if n.reference_is}
-    words = {"expected": "the specimen file", "repeats": "earlier repeats"}
     return {
         "point": [_heading(name) for name in names],
         "numbers": [{"symbol": n.symbol, "unit": quantity(n.quantity).shown_in} for n in longest],
         "rows": rows,
-        "against": " or ".join(words[r] for r in sorted(references) if r in words),
+        "against": against_text(lines),
         "assumed": any(n.assumed for line in lines for n in line.numbers),
     }
 
@@ -243,7 +234,7 @@ def _along(state: RunState) -> str:
 
 def _place(point: Any, along: str) -> float | None:
     value = point.get(along) if isinstance(point, Mapping) else None
-    return round(value / _scale(along), 6) if isinstance(value, int | float) else None
+    return round(value / of_point(along)[1].scale, 6) if isinstance(value, int | float) else None
 
 
 def _round(value: float) -> float:

@@ -12,9 +12,11 @@ import hmac
 import ipaddress
 import json
 import socket
+import subprocess
+import sys
 import threading
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -24,7 +26,6 @@ from urllib.parse import parse_qs, urlsplit
 from pmabench.display.web.feed import Feed, Seen
 from pmabench.display.web.page import page
 from pmabench.display.web.room import Room
-from pmabench.display.web.vent import COMMAND, vent
 
 LONGEST_WAIT = 20.0
 """A connection that does not take or send anything for so long is closed [s]."""
@@ -33,6 +34,9 @@ MOST_STREAMS = 4
 """Streams of one computer that stay open. A browser opens six connections to one address and lets all others wait, so
 further pages get what is new and ask again after `AGAIN` [ms]."""
 AGAIN = 1000
+VENT = (sys.executable, "-P", "-m", "pmabench", "vent")
+LONGEST_VENT = 90.0
+"""The command has this long [s]; a guard says within a minute what came of its vent."""
 TICK = 1.0
 """A viewer hears something so often [s], so that it knows that the link is there."""
 HEADERS = {
@@ -69,7 +73,7 @@ class Server(ThreadingHTTPServer):
         self.token = token
         self.local = ipaddress.ip_address(address).is_loopback
         self.may_vent = vent and self.local
-        self.vent_command = COMMAND
+        self.vent_command: Sequence[str] = VENT
         number = self.server_address[1]
         written = f"[{address}]" if ":" in address else address
         self.hosts = {f"{written}:{number}"} | ({f"localhost:{number}"} if self.local else set())
@@ -183,23 +187,27 @@ class _Handler(BaseHTTPRequestHandler):
         packed = len(body) > 1000 and "gzip" in self.headers.get("Accept-Encoding", "")
         if packed:
             body = gzip.compress(body, 4)
+        headers = {"Content-Type": kind, "Content-Length": str(len(body))} | (more or {})
+        self._send_head(status, headers | ({"Content-Encoding": "gzip"} if packed else {}))
+        self.wfile.write(body)
+
+    def _send_head(self, status: int, headers: dict[str, str]) -> None:
         self.send_response(status)
-        headers = HEADERS | {"Content-Type": kind, "Content-Length": str(len(body))} | (more or {})
-        for name, value in (headers | ({"Content-Encoding": "gzip"} if packed else {})).items():
+        for name, value in (HEADERS | headers).items():
             self.send_header(name, value)
         self.end_headers()
-        self.wfile.write(body)
 
     # -- data ---------------------------------------------------------------------------------------------------------
 
-    def _feed(self, address: str) -> Feed | None:
+    def feed_at(self, address: str) -> Feed | None:
+        """The feed that an address means now."""
         place = self.server.room.places
-        folder = self.server.room.newest() if address in {"", "/"} else place.run_at(address)
+        folder = self.server.room.newest if address in {"", "/"} else place.run_at(address)
         return None if folder is None else self.server.room.feed_of(folder)
 
     def _history(self, query: dict[str, str]) -> None:
         """Buckets of a time; of a run that is looked at."""
-        feed = self._feed(query.get("at", "/"))
+        feed = self.feed_at(query.get("at", "/"))
         if feed is None:
             raise Refused(404, "there is no such run")
         begin, end, span = (_seconds(query.get(name)) for name in ("begin", "end", "span"))
@@ -208,17 +216,10 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _stream(self, query: dict[str, str]) -> None:
         """What is new, as server-sent events, until the viewer leaves."""
-        self.send_response(200)
-        for name, value in (HEADERS | {"Content-Type": "text/event-stream; charset=utf-8"}).items():
-            self.send_header(name, value)
-        self.end_headers()
+        self._send_head(200, {"Content-Type": "text/event-stream; charset=utf-8"})
         self.close_connection = True
         with self.server.stream(str(self.client_address[0])) as stays:
             _Viewer(self, query.get("at", "/"), stays=stays).show()
-
-    def feed_at(self, address: str) -> Feed | None:
-        """The feed that an address means now."""
-        return self._feed(address)
 
     # -- vent ---------------------------------------------------------------------------------------------------------
 
@@ -228,7 +229,7 @@ class _Handler(BaseHTTPRequestHandler):
         if not 0 < length <= 1000:
             raise Refused(400, "a vent names its run")
         wanted = json.loads(self.rfile.read(length))
-        feed = self._feed("/")
+        feed = self.feed_at("/")
         if not self.server.may_vent or feed is None or not feed.may_vent:
             raise Refused(403, "venting from a browser needs `web_vent: true` in the bench file, and --vent")
         if not isinstance(wanted, dict) or wanted.get("run") != feed.id:
@@ -300,7 +301,7 @@ class _Viewer:
             return f"event: run\ndata: {waiting}\n\n" if tick else ""
         messages = self._feed.fresh(self._seen)
         if tick:
-            listed = self._room.list_of(self._address, self._feed.folder)
+            listed = json.dumps(self._room.places.listed(self._address, self._feed.folder), separators=(",", ":"))
             if listed != self._list:
                 self._list = listed
                 messages.append(("list", listed))
@@ -329,3 +330,30 @@ def start(
         server.start()
         return server
     raise failed or OSError("no port was given")
+
+
+def vent(bench: str, command: Sequence[str] = VENT) -> dict[str, Any]:
+    """Vent a bench by its name: `confirmed` [bool], `result` in words, `actions` of the guard. Raises nothing.
+
+    The view holds nothing that could vent: the command finds the guard and its key in the user's own files.
+    """
+    whole = [*command, "--json", "--", bench]
+    try:
+        ended = subprocess.run(
+            whole, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=LONGEST_VENT, check=False
+        )
+    except (OSError, subprocess.TimeoutExpired) as error:
+        return _not_confirmed(f"pmabench vent could not be run: {error}")
+    try:
+        benches = json.loads(ended.stdout)["benches"]
+        results = [str(item["result"]) for item in benches]
+        actions = [str(action) for item in benches for action in item["actions"]]
+    except (ValueError, KeyError, TypeError):
+        last = ended.stderr.strip().splitlines()
+        return _not_confirmed(last[-1] if last else f"pmabench vent ended with exit code {ended.returncode}")
+    confirmed = ended.returncode == 0 and bool(results) and all(result == "confirmed" for result in results)
+    return {"confirmed": confirmed, "result": ", ".join(results), "actions": actions}
+
+
+def _not_confirmed(why: str) -> dict[str, Any]:
+    return {"confirmed": False, "result": why, "actions": []}
