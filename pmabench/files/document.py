@@ -15,7 +15,7 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
 from ruamel.yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
 
-from pmabench.base.errors import InvalidFile, Problem, did_you_mean, invalid
+from pmabench.base.errors import InvalidFile, Problem, did_you_mean, invalid, reading
 
 MAX_BYTES = 1_000_000
 MAX_NODES = 100_000
@@ -201,7 +201,7 @@ def _scalar(node: ScalarNode) -> str | int | float | bool | None:
 def read_document(path: Path, depth: int = 0) -> Document:
     """Read a YAML file and what it includes; raises `InvalidFile` in one sentence where that cannot be done."""
     name = _shown(path)
-    try:
+    with reading(name):
         found = path.stat()
         if not S_ISREG(found.st_mode):
             kind = "a folder" if S_ISDIR(found.st_mode) else "no file (a device or a pipe)"
@@ -209,8 +209,6 @@ def read_document(path: Path, depth: int = 0) -> Document:
         if found.st_size > MAX_BYTES:
             raise invalid(name, f"larger than {MAX_BYTES} bytes: not a file that people write")
         raw = path.read_bytes()
-    except OSError as error:
-        raise invalid(name, f"cannot be read: {error.strerror or error}") from error
     try:
         text = raw.decode("utf-8-sig")
     except UnicodeDecodeError as error:

@@ -40,8 +40,7 @@ def archive(live: Path, target: Path) -> tuple[int, str, bool]:
     belong to no whole batch. Raises OSError where it cannot be written, ValueError where `live` has no whole schema or
     what was read back differs; `target` then does not exist.
     """
-    part = target.with_name(f".{target.name}.part")
-    try:
+    with files.whole(target) as part:
         with live.open("rb") as file:
             source = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)  # closed with the last batch that is on it
         reader = LiveReader(pa.py_buffer(source))
@@ -53,11 +52,6 @@ def archive(live: Path, target: Path) -> tuple[int, str, bool]:
             same = _arrivals_of(written) == arrivals
         if not same or digests != [_digest(table) for table in _row_groups(part)]:
             raise ValueError("what was read back is not what was written")
-        part.replace(target)
-        files.sync_folder(target.parent)
-    finally:
-        with suppress(OSError):
-            part.unlink(missing_ok=True)
     return reader.rows, reader.fault, reader.torn
 
 

@@ -19,7 +19,7 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pmabench.base.errors import invalid
+from pmabench.base.errors import invalid, reading
 from pmabench.base.text import printable
 from pmabench.store.formats.record import TIME, Layout, formats
 from pmabench.store.formats.shared.times import Clock, Stamps, step_in
@@ -267,17 +267,14 @@ def _other_matrices(columns: Mapping[str, Array], time: str) -> list[str]:
 
 
 def _read_pieces(path: Path, kind: str, question: Mapping[str, Any], stamps: Stamps | None, most: int | None) -> Table:
-    _size_of(path, MAX_BYTES)
+    _check_size(path, MAX_BYTES)
     if stamps is not None:
         question = {**question, "texts": stamps.texts, "order": stamps.order}
     digest, rows = hashlib.sha256(), _Rows(path, stamps)
-    try:
-        with path.open("rb") as file:
-            for answer in read_apart(kind, str(path), _pieces(file, digest, most), question):
-                rows.take(answer)
-            size = file.tell()
-    except OSError as error:
-        raise invalid(path, f"cannot be read: {error.strerror or error}") from error
+    with reading(path), path.open("rb") as file:
+        for answer in read_apart(kind, str(path), _pieces(file, digest, most), question):
+            rows.take(answer)
+        size = file.tell()
     return Table(
         path=path,
         sha256=digest.hexdigest(),
@@ -351,29 +348,23 @@ class _Rows:
         return Clock(stamps, step)
 
 
-def _size_of(path: Path, most: int) -> int:
-    """Bytes of a file; raises InvalidFile where it is none or larger than `most`."""
+def _check_size(path: Path, most: int) -> None:
+    """Raises InvalidFile where a file is none or larger than `most` [bytes]."""
     if path.is_dir():
         raise invalid(path, "is a folder; give the files in it, for instance with /*.csv")
     if not path.is_file():
         raise invalid(path, "is not a file" if path.exists() else "there is no such file")
-    try:
+    with reading(path):
         size = path.stat().st_size
-    except OSError as error:
-        raise invalid(path, f"cannot be read: {error.strerror or error}") from error
     if size > most:
         raise invalid(path, f"is larger than {most // 1_000_000} MB; import it in parts")
-    return size
 
 
 def content_of(path: Path, most: int | None = None) -> bytes:
     """The bytes of a file, `most` from its beginning; raises InvalidFile where it is none, empty or too large."""
-    _size_of(path, MAX_WHOLE if most is None else MAX_BYTES)
-    try:
-        with path.open("rb") as file:
-            content = file.read(MAX_WHOLE if most is None else most)
-    except OSError as error:
-        raise invalid(path, f"cannot be read: {error.strerror or error}") from error
+    _check_size(path, MAX_WHOLE if most is None else MAX_BYTES)
+    with reading(path), path.open("rb") as file:
+        content = file.read(MAX_WHOLE if most is None else most)
     if not content.strip():
         raise invalid(path, "is empty")
     return content
