@@ -56,17 +56,15 @@ class Document:
     def __init__(self, path: str, text: str) -> None:
         self.path = path
         self.texts: dict[str, str] = {path: text}
-        self._places: dict[Location, Place] = {}
-        self._keys: dict[Location, Place] = {}
+        self._places: dict[Location, tuple[Place, Place]] = {}
+        """Of each value, and of its key; of the value once more where it has none."""
         self.data = self._read(text)
 
     def place(self, location: Location, *, key: bool = False) -> Place:
         """Path, line and column (from 1) of the value, or of its key; of the nearest parent where it is missing."""
-        table = self._keys if key else self._places
         for end in range(len(location), -1, -1):
-            found = table.get(location[:end]) or self._places.get(location[:end])
-            if found:
-                return found
+            if found := self._places.get(location[:end]):
+                return found[1 if key else 0]
         return (self.path, 1, 1)
 
     def problem(self, location: Location, message: str, *, key: bool = False) -> Problem:
@@ -82,10 +80,9 @@ class Document:
         own = self.data
         own.pop("include", None)
         self.texts = {**self.texts, **other.texts}
-        places, keys = self._places, self._keys
-        self._places, self._keys = dict(other._places), dict(other._keys)
+        places, self._places = self._places, dict(other._places)
         self.data = other.data
-        self._overlay(own, (), places, keys)
+        self._overlay(own, (), places)
 
     def override(self, name: str, text: str) -> None:
         """Set the value `text` (YAML) at the dotted `name`, as `--set name=value` does."""
@@ -113,28 +110,25 @@ class Document:
         target[location[-1]] = value.data["value"]  # type: ignore[index]
         if source != self.path:
             self.texts[source] = text
-        for inner, place in value._places.items():
+        for inner, (place, _) in value._places.items():
             if inner:
-                self._places[*location, *inner[1:]] = place
+                self._places[*location, *inner[1:]] = (place, place)
 
-    def _overlay(self, own: dict[str, Any], at: Location, places: Any, keys: Any) -> None:
+    def _overlay(self, own: dict[str, Any], at: Location, places: dict[Location, tuple[Place, Place]]) -> None:
         target: Any = self.data
         for part in at:
             target = target[part]
         for key, value in own.items():
             location = (*at, key)
             if isinstance(value, dict) and isinstance(target.get(key), dict):
-                self._overlay(value, location, places, keys)
+                self._overlay(value, location, places)
                 continue
             self._forget(location)
             target[key] = value
-            for table, mine in ((places, self._places), (keys, self._keys)):
-                mine.update({loc: place for loc, place in table.items() if loc[: len(location)] == location})
+            self._places |= {loc: both for loc, both in places.items() if loc[: len(location)] == location}
 
     def _forget(self, location: Location) -> None:
-        for table in (self._places, self._keys):
-            for known in [loc for loc in table if loc[: len(location)] == location]:
-                del table[known]
+        self._places = {loc: both for loc, both in self._places.items() if loc[: len(location)] != location}
 
     def _read(self, text: str) -> dict[str, Any]:
         try:
@@ -151,10 +145,11 @@ class Document:
         self._budget = MAX_NODES
         return dict(self._plain(node, ()))
 
-    def _plain(self, node: Node, location: Location) -> Any:
+    def _plain(self, node: Node, location: Location, key_place: Place | None = None) -> Any:
         self._budget -= 1
         mark = node.start_mark
-        self._places[location] = (self.path, mark.line + 1, mark.column + 1)
+        place = (self.path, mark.line + 1, mark.column + 1)
+        self._places[location] = (place, key_place or place)
         if self._budget < 0 or len(location) > MAX_DEPTH:
             raise invalid(self.path, "the file is too large or too deep", mark.line + 1, mark.column + 1)
         if node.tag and node.tag.removeprefix("tag:yaml.org,2002:") not in _TAGS:
@@ -166,13 +161,12 @@ class Document:
         data: dict[str, Any] = {}
         for key_node, value_node in node.value:
             key = str(key_node.value)
-            place = (key_node.start_mark.line + 1, key_node.start_mark.column + 1)
+            at = (key_node.start_mark.line + 1, key_node.start_mark.column + 1)
             if not isinstance(key_node, ScalarNode) or key == "<<":
-                raise invalid(self.path, "a key must be a plain name", *place)
+                raise invalid(self.path, "a key must be a plain name", *at)
             if key in data:
-                raise invalid(self.path, f'key "{key}" is given twice', *place)
-            data[key] = self._plain(value_node, (*location, key))
-            self._keys[*location, key] = (self.path, *place)
+                raise invalid(self.path, f'key "{key}" is given twice', *at)
+            data[key] = self._plain(value_node, (*location, key), (self.path, *at))
         return data
 
 

@@ -23,7 +23,7 @@ from typing import Any
 
 from pmabench.base.errors import InvalidFile, RecordError
 from pmabench.store import folder as files
-from pmabench.store.arrow import pa, pq
+from pmabench.store.arrow import DAMAGED, pa, pq
 from pmabench.store.livestream import LiveReader, about_stream, raw_bytes
 from pmabench.store.since import adopt
 
@@ -123,7 +123,7 @@ def read_archive(source: Any) -> tuple[Any, dict[str, Any], list[tuple[int, int]
         with pq.ParquetFile(source, page_checksum_verification=True) as file:
             about = about_stream(file.schema_arrow)
             return file.read(use_threads=False), about, _arrivals_of(file)
-    except (pa.ArrowException, OSError, ValueError, KeyError, TypeError, RecursionError) as error:
+    except DAMAGED as error:
         raise ValueError(f"cannot be read as Parquet ({str(error).splitlines()[0]})") from error
 
 

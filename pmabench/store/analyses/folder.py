@@ -22,9 +22,11 @@ import numpy as np
 
 from pmabench.base.errors import RecordError, invalid
 from pmabench.base.kind import Result
+from pmabench.base.quantities import QUANTITIES
 from pmabench.base.text import clean, unused
 from pmabench.store import folder as files
 from pmabench.store.analyses.results import SCHEMA, Analysis, Curve, Trace
+from pmabench.store.arrow import pa, pq
 from pmabench.store.folder import open_regular, plain, sha256_of
 from pmabench.store.json_files import read_json
 from pmabench.store.livestream import numbers
@@ -156,9 +158,6 @@ def in_lines(data: Mapping[str, Any]) -> str:
 
 
 def _write_trace(trace: Trace, path: Path) -> None:
-    from pmabench.base.quantities import QUANTITIES
-    from pmabench.store.arrow import pa, pq
-
     fields = []
     for name in trace.columns:
         quantity = trace.quantities.get(name, "")
@@ -289,8 +288,6 @@ def _curve(data: Mapping[str, Any]) -> Curve:
 
 
 def _trace(folder: Path, t: Mapping[str, Any]) -> Trace:
-    from pmabench.store.arrow import pa, pq
-
     parts = _read(str, t["file"]).split("/")
     if len(parts) != 2 or parts[0] != TRACES or not files.PLAIN_NAME.fullmatch(parts[1]):
         raise ValueError(f"the file of a trace, {t['file'][:80]!r}, does not lie in {TRACES}/")
