@@ -287,7 +287,7 @@ def _sentence(model: type[BaseModel], item: Any) -> tuple[str, bool]:
     name = str(location[-1]) if location else ""
     context = item.get("ctx", {})
     if kind == "extra_forbidden":
-        known = [key for owner in _models_at(model, location[:-1]) for key in _names(owner)]
+        known = [key for owner in _models_at(model, location[:-1]) for key in _annotations(owner)]
         return f'unknown key "{name}"{did_you_mean(name, known)}', True
     if kind == "missing":
         return f'"{name}" is missing', False
@@ -308,8 +308,9 @@ def _sentence(model: type[BaseModel], item: Any) -> tuple[str, bool]:
     return message[0].lower() + message[1:] if message[:1].isupper() else message, False
 
 
-def _names(model: type[BaseModel]) -> list[str]:
-    return [field.alias or name for name, field in model.model_fields.items()]
+def _annotations(model: type[BaseModel]) -> dict[str, Any]:
+    """What stands for each key of a model, by the name that it has in a file."""
+    return {field.alias or name: field.annotation for name, field in model.model_fields.items()}
 
 
 def _models_at(model: Any, location: tuple[str | int, ...]) -> list[type[BaseModel]]:
@@ -319,11 +320,8 @@ def _models_at(model: Any, location: tuple[str | int, ...]) -> list[type[BaseMod
         step: list[Any] = []
         for owner in (m for item in here for m in _unwrapped(item)):
             if isinstance(owner, type) and issubclass(owner, BaseModel):
-                fields = {field.alias or name: field for name, field in owner.model_fields.items()}
-                if part in fields:
-                    step.append(fields[part].annotation)
-                elif isinstance(part, str):
-                    step.append(owner)
+                if isinstance(part, str):
+                    step.append(_annotations(owner).get(part, owner))
             elif get_args(owner):
                 step.append(get_args(owner)[-1 if get_origin(owner) in {dict, Mapping} else 0])
         here = step or here

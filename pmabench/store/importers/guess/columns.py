@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from pmabench.base.imported import Imported
 from pmabench.store.formats.record import Layout
+from pmabench.store.importers import motion
 from pmabench.store.importers.found import correlation
 from pmabench.store.importers.map_file import QUANTITY, PointName, spelled
 from pmabench.store.records import Array
@@ -469,7 +470,7 @@ def lone(values: Array) -> NDArray[np.bool_]:
     """Which samples leap away from those around them, as sentinels and spikes do: shape (n,), finite values only."""
     if len(values) < 9:
         return np.zeros(len(values), dtype=bool)
-    around = np.median(np.lib.stride_tricks.sliding_window_view(np.pad(values, 4, mode="edge"), 9), axis=1)
+    around = motion.medians(values, 9)
     return np.asarray(np.abs(values - around) > 0.25 * float(np.ptp(around)))
 
 
