@@ -11,19 +11,15 @@ class Clock(Protocol):
 
     def now(self) -> float:
         """Bench time [s]."""
-        ...
 
     def wait_until(self, deadline: float) -> None:
         """Return when bench time has reached `deadline` [s]; at once if it has passed."""
-        ...
 
     def back_to(self, moment: float) -> bool:
         """Take bench time back to `moment` [s] where that can be done; returns whether it was."""
-        ...
 
     def foresee(self, moment: float) -> None:
         """Nothing is going to be commanded before `moment` [s], as far as is known now: a simulation may compute it."""
-        ...
 
 
 class RealClock:

@@ -7,7 +7,8 @@ Exit codes: 0 done, 1 error in the program, 2 wrong usage, 3 a file is invalid, 
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from difflib import get_close_matches
 
@@ -55,6 +56,15 @@ class InvalidFile(PmaError):
 def invalid(path: object, message: str, line: int = 0, column: int = 0) -> InvalidFile:
     """An `InvalidFile` with a single problem."""
     return InvalidFile([Problem(str(path), line, column, message)])
+
+
+@contextmanager
+def reading(path: object) -> Iterator[None]:
+    """Turns an OSError into an `InvalidFile` of the file at `path`, with the reason of the operating system."""
+    try:
+        yield
+    except OSError as error:
+        raise invalid(path, f"cannot be read: {error.strerror or error}") from error
 
 
 class DeviceError(PmaError):

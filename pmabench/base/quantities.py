@@ -77,11 +77,8 @@ CHANNEL_QUANTITY = {
     "torque": "torque",
     "supply": "pressure",
     "flow": "mass flow",
-    "acceleration_x": "acceleration",
-    "acceleration_y": "acceleration",
-    "acceleration_z": "acceleration",
-    "turn_x": "angular speed",
-    "turn_y": "angular speed",
+    **dict.fromkeys(("acceleration_x", "acceleration_y", "acceleration_z"), "acceleration"),
+    **dict.fromkeys(("turn_x", "turn_y"), "angular speed"),
 }
 """What each channel name of a protocol measures; a protocol names channels from this table only."""
 MUSCLES = 6

@@ -67,6 +67,16 @@ def raw(stream: Any) -> TextIO:
     return found
 
 
+def unused(stem: str, taken: set[str], ending: str = "") -> str:
+    """`stem` and `ending`, with a number between them where that is `taken`, whatever the case; it is taken then."""
+    name, count = f"{stem}{ending}", 1
+    while name.casefold() in taken:
+        count += 1
+        name = f"{stem}-{count}{ending}"
+    taken.add(name.casefold())
+    return name
+
+
 def _cut(text: str, longest: int | None) -> str:
     return text if longest is None or len(text) <= longest else text[: longest - 1] + "…"
 

@@ -15,7 +15,7 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
 from ruamel.yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
 
-from pmabench.base.errors import InvalidFile, Problem, did_you_mean, invalid
+from pmabench.base.errors import InvalidFile, Problem, did_you_mean, invalid, reading
 
 MAX_BYTES = 1_000_000
 MAX_NODES = 100_000
@@ -56,17 +56,15 @@ class Document:
     def __init__(self, path: str, text: str) -> None:
         self.path = path
         self.texts: dict[str, str] = {path: text}
-        self._places: dict[Location, Place] = {}
-        self._keys: dict[Location, Place] = {}
+        self._places: dict[Location, tuple[Place, Place]] = {}
+        """Of each value, and of its key; of the value once more where it has none."""
         self.data = self._read(text)
 
     def place(self, location: Location, *, key: bool = False) -> Place:
         """Path, line and column (from 1) of the value, or of its key; of the nearest parent where it is missing."""
-        table = self._keys if key else self._places
         for end in range(len(location), -1, -1):
-            found = table.get(location[:end]) or self._places.get(location[:end])
-            if found:
-                return found
+            if found := self._places.get(location[:end]):
+                return found[1 if key else 0]
         return (self.path, 1, 1)
 
     def problem(self, location: Location, message: str, *, key: bool = False) -> Problem:
@@ -82,10 +80,9 @@ class Document:
         own = self.data
         own.pop("include", None)
         self.texts = {**self.texts, **other.texts}
-        places, keys = self._places, self._keys
-        self._places, self._keys = dict(other._places), dict(other._keys)
+        places, self._places = self._places, dict(other._places)
         self.data = other.data
-        self._overlay(own, (), places, keys)
+        self._overlay(own, (), places)
 
     def override(self, name: str, text: str) -> None:
         """Set the value `text` (YAML) at the dotted `name`, as `--set name=value` does."""
@@ -113,28 +110,25 @@ class Document:
         target[location[-1]] = value.data["value"]  # type: ignore[index]
         if source != self.path:
             self.texts[source] = text
-        for inner, place in value._places.items():
+        for inner, (place, _) in value._places.items():
             if inner:
-                self._places[*location, *inner[1:]] = place
+                self._places[*location, *inner[1:]] = (place, place)
 
-    def _overlay(self, own: dict[str, Any], at: Location, places: Any, keys: Any) -> None:
+    def _overlay(self, own: dict[str, Any], at: Location, places: dict[Location, tuple[Place, Place]]) -> None:
         target: Any = self.data
         for part in at:
             target = target[part]
         for key, value in own.items():
             location = (*at, key)
             if isinstance(value, dict) and isinstance(target.get(key), dict):
-                self._overlay(value, location, places, keys)
+                self._overlay(value, location, places)
                 continue
             self._forget(location)
             target[key] = value
-            for table, mine in ((places, self._places), (keys, self._keys)):
-                mine.update({loc: place for loc, place in table.items() if loc[: len(location)] == location})
+            self._places |= {loc: both for loc, both in places.items() if loc[: len(location)] == location}
 
     def _forget(self, location: Location) -> None:
-        for table in (self._places, self._keys):
-            for known in [loc for loc in table if loc[: len(location)] == location]:
-                del table[known]
+        self._places = {loc: both for loc, both in self._places.items() if loc[: len(location)] != location}
 
     def _read(self, text: str) -> dict[str, Any]:
         try:
@@ -151,10 +145,11 @@ class Document:
         self._budget = MAX_NODES
         return dict(self._plain(node, ()))
 
-    def _plain(self, node: Node, location: Location) -> Any:
+    def _plain(self, node: Node, location: Location, key_place: Place | None = None) -> Any:
         self._budget -= 1
         mark = node.start_mark
-        self._places[location] = (self.path, mark.line + 1, mark.column + 1)
+        place = (self.path, mark.line + 1, mark.column + 1)
+        self._places[location] = (place, key_place or place)
         if self._budget < 0 or len(location) > MAX_DEPTH:
             raise invalid(self.path, "the file is too large or too deep", mark.line + 1, mark.column + 1)
         if node.tag and node.tag.removeprefix("tag:yaml.org,2002:") not in _TAGS:
@@ -166,13 +161,12 @@ class Document:
         data: dict[str, Any] = {}
         for key_node, value_node in node.value:
             key = str(key_node.value)
-            place = (key_node.start_mark.line + 1, key_node.start_mark.column + 1)
+            at = (key_node.start_mark.line + 1, key_node.start_mark.column + 1)
             if not isinstance(key_node, ScalarNode) or key == "<<":
-                raise invalid(self.path, "a key must be a plain name", *place)
+                raise invalid(self.path, "a key must be a plain name", *at)
             if key in data:
-                raise invalid(self.path, f'key "{key}" is given twice', *place)
-            data[key] = self._plain(value_node, (*location, key))
-            self._keys[*location, key] = (self.path, *place)
+                raise invalid(self.path, f'key "{key}" is given twice', *at)
+            data[key] = self._plain(value_node, (*location, key), (self.path, *at))
         return data
 
 
@@ -201,7 +195,7 @@ def _scalar(node: ScalarNode) -> str | int | float | bool | None:
 def read_document(path: Path, depth: int = 0) -> Document:
     """Read a YAML file and what it includes; raises `InvalidFile` in one sentence where that cannot be done."""
     name = _shown(path)
-    try:
+    with reading(name):
         found = path.stat()
         if not S_ISREG(found.st_mode):
             kind = "a folder" if S_ISDIR(found.st_mode) else "no file (a device or a pipe)"
@@ -209,8 +203,6 @@ def read_document(path: Path, depth: int = 0) -> Document:
         if found.st_size > MAX_BYTES:
             raise invalid(name, f"larger than {MAX_BYTES} bytes: not a file that people write")
         raw = path.read_bytes()
-    except OSError as error:
-        raise invalid(name, f"cannot be read: {error.strerror or error}") from error
     try:
         text = raw.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -295,7 +287,7 @@ def _sentence(model: type[BaseModel], item: Any) -> tuple[str, bool]:
     name = str(location[-1]) if location else ""
     context = item.get("ctx", {})
     if kind == "extra_forbidden":
-        known = [key for owner in _models_at(model, location[:-1]) for key in _names(owner)]
+        known = [key for owner in _models_at(model, location[:-1]) for key in _annotations(owner)]
         return f'unknown key "{name}"{did_you_mean(name, known)}', True
     if kind == "missing":
         return f'"{name}" is missing', False
@@ -316,8 +308,9 @@ def _sentence(model: type[BaseModel], item: Any) -> tuple[str, bool]:
     return message[0].lower() + message[1:] if message[:1].isupper() else message, False
 
 
-def _names(model: type[BaseModel]) -> list[str]:
-    return [field.alias or name for name, field in model.model_fields.items()]
+def _annotations(model: type[BaseModel]) -> dict[str, Any]:
+    """What stands for each key of a model, by the name that it has in a file."""
+    return {field.alias or name: field.annotation for name, field in model.model_fields.items()}
 
 
 def _models_at(model: Any, location: tuple[str | int, ...]) -> list[type[BaseModel]]:
@@ -327,11 +320,8 @@ def _models_at(model: Any, location: tuple[str | int, ...]) -> list[type[BaseMod
         step: list[Any] = []
         for owner in (m for item in here for m in _unwrapped(item)):
             if isinstance(owner, type) and issubclass(owner, BaseModel):
-                fields = {field.alias or name: field for name, field in owner.model_fields.items()}
-                if part in fields:
-                    step.append(fields[part].annotation)
-                elif isinstance(part, str):
-                    step.append(owner)
+                if isinstance(part, str):
+                    step.append(_annotations(owner).get(part, owner))
             elif get_args(owner):
                 step.append(get_args(owner)[-1 if get_origin(owner) in {dict, Mapping} else 0])
         here = step or here

@@ -7,12 +7,12 @@ reads `1,5 bar` as 15 bar, takes `nan`, and hangs on `9**9**9 mm`.
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from collections.abc import Callable
 from functools import lru_cache
 from math import isfinite, pi
 from typing import TYPE_CHECKING, Annotated, Any
 
-from pydantic import BeforeValidator, GetCoreSchemaHandler, GetJsonSchemaHandler, WithJsonSchema
+from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core.core_schema import CoreSchema, no_info_before_validator_function
 
 if TYPE_CHECKING:
@@ -196,70 +196,61 @@ def parse_plates(value: object) -> tuple[int, float]:
     return int(match[1]), parse_quantity(match[2], "mass")
 
 
-@dataclass(frozen=True)
-class _Of:
-    """A quantity as a field of a pydantic model: reads its text, and describes it in the JSON Schema."""
+class AsText:
+    """Texts that people write, as a field of a pydantic model: how one is read, and the JSON Schema of it."""
 
-    quantity: str
+    def __init__(self, parse: Callable[[object], object], description: str, *examples: str, **more: str) -> None:
+        self.parse = parse
+        self.schema = {"type": "string", "description": description, "examples": list(examples), **more}
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        """Read `NUMBER UNIT` before the number is validated."""
-        return no_info_before_validator_function(self._parse, handler(source))
+        """Read the text before the value is validated."""
+        return no_info_before_validator_function(self.parse, handler(source))
 
     def __get_pydantic_json_schema__(self, _schema: CoreSchema, _handler: GetJsonSchemaHandler) -> dict[str, Any]:
         """The text that people write."""
-        return {
-            "type": "string",
-            "description": f"{self.quantity} with its unit",
-            "pattern": rf"^\s*{NUMBER}\s*{UNIT}\s*$",
-            "examples": [_example(self.quantity)],
-        }
+        return dict(self.schema)
 
-    def _parse(self, value: object) -> float:
-        number = parse_quantity(value, self.quantity)
-        if self.quantity == "time" and number < 0:
+
+def _of(quantity: str) -> AsText:
+    """A quantity, as `NUMBER UNIT`."""
+
+    def parse(value: object) -> float:
+        number = parse_quantity(value, quantity)
+        if quantity == "time" and number < 0:
             raise ValueError(f'"{value}": a time is not below zero')
         return number
 
+    pattern = rf"^\s*{NUMBER}\s*{UNIT}\s*$"
+    return AsText(parse, f"{quantity} with its unit", _example(quantity), pattern=pattern)
 
-Pressure = Annotated[float, _Of("pressure")]
-PressureRate = Annotated[float, _Of("pressure rate")]
-Length = Annotated[float, _Of("length")]
-Speed = Annotated[float, _Of("speed")]
-Acceleration = Annotated[float, _Of("acceleration")]
-Force = Annotated[float, _Of("force")]
-Mass = Annotated[float, _Of("mass")]
-Time = Annotated[float, _Of("time")]
-Frequency = Annotated[float, _Of("frequency")]
-Ratio = Annotated[float, _Of("ratio")]
-Angle = Annotated[float, _Of("angle")]
-AngularSpeed = Annotated[float, _Of("angular speed")]
-Gain = Annotated[float, _Of("gain")]
-Rate = Annotated[float, _Of("rate")]
-Temperature = Annotated[float, _Of("temperature")]
-Conductance = Annotated[float, _Of("conductance")]
-TorsionalStiffness = Annotated[float, _Of("torsional stiffness")]
-TorqueRate = Annotated[float, _Of("torque rate")]
-AngularIntegralGain = Annotated[float, _Of("angular integral gain")]
-Stiffness = Annotated[float, _Of("stiffness")]
-Damping = Annotated[float, _Of("damping")]
-ForcePerPressure = Annotated[float, _Of("force per pressure")]
-Volume = Annotated[float, _Of("volume")]
-Load = Annotated[
-    tuple[str, float],
-    BeforeValidator(parse_mass_or_force),
-    WithJsonSchema({"type": "string", "description": "a mass or a force", "examples": ["6 kg", "58.86 N"]}),
-]
-ShareOrForce = Annotated[
-    tuple[str, float],
-    BeforeValidator(parse_share_or_force),
-    WithJsonSchema({"type": "string", "description": "a share or a force", "examples": ["3 %", "15 N"]}),
-]
-Plates = Annotated[
-    tuple[int, float],
-    BeforeValidator(parse_plates),
-    WithJsonSchema({"type": "string", "description": "COUNT x MASS", "examples": ["5 x 5 kg"]}),
-]
+
+Pressure = Annotated[float, _of("pressure")]
+PressureRate = Annotated[float, _of("pressure rate")]
+Length = Annotated[float, _of("length")]
+Speed = Annotated[float, _of("speed")]
+Acceleration = Annotated[float, _of("acceleration")]
+Force = Annotated[float, _of("force")]
+Mass = Annotated[float, _of("mass")]
+Time = Annotated[float, _of("time")]
+Frequency = Annotated[float, _of("frequency")]
+Ratio = Annotated[float, _of("ratio")]
+Angle = Annotated[float, _of("angle")]
+AngularSpeed = Annotated[float, _of("angular speed")]
+Gain = Annotated[float, _of("gain")]
+Rate = Annotated[float, _of("rate")]
+Temperature = Annotated[float, _of("temperature")]
+Conductance = Annotated[float, _of("conductance")]
+TorsionalStiffness = Annotated[float, _of("torsional stiffness")]
+TorqueRate = Annotated[float, _of("torque rate")]
+AngularIntegralGain = Annotated[float, _of("angular integral gain")]
+Stiffness = Annotated[float, _of("stiffness")]
+Damping = Annotated[float, _of("damping")]
+ForcePerPressure = Annotated[float, _of("force per pressure")]
+Volume = Annotated[float, _of("volume")]
+Load = Annotated[tuple[str, float], AsText(parse_mass_or_force, "a mass or a force", "6 kg", "58.86 N")]
+ShareOrForce = Annotated[tuple[str, float], AsText(parse_share_or_force, "a share or a force", "3 %", "15 N")]
+Plates = Annotated[tuple[int, float], AsText(parse_plates, "COUNT x MASS", "5 x 5 kg")]
 
 
 def raw_quantity(value: object) -> tuple[float, str]:

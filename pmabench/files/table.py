@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pmabench.base.errors import InvalidFile, Problem, did_you_mean, invalid
+from pmabench.base.errors import InvalidFile, Problem, did_you_mean, invalid, reading
 from pmabench.files.quantity import NUMBER, unit_factor
 
 Array = NDArray[np.float64]
@@ -114,11 +114,10 @@ def read_table(path: Path) -> Table:
 
 def _text(path: Path) -> str:
     try:
-        if path.is_file() and path.stat().st_size > LARGEST:
-            raise invalid(path, f"is larger than {LARGEST // 1_000_000} MB; give a table, not a record")
-        return path.read_bytes().decode("utf-8-sig")
-    except OSError as error:
-        raise invalid(path, f"cannot be read: {error.strerror or error}") from None
+        with reading(path):
+            if path.is_file() and path.stat().st_size > LARGEST:
+                raise invalid(path, f"is larger than {LARGEST // 1_000_000} MB; give a table, not a record")
+            return path.read_bytes().decode("utf-8-sig")
     except UnicodeDecodeError:
         raise invalid(path, "is no text in UTF-8; save it as CSV in UTF-8") from None
 

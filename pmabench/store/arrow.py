@@ -11,3 +11,5 @@ import pyarrow.parquet
 pa: Any = pyarrow
 pq: Any = pyarrow.parquet
 arrow_csv: Any = pyarrow.csv
+DAMAGED: tuple[type[Exception], ...] = (pa.ArrowException, OSError, ValueError, KeyError, TypeError, RecursionError)
+"""What reading damaged files raises."""

@@ -14,7 +14,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from pmabench.base.errors import InvalidFile, invalid
+from pmabench.base.errors import InvalidFile, reading
+from pmabench.base.text import unused
 from pmabench.store import folder as files
 from pmabench.store.since import added, late_files
 
@@ -53,11 +54,8 @@ def _found(folder: Path) -> Iterator[Path]:
     waiting = [folder]
     while waiting:
         place = waiting.pop()
-        try:
-            with os.scandir(place) as entries:
-                inside = list(entries)
-        except OSError as error:
-            raise invalid(place, f"cannot be read: {error.strerror or error}") from error
+        with reading(place), os.scandir(place) as entries:
+            inside = list(entries)
         if any(entry.name in (files.MANIFEST, files.SEAL) for entry in inside):
             yield place
             continue
@@ -87,12 +85,7 @@ def tasks_below(given: Sequence[Path]) -> list[Task]:
     for run, chain in chains.items():
         if len(continued) and run.resolve() in continued:
             continue
-        place, count = places[run], 1
-        while place.casefold() in taken:
-            count += 1
-            place = f"{places[run]}-{count}"
-        taken.add(place.casefold())
-        tasks.append(Task(run, place, chain))
+        tasks.append(Task(run, unused(places[run], taken), chain))
     return tasks
 
 
@@ -105,20 +98,12 @@ def chain_of(run: Path) -> tuple[Path, ...]:
             if link is None:
                 break
             before = chain[0].resolve().parent / Path(str(link["run"])).name
-            before = before if (before / files.MANIFEST).is_file() else _renamed(chain[0], str(link["run"]))
+            if not (before / files.MANIFEST).is_file():  # its folder may have another name; where there is none it ends
+                before = next(files.next_to(chain[0], str(link["run"])), chain[0])
             if before in chain:
                 break
             chain.insert(0, before)
     return tuple(chain)
-
-
-def _renamed(run: Path, name: str) -> Path:
-    """The folder next to `run` that holds the run `name` under another name."""
-    for folder in sorted(run.resolve().parent.iterdir()):
-        with suppress(InvalidFile):
-            if (folder / files.MANIFEST).is_file() and files.read_manifest(folder).get("id") == name:
-                return folder
-    raise invalid(run, f"continues {name}, which is not next to it")
 
 
 CACHE = ".catalogue.sqlite"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -127,21 +127,11 @@ def _linked(path: Path, link: Any) -> Path:
         raise invalid(
             path / files.MANIFEST, "does not say which run it continues (`continues`: run, sha256)"
         ) from error
-    for folder in _next_to(path, name):
+    for folder in files.next_to(path, name):
         if not is_regular(folder / files.SEAL) or sha256_of(folder / files.SEAL) != digest:
             raise invalid(folder, f"was not closed as it was when {path.name} continued it: its seal is another one")
         return folder
     raise invalid(path, f"continues {name}, which is not next to it; put that run's folder there")
-
-
-def _next_to(path: Path, name: str) -> Iterator[Path]:
-    """Folders next to `path` that hold the run `name`: the one of that name first, then one that was renamed."""
-    parent = path.resolve().parent
-    named = [parent / name] if Path(name).name == name else []
-    for folder in [*named, *sorted(parent.iterdir())]:
-        with suppress(InvalidFile):
-            if (folder / files.MANIFEST).is_file() and read_manifest(folder)["id"] == name:
-                yield folder
 
 
 def _fits(before: Sequence[RunData], run: RunData) -> None:

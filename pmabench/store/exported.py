@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from pmabench.store.folder import plain
 from pmabench.store.json_files import read_model
-from pmabench.store.records import Event, RunData
+from pmabench.store.records import Event, RunData, is_number
 
 SCHEMA = "pmabench.exported-run/1"
 NAME = "run.json"
@@ -54,7 +54,9 @@ class Line(_Part):
         if {"kind", "t", "self"} & self.data.keys() or not (numbered or trial is None):
             raise ValueError("the trial is no number, or an entry of the event is there twice")
         if self.kind == "trial-begin" and not (
-            numbered and isinstance(point, dict) and all(map(_finite, point.values()))
+            numbered
+            and isinstance(point, dict)
+            and all(is_number(value) and isfinite(value) for value in point.values())
         ):
             raise ValueError("a trial begins whose operating point is no numbers")
         return self
@@ -136,7 +138,3 @@ def read_record(path: Path) -> Exported:
     """A record file; raises InvalidFile where it is none, is too large or is damaged."""
     missing = "there is no such record of exported samples; it lies next to them as run.json"
     return read_model(Exported, path, SCHEMA, "record of exported samples", MOST_BYTES, missing)
-
-
-def _finite(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and isfinite(value)

@@ -30,7 +30,7 @@ from io import BufferedReader
 from pathlib import Path
 from typing import Any
 
-from pmabench.base.errors import InvalidFile, RecordError, invalid
+from pmabench.base.errors import InvalidFile, RecordError, invalid, reading
 
 KINDS = {
     stat.S_IFREG: "a file",
@@ -94,7 +94,28 @@ def _refuse(mode: int) -> None:
         raise OSError(errno.EINVAL, f"it is {kind_of(mode)}, and only files are read")
 
 
-_PART = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,120}")
+def fault_of(folder: Path, name: str, digest: str, size: int | None = None) -> str:
+    """What is wrong with a file of a run whose hash is known; empty where it holds the bytes that were written."""
+    path = folder / name
+    if not os.path.lexists(path):
+        return "is missing"
+    if not is_regular(path):
+        return odd(path)
+    try:
+        with open_inside(folder, name) as file:
+            same = size in {None, os.fstat(file.fileno()).st_size}
+            unchanged = same and hashlib.file_digest(file, "sha256").hexdigest() == digest
+    except OSError as error:
+        return f"cannot be read: {error.strerror}"
+    return "" if unchanged else "was changed: its sha256 does not fit"
+
+
+def odd(path: Path) -> str:
+    """What a path is that should be a regular file, as the rest of a sentence about it."""
+    return f"is {kind_of(path.lstat().st_mode)}, which no run contains"
+
+
+PLAIN_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,120}")
 
 
 def run_name(utc: datetime, specimen: str, kind: str, simulated: bool) -> str:
@@ -118,7 +139,7 @@ def _word(text: str, otherwise: str) -> str:
 
 def check_name(name: str) -> str:
     """`name` itself where it stays inside the run folder and is legal on every file system; else RecordError."""
-    if not all(_PART.fullmatch(part) for part in name.split("/")):
+    if not all(PLAIN_NAME.fullmatch(part) for part in name.split("/")):
         raise RecordError(f'"{name}" cannot be a file of a run; use letters, digits, ".", "_" and "-", and no blank')
     return name
 
@@ -188,10 +209,8 @@ def open_json(raw: bytes, path: object) -> dict[str, Any]:
 def read_file(folder: Path, name: str, most: int | None = None) -> bytes:
     """The bytes of a file of the run, at most `most`; raises InvalidFile with the reason, also for what is no file."""
     try:
-        with open_inside(folder, name) as file:
-            return file.read() if most is None else file.read(most)
-    except OSError as error:
-        raise invalid(folder / name, f"cannot be read: {error.strerror or error}") from error
+        with reading(folder / name), open_inside(folder, name) as file:
+            return file.read(-1 if most is None else most)
     except (MemoryError, OverflowError) as error:
         raise invalid(folder / name, "cannot be read: it is larger than the memory of this computer") from error
 
@@ -211,6 +230,16 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     if manifest.get("schema") != RUN_SCHEMA:
         raise invalid(folder / MANIFEST, f"has the schema {manifest.get('schema')!r}, not {RUN_SCHEMA}")
     return manifest
+
+
+def next_to(path: Path, name: str) -> Iterator[Path]:
+    """Folders next to `path` that hold the run `name`: the one of that name first, then one that was renamed."""
+    parent = path.resolve().parent
+    named = [parent / name] if Path(name).name == name else []
+    for folder in [*named, *sorted(parent.iterdir())]:
+        with suppress(InvalidFile):
+            if (folder / MANIFEST).is_file() and read_manifest(folder).get("id") == name:
+                yield folder
 
 
 def read_seal(folder: Path) -> dict[str, Any] | None:
@@ -294,13 +323,13 @@ def part_of(path: Path) -> Path:
 
 
 @contextmanager
-def _part(path: Path) -> Iterator[Path]:
-    """The hidden file to write, which then becomes `path`, synced; where writing fails it is removed."""
+def whole(path: Path) -> Iterator[Path]:
+    """The hidden file to write, which then becomes `path`; where writing fails it is removed. Raises OSError."""
     part = part_of(path)
     try:
         yield part
         part.replace(path)
-    except (OSError, InvalidFile):
+    except BaseException:
         with suppress(OSError):
             part.unlink()
         raise
@@ -309,7 +338,7 @@ def _part(path: Path) -> Iterator[Path]:
 
 def write_whole(path: Path, content: bytes) -> None:
     """Write a small file so that it is there whole or not at all, and synced. Raises OSError."""
-    with _part(path) as part, part.open("wb") as file:
+    with whole(path) as part, part.open("wb") as file:
         file.write(content)
         file.flush()
         os.fsync(file.fileno())
@@ -341,7 +370,7 @@ def copy_whole(path: Path, source: Copy) -> None:
 
     Raises OSError, or InvalidFile where it is not what it was.
     """
-    with _part(path) as part:
+    with whole(path) as part:
         if copy_file(source.path, part)[0] != source.sha256:
             raise invalid(source.path, "was changed while it was read")
 

@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from pmabench.base.errors import invalid
+from pmabench.base.errors import invalid, reading
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
@@ -23,14 +23,14 @@ def read_json(path: Path, schema: str, what: str, most: int, missing: str = "the
 
     Raises InvalidFile for a file that is none, too large, cut off, too deep, or of another schema or version.
     """
-    try:
+    with reading(path):
         if not path.is_file():
             raise invalid(path, missing)
         if path.stat().st_size > most:
             raise invalid(path, f"is larger than {most // 1_000_000} MB: no {what}")
-        data = json.loads(path.read_bytes(), parse_constant=_no_constant)
-    except OSError as error:
-        raise invalid(path, f"cannot be read: {error.strerror or error}") from error
+        raw = path.read_bytes()
+    try:
+        data = json.loads(raw, parse_constant=_no_constant)
     except (ValueError, RecursionError) as error:
         raise invalid(path, f"is not JSON, or was cut off: {' '.join(str(error).split())[:120]}") from error
     found = str(data.get("schema")) if isinstance(data, dict) else ""

@@ -22,13 +22,14 @@ from numpy.typing import NDArray
 
 from pmabench.base.errors import RecordError
 from pmabench.base.quantities import QUANTITIES
-from pmabench.store.arrow import pa
+from pmabench.store.arrow import DAMAGED, pa
 from pmabench.store.folder import AppendFile, plain
 
 STREAM_SCHEMA = "pmabench.stream/1"
 TIME, FLAGS = "time_ns", "flags"
 KEY = b"pmabench"
 _END_OF_STREAM = b"\xff\xff\xff\xff\x00\x00\x00\x00"
+_TORN: tuple[type[Exception], ...] = (*DAMAGED, NotImplementedError, MemoryError)
 _TYPES = {"int32": pa.int32(), "float64": pa.float64()}
 
 
@@ -231,7 +232,7 @@ class LiveReader:
             self.position = self.head = self._source.tell()
             self.schema = self._reader.schema
             self.about = about_stream(self.schema)
-        except (pa.ArrowException, OSError, ValueError, KeyError, TypeError, RecursionError) as error:
+        except DAMAGED as error:
             raise ValueError(f"has no whole schema ({error})") from error
 
     def __iter__(self) -> Iterator[Any]:
@@ -258,15 +259,7 @@ class LiveReader:
                 self.fault = f"stops after batch {seq - 1} without its end mark"
                 self.torn = False
                 return
-            except (
-                pa.ArrowException,
-                OSError,
-                ValueError,
-                KeyError,
-                TypeError,
-                NotImplementedError,
-                MemoryError,
-            ) as error:
+            except _TORN as error:
                 reason = (str(error).splitlines() or [type(error).__name__])[0]
                 self.fault = f"batch {seq} is torn or altered ({reason})"
                 return

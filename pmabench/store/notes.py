@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from pmabench.base.errors import InvalidFile, UsageError, invalid
+from pmabench.base.text import unused
 from pmabench.store import folder as files
 
 NOTE_SCHEMA = "pmabench.note/1"
@@ -31,7 +32,6 @@ NOTE = "note.json"
 PART = ".part-"
 """How the folder of a note begins that is being written."""
 _LONGEST = 100_000
-_PLAIN = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,120}")
 
 
 @dataclass(frozen=True)
@@ -85,22 +85,16 @@ def add_note(
     for source in attach:
         if not source.is_file():
             raise invalid(source, "cannot be attached: it is no file")
+    said = {"operator": operator, "text": text.strip(), "exclude": exclude, "because": because.strip()}
     try:
         with _alone(run):
-            return _append(run, manifest, text.strip(), attach, exclude, because.strip(), operator)
+            return _append(run, manifest, said, attach)
     except OSError as error:
         raise files.cannot_write(run / files.NOTES, error) from error
 
 
-def _append(
-    run: Path,
-    manifest: Mapping[str, Any],
-    text: str,
-    attach: Sequence[Path],
-    exclude: int | None,
-    because: str,
-    operator: str,
-) -> Note:
+def _append(run: Path, manifest: Mapping[str, Any], said: Mapping[str, Any], attach: Sequence[Path]) -> Note:
+    """The note as it was written; `said`: operator, text, exclude and because."""
     known, faults, last = _look(run)
     if faults:
         raise InvalidFile(problem for name, what in faults for problem in invalid(run / name, what).problems)
@@ -120,10 +114,7 @@ def _append(
             "number": number,
             "before": last,
             "utc": datetime.now(UTC).isoformat(timespec="milliseconds"),
-            "operator": operator,
-            "text": text,
-            "exclude": exclude,
-            "because": because,
+            **said,
             "files": copied,
         }
         raw = files.sealed_json(content)
@@ -154,13 +145,7 @@ def _names(attach: Sequence[Path]) -> list[str]:
     names = []
     for source in attach:
         stem = re.sub(r"[^A-Za-z0-9_-]+", "-", source.stem)[:60].strip("-") or "file"
-        suffix = re.sub(r"[^A-Za-z0-9.]+", "", source.suffix)[:12]
-        name, count = f"{stem}{suffix}", 1
-        while name.casefold() in taken:
-            count += 1
-            name = f"{stem}-{count}{suffix}"
-        taken.add(name.casefold())
-        names.append(name)
+        names.append(unused(stem, taken, re.sub(r"[^A-Za-z0-9.]+", "", source.suffix)[:12]))
     return names
 
 
@@ -232,7 +217,7 @@ def _look(run: Path) -> tuple[tuple[Note, ...], list[tuple[str, str]], str]:
         if note.number != number or content.get("before") != last:
             faults.append((f"{place}/{NOTE}", "does not follow the note before it: notes were changed or moved"))
             return tuple(notes), faults, last
-        faults += _attached(run / place, place, content["files"])
+        faults += _attached(run, place, content["files"])
         notes.append(note)
         last = hashlib.sha256(raw).hexdigest()
         chain.append(last)
@@ -247,21 +232,13 @@ def _folders(run: Path) -> list[str]:
     return sorted(names, key=lambda name: (len(name), name))
 
 
-def _attached(folder: Path, place: str, entries: Sequence[Mapping[str, Any]]) -> list[tuple[str, str]]:
-    faults = []
+def _attached(run: Path, place: str, entries: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, str]]:
     for entry in entries:
-        path = folder / str(entry["name"])
-        if not files.is_regular(path):
-            faults.append((f"{place}/{entry['name']}", "is missing"))
-            continue
-        try:
-            changed = path.stat().st_size != entry.get("bytes") or files.sha256_of(path) != entry["sha256"]
-        except OSError as error:
-            faults.append((f"{place}/{entry['name']}", f"cannot be read: {error.strerror}"))
-            continue
-        if changed:
-            faults.append((f"{place}/{entry['name']}", "was changed: its sha256 does not fit"))
-    return faults
+        name = f"{place}/{entry['name']}"
+        there = files.is_regular(run / name)
+        fault = files.fault_of(run, name, entry["sha256"], entry.get("bytes", -1)) if there else "is missing"
+        if fault:
+            yield name, fault
 
 
 def _head(run: Path, chain: Sequence[str]) -> list[tuple[str, str]]:
@@ -297,6 +274,6 @@ def _note(content: Mapping[str, Any]) -> Note:
 
 
 def _legal(name: Any) -> str:
-    if not isinstance(name, str) or not _PLAIN.fullmatch(name):
+    if not isinstance(name, str) or not files.PLAIN_NAME.fullmatch(name):
         raise ValueError("an attached file has a name that leads elsewhere")
     return name

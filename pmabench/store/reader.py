@@ -36,6 +36,7 @@ from pmabench.store.records import (
     TrialData,
     cut_trials,
     exclude,
+    is_number,
 )
 from pmabench.store.seal import read_archive
 from pmabench.store.since import Since, altered, late_guard, since
@@ -417,8 +418,7 @@ def refound(trials: Sequence[TrialData], lines: Mapping[str, Line]) -> tuple[Tri
     """The trials, with the values that their searches found (such as where a load lifted off) on the new scale."""
 
     def one(name: str, value: Any) -> Any:
-        number = isinstance(value, int | float) and not isinstance(value, bool)
-        return lines[name][0] * value + lines[name][1] if name in lines and number else value
+        return lines[name][0] * value + lines[name][1] if name in lines and is_number(value) else value
 
     return tuple(
         replace(

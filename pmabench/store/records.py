@@ -326,13 +326,14 @@ def command_of(event: Event) -> Command:
         value=_number(data.get("value")),
         before=_number(data.get("before")),
         phase=str(data.get("phase", "")),
-        data={key: _number(value) for key, value in data.items() if key not in _COMMAND and _is_number(value)},
+        data={key: _number(value) for key, value in data.items() if key not in _COMMAND and is_number(value)},
     )
 
 
-def _is_number(value: Any) -> bool:
+def is_number(value: Any) -> bool:
+    """Whether a value of JSON is a number, which true and false are not."""
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def _number(value: Any) -> float:
-    return float(value) if _is_number(value) else float("nan")
+    return float(value) if is_number(value) else float("nan")

@@ -23,7 +23,7 @@ from typing import Any
 
 from pmabench.base.errors import InvalidFile, RecordError
 from pmabench.store import folder as files
-from pmabench.store.arrow import pa, pq
+from pmabench.store.arrow import DAMAGED, pa, pq
 from pmabench.store.livestream import LiveReader, about_stream, raw_bytes
 from pmabench.store.since import adopt
 
@@ -40,8 +40,7 @@ def archive(live: Path, target: Path) -> tuple[int, str, bool]:
     belong to no whole batch. Raises OSError where it cannot be written, ValueError where `live` has no whole schema or
     what was read back differs; `target` then does not exist.
     """
-    part = target.with_name(f".{target.name}.part")
-    try:
+    with files.whole(target) as part:
         with live.open("rb") as file:
             source = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)  # closed with the last batch that is on it
         reader = LiveReader(pa.py_buffer(source))
@@ -53,11 +52,6 @@ def archive(live: Path, target: Path) -> tuple[int, str, bool]:
             same = _arrivals_of(written) == arrivals
         if not same or digests != [_digest(table) for table in _row_groups(part)]:
             raise ValueError("what was read back is not what was written")
-        part.replace(target)
-        files.sync_folder(target.parent)
-    finally:
-        with suppress(OSError):
-            part.unlink(missing_ok=True)
     return reader.rows, reader.fault, reader.torn
 
 
@@ -129,7 +123,7 @@ def read_archive(source: Any) -> tuple[Any, dict[str, Any], list[tuple[int, int]
         with pq.ParquetFile(source, page_checksum_verification=True) as file:
             about = about_stream(file.schema_arrow)
             return file.read(use_threads=False), about, _arrivals_of(file)
-    except (pa.ArrowException, OSError, ValueError, KeyError, TypeError, RecursionError) as error:
+    except DAMAGED as error:
         raise ValueError(f"cannot be read as Parquet ({str(error).splitlines()[0]})") from error
 
 

@@ -27,7 +27,7 @@ from pmabench.base.errors import InvalidFile
 from pmabench.base.extensions import registered
 from pmabench.store import folder as files
 from pmabench.store import notes
-from pmabench.store.folder import is_regular, kind_of, open_inside, open_regular, read_file
+from pmabench.store.folder import is_regular, kind_of, open_regular, read_file
 
 LONGEST = 1_000_000
 """Most bytes of a guard's account; a longer file is ignored."""
@@ -107,35 +107,14 @@ def altered(folder: Path, hashes: Mapping[str, str]) -> tuple[str, ...]:
     kept = {
         name: sha for name, sha in sorted(hashes.items()) if name not in own and name.split("/")[0] != files.STREAMS
     }
-    return tuple(f"{name} {fault}" for name, sha in kept.items() if (fault := fault_of(folder, name, sha)))
-
-
-def fault_of(folder: Path, name: str, digest: str, size: int | None = None) -> str:
-    """What is wrong with a file of a run whose hash is known; empty where it holds the bytes that were written."""
-    path = folder / name
-    if not os.path.lexists(path):
-        return "is missing"
-    if not is_regular(path):
-        return odd(path)
-    try:
-        with open_inside(folder, name) as file:
-            same = size in {None, os.fstat(file.fileno()).st_size}
-            unchanged = same and hashlib.file_digest(file, "sha256").hexdigest() == digest
-    except OSError as error:
-        return f"cannot be read: {error.strerror}"
-    return "" if unchanged else "was changed: its sha256 does not fit"
+    return tuple(f"{name} {fault}" for name, sha in kept.items() if (fault := files.fault_of(folder, name, sha)))
 
 
 def as_sealed(folder: Path) -> bool:
     """Whether every file of a sealed run, and every note, holds the bytes that were written."""
     sealed = (files.read_seal(folder) or {}).get("files", {})
-    same = all(not fault_of(folder, name, entry["sha256"], entry["bytes"]) for name, entry in sealed.items())
+    same = all(not files.fault_of(folder, name, entry["sha256"], entry["bytes"]) for name, entry in sealed.items())
     return same and next(iter(notes.check_notes(folder)), None) is None
-
-
-def odd(path: Path) -> str:
-    """What a path is that should be a regular file, as the rest of a sentence about it."""
-    return f"is {kind_of(path.lstat().st_mode)}, which no run contains"
 
 
 def late_folder(folder: Path) -> Path:
@@ -283,9 +262,7 @@ def stamp(folder: Path) -> str:
 
 def _walk(folder: Path, prefix: str = "") -> Iterator[tuple[str, os.DirEntry[str]]]:
     """Every file below a folder with its name there, in one order everywhere."""
-    with os.scandir(folder) as entries:
-        inside = sorted(entries, key=lambda entry: entry.name)
-    for entry in inside:
+    for entry in _inside(folder):
         if entry.is_dir(follow_symlinks=False):
             yield from _walk(Path(entry.path), f"{prefix}{entry.name}/")
         else:

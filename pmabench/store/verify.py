@@ -18,7 +18,7 @@ from pmabench.store.notes import check_notes
 from pmabench.store.reader import RunFiles, events_of
 from pmabench.store.records import Flag, trial_spans
 from pmabench.store.seal import read_archive
-from pmabench.store.since import added, fault_of, odd
+from pmabench.store.since import added
 
 _FLAGGED = np.uint16(Flag.GAP | Flag.LATE | Flag.TIME_JUMP)
 
@@ -61,7 +61,7 @@ def _verify(folder: Path) -> list[Finding]:
         if not os.path.lexists(folder / files.SEAL):
             found.append(Finding(files.SEAL, f"is missing: the run is {files.status_of(manifest, None)}"))
         found += _changed(folder, {name: (digest, None) for name, digest in manifest.get("snapshots", {}).items()})
-        found += [Finding(name, odd(path)) for name, path in files.files_of(folder) if not files.is_regular(path)]
+        found += [Finding(name, files.odd(path)) for name, path in files.files_of(folder) if not files.is_regular(path)]
     found += _events(folder, seal)
     found += _streams(folder, seal)
     found += [Finding(name, what) for name, what in check_notes(folder)]
@@ -83,7 +83,7 @@ def _or_finding(found: list[Finding], name: str, read: Callable[[], dict[str, An
 def _changed(folder: Path, known: Mapping[str, tuple[str, int | None]]) -> Iterator[Finding]:
     """Files that are not as they were; `known`: name -> sha256 and bytes, where these are known."""
     for name, (digest, size) in sorted(known.items()):
-        if fault := fault_of(folder, name, digest, size):
+        if fault := files.fault_of(folder, name, digest, size):
             yield Finding(name, fault)
 
 

@@ -22,9 +22,11 @@ import numpy as np
 
 from pmabench.base.errors import RecordError, invalid
 from pmabench.base.kind import Result
-from pmabench.base.text import clean
+from pmabench.base.quantities import QUANTITIES
+from pmabench.base.text import clean, unused
 from pmabench.store import folder as files
 from pmabench.store.analyses.results import SCHEMA, Analysis, Curve, Trace
+from pmabench.store.arrow import pa, pq
 from pmabench.store.folder import open_regular, plain, sha256_of
 from pmabench.store.json_files import read_json
 from pmabench.store.livestream import numbers
@@ -107,7 +109,6 @@ TRACES = "traces"
 LONGEST = 50_000_000
 """Bytes of an `analysis.json` that is read."""
 MOST_ROWS = 10_000_000
-_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,120}")
 _RESERVED = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.IGNORECASE)
 
 
@@ -119,12 +120,7 @@ def file_names(names: Iterator[str] | list[str]) -> list[str]:
         stem = re.sub(r"[^A-Za-z0-9._-]+", "-", name)[:100].strip("-.") or "trace"
         if _RESERVED.fullmatch(stem):
             stem = f"trace-{stem}"
-        unique, count = stem, 1
-        while unique.casefold() in taken:
-            count += 1
-            unique = f"{stem}-{count}"
-        taken.add(unique.casefold())
-        result.append(unique)
+        result.append(unused(stem, taken))
     return result
 
 
@@ -162,9 +158,6 @@ def in_lines(data: Mapping[str, Any]) -> str:
 
 
 def _write_trace(trace: Trace, path: Path) -> None:
-    from pmabench.base.quantities import QUANTITIES
-    from pmabench.store.arrow import pa, pq
-
     fields = []
     for name in trace.columns:
         quantity = trace.quantities.get(name, "")
@@ -222,7 +215,7 @@ def runs_of(folder: Path) -> list[Path]:
     if each is not None:
         places.extend(each.parents[1] / part / parents[0].relative_to(each).parent for part in ("", "runs"))
     for name in names if isinstance(names, list) else ():
-        if not isinstance(name, str) or not _NAME.fullmatch(name):
+        if not isinstance(name, str) or not files.PLAIN_NAME.fullmatch(name):
             continue
         candidates = (place / part / name for place in places for part in ("", "runs"))
         known = next((c for c in candidates if (c / "manifest.json").is_file()), None)
@@ -295,10 +288,8 @@ def _curve(data: Mapping[str, Any]) -> Curve:
 
 
 def _trace(folder: Path, t: Mapping[str, Any]) -> Trace:
-    from pmabench.store.arrow import pa, pq
-
     parts = _read(str, t["file"]).split("/")
-    if len(parts) != 2 or parts[0] != TRACES or not _NAME.fullmatch(parts[1]):
+    if len(parts) != 2 or parts[0] != TRACES or not files.PLAIN_NAME.fullmatch(parts[1]):
         raise ValueError(f"the file of a trace, {t['file'][:80]!r}, does not lie in {TRACES}/")
     path = folder / TRACES / parts[1]
     wanted = list(_read(tuple[str, ...], t["columns"]))

@@ -165,25 +165,16 @@ class Estimate:
     def to_dict(self) -> dict[str, Any]:
         """The documented JSON object of an estimate."""
         ci = self.ci95
-        return {
-            "symbol": self.symbol,
-            "coordinate": self.coordinate,
+        data = {
+            **vars(self),
             "at": dict(self.at),
-            "value": self.value,
-            "unit": self.unit,
-            "quantity": self.quantity,
             "ci95": None if ci is None else list(ci),
             "parts": dict(vars(self.parts)),
-            "bias": self.bias,
-            "corrected": self.corrected,
-            "n": self.n,
-            "method": self.method,
-            "note": self.note,
             "trials": list(self.trials),
             "budget": [{**vars(s), "share": share} for s, share in zip(self.budget, self.shares, strict=True)],
-            "withheld": self.withheld,
-            "bound": self.bound,
         }
+        del data["positive"]  # it is said of the result as declared
+        return data
 
 
 def withhold(estimate: Estimate, reason: str) -> Estimate:
@@ -365,14 +356,8 @@ class Analysis:
             "dropped": [dict(vars(d)) for d in self.dropped],
             "findings": [dict(vars(f)) for f in self.findings],
             "traces": [
-                {
-                    "name": t.name,
-                    "figure": t.figure,
-                    "title": t.title,
-                    "quantities": dict(t.quantities),
-                    "marks": dict(t.marks),
-                }
-                for t in self.traces
+                {key: value for key, value in vars(trace).items() if key not in ("columns", "published")}
+                for trace in self.traces
             ],
             "facts": dict(self.facts),
             "refusals": list(self.refusals),

@@ -105,29 +105,25 @@ def read_lvm(
     segments = _segments(file)
     if not segments or not any(segment.rows for segment in segments):
         raise invalid(path, "holds headers and no data", len(file.lines), 1)
+    first = segments[0]
     for segment in segments[1:]:
-        if segment.names != segments[0].names or segment.keys.get("Y_Unit_Label") != segments[0].keys.get(
-            "Y_Unit_Label"
-        ):
+        if (segment.names, segment.keys.get("Y_Unit_Label")) != (first.names, first.keys.get("Y_Unit_Label")):
             raise invalid(path, "has other channels or units than the segment before; split the file", segment.first, 1)
-    recorded = Recorded([], _started(segments[0], file.keys), segments[0].first, not file.ends)
+    recorded = Recorded([], _started(first, file.keys), first.first, not file.ends)
     _drop_cut_row(file, segments[-1], recorded)
     tables = [_numbers(file, segment) for segment in segments]
     xs = _abscissae(file, segments, tables, recorded)
-    channels = len(segments[0].names)
     step = 2 if file.x == "Multi" else 1
-    units = segments[0].keys.get("Y_Unit_Label", [])
+    units = first.keys.get("Y_Unit_Label", [])
     recorded.columns += xs
-    for index, name in enumerate(segments[0].names):
+    for index, name in enumerate(first.names):
         values = np.concatenate([table[:, 1 + index * step] for table in tables])
-        recorded.columns.append(Column(name, values, units[index] if len(units) == channels else ""))
+        recorded.columns.append(Column(name, values, units[index] if len(units) == len(first.names) else ""))
     for number, (segment, table) in enumerate(zip(segments, tables, strict=True), 1):
-        said = segment.keys.get("Samples", [])
-        if file.multi and said and max(_whole(text) for text in said) != len(table):
-            recorded.doubts.append(
-                f"segment {number} has {len(table)} rows, its header says {max(_whole(text) for text in said)}: "
-                "rows are missing or were added"
-            )
+        said = max(map(_whole, segment.keys.get("Samples", [])), default=len(table))
+        if file.multi and said != len(table):
+            text = f"segment {number} has {len(table)} rows, its header says {said}"
+            recorded.doubts.append(f"{text}: rows are missing or were added")
     return recorded
 
 

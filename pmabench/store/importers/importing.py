@@ -48,12 +48,13 @@ def compare(files: Sequence[Summary], allowed: Mapping[str, float]) -> list[list
     """
     found: list[list[Found]] = [[] for _ in files]
     for index, file in enumerate(files):
-        group = [other for other in files if other.point == file.point]
+        siblings = [other for other in files if other.point == file.point and other is not file]
+        trusted = [other for other in siblings if other.trusted]
         for channel, share in allowed.items():
-            peaks = [o.peaks[channel] for o in group if channel in o.peaks and o.trusted]
-            others = [o.peaks[channel] for o in group if o is not file and channel in o.peaks and o.trusted]
+            others = [other.peaks[channel] for other in trusted if channel in other.peaks]
             if channel not in file.peaks or not others:
                 continue
+            peaks = [*others, file.peaks[channel]] if file.trusted else others
             usual = float(np.median(peaks if len(peaks) > 2 else others))
             ratio = file.peaks[channel] / usual if usual else float("inf")
             if abs(ratio - 1.0) <= share:
@@ -67,8 +68,7 @@ def compare(files: Sequence[Summary], allowed: Mapping[str, float]) -> list[list
             if not sure:
                 text += "; which of the two is wrong is not known"
             found[index].append(Found("fault" if sure else "doubt", "sibling", text, channel))
-        found[index] += _steeper(file, [other for other in group if other is not file])
-        found[index] += _swapped(file, [other for other in group if other is not file and other.trusted], allowed)
+        found[index] += _steeper(file, trusted) + _swapped(file, trusted, allowed)
     return found
 
 
@@ -77,7 +77,7 @@ def _steeper(file: Summary, others: Sequence[Summary]) -> list[Found]:
 
     Where two thirds of the files agree the others are wrong; else nobody knows which are, and all are withheld.
     """
-    slopes = [other.slope for other in others if other.slope and other.trusted]
+    slopes = [other.slope for other in others if other.slope]
     if not file.slope or not file.trusted or not slopes:
         return []
     every = [file.slope, *slopes]

@@ -130,18 +130,12 @@ def _slice(seen: Seen, rows: slice | np.ndarray) -> Seen:
 
 
 def _joined(kept: list[Seen]) -> Seen:
-    channels = range(len(kept[0].checked))
-    checked = tuple(
-        Checked(
-            kept[0].checked[k].rule,
-            np.concatenate([seen.checked[k].raw for seen in kept]),
-            np.concatenate([seen.checked[k].si for seen in kept]),
-        )
-        for k in channels
-    )
     return Seen(
         np.concatenate([seen.t for seen in kept]),
-        checked,
+        tuple(
+            Checked(same[0].rule, np.concatenate([one.raw for one in same]), np.concatenate([one.si for one in same]))
+            for same in zip(*(seen.checked for seen in kept), strict=True)
+        ),
         {role: np.concatenate([seen.values[role] for seen in kept]) for role in kept[0].values},
         np.concatenate([seen.flags for seen in kept]),
         [],

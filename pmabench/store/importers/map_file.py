@@ -11,71 +11,64 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, Union, get_args
 
-from pydantic import BeforeValidator, Discriminator, Field, Tag, WithJsonSchema, model_validator
+from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
 
 from pmabench.base.errors import InvalidFile, Problem, did_you_mean, invalid
 from pmabench.files.document import Document, Location, Strict
-from pmabench.files.quantity import Force, Frequency, Length, Pressure, Ratio, Time, raw_quantity
+from pmabench.files.quantity import AsText, Force, Frequency, Length, Pressure, Ratio, Time, raw_quantity
 from pmabench.store.formats.record import Layout, formats
 from pmabench.store.formats.text import Name as Short
 
-_SPELLINGS = {
-    "s": "sec secs second seconds sekunden",
-    "ms": "msec msecs millisecond milliseconds",
-    "us": "usec microsecond microseconds µs μs",
-    "ns": "nsec nanosecond nanoseconds",
-    "min": "minute minutes minuten",
-    "h": "hr hrs hour hours stunde stunden std",
-    "d": "day days tage",
-    "Pa": "pascal pascals",
-    "kPa": "kilopascal kilopascals kpa",
-    "MPa": "megapascal mpa",
-    "hPa": "hectopascal",
-    "mbar": "millibar",
-    "bar": "bars barg bar(g) bar_g",
-    "psi": "psig psi(g) lbf/in2 lb/in2 lbf/in^2 lb/in^2 lbf/in² lb/in²",
-    "kgf/cm2": "kgf/cm^2 kgf/cm² kg/cm2 kg/cm^2 kg/cm² kp/cm2 kp/cm^2 kp/cm² ksc",
-    "N/mm2": "n/mm^2 n/mm²",
-    "atm": "atmosphere atmospheres",
-    "mmHg": "torr mm_hg",
-    "inHg": "in_hg",
-    "N": "newton newtons",
-    "kN": "kilonewton kilonewtons kn",
-    "mN": "millinewton millinewtons",
-    "daN": "decanewton",
-    "lbf": "lb lbs pound pounds",
-    "g": "gram grams gramm",
-    "kg": "kilogram kilograms kgs",
-    "kgf": "kp kilopond kg-f kg_f",
-    "gf": "pond g-f",
-    "ozf": "oz",
-    "mm": "millimeter millimeters millimetre millimetres",
-    "cm": "centimeter centimeters centimetre centimetres",
-    "m": "meter meters metre metres",
-    "um": "micrometer micron microns µm μm",
-    "in": "inch inches",
-    "ft": "foot feet",
-    "V": "volt volts",
-    "mV": "millivolt millivolts mvolt mvolts",
-    "A": "amp amps ampere amperes",
-    "mA": "milliamp milliamps milliampere milliamperes ma",
-    "count": "counts digit digits raw adc lsb",
-    "degC": "°c degc celsius",
-    "Hz": "hertz hz",
-    "%": "percent",
+_UNITS = {
+    "s": ("time", "sec secs second seconds sekunden"),
+    "ms": ("time", "msec msecs millisecond milliseconds"),
+    "us": ("time", "usec microsecond microseconds µs μs"),
+    "ns": ("time", "nsec nanosecond nanoseconds"),
+    "min": ("time", "minute minutes minuten"),
+    "h": ("time", "hr hrs hour hours stunde stunden std"),
+    "d": ("time", "day days tage"),
+    "Pa": ("pressure", "pascal pascals"),
+    "kPa": ("pressure", "kilopascal kilopascals kpa"),
+    "MPa": ("pressure", "megapascal mpa"),
+    "hPa": ("pressure", "hectopascal"),
+    "mbar": ("pressure", "millibar"),
+    "bar": ("pressure", "bars barg bar(g) bar_g"),
+    "psi": ("pressure", "psig psi(g) lbf/in2 lb/in2 lbf/in^2 lb/in^2 lbf/in² lb/in²"),
+    "kgf/cm2": ("pressure", "kgf/cm^2 kgf/cm² kg/cm2 kg/cm^2 kg/cm² kp/cm2 kp/cm^2 kp/cm² ksc"),
+    "N/mm2": ("pressure", "n/mm^2 n/mm²"),
+    "atm": ("pressure", "atmosphere atmospheres"),
+    "mmHg": ("pressure", "torr mm_hg"),
+    "inHg": ("pressure", "in_hg"),
+    "N": ("force", "newton newtons"),
+    "kN": ("force", "kilonewton kilonewtons kn"),
+    "mN": ("force", "millinewton millinewtons"),
+    "daN": ("force", "decanewton"),
+    "lbf": ("force", "lb lbs pound pounds"),
+    "g": ("mass", "gram grams gramm"),
+    "kg": ("mass", "kilogram kilograms kgs"),
+    "kgf": ("force", "kp kilopond kg-f kg_f"),
+    "gf": ("force", "pond g-f"),
+    "ozf": ("force", "oz"),
+    "mm": ("length", "millimeter millimeters millimetre millimetres"),
+    "cm": ("length", "centimeter centimeters centimetre centimetres"),
+    "m": ("length", "meter meters metre metres"),
+    "um": ("length", "micrometer micron microns µm μm"),
+    "in": ("length", "inch inches"),
+    "ft": ("length", "foot feet"),
+    "V": ("reading", "volt volts"),
+    "mV": ("reading", "millivolt millivolts mvolt mvolts"),
+    "A": ("reading", "amp amps ampere amperes"),
+    "mA": ("reading", "milliamp milliamps milliampere milliamperes ma"),
+    "count": ("reading", "counts digit digits raw adc lsb"),
+    "degC": ("", "°c degc celsius"),
+    "Hz": ("", "hertz hz"),
+    "%": ("", "percent"),
 }
-_KNOWN = {name: name for name in _SPELLINGS} | {
-    spelling: name for name, spellings in _SPELLINGS.items() for spelling in spellings.split()
+"""Unit -> what it measures (empty: nothing that is asked for), and how else it is spelled."""
+_KNOWN = {name: name for name in _UNITS} | {
+    spelling: name for name, (_, spellings) in _UNITS.items() for spelling in spellings.split()
 }
-QUANTITY = {
-    **dict.fromkeys(("s", "ms", "us", "ns", "min", "h", "d"), "time"),
-    **dict.fromkeys(("Pa", "kPa", "MPa", "hPa", "mbar", "bar", "psi", "kgf/cm2", "N/mm2", "atm"), "pressure"),
-    **dict.fromkeys(("mmHg", "inHg"), "pressure"),
-    **dict.fromkeys(("N", "kN", "mN", "daN", "lbf", "kgf", "gf", "ozf"), "force"),
-    **dict.fromkeys(("mm", "cm", "m", "um", "in", "ft"), "length"),
-    **dict.fromkeys(("g", "kg"), "mass"),
-    **dict.fromkeys(("V", "mV", "A", "mA", "count"), "reading"),
-}
+QUANTITY = {name: quantity for name, (quantity, _) in _UNITS.items() if quantity}
 """What a unit measures; `reading`: a sensor's own output, which needs a calibration."""
 
 
@@ -176,11 +169,7 @@ def _quoted(text: str) -> str:
     return "'" + text.replace("'", "''") + "'"
 
 
-Reading = Annotated[
-    tuple[float, str],
-    BeforeValidator(raw_quantity),
-    WithJsonSchema({"type": "string", "description": "a number with its unit", "examples": ["4 mA", "0.683 N/count"]}),
-]
+Reading = Annotated[tuple[float, str], AsText(raw_quantity, "a number with its unit", "4 mA", "0.683 N/count")]
 """A number with its unit, kept apart."""
 PLACE = "{test}"
 """In the name of a column: the name of the test."""

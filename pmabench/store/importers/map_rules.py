@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import inf, pi
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
@@ -19,21 +19,14 @@ from pmabench.base.imported import Imported
 from pmabench.base.quantities import CHANNEL_QUANTITY, show
 from pmabench.files.document import Document, Location, read_document, validate
 from pmabench.files.quantity import unit_factor
+from pmabench.store.analyses.results import POINT_QUANTITIES
 from pmabench.store.formats.record import TIME
 from pmabench.store.formats.shared.times import Stamps
-from pmabench.store.importers.map_file import NUMBERS, PLACE, ColumnFile, Line, MapFile, Question, Trials, made, settle
+from pmabench.store.importers import map_file
+from pmabench.store.importers.map_file import NUMBERS, PLACE, ColumnFile, MapFile, Question, Trials, made, settle
 
-_OF_POINT = {
-    "length": "contraction lower upper start step mean amplitude setpoint",
-    "count": "cycles side",
-    "pressure": "pressure bias",
-    "mass": "mass tip_mass",
-    "force": "load",
-    "frequency": "frequency",
-    "speed": "speed",
-}
-POINT_QUANTITY = {name: quantity for quantity, names in _OF_POINT.items() for name in names.split()}
-"""Coordinate of an operating point -> its quantity."""
+POINT_QUANTITY = {name: POINT_QUANTITIES[name] for name in get_args(map_file.PointName)}
+"""Coordinate of an operating point that a map can name -> its quantity."""
 G = 9.80665
 """Standard gravity [m/s2], for a load that is given as a mass."""
 _PLACEHOLDER = re.compile(r"\{([^{}]*)\}|(\*)")
@@ -361,7 +354,7 @@ class _Rules:
     def back(self, file: ColumnFile, at: Location) -> tuple[float, float]:
         if file.recorded_with is None:
             return (1.0, 0.0)
-        line: Line = file.recorded_with
+        line = file.recorded_with
         slope, unit = self.per(line.slope, file.unit, (*at, "recorded_with", "slope"))
         if unit and line.offset[1] != unit:
             self.fault((*at, "recorded_with", "offset"), f"is in {unit}, as the slope is, not in {line.offset[1]}")

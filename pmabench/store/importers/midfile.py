@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pmabench.base.quantities import show
 from pmabench.store.importers import motion
@@ -162,7 +161,8 @@ def jumped(report: Report, channel: Checked, pressure: Checked, good: Bools, fol
         if follows and step[peak] < FRICTION * span and _friction(y, p, (int(row), wide), both):
             continue
         found = True
-        _report_jump(report, channel, (size, who), (y, p), rows, int(row), follows)
+        sides = [slope(p[part], y[part]) for part in (slice(None, row), slice(row, None))] if follows else None
+        _report_jump(report, channel, (size, who), sides, int(rows[row]))
     return found
 
 
@@ -196,24 +196,15 @@ def _peaks(values: Array, apart: int) -> list[int]:
 
 
 def _report_jump(
-    report: Report,
-    channel: Checked,
-    jump: tuple[float, str],
-    signals: tuple[Array, Array],
-    rows: NDArray[np.intp],
-    row: int,
-    withholds: bool,
+    report: Report, channel: Checked, jump: tuple[float, str], sides: Sequence[float | None] | None, row: int
 ) -> None:
-    y, p = signals
+    """`sides`: slopes over pressure before and after; None where only leaps at rest are looked for."""
     role = channel.rule.role
     text = f"leaps by {show(jump[0], channel.rule.quantity, 3)} from one sample to the next"
-    if not withholds:
-        report.add(
-            "doubt", "jump", f"{text} while the pressure rests: it slipped, or its zero changed", role, int(rows[row])
-        )
+    if sides is None:
+        report.add("doubt", "jump", f"{text} while the pressure rests: it slipped, or its zero changed", role, row)
         return
-    slopes = [slope(p[part], y[part]) for part in (slice(None, row), slice(row, None))]
-    found = [in_words(s, role) for s in slopes if s is not None]
+    found = [in_words(side, role) for side in sides if side is not None]
     text = f"against pressure {role} {text}"
     if len(found) == 2:
         text += f"; slope over pressure {found[0]} before, {found[1]} after"
@@ -221,7 +212,7 @@ def _report_jump(
         f"; the gain or the zero of {jump[1]} changed, or something slipped: cut the file there and import the part "
         "that is right"
     )
-    report.withhold("jump", text, jump[1], int(rows[row]))
+    report.withhold("jump", text, jump[1], row)
 
 
 def regained(report: Report, channel: Checked, pressure: Checked, good: Bools) -> bool:

@@ -390,7 +390,7 @@ def _changes(t: Array, values: Array, exact: Array, smallest: float, reach: int,
         jumps = np.abs(np.diff(values))
         still = min(still, 0.5 * float(jumps[jumps > 0].min(initial=np.inf)))
     way = np.sign(moved) * (np.abs(moved) > still)
-    edges = np.flatnonzero(np.diff(np.concatenate([[0.0], way, [0.0]])))
+    edges = np.flatnonzero(np.diff(way, prepend=0.0, append=0.0))
     found: list[Change] = []
     for first, last in pairwise(edges.tolist()):
         if way[first] == 0:
@@ -533,7 +533,7 @@ def lift_and_set_down(t: Array, channels: Mapping[str, Array]) -> list[dict[str,
     x = channels["displacement"]
     rest = x[: max(FEWEST, len(x) // 100)]
     level = float(np.median(rest)) + max(LIFTED, 5.0 * float(np.std(rest)))
-    up = _medians(x) > level
+    up = medians(x, TOGETHER) > level  # one stray sample lifts no load
     rises, falls = np.flatnonzero(~up[:-1] & up[1:]), np.flatnonzero(up[:-1] & ~up[1:])
     if not len(rises):
         return []
@@ -554,10 +554,10 @@ def lift_and_set_down(t: Array, channels: Mapping[str, Array]) -> list[dict[str,
     return found
 
 
-def _medians(x: Array) -> Array:
-    """The median of each sample and its neighbours, `TOGETHER` of them, shape (n,): one stray sample lifts no load."""
-    padded = np.pad(x, TOGETHER // 2, mode="edge")
-    return np.asarray(np.median(np.lib.stride_tricks.sliding_window_view(padded, TOGETHER), axis=1))
+def medians(x: Array, together: int) -> Array:
+    """The median of each sample and its neighbours, so many `together` (an odd number), shape (n,)."""
+    padded = np.pad(x, together // 2, mode="edge")
+    return np.asarray(np.median(np.lib.stride_tricks.sliding_window_view(padded, together), axis=1))
 
 
 def cell_load(t: Array, channels: Mapping[str, Array], commands: list[dict[str, Any]]) -> float | None:

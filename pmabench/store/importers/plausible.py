@@ -129,7 +129,7 @@ def clipped(report: Report, channel: Checked, other: Checked, good: Bools) -> No
     below = ~at_top
     if at_top.sum() < CLIPPED or below.sum() < 4 * SAMPLES or len(np.unique(raw[:10_000])) < 5:
         return
-    run = np.diff(np.flatnonzero(np.diff(np.concatenate([[False], at_top, [False]]).astype(np.int8))))[::2].max()
+    run = max(end - begin for begin, end in motion.runs(at_top))
     span, moves = float(top - np.quantile(si, 0.002)), float(np.ptp(np.quantile(ref[at_top], [0.02, 0.98])))
     if run < CLIPPED or span <= 0 or moves <= 0.05 * float(np.ptp(ref)):
         return

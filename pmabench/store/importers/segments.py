@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from typing import Any
@@ -15,7 +15,7 @@ from pmabench.base.quantities import CHANNEL_QUANTITY
 from pmabench.store.importers import motion
 from pmabench.store.importers.found import Bools
 from pmabench.store.importers.map_rules import G, ImportMap
-from pmabench.store.importers.motion import later
+from pmabench.store.importers.motion import Level, later
 from pmabench.store.records import UNUSABLE, Array, Flag, Flags
 
 POINT = "point of "
@@ -30,37 +30,9 @@ class Segment:
     point: Mapping[str, float]
     commands: tuple[Mapping[str, Any], ...] = ()
     """As data of `command` events, with `t`."""
-    phases: tuple[tuple[float, str], ...] = field(default=())
+    phases: tuple[tuple[float, str], ...] = ()
     found: tuple[Mapping[str, Any], ...] = ()
     """As data of `found` events, with `t`."""
-
-
-@dataclass(frozen=True)
-class _Step:
-    t: float
-    before: float
-    value: float
-    within: float
-    """The step happened in this time before `t` [s]."""
-    found: bool = False
-    """It was found in the measured pressure; nobody recorded the command."""
-
-    @property
-    def point(self) -> dict[str, float]:
-        """Operating point of a trial that is this step [Pa]."""
-        return {"from": self.before, "pressure": self.value}
-
-    def command(self) -> dict[str, Any]:
-        """Data of a `command` event, with `t`."""
-        command = {
-            "t": self.t, "output": "pressure", "type": "set", "value": self.value, "before": self.before,
-            "phase": "step", "within": self.within,
-        }  # fmt: skip
-        return {**command, "found": 1.0} if self.found else command
-
-
-_Span = tuple[float, float, dict[str, float], list[dict[str, Any]], list[tuple[float, str]]]
-"""Begin and end [s], point, commands, and its phases as time and name."""
 
 
 @dataclass(frozen=True)
@@ -104,25 +76,34 @@ class _Rows:
         """The command of the pressure, or the measured one where none was recorded."""
         return "pressure_command" if "pressure_command" in self.values else "pressure"
 
-    def steps(self) -> list[_Step]:
+    def steps(self) -> list[Level]:
         """Steps of the command; where none was recorded those of the measured pressure, to a fourth of `smallest`."""
         if not self.smallest:
             return []
         if self.driven == "pressure":
             seen, grid = self.rising, self.smallest / 4
             return [
-                _Step(
-                    each.t, round(each.before / grid) * grid, round(each.value / grid) * grid, each.within, found=True
-                )
+                replace(each, before=round(each.before / grid) * grid, value=round(each.value / grid) * grid)
                 for each in motion.levels(self.t[seen], self.values["pressure"][seen], self.smallest)
             ]
         t, command = self.t[self.good], self.values[self.driven][self.good]
         at = np.flatnonzero(np.abs(np.diff(command)) >= self.smallest) + 1
-        return [_Step(float(t[i]), float(command[i - 1]), float(command[i]), float(t[i] - t[i - 1])) for i in at]
+        return [
+            Level(float(t[i]), float(t[i] - t[i - 1]), float(command[i - 1]), float(command[i]), float(t[i]))
+            for i in at
+        ]
+
+    def command(self, step: Level) -> dict[str, Any]:
+        """Data of a `command` event, with `t`; `found` where it was found in the measured pressure."""
+        command = {
+            "t": step.t, "output": "pressure", "type": "set", "value": step.value, "before": step.before,
+            "phase": "step", "within": step.within,
+        }  # fmt: skip
+        return {**command, "found": 1.0} if self.driven == "pressure" else command
 
     def commanded_steps(self) -> list[dict[str, Any]]:
         """Commands of steps that were recorded."""
-        return [step.command() for step in self.steps()] if self.driven == "pressure_command" else []
+        return [self.command(step) for step in self.steps()] if self.driven == "pressure_command" else []
 
     def sine(self, frequency: float) -> list[dict[str, Any]]:
         """A recorded command that is a sine of known frequency: its mean and amplitude from its ends."""
@@ -145,8 +126,8 @@ def segments(
     rows = _Rows(t, values, flags, rules, point)
     phases = _phases(rows)
     found = [
-        Segment(begin, end, here, tuple(commands), tuple(own or (p for p in phases if begin <= p[0] <= end)))
-        for begin, end, here, commands, own in CUTS[rules.trials.by](rows)
+        replace(part, phases=part.phases or tuple(p for p in phases if part.begin <= p[0] <= part.end))
+        for part in CUTS[rules.trials.by](rows)
     ]
     return (found, []) if rules.test.recording else _as_own(found, rows)
 
@@ -227,64 +208,65 @@ def _at_one_point(part: Segment, commands: Sequence[Mapping[str, Any]], all_rows
     return replace(part, begin=begin, end=end)
 
 
-def _by_step(rows: _Rows) -> list[_Span]:
+def _by_step(rows: _Rows) -> list[Segment]:
     steps, lead, (begin, end) = rows.steps(), rows.rules.trials.lead, rows.whole
     ends = [step.t - lead - 1e-5 for step in steps[1:]] + [end]
+    points = [{**rows.point, "from": step.before, "pressure": step.value} for step in steps]
     return [
-        (max(step.t - lead, begin), until, {**rows.point, **step.point}, [step.command()], [])
-        for step, until in zip(steps, ends, strict=False)
+        Segment(max(step.t - lead, begin), until, point, (rows.command(step),))
+        for step, until, point in zip(steps, ends, points, strict=False)
     ]
 
 
-def _by_level(rows: _Rows) -> list[_Span]:
+def _by_level(rows: _Rows) -> list[Segment]:
     """Stretches of one pressure, from where it has arrived to where it leaves."""
     seen, (begin, end) = rows.rising, rows.whole
     changes = motion.levels(rows.t[seen], rows.values[rows.driven][seen], rows.smallest)
     begins = [begin, *(change.settled for change in changes)]
     ends = [*(change.t - 1e-5 for change in changes), end]
-    return [(at, until, dict(rows.point), [], []) for at, until in zip(begins, ends, strict=True)]
+    return [Segment(at, until, rows.point) for at, until in zip(begins, ends, strict=True)]
 
 
-def _by_ramp(rows: _Rows) -> list[_Span]:
+def _by_ramp(rows: _Rows) -> list[Segment]:
     """Rises of the measured pressure, `fill`, each with the fall after it, `exhaust`.
 
     A test that has phases of its own gets the rest before the rise and after the fall, too: half of it each.
     """
     seen = rows.rising & ((rows.flags & np.uint16(Flag.OVERRANGE)) == 0)
-    named = "phase" in rows.values or bool(rows.rules.trials.phases)
-    spans: list[_Span] = []
     cycles = motion.cycles(rows.t[seen], rows.values["pressure"][seen], rows.smallest)
-    if not rows.rules.test.recording:
+    if cycles and not rows.rules.test.recording:
         begin, end = rows.whole
         cuts = [begin, *(0.5 * (one.end + after.begin) for one, after in pairwise(cycles)), end]
-        return [(cut, until - 1e-5, dict(rows.point), [], []) for cut, until in pairwise(cuts)] if cycles else []
+        return [Segment(cut, until - 1e-5, rows.point) for cut, until in pairwise(cuts)]
+    named = "phase" in rows.values or bool(rows.rules.trials.phases)
+    parts = []
     for cycle in cycles:
-        own = [(cycle.begin, "fill"), *([(cycle.turn, "exhaust")] if cycle.end > cycle.turn else [])]
-        spans.append((cycle.begin, cycle.end, dict(rows.point), [], [] if named else own))
-    return spans
+        own = ((cycle.begin, "fill"), *(((cycle.turn, "exhaust"),) if cycle.end > cycle.turn else ()))
+        parts.append(Segment(cycle.begin, cycle.end, rows.point, phases=() if named else own))
+    return parts
 
 
-def _by_sine(rows: _Rows) -> list[_Span]:
+def _by_sine(rows: _Rows) -> list[Segment]:
     """Stretches of one frequency, which is the point; of the command, else of the measured pressure."""
-    spans: list[_Span] = []
+    parts = []
     for wave in motion.waves(rows.t[rows.rising], rows.values[rows.driven][rows.rising], rows.smallest):
         point = {**rows.point, "frequency": float(f"{wave.frequency:.4g}")}
-        spans.append((wave.begin, wave.end, point, [motion.sine_command(wave, "pressure")], []))
-    return spans
+        parts.append(Segment(wave.begin, wave.end, point, (motion.sine_command(wave, "pressure"),)))
+    return parts
 
 
-def _by_gap(rows: _Rows) -> list[_Span]:
+def _by_gap(rows: _Rows) -> list[Segment]:
     commands = rows.commanded_steps()
     cuts = np.flatnonzero(np.diff(rows.t) > (rows.rules.trials.longer_than or np.inf)) + 1
-    spans: list[_Span] = []
+    parts = []
     for part in np.split(np.arange(len(rows.t)), cuts):
         begin, end = float(rows.t[part].min()), float(rows.t[part].max())
-        inside = [command for command in commands if begin < command["t"] <= end]
-        spans.append((begin, end, {**rows.point, **_length(rows, part)}, inside, []))
-    return spans
+        inside = tuple(command for command in commands if begin < command["t"] <= end)
+        parts.append(Segment(begin, end, {**rows.point, **_length(rows, part)}, inside))
+    return parts
 
 
-def _by_file(rows: _Rows) -> list[_Span]:
+def _by_file(rows: _Rows) -> list[Segment]:
     point = dict(rows.point)
     if "contraction" in rows.rules.test.point:
         point = {**_length(rows, np.arange(len(rows.t))), **point}
@@ -292,30 +274,30 @@ def _by_file(rows: _Rows) -> list[_Span]:
     if open_frequency and (frequency := _only_sine(rows)):
         point["frequency"] = frequency
     steps = [] if open_frequency else rows.commanded_steps()
-    return [(*rows.whole, point, steps or rows.sine(point.get("frequency", 0.0)), [])]
+    return [Segment(*rows.whole, point, tuple(steps or rows.sine(point.get("frequency", 0.0))))]
 
 
-def _by_column(rows: _Rows) -> list[_Span]:
+def _by_column(rows: _Rows) -> list[Segment]:
     """Where the column of trials holds the same number for a while; 0 and no number are no trial."""
     number = np.where(np.isfinite(rows.values["trial"]), rows.values["trial"], 0.0)
     edges = np.flatnonzero(np.diff(number, prepend=0.0, append=0.0))
     return [
-        (float(rows.t[first:last].min()), float(rows.t[first:last].max()), dict(rows.point), [], [])
+        Segment(float(rows.t[first:last].min()), float(rows.t[first:last].max()), rows.point)
         for first, last in pairwise(edges)
         if number[first] != 0
     ]
 
 
-def _by_command(rows: _Rows) -> list[_Span]:
+def _by_command(rows: _Rows) -> list[Segment]:
     """From each rise of the pressure command out of its lowest level, with `lead` before it, to the next."""
     steps, lead, (begin, end) = rows.steps(), rows.rules.trials.lead, rows.whole
     lowest = min((min(step.before, step.value) for step in steps), default=0.0)
     begins = [step.t - lead for step in steps if step.before < lowest + rows.smallest < step.value]
     ends = [following - 1e-5 for following in begins[1:]] + [end]
-    return [(max(at, begin), until, dict(rows.point), [], []) for at, until in zip(begins, ends, strict=False)]
+    return [Segment(max(at, begin), until, rows.point) for at, until in zip(begins, ends, strict=False)]
 
 
-CUTS: Mapping[str, Callable[[_Rows], list[_Span]]] = {
+CUTS: Mapping[str, Callable[[_Rows], list[Segment]]] = {
     "step": _by_step,
     "level": _by_level,
     "ramp": _by_ramp,

@@ -8,8 +8,7 @@ from __future__ import annotations
 import hashlib
 import tempfile
 import weakref
-from bisect import bisect_right
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from itertools import pairwise
@@ -19,7 +18,7 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pmabench.base.errors import invalid
+from pmabench.base.errors import invalid, reading
 from pmabench.base.text import printable
 from pmabench.store.formats.record import TIME, Layout, formats
 from pmabench.store.formats.shared.times import Clock, Stamps, step_in
@@ -28,6 +27,7 @@ from pmabench.store.records import Array
 
 KEPT = 16_000_000
 """Bytes of all columns up to which nothing is written to disk."""
+LINE = "line"
 
 
 def _close(files: dict[str, IO[bytes]]) -> None:
@@ -64,9 +64,9 @@ class Columns(Mapping[str, Array]):
             while pieces:
                 file.write(np.ascontiguousarray(pieces.pop(0), dtype=np.float64).data)
 
-    def part(self, begin: int, end: int, names: Iterable[str] | None = None) -> dict[str, Array]:
-        """Rows `begin` to `end` (without it) of all columns, or of some."""
-        return {name: self._read(name, begin, end) for name in (names or self)}
+    def part(self, begin: int, end: int) -> dict[str, Array]:
+        """Rows `begin` to `end` (without it) of all columns."""
+        return {name: self._read(name, begin, end) for name in self}
 
     def _read(self, name: str, begin: int, end: int) -> Array:
         if not self._files:
@@ -97,34 +97,6 @@ PIECE = 4_000_000
 """Bytes of a file that are read at a time."""
 
 
-@dataclass
-class Lines:
-    """Line in the file of each row, kept as the rows at which the lines do not simply follow each other."""
-
-    count: int = 0
-    _rows: list[int] = field(default_factory=list)
-    _lines: list[int] = field(default_factory=list)
-
-    def append(self, lines: Array) -> None:
-        """Add the lines of further rows, counted from 1."""
-        if not len(lines):
-            return
-        jumps = [0, *(np.flatnonzero(np.diff(lines) != 1) + 1).tolist()]
-        for row in jumps:
-            expected = self._lines[-1] + self.count + row - self._rows[-1] if self._rows else -1
-            if int(lines[row]) != expected:
-                self._rows.append(self.count + row)
-                self._lines.append(int(lines[row]))
-        self.count += len(lines)
-
-    def __getitem__(self, row: int) -> int:
-        at = bisect_right(self._rows, row) - 1
-        return self._lines[at] + row - self._rows[at]
-
-    def __len__(self) -> int:
-        return self.count
-
-
 @dataclass(frozen=True)
 class Table:
     """Columns of one file, or of one of several tests in it."""
@@ -136,8 +108,8 @@ class Table:
     """Bytes of the whole file."""
     columns: Mapping[str, Array]
     """Name -> numbers, shape (n,); NaN where the file says that there is none. Read from disk where they are many."""
-    lines: Lines
-    """Line in the file of each row, from 1; number of the row where the file has no lines."""
+    lines: Columns
+    """Its column `LINE`: line in the file of each row, from 1; number of the row where the file has no lines."""
     cut_end: bool
     """The last row may be cut."""
     started: datetime | None
@@ -161,7 +133,7 @@ class Table:
 
     def line(self, row: int) -> int:
         """Line in the file of a row."""
-        return self.lines[self.begin + row]
+        return int(self.lines.part(self.begin + row, self.begin + row + 1)[LINE][0])
 
     def part(self, begin: int, end: int) -> Table:
         """Rows `begin` to `end` (without it), in memory."""
@@ -239,8 +211,8 @@ def _read_whole(path: Path, kind: str, question: Mapping[str, Any], stamps: Stam
         columns[stamps.column] = clock.seconds(columns[stamps.column])
         started = clock.started or started
     doubts = [*head.get("doubts", []), *(_other_matrices(columns, stamps.column) if stamps is not None else [])]
-    lines = Lines()
-    lines.append(answer.lines)
+    lines = Columns()
+    lines.append({LINE: answer.lines})
     return Table(
         path=path,
         sha256=hashlib.sha256(content).hexdigest(),
@@ -267,17 +239,14 @@ def _other_matrices(columns: Mapping[str, Array], time: str) -> list[str]:
 
 
 def _read_pieces(path: Path, kind: str, question: Mapping[str, Any], stamps: Stamps | None, most: int | None) -> Table:
-    _size_of(path, MAX_BYTES)
+    _check_size(path, MAX_BYTES)
     if stamps is not None:
         question = {**question, "texts": stamps.texts, "order": stamps.order}
     digest, rows = hashlib.sha256(), _Rows(path, stamps)
-    try:
-        with path.open("rb") as file:
-            for answer in read_apart(kind, str(path), _pieces(file, digest, most), question):
-                rows.take(answer)
-            size = file.tell()
-    except OSError as error:
-        raise invalid(path, f"cannot be read: {error.strerror or error}") from error
+    with reading(path), path.open("rb") as file:
+        for answer in read_apart(kind, str(path), _pieces(file, digest, most), question):
+            rows.take(answer)
+        size = file.tell()
     return Table(
         path=path,
         sha256=digest.hexdigest(),
@@ -307,7 +276,7 @@ class _Rows:
 
     def __init__(self, path: Path, stamps: Stamps | None) -> None:
         self.path, self.stamps = path, stamps
-        self.columns, self.lines = Columns(), Lines()
+        self.columns, self.lines = Columns(), Columns()
         self.starts: list[int] = []
         self.started: datetime | None = None
         self.cut_end, self.cut_row = False, ""
@@ -330,8 +299,8 @@ class _Rows:
             columns[self.stamps.column] = np.concatenate(parts)
         if columns or count:
             self.columns.append(columns)
-        self.starts += [self.lines.count + start for start in starts if self.lines.count + start > 0]
-        self.lines.append(answer.lines)
+        self.starts += [self.lines.rows + start for start in starts if self.lines.rows + start > 0]
+        self.lines.append({LINE: answer.lines})
         self.cut_end = bool(answer.head.get("cut_end"))
         self.cut_row = str(answer.head.get("cut_row", ""))
 
@@ -351,29 +320,23 @@ class _Rows:
         return Clock(stamps, step)
 
 
-def _size_of(path: Path, most: int) -> int:
-    """Bytes of a file; raises InvalidFile where it is none or larger than `most`."""
+def _check_size(path: Path, most: int) -> None:
+    """Raises InvalidFile where a file is none or larger than `most` [bytes]."""
     if path.is_dir():
         raise invalid(path, "is a folder; give the files in it, for instance with /*.csv")
     if not path.is_file():
         raise invalid(path, "is not a file" if path.exists() else "there is no such file")
-    try:
+    with reading(path):
         size = path.stat().st_size
-    except OSError as error:
-        raise invalid(path, f"cannot be read: {error.strerror or error}") from error
     if size > most:
         raise invalid(path, f"is larger than {most // 1_000_000} MB; import it in parts")
-    return size
 
 
 def content_of(path: Path, most: int | None = None) -> bytes:
     """The bytes of a file, `most` from its beginning; raises InvalidFile where it is none, empty or too large."""
-    _size_of(path, MAX_WHOLE if most is None else MAX_BYTES)
-    try:
-        with path.open("rb") as file:
-            content = file.read(MAX_WHOLE if most is None else most)
-    except OSError as error:
-        raise invalid(path, f"cannot be read: {error.strerror or error}") from error
+    _check_size(path, MAX_WHOLE if most is None else MAX_BYTES)
+    with reading(path), path.open("rb") as file:
+        content = file.read(MAX_WHOLE if most is None else most)
     if not content.strip():
         raise invalid(path, "is empty")
     return content

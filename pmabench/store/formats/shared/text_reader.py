@@ -19,6 +19,7 @@ from pmabench.base.errors import InvalidFile, Problem, did_you_mean, invalid
 from pmabench.store.arrow import arrow_csv, pa
 from pmabench.store.formats.shared.times import MINUS, Fields, seconds_of
 from pmabench.store.formats.text import MARKS, TextLayout
+from pmabench.store.livestream import numbers
 from pmabench.store.records import Array
 
 PIECE = 4_000_000
@@ -51,7 +52,7 @@ class TextReader:
     wanted: Sequence[str]
     optional: Sequence[str] = ()
     ignored: Sequence[str] = ()
-    texts: Mapping[str, str] | None = None
+    texts: Mapping[str, str] = field(default_factory=dict)
     order: str = "year first"
     """Order of day and month in dates."""
     taken: list[str] = field(default_factory=list)
@@ -169,11 +170,10 @@ class TextReader:
 
     def _ends_badly(self, fields: Sequence[str]) -> bool:
         """Whether only the last field of a row is incomplete."""
-        texts = self.texts or {}
         try:
             for name in self.taken:
                 if name != self._names[-1]:
-                    self._fields_of.value(fields[self._names.index(name)], texts.get(name, ""))
+                    self._fields_of.value(fields[self._names.index(name)], self.texts.get(name, ""))
         except ValueError:
             return False
         return len(fields) == len(self._names)
@@ -283,7 +283,7 @@ class TextReader:
 
     def _by_arrow(self, block: str, count: int, delimiter: str) -> dict[str, Array] | None:
         """The columns of a block of plain rows; None where one of them is anything else."""
-        layout, texts = self.layout, self.texts or {}
+        layout, texts = self.layout, self.texts
         if layout.thousands is not None:
             return None
         try:
@@ -314,7 +314,7 @@ class TextReader:
                 except ValueError:
                     return None
                 continue
-            values = np.concatenate([_plain(chunk) for chunk in column.chunks])
+            values = np.concatenate([numbers(c.fill_null(np.nan) if c.null_count else c) for c in column.chunks])
             # words that Arrow takes for numbers ("nan", "inf") are no finite number, and no missing one either
             if int(np.isfinite(values).sum()) + column.null_count != count:
                 return None
@@ -377,7 +377,7 @@ class TextReader:
     def _reads(self, name: str, fields: Sequence[str]) -> bool:
         """Whether a line has a value of a column."""
         try:
-            value = self._fields_of.value(fields[self._names.index(name)], (self.texts or {}).get(name, ""))
+            value = self._fields_of.value(fields[self._names.index(name)], self.texts.get(name, ""))
         except (ValueError, IndexError):
             return False
         return bool(np.isfinite(value))
@@ -438,14 +438,13 @@ class TextReader:
         """Every wanted field by itself; raises InvalidFile with the first faults, each at its place."""
         problems: list[Problem] = []
         columns: dict[str, Array] = {}
-        texts = self.texts or {}
         for name in self.taken:
             index = self._names.index(name)
             fields = [row[index] for row in rows]
             values = np.empty(len(rows))
             for at, text in enumerate(fields):
                 try:
-                    values[at] = self._fields_of.value(text, texts.get(name, ""))
+                    values[at] = self._fields_of.value(text, self.texts.get(name, ""))
                 except ValueError as error:
                     column = 1 + sum(len(f) + 1 for f in rows[at][:index])
                     shown = f'"{text.strip()[:40]}" {error}, in column "{name}"'
@@ -456,10 +455,3 @@ class TextReader:
         if problems:
             raise InvalidFile(sorted(problems, key=lambda problem: problem.line)[:SHOWN])
         return columns
-
-
-def _plain(chunk: Any) -> Array:
-    """The numbers of an Arrow array, NaN where it has none; its own `to_numpy` imports pandas."""
-    whole = chunk.fill_null(np.nan) if chunk.null_count else chunk
-    values: Array = np.frombuffer(whole.buffers()[1], dtype=np.float64)[whole.offset : whole.offset + len(whole)]
-    return values

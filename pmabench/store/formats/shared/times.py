@@ -58,16 +58,10 @@ class Stamps:
 def seconds_of(texts: Sequence[str], kind: str, order: str) -> Array:
     """Seconds of `clock` (since midnight), of `date` and `date and time` (since 1970, of the clock that wrote them).
 
-    Raises ValueError with the index of the first text that is none and why, as its two arguments.
+    Raises ValueError with what is wrong with the first text that is none.
     """
     days: dict[str, float] = {}
-    out = np.empty(len(texts))
-    for index, text in enumerate(texts):
-        try:
-            out[index] = _seconds(text.strip().strip('"'), kind, order, days)
-        except ValueError as error:
-            raise ValueError(index, str(error)) from error
-    return out
+    return np.array([_seconds(text.strip().strip('"'), kind, order, days) for text in texts], dtype=np.float64)
 
 
 def _seconds(text: str, kind: str, order: str, days: dict[str, float]) -> float:
@@ -98,11 +92,9 @@ def _parted(text: str) -> tuple[str, str]:
 
 def clock_seconds(text: str) -> float:
     """Seconds since midnight of `HH:MM:SS`, with a fraction behind point, comma or colon, AM or PM; `MM:SS.f` too."""
-    match = _CLOCK.fullmatch(text)
+    match = _CLOCK.fullmatch(text) or _COMPACT.fullmatch(text)
     if match is None:
-        match = _COMPACT.fullmatch(text)
-        if match is None:
-            raise ValueError("is no clock of the form HH:MM:SS")
+        raise ValueError("is no clock of the form HH:MM:SS")
     half = match[5] if match.re is _CLOCK else None
     if match[1] is None and match[4] is None:
         raise ValueError("may be hours and minutes or minutes and seconds")
@@ -227,10 +219,7 @@ class Fields:
         if text.strip() in self._layout.missing:
             return np.nan
         if kind:
-            try:
-                return float(seconds_of([text], kind, self._order)[0])
-            except ValueError as error:
-                raise ValueError(error.args[1]) from error
+            return float(seconds_of([text], kind, self._order)[0])
         plain = text
         if self._signs and self._grouped.fullmatch(plain):
             plain = re.sub(f"[{self._signs}]", "", plain.strip())

@@ -58,11 +58,6 @@ class Asked:
         """The value as YAML."""
         return json.dumps(f"{OPEN} {self.value}".strip(), ensure_ascii=False)
 
-    @property
-    def comment(self) -> str:
-        """The question as the comment above the value."""
-        return f"{OPEN} {self.text}"
-
 
 def quantity_of(column: Proposal) -> str:
     """What a column measures: `pressure`, `force` or `length`."""

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from pmabench.base.imported import Imported
 from pmabench.store.formats.record import Layout
+from pmabench.store.importers import motion
 from pmabench.store.importers.found import correlation
 from pmabench.store.importers.map_file import QUANTITY, PointName, spelled
 from pmabench.store.records import Array
@@ -270,15 +271,26 @@ BRIEF, RARE = 0.5, 0.5
 """A file that lasts less than this [s], or has fewer samples a second, is doubted: a muscle takes 0.1 s to fill."""
 
 
+def _in_each_unit(time: Proposal) -> dict[str, tuple[float, float, str]]:
+    """Unit that a time may have -> samples a second, how long the file lasts [s], and both in words."""
+    step, many = usual_step(time.values), len(time.values)
+    found = {unit: (1.0 / (step * factor), step * many * factor) for unit, factor in TIMES.items()}
+    return {unit: (rate, lasts, f"{rate:.4g} samples a second, {lasts:.4g} s") for unit, (rate, lasts) in found.items()}
+
+
+def _usual_units(time: Proposal, slowest: float) -> list[str]:
+    """The units in which a time is that of a usual test, of so many samples a second at least, in words."""
+    each = _in_each_unit(time).items()
+    return [f"{unit}: {text}" for unit, (rate, lasts, text) in each if FASTEST >= rate >= slowest and lasts >= SHORTEST]
+
+
 def _time_unit(time: Proposal) -> None:
     step = usual_step(time.values)
-    for unit, factor in TIMES.items():
-        if FASTEST >= 1.0 / (step * factor) >= SLOWEST:
+    for unit, (rate, _, _) in _in_each_unit(time).items():
+        if FASTEST >= rate >= SLOWEST:
             time.unit = unit
-            time.reasons.append(
-                f"steps of {step:.4g}: in {unit} these are {1.0 / (step * factor):.4g} samples a second"
-            )
-            _which_time(time, step)
+            time.reasons.append(f"steps of {step:.4g}: in {unit} these are {rate:.4g} samples a second")
+            _which_time(time)
             return
     time.unit = "s"
     time.doubts.append(f"steps of {step:.4g}: the unit of time is not given; s is taken")
@@ -287,26 +299,17 @@ def _time_unit(time: Proposal) -> None:
 
 def _said_time(time: Proposal) -> None:
     """Ask for the unit of a time where the given one makes the file an impossible test, another one a usual one."""
-    step, many = usual_step(time.values), len(time.values)
-    rate, lasts = 1.0 / (step * TIMES[time.unit]), step * many * TIMES[time.unit]
-    usual = [
-        unit for unit, s in TIMES.items() if FASTEST >= 1.0 / (step * s) >= 10 * SLOWEST and step * many * s >= SHORTEST
-    ]
+    rate, lasts, text = _in_each_unit(time)[time.unit]
+    usual = _usual_units(time, 10 * SLOWEST)
     if usual and (lasts < BRIEF or rate < RARE):
-        head = f'"{time.name[:40]}" is in {time.unit} by its name: {rate:.4g} samples a second, {lasts:.4g} s in all'
-        others = "; ".join(
-            f"{unit}: {1.0 / (step * TIMES[unit]):.4g} samples a second, {step * many * TIMES[unit]:.4g} s"
-            for unit in usual
-        )
-        time.question = f"{head}, which no test of a muscle has: which unit is it? {others}"
+        head = f'"{time.name[:40]}" is in {time.unit} by its name: {text} in all'
+        time.question = f"{head}, which no test of a muscle has: which unit is it? {'; '.join(usual)}"
 
 
-def _which_time(time: Proposal, step: float) -> None:
+def _which_time(time: Proposal) -> None:
     """Ask for the unit of a time without one, where several are possible."""
-    rates = {unit: 1.0 / (step * factor) for unit, factor in TIMES.items()}
-    lasts = {unit: step * len(time.values) * factor for unit, factor in TIMES.items()}
-    possible = [unit for unit in TIMES if FASTEST >= rates[unit] >= SLOWEST and lasts[unit] >= SHORTEST]
-    text = "; ".join(f"{unit}: {rates[unit]:.4g} samples a second, {lasts[unit]:.4g} s" for unit in possible)
+    possible = _usual_units(time, SLOWEST)
+    text = "; ".join(possible)
     if bool(np.all(np.diff(time.values) == 1.0)):
         head = f'"{time.name[:40]}" rises by exactly 1: is it a time, or does it count the samples'
         time.question = f"{head} (then write {{is: time, written: index, period: 2 ms}} with their distance)? {text}"
@@ -467,7 +470,7 @@ def lone(values: Array) -> NDArray[np.bool_]:
     """Which samples leap away from those around them, as sentinels and spikes do: shape (n,), finite values only."""
     if len(values) < 9:
         return np.zeros(len(values), dtype=bool)
-    around = np.median(np.lib.stride_tricks.sliding_window_view(np.pad(values, 4, mode="edge"), 9), axis=1)
+    around = motion.medians(values, 9)
     return np.asarray(np.abs(values - around) > 0.25 * float(np.ptp(around)))
 
 

@@ -109,8 +109,7 @@ def _look_at_text(path: Path, guessed: TextGuess, kinds: Mapping[str, Imported])
         guessed.reasons.append("the line of names is repeated, and the time goes on below it: pages of one test")
     elif guessed.tests:
         guessed.reasons.append("the line of names is repeated: another test begins there, which makes a run too")
-    asked = [name for name in guessed.names if name in numbers]
-    table = read_table(path, guessed.layout, asked, (), guessed.texts, stamps, LOOKED_AT)
+    table = read_table(path, guessed.layout, numbers, (), guessed.texts, stamps, LOOKED_AT)
     if table.starts:
         table = table.tests()[0]
     columns = [
