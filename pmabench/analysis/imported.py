@@ -5,7 +5,8 @@ Knows the manifest of imports; no reduction.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, TypeVar
 
@@ -16,12 +17,24 @@ from pmabench.store.records import Flag, RunData, TrialData
 
 LEVELS = ("fault", "doubt", "note")
 Measured = TypeVar("Measured")
+NUMBER = re.compile(r"(\d+)")
 
 
 def import_of(run: RunData) -> Mapping[str, Any]:
     """What the importer wrote into the manifest; empty for runs of a bench."""
     entry = run.manifest.get("imported")
     return entry if isinstance(entry, Mapping) else {}
+
+
+def in_time(runs: Iterable[RunData]) -> list[RunData]:
+    """Runs in the order in which they began; files that tell no time by their names, in which T10 comes after T9."""
+
+    def key(run: RunData) -> tuple[str, list[str | int]]:
+        name = f"{import_of(run).get('file', '')} {import_of(run).get('test', '')}"
+        parts = NUMBER.split(name)
+        return str(run.manifest.get("started_utc", "")), [int(p) if n % 2 else p for n, p in enumerate(parts)]
+
+    return sorted(runs, key=key)
 
 
 def rule_of(runs: Sequence[RunData], options: Mapping[str, Any]) -> tuple[dict[str, Any], list[Finding]]:

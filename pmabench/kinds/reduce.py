@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from pmabench.analysis.imported import without_doubtful
+from pmabench.analysis.imported import in_time, without_doubtful
 from pmabench.analysis.shared.samples import with_motion
 from pmabench.analysis.shared.trials import repeat_traces
 from pmabench.analysis.verdict.acceptance import Pairs, not_accepted, not_accepted_as_form
@@ -52,7 +52,7 @@ def reduce_runs(runs: Sequence[RunData], options: Mapping[str, Mapping[str, Any]
     InvalidFile for an unknown kind.
     """
     specimens: dict[tuple[str, bool], dict[str, list[RunData]]] = {}
-    for run in runs:
+    for run in in_time(runs):
         kind = reduction_of(run)
         if registry.find(kind) is None:
             raise invalid(run.path, f'no reduction for runs of kind "{kind}"{did_you_mean(kind, registry.all_kinds())}')
@@ -77,7 +77,7 @@ def reduce_together(form: str, runs: Sequence[RunData]) -> list[Analysis]:
     """
     rows = {name: load(kind.parts[SLOW_ROWS]) for name, kind in registry.with_part(SLOW_ROWS).items()}
     specimens: dict[tuple[str, bool], list[RunData]] = {}
-    for run in runs:
+    for run in in_time(runs):
         if run.kind in rows:
             specimens.setdefault((specimen_of(run), run.simulated), []).append(run)
     if not specimens:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pmabench.analysis.imported import in_time
 from pmabench.analysis.shared.student import mean_with_half
 from pmabench.base.quantities import show
 from pmabench.store.analyses.results import POINT_QUANTITIES, Finding, Trace
@@ -123,7 +124,7 @@ def _finding(one: Compared, what: str) -> Finding:
 
 
 def _references(runs: Sequence[RunData]) -> Iterator[tuple[RunData, TrialData]]:
-    for run in sorted(runs, key=lambda run: str(run.manifest.get("started_utc", ""))):
+    for run in in_time(runs):
         for trial in run.trials:
             if trial.reference and trial.status == "finished" and "displacement" in trial.channels:
                 yield run, trial
@@ -161,7 +162,7 @@ def repeat_traces(channel: str, runs: Sequence[RunData]) -> list[Trace]:
     Columns `t` [s] since the trial's first command and `repeat 1` ... [m] or [N], in the order of recording.
     """
     groups: dict[Point, list[TrialData]] = {}
-    for run in sorted(runs, key=lambda run: str(run.manifest.get("started_utc", ""))):
+    for run in in_time(runs):
         for trial in run.trials:
             usable = trial.status == "finished" and not trial.reference and not trial.again
             if usable and channel in trial.channels and np.isfinite(trial.channels[channel][trial.usable]).sum() > 1:

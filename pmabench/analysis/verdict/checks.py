@@ -17,6 +17,7 @@ from math import sqrt
 
 import numpy as np
 
+from pmabench.analysis.imported import in_time
 from pmabench.analysis.shared import student
 from pmabench.analysis.shared.samples import NotUsable
 from pmabench.base.kind import Kind
@@ -179,7 +180,7 @@ def trial_checks(kind: Kind, runs: Sequence[RunData]) -> list[Check]:
         return []
     value_of = kind.part("repeated")
     begun, values = 0.0, list[tuple[Point, RunData, TrialData, float]]()
-    for run in sorted(runs, key=lambda run: str(run.manifest.get("started_utc", ""))):
+    for run in in_time(runs):
         for trial in run.trials:
             if trial.status == "finished" and not trial.again and len(trial.t):
                 point = tuple((name, float(f"{at:.6g}")) for name, at in sorted(trial.point.items()))

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pmabench.analysis.imported import in_time
 from pmabench.analysis.shared.samples import Samples
 from pmabench.analysis.shared.trials import compared
 from pmabench.kinds.contraction_relaxation.pooled import Solved
@@ -99,8 +100,7 @@ def _specimen(runs: Sequence[RunData], trials: Sequence[TrialData]) -> Array | N
     known = compared(runs)
     if not known:
         return None
-    in_time = sorted(runs, key=lambda run: str(run.manifest.get("started_utc", "")))
-    order = {run.id: place for place, run in enumerate(in_time)}
+    order = {run.id: place for place, run in enumerate(in_time(runs))}
     begun = {(order.get(t.run, 0), float(t.t[0])) for t in trials} | {
         (order.get(one.trial.run, 0), float(one.trial.t[0])) for one in known
     }

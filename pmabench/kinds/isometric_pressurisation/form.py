@@ -12,6 +12,7 @@ from math import sqrt
 
 import numpy as np
 
+from pmabench.analysis.imported import in_time
 from pmabench.analysis.shared import student
 from pmabench.analysis.shared.isometric_lines import Test, ends
 from pmabench.analysis.shared.samples import noise_of
@@ -109,7 +110,8 @@ def _rows(cells: Sequence[Cell]) -> list[tuple[Test, tuple[object, ...], Cell]]:
         for cell in cells
         for test in cell.tests
     ]
-    return sorted(rows, key=lambda row: (str(row[0].run.manifest.get("started_utc", "")), row[0].run.id, row[0].t[0]))
+    place = {run.id: number for number, run in enumerate(in_time({row[0].run.id: row[0].run for row in rows}.values()))}
+    return sorted(rows, key=lambda row: (place[row[0].run.id], row[0].t[0]))
 
 
 def _off(values: Array, groups: Sequence[object]) -> Array:
