@@ -13,7 +13,7 @@ class Commanded:
     """What is commanded: `pressure` or `displacement`. Without a column of commands the measured channel is taken."""
     phases: tuple[tuple[str, str], ...] = ()
     """Way of a change -> name of the phase that begins with it; the first way that fits. Ways: `CHANGES` in
-    `store.importers.commanded`.
+    `store.importers.motion`.
     """
     point: tuple[tuple[str, str], ...] = ()
     """Coordinate of the operating point -> how it is measured: `COORDINATES` there."""
@@ -46,4 +46,4 @@ class Imported:
     timed: bool = False
     """Displacement is timed against pressure: one that moves before the pressure is reported."""
     shown: str = ""
-    """What a file shows for which `import --guess` proposes this kind: `signs` in `store.importers.guess.guess`."""
+    """What a file shows for which `import --guess` proposes this kind: `signs` in `store.importers.guess.signs`."""

@@ -186,7 +186,7 @@ class AirPlant(Plant):
         return y[:, 0], y[:, 1] / TIME, self._known
 
     def _equation(self, trace: Trace, t: float) -> Callable[[State, float], State]:
-        """Right-hand side over (x [m], x' TIME [m], P METRE [m]) and s = t - trace.start [s]; as `slip.equation`."""
+        """Right-hand side over (x [m], x' TIME [m], P METRE [m]) and s = t - trace.start [s]; as `plant.equation`."""
         muscle, way, air = self.muscle, self.way, self.air
         f_ce, stiffness = muscle.F_ce.function(), muscle.K.function()
         damping = (muscle.B_c if way > 0 else muscle.B_r).function()

@@ -300,7 +300,7 @@ class Plant(Loaded):
         """One implicit step of dt [s] with the command as it is: for loops that are closed every sample.
 
         Linearly implicit: pressure and coefficients at the middle of the step, friction and damping in closed form
-        (`slip.glide`), the spring by the trapezoidal rule; stable for any mass.
+        (`glide`), the spring by the trapezoidal rule; stable for any mass.
         """
         self.reach(self.time + dt, dt)
 

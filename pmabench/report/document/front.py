@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from pmabench.plotting import wording
-from pmabench.plotting.wording import WITHHELD, rounded
+from pmabench.plotting.wording import WITHHELD
 from pmabench.report.document import tables
 from pmabench.report.words import declared, is_headline
 from pmabench.store.analyses.results import AGREEMENT, Analysis, Estimate
@@ -24,7 +24,6 @@ class Tile:
     value: str
     unit: str
     where: str
-    reach: str
 
 
 def tiles_of(analyses: Sequence[Analysis]) -> list[Tile]:
@@ -43,18 +42,18 @@ def tiles_of(analyses: Sequence[Analysis]) -> list[Tile]:
             members = [e for e in known if set(e.at) == set(known[0].at)]
             held = sum(e.withheld for e in primary)
             if members:
-                found.append(_tile(members, result.title, held))
+                found.append(_tile(members, result.title))
                 break
             if held:
                 method = wording.clean(primary[0].method, 60)
-                found.append(Tile(wording.symbol_text(symbol), wording.clean(result.title), WITHHELD, "", method, ""))
+                found.append(Tile(wording.symbol_text(symbol), wording.clean(result.title), WITHHELD, "", method))
                 break
     if any(tile.symbol in ("B_c", "B_r") for tile in found):
         found = [tile for tile in found if tile.symbol != "B"]
     return found[:TILES]
 
 
-def _tile(members: list[Estimate], title: str, held: int) -> Tile:
+def _tile(members: list[Estimate], title: str) -> Tile:
     varying = [
         name for name in wording.in_order(members[0].at, members[0].at) if len({e.at[name] for e in members}) > 1
     ]
@@ -65,22 +64,8 @@ def _tile(members: list[Estimate], title: str, held: int) -> Tile:
     shown_at = {
         name: middle.at[name] for name in (varying or wording.in_order(middle.at, ("pressure", "setpoint"))[:1])
     }
-    reach = ""
-    if len(members) > 1 and len(varying) == 1:
-        _, at_unit = wording.point_shown(varying[0])
-        values = [(e.value or 0.0) / unit.scale for e in members]
-        ends, word = [values[0], values[-1]], "from"
-        if not min(ends) <= min(values) <= max(values) <= max(ends):
-            ends, word = [min(values), max(values)], "between"
-        places = [wording.number(e.at[varying[0]] / at_unit.scale) for e in (members[0], members[-1])]
-        reach = (
-            f"{rounded(ends[0], None, 3)} to {rounded(ends[1], None, 3)} {word} {places[0]} "
-            f"{'to' if word == 'from' else 'and'} {places[1]} {at_unit.unit}"
-        )
-    if held:
-        reach = f"{reach}; {WITHHELD} at {_many(held, 'further place', 'further places')}".removeprefix("; ")
     where = ", ".join(part for part in (wording.point_text(shown_at), wording.clean(middle.method, 60)) if part)
-    return Tile(wording.symbol_text(middle.symbol), wording.clean(title), value, unit.unit, where, reach.strip())
+    return Tile(wording.symbol_text(middle.symbol), wording.clean(title), value, unit.unit, where)
 
 
 @dataclass(frozen=True)
