@@ -63,14 +63,15 @@ def measured(
 ) -> tuple[list[tuple[RunData, Measured]], list[Dropped], bool]:
     """The results of `measure` for every trial with its run and the lateness of its pressure; the trials it refuses.
 
-    The lateness [s] is that of `late_by`, or the option of that name; the last value says whether all runs give it.
+    The lateness [s] is that of `late_by`, or the option of that name; the last value says whether all runs give it, of
+    the pressure or of the displacement.
     """
     found: list[tuple[RunData, Measured]] = []
     dropped: list[Dropped] = []
     stated = True
     for run in runs:
         late = tuple(options["late_by"]) if "late_by" in options else late_by(run, "pressure")
-        stated = stated and late is not None
+        stated = stated and (late is not None or late_by(run, "displacement") is not None)
         for trial in run.trials:
             one = measure(run, trial, late or (0.0, 0.0))
             if isinstance(one, str):

@@ -127,6 +127,8 @@ def other_shape(sines: Sequence[Sine]) -> list[Doubt]:
 COMMAND, PRESSURE = "bandwidth, by sines of command", "bandwidth, by sines of pressure"
 FEWEST = 3
 """Frequencies that it needs."""
+LEAST = 1e-9
+"""Share of its value that a gain keeps within its interval."""
 
 
 def crossing(f: Array, gain: Array) -> tuple[float, float] | None:
@@ -173,7 +175,8 @@ def bandwidth(groups: Mapping[float, Sequence[Sine]]) -> list[Estimate]:
         off = np.array(
             [hypot((one or 0.0) / g, (halves[0] or 0.0) / gain[0]) for one, g in zip(halves, gain, strict=True)]
         )
-        moved = [crossing(at, np.concatenate([gain[:1], gain[1:] * (1 + way * off[1:])])) for way in (-1, 1)]
+        ends = [gain * np.maximum(LEAST, 1 + way * off) for way in (-1, 1)]
+        moved = [crossing(at, np.concatenate([gain[:1], end[1:]])) for end in ends]
         half = max(abs(one[0] - value) for one in moved if one is not None) if any(moved) else None
     apart = hypot(apart, *_slow([groups[f][0] for f in frequencies], driven, at, gain, value))
     note = sentences(

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pmabench.analysis.imported import flagged_counts, import_findings, measured, unusable_because
+from pmabench.analysis.imported import flagged_counts, import_findings, late_by, measured, unusable_because
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.form import Doubt, weighed
 from pmabench.analysis.shared.lines import mean_half
@@ -68,6 +68,8 @@ class Sine:
     """Rms of what the first harmonic leaves, over the rms of the signal about its mean [1]."""
     late: tuple[float, float]
     """How much older the pressure is than its stamps [s]; (0, 0) where that is not known."""
+    late_x: tuple[float, float]
+    """The same of the displacement."""
     off: float
     """Frequency of the command, else of the pressure, over the named one, less one [1]; 0 where chance explains it."""
 
@@ -86,10 +88,15 @@ class Sine:
         """Amplitude of the pressure command, else of the pressure [Pa]."""
         return abs(self.amplitudes.get("pressure_command", self.amplitudes["pressure"]))
 
-    @property
-    def turn(self) -> float:
-        """Phase [rad] to add to that of x over P: the middle of what the pressure's lateness may be."""
-        return -self.omega * sum(self.late) / 2
+    def turn(self, upper: str, lower: str) -> float:
+        """Phase [rad] to add to that of `upper` over `lower`: the middle of what their lateness may be."""
+        late = {"pressure": sum(self.late) / 2, "displacement": sum(self.late_x) / 2}
+        return self.omega * (late.get(upper, 0.0) - late.get(lower, 0.0))
+
+    def apart(self, *names: str) -> float:
+        """Half of what the time between channels may be off that [s]."""
+        half = {"pressure": (self.late[1] - self.late[0]) / 2, "displacement": (self.late_x[1] - self.late_x[0]) / 2}
+        return sum(half.get(name, 0.0) for name in names)
 
 
 def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) -> Analysis:
@@ -205,6 +212,7 @@ def measure(run: RunData, trial: TrialData, late: tuple[float, float]) -> Sine |
         cycles=cycles,
         left={name: float(left[column]) for column, name in enumerate(names)},
         late=late,
+        late_x=late_by(run, "displacement") or (0.0, 0.0),
         off=off,
     )
 
@@ -241,8 +249,10 @@ def _at(group: Sequence[tuple[RunData, Sine]], *, alone: bool, read_off: bool) -
         at["amplitude"] = float(f"{np.mean([abs(sine.amplitudes['displacement']) for sine in sines]):.3g}")
     parents = tuple(sine.name for sine in sines)
     scales = Scales.of([run for run, _ in group])
-    apart = max((sine.late[1] - sine.late[0]) / 2 for sine in sines) if read_off else UNTOLD
-    doubt = first.omega * apart
+    doubt, doubt_P = (
+        first.omega * (max(sine.apart(*names) for sine in sines) if read_off else UNTOLD)
+        for names in (("pressure", "displacement"), ("pressure",))
+    )
 
     def estimate(
         symbol: str, kind: tuple[str, str], whole: Sequence[float], by_cycle: Sequence[Array],
@@ -268,7 +278,7 @@ def _at(group: Sequence[tuple[RunData, Sine]], *, alone: bool, read_off: bool) -
     width = [2 * abs(s.amplitudes["displacement"]) * abs(np.sin(p)) for s, p in zip(sines, phase, strict=True)]
     width_by = [2 * np.abs(s.cycles["displacement"]) * np.abs(np.sin(p)) for s, p in zip(sines, phase_by, strict=True)]
     both = ("pressure", "displacement")
-    late = "the pressure's lateness taken as the middle of its range" if read_off else UNTOLD_TIME
+    late = "lateness taken as the middle of its range" if read_off else UNTOLD_TIME
     by_phase = 2 * abs(first.amplitudes["displacement"]) * abs(float(np.cos(phase[0])))
     slow = slow_sensors(first, both, phase=True)
     shape = [*other_shape(sines), *(replace(one, half=one.half * by_phase) for one in slow)]
@@ -281,24 +291,21 @@ def _at(group: Sequence[tuple[RunData, Sine]], *, alone: bool, read_off: bool) -
                  ("displacement",), shape),
     ]  # fmt: skip
     if all("pressure_command" in s.amplitudes for s in sines):
-        back = _phases(sines, "pressure", "pressure_command", against=-1.0)
+        back = _phases(sines, "pressure", "pressure_command")
         found += [
             estimate("P/P_set", ("1", "ratio"), *ratio("pressure", "pressure_command"), ("pressure",),
                      of=("pressure",)),
-            estimate("phi_P", ("rad", "angle"), *back, method=doubt or None, note=late,
+            estimate("phi_P", ("rad", "angle"), *back, method=doubt_P or None, note=late,
                      doubts=slow_sensors(first, ("pressure", "pressure_command"), phase=True)),
         ]  # fmt: skip
     return found
 
 
-def _phases(sines: Sequence[Sine], upper: str, lower: str, against: float = 1.0) -> tuple[list[float], list[Array]]:
-    """Phase [rad] of `upper` over `lower`, as a whole and by cycle, without the lateness of the pressure.
-
-    `against` is -1 where the pressure is the upper one.
-    """
+def _phases(sines: Sequence[Sine], upper: str, lower: str) -> tuple[list[float], list[Array]]:
+    """Phase [rad] of `upper` over `lower`, as a whole and by cycle, without the lateness of both."""
     whole, by_cycle = [], []
     for sine in sines:
-        turn = np.exp(1j * against * sine.turn)
+        turn = np.exp(1j * sine.turn(upper, lower))
         ratio = sine.amplitudes[upper] / sine.amplitudes[lower] * turn
         middle = float(np.angle(ratio))
         whole.append(middle)
@@ -361,7 +368,10 @@ def _loop(sine: Sine) -> Trace:
 
 def _bode(sines: Sequence[Sine]) -> Trace:
     """Gain and phase of contraction over measured pressure."""
-    ratios = [s.amplitudes["displacement"] / s.amplitudes["pressure"] * np.exp(1j * s.turn) for s in sines]
+    ratios = [
+        s.amplitudes["displacement"] / s.amplitudes["pressure"] * np.exp(1j * s.turn("displacement", "pressure"))
+        for s in sines
+    ]
     return Trace(
         name="pressure-bode",
         figure="pressure-bode",

@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.analysis.shared.calibration import Scales, sentences
+from pmabench.analysis.shared.form import Doubt, change_over, weighed
 from pmabench.analysis.shared.lines import Line, mean_half, weighted_line
 from pmabench.analysis.shared.sine_loop import RECOVERED, Sine, moving
 from pmabench.analysis.shared.skew import settled
@@ -95,6 +96,7 @@ def mean_force_estimates(
         scales.part(gains | {"force": F}, offsets),
     )
     mean_force = replace(F_ce, symbol="F", value=F, parts=there, note=sentences(AT_MEAN, note))
+    F_ce, mean_force = (weighed(one, drift_of(members)) for one in (F_ce, mean_force))
     if reason := form.why_no_tangent():
         mean_force = withhold(mean_force, reason)
     if half is None:
@@ -106,6 +108,23 @@ def mean_force_estimates(
     elif why:
         F_ce = replace(F_ce, value=None, parts=Parts(), note=why)
     return F_ce, mean_force
+
+
+def drift_of(members: Sequence[Member], share: float = 1.0) -> list[Doubt]:
+    """What the mean force changes by from the first cycle to the last [N], times `share`, where that is seen."""
+    change = change_over([_by_cycle(member.sine, member.sine.F) for member in members])
+    if change is None or not change.seen:
+        return []
+    text = f"from cycle to cycle the mean force changes, by {show(change.size, 'force', 2)} in all: the cell drifts, or"
+    reason = f"{text} the muscle is not at rest yet. Do more cycles before those that count, and check the cell's zero"
+    return [Doubt("change from cycle to cycle", "drift", change.most * share, seen=True, reason=reason)]
+
+
+def _by_cycle(sine: Sine, values: Array) -> Array:
+    """Means of each cycle."""
+    number = _cycle_of(sine)
+    count = np.bincount(number)
+    return np.asarray((np.bincount(number, values) / np.maximum(1, count))[count > 0])
 
 
 def _line(fitted: Fitted, slope: float, wanted: float) -> Line:
@@ -124,10 +143,7 @@ def _half_by_cycles(fitted: Fitted) -> float | None:
     """
     K, cycles = fitted.K.start - fitted.bias["K"], []
     for member in fitted.group:
-        sine = member.sine
-        number = _cycle_of(sine)
-        count = np.bincount(number)
-        cycles.append((np.bincount(number, sine.F + K * sine.x) / np.maximum(1, count))[count > 0])
+        cycles.append(_by_cycle(member.sine, member.sine.F + K * member.sine.x))
     if fitted.alone:
         return mean_half(np.array([each.mean() for each in cycles]), cycles)
     of_each = [(one.frequency, one.speed, abs(one.force)) for one in (member.sine for member in fitted.group)]
@@ -212,7 +228,8 @@ def work_estimates(at: Mapping[str, float], members: Sequence[Member], scales: S
                 note=sentences(NO_REPEATS if half is None else one_each, note),
                 trials=tuple(member.name for member in mine),
             )
-            found.append(settled(one, BETWEEN, skew))
+            drifted = drift_of(mine, stroke if symbol == "W_c" else stroke * (1 - eta) / taken)
+            found.append(settled(weighed(one, drifted), BETWEEN, skew))
     return found
 
 

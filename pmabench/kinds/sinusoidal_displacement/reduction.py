@@ -8,11 +8,13 @@ lines through those of one cell are in `fit`. A force that comes late
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from math import nan, pi
 from typing import Any
 
 import numpy as np
 
+from pmabench.analysis.imported import import_of
 from pmabench.analysis.shared import skew
 from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.form import Doubt, weighed
@@ -43,11 +45,14 @@ from pmabench.store.records import RunData
 def with_late_force(estimates: Sequence[Estimate], fitted: Fitted) -> list[Estimate]:
     """The estimates with what the undeclared part of the force cell's lag may do to them, as a line of the budget.
 
-    K + j omega B becomes (K + j omega B)(1 - j omega tau): B falls by K tau, K rises by omega^2 B tau.
+    K + j omega B becomes (K + j omega B)(1 - j omega tau): B falls by K tau, K rises by omega^2 B tau, B
+    being the one before it fell. From one frequency alone K at rest is the one there.
     """
     tau = max(lag_open(member.run, "force") for member in fitted.group)
-    K, B = abs(fitted.replayed.K), abs(fitted.replayed.B)
+    K = abs(fitted.replayed.K)
+    B = abs(fitted.replayed.B) + K * tau
     amplitudes = {round(sine.frequency, 9): sine.amplitude for sine in (member.sine for member in fitted.group)}
+    alone = 2 * pi * fitted.group[0].sine.frequency if fitted.alone else 0.0
     given = {e.at.get("frequency"): e.value for e in estimates if e.symbol == "W_c"}
 
     def effect(e: Estimate) -> float:
@@ -56,8 +61,8 @@ def with_late_force(estimates: Sequence[Estimate], fitted: Fitted) -> list[Estim
         lost = pi * A**2 * omega * K * tau
         taken = (given.get(frequency) or 0.0) / (e.value or 1.0)
         return {
-            "B": K * tau, "K": omega**2 * B * tau, "phi": omega * tau, "H": 2 * A * omega * K * tau, "W": lost,
-            "W_c": lost / 2, "eta": lost / taken if e.symbol == "eta" and taken else 0.0,
+            "B": K * tau, "K": (omega or alone) ** 2 * B * tau, "phi": omega * tau, "H": 2 * A * omega * K * tau,
+            "W": lost, "W_c": lost / 2, "eta": lost / taken if e.symbol == "eta" and taken else 0.0,
         }.get(e.symbol, 0.0)  # fmt: skip
 
     return [weighed(e, [Doubt(LATE, "method", effect(e), False)]) for e in estimates]
@@ -68,6 +73,8 @@ CHANNELS = ("displacement", "force")
 CELL = ("pressure", "mean", "amplitude")
 Key = tuple[tuple[str, float], ...]
 """A cell: names and values of its point."""
+ALIKE = {"amplitude": (0.02, "amplitude"), "mean": (0.02, "amplitude"), "pressure": (0.01, "pressure")}
+"""Coordinates that were measured are one where they differ by no more than a share, and of what."""
 UNEVEN = 0.01
 """Share of the force that uncorrected pressure at the sine's frequency may be worth before it is doubted."""
 
@@ -189,7 +196,29 @@ def _members(runs: Sequence[RunData], options: Mapping[str, Any]) -> tuple[list[
                 members.append(Member(run, trial, measure(run, trial, discard)))
             except NotUsable as reason:
                 dropped.append(Dropped(trial.name, trial.point, str(reason)))
-    return members, dropped
+    return _as_alike(members), dropped
+
+
+def _as_alike(members: Sequence[Member]) -> list[Member]:
+    """Motions that nobody commanded, and that were measured to differ by less than `ALIKE`, at the same point.
+
+    A drive makes 3.99 mm of 4 mm at 2 Hz, which is no other amplitude.
+    """
+    measured = [m for m in members if import_of(m.run) and "displacement_command" not in m.trial.channels]
+    points = {m.name: dict(m.trial.point) for m in measured}
+    for name, (share, of) in ALIKE.items():
+        last, group = nan, list[Member]()
+        groups: list[list[Member]] = []
+        for member in sorted((m for m in measured if name in m.trial.point), key=lambda m: m.trial.point[name]):
+            here = member.trial.point[name]
+            if not here - last <= share * member.trial.point.get(of, here):
+                groups.append(group := [])
+            group.append(member)
+            last = here
+        for group in groups:
+            common = float(np.median([m.trial.point[name] for m in group]))
+            points.update({m.name: {**points[m.name], name: common} for m in group})
+    return [replace(m, trial=replace(m.trial, point=points.get(m.name, m.trial.point))) for m in members]
 
 
 def _grouped(members: Sequence[Member], names: Sequence[str]) -> dict[Key, list[Member]]:
