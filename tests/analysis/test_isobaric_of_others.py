@@ -72,3 +72,43 @@ def test_no_value_is_sure_of_what_its_turns_hide(ramps, ripple, height):
         half = 0.5 * (e.ci95[1] - e.ci95[0])
         # near the ends of the stroke a turn that is no exponential leaves up to 1.1 half widths
         assert abs(e.value - truth) <= 1.2 * half, (e.symbol, dict(e.at), e.value, truth, half)
+
+
+@pytest.fixture(scope="module")
+def speeds(tmp_path_factory) -> RunData:
+    return recorded(
+        tmp_path_factory.mktemp("speeds"), "isobaric-ramp", "mock-actuator-ideal", "mas-20-250-paper0",
+        ("sweep.matrix.pressure", "[200 kPa]"), ("sweep.matrix.speed", "[2 mm/s, 5 mm/s]"),
+        ("trial.cycles", "4"), ("prepare.precondition.cycles", "0"),
+    )  # fmt: skip
+
+
+def maxwell(t, x, stiff, time):
+    """Force of a spring [N] whose end follows it through a dashpot in a `time` [s], along a contraction."""
+    end, found = x[0], np.empty(len(x))
+    for i, keep in enumerate(np.exp(-np.diff(t, prepend=t[0]) / time)):
+        end = x[i] + (end - x[i]) * keep
+        found[i] = stiff * (x[i] - end)
+    return found
+
+
+@pytest.mark.parametrize(("stiff", "withheld"), [(0.0, False), (3000.0, True)])
+def test_what_creeps_in_the_time_of_a_ramp_is_no_true_hysteresis(speeds, stiff, withheld):
+    """A muscle without hysteresis got one at speed 0, and a damping below 0."""
+    chance = np.random.default_rng(5)
+
+    def creeping(trial: TrialData) -> TrialData:
+        x, P = trial.channels["displacement"], trial.point["pressure"]
+        viscous = 150.0 * np.gradient(x, trial.t) + maxwell(trial.t, x, stiff, 5.0)
+        F = force(x, P) - viscous + chance.normal(0, 0.1, len(x))
+        return replace(trial, channels={**trial.channels, "pressure": np.full(len(x), P), "force": F})
+
+    found = reduce([replace(speeds, trials=tuple(creeping(trial) for trial in speeds.trials))])
+    still = [e for e in found.estimates if e.symbol in ("H", "B", "F_c") and e.at.get("speed", 0.0) == 0.0]
+    assert len(still) > 4
+    assert all(e.withheld for e in still) == withheld
+    if withheld:
+        assert all("a gap that shrinks as the speed rises is no damping" in e.note for e in still)
+    else:
+        (B,) = [e for e in still if (e.symbol, e.method) == ("B", "loop-gap")]
+        assert abs(B.value - 150.0) < B.parts.combined

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from math import hypot, isfinite, isnan
+from math import hypot, inf, isfinite, isnan
 from typing import Any
 
 import numpy as np
@@ -53,6 +53,10 @@ LONGEST_TRACE = 1500
 BETWEEN = "displacement and force"
 CYCLES = "one trial a speed: the repeats part is the scatter of its cycles, and repeated tests may scatter more"
 NO_REPEATS = "no repeats part: too few loops"
+SHRINKS = (
+    "a gap that shrinks as the speed rises is no damping: what creeps in about the time of a ramp, or a friction that "
+    "falls with the speed, makes part of it. Ramp more slowly, and more quickly, until the gap changes no more"
+)
 ONE_SPEED = "one speed only: hysteresis and damping cannot be separated"
 AT_SPEED = "one speed only: the two dampings may differ, so that the force at rest may be anywhere in the gap"
 
@@ -371,18 +375,24 @@ class Cell:
             )
             force = self._part(scales, {"force": start}, {}, start_P)
             note = "gap at speed 0: true hysteresis"
-            found.append(self._estimate("H", start, newton, method, still, Parts(line.half_start, uneven, force), note))
+            H = self._estimate("H", start, newton, method, still, Parts(line.half_start, uneven, force), note)
             gains = {"force": slope / 2, "displacement": -slope / 2}
             both = self._part(scales, gains, {}, None if slope_P is None else slope_P / 2)
             half = None if line.half_slope is None else line.half_slope / 2
             speeds = [member.speed for member in self.members]
             least = PROPORTIONAL * abs(start) / (max(speeds) - min(speeds)) / 2
             parts = Parts(half, hypot(least, rising / 2), both, K * self.skew)
-            found.append(self._estimate("B", slope / 2, damping, method, self.at, parts, "(B_c + B_r)/2"))
+            B = self._estimate("B", slope / 2, damping, method, self.at, parts, "(B_c + B_r)/2")
             half = None if line.half_start is None else line.half_start / 2
             friction = Parts(half, uneven / 2, None if force is None else force / 2)
-            found.append(self._estimate("F_c", start / 2, newton, method, self.at, friction, "half the gap at speed 0"))
-        return found
+            F_c = self._estimate("F_c", start / 2, newton, method, self.at, friction, "half the gap at speed 0")
+            found += [H, B, F_c]
+        least = min((e.value + (e.parts.combined or inf) for e in found if e.symbol == "B" and e.value), default=0.0)
+        return (
+            found
+            if least >= 0
+            else [withhold(e, f"B would be below {show(least, 'damping', 2)}; {SHRINKS}") for e in found]
+        )
 
     def _estimate(
         self, symbol: str, value: float | None, kind: tuple[str, str], method: str, at: Mapping[str, float],
