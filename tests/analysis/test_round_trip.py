@@ -43,10 +43,21 @@ OWN = {
         "mock-contractor-free", "contractor-30", BARE, ONCE, ("sample_rate", "50 Hz"),
         ("sweep.matrix.pressure", "[0 kPa, 100 kPa, 200 kPa, 300 kPa, 500 kPa]"),
     ),
+    "arm-angle": (
+        "mock-arm", "arm-30", BARE, ("sample_rate", "20 Hz"), ("sweep.matrix.load", "[0 kg, 0.2 kg, 0.4 kg]"),
+        ("sweep.repeat.count", "2"),
+    ),
     "ultimate-gain": ("mock-ideal", MAS, BARE, ONCE, ("trial.gain_steps.start", "60 kPa/mm"),
                       ("trial.gain_steps.levels", "10")),
 }  # fmt: skip
-QUICK = ("contraction-relaxation", "static-load", "sinusoidal-displacement", "step-displacement", "free-contraction")
+QUICK = (
+    "contraction-relaxation",
+    "static-load",
+    "sinusoidal-displacement",
+    "step-displacement",
+    "free-contraction",
+    "arm-angle",
+)
 """The kinds of which each commit makes the whole way; the others take longer and are a study."""
 
 

@@ -190,6 +190,7 @@ def as_exported(guess: Guess, files: Sequence[Path]) -> bool:
             column.role, column.reasons = column.name, []
         elif known is not None:
             column.role, column.reasons = known.channel, []
+            column.unit = column.unit or column.name.rpartition("[")[2].rstrip("]")  # an export names it
             column.extra = _as_known(known, column.unit)
     specimen = record.about.get("specimen")
     if isinstance(specimen, dict):
