@@ -283,7 +283,7 @@ def fit_delayed(t: Array, P: Array, x: Array, start: Motion, w: float | None = N
     serial correlation of what is left, and half the sample period: what a sample shows has come since the one before.
     """
     period = float(np.median(np.diff(t)))
-    first = _place(start, w)
+    first = place_of(start, w)
     one = _delayed(t, P, x, first, w, ())
     two = min((_delayed(t, P, x, begin, w, (SQUARE,)) for begin in (first, one.place)), key=lambda found: found.rms)
     two = replace(
@@ -306,20 +306,19 @@ def alike(forms: Sequence[Delayed]) -> list[Delayed]:
     return [one for one in forms if one.rms <= ALIKE * least]
 
 
-def fit_swings(t: Array, P: Array, x: Array, start: Motion, worst: float = np.inf) -> list[Delayed]:
+def fit_swings(t: Array, P: Array, x: Array, first: Array, worst: float = np.inf) -> list[Delayed]:
     """Swings that a pressure drives: least squares over natural frequency, damping ratio and delay behind it.
 
-    t [s], P [Pa], x [m], shapes (n,). The stiffness changes with the pressure along the step, to second order; with it
-    the damping changes, or dry friction holds, or neither, to first order: three forms, the last of these first, the
-    others wider by a share of what they change. What the mass still did before the step is in all of them. Frequency
-    and damping are those at the pressure that the step ends at. Empty where the first form misses by more than `worst`
-    [m].
+    t [s], P [Pa], x [m], shapes (n,); `first` is a `place` to begin at. The stiffness changes with the pressure along
+    the step, to second order; with it the damping changes, or dry friction holds, or neither, to first order: three
+    forms, the last of these first, the others wider by a share of what they change. What the mass still did before the
+    step is in all of them. Frequency and damping are those at the pressure that the step ends at. Empty where the first
+    form misses by more than `worst` [m].
     """
-    first = _place(start, None)
     plain = _delayed(t, P, x, first, None, (START, STIFFNESS))
     if plain.rms > worst:
         return []
-    more = [_delayed(t, P, x, first, None, (START, STIFFNESS, one)) for one in (DAMPED, FRICTION)]
+    more = [_delayed(t, P, x, plain.place, None, (START, STIFFNESS, one)) for one in (DAMPED, FRICTION)]
     return [plain, *(_wider(one, plain) for one in more)]
 
 
@@ -329,7 +328,7 @@ def _wider(one: Delayed, plain: Delayed) -> Delayed:
     return replace(one, half_K=half_K, half_B=half_B)
 
 
-def _place(start: Motion, w: float | None) -> Array:
+def place_of(start: Motion, w: float | None = None) -> Array:
     """Where a fit begins: the delay over `FREE`, logarithms of damping ratio and natural frequency."""
     damping = start.D * (1.0 if w is None else w / start.w)
     return np.array([-start.late / FREE, np.log(damping), np.log(start.w)])

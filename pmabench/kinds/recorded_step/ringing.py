@@ -24,6 +24,7 @@ from pmabench.kinds.recorded_step.motion import (
     LAGS,
     SHOWN,
     Delayed,
+    Motion,
     Swing,
     alike,
     behind,
@@ -31,6 +32,7 @@ from pmabench.kinds.recorded_step.motion import (
     fit_delayed,
     fit_swings,
     free_swings,
+    place_of,
 )
 from pmabench.kinds.recorded_step.step import SEEN, Step
 from pmabench.store.analyses.results import Estimate, Finding, Parts, withhold
@@ -68,7 +70,7 @@ def ringing(at: Mapping[str, float], steps: Sequence[Step], options: Mapping[str
             held = bool(why)
         if why:
             break
-        possible = _possible(step)
+        possible = possible_motions(step.driven, step.best, step.others)
         if why := _unlike(step, possible):
             held = True
             break
@@ -94,16 +96,22 @@ def ringing(at: Mapping[str, float], steps: Sequence[Step], options: Mapping[str
     return found
 
 
-def _possible(step: Step) -> list[Delayed]:
-    """The motions of a step that fit alike: with more and less lag of its sensors, and with one not declared."""
-    t, P, x = step.driven
-    nominal = fit_swings(t, P, x, step.best)
+def possible_motions(
+    driven: tuple[Array, Array, Array], best: Motion, others: Sequence[tuple[Array, Array]] = ()
+) -> list[Delayed]:
+    """The motions of a step that fit alike: with more and less lag of its sensors, and with one not declared.
+
+    `driven`: time [s], pressure [Pa], contraction [m], shapes (n,); `others`: the last two, were the lags other ones.
+    """
+    t, P, x = driven
+    nominal = fit_swings(t, P, x, place_of(best))
+    first = nominal[0].place
     found = alike(nominal)
-    for pressure, contraction in step.others:
-        found += alike(fit_swings(t, pressure, contraction, step.best))
+    for pressure, contraction in others:
+        found += alike(fit_swings(t, pressure, contraction, first))
     least = min(one.rms for one in found)
     for lag in LAGS:
-        lagging = fit_swings(t, behind(t, P, lag), x, step.best, nominal[0].rms)
+        lagging = fit_swings(t, behind(t, P, lag), x, first, nominal[0].rms)
         found += [one for one in lagging if one.rms <= least and one.bounded]
     return found
 
