@@ -29,10 +29,12 @@ def import_of(run: RunData) -> Mapping[str, Any]:
 def in_time(runs: Iterable[RunData]) -> list[RunData]:
     """Runs in the order in which they began; files that tell no time by their names, in which T10 comes after T9."""
 
-    def key(run: RunData) -> tuple[str, list[str | int]]:
+    def key(run: RunData) -> tuple[str, list[tuple[int, str]]]:
         name = f"{import_of(run).get('file', '')} {import_of(run).get('test', '')}"
-        parts = NUMBER.split(name)
-        return str(run.manifest.get("started_utc", "")), [int(p) if n % 2 else p for n, p in enumerate(parts)]
+        parts = enumerate(NUMBER.split(name))
+        begun = str(run.manifest.get("started_utc", ""))
+        # of two numbers the one with more digits is larger, however many there are
+        return begun, [(len(p.lstrip("0")), p.lstrip("0")) if n % 2 else (0, p) for n, p in parts]
 
     return sorted(runs, key=key)
 

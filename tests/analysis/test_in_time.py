@@ -27,6 +27,12 @@ def test_files_of_one_time_follow_each_other_by_the_numbers_in_their_names():
         assert [one.id for one in in_time(given)] == ["Z.csv", "T1.csv", "T2.csv", "T10.csv", "T10b.csv"]
 
 
+def test_a_number_of_any_length_in_a_name_is_compared():
+    run = as_run("recorded-step", [])
+    long = [named(run, f"T{'9' * count}.csv") for count in (6000, 5000)]
+    assert [len(one.id) for one in in_time(long)] == [5005, 6005]
+
+
 def test_the_order_in_which_runs_are_given_changes_no_value():
     trials = judged_forms.as_trials(held.campaign("cell-drift", 0.3, 5))
     whole = judged_forms.as_run("isometric-pressurisation", trials, held.RATE, {})

@@ -1,4 +1,4 @@
-"""What a laboratory with a simulator of its own found in sines: truths are those of closed forms."""
+"""Sines: what another laboratory found with its own simulator, repeated here with closed forms."""
 
 from dataclasses import replace
 

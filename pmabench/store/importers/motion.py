@@ -344,7 +344,7 @@ def changes(t: Array, values: Array, smallest: float, *, measured: bool = False)
 
 
 def _even(values: Array, reach: int) -> Array:
-    """Means over `reach` samples, so that noise is no change of its own."""
+    """Moving average over `reach` samples: noise alone must not look like a change."""
     width = 2 * (reach // 2) + 1
     return np.convolve(np.pad(values, width // 2, mode="edge"), np.full(width, 1 / width), "valid")
 

@@ -230,7 +230,7 @@ def _by_level(rows: _Rows) -> list[Segment]:
 def _by_ramp(rows: _Rows) -> list[Segment]:
     """Rises of the measured pressure, `fill`, each with the fall after it, `exhaust`.
 
-    A test that has phases of its own gets the rest before the rise and after the fall, too: half of it each.
+    Tests that find their phases in the commands also get half of the rest before the rise and after the fall.
     """
     seen = rows.rising & ((rows.flags & np.uint16(Flag.OVERRANGE)) == 0)
     cycles = motion.cycles(rows.t[seen], rows.values["pressure"][seen], rows.smallest)
