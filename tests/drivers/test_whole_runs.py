@@ -78,7 +78,7 @@ RIGS = {
     "labjack-t8": Rig("labjack-t8", 100, POLLED, B_OF_POLLED, watchdog=2.0, slow=True),
     "ni": Rig("ni", 500, HARDWARE_TIMED, vents="relay", keeps=True),
     "serial_line_daq": Rig("serial-line-daq", 500, HARDWARE_TIMED),
-    "serial_rig": Rig("serial", 500, POLLED, B_OF_POLLED, vents="board", keeps=True),
+    "serial_rig": Rig("serial", 500, POLLED, B_OF_POLLED, 2, vents="board", keeps=True),
 }
 
 
