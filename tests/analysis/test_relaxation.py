@@ -133,6 +133,47 @@ def test_what_is_no_straight_line_is_withheld(run):
     assert "no straight line over log t" in one.note
 
 
+def start_of(found):
+    return next(e for e in found.estimates if e.symbol == "F_1")
+
+
+@pytest.mark.parametrize("share", [0.002, 0.005, 0.01, 0.05])
+def test_the_force_at_1_s_is_not_read_from_a_line_where_there_is_none(run, share):
+    """One exponential of 30 s on top, from 5 s on: at 1 s it is there nearly whole, and the line does not know it."""
+    plain, one = (start_of(reduce([changed(run, F)])) for F in (None, lambda t, y: y * (1 + share * np.exp(-t / 30))))
+    assert one.withheld or one.ci95[0] <= plain.value * (1 + share * exp(-1 / 30)) <= one.ci95[1]
+    assert one.withheld == (share == 0.05)
+
+
+@pytest.mark.parametrize("drift", [2.0, 10.0, 60.0])
+def test_a_cell_that_drifts_through_the_run_is_in_the_force(run, drift):
+    """So much [N] over each trial of 120 s and the rest before it, of 1500 N: what it comes to by the second one."""
+
+    def drifting(trial):
+        off = drift * (trial.t - run.trials[0].t[0]) / 120
+        return replace(trial, channels={**trial.channels, "force": trial.channels["force"] + off})
+
+    plain, found = reduce([run]), reduce([replace(run, trials=tuple(map(drifting, run.trials)))])
+    for at_first, one in zip(*([e for e in of.estimates if e.symbol == "F_1"] for of in (plain, found)), strict=True):
+        assert one.withheld or one.ci95[0] <= at_first.value <= one.ci95[1]
+        assert one.withheld == ((drift >= 10 and one.at["contraction"] > 0.01) or drift == 60)
+
+
+def test_a_valve_that_empties_slowly_is_no_drift_of_the_cell(run):
+    """2 % of the pressure, and of the force, are still there at the end of the trial."""
+    trial = run.trials[0]
+    vent = next(c.t for c in trial.commands if c.phase == "vent")
+    step = next(c.t for c in trial.commands if c.phase == "step")
+    t = trial.t - step
+
+    def left(_, y):
+        return y + 0.02 * np.mean(y[(t > 60) & (t < 100)]) * (trial.t > vent + 1)
+
+    slow = reduce([changed(run, left, left)])
+    assert not s_of(slow).withheld
+    assert not start_of(slow).withheld
+
+
 def test_a_cell_that_drifts_is_withheld(run):
     """10 N of drift over the trial, of 1500 N, are 0.5 % of s per decade; without pressure the cell shows it."""
     one = s_of(reduce([changed(run, lambda t, y: y + 10 * t / 120)]))

@@ -229,7 +229,7 @@ def _findings(pressure: float, group: Sequence[_Member], given: _Given) -> list[
 
 
 def _agree(estimates: Sequence[Estimate]) -> list[Finding]:
-    """Whether start pressures give the same volume (paper 3: it does not depend on the pressure)."""
+    """Whether start pressures give the same volume, as in paper 3; of that at the start, which is given, they say nothing."""
     by: dict[float, list[Estimate]] = {}
     for e in estimates:
         if e.method == TIGHT and e.value is not None:
@@ -250,8 +250,12 @@ def _agree(estimates: Sequence[Estimate]) -> list[Finding]:
         f"{show(low.at['pressure'], 'pressure')} and {show(high.at['pressure'], 'pressure')}"
     )
     if apart <= room:
-        return [Finding("note", f"{text}: within their intervals, the volume does not depend on the pressure")]
-    return [Finding("doubt", f"{text}: more than their intervals; a dead volume, the room's pressure or k is wrong")]
+        same = "the volume at the start is given, the same for each, so a muscle that swells with the pressure"
+        return [
+            Finding("note", f"{text}: within their intervals. But {same} is not seen: V is what it makes of that one")
+        ]
+    causes = "a dead volume, the room's pressure or k is wrong, or the muscle swells with the pressure"
+    return [Finding("doubt", f"{text}: more than their intervals; {causes}")]
 
 
 def _made_of(members: Sequence[_Member], given: _Given) -> Finding:

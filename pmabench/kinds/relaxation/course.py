@@ -19,6 +19,7 @@ from scipy.optimize import nnls
 from pmabench.analysis.shared import student
 from pmabench.analysis.shared.form import Doubt
 from pmabench.analysis.shared.samples import UNUSABLE_SHARE, NotUsable, noise_of
+from pmabench.base.quantities import show
 from pmabench.store.records import Array, Command, RunData, TrialData
 
 PER_DECADE = 20
@@ -61,6 +62,11 @@ class Relaxing:
         rows = (u >= low - 1e-9) & (u <= high + 1e-9)
         off = np.where(rows, self.decades - self.decades[rows].mean(), 0.0)
         return self._of_parts(off / np.sum(off**2))
+
+    @cached_property
+    def bent(self) -> float:
+        """Value at t = 1 s of a parabola over log10 t less that of the straight line [as y]."""
+        return float(np.polyfit(self.decades, self.means(self.y), 2)[2]) - self.line[0]
 
     def _of_parts(self, weights: Array) -> Array:
         """Weights of samples from those of the parts' means."""
@@ -135,7 +141,9 @@ CALM = 2.0
 """Time before the step and at the end of the trial whose mean is the zero of the force [s]."""
 UNLIKE = 1.5
 """So many times what this hold shows may an earlier one have relaxed."""
-BEND = "bend over log t"
+ZERO_SEEN = 6.0
+"""So many times its noise is a change of the force without pressure one of the cell."""
+BEND, BEFORE, ZERO = "bend over log t", "holds before", "zero of the force"
 
 
 @dataclass(frozen=True)
@@ -163,6 +171,8 @@ class Course:
     """How far the mean pressure is from that of the step, as a share of it [1]."""
     before: tuple[tuple[float, float, float], ...]
     """Holds before this one in the run: pressure over that of this one [1], begin and end before this step [s]."""
+    drifted: float = 0.0
+    """Change of the force without pressure since the run began [N], if it goes on between trials as within this one."""
 
     @property
     def start(self) -> float:
@@ -196,6 +206,26 @@ class Course:
         """What the holds before this one make of the force at 1 s [N], if they relaxed alike or half as much again."""
         return UNLIKE * abs(self.start * self.per_decade * sum(P * log10((1 + a) / (1 + b)) for P, a, b in self.before))
 
+    def doubts_of_start(self) -> list[Doubt]:
+        """The same of F_1 [N]: the line is read at 1 s, away from the middle of the decades that give its slope."""
+        one, away = self.relaxing, abs(self.start * float(self.relaxing.decades.mean()))
+        bend = self.bend
+        # where parts differ, the slope before the first of them may be that of any
+        off = max(abs(one.bent), away * bend.size if bend.seen else 0.0)
+        reason = (
+            f"parts of the hold relax by {bend.size:.2%} per decade unlike each other: the line may be "
+            f"{show(off, 'force', 2)} off at 1 s. Begin earlier"
+        )
+        # what the holds before left behind is known better at 1 s itself: `left_behind`
+        others = [d for d in self.doubts() if d.name not in {BEND, BEFORE, ZERO}]
+        seen = abs(self.zero) > ZERO_SEEN * self.noise
+        text = f"without pressure the cell may read {self.drifted:+.3g} N more than at first: zero it, and look "
+        return [
+            Doubt(BEND, "method", off, bend.seen, reason),
+            Doubt(ZERO, "drift", abs(self.drifted), seen, f"{text}for what warms it"),
+            *(Doubt(d.name, d.part, away * d.half, d.seen) for d in others),
+        ]
+
     def doubts(self) -> list[Doubt]:
         """What else than the rubber may make of s [1]."""
         one, F, s = self.relaxing, self.start, abs(self.per_decade)
@@ -214,18 +244,13 @@ class Course:
         text = (
             f"without pressure the cell reads {self.zero:+.3g} N after the trial, against before: zero the cell, and "
         )
-        add(
-            "zero of the force",
-            ends,
-            f"{text}look for what warms it",
-            seen=abs(self.zero) > 6 * self.noise,
-            part="drift",
-        )
+        seen = abs(self.zero) > ZERO_SEEN * self.noise
+        add(ZERO, ends, f"{text}look for what warms it", seen=seen, part="drift")
         left = UNLIKE * sum(
             P * float(weights @ np.log10((one.t + begin) / (one.t + end))) for P, begin, end in self.before
         )
         text = f"what the holds before left behind changes s by about {abs(s * left):.2%} per decade: rest longer"
-        add("holds before", s * left, text, seen=bool(self.before), part="drift")
+        add(BEFORE, s * left, text, seen=bool(self.before), part="drift")
         start, slope = self.raw.line
         other = -slope / start - self.per_decade
         text = f"the pressure changes along the hold: without it s would be {other:+.2%} per decade other"
@@ -267,14 +292,19 @@ def measure(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> Cours
     even, divided, plain = _even(since[rows], F[rows] * step.value / P[rows], F[rows])
     if np.mean(divided) <= 6 * noise_of(F[calm]):
         raise NotUsable("the force is not above its noise: the muscle is slack at this contraction and pressure")
+    # pressure that is still there after the vent pulls: what it explains is no change of the cell
+    change = float(F[last].mean() - F[calm].mean())
+    pulls = float((P[last].mean() - base) / (final - base) * np.mean(divided))
+    zero = change - float(np.clip(pulls, min(change, 0.0), max(change, 0.0)))
     return Course(
         relaxing=Relaxing(even, divided),
         raw=Relaxing(even, plain),
-        zero=float(F[last].mean() - F[calm].mean()),
+        zero=zero,
         noise=noise_of(F[calm]) / float(np.sqrt(calm.sum())),
         rise=there - step.t,
         off=abs(float(P[rows].mean()) / step.value - 1),
         before=_earlier(run, trial, step),
+        drifted=zero * max(1.0, float((t[-1] - run.trials[0].t[0]) / (t[-1] - t[0]))),
     )
 
 

@@ -18,7 +18,7 @@ from pmabench.analysis.shared.isometric_lines import spread
 from pmabench.analysis.shared.samples import NotUsable
 from pmabench.base.quantities import show
 from pmabench.kinds.relaxation import RESULTS
-from pmabench.kinds.relaxation.course import TIMES, Course, measure
+from pmabench.kinds.relaxation.course import BEFORE, TIMES, Course, measure
 from pmabench.store.analyses.results import Analysis, Dropped, Estimate, Finding, Parts, Trace
 from pmabench.store.records import RunData, TrialData
 
@@ -86,8 +86,6 @@ def _line(at: Mapping[str, float], group: Sequence[_Member], scales: Scales) -> 
     note = ONE if len(group) == 1 else ""
     s, F = [one.per_decade for one in courses], [one.start for one in courses]
     half = _repeats(s, [one.half for one in courses])
-    by_name = [sorted(one.doubts(), key=lambda d: d.name) for one in courses]
-    doubts = [max(same, key=lambda d: (d.seen, d.half)) for same in zip(*by_name, strict=True)]
     level, P = float(np.mean(F)), at.get("pressure", 0.0)
     # the force is brought to the pressure of the step, and relaxation is a share of the force
     zeros = {"force": 1.0} | ({"pressure": level / P} if P > 0 else {})
@@ -104,10 +102,17 @@ def _line(at: Mapping[str, float], group: Sequence[_Member], scales: Scales) -> 
               calibration=scales.part(dict.fromkeys(("force", "pressure"), level), zeros)),
         len(group), note=note, trials=names,
     )  # fmt: skip
-    left = Doubt("holds before", "drift", max(one.left_behind for one in courses), seen=False)
+    left = Doubt(BEFORE, "drift", max(one.left_behind for one in courses), seen=False)
     # the force need not grow in proportion to the pressure by which it is brought to that of the step
     share = Doubt("mean pressure", "method", 0.5 * max(one.off * abs(one.start) for one in courses), seen=False)
-    return [weighed(slope, doubts, max(LEAST, abs(slope.value or 0.0))), weighed(start, [left, share])]
+    doubts = _largest([one.doubts() for one in courses])
+    of_start = [left, share, *_largest([one.doubts_of_start() for one in courses])]
+    return [weighed(slope, doubts, max(LEAST, abs(slope.value or 0.0))), weighed(start, of_start)]
+
+
+def _largest(of_trials: Sequence[Sequence[Doubt]]) -> list[Doubt]:
+    """Of the same doubts of each trial the largest, those that are seen first."""
+    return [max(same, key=lambda d: (d.seen, d.half)) for same in zip(*of_trials, strict=True)]
 
 
 def _prony(at: Mapping[str, float], group: Sequence[_Member], scales: Scales) -> list[Estimate]:
