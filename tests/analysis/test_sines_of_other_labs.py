@@ -67,6 +67,30 @@ def recorded(late, shifted=0.0):
     return reduce_recorded([replace(run, manifest={**run.manifest, "imported": {"late_by": late}})])
 
 
+@pytest.mark.parametrize("command", [True, False])
+@pytest.mark.parametrize(("before", "after"), [(0.0, 0.0), (7.3, 0.0), (0.0, 12.6), (31.0, 18.2)])
+def test_a_file_that_holds_the_rests_before_and_after_the_sine_gives_the_same(command, before, after):
+    """1 Hz for 20 s: 50 kPa and 3 mm about 200 kPa and 10 mm, 0.4 rad behind; ramps to the mean, and rests."""
+    t = np.arange(0.0, before + 20.0 + after, 0.005)
+    phase, on = 2 * np.pi * (t - before), (t >= before) & (t < before + 20.0)
+    up = np.clip((t - before + 4.0) / 2.0, 0.0, 1.0)
+    rng = np.random.default_rng(4)
+    channels = {
+        "pressure": 200e3 * up + on * 50e3 * np.sin(phase) + 100.0 * rng.standard_normal(len(t)),
+        "displacement": 10e-3 * up + on * 3e-3 * np.sin(phase - 0.4) + 2e-6 * rng.standard_normal(len(t)),
+    }
+    if command:
+        channels["pressure_command"] = 200e3 * up + on * 50e3 * np.sin(phase)
+    flags = np.zeros(len(t), dtype=np.uint16)
+    trial = TrialData("a", 0, {"frequency": 1.0}, 0, False, "finished", t, channels, flags, (), {})
+    run = judged_forms.as_run("recorded-sine", [trial], 200.0, {})
+    found = {e.symbol: e for e in reduce_recorded([run]).estimates}
+    for symbol, true in {"P": 50e3, "x": 3e-3, "phi_x": -0.4}.items():
+        e = found[symbol]
+        assert abs(e.value - true) < min(2 * e.parts.combined, 2e-3 * abs(true))  # 24 intervals of 95 %
+        assert e.parts.combined < 0.1 * abs(true)
+
+
 def test_a_displacement_that_is_late_is_put_right_by_what_the_map_says():
     right, put = (
         {e.at["frequency"]: e for e in found.estimates if e.symbol == "phi_x"}

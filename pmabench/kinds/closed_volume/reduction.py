@@ -229,7 +229,7 @@ def _findings(pressure: float, group: Sequence[_Member], given: _Given) -> list[
 
 
 def _agree(estimates: Sequence[Estimate]) -> list[Finding]:
-    """Whether start pressures give the same volume (paper 3); of that at the start, which is given, they say nothing."""
+    """Whether start pressures give the same volume (paper 3); of the given one, at the start, they say nothing."""
     by: dict[float, list[Estimate]] = {}
     for e in estimates:
         if e.method == TIGHT and e.value is not None:

@@ -29,6 +29,8 @@ KIND = "recorded-sine"
 METHOD = "sine-harmonic"
 SETTLE = 1.0
 """Left out at the start [s], rounded up to whole cycles."""
+AT_REST, A_SINE = 0.5, 0.25
+"""A cycle of less than this share of the usual amplitude, or a sine that leaves this share of its squares, is no part."""
 LEAST = 12
 """Samples a cycle that are needed."""
 UNUSABLE_SHARE = 0.1
@@ -165,8 +167,9 @@ def measure(run: RunData, trial: TrialData, late: tuple[float, float]) -> Sine |
         return f"{' and '.join(missing)} not recorded" if missing else no_frequency
     if trial.status != "finished":
         return f"the trial is {trial.status}"
-    begin = float(trial.t[0]) + max(1, floor(SETTLE * frequency + 0.999)) / frequency
-    whole = floor((float(trial.t[-1]) - begin) * frequency)
+    start, end = _moving(trial, frequency)
+    begin = start + max(1, floor(SETTLE * frequency + 0.999)) / frequency
+    whole = floor((end - begin) * frequency + 1e-9)
     window = (trial.t >= begin) & (trial.t < begin + whole / frequency)
     if whole < 2:
         return "it holds fewer than two whole cycles beyond those left out"
@@ -214,6 +217,36 @@ def measure(run: RunData, trial: TrialData, late: tuple[float, float]) -> Sine |
         late=late,
         late_x=late_by(run, "displacement") or (0.0, 0.0),
         off=off,
+    )
+
+
+def _moving(trial: TrialData, frequency: float) -> tuple[float, float]:
+    """When the sine begins and ends [s]: a file may hold rests, steps or ramps to the mean, before and after it.
+
+    By the longest stretch of cycles in which the command, else the pressure, is a sine of the usual amplitude. Where one
+    is cut off, so is the cycle next to it, which may be a sine in part.
+    """
+    begin, end = float(trial.t[0]), float(trial.t[-1])
+    drive = trial.channels.get("pressure_command", trial.channels["pressure"])
+    known = trial.usable & np.isfinite(drive)
+    t, y, number = trial.t[known], drive[known], np.floor((trial.t[known] - begin) * frequency)
+    sizes = np.zeros(floor((end - begin) * frequency))
+    for k in range(len(sizes)):
+        row = number == k
+        if np.count_nonzero(row) >= LEAST:
+            phase = 2 * pi * (t[row] * frequency - k)
+            line, wave = np.column_stack([np.ones_like(phase), phase]), np.column_stack([np.cos(phase), np.sin(phase)])
+            both = np.linalg.lstsq(np.hstack([line, wave]), y[row], rcond=None)[0]
+            swings = y[row] - line @ both[:2]
+            if np.sum((swings - wave @ both[2:]) ** 2) < A_SINE * np.sum(swings**2):
+                sizes[k] = float(np.hypot(*both[2:]))
+    if not sizes.any():
+        return begin, end
+    moving = np.flatnonzero(sizes > AT_REST * np.median(sizes[sizes > 0]))
+    longest = max(np.split(moving, np.flatnonzero(np.diff(moving) > 1) + 1), key=len)
+    return (
+        begin + (longest[0] + 1) / frequency if longest[0] > 0 else begin,
+        begin + longest[-1] / frequency if longest[-1] < len(sizes) - 1 else end,
     )
 
 
