@@ -30,7 +30,7 @@ METHOD = "sine-harmonic"
 SETTLE = 1.0
 """Left out at the start [s], rounded up to whole cycles."""
 AT_REST, A_SINE = 0.5, 0.25
-"""A cycle of less than this share of the usual amplitude, or a sine that leaves this share of its squares, is no part."""
+"""A cycle of less than this share of the usual amplitude, or that a sine leaves this share of, is no part of it."""
 LEAST = 12
 """Samples a cycle that are needed."""
 UNUSABLE_SHARE = 0.1
@@ -223,8 +223,8 @@ def measure(run: RunData, trial: TrialData, late: tuple[float, float]) -> Sine |
 def _moving(trial: TrialData, frequency: float) -> tuple[float, float]:
     """When the sine begins and ends [s]: a file may hold rests, steps or ramps to the mean, before and after it.
 
-    By the longest stretch of cycles in which the command, else the pressure, is a sine of the usual amplitude. Where one
-    is cut off, so is the cycle next to it, which may be a sine in part.
+    By the longest stretch of cycles in which the command, else the pressure, is a sine of the usual amplitude. Where
+    one is cut off, so is the cycle next to it, which may be a sine in part.
     """
     begin, end = float(trial.t[0]), float(trial.t[-1])
     drive = trial.channels.get("pressure_command", trial.channels["pressure"])
