@@ -117,6 +117,32 @@ def test_a_sine_of_length_is_that_test_and_not_ramps(tmp_path):
     assert not [e for e in found if e["symbol"] == "F_ce" and e["value"] is not None]
 
 
+@pytest.mark.parametrize("pressures", [[2.0], [2.0, 3.0]])
+def test_sines_that_follow_each_other_in_one_file_are_a_trial_each(tmp_path, pressures):
+    """Three frequencies at each pressure, 2 s of rest between them: K 6 N/mm, B 0.9 N s/mm; no pressure before and after."""
+    dt, rng, parts = 0.004, np.random.default_rng(6), []
+    for P in pressures:
+        for f in (0.5, 1.0, 2.0):
+            phase = 2 * np.pi * f * np.arange(0, 12.0, dt)
+            parts += [
+                (P, 10 + 4 * np.sin(phase), 8 * np.pi * f * np.cos(phase)),
+                (P, *np.full((2, 500), [[10.0], [0.0]])),
+            ]
+    at_rest = (0.0, np.full(750, 10.0), np.zeros(750))
+    P, x, v = (np.concatenate([np.broadcast_to(part[k], part[1].shape) for part in [at_rest, *parts, at_rest]])
+               for k in range(3))  # fmt: skip
+    F = np.where(P > 0, 108 * P - 49 - 6 * x - 0.9 * v, 0.0)
+    write(tmp_path / "log.csv", "t [s],P [bar],x [mm],F [N]", dt * np.arange(len(x)), P + rng.normal(0, 0.002, len(x)),
+          x + rng.normal(0, 0.002, len(x)), F + rng.normal(0, 0.3, len(x)))  # fmt: skip
+    kind, found = processed(tmp_path, "columns.x [mm].contraction.zero=0 mm")
+    assert kind == "sinusoidal-displacement"
+    holds(found, "K", 6000.0)
+    holds(found, "B", 900.0)
+    assert {(round(e["at"]["pressure"] / 1e5), e["at"]["frequency"]) for e in found if e["at"].get("frequency")} == {
+        (round(P), f) for P in pressures for f in (0.5, 1.0, 2.0)
+    }
+
+
 def test_a_contraction_in_percent_is_asked_for_its_length(tmp_path):
     t, x, way = ramps(rate=20.0)
     write(

@@ -32,6 +32,8 @@ LEAVING = 0.05
 """A change begins where the signal has left its level by this share of it."""
 SAME_PERIOD, SAME_SIZE = 0.15, 0.25
 """Half cycles of one sine differ by no more than these shares."""
+ANOTHER, APART = 0.05, 2.0
+"""Sines are two where frequency or amplitude differ by that share, or with a rest of so many cycles between them."""
 HALF_CYCLES = 4
 """Fewer are no sine."""
 SAMPLES = 8
@@ -72,6 +74,14 @@ class Wave:
     amplitude: float
     left: float = 0.0
     """What the sine leaves of the signal over the signal, both rms; a triangle leaves 0.12."""
+
+    def parted(self, after: Wave) -> bool:
+        """Whether the one that follows is another sine, or the same again after a rest."""
+        return (
+            abs(after.frequency - self.frequency) > ANOTHER * self.frequency
+            or abs(after.amplitude - self.amplitude) > ANOTHER * self.amplitude
+            or (after.begin - self.end) * self.frequency > APART
+        )
 
 
 def later(t: Array) -> NDArray[np.bool_]:
@@ -282,6 +292,14 @@ Named = tuple[list[dict[str, Any]], dict[str, float]]
 """Commands of a trial, and what of its operating point they show."""
 
 
+def driven_waves(how: Commanded, t: Array, channels: Mapping[str, Array], smallest: float | None = None) -> list[Wave]:
+    """Sines of the commanded channel, of the measured one where no command was recorded; see `commands_of`."""
+    channel = f"{how.output}_command" if f"{how.output}_command" in channels else how.output
+    if not how.sine or channel not in channels or len(t) < 2 * MOVING_SAMPLES + 2:
+        return []
+    return waves(t, channels[channel], smallest if smallest and how.output == "pressure" else SMALLEST[how.output])
+
+
 def commands_of(how: Commanded, t: Array, channels: Mapping[str, Array], smallest: float | None) -> Named:
     """The commands of one trial, and its operating point as far as they show it.
 
@@ -294,7 +312,7 @@ def commands_of(how: Commanded, t: Array, channels: Mapping[str, Array], smalles
         return [], {}
     measured = channel == how.output
     least = smallest if smallest and how.output == "pressure" else SMALLEST[how.output]
-    sines = waves(t, channels[channel], least) if how.sine else []
+    sines = driven_waves(how, t, channels, smallest)
     found = [] if how.sine else changes(t, channels[channel], least, measured=measured)
     if not found and not sines and not how.still:
         return [], {}

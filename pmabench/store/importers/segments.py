@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pmabench.base.imported import Commanded
 from pmabench.base.quantities import CHANNEL_QUANTITY
 from pmabench.store.importers import motion
 from pmabench.store.importers.found import Bools
@@ -143,10 +144,12 @@ def _as_own(found: Sequence[Segment], all_rows: _Rows) -> tuple[list[Segment], l
     loads: dict[int, float] = {}
     hanging = 0
     channels = {name: column for name, column in values.items() if name in CHANNEL_QUANTITY}
+    how = rules.test.commanded
+    if how and how.sine:
+        found = [each for part in found for each in _sine_by_sine(part, how, channels, all_rows)]
     for number, part in enumerate(found):
         rows = all_rows.between(part)
         mine = {name: column[rows] for name, column in channels.items()}
-        how = rules.test.commanded
         commands, known = motion.commands_of(how, t[rows], mine, rules.trials.smallest) if how else ([], {})
         part = _at_one_point(part, commands, all_rows)
         rows = all_rows.between(part)
@@ -182,6 +185,14 @@ def _as_own(found: Sequence[Segment], all_rows: _Rows) -> tuple[list[Segment], l
     for number, load in zip(loads, motion.alike(list(loads.values())), strict=True):
         parts[number] = replace(parts[number], point={"mass": load / G, **parts[number].point, "load": load})
     return parts, doubts
+
+
+def _sine_by_sine(part: Segment, how: Commanded, channels: Mapping[str, Array], all_rows: _Rows) -> list[Segment]:
+    """A trial of sines: one for each where several follow each other, cut in the middle between them."""
+    rows = all_rows.between(part)
+    waves = motion.driven_waves(how, all_rows.t[rows], {name: column[rows] for name, column in channels.items()})
+    cuts = [0.5 * (one.end + after.begin) for one, after in pairwise(waves) if one.parted(after)]
+    return [replace(part, begin=begin, end=end) for begin, end in pairwise([part.begin, *cuts, part.end])]
 
 
 def _at_one_point(part: Segment, commands: Sequence[Mapping[str, Any]], all_rows: _Rows) -> Segment:
