@@ -25,6 +25,8 @@ TRIED = 41
 """Delays that are tried either way, with none."""
 REACH = 0.6
 """Longest delay that is tried, as a share of the time that is looked at on either side of a turn."""
+REACHED = 0.8
+"""A longer share of that is looked for over twice the time."""
 WIDER = 3.0
 """The motion may turn so many of these times before or after its command."""
 ORDER = 3
@@ -57,11 +59,14 @@ def behind(t: Array, moved: Array, pulls: Array, turns: Sequence[float], span: f
 
     `t`, `moved`, `pulls` have shape (n,), `turns` are the commanded ones [s]. Half of `span` [s] before and after each
     turn is looked at: before it a straight line, after it a polynomial of third order from a jump on, late by a delay
-    or through a filter of first order. What the whole of `span` gives says how much that form matters. The interval is
-    that of the profile likelihood, by Student's t for as many delays as there are samples to tell them apart: what is
-    left jumps from sample to sample, and its curvature says nothing.
+    or through a filter of first order. What the whole of `span` gives says how much that form matters; a time that half
+    of it hardly reaches is looked for in the whole of it and in twice that. The interval is that of the
+    profile likelihood, by Student's t for as many delays as there are samples to tell them apart: what is left jumps
+    from sample to sample, and its curvature says nothing.
     """
     near, wide = (_of_turns(t, moved, pulls, turns, share * span) for share in (0.5, 1.0))
+    if wide is not None and abs(wide.time) > REACHED * REACH * 0.5 * span:
+        near, wide = wide, _of_turns(t, moved, pulls, turns, 2 * span) or wide
     if near is None or wide is None:
         return wide
     return replace(near, half=float(np.hypot(near.half, abs(near.time - wide.time))))
