@@ -15,8 +15,10 @@ from pmabench.base.errors import InvalidFile
 from pmabench.kinds.relaxation.course import Course, Relaxing
 from pmabench.kinds.relaxation.figures import measure as at_a_glance
 from pmabench.kinds.relaxation.reduction import LINE, PRONY, reduce
+from pmabench.store.reader import open_run
 from tests.analysis.driven_runs import planned, recorded
 from tests.analysis.test_honesty import refuse_unexplained_moves
+from tests.importing import import_files
 
 SHORT = (("prepare.precondition.cycles", "0"), ("trial.hold", "120 s"), ("trial.rest", "360 s"),
          ("sweep.matrix.pressure", "[5 bar]"))  # fmt: skip
@@ -206,6 +208,46 @@ def test_the_hold_before_is_in_the_budget_and_too_short_a_rest_is_seen(run):
     one = next(e for e in reduce([replace(run, trials=(first, near))]).estimates if e.at["contraction"] > 0.01)
     assert one.withheld
     assert "rest longer" in one.note
+
+
+FOREIGN = """
+schema: pmabench.map/1
+name: holds of a logger
+source: made for this test
+kind: relaxation
+file: {{delimiter: comma, header: first line}}
+columns:
+  t: {{is: time, unit: s}}
+  p: {{is: pressure, unit: bar}}
+  x: {{is: displacement, unit: mm, contraction: {{reading: rises, zero: 0 mm}}}}
+  F: {{is: force, unit: N}}
+  set: {{is: {set}}}
+sampling: {{rate: [5 Hz, 2000 Hz], gap: 1 s}}
+trials: {{by: command, smallest: 0.5 bar, lead: 2.5 s}}
+specimen: {{type: D, serial: R-1}}
+"""
+
+
+@pytest.mark.parametrize("column", ["pressure_command, unit: bar", "ignore"])
+def test_holds_of_another_program_relax_alike(run, tmp_path, column):
+    """Plain columns of a log, with and without the commanded pressure."""
+    rows = [np.column_stack([t.t, t.channels["pressure"] / 1e5, 1e3 * t.channels["displacement"], t.channels["force"],
+                             t.channels["pressure_command"] / 1e5]) for t in run.trials]  # fmt: skip
+    np.savetxt(tmp_path / "log.csv", np.vstack(rows), fmt="%.6g", delimiter=",", header="t,p,x,F,set", comments="")
+    (tmp_path / "map.yaml").write_text(FOREIGN.format(set=column))
+    (made,) = import_files([tmp_path / "log.csv"], tmp_path / "map.yaml", tmp_path / "runs")
+    pairs = [[e for e in reduce([one]).estimates if e.symbol == "s"] for one in (run, open_run(made.path))]
+    for own, other in zip(*pairs, strict=True):
+        assert other.value == pytest.approx(own.value, abs=1e-4)
+        assert other.at["contraction"] == pytest.approx(own.at["contraction"], abs=1e-4)
+
+
+def test_a_hold_without_its_end_is_refused(run):
+    trial = run.trials[0]
+    rows = trial.t < next(c.t for c in trial.commands if c.phase == "vent")
+    cut = replace(trial, t=trial.t[rows], channels={k: v[rows] for k, v in trial.channels.items()},
+                  flags=trial.flags[rows], commands=tuple(c for c in trial.commands if c.phase != "vent"))  # fmt: skip
+    assert "a drift of the cell is not told from relaxation" in reduce([replace(run, trials=(cut,))]).dropped[0].reason
 
 
 @pytest.mark.parametrize(("setting", "words"), [

@@ -4,7 +4,7 @@
 - protocol files: `protocol`; figure and one trial on the display: `figures`
 """
 
-from pmabench.base.imported import Imported
+from pmabench.base.imported import Commanded, Imported
 from pmabench.base.kind import Kind, Result
 
 RESULTS = (
@@ -39,5 +39,12 @@ KIND = Kind(
     word="relaxation",
     methods=METHODS,
     figures={"relaxation": "pmabench.kinds.relaxation.figures:courses"},
-    imported=Imported(),
+    imported=Imported(
+        Commanded(
+            "pressure",
+            phases=(("to the highest", "step"), ("any", "vent")),
+            point=(("contraction", "length"), ("pressure", "highest")),
+        ),
+        follows="force",
+    ),
 )

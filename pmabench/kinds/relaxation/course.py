@@ -270,6 +270,10 @@ def measure(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> Cours
     if float(np.mean(~trial.usable)) > UNUSABLE_SHARE:
         raise NotUsable(f"{np.mean(~trial.usable):.0%} of the samples are flagged")
     step, end = _step(trial)
+    if end >= trial.t[-1]:
+        raise NotUsable(
+            f"it ends under pressure: without {CALM:g} s after the vent a drift of the cell is not told from relaxation"
+        )
     begin = float({**(run.plan.get("settings") or {}), **options}.get("begin", 5.0))
     t, F, P = (values[trial.usable] for values in (trial.t, trial.channels["force"], trial.channels["pressure"]))
     calm, last = (t >= step.t - CALM) & (t < step.t), t > t[-1] - CALM
