@@ -13,6 +13,7 @@ from math import hypot, sqrt
 import numpy as np
 
 from pmabench.analysis.shared import student
+from pmabench.base.quantities import show
 from pmabench.store.analyses.results import Estimate, Parts, Source, withhold
 from pmabench.store.records import Array
 
@@ -101,3 +102,13 @@ def change_over(cycles: Sequence[Array]) -> Change | None:
     count, size = max(len(one) for one in cycles), abs(slope)
     most = (size + float(student.ppf(0.975, freedom)) * error) * count
     return Change(size * count, most, size > float(student.ppf(SURE, freedom)) * error)
+
+
+def force_from_cycle_to_cycle(cycles: Sequence[Array], share: float = 1.0) -> list[Doubt]:
+    """What a force changes by from the first cycle to the last [N], times `share`, where that is seen."""
+    change = change_over(cycles)
+    if change is None or not change.seen:
+        return []
+    text = f"from cycle to cycle the force changes, by {show(change.size, 'force', 2)} in all: the cell drifts, or the"
+    reason = f"{text} muscle is not at rest yet. Do more cycles before those that count, and check the zero of the cell"
+    return [Doubt("change from cycle to cycle", "drift", change.most * share, seen=True, reason=reason)]

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.analysis.shared.calibration import Scales, sentences
-from pmabench.analysis.shared.form import Doubt, change_over, weighed
+from pmabench.analysis.shared.form import Doubt, force_from_cycle_to_cycle, weighed
 from pmabench.analysis.shared.lines import Line, mean_half, weighted_line
 from pmabench.analysis.shared.sine_loop import RECOVERED, Sine, moving
 from pmabench.analysis.shared.skew import settled
@@ -112,12 +112,7 @@ def mean_force_estimates(
 
 def drift_of(members: Sequence[Member], share: float = 1.0) -> list[Doubt]:
     """What the mean force changes by from the first cycle to the last [N], times `share`, where that is seen."""
-    change = change_over([_by_cycle(member.sine, member.sine.F) for member in members])
-    if change is None or not change.seen:
-        return []
-    text = f"from cycle to cycle the mean force changes, by {show(change.size, 'force', 2)} in all: the cell drifts, or"
-    reason = f"{text} the muscle is not at rest yet. Do more cycles before those that count, and check the cell's zero"
-    return [Doubt("change from cycle to cycle", "drift", change.most * share, seen=True, reason=reason)]
+    return force_from_cycle_to_cycle([_by_cycle(member.sine, member.sine.F) for member in members], share)
 
 
 def _by_cycle(sine: Sine, values: Array) -> Array:

@@ -12,10 +12,9 @@ from math import hypot
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pmabench.analysis.shared.calibration import Scales, sentences
-from pmabench.analysis.shared.form import MOST_HIDDEN, Doubt, change_over, weighed
+from pmabench.analysis.shared.form import MOST_HIDDEN, Doubt, force_from_cycle_to_cycle, weighed
 from pmabench.analysis.shared.lines import mean_half
 from pmabench.analysis.shared.samples import Held, NotUsable, left
 from pmabench.analysis.verdict.agreement import Offer, exactly, values_of, weighted
@@ -136,7 +135,7 @@ def _estimates(
             note = sentences(note, scales.lack(powers))
         e = Estimate(symbol, mean, *kind, method, dict(at), Parts(half, extra, part), len(group), note=note,
                      trials=names, coordinate=coordinate)  # fmt: skip
-        estimates.append(weighed(e, [*doubts, *(_trend(values) if symbol == "F" else ())]))
+        estimates.append(weighed(e, [*doubts, *(force_from_cycle_to_cycle(values) if symbol == "F" else ())]))
 
     stiffness, newton, second = ("N/m", "stiffness"), ("N", "force"), ("s", "time")
     slope = {"force": 1, "displacement": -1}
@@ -187,16 +186,6 @@ def _still_moving(rests: Sequence[Held]) -> Doubt:
     further = left(rests)
     text = f"the force is not at rest: after the hold it may still change by {show(further.most, 'force', 2)}"
     return Doubt("motion of the force after the rest", "method", further.most, further.seen, f"{text}. Hold longer")
-
-
-def _trend(values: Sequence[NDArray[np.float64]]) -> list[Doubt]:
-    """What a force changes by from the first cycle to the last [N], where that is seen."""
-    change = change_over(values)
-    if change is None or not change.seen:
-        return []
-    text = f"from cycle to cycle the force changes, by {show(change.size, 'force', 2)} in all: the cell drifts, or the"
-    reason = f"{text} muscle is not at rest yet. Do more cycles before those that count, and check the zero of the cell"
-    return [Doubt("change from cycle to cycle", "drift", change.most, seen=True, reason=reason)]
 
 
 def _findings(at: Mapping[str, float], group: Sequence[_Member]) -> list[Finding]:
