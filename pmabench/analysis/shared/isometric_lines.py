@@ -21,6 +21,8 @@ from pmabench.store.records import Array, Command, RunData, TrialData
 METHOD = "isometric-line"
 FEWEST = 50
 """Samples that a line needs."""
+FEWEST_STEPS = 5
+"""Commands of one phase that make a staircase."""
 PLACES = 9
 """Pressures along a line at which its force is kept."""
 SAME = 4
@@ -134,12 +136,38 @@ def as_test(run: RunData, trial: TrialData, phases: Sequence[str]) -> tuple[Test
         return None, f"nothing says at which contraction it was held: give `point: {{contraction: 4 mm}}` {where}"
     if trial.status != "finished":
         return None, f"the trial is {trial.status}"
-    phase = _phase_of(run, trial, phases)
+    phase = stairs(trial, phases)
+    phase = _phase_of(run, trial, phases) if phase is None else phase
     wanted = trial.usable & ((phase >= 0) | (not phases))
     wanted &= np.isfinite(trial.channels["pressure"]) & np.isfinite(trial.channels["force"])
     P, F = trial.channels["pressure"][wanted], trial.channels["force"][wanted]
     x = trial.channels.get("displacement", np.full(len(trial.t), np.nan))[wanted]
     return Test(run, trial, trial.t[wanted], P, F, x, phase[wanted]), ""
+
+
+def stairs(trial: TrialData, phases: Sequence[str]) -> Array | None:
+    """Index of the phase of each sample that is held on a step of a staircase, -1 of all others; None without stairs.
+
+    What is on its way between two holds counts by the lag of the sensors, and tells no force at a pressure. Half of the
+    time of a hold is left for the way and to settle. The highest hold belongs to the phase that leads to it, and to the
+    one that leads away.
+    """
+    commands = [c for c in trial.commands if c.output == "pressure"]
+    named = [c.phase for c in commands]
+    if max((named.count(phase) for phase in phases), default=0) < FEWEST_STEPS:
+        return None
+    index = np.full(len(trial.t), -1.0)
+    for number, command in enumerate(commands):
+        after = commands[number + 1] if number + 1 < len(commands) else None
+        if command.phase not in phases:
+            continue
+        end = float(trial.t[-1]) if after is None else after.t
+        begin = ends(command) if command.data.get("rate") else command.t
+        held = (trial.t >= 0.5 * (begin + end)) & (trial.t < end)
+        index[held] = phases.index(command.phase)
+        if after is not None and after.phase in phases and after.phase != command.phase:
+            index[held & (trial.t >= 0.25 * begin + 0.75 * end)] = phases.index(after.phase)
+    return index
 
 
 def _phase_of(run: RunData, trial: TrialData, phases: Sequence[str]) -> Array:

@@ -85,7 +85,7 @@ KIND = Kind(
     imported=Imported(
         Commanded(
             "pressure",
-            phases=(("to the highest", "fill"), ("from the highest", "empty"), ("any", "rest")),
+            phases=(("up to the highest", "fill"), ("down from the highest", "empty"), ("any", "rest")),
             point=(("contraction", "length"),),
         ),
         follows="force",

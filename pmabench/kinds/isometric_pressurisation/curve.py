@@ -17,18 +17,20 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from pmabench.analysis.shared import student
-from pmabench.analysis.shared.isometric_lines import Mask, Test, as_test, ends
+from pmabench.analysis.shared.isometric_lines import Mask, Test, as_test, ends, stairs
 from pmabench.analysis.shared.samples import SEEN, noise_of, onset
 from pmabench.model.library.daerden import section_factor
 from pmabench.store.records import Array, RunData, TrialData
 
 PHASES = ("fill", "empty")
 BINS = 50
+SHIFTS = 20
+"""Places of the bins that are tried so that no hold of a staircase is cut."""
 WITHIN = 0.02
 """How far the straight part may leave its line, and how much of the force lies below it, as a share of the span."""
 SHORTEST = 0.5
 """Least share of the bins with force that a straight part has."""
-FEWEST_BINS = 5
+FEWEST_BINS, FEWEST_HOLDS = 5, 3
 LEAST = 0.2
 """Change of the force that counts as one, where there is less noise [N]."""
 REST = 1.0
@@ -65,60 +67,82 @@ class Mean:
         return Mean(self.P, self.fill[rows], self.empty[rows])
 
     @property
-    def turned(self) -> Array:
-        """What the mean of both branches lacks where the loop has not opened or closed yet, by its middle [N]; (bins,).
+    def turned(self) -> tuple[Array, Array]:
+        """Pressures [Pa], and what of the middle of the loop the mean of both branches has too much there [N].
 
-        Half of the difference between the gap there and that of the middle half of the pressures.
+        Half of the difference between the gap there, where the loop has not opened or closed yet, and that of the
+        middle half of the pressures. The mean is that of the branch just left: too high at the lower end, too low at
+        the upper one.
         """
         known = np.isfinite(self.empty - self.fill)
-        gap = np.where(known, self.empty - self.fill, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
-        place = (self.P - self.P[0]) / (self.P[-1] - self.P[0])
-        return np.asarray(0.5 * np.abs(gap - np.median(gap[np.abs(place - 0.5) < 0.25])))
+        seen = known.any(axis=0)
+        gap = np.where(known, self.empty - self.fill, 0.0).sum(axis=0)[seen] / known.sum(axis=0)[seen]
+        place = (self.P[seen] - self.P[0]) / (self.P[-1] - self.P[0]) - 0.5
+        middle = np.abs(place) < 0.25
+        usual = float(np.median(gap[middle] if middle.any() else gap)) if seen.any() else 0.0
+        return self.P[seen], np.copysign(0.5 * np.abs(gap - usual), -place)
 
-    def gaps(self, low: float) -> Array:
-        """Force while emptying minus while filling of each test, mean over the pressures from `low` [Pa] on [N]."""
-        part = (self.empty - self.fill)[:, self.P >= low]
+    def gaps(self, low: float, *, to_turn: bool) -> Array:
+        """Force while emptying minus while filling of each test, mean over the pressures from `low` [Pa] on [N].
+
+        Without `to_turn` those below the highest: of a staircase that is one hold for both directions.
+        """
+        gap = self.empty - self.fill
+        high = self.P[np.isfinite(gap).any(axis=0)].max(initial=0.0)
+        part = gap[:, (self.P >= low) & ((self.P < high) | to_turn)]
         known = np.isfinite(part)
         return np.asarray(np.where(known, part, 0.0).sum(axis=1) / np.maximum(known.sum(axis=1), 1))
 
 
 def mean_of(tests: Sequence[Test]) -> Mean:
     """The branches of tests at one contraction in equal bins of pressure; both ramps weigh the same in each bin."""
-    P = np.concatenate([test.P for test in tests])
-    edges = np.linspace(P.min(), P.max(), BINS + 1)
+    edges = _edges(np.concatenate([test.P for test in tests]), held=stairs(tests[0].trial, PHASES) is not None)
     middle = 0.5 * (edges[1:] + edges[:-1])
     rows: dict[int, list[Array]] = {0: [], 1: []}
     for phase, found in rows.items():
         for test in tests:
             mine = test.phase == phase
-            place = np.clip(np.searchsorted(edges, test.P[mine], side="right") - 1, 0, BINS - 1)
+            place = np.clip(np.searchsorted(edges, test.P[mine], side="right") - 1, 0, len(middle) - 1)
             found.append(_binned(place, test.P[mine], test.F[mine], middle))
     return Mean(middle, np.array(rows[0]), np.array(rows[1]))
 
 
+def _edges(P: Array, *, held: bool) -> Array:
+    """Edges of the bins [Pa]: none within a hold of a staircase, as far as that can be."""
+    edges = np.linspace(P.min(), P.max(), BINS + 1)
+    if not held:
+        return edges
+    width = float(edges[1] - edges[0])
+    tried = np.linspace(0.0, width, SHIFTS, endpoint=False)
+    away = [float(np.abs((P - P.min() + shift + 0.5 * width) % width - 0.5 * width).min()) for shift in tried]
+    return np.asarray(np.append(edges, edges[-1] + width) - tried[int(np.argmax(away))])
+
+
 def _binned(place: Array, P: Array, F: Array, middle: Array) -> Array:
     """Mean force of each bin, moved to the bin's middle along the slope between the means."""
-    count = np.bincount(place, minlength=BINS)
+    count = np.bincount(place, minlength=len(middle))
     full = count > 0
-    at, force = (np.bincount(place, values, BINS)[full] / count[full] for values in (P, F))
-    result = np.full(BINS, np.nan)
+    at, force = (np.bincount(place, values, len(middle))[full] / count[full] for values in (P, F))
+    result = np.full(len(middle), np.nan)
     slope = np.gradient(force, at) if full.sum() > 1 and np.all(np.diff(at) > 0) else np.zeros(len(at))
     result[full] = force + slope * (middle[full] - at)
     return result
 
 
-def straight_from(mean: Mean) -> tuple[float | None, float]:
+def straight_from(mean: Mean, *, held: bool = False) -> tuple[float | None, float]:
     """The pressure from which on F(P) is a straight line [Pa], and the largest distance from that line [N].
 
     The rule: above the pressures at which the force is within `WITHIN` of its span from its least value, the lowest
     pressure from which on no bin is further than `WITHIN` of the span from the line through all of them, if at least
-    `SHORTEST` of these bins are left. None where there is none; the distance is then that of the shortest part.
+    `SHORTEST` of these bins are left. None where there is none; the distance is then that of the shortest part. Of a
+    staircase, which is `held`, fewer do, and its lowest hold need not be without force.
     """
     known = np.isfinite(mean.force)
     P, F = mean.P[known], mean.force[known]
     span = float(np.ptp(F))
-    first = int(np.flatnonzero(F - F.min() <= WITHIN * span)[-1]) + 1 if span > 0 else len(F)
-    least = max(FEWEST_BINS, int(np.ceil(SHORTEST * (len(F) - first))))
+    slack = np.flatnonzero(F - (min(0.0, F.min()) if held else F.min()) <= WITHIN * span)
+    first = int(slack[-1]) + 1 if len(slack) and span > 0 else 0 if span > 0 else len(F)
+    least = max(FEWEST_HOLDS if held else FEWEST_BINS, int(np.ceil(SHORTEST * (len(F) - first))))
     off = 0.0
     for start in range(first, len(F) - least + 1):
         off = float(np.abs(F[start:] - np.polyval(np.polyfit(P[start:], F[start:], 1), P[start:])).max())

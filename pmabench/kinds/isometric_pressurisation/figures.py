@@ -41,7 +41,7 @@ def of_cells(cells: Sequence[Cell]) -> list[Finding]:
             continue
         line = cell.pooled.line
         ends = f"{show(cell.low, 'pressure', 4)} to {show(line.high, 'pressure', 4)}"
-        gap = float(cell.mean.gaps(cell.low).mean())
+        gap = float(cell.gaps.mean())
         text = f"straight from {ends} within {show(cell.off, 'force', 2)}"
         text += f", residual {show(cell.pooled.rms, 'force', 2)} rms"
         found.append(Finding("note", f"{where}: {text}; emptying minus filling {show(gap, 'force', 2)}"))

@@ -30,7 +30,7 @@ AROUND = 1.0
 SMOOTH = 0.2
 """Pressure and force are means over this time before one is compared with the slope of the other [s]."""
 WITHOUT = 0.02
-"""Share of the highest pressure below which there is none."""
+"""Share of the highest pressure below which there is none, and of the largest force below which nothing pulls."""
 STRETCHED = 1e-4
 """A muscle that is longer than its nominal length by this is stretched [m]."""
 DRIFTS = 6.0
@@ -50,6 +50,8 @@ class Departure:
     """What it adds to the force of a test at the largest size that the tests allow [N], shape of its samples."""
     seen: bool
     reason: str
+    moves: bool = False
+    """Whether it is the muscle that moves, and not the cell that reads another force."""
 
 
 def departures(cells: Sequence[Cell]) -> list[Departure]:
@@ -267,7 +269,7 @@ def _slip(cells: Sequence[Cell], K: dict[float, tuple[Array, Array]], slope: flo
             return np.zeros(len(test.P))
         return np.asarray(most * np.interp(test.P, *K[at[test.name]]) * (test.F > 0))
 
-    return Departure("slip of a mount", "drift", force, True, reason)
+    return Departure("slip of a mount", "drift", force, True, reason, moves=True)
 
 
 def _gives_way(cells: Sequence[Cell], K: dict[float, tuple[Array, Array]]) -> Departure | None:
@@ -276,7 +278,8 @@ def _gives_way(cells: Sequence[Cell], K: dict[float, tuple[Array, Array]]) -> De
     moves = [0.0]
     for cell in cells:
         for test in cell.tests:
-            blocks = [part for part in np.array_split(test.x, 20) if len(part)]
+            pulling = test.F > WITHOUT * float(test.F.max())
+            blocks = [part for part in np.array_split(test.x[pulling], 20) if len(part)]
             if test.name in at and np.isfinite(test.x).all() and len(blocks) == 20:
                 noise = noise_of(test.x) / sqrt(len(blocks[0]))
                 moves.append(max(0.0, float(np.ptp([part.mean() for part in blocks])) - 6 * noise))
@@ -292,4 +295,4 @@ def _gives_way(cells: Sequence[Cell], K: dict[float, tuple[Array, Array]]) -> De
             return np.zeros(len(test.P))
         return np.asarray(-np.interp(test.P, *K[at[test.name]]) * (test.x - test.x.mean()))
 
-    return Departure("motion of the driven end", "method", force, True, reason)
+    return Departure("motion of the driven end", "method", force, True, reason, moves=True)

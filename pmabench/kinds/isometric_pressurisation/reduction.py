@@ -27,6 +27,7 @@ from pmabench.analysis.shared.isometric_lines import (
     estimates_of,
     pool,
     spread,
+    stairs,
     tests_of,
 )
 from pmabench.analysis.trial import Expected, Found, Measured, Quick
@@ -54,7 +55,7 @@ from pmabench.store.records import Array, RunData, TrialData
 
 KIND = "isometric-pressurisation"
 THRESHOLD, SECTIONS, SIDES, CORRECTED = "force-threshold", "isometric-sections", "isometric-sides", "corrected-force"
-SECTION = "daerden-section"
+SECTION, TURN = "daerden-section", "turn of the loop"
 TIMES = 3.0
 """Another threshold of the force, as a multiple: noise hides how it begins, and that it begins late grows with it."""
 CHANNELS = ("pressure", "force")
@@ -187,10 +188,13 @@ def _weighed(found: _Found, groups: Groups, given: Mapping[str, Any], scales: Sc
     for one in departures(found.cells):
         without = {x: [replace(test, F=test.F - one.force(test)) for test in tests] for x, tests in groups.items()}
         changed = {_key(e): e.value for e in _found(without, given, scales).estimates}
+        values = {_key(e): e.value for e in found.estimates}
         for e in found.estimates:
-            other = changed.get(_key(e))
-            if e.value is not None and other is not None:
-                doubts[_key(e)].append(Doubt(one.name, one.part, abs(other - e.value), one.seen, one.reason))
+            # the onset is read off the samples themselves: what moves the muscle moves it like the line's
+            key = (e.symbol, METHOD, "", _key(e)[3]) if e.method == THRESHOLD and one.moves else _key(e)
+            value, other = values.get(key), changed.get(key)
+            if e.value is not None and value is not None and other is not None:
+                doubts[_key(e)].append(Doubt(one.name, one.part, abs(other - value), one.seen, one.reason))
     delay, error = late(found.cells)
     for line in found.across:
         for symbol in ("F_ce", "K"):
@@ -202,8 +206,10 @@ def _weighed(found: _Found, groups: Groups, given: Mapping[str, Any], scales: Sc
         if e.symbol == "H" and np.isfinite(delay):
             doubts[_key(e)].append(_late(e, found.cells, delay, error))
         if e.symbol in ("F_b", "F_ce") and turned:
-            lacks = max(float(np.interp(e.at["pressure"], *one)) for one in turned)
-            doubts[_key(e)].append(Doubt("turn of the loop", "method", lacks, seen=True))
+            lacks = max(abs(float(np.interp(e.at["pressure"], *one))) for one in turned)
+            doubts[_key(e)].append(Doubt(TURN, "method", BEYOND * lacks, seen=True))
+        if e.method == METHOD and e.coordinate:
+            doubts[_key(e)].append(_of_turns(e, found.cells))
         if e.symbol == "F_b" and scatter is not None:
             more = max(0.0, (scatter * (e.value or 0.0)) ** 2 / e.n - (e.parts.repeats or 0.0) ** 2)
             doubts[_key(e)].append(Doubt("scatter at the other contractions", "repeats", sqrt(more), seen=False))
@@ -212,8 +218,19 @@ def _weighed(found: _Found, groups: Groups, given: Mapping[str, Any], scales: Sc
 
 
 def _turned(cells: Sequence[Cell]) -> list[tuple[Array, Array]]:
-    """Pressures [Pa], and what the mean of the branches lacks there [N], of each contraction."""
-    return [(cell.mean.P, cell.mean.turned) for cell in cells if cell.pooled is not None]
+    """`Mean.turned` of each contraction that has a straight part, and of the one nearest to 0, whose force is F_b."""
+    nearest = min(cells, key=lambda cell: abs(cell.contraction), default=None)
+    turned = [cell.mean.turned for cell in cells if cell.pooled is not None or cell is nearest]
+    return [one for one in turned if len(one[0])]
+
+
+def _of_turns(e: Estimate, cells: Sequence[Cell]) -> Doubt:
+    """What the turns of the loop make of slope or intercept of a line."""
+    cell = next(cell for cell in cells if cell.contraction == e.at["contraction"])
+    P, off = cell.mean.turned
+    rows = P >= (cell.low or 0.0)
+    terms = np.polyfit(P[rows], off[rows], 1) if rows.sum() > 1 else np.zeros(2)
+    return Doubt(TURN, "method", abs(float(terms[0 if e.coordinate == "slope" else 1])), seen=True)
 
 
 Key = tuple[str, str, str, float | None]
@@ -256,7 +273,8 @@ def cell_of(contraction: float, tests: Sequence[Test]) -> Cell:
     """What the tests at one contraction [m] say together."""
     mean = mean_of(tests)
     side = np.array([test.trial.point.get("side", 0.0) for test in tests])
-    parts = [straight_from(mean.of(side == one)) for one in np.unique(side)]
+    held = stairs(tests[0].trial, PHASES) is not None
+    parts = [straight_from(mean.of(side == one), held=held) for one in np.unique(side)]
     off = max(part[1] for part in parts)
     if None in [part[0] for part in parts]:
         return Cell(contraction, tests, mean, None, off, None)
@@ -272,18 +290,27 @@ def _rate(cell: Cell) -> float:
     return max((c.data.get("rate", 0.0) for test in cell.tests for c in test.trial.commands), default=0.0)
 
 
+def _steps(trial: TrialData) -> bool:
+    """Whether the pressure goes up or down in a step."""
+    return any(c.phase in PHASES and not c.data.get("rate") for c in trial.commands if c.output == "pressure")
+
+
 def _width(cell: Cell, scales: Scales) -> Estimate:
     """Force while emptying minus while filling at the same pressure, mean over the straight part [N]."""
-    gaps = by_repeat(cell.tests, cell.mean.gaps(cell.low or 0.0))
+    gaps = by_repeat(cell.tests, cell.gaps)
+    at, names = {"contraction": cell.contraction}, tuple(test.name for test in cell.tests)
+    if not cell.held and any(_steps(test.trial) for test in cell.tests):
+        why = "a loop on the way from one pressure to the next is as wide as the force is late: ramp, or hold at five"
+        return Estimate("H", None, "N", "force", METHOD, at, n=len(gaps), note=why, trials=names)
     apart = 2 * _rate(cell) * skew.apart([test.run for test in cell.tests], CHANNELS)
     slope = cell.pooled.line.m if cell.pooled else 0.0
     value = float(gaps.mean())
     return Estimate(
-        "H", value, "N", "force", METHOD, {"contraction": cell.contraction},
+        "H", value, "N", "force", METHOD, at,
         Parts(repeats=spread(gaps), calibration=scales.part({"force": value}), skew=abs(slope) * apart),
         len(gaps),
         note=sentences("" if len(gaps) > 1 else "no repeats part: one test only", "emptying minus filling"),
-        trials=tuple(test.name for test in cell.tests),
+        trials=names,
     )  # fmt: skip
 
 
@@ -508,6 +535,6 @@ def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Qu
     return [
         Measured("m", "force per pressure", line.m if line else None),
         Measured("p_0", "pressure", float(np.mean(found)) if found else None, noise=1e3),
-        Measured("H", "force", float(cell.mean.gaps(cell.low or 0.0)[0]), noise=1.0),
+        Measured("H", "force", float(cell.gaps[0]), noise=1.0),
         Measured("F", "force", float(test.F.max()), pull, tolerance=2 * expected.F_c if expected else 0.0),
     ], doubts

@@ -20,19 +20,21 @@ from pmabench.analysis.shared import skew
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.form import Doubt
 from pmabench.analysis.shared.isometric_lines import Line as LineOf
-from pmabench.analysis.shared.isometric_lines import Pooled, Test, by_repeat, spread
+from pmabench.analysis.shared.isometric_lines import Pooled, Test, by_repeat, spread, stairs
 from pmabench.analysis.shared.lines import PROPORTIONAL, Line, weighted_line
 from pmabench.analysis.shared.student import mean_with_half
 from pmabench.analysis.shared.trials import session_of
 from pmabench.analysis.verdict.assembly import side_by_side
 from pmabench.base.quantities import show
-from pmabench.kinds.isometric_pressurisation.curve import Mean
+from pmabench.kinds.isometric_pressurisation.curve import PHASES, Mean
 from pmabench.model.library.contractor import corrected_force
 from pmabench.store.analyses.results import Estimate, Parts, Trace
 from pmabench.store.records import Array
 
 GRID = 50e3
 """Pressures at which F_ce and K are given are multiples of this [Pa]."""
+BRIDGED = 3.5
+"""Bins so many of their widths apart are near each other."""
 PULLS = 0.02
 """Share of the largest force of all that a muscle must pull with to be in a line over contractions."""
 APART = 1e-5
@@ -73,19 +75,32 @@ class Cell:
             found.append(float(known.mean()) if len(known) else self.contraction)
         return np.array(found)
 
+    @property
+    def held(self) -> bool:
+        """Whether the pressure was a staircase, of which the holds count."""
+        return any(stairs(test.trial, PHASES) is not None for test in self.tests)
+
+    @cached_property
+    def gaps(self) -> Array:
+        """Force while emptying minus while filling of each test, mean over the straight part [N]."""
+        return self.mean.gaps(self.low or 0.0, to_turn=not self.held)
+
     def force_at(self, P: float) -> Array:
         """Mean of the branches of each test at a pressure [N]; NaN where it was not there."""
         return np.array([_at_pressure(P, self.mean.P, row) for row in self.mean.each])
 
 
 def _at_pressure(P: float, at: Array, F: Array) -> float:
-    """F at P on straight lines between bins that are neighbours, half a bin beyond the ends at most; NaN elsewhere."""
+    """F at P on straight lines between bins that are near each other, half a bin beyond them at most; NaN elsewhere."""
     known = np.isfinite(F)
     width = float(at[1] - at[0])
     if known.sum() < 2 or not at[known][0] - 0.51 * width <= P <= at[known][-1] + 0.51 * width:
         return float("nan")
     x, y = at[known], F[known]
     i = int(np.clip(np.searchsorted(x, P), 1, len(x) - 1))
+    away = min(abs(P - x[i - 1]), abs(P - x[i]))
+    if x[i] - x[i - 1] > BRIDGED * width and away > 0.51 * width:  # between two holds of a staircase
+        return float("nan")
     return float(y[i - 1] + (y[i] - y[i - 1]) * (P - x[i - 1]) / (x[i] - x[i - 1]))
 
 
@@ -368,6 +383,8 @@ def _slope(cell: Cell, P: float) -> float:
     at, F = cell.mean.P[known], cell.mean.force[known]
     width = max(STEP * float(np.ptp(at)), 1.5 * float(cell.mean.P[1] - cell.mean.P[0]))
     near = np.abs(at - P) <= width
+    if near.sum() < 2:  # holds of a staircase are further apart
+        near = np.isin(np.arange(len(at)), np.argsort(np.abs(at - P))[:2])
     return float(np.polyfit(at[near], F[near], 1)[0]) if near.sum() > 1 else 0.0
 
 

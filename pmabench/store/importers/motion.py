@@ -499,11 +499,32 @@ def _highest(seen: Seen) -> float:
     return 0.95 * max(c.value for c in seen.changes)
 
 
+def _climbs(seen: Seen, k: int) -> bool:
+    """Whether a change leads up to the highest value, at once or by others that rise, too."""
+    for change in seen.changes[k:]:
+        if change.value <= change.before:
+            return False
+        if change.value >= _highest(seen):
+            return True
+    return False
+
+
+def _descends(seen: Seen, k: int) -> bool:
+    """Whether a change leads down from the highest value, at once or after others that fall, too."""
+    for change in seen.changes[k::-1]:
+        if change.value >= change.before:
+            return False
+        if change.before >= _highest(seen):
+            return True
+    return False
+
+
 CHANGES: Mapping[str, Callable[[Seen, int], bool]] = {
     "rises": lambda seen, k: seen.changes[k].value > seen.changes[k].before,
     "to the lowest": lambda seen, k: seen.changes[k].value <= _lowest(seen),
     "to the highest": lambda seen, k: seen.changes[k].value >= _highest(seen),
-    "from the highest": lambda seen, k: seen.changes[k].before >= _highest(seen),
+    "up to the highest": _climbs,
+    "down from the highest": _descends,
     "away": lambda seen, k: (
         abs(seen.changes[k].value - seen.changes[0].before) > abs(seen.changes[k].before - seen.changes[0].before)
     ),
