@@ -192,13 +192,18 @@ def compare(
         for number in sorted(moved)
         for step in steps_of(campaign.samples[number], campaign.trials[number], Gate.lift)
     ]
-    reference = {(e.symbol, e.at["pressure"]): e.value for e in found if "pressure" in e.at}
+    at_each = {(e.symbol, e.at["pressure"]): e for e in found if "pressure" in e.at}
+    reference = {key: e.value for key, e in at_each.items()}
 
-    def force_at(P: float) -> float | None:
+    def force_at(P: float) -> tuple[float, float] | None:
+        """F_ce from elsewhere [N], and what is open of it without its calibration."""
         known = options.get("static")
         if known:
-            return float(known["intercept"]) + float(known["slope"]) * P
-        return None if reference.get(("F_ce", P)) is None else float(primary.values("F_ce", np.array([P]))[0])
+            return float(known["intercept"]) + float(known["slope"]) * P, 0.0
+        if reference.get(("F_ce", P)) is None:
+            return None
+        parts = at_each["F_ce", P].parts
+        return float(primary.values("F_ce", np.array([P]))[0]), replace(parts, calibration=None).combined or 0.0
 
     raw = [
         entry
@@ -208,7 +213,7 @@ def compare(
     estimates = [_with_bias(e, reference) for e in _calibrated(raw, scales)]
     curves = []
     for symbol in SYMBOLS:
-        members = [e for e in estimates if e.symbol == symbol and e.method == METHOD]
+        members = [e for e in estimates if e.symbol == symbol and e.method == METHOD and e.value is not None]
         through = curve(members, 1) if members else None
         if through is not None:
             curves.append(through)
@@ -237,9 +242,9 @@ def compare(
 
 
 def _at(
-    campaign: Campaign, P: float, steps: Sequence[Step], options: Mapping[str, Any], F_ce: float | None
+    campaign: Campaign, P: float, steps: Sequence[Step], options: Mapping[str, Any], known: tuple[float, float] | None
 ) -> list[_Raw]:
-    """All of the papers' coefficients at one pressure [Pa]; `F_ce` [N] from elsewhere, None where not given."""
+    """All of the papers' coefficients at one pressure [Pa]; `known`: F_ce from elsewhere, with what is open [N]."""
     contract = [step for step in steps if step.phase == "contract"]
     relax = [step for step in steps if step.phase == "relax"]
     result: list[_Raw] = []
@@ -259,14 +264,16 @@ def _at(
         loads = np.array([step.load for step in contract])
         x = np.array([step.fit.end for step in contract])
         regression = regress(loads, x)
-    if contract and F_ce is not None:
+    if contract and known is not None:
+        F_ce, is_open = known
         one = stiffness(loads, x, F_ce)
         lever = float(x.sum() / (x @ x))
         gains, offsets = {"displacement": -one.K}, {"displacement": -one.K * lever}
         if campaign.cell and not options.get("static"):
             gains["force"], offsets["force"] = F_ce * lever, lever
         half = half_width(one.se_K, one.n - 1)
-        add("K", one.K, Parts(half), contract, gains, offsets, "" if half is not None else SINGLE, KNOWN_F_CE)
+        parts = Parts(half, abs(lever) * is_open)
+        add("K", one.K, parts, contract, gains, offsets, "" if half is not None else SINGLE, KNOWN_F_CE)
     if regression is not None:
         half, half_K = (half_width(se, regression.n - 2) for se in (regression.se_F_ce, regression.se_K))
         note = "" if half is not None else SINGLE
@@ -318,12 +325,16 @@ def _with_bias(estimate: Estimate, reference: Mapping[tuple[str, float], float |
     if estimate.symbol not in SYMBOLS:
         return estimate
     known = reference.get((estimate.symbol, estimate.at["pressure"]))
-    if known is None or estimate.value is None:
+    if known is None and estimate.method == KNOWN_F_CE:
         note = "no method part: measured-pressure gives no value to hold it against"
         return replace(estimate, note=sentences(estimate.note, note))
+    if known is None or estimate.value is None:
+        note = "the pressure is taken for a step, and measured-pressure gives no value to hold that against"
+        return replace(estimate, value=None, parts=Parts(), note=note)
     bias = estimate.value - known
     note = sentences(estimate.note, "bias: against measured-pressure")
-    return replace(estimate, bias=bias, parts=replace(estimate.parts, method=abs(bias)), note=note)
+    parts = replace(estimate.parts, method=hypot(bias, estimate.parts.method or 0.0))
+    return replace(estimate, bias=bias, parts=parts, note=note)
 
 
 def _findings(estimates: Sequence[Estimate]) -> tuple[Finding, ...]:

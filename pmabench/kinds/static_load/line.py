@@ -5,7 +5,8 @@ of the braid. A load always comes to its support from above. A force that lags b
 slip) is then at the end of its loop at lift and at set-down alike, with one sign: their mean keeps it, and their
 distance, which shows dry friction, does not show it. What shows it is a stroke: such a loop closes at x = 0 and is open
 in the middle, whereas dry friction is as wide at x = 0 as in the middle. Half of what the middle is wider is what the
-mean keeps. Damping widens the middle as well. It is what the load goes on by after the ramp upward has stopped.
+mean keeps where the force turns within a small part of the stroke, and more where it takes longer: the shape of the
+loop tells. Damping widens the middle as well. It is what the load goes on by after the ramp upward has stopped.
 """
 
 from __future__ import annotations
@@ -119,9 +120,12 @@ MIDDLE = (0.4, 0.6)
 """Part of the stroke in which the loop is widest."""
 SHOWN = 0.15
 """A loop is one if its middle is wider than its end by this share of the end: friction and damping differ by way."""
-OFF, UNSEEN = 0.15, 3e-3
-"""What the correction may be off, as a share of it: OFF, and UNSEEN [m] over the stroke for those parts of the braid
-that yield later than the stroke turns. With Maxwell elements of 0.2 to 8 mm a stroke of 12 mm shows four fifths."""
+OFF = 0.15
+"""What the correction may be off, as a share of it."""
+ALONG = np.linspace(0.06, 0.94, 45)
+"""Shares of a stroke at which its loop is looked at: near the ends the ramp begins and stops."""
+TURNS, ALIKE = np.geomspace(0.35, 20.0, 60), 1.5
+"""Half strokes by the way on which the force turns that are tried, and by how much more may be left of one alike."""
 STILL = 0.5
 """Friction is dry where a load stands still over this share of the distance from lift to set-down."""
 CLEAR = 5.0
@@ -137,6 +141,8 @@ class Loop:
     damped: float
     """How far the pressure ran ahead of a load that moves, by its damping [Pa]."""
     reach: float
+    gap: Array
+    """How much less the pressure is on the way down, at `ALONG` of the reach [Pa]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,15 +169,19 @@ def loop_of(trial: TrialData, times: Mapping[str, float]) -> Loop | None:
     if reach < LEAST or top < 2 or len(x) - top < 3:
         return None
     grid = np.linspace(*MIDDLE, 41) * reach
-    up, down = (
-        float(np.mean(np.interp(grid, np.maximum.accumulate(x[way]), P[way])))
-        for way in (slice(0, top + 1), slice(None, top - 1 if top else None, -1))
-    )
+    up, down = (float(np.mean(_way(P, x, top, grid, up=one))) for one in (True, False))
+    gap = _way(P, x, top, ALONG * reach, up=True) - _way(P, x, top, ALONG * reach, up=False)
     late = (x[:top] > LATE[0] * reach) & (x[:top] < LATE[1] * reach)
     damped = 0.0
     if np.count_nonzero(late) > 2 and np.ptp(x[:top][late]) > 0:
         damped = max(0.0, float(np.polyval(np.polyfit(x[:top][late], P[:top][late], 1), reach)) - float(P.max()))
-    return Loop(up, down, damped, reach)
+    return Loop(up, down, damped, reach, gap)
+
+
+def _way(P: Array, x: Array, top: int, at: Array, *, up: bool) -> Array:
+    """The pressure [Pa] at displacements `at` [m] on the way up to, or down from, the highest one."""
+    way = slice(0, top + 1) if up else slice(None, top - 1 if top else None, -1)
+    return np.interp(at, np.maximum.accumulate(x[way]), P[way])
 
 
 def kept(loops: Sequence[Loop | None], load: Array, gap: Array, slope: float) -> Kept | None:
@@ -196,9 +206,29 @@ def kept(loops: Sequence[Loop | None], load: Array, gap: Array, slope: float) ->
     mean, spread, n = float(wider[rows].mean()), float(wider[rows].std(ddof=1)), int(rows.sum())
     if mean - float(student.ppf(0.95, n - 1)) * spread / sqrt(n) < SHOWN * abs(float(end.mean())):
         return None
-    half = np.full(len(load), np.nan)
-    half[rows] = 0.5 * np.hypot(wider[rows] * (OFF + UNSEEN / reach), steep * damped)
-    return Kept(0.5 * wider, half)
+    halves = TURNS * float(reach[full].mean()) / reach[:, None]  # ways that a part takes to turn, of each stroke
+    ratios = np.tanh(halves) / (1 - 1 / np.cosh(halves))
+    best, alike = _turning(np.mean([loop.gap for loop, one in zip(found, full, strict=True) if one], axis=0))
+    force, half = np.full(len(load), np.nan), np.full(len(load), np.nan)
+    force[rows] = 0.5 * wider[rows] * ratios[:, best]
+    apart = np.abs(ratios[:, alike] - ratios[:, [best]]).max(axis=1) / ratios[:, best]
+    half[rows] = np.sqrt((force[rows] * OFF) ** 2 + (force[rows] * apart) ** 2 + (0.5 * steep * damped) ** 2)
+    return Kept(force, half)
+
+
+def _turning(gap: Array) -> tuple[int, NDArray[np.bool_]]:
+    """Which of `TURNS` the shape of a gap tells [shape of `ALONG`], and which of them fit nearly as well.
+
+    A force that turns on a way w after each end of a stroke s opens the loop by h [1 - cosh((1 - 2 u) a) / cosh(a)] at
+    the share u of the stroke, a = s / 2 w, and is h tanh(a) behind at the ends. Dry friction and damping open it alike
+    everywhere.
+    """
+    left = []
+    for a in TURNS:
+        design = np.column_stack([np.ones_like(ALONG), 1 - np.cosh((1 - 2 * ALONG) * a) / np.cosh(a)])
+        left.append(float(np.sum((gap - design @ np.linalg.lstsq(design, gap, rcond=None)[0]) ** 2)))
+    best = int(np.argmin(left))
+    return best, np.array(left) <= ALIKE**2 * left[best]
 
 
 def stands_still(trial: TrialData, times: Mapping[str, float], gap: float) -> bool | None:
