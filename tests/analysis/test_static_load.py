@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from pmabench.kinds.reduce import reduce_runs
+from pmabench.kinds.static_load import line
 from pmabench.kinds.static_load.reduction import reduce
 from pmabench.store.analyses.results import Analysis
 from pmabench.store.records import RunData, TrialData
@@ -188,3 +189,48 @@ def test_k_comes_from_the_contraction_test_that_is_processed_together():
     assert [static.kind, steps.kind] == ["static-load", "contraction-relaxation"]
     assert static.facts["options"]["stiffness"]["from"] == "contraction-relaxation"
     assert all(e.corrected for e in static.estimates if e.method == "static-mean" and e.at)
+
+
+def turning(w):
+    """A force that turns exponentially on a way w [m]: dz/dx = (1 - z)/w upward, (1 + z)/w downward."""
+    return lambda z, change: z + (np.sign(change) - z) * -np.expm1(-abs(change) / w)
+
+
+def stops(ways):
+    """Springs with sliders (Maxwell slip), each yielding after a way [m]; their mean reaches 1."""
+    ways = np.array(ways)
+    return lambda z, change: np.clip(z + change / ways, -1.0, 1.0)
+
+
+SLOW = stops([0.2e-3, 1e-3, 3e-3, 8e-3])
+
+
+@pytest.mark.parametrize(("after", "stroke", "widest"), [
+    (turning(0.5e-3), 12e-3, 4.1), (turning(1.5e-3), 12e-3, 4.1), (turning(3e-3), 12e-3, 4.5),
+    (turning(6e-3), 12e-3, 7.0), (SLOW, 12e-3, 16.0), (turning(1.5e-3), 6e-3, 7.0), (turning(3e-3), 6e-3, 20.0),
+    (SLOW, 6e-3, 30.0),
+])  # fmt: skip
+def test_what_the_ends_of_a_stroke_keep_of_hysteresis_is_told_by_its_loop(after, stroke, widest):
+    """10 N of it, dry friction of 2 N, noise of 0.2 N: the mean of lift and set-down is higher by what is at the ends."""
+    rng, s = np.random.default_rng(3), 2.6e-3
+    x = np.linspace(0.0, stroke, 2001)
+    z, ways = np.array([0.0] * 4), []
+    for way in (x, x[::-1], x, x[::-1]):
+        forces = []
+        for change in np.diff(way, prepend=way[0]):
+            z = after(z, change)
+            forces.append(10.0 * float(np.mean(z)))
+        ways.append(np.array(forces))
+    (up, down), kept_at_end = ways[2:], -ways[3][-1]
+    loads = np.repeat([60.0, 120.0, 240.0, 400.0], 3)
+    loops = []
+    for load in loads:
+        P = (load + 15e3 * x + up + 2.0) / s, (load + 15e3 * x + down[::-1] - 2.0) / s
+        P = [way + rng.normal(0, 0.2 / s, len(x)) for way in P]
+        gap = np.interp(line.ALONG * stroke, x, P[0] - P[1])
+        middle = [float(np.mean(way[(x > 0.4 * stroke) & (x < 0.6 * stroke)])) for way in P]
+        loops.append(line.Loop(*middle, 0.0, stroke, gap))
+    found = line.kept(loops, loads, np.full(len(loads), 4.0 / s), s)
+    assert found is not None
+    assert np.all(np.abs(found.force - kept_at_end) < found.half)
+    assert np.all(found.half < widest)

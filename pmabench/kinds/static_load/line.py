@@ -120,12 +120,15 @@ MIDDLE = (0.4, 0.6)
 """Part of the stroke in which the loop is widest."""
 SHOWN = 0.15
 """A loop is one if its middle is wider than its end by this share of the end: friction and damping differ by way."""
-OFF = 0.15
-"""What the correction may be off, as a share of it."""
+OFF, UNSEEN = 0.15, 3e-3
+"""What the correction may be off, as a share of it: OFF, and UNSEEN [m] over the stroke for those parts of the braid
+that yield later than the stroke turns."""
 ALONG = np.linspace(0.06, 0.94, 45)
 """Shares of a stroke at which its loop is looked at: near the ends the ramp begins and stops."""
-TURNS, ALIKE = np.geomspace(0.35, 20.0, 60), 1.5
-"""Half strokes by the way on which the force turns that are tried, and by how much more may be left of one alike."""
+SHORTEST_WAY, LONGEST_WAY = 0.3e-3, 8e-3
+"""Ways on which the force of a braid may turn [m]."""
+ALIKE, CHANCE = 1.5, 4.0
+"""One that fits nearly as well leaves so many times as much of the gap, and by chance so many squares of its noise."""
 STILL = 0.5
 """Friction is dry where a load stands still over this share of the distance from lift to set-down."""
 CLEAR = 5.0
@@ -206,29 +209,32 @@ def kept(loops: Sequence[Loop | None], load: Array, gap: Array, slope: float) ->
     mean, spread, n = float(wider[rows].mean()), float(wider[rows].std(ddof=1)), int(rows.sum())
     if mean - float(student.ppf(0.95, n - 1)) * spread / sqrt(n) < SHOWN * abs(float(end.mean())):
         return None
-    halves = TURNS * float(reach[full].mean()) / reach[:, None]  # ways that a part takes to turn, of each stroke
+    stroke = float(reach[full].mean())
+    turns = np.geomspace(0.5 * stroke / LONGEST_WAY, 0.5 * stroke / SHORTEST_WAY, 60)
+    halves = turns * reach[:, None] / stroke
     ratios = np.tanh(halves) / (1 - 1 / np.cosh(halves))
-    best, alike = _turning(np.mean([loop.gap for loop, one in zip(found, full, strict=True) if one], axis=0))
+    best, alike = _turning(turns, np.mean([loop.gap for loop, one in zip(found, full, strict=True) if one], axis=0))
     force, half = np.full(len(load), np.nan), np.full(len(load), np.nan)
     force[rows] = 0.5 * wider[rows] * ratios[:, best]
     apart = np.abs(ratios[:, alike] - ratios[:, [best]]).max(axis=1) / ratios[:, best]
-    half[rows] = np.sqrt((force[rows] * OFF) ** 2 + (force[rows] * apart) ** 2 + (0.5 * steep * damped) ** 2)
+    half[rows] = np.hypot(force[rows] * (OFF + UNSEEN / reach + apart), 0.5 * steep * damped)
     return Kept(force, half)
 
 
-def _turning(gap: Array) -> tuple[int, NDArray[np.bool_]]:
-    """Which of `TURNS` the shape of a gap tells [shape of `ALONG`], and which of them fit nearly as well.
+def _turning(turns: Array, gap: Array) -> tuple[int, NDArray[np.bool_]]:
+    """Which of `turns`, a below, the shape of a gap tells (at `ALONG`), and which of them fit nearly as well.
 
     A force that turns on a way w after each end of a stroke s opens the loop by h [1 - cosh((1 - 2 u) a) / cosh(a)] at
     the share u of the stroke, a = s / 2 w, and is h tanh(a) behind at the ends. Dry friction and damping open it alike
     everywhere.
     """
     left = []
-    for a in TURNS:
+    for a in turns:
         design = np.column_stack([np.ones_like(ALONG), 1 - np.cosh((1 - 2 * ALONG) * a) / np.cosh(a)])
         left.append(float(np.sum((gap - design @ np.linalg.lstsq(design, gap, rcond=None)[0]) ** 2)))
-    best = int(np.argmin(left))
-    return best, np.array(left) <= ALIKE**2 * left[best]
+    best, noise = int(np.argmin(left)), float(np.mean(np.diff(gap, n=2) ** 2)) / 6
+    off = max(0.0, left[best] - len(gap) * noise)
+    return best, np.array(left) <= left[best] + CHANCE * noise + (ALIKE**2 - 1) * off
 
 
 def stands_still(trial: TrialData, times: Mapping[str, float], gap: float) -> bool | None:
