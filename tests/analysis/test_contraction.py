@@ -370,6 +370,34 @@ def test_a_stiffness_from_a_known_force_is_told_only_where_that_is_known():
     assert K == pytest.approx((275.0 - 58.86) / 0.031, rel=0.05)
 
 
+def test_a_step_that_ends_short_of_its_pressure_gives_no_coefficient_of_that():
+    """A regulator with a dead band stays 10 % below 550 kPa: what is read off the end belongs to another pressure."""
+    run, top = small(), max(P for _, P in SMALL)
+    named = {top: 1.1 * top}
+    trials = [
+        replace(trial, point={**trial.point, "pressure": named.get(trial.point["pressure"], trial.point["pressure"])},
+                commands=tuple(replace(c, value=named.get(c.value, c.value)) for c in trial.commands))
+        for trial in run.trials
+    ]  # fmt: skip
+    found = [e for e in reduce([replace(run, trials=tuple(trials))]).estimates
+             if e.at.get("pressure") == 1.1 * top and e.symbol in ("F_ce", "K", "B_c", "B_r")]  # fmt: skip
+    known = {e.symbol for e in found if e.method == PRIMARY and e.value is not None}
+    papers = [e for e in found if e.method == "step-exponential"]
+    assert {"F_ce", "K", "B_c"} <= {e.symbol for e in papers} - known
+    assert all(e.value is None for e in papers if e.symbol not in known)
+
+
+def test_k_with_a_known_force_has_what_is_open_of_that_force():
+    """F_ce that is known to 10 N makes K uncertain by 10 N over the contraction."""
+    analysis = reduce([small()])
+    for P, F_ce in of(analysis, "F_ce").items():
+        K = of(analysis, "K", "step-exponential, F_ce known").get(P)
+        if K is not None:
+            is_open = replace(F_ce.parts, calibration=None).combined
+            x = max(row["x_inf"] for row in analysis.facts["steps"] if abs(row["pressure"] - P) < 1)
+            assert K.parts.method >= 0.99 * is_open / x
+
+
 def test_a_free_run_ends_where_the_muscle_goes_on_into_what_is_not_known():
     """One pressure: nothing is known below its half, where the last relaxation but one goes."""
     analysis = reduce([contraction_run(rig(), [(58.86, 300e3), (156.96, 300e3)])])
