@@ -17,7 +17,6 @@ from pmabench.guard.station import Station
 from tests.guard.rig import BENCH, DEVICE, Rig
 from tests.realtime import eventually
 
-
 PATIENCE = 30.0
 """An answer may take so long where others want the cores first [s]; how soon it comes is asked elsewhere."""
 
