@@ -45,6 +45,12 @@ def ramps(rate=25.0):
     return np.concatenate([np.zeros(300), way, np.full(100, 500.0), 500.0 - way, np.zeros(300)])
 
 
+def cycles(count=6):
+    """As many ramps up and down in one test."""
+    once = ramps(100.0)
+    return np.concatenate([once] * count)
+
+
 def filtered(values, tau):
     found, keep, state = np.empty(len(values)), np.exp(-DT / tau), values[0]
     for i, value in enumerate(values):
@@ -113,6 +119,14 @@ def test_a_force_that_is_late_opens_no_loop_between_holds(tmp_path, late):
     widths = of(campaign(tmp_path, staircase(), 0.0, late=late), "H")
     assert len(widths) == len(LENGTHS)
     assert all(abs(e.value) < 0.2 for e in widths), [(e.value, e.parts) for e in widths]
+
+
+def test_ramps_that_follow_each_other_are_no_staircase(tmp_path):
+    """Six up and down: all samples count, and the loop is that of the ramps."""
+    found = campaign(tmp_path, cycles(), 6.0, w=5.0)
+    assert all(holds(e, true_slope(e)) for e in of(found, "m", "isometric-line"))
+    assert all(11.0 < e.value < 12.5 for e in of(found, "H"))
+    assert {round(e.at["pressure"] / 1e3) for e in of(found, "F_b")} == set(range(50, 451, 50))
 
 
 def test_one_step_up_and_down_tells_no_loop(tmp_path):

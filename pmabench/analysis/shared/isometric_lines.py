@@ -22,7 +22,7 @@ METHOD = "isometric-line"
 FEWEST = 50
 """Samples that a line needs."""
 FEWEST_STEPS = 5
-"""Commands of one phase that make a staircase."""
+"""Commands of one phase in a row that make a staircase."""
 PLACES = 9
 """Pressures along a line at which its force is kept."""
 SAME = 4
@@ -148,25 +148,31 @@ def as_test(run: RunData, trial: TrialData, phases: Sequence[str]) -> tuple[Test
 def stairs(trial: TrialData, phases: Sequence[str]) -> Array | None:
     """Index of the phase of each sample that is held on a step of a staircase, -1 of all others; None without stairs.
 
-    What is on its way between two holds counts by the lag of the sensors, and tells no force at a pressure. Half of the
-    time of a hold is left for the way and to settle. The highest hold belongs to the phase that leads to it, and to the
-    one that leads away.
+    A staircase has commands of one phase in a row, each held for longer than it takes to get there. What is on its way
+    between two holds counts by the lag of the sensors, and shows no force at a pressure. Half of the time of a hold is
+    left for the way and to settle. The highest hold belongs to the phase that leads to it, and to the one that leads
+    away.
     """
     commands = [c for c in trial.commands if c.output == "pressure"]
-    named = [c.phase for c in commands]
-    if max((named.count(phase) for phase in phases), default=0) < FEWEST_STEPS:
+    arrived = [ends(c) if c.data.get("rate") else c.t for c in commands]
+    over = [*(c.t for c in commands[1:]), float(trial.t[-1]) if len(trial.t) else 0.0]
+    in_a_row, longest = 0, 0
+    for number, command in enumerate(commands):
+        held = command.phase in phases and over[number] - arrived[number] > arrived[number] - command.t
+        same = in_a_row > 0 and command.phase == commands[number - 1].phase
+        in_a_row = (in_a_row + 1 if same else 1) if held else 0
+        longest = max(longest, in_a_row)
+    if longest < FEWEST_STEPS:
         return None
     index = np.full(len(trial.t), -1.0)
-    for number, command in enumerate(commands):
-        after = commands[number + 1] if number + 1 < len(commands) else None
+    for number, (command, begin, end) in enumerate(zip(commands, arrived, over, strict=True)):
         if command.phase not in phases:
             continue
-        end = float(trial.t[-1]) if after is None else after.t
-        begin = ends(command) if command.data.get("rate") else command.t
-        held = (trial.t >= 0.5 * (begin + end)) & (trial.t < end)
-        index[held] = phases.index(command.phase)
-        if after is not None and after.phase in phases and after.phase != command.phase:
-            index[held & (trial.t >= 0.25 * begin + 0.75 * end)] = phases.index(after.phase)
+        held_rows = (trial.t >= 0.5 * (begin + end)) & (trial.t < end)
+        index[held_rows] = phases.index(command.phase)
+        following = commands[number + 1].phase if number + 1 < len(commands) else ""
+        if following in phases:
+            index[held_rows & (trial.t >= 0.25 * begin + 0.75 * end)] = phases.index(following)
     return index
 
 

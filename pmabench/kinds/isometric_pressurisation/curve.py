@@ -49,6 +49,8 @@ class Mean:
     """Mean force while the pressure rises [N]; NaN where there is no sample."""
     empty: Array
     """While it falls."""
+    held: bool = False
+    """Whether the pressure was a staircase, of which the holds count."""
 
     @property
     def each(self) -> Array:
@@ -64,7 +66,7 @@ class Mean:
 
     def of(self, rows: Mask) -> Mean:
         """That of some of the tests."""
-        return Mean(self.P, self.fill[rows], self.empty[rows])
+        return Mean(self.P, self.fill[rows], self.empty[rows], self.held)
 
     @property
     def turned(self) -> tuple[Array, Array]:
@@ -82,21 +84,22 @@ class Mean:
         usual = float(np.median(gap[middle] if middle.any() else gap)) if seen.any() else 0.0
         return self.P[seen], np.copysign(0.5 * np.abs(gap - usual), -place)
 
-    def gaps(self, low: float, *, to_turn: bool) -> Array:
+    def gaps(self, low: float) -> Array:
         """Force while emptying minus while filling of each test, mean over the pressures from `low` [Pa] on [N].
 
-        Without `to_turn` those below the highest: of a staircase that is one hold for both directions.
+        The highest pressure of a staircase, one hold for both directions, does not count.
         """
         gap = self.empty - self.fill
         high = self.P[np.isfinite(gap).any(axis=0)].max(initial=0.0)
-        part = gap[:, (self.P >= low) & ((self.P < high) | to_turn)]
+        part = gap[:, (self.P >= low) & ((self.P < high) | (not self.held))]
         known = np.isfinite(part)
         return np.asarray(np.where(known, part, 0.0).sum(axis=1) / np.maximum(known.sum(axis=1), 1))
 
 
 def mean_of(tests: Sequence[Test]) -> Mean:
     """The branches of tests at one contraction in equal bins of pressure; both ramps weigh the same in each bin."""
-    edges = _edges(np.concatenate([test.P for test in tests]), held=stairs(tests[0].trial, PHASES) is not None)
+    held = any(stairs(test.trial, PHASES) is not None for test in tests)
+    edges = _edges(np.concatenate([test.P for test in tests]), held=held)
     middle = 0.5 * (edges[1:] + edges[:-1])
     rows: dict[int, list[Array]] = {0: [], 1: []}
     for phase, found in rows.items():
@@ -104,7 +107,7 @@ def mean_of(tests: Sequence[Test]) -> Mean:
             mine = test.phase == phase
             place = np.clip(np.searchsorted(edges, test.P[mine], side="right") - 1, 0, len(middle) - 1)
             found.append(_binned(place, test.P[mine], test.F[mine], middle))
-    return Mean(middle, np.array(rows[0]), np.array(rows[1]))
+    return Mean(middle, np.array(rows[0]), np.array(rows[1]), held)
 
 
 def _edges(P: Array, *, held: bool) -> Array:
@@ -129,20 +132,20 @@ def _binned(place: Array, P: Array, F: Array, middle: Array) -> Array:
     return result
 
 
-def straight_from(mean: Mean, *, held: bool = False) -> tuple[float | None, float]:
+def straight_from(mean: Mean) -> tuple[float | None, float]:
     """The pressure from which on F(P) is a straight line [Pa], and the largest distance from that line [N].
 
     The rule: above the pressures at which the force is within `WITHIN` of its span from its least value, the lowest
     pressure from which on no bin is further than `WITHIN` of the span from the line through all of them, if at least
     `SHORTEST` of these bins are left. None where there is none; the distance is then that of the shortest part. Of a
-    staircase, which is `held`, fewer do, and its lowest hold need not be without force.
+    staircase fewer do, and its lowest hold need not be without force.
     """
     known = np.isfinite(mean.force)
     P, F = mean.P[known], mean.force[known]
     span = float(np.ptp(F))
-    slack = np.flatnonzero(F - (min(0.0, F.min()) if held else F.min()) <= WITHIN * span)
-    first = int(slack[-1]) + 1 if len(slack) and span > 0 else 0 if span > 0 else len(F)
-    least = max(FEWEST_HOLDS if held else FEWEST_BINS, int(np.ceil(SHORTEST * (len(F) - first))))
+    slack = np.flatnonzero(F - (min(0.0, F.min()) if mean.held else F.min()) <= WITHIN * span)
+    first = len(F) if span <= 0 else int(slack[-1]) + 1 if len(slack) else 0
+    least = max(FEWEST_HOLDS if mean.held else FEWEST_BINS, int(np.ceil(SHORTEST * (len(F) - first))))
     off = 0.0
     for start in range(first, len(F) - least + 1):
         off = float(np.abs(F[start:] - np.polyval(np.polyfit(P[start:], F[start:], 1), P[start:])).max())

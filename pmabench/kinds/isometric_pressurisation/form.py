@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from math import sqrt
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pmabench.analysis.imported import in_time
 from pmabench.analysis.shared import student
@@ -272,14 +273,18 @@ def _slip(cells: Sequence[Cell], K: dict[float, tuple[Array, Array]], slope: flo
     return Departure("slip of a mount", "drift", force, True, reason, moves=True)
 
 
+def _pulling(test: Test) -> NDArray[np.bool_]:
+    """Samples in which the muscle pulls."""
+    return np.asarray(test.F > WITHOUT * float(test.F.max()))
+
+
 def _gives_way(cells: Sequence[Cell], K: dict[float, tuple[Array, Array]]) -> Departure | None:
     """A driven end that the displacement shows to move while the muscle pulls."""
     at = {test.name: cell.contraction for cell in cells if cell.contraction in K for test in cell.tests}
     moves = [0.0]
     for cell in cells:
         for test in cell.tests:
-            pulling = test.F > WITHOUT * float(test.F.max())
-            blocks = [part for part in np.array_split(test.x[pulling], 20) if len(part)]
+            blocks = [part for part in np.array_split(test.x[_pulling(test)], 20) if len(part)]
             if test.name in at and np.isfinite(test.x).all() and len(blocks) == 20:
                 noise = noise_of(test.x) / sqrt(len(blocks[0]))
                 moves.append(max(0.0, float(np.ptp([part.mean() for part in blocks])) - 6 * noise))
@@ -293,6 +298,7 @@ def _gives_way(cells: Sequence[Cell], K: dict[float, tuple[Array, Array]]) -> De
     def force(test: Test) -> Array:
         if test.name not in at or not np.isfinite(test.x).all():
             return np.zeros(len(test.P))
-        return np.asarray(-np.interp(test.P, *K[at[test.name]]) * (test.x - test.x.mean()))
+        off = np.where(pulls := _pulling(test), test.x - test.x[pulls].mean(), 0.0)
+        return np.asarray(-np.interp(test.P, *K[at[test.name]]) * off)
 
     return Departure("motion of the driven end", "method", force, True, reason, moves=True)

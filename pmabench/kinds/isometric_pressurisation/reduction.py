@@ -27,7 +27,6 @@ from pmabench.analysis.shared.isometric_lines import (
     estimates_of,
     pool,
     spread,
-    stairs,
     tests_of,
 )
 from pmabench.analysis.trial import Expected, Found, Measured, Quick
@@ -273,8 +272,7 @@ def cell_of(contraction: float, tests: Sequence[Test]) -> Cell:
     """What the tests at one contraction [m] say together."""
     mean = mean_of(tests)
     side = np.array([test.trial.point.get("side", 0.0) for test in tests])
-    held = stairs(tests[0].trial, PHASES) is not None
-    parts = [straight_from(mean.of(side == one), held=held) for one in np.unique(side)]
+    parts = [straight_from(mean.of(side == one)) for one in np.unique(side)]
     off = max(part[1] for part in parts)
     if None in [part[0] for part in parts]:
         return Cell(contraction, tests, mean, None, off, None)
@@ -299,7 +297,7 @@ def _width(cell: Cell, scales: Scales) -> Estimate:
     """Force while emptying minus while filling at the same pressure, mean over the straight part [N]."""
     gaps = by_repeat(cell.tests, cell.gaps)
     at, names = {"contraction": cell.contraction}, tuple(test.name for test in cell.tests)
-    if not cell.held and any(_steps(test.trial) for test in cell.tests):
+    if not cell.mean.held and any(_steps(test.trial) for test in cell.tests):
         why = "a loop on the way from one pressure to the next is as wide as the force is late: ramp, or hold at five"
         return Estimate("H", None, "N", "force", METHOD, at, n=len(gaps), note=why, trials=names)
     apart = 2 * _rate(cell) * skew.apart([test.run for test in cell.tests], CHANNELS)

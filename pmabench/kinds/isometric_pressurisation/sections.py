@@ -20,13 +20,13 @@ from pmabench.analysis.shared import skew
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.form import Doubt
 from pmabench.analysis.shared.isometric_lines import Line as LineOf
-from pmabench.analysis.shared.isometric_lines import Pooled, Test, by_repeat, spread, stairs
+from pmabench.analysis.shared.isometric_lines import Pooled, Test, by_repeat, spread
 from pmabench.analysis.shared.lines import PROPORTIONAL, Line, weighted_line
 from pmabench.analysis.shared.student import mean_with_half
 from pmabench.analysis.shared.trials import session_of
 from pmabench.analysis.verdict.assembly import side_by_side
 from pmabench.base.quantities import show
-from pmabench.kinds.isometric_pressurisation.curve import PHASES, Mean
+from pmabench.kinds.isometric_pressurisation.curve import Mean
 from pmabench.model.library.contractor import corrected_force
 from pmabench.store.analyses.results import Estimate, Parts, Trace
 from pmabench.store.records import Array
@@ -76,14 +76,9 @@ class Cell:
         return np.array(found)
 
     @property
-    def held(self) -> bool:
-        """Whether the pressure was a staircase, of which the holds count."""
-        return any(stairs(test.trial, PHASES) is not None for test in self.tests)
-
-    @cached_property
     def gaps(self) -> Array:
         """Force while emptying minus while filling of each test, mean over the straight part [N]."""
-        return self.mean.gaps(self.low or 0.0, to_turn=not self.held)
+        return self.mean.gaps(self.low or 0.0)
 
     def force_at(self, P: float) -> Array:
         """Mean of the branches of each test at a pressure [N]; NaN where it was not there."""

@@ -272,7 +272,7 @@ def measure(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> Cours
     step, end = _step(trial)
     if end >= trial.t[-1]:
         raise NotUsable(
-            f"it ends under pressure: without {CALM:g} s after the vent a drift of the cell is not told from relaxation"
+            f"it ends under pressure: without {CALM:g} s after the vent a drift of the cell looks like relaxation"
         )
     begin = float({**(run.plan.get("settings") or {}), **options}.get("begin", 5.0))
     t, F, P = (values[trial.usable] for values in (trial.t, trial.channels["force"], trial.channels["pressure"]))
