@@ -13,7 +13,7 @@ class Commanded:
     """What is commanded: `pressure` or `displacement`. Without a column of commands the measured channel is taken."""
     phases: tuple[tuple[str, str], ...] = ()
     """Way of a change -> name of the phase that begins with it; the first way that fits. Ways: `CHANGES` in
-    `store.importers.motion`.
+    `store.importers.commands`.
     """
     point: tuple[tuple[str, str], ...] = ()
     """Coordinate of the operating point -> how it is measured: `COORDINATES` there."""

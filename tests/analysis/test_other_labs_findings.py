@@ -14,7 +14,7 @@ from pmabench.kinds.static_load.points import on_time_run
 from pmabench.kinds.static_load.reduction import reduce as reduce_static
 from pmabench.kinds.step_displacement.reduction import reduce as reduce_steps
 from pmabench.store.analyses.results import Analysis, Estimate
-from pmabench.store.importers.motion import lift_and_set_down
+from pmabench.store.importers.commands import lift_and_set_down
 from pmabench.store.records import Command, RunData, TrialData
 from tests.analysis import judged, judged_forms
 from tests.judge import campaign, displaced, held, weights

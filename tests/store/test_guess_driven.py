@@ -12,7 +12,8 @@ from scipy.signal import lfilter
 
 from pmabench.cli.main import main
 from pmabench.store.importers import apart
-from pmabench.store.importers.motion import changes, levels
+from pmabench.store.importers.commands import changes
+from pmabench.store.importers.motion import levels
 
 
 @pytest.fixture(autouse=True, scope="module")

@@ -5,6 +5,6 @@
 - `prepare`: one file read, scaled and checked, in parts where it is long (`long`); `importing`: the runs
 - checks: `quality` of one channel; `plausible` of several against each other, with `magnitude` and `midfile`;
   `importing` compares files; `found`: a finding, and what its samples change
-- `segments` cuts into trials, by the steps, ramps and sines that `motion` finds and names as commands
+- `segments` cuts into trials, by the steps, ramps and sines that `motion` finds; `commands` names them
 - `guess`: a proposed map for files that were never seen
 """

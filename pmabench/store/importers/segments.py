@@ -14,6 +14,14 @@ from numpy.typing import NDArray
 from pmabench.base.imported import Commanded
 from pmabench.base.quantities import CHANNEL_QUANTITY
 from pmabench.store.importers import motion
+from pmabench.store.importers.commands import (
+    alike,
+    cell_load,
+    commands_of,
+    driven_waves,
+    lift_and_set_down,
+    sine_command,
+)
 from pmabench.store.importers.found import Bools
 from pmabench.store.importers.map_rules import G, ImportMap
 from pmabench.store.importers.motion import Level, later
@@ -113,7 +121,7 @@ class _Rows:
         t, command = self.t[self.good], self.values[self.driven][self.good]
         low, high = float(command.min()), float(command.max())
         wave = motion.Wave(float(t[0]), float(t[-1]), frequency, (low + high) / 2, (high - low) / 2)
-        return [{**motion.sine_command(wave, "pressure"), "before": float(command[0])}]
+        return [{**sine_command(wave, "pressure"), "before": float(command[0])}]
 
 
 def segments(
@@ -150,7 +158,7 @@ def _as_own(found: Sequence[Segment], all_rows: _Rows) -> tuple[list[Segment], l
     for number, part in enumerate(found):
         rows = all_rows.between(part)
         mine = {name: column[rows] for name, column in channels.items()}
-        commands, known = motion.commands_of(how, t[rows], mine, rules.trials.smallest) if how else ([], {})
+        commands, known = commands_of(how, t[rows], mine, rules.trials.smallest) if how else ([], {})
         part = _at_one_point(part, commands, all_rows)
         rows = all_rows.between(part)
         mine = {name: column[rows] for name, column in channels.items()}
@@ -172,17 +180,17 @@ def _as_own(found: Sequence[Segment], all_rows: _Rows) -> tuple[list[Segment], l
             point["mass"] = point["load"] / G
             hanging += "force" not in mine
         if rules.test.loaded and "load" not in point and "force" in mine:
-            load = motion.cell_load(t[rows], mine, commands)
+            load = cell_load(t[rows], mine, commands)
             if load is not None:
                 loads[number] = load
-        searched = motion.lift_and_set_down(t[rows], mine) if rules.test.lifted else []
+        searched = lift_and_set_down(t[rows], mine) if rules.test.lifted else []
         parts.append(replace(part, point=point, commands=tuple(commands) or part.commands, found=tuple(searched)))
     if hanging:
         doubts.append(
             f"the moving mass of {hanging} trials is not given, so that of the load is taken; what moves with it "
             "(hanger, carriage) belongs to it: a column or `point: {mass: ...}` gives it"
         )
-    for number, load in zip(loads, motion.alike(list(loads.values())), strict=True):
+    for number, load in zip(loads, alike(list(loads.values())), strict=True):
         parts[number] = replace(parts[number], point={"mass": load / G, **parts[number].point, "load": load})
     return parts, doubts
 
@@ -190,7 +198,7 @@ def _as_own(found: Sequence[Segment], all_rows: _Rows) -> tuple[list[Segment], l
 def _sine_by_sine(part: Segment, how: Commanded, channels: Mapping[str, Array], all_rows: _Rows) -> list[Segment]:
     """A trial of sines: one for each where several follow each other, cut in the middle between them."""
     rows = all_rows.between(part)
-    waves = motion.driven_waves(how, all_rows.t[rows], {name: column[rows] for name, column in channels.items()})
+    waves = driven_waves(how, all_rows.t[rows], {name: column[rows] for name, column in channels.items()})
     cuts = [0.5 * (one.end + after.begin) for one, after in pairwise(waves) if one.parted(after)]
     return [replace(part, begin=begin, end=end) for begin, end in pairwise([part.begin, *cuts, part.end])]
 
@@ -262,7 +270,7 @@ def _by_sine(rows: _Rows) -> list[Segment]:
     parts = []
     for wave in motion.waves(rows.t[rows.rising], rows.values[rows.driven][rows.rising], rows.smallest):
         point = {**rows.point, "frequency": float(f"{wave.frequency:.4g}")}
-        parts.append(Segment(wave.begin, wave.end, point, (motion.sine_command(wave, "pressure"),)))
+        parts.append(Segment(wave.begin, wave.end, point, (sine_command(wave, "pressure"),)))
     return parts
 
 

@@ -1,0 +1,407 @@
+"""The commands of a test, read off the columns of a file, and what else of its operating point they show.
+
+Steps, ramps and sines of the commanded channel (of the measured one where no command was recorded) get the names of
+phases that the kind of test gives them, as plain data. What was not commanded in a column, such as what a search found,
+is not made up. Channels have shape (n,), times `t` [s] rise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from math import sqrt
+from typing import Any
+
+import numpy as np
+
+from pmabench.base.imported import Commanded
+from pmabench.store.importers.motion import Wave, medians, turns, waves
+from pmabench.store.records import Array
+
+SMALLEST = {"pressure": 1e3, "displacement": 0.2e-3}
+"""Smallest change of a command that counts [SI], where the map gives none."""
+DIGITS = 4
+"""Significant digits of a commanded value: a converter gives 299.99 for 300 kPa."""
+MOVING = 0.05
+"""A ramp is seen over so many seconds, and at least so many samples on either side: `MOVING_SAMPLES`."""
+MOVING_SAMPLES = 2
+STILL = 1e-3
+"""Share of the span of a channel that it may move over that time and be held (a measured one: `NOISY`)."""
+NOISY = 0.01
+ABOVE, ABOVE_SPAN = 12.0, 0.02
+"""A measured change is larger than so many standard deviations of its noise, and than that share of the span."""
+MOST, LONGEST = 0.8, 0.1
+"""Share of the travel that changes must make up, and the longest time of `changes` as a share of the record."""
+CLEARLY = 3.0
+"""So many times further than what is held a measured ramp moves over that time."""
+OVERLAP = 0.2
+"""A change of which that share lies in a larger one is an end of it."""
+AT_ONCE = 0.06
+"""A change that is over in this time [s] is a step."""
+LIFTED = 0.02e-3
+"""A load is off its support where the displacement exceeds its rest by this [m]: the median of `TOGETHER` samples."""
+TOGETHER = 5
+AROUND = 0.05
+"""Samples so far from that moment [s] are averaged, and two on either side at least."""
+FEWEST = 20
+LIKE = 0.02
+"""Loads measured by the cell that differ by less than this share are one."""
+
+
+@dataclass(frozen=True)
+class Change:
+    """A change of a command: when it begins and ends [s], from and to which value [SI]."""
+
+    t: float
+    end: float
+    before: float
+    value: float
+
+    def command(self, output: str, phase: str) -> dict[str, Any]:
+        """Data of a `command` event, with `t`."""
+        data = {"t": self.t, "output": output, "value": self.value, "before": self.before, "phase": phase}
+        if self.end - self.t <= AT_ONCE:
+            return {**data, "type": "set"}
+        return {**data, "type": "ramp", "rate": self.speed}
+
+    @property
+    def speed(self) -> float:
+        """How fast it goes [SI/s]; one that is over at once as if it took a millisecond."""
+        return abs(self.value - self.before) / max(self.end - self.t, 1e-3)
+
+
+Named = tuple[list[dict[str, Any]], dict[str, float]]
+"""Commands of a trial, and what of its operating point they show."""
+
+
+def driven_waves(how: Commanded, t: Array, channels: Mapping[str, Array], smallest: float | None = None) -> list[Wave]:
+    """Sines of the commanded channel, of the measured one where no command was recorded; see `commands_of`."""
+    channel = f"{how.output}_command" if f"{how.output}_command" in channels else how.output
+    if not how.sine or channel not in channels or len(t) < 2 * MOVING_SAMPLES + 2:
+        return []
+    return waves(t, channels[channel], smallest if smallest and how.output == "pressure" else SMALLEST[how.output])
+
+
+def commands_of(how: Commanded, t: Array, channels: Mapping[str, Array], smallest: float | None) -> Named:
+    """The commands of one trial, and its operating point as far as they show it.
+
+    `t` [s] rises; `channels` [SI] by name, shape (n,) each. `smallest` [Pa]: smallest step of pressure.
+    """
+    if len(t) < 2 * MOVING_SAMPLES + 2:
+        return [], {}
+    channel = f"{how.output}_command" if f"{how.output}_command" in channels else how.output
+    if channel not in channels:
+        return [], {}
+    measured = channel == how.output
+    least = smallest if smallest and how.output == "pressure" else SMALLEST[how.output]
+    sines = driven_waves(how, t, channels, smallest)
+    found = [] if how.sine else changes(t, channels[channel], least, measured=measured)
+    if not found and not sines and not how.still:
+        return [], {}
+    if measured and found:  # ends that were measured lie within noise of each other from cycle to cycle
+        grid = 10.0 ** np.floor(np.log10(float(np.ptp(channels[channel])))) / 40.0
+        found = [Change(c.t, c.end, grid * round(c.before / grid), grid * round(c.value / grid)) for c in found]
+    seen = Seen(tuple(found), t, channels, max(sines, key=lambda wave: wave.end - wave.begin, default=None))
+    point = {name: COORDINATES[way](seen) for name, way in how.point}
+    if seen.wave is not None:
+        return [sine_command(seen.wave, how.output)], {k: v for k, v in point.items() if v is not None}
+    commands = []
+    for place, change in enumerate(found):
+        phase = next(name for way, name in how.phases if CHANGES[way](seen, place))
+        command = change.command(how.output, phase)
+        if how.ramps and command["type"] == "set":
+            command |= {"type": "ramp", "rate": change.speed}
+        commands.append({**command, "found": 1.0} if measured else command)
+    return commands, {name: value for name, value in point.items() if value is not None}
+
+
+def changes(t: Array, values: Array, smallest: float, *, measured: bool = False) -> list[Change]:
+    """Changes from one held or turning value to the next, by at least `smallest`.
+
+    Their beginnings and ends are extrapolated from where a tenth and nine tenths of them are reached. A measured ramp
+    may be so slow that it hardly moves over `MOVING`: times are doubled until the changes make up most of its travel.
+    """
+    period = float(np.median(np.diff(t)))
+    if not period > 0 or not np.isfinite(values).all():
+        return []
+    if not measured:
+        return _changes(t, values, values, smallest, MOVING_SAMPLES, STILL)
+    reach = max(MOVING_SAMPLES, round(MOVING / 2 / period))
+    first: list[Change] | None = None
+    while first is None or 2 * reach < len(values) * LONGEST:
+        even = _even(values, reach)
+        least = max(smallest, ABOVE * _noise(even, reach), ABOVE_SPAN * float(np.ptp(even)))
+        exact = values if ABOVE * _noise(values, reach) <= least else even  # means are short of a sharp turn
+        travel = float(np.abs(np.diff(exact[turns(exact, least)])).sum())
+        pieces = _changes(t, even, exact, least, reach, NOISY)
+        found = [one for one in pieces if not _in_another(one, pieces)]
+        travelled = sum(abs(one.value - one.before) for one in found)
+        if found and MOST * travel <= travelled <= travel / MOST and _clear(even, reach):
+            return found
+        first = found if first is None else first
+        reach *= 2
+    return first
+
+
+def _even(values: Array, reach: int) -> Array:
+    """Moving average over `reach` samples: noise alone must not look like a change."""
+    width = 2 * (reach // 2) + 1
+    return np.convolve(np.pad(values, width // 2, mode="edge"), np.full(width, 1 / width), "valid")
+
+
+def _noise(values: Array, reach: int) -> float:
+    """Standard deviation of the noise, from second differences over `reach` samples: a ramp has none."""
+    width = 2 * (reach // 2) + 1
+    bent = values[2 * width :] - 2 * values[width:-width] + values[: -2 * width]
+    return 1.48 * float(np.median(np.abs(bent))) / sqrt(6) if len(bent) else 0.0
+
+
+def _moves(values: Array, reach: int) -> Array:
+    """How far values move from `reach` samples before each to `reach` after it; 0 at both ends."""
+    moved = np.zeros(len(values))
+    moved[reach:-reach] = values[2 * reach :] - values[: -2 * reach]
+    return moved
+
+
+def _clear(values: Array, reach: int) -> bool:
+    """Whether what moves does so clearly: near the limit a slow ramp falls to pieces."""
+    moved, still = np.abs(_moves(values, reach)), NOISY * float(np.ptp(values))
+    return bool((moved > still).any() and np.median(moved[moved > still]) > CLEARLY * still)
+
+
+def _in_another(one: Change, found: list[Change]) -> bool:
+    """Whether a change lies in a larger one: an end of it that was seen twice."""
+    length, size = one.end - one.t, abs(one.value - one.before)
+    return any(
+        min(one.end, other.end) - max(one.t, other.t) > OVERLAP * length
+        for other in found
+        if abs(other.value - other.before) > size
+    )
+
+
+def _changes(t: Array, values: Array, exact: Array, smallest: float, reach: int, share: float) -> list[Change]:
+    """Changes of values that move by more than a `share` of their span between `reach` samples before and after.
+
+    Their ends are those of the `exact` values.
+    """
+    moved, still = _moves(values, reach), share * float(np.ptp(values))
+    if share == STILL:
+        # a slow ramp goes on by less than `still` from sample to sample: what never rests is a ramp, too
+        jumps = np.abs(np.diff(values))
+        still = min(still, 0.5 * float(jumps[jumps > 0].min(initial=np.inf)))
+    way = np.sign(moved) * (np.abs(moved) > still)
+    edges = np.flatnonzero(np.diff(way, prepend=0.0, append=0.0))
+    found: list[Change] = []
+    for first, last in pairwise(edges.tolist()):
+        if way[first] == 0:
+            continue
+        begin, end = max(0, first - reach), min(len(values) - 1, last - 1 + reach)
+        change = _change(t, exact, begin, end, smallest)
+        if change is not None:
+            found.append(change)
+    return found
+
+
+def _change(t: Array, values: Array, begin: int, end: int, smallest: float) -> Change | None:
+    part = values[begin : end + 1]
+    low, high = int(np.argmin(part)), int(np.argmax(part))
+    first, last = sorted((low, high))
+    before, value = float(part[first]), float(part[last])
+    size = value - before
+    if abs(size) < smallest:
+        return None
+    share = (part[first : last + 1] - before) / size
+    times = t[begin + first : begin + last + 1]
+    rising = np.maximum.accumulate(share)
+    step = int(np.argmax(np.diff(share)))
+    if float(np.diff(share)[step]) > 0.8:  # at once: somewhere between two samples
+        middle = 0.5 * float(times[step] + times[step + 1])
+        return Change(middle, middle, _rounded(before), _rounded(value))
+    at = [float(np.interp(level, rising, times)) for level in (0.1, 0.9)]
+    slack = 0.125 * (at[1] - at[0])
+    return Change(at[0] - slack, at[1] + slack, _rounded(before), _rounded(value))
+
+
+def _rounded(value: float, digits: int = DIGITS) -> float:
+    return float(f"{value:.{digits}g}")
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What was commanded in a trial, and its samples: `t` [s] and `channels` [SI] of shape (n,)."""
+
+    changes: tuple[Change, ...]
+    t: Array
+    channels: Mapping[str, Array]
+    wave: Wave | None = None
+
+    @property
+    def ends(self) -> list[float]:
+        """Values before and after each change [SI]."""
+        return [end for c in self.changes for end in (c.before, c.value)]
+
+    @property
+    def left(self) -> bool:
+        """Whether the last change leaves the value at which the trial was held: it rests there longer than after it."""
+        if len(self.changes) < 2:
+            return False
+        before, last = self.changes[-2:]
+        return float(self.t[-1]) - last.end <= last.t - before.end
+
+    def held(self) -> float | None:
+        """The pressure at which a test was made [Pa]: as commanded, else as measured, to three digits."""
+        for name, digits in (("pressure_command", DIGITS), ("pressure", 3)):
+            if name in self.channels:
+                return _rounded(float(np.median(self.channels[name])), digits)
+        return None
+
+    def reached(self) -> float | None:
+        """The value at which the trial was held last, before it was left [SI]."""
+        if not self.changes:
+            return self.held()
+        return self.changes[-1].before if self.left else self.changes[-1].value
+
+    def usual(self, what: Callable[[Change], float], digits: int) -> float | None:
+        """Median over the changes."""
+        return _rounded(float(np.median([what(c) for c in self.changes])), digits) if self.changes else None
+
+    def length(self) -> float | None:
+        """The displacement at which a test was made [m]."""
+        here = self.channels.get("displacement")
+        return None if here is None else round(float(np.median(here)), 4)
+
+
+def _lowest(seen: Seen) -> float:
+    """What counts as the lowest value: within 2 % of the way to the highest one."""
+    low = min(seen.changes[0].before, *(c.value for c in seen.changes))
+    return low + 0.02 * (max(c.value for c in seen.changes) - low)
+
+
+def _highest(seen: Seen) -> float:
+    return 0.95 * max(c.value for c in seen.changes)
+
+
+def _climbs(seen: Seen, k: int) -> bool:
+    """Whether a change leads up to the highest value, at once or by others that rise, too."""
+    for change in seen.changes[k:]:
+        if change.value <= change.before:
+            return False
+        if change.value >= _highest(seen):
+            return True
+    return False
+
+
+def _descends(seen: Seen, k: int) -> bool:
+    """Whether a change leads down from the highest value, at once or after others that fall, too."""
+    for change in seen.changes[k::-1]:
+        if change.value >= change.before:
+            return False
+        if change.before >= _highest(seen):
+            return True
+    return False
+
+
+CHANGES: Mapping[str, Callable[[Seen, int], bool]] = {
+    "rises": lambda seen, k: seen.changes[k].value > seen.changes[k].before,
+    "to the lowest": lambda seen, k: seen.changes[k].value <= _lowest(seen),
+    "to the highest": lambda seen, k: seen.changes[k].value >= _highest(seen),
+    "up to the highest": _climbs,
+    "down from the highest": _descends,
+    "away": lambda seen, k: (
+        abs(seen.changes[k].value - seen.changes[0].before) > abs(seen.changes[k].before - seen.changes[0].before)
+    ),
+    "leaves": lambda seen, k: seen.left and k == len(seen.changes) - 1,
+    "any": lambda seen, k: True,
+}
+"""Way of a change -> whether the change of a number goes that way."""
+COORDINATES: Mapping[str, Callable[[Seen], float | None]] = {
+    "highest": lambda seen: max((c.value for c in seen.changes), default=None),
+    "lowest end": lambda seen: min(seen.ends, default=None),
+    "highest end": lambda seen: max(seen.ends, default=None),
+    "first": lambda seen: seen.changes[0].before if seen.changes else None,
+    "size": lambda seen: seen.usual(lambda c: abs(c.value - c.before), DIGITS),
+    "speed": lambda seen: seen.usual(lambda c: c.speed, 3),
+    "pairs": lambda seen: float(len(seen.changes) // 2),
+    "held": Seen.held,
+    "length": Seen.length,
+    "reached": Seen.reached,
+    # from below where one change brought it there, from above where it came down again
+    "side": lambda seen: 1.0 if len(seen.changes) - seen.left > 1 else -1.0,
+    "frequency": lambda seen: _rounded(seen.wave.frequency) if seen.wave else None,
+    "mean": lambda seen: round(seen.wave.mean, 5) if seen.wave else None,
+    "amplitude": lambda seen: round(seen.wave.amplitude, 5) if seen.wave else None,
+}
+"""How a coordinate of the operating point is measured [SI]; None where it cannot be."""
+
+
+def sine_command(wave: Wave, output: str) -> dict[str, Any]:
+    """Data of a `command` event for a sine, with `t`."""
+    return {
+        "t": wave.begin, "output": output, "type": "sine", "value": wave.mean, "before": wave.mean, "phase": "sine",
+        "amplitude": wave.amplitude, "frequency": wave.frequency, "cycles": (wave.end - wave.begin) * wave.frequency,
+    }  # fmt: skip
+
+
+def lift_and_set_down(t: Array, channels: Mapping[str, Array]) -> list[dict[str, Any]]:
+    """Where a load leaves its support for the last time, and where it comes back: data of `found` events, with `t`.
+
+    The displacement passes `LIFTED` (five times its noise where that is more); pressure, displacement and force are
+    those of a straight line through the samples `AROUND` it, so that their noise averages out. Of several approaches
+    the last counts. `t` [s] rises, `channels` [SI] have shape (n,).
+    """
+    if "displacement" not in channels or len(t) < FEWEST:
+        return []
+    x = channels["displacement"]
+    rest = x[: max(FEWEST, len(x) // 100)]
+    level = float(np.median(rest)) + max(LIFTED, 5.0 * float(np.std(rest)))
+    up = medians(x, TOGETHER) > level  # one stray sample lifts no load
+    rises, falls = np.flatnonzero(~up[:-1] & up[1:]), np.flatnonzero(up[:-1] & ~up[1:])
+    if not len(rises):
+        return []
+    top = int(np.argmax(np.where(t >= t[rises[0]], x, -np.inf)))
+    ways = [("lift", rises[rises <= top]), ("set-down", falls[falls >= top])]
+    found = []
+    for phase, rows in ways:
+        if not len(rows):
+            continue
+        at = float(t[rows[-1]])
+        near = np.abs(t - at) <= max(AROUND, 2.5 * float(np.median(np.diff(t))))
+        result: dict[str, Any] = {"found": True, "t": at}
+        for name in ("pressure", "displacement", "force"):
+            if name in channels and near.sum() >= 3:
+                result[name] = float(np.polyfit(t[near] - at, channels[name][near], 1)[1])
+        if "pressure" in result:
+            found.append({"t": at, "phase": phase, "law": "displacement of the file", "result": result})
+    return found
+
+
+def cell_load(t: Array, channels: Mapping[str, Array], commands: list[dict[str, Any]]) -> float | None:
+    """The weight that hangs, from the cell [N]: median over the last fifth of the longest hold; None without a hold.
+
+    What the cell reads while a support bears the load is no weight: the muscle is contracted by more than half there.
+    """
+    x = channels.get("displacement")
+    hangs = np.ones(len(t), dtype=bool) if x is None else x > 0.5 * float(x.min() + x.max())
+    times = [float(command["t"]) for command in commands] + [float(t[-1])]
+    for begin, end in sorted(pairwise(times), key=lambda hold: hold[0] - hold[1]):
+        rows = hangs & (t >= end - 0.2 * (end - begin)) & (t < end)
+        if rows.sum() >= 8:
+            return float(np.median(channels["force"][rows]))
+    return None
+
+
+def alike(loads: list[float]) -> list[float]:
+    """Loads that differ by less than `LIKE` (1 N at least) as their mean, in the same order."""
+    order = np.argsort(loads)
+    values = np.array(loads, dtype=np.float64)
+    groups: list[list[int]] = []
+    for place in order:
+        last = values[groups[-1][-1]] if groups else -np.inf
+        if groups and values[place] - last <= max(1.0, LIKE * abs(last)):
+            groups[-1].append(int(place))
+        else:
+            groups.append([int(place)])
+    for group in groups:
+        values[group] = _rounded(float(values[group].mean()))
+    return [float(value) for value in values]
