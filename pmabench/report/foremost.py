@@ -150,6 +150,8 @@ def _table(members: Sequence[Estimate], over: str, tests: Sequence[Analysis]) ->
         heads, body = matrix_table(members, over, across)
         rows, above = [heads, *body], [_head(members[0])]
     else:
+        if len({(e.symbol, e.method) for e in members}) == len({e.symbol for e in members}):
+            members = [replace(e, method="") for e in members]  # one row for what several methods say of one point
         frame = pivot_table(members, declared(tests)).without("method").filled()
         rows, above = [frame.columns, *frame.cells()], []
     while len(rows) - 1 > MOST_ROWS:

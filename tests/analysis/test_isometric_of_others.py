@@ -69,14 +69,20 @@ def pulled(P, x, h, w):
     return np.maximum((2.6 - 0.026 * x) * (P - 23.0) - 9.0 * x, 0.0) + found
 
 
-def campaign(tmp_path, course, h, w=40.0, late=0.0, longer=lambda n: 0.0, columns="pressure_command, unit: kPa"):
-    """Two tests at each length: the analysis of their file. `late`: the force by so much [s]; `longer`: a slip [mm]."""
+def campaign(
+    tmp_path, course, h, w=40.0, late=0.0, longer=lambda n: 0.0, rest=None, columns="pressure_command, unit: kPa"
+):
+    """Two tests at each length: the analysis of their file. `late`: the force by so much [s]; `longer`: a slip [mm].
+
+    `rest`: the length without pressure [mm], else that of the test.
+    """
     rng, rows = np.random.default_rng(5), []
     P = filtered(course, 0.1)
     t = DT * np.arange(len(P))
     for n, x in enumerate([*LENGTHS, *LENGTHS]):
         F = np.interp(t - late, t, pulled(P, x + longer(n), h, w))
-        whole = [t + n * (t[-1] + 5.0), P + rng.normal(0, 0.1, len(t)), x + rng.normal(0, 0.002, len(t)),
+        length = np.where((P < 1.0) & (rest is not None), rest or 0.0, x)
+        whole = [t + n * (t[-1] + 5.0), P + rng.normal(0, 0.1, len(t)), length + rng.normal(0, 0.002, len(t)),
                  F + rng.normal(0, 0.2, len(t)), course, np.full(len(t), n + 1), np.full(len(t), x)]  # fmt: skip
         rows.append(np.column_stack(whole))
     np.savetxt(
@@ -127,6 +133,14 @@ def test_ramps_that_follow_each_other_are_no_staircase(tmp_path):
     assert all(holds(e, true_slope(e)) for e in of(found, "m", "isometric-line"))
     assert all(11.0 < e.value < 12.5 for e in of(found, "H"))
     assert {round(e.at["pressure"] / 1e3) for e in of(found, "F_b")} == set(range(50, 451, 50))
+
+
+def test_an_end_that_is_moved_without_pressure_does_not_give_way(tmp_path):
+    """The last hold of a staircase, at 0 kPa, lasts until the next length is set."""
+    found = campaign(tmp_path, staircase(), 3.0, rest=0.0)
+    assert not any("not isometric" in finding.text for finding in found.findings)
+    assert not any("not isometric" in e.note for e in found.estimates)
+    assert len([e for e in of(found, "m", "isometric-line") if e.value is not None]) == len(LENGTHS)
 
 
 def test_one_step_up_and_down_tells_no_loop(tmp_path):

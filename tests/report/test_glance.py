@@ -37,6 +37,19 @@ def test_the_table_has_the_values_of_the_analysis_at_each_pressure():
     assert f"{K.value / 1e3:.3g}"[:3] in row
 
 
+def test_what_two_methods_say_of_one_pressure_is_one_row():
+    """F_b and F_ce were rows of their own, and where these were too many every second was shown: half of each."""
+    made = contraction()
+    of = {symbol: [e for e in made.estimates if e.symbol == symbol and e.at] for symbol in ("K", "F_ce")}
+    of["F_ce"] = [replace(e, method="another") for e in of["F_ce"]]
+    lines = glance([replace(made, estimates=(*of["K"], *of["F_ce"]))], GOOD, ())
+    head = next(place for place, line in enumerate(lines) if line.startswith("P [kPa]"))
+    rows = [line.split() for line in lines[head + 1 : lines.index("", head)]]
+    pressures = [row[0] for row in rows if "±" in row]
+    assert len(pressures) == len(set(pressures)) > 1
+    assert all(row.count("±") == 2 for row in rows if "±" in row)
+
+
 def test_the_costliest_findings_come_first_and_the_rest_is_counted():
     made = contraction()
     first = replace(made.estimates[0], value=None, withheld=True, note="the form does not hold")

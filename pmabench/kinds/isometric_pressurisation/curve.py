@@ -96,6 +96,11 @@ class Mean:
         return np.asarray(np.where(known, part, 0.0).sum(axis=1) / np.maximum(known.sum(axis=1), 1))
 
 
+def pulling(test: Test) -> Mask:
+    """Samples in which the muscle pulls: at rest without force its end may be moved."""
+    return np.asarray(test.F > WITHIN * float(test.F.max()))
+
+
 def mean_of(tests: Sequence[Test]) -> Mean:
     """The branches of tests at one contraction in equal bins of pressure; both ramps weigh the same in each bin."""
     held = any(stairs(test.trial, PHASES) is not None for test in tests)

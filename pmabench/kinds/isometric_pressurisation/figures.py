@@ -10,7 +10,7 @@ import numpy as np
 
 from pmabench.analysis.shared.isometric_lines import Used, branches
 from pmabench.base.quantities import show
-from pmabench.kinds.isometric_pressurisation.curve import ALPHAS, NAMES, PHASES, REST, WITHIN, Section
+from pmabench.kinds.isometric_pressurisation.curve import ALPHAS, NAMES, PHASES, REST, WITHIN, Section, pulling
 from pmabench.kinds.isometric_pressurisation.sections import Across, Cell, Corrected
 from pmabench.plotting import plots
 from pmabench.plotting.pictures import Picture, bound, column, has, numbers, picture, unit_of
@@ -51,7 +51,8 @@ def of_cells(cells: Sequence[Cell]) -> list[Finding]:
 
 def _moved(cell: Cell, where: str) -> list[Finding]:
     """Whether the driven end gave way while the force rose."""
-    moves = [float(np.ptp(x)) for test in cell.tests if len(x := test.x[np.isfinite(test.x)])]
+    moves = [float(np.ptp(x)) for test in cell.tests
+             if len(x := test.x[np.isfinite(test.x) & pulling(test)])]  # fmt: skip
     span = float(np.nanmax(cell.mean.force) - np.nanmin(cell.mean.force))
     off = cell.place - cell.contraction
     said = []

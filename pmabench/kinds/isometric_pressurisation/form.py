@@ -11,14 +11,13 @@ from dataclasses import dataclass
 from math import sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pmabench.analysis.imported import in_time
 from pmabench.analysis.shared import student
 from pmabench.analysis.shared.isometric_lines import Test, ends
 from pmabench.analysis.shared.samples import noise_of
 from pmabench.base.quantities import show
-from pmabench.kinds.isometric_pressurisation.curve import REST
+from pmabench.kinds.isometric_pressurisation.curve import REST, pulling
 from pmabench.kinds.isometric_pressurisation.sections import Cell
 from pmabench.store.records import Array
 
@@ -31,7 +30,7 @@ AROUND = 1.0
 SMOOTH = 0.2
 """Pressure and force are means over this time before one is compared with the slope of the other [s]."""
 WITHOUT = 0.02
-"""Share of the highest pressure below which there is none, and of the largest force below which nothing pulls."""
+"""Share of the highest pressure below which there is none."""
 STRETCHED = 1e-4
 """A muscle that is longer than its nominal length by this is stretched [m]."""
 DRIFTS = 6.0
@@ -273,18 +272,13 @@ def _slip(cells: Sequence[Cell], K: dict[float, tuple[Array, Array]], slope: flo
     return Departure("slip of a mount", "drift", force, True, reason, moves=True)
 
 
-def _pulling(test: Test) -> NDArray[np.bool_]:
-    """Samples in which the muscle pulls."""
-    return np.asarray(test.F > WITHOUT * float(test.F.max()))
-
-
 def _gives_way(cells: Sequence[Cell], K: dict[float, tuple[Array, Array]]) -> Departure | None:
     """A driven end that the displacement shows to move while the muscle pulls."""
     at = {test.name: cell.contraction for cell in cells if cell.contraction in K for test in cell.tests}
     moves = [0.0]
     for cell in cells:
         for test in cell.tests:
-            blocks = [part for part in np.array_split(test.x[_pulling(test)], 20) if len(part)]
+            blocks = [part for part in np.array_split(test.x[pulling(test)], 20) if len(part)]
             if test.name in at and np.isfinite(test.x).all() and len(blocks) == 20:
                 noise = noise_of(test.x) / sqrt(len(blocks[0]))
                 moves.append(max(0.0, float(np.ptp([part.mean() for part in blocks])) - 6 * noise))
@@ -298,7 +292,7 @@ def _gives_way(cells: Sequence[Cell], K: dict[float, tuple[Array, Array]]) -> De
     def force(test: Test) -> Array:
         if test.name not in at or not np.isfinite(test.x).all():
             return np.zeros(len(test.P))
-        off = np.where(pulls := _pulling(test), test.x - test.x[pulls].mean(), 0.0)
+        off = np.where(pulls := pulling(test), test.x - test.x[pulls].mean(), 0.0)
         return np.asarray(-np.interp(test.P, *K[at[test.name]]) * off)
 
     return Departure("motion of the driven end", "method", force, True, reason, moves=True)
