@@ -73,7 +73,7 @@ def fit_motion(t: Array, P: Array, x: Array, late: float) -> Motion:
     at, jumps = _jumps(t, P, late)
 
     def answer(p: Array) -> tuple[Array, float]:
-        driven = respond(t, at, jumps, float(np.exp(p[0])), float(np.exp(p[1])))
+        driven = Answer(t, at, float(np.exp(p[0])), float(np.exp(p[1]))).to(jumps)
         off = driven - driven.mean()
         power = float(np.sum(off * off))
         g = float(np.sum(off * x)) / power if power > 0 else 0.0
@@ -159,7 +159,7 @@ def free_swings(t: Array, P: Array, x: Array, known: Motion, noise: float) -> li
     begin = max(0.0, SETTLED * float(t[np.flatnonzero(off)[-1]])) if off.any() else 0.0
     length = PERIODS * 2 * np.pi / known.w
     at, jumps = _jumps(t, P, known.late)
-    model = known.g * respond(t, at, jumps, known.w, known.D)
+    model = known.g * Answer(t, at, known.w, known.D).to(jumps)
     found: list[Swing] = []
     while begin + length < t[-1]:
         rows = (t > begin) & (t <= begin + length)
@@ -190,46 +190,62 @@ def _free(t: Array, x: Array, known: Motion) -> Swing:
     return Swing(w, rate / w, float(np.hypot(*terms[1:]) * np.exp(-rate * since[-1] / 2)), 0.0)
 
 
-def respond(t: Array, at: Array, jumps: Array, w: float, D: float) -> Array:
-    """The answer at times `t` [s] to `jumps` at times `at` [s], both rising; shapes (n,), (m,), result (n,).
+class Answer:
+    """The answer at times `t` [s] to jumps at times `at` [s], both rising, shapes (n,), (m,); exponentials once.
 
-    `w` is the natural frequency [rad/s], `D` the damping ratio; the unit of the result is that of the jumps.
+    `w` is the natural frequency [rad/s], `D` the damping ratio. `to(jumps)` gives shape (n,), in the unit of the jumps.
     """
-    before = np.searchsorted(at, t, side="right")
-    held = np.concatenate(([0.0], np.cumsum(jumps)))[before]
-    if abs(D - 1.0) < EQUAL:
-        D = 1.0 + EQUAL
-    if D < 1:
-        root = sqrt(1 - D * D)
-        left = _decaying(t, at, jumps, before, complex(-D * w, w * root))
-        return np.asarray(held - left.real - D / root * left.imag)
-    root = sqrt(D * D - 1)
-    slow, fast = w * (D - root), w * (D + root)
-    parts = [_decaying(t, at, jumps, before, complex(-pole)).real for pole in (slow, fast)]
-    return np.asarray(held - (fast * parts[0] - slow * parts[1]) / (fast - slow))
+
+    def __init__(self, t: Array, at: Array, w: float, D: float) -> None:
+        self._before = np.searchsorted(at, t, side="right")
+        if abs(D - 1.0) < EQUAL:
+            D = 1.0 + EQUAL
+        if D < 1:
+            root = sqrt(1 - D * D)
+            poles: dict[complex, complex] = {complex(-D * w, w * root): complex(1.0, -D / root)}
+        else:
+            root = sqrt(D * D - 1)
+            slow, fast = w * (D - root), w * (D + root)
+            poles = {-slow: fast / (fast - slow), -fast: -slow / (fast - slow)}
+        decaying = poles.items() if len(at) else ()
+        self._parts = [(weight, _Decaying(t, at, self._before, pole)) for pole, weight in decaying]
+
+    def to(self, jumps: Array) -> Array:
+        """The answer to `jumps`, shape (m,), one at each of the times `at`."""
+        answer = np.concatenate(([0.0], np.cumsum(jumps)))[self._before]
+        for weight, part in self._parts:
+            answer -= (weight * part.to(jumps)).real
+        return answer
 
 
-def _decaying(t: Array, at: Array, jumps: Array, before: NDArray[np.intp], pole: complex) -> NDArray[np.complex128]:
+class _Decaying:
     """Z(t) = sum of jumps exp(pole (t - at)) over the `before` changes before each time; Re pole < 0."""
-    if not len(at):
-        return np.zeros(len(t), dtype=np.complex128)
-    stretch = REACH / -pole.real
-    number = np.floor((at - at[0]) / stretch).astype(np.intp)
-    first = np.flatnonzero(np.diff(number, prepend=-1))
-    starts = at[first]
-    since = np.exp(-pole * (at - np.repeat(starts, np.diff(first, append=len(at)))))
-    sums = np.zeros(len(at), dtype=np.complex128)
-    carried, last = 0j, 0.0
-    for begin, end, start in zip(first, [*first[1:], len(at)], starts, strict=True):
-        carried *= np.exp(pole * (start - last)) if begin else 0.0
-        sums[begin:end] = carried + np.cumsum(jumps[begin:end] * since[begin:end])
-        carried, last = complex(sums[end - 1]), start
-    index = before - 1
-    group = np.searchsorted(first, index, side="right") - 1
-    result = np.zeros(len(t), dtype=np.complex128)
-    seen = index >= 0
-    result[seen] = sums[index[seen]] * np.exp(pole * (t[seen] - starts[group[seen]]))
-    return result
+
+    def __init__(self, t: Array, at: Array, before: NDArray[np.intp], pole: complex) -> None:
+        stretch = REACH / -pole.real
+        number = np.floor((at - at[0]) / stretch)
+        first = np.flatnonzero(np.diff(number, prepend=-1.0))
+        starts, self._ends = at[first], [*first[1:], len(at)]
+        self._first = first
+        self._since = np.exp(-pole * (at - np.repeat(starts, np.diff(first, append=len(at)))))
+        self._faded = np.exp(pole * np.diff(starts, prepend=starts[0]))
+        seen = np.flatnonzero(before)
+        self._seen, self._index = (slice(seen[0], None) if len(seen) else slice(0, 0)), before[seen] - 1
+        group = np.searchsorted(first, self._index, side="right") - 1
+        self._then, self._size = np.exp(pole * (t[seen] - starts[group])), len(t)
+
+    def to(self, jumps: Array) -> NDArray[np.float64 | np.complex128]:
+        """The sum at all times, shape (n,), of jumps of shape (m,)."""
+        grown = jumps * self._since
+        sums, carried = np.empty_like(grown), 0j
+        for begin, end, faded in zip(self._first, self._ends, self._faded, strict=True):
+            np.cumsum(grown[begin:end], out=sums[begin:end])
+            if begin:
+                sums[begin:end] += carried * faded
+            carried = sums[end - 1]
+        result = np.zeros(self._size, dtype=grown.dtype)
+        result[self._seen] = sums[self._index] * self._then
+        return result
 
 
 FREE = 0.04
@@ -351,17 +367,19 @@ def _columns(t: Array, P: Array, w: float, D: float, delay: float, terms: tuple[
     against the speed.
     """
     span = max(float(np.ptp(P)), 1e-9)
-    change = (P - P[0]) / span
+    change, middle = (P - P[0]) / span, 0.5 * (t[1:] + t[:-1])
+    driven = Answer(t, middle + delay, w, D)
+    still = Answer(t, middle, w, D) if {STIFFNESS, DAMPED, FRICTION} & {*terms} else driven
 
-    def answer(drive: Array, delay: float = 0.0) -> Array:
-        return respond(t, *_jumps(t, drive, -delay), w, D)
+    def answer(drive: Array) -> Array:
+        return still.to(np.diff(drive))
 
-    motion = answer(change, delay)
+    motion = driven.to(np.diff(change))
     found = [np.ones(len(t)), motion]
     above, speed = np.interp(t - delay, t, change) - change[-1], np.gradient(motion, t) / w
     for term in terms:
         if term == SQUARE:
-            found.append(answer(change * np.abs(change), delay))
+            found.append(driven.to(np.diff(change * np.abs(change))))
         elif term == STIFFNESS:
             first = answer(above * (motion - change[-1]))
             found += [first, answer(above * first)]
