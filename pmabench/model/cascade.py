@@ -15,14 +15,7 @@ from typing import Protocol
 import numpy as np
 
 from pmabench.model.curve import Array
-from pmabench.model.library.coefficients import (
-    DMSP_ANGLE,
-    DMSP_LENGTH,
-    DMSP_PRESSURE,
-    DMSP_RADIUS,
-    dmsp_40_305,
-    dmsp_40_305_contraction,
-)
+from pmabench.model.library.coefficients import DMSP_PRESSURE, DMSP_SHAPE, dmsp_40_305, dmsp_40_305_contraction
 from pmabench.model.muscle import held_force
 from pmabench.model.plant import Plant
 from pmabench.model.regulator import Wave, constant
@@ -151,10 +144,10 @@ class PrintedMuscle:
     def _coefficients(pressure: float, load: float, fce_at: str) -> tuple[float, float, float]:
         """F_ce [N], S [N/m] and tau_c [s]; F_ce at x = 0 where the load is more than it lifts."""
         one = np.asarray(1.0)
-        shape = (one * DMSP_RADIUS, one * DMSP_LENGTH, one * DMSP_ANGLE)
-        least = dmsp_40_305_contraction(one * pressure, one * 0.0, *shape, "x0")
+        radius, length, angle = (one * size for size in DMSP_SHAPE)
+        least = dmsp_40_305_contraction(one * pressure, one * 0.0, radius, length, angle, "x0")
         if load < float(least["force_ce"]) and fce_at == "xmax":
-            least = dmsp_40_305_contraction(one * pressure, one * load, *shape, "xmax")
+            least = dmsp_40_305_contraction(one * pressure, one * load, radius, length, angle, "xmax")
         tau_c = dmsp_40_305(one * pressure, "polynomial")["tau_contract"]
         return float(least["force_ce"]), float(least["stiffness"]), float(tau_c)
 
@@ -170,7 +163,7 @@ class PrintedMuscle:
             np.array([getattr(stretch, name) for stretch in self._stretches])[index]
             for name in ("pressure", "F_ce", "K")
         )
-        return Block(P, x, F_ce, K, DMSP_LENGTH)
+        return Block(P, x, F_ce, K, DMSP_SHAPE[1])
 
 
 # -- plants of the simulated bench -----------------------------------------------------------------------------------

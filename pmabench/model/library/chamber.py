@@ -9,21 +9,9 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from pmabench.model.curve import Array
-from pmabench.model.library.braid import BAR, BRAID_ANGLE
-from pmabench.model.library.daerden import (
-    ALPHA,
-    ATMOSPHERE,
-    B1,
-    B2,
-    CM3,
-    CONTRACTION,
-    DIAMETER,
-    LENGTH,
-    A,
-    daerden_volume,
-    rubber_force,
-    section_factor,
-)
+from pmabench.model.library import daerden
+from pmabench.model.library.braid import BAR
+from pmabench.model.library.daerden import ATMOSPHERE, CM3, CONTRACTION, MUSCLE
 from pmabench.model.library.description import INF, Output, Parameter, Reference, Values, described, refuse
 
 FAMILY = "chamber"
@@ -119,7 +107,7 @@ def closed_chamber(
         Parameter("pressure_set", "P_set", "pressure", 5 * BAR, "set pressure, gauge", 0.0, 1e6),
         Parameter("conductance_fill", "C_fill", "conductance", 1e-7, "while filling", 0.0, INF, "", "assumed"),
         Parameter("conductance_vent", "C_vent", "conductance", 0.5e-7, "while venting", 0.0, INF, "", "assumed"),
-        DIAMETER, LENGTH, BRAID_ANGLE, ALPHA, A, B1, B2, POLYTROPIC, TEMPERATURE, ATMOSPHERE,
+        *MUSCLE, POLYTROPIC, TEMPERATURE, ATMOSPHERE,
     ),
     outputs=(
         Output("contraction", "eps", "ratio", "contraction"),
@@ -139,31 +127,16 @@ def closed_chamber(
     ),
 )  # fmt: skip
 def driven_chamber(
-    time: Array,
-    frequency: Array,
-    contraction_low: Array,
-    contraction_high: Array,
-    pressure_set: Array,
-    conductance_fill: Array,
-    conductance_vent: Array,
-    diameter: Array,
-    length: Array,
-    braid_angle: Array,
-    alpha: Array,
-    A: Array,
-    B1: Array,
-    B2: Array,
-    polytropic: Array,
-    temperature: Array,
-    atmosphere: Array,
+    time: Array, frequency: Array, contraction_low: Array, contraction_high: Array, pressure_set: Array, *rest: Array
 ) -> Values:
     """Eps [1], P and P - P_set [Pa], V [m3], F [N] at t [s]; others SI as listed, P_set gauge."""
     refuse("contraction_high", "it must be above contraction_low", contraction_high <= contraction_low)
-    t, *rest = np.broadcast_arrays(
-        time, frequency, contraction_low, contraction_high, pressure_set, conductance_fill, conductance_vent,
-        diameter, length, braid_angle, alpha, polytropic, temperature, atmosphere,
+    fill, vent, diameter, length, braid_angle, alpha, A, B1, B2, *air = rest
+    t, *inputs = np.broadcast_arrays(
+        time, frequency, contraction_low, contraction_high, pressure_set, fill, vent,
+        diameter, length, braid_angle, alpha, *air,
     )  # fmt: skip
-    cases = np.stack([np.ravel(item) for item in rest], axis=1)
+    cases = np.stack([np.ravel(item) for item in inputs], axis=1)
     moments, pressure = np.ravel(t), np.empty(t.size)
     for case in np.unique(cases, axis=0):
         rows = (cases == case).all(axis=1)
@@ -172,8 +145,8 @@ def driven_chamber(
     middle, half = (contraction_low + contraction_high) / 2, (contraction_high - contraction_low) / 2
     eps = middle - half * np.cos(2 * math.pi * frequency * time)
     eps = np.clip(eps, contraction_low, contraction_high)
-    force = section_factor(eps, diameter, braid_angle, alpha) * P + rubber_force(eps, A, B1, B2)
-    volume = daerden_volume(eps, diameter, length, braid_angle, alpha)["volume"]
+    force = daerden.section_factor(eps, diameter, braid_angle, alpha) * P + daerden.rubber_force(eps, A, B1, B2)
+    volume = daerden.muscle_volume(eps, diameter, length, braid_angle, alpha)
     return {"contraction": eps, "pressure": P, "pressure_error": P - pressure_set, "volume": volume, "force": force}
 
 

@@ -108,7 +108,7 @@ DMSP_PRESSURE = Parameter(
     "pressure", "P", "pressure", 6 * BAR, "gauge pressure", 1 * BAR, 6 * BAR,
     "fitted on 1 to 6 bar; below 0.594 bar the damping of relaxation would be negative",
 )  # fmt: skip
-DMSP_RADIUS, DMSP_LENGTH, DMSP_ANGLE = 20 * MM, 305 * MM, 26.5 * DEG
+DMSP_SHAPE = DMSP_RADIUS, DMSP_LENGTH, DMSP_ANGLE = 20 * MM, 305 * MM, 26.5 * DEG
 """Radius and length [m], nominal, and a braid angle at eps = 0 [rad] that fits the printed stiffness (assumed)."""
 FIT = Parameter("fit", "fit", "", "polynomial", "sixth order, or the straight lines", choices=("polynomial", "line"))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from scipy.optimize import brentq
@@ -10,14 +11,7 @@ from scipy.optimize import brentq
 from pmabench.model.curve import Array
 from pmabench.model.library.braid import BAR, BRAID_ANGLE, CONTRACTION, DEG, MM, PRESSURE, RADIUS, braid_factors
 from pmabench.model.library.braid import braid_force as force_of
-from pmabench.model.library.coefficients import (
-    DMSP_ANGLE,
-    DMSP_LENGTH,
-    DMSP_PRESSURE,
-    DMSP_RADIUS,
-    dmsp_40_305,
-    dmsp_40_305_contraction,
-)
+from pmabench.model.library.coefficients import DMSP_PRESSURE, DMSP_SHAPE, dmsp_40_305, dmsp_40_305_contraction
 from pmabench.model.library.description import INF, Output, Parameter, Reference, Values, described, refuse
 from pmabench.model.loop import Loop, ultimate
 from pmabench.model.muscle import held_force
@@ -109,30 +103,16 @@ def _section(number: int, radius: float, angle: float, length: float) -> tuple[P
     ),
     notes=("Equal contraction holds only for equal r0, theta0 and P; paper 2 claims it for all.",),
 )  # fmt: skip
-def series_pair(
-    displacement: Array,
-    pressure_1: Array,
-    radius_1: Array,
-    braid_angle_1: Array,
-    length_1: Array,
-    pressure_2: Array,
-    radius_2: Array,
-    braid_angle_2: Array,
-    length_2: Array,
-) -> Values:
-    """F [N], eps_1 and eps_2 [1] from x [m], P_i [Pa gauge], r_i [m], theta_i [rad], L_i [m]."""
-    force, first, second = np.vectorize(_balance, otypes=[float] * 3)(
-        displacement, pressure_1, radius_1, braid_angle_1, length_1, pressure_2, radius_2, braid_angle_2, length_2
-    )
+def series_pair(displacement: Array, *sections: Array) -> Values:
+    """F [N], eps_1 and eps_2 [1] from x [m] and of each section P_i [Pa gauge], r_i [m], theta_i [rad], L_i [m]."""
+    force, first, second = np.vectorize(_balance, otypes=[float] * 3)(displacement, *sections)
     return {"force": force, "contraction_1": first, "contraction_2": second}
 
 
-def _balance(
-    x: float, P1: float, r1: float, t1: float, L1: float, P2: float, r2: float, t2: float, L2: float
-) -> tuple[float, float, float]:
+def _balance(x: float, *given: float) -> tuple[float, float, float]:
     """Common force [N] and both contractions [1]."""
     sections = []
-    for P, r, theta in ((P1, r1, t1), (P2, r2, t2)):
+    for P, r, theta in (given[:3], given[4:7]):
         a, b = (float(factor) for factor in braid_factors(np.asarray(theta)))
         sections.append((math.pi * r * r * P, a, b))
 
@@ -141,7 +121,7 @@ def _balance(
 
     def together(force: float) -> float:
         first, second = contractions(force)
-        return L1 * first + L2 * second - x
+        return given[3] * first + given[7] * second - x
 
     most = min(size * (a - b) for size, a, b in sections)
     refuse("displacement", "it is more than both can contract", together(0.0) < -1e-12, x)
@@ -197,27 +177,18 @@ def _balance(
         "Muscles of other kinds, with steps and delays of their own: pmabench cascade.",
     ),
 )  # fmt: skip
-def cascade(
-    time: Array,
-    count: Array,
-    pressure: Array,
-    pressure_step: Array,
-    delay: Array,
-    hold: Array,
-    load: Array,
-    fce_at: str,
-) -> Values:
+def cascade(*inputs: Any) -> Values:
     """Sums [1, m, N] and forces [N] from t [s], N [1], P and P_step [Pa gauge], delay and hold [s], L [N]."""
+    *numbers, fce_at = inputs
+    time, count, pressure, pressure_step, delay, hold, load = np.broadcast_arrays(*numbers)
     _whole(count)
-    inputs = (time, count, pressure, pressure_step, delay, hold, load)
-    time, count, pressure, pressure_step, delay, hold, load = np.broadcast_arrays(*inputs)
     shape, most = time.shape, int(np.max(count))
     ratio, x, F_ce, S = (np.zeros((most, *shape)) for _ in range(4))
     for index in range(most):
         there = index < count
         own = np.where(there, pressure + index * pressure_step, pressure)
         tau = dmsp_40_305(own, "polynomial")
-        radius, length, angle = (np.asarray(size) for size in (DMSP_RADIUS, DMSP_LENGTH, DMSP_ANGLE))
+        radius, length, angle = map(np.asarray, DMSP_SHAPE)
         muscle = dmsp_40_305_contraction(own, load, radius, length, angle, fce_at)
         since = time - index * delay
         risen = -np.expm1(-np.clip(since, 0, hold) / tau["tau_contract"])
@@ -225,7 +196,7 @@ def cascade(
         x[index], S[index] = ratio[index] * muscle["displacement"], muscle["stiffness"]
         F_ce[index] = there * (since >= 0) * (since < hold) * muscle["force_ce"]
     total = x.sum(axis=0)
-    stops = np.full(most, DMSP_LENGTH)
+    stops = np.full(most, DMSP_SHAPE[1])
     force = held_force(F_ce.reshape(most, -1), S.reshape(most, -1), stops, total.ravel())
     return {
         "sum": ratio.sum(axis=0), "displacement": total, "force_ce_sum": F_ce.sum(axis=0),

@@ -45,6 +45,14 @@ def _coefficient(name: str, symbol: str, base: str, values: tuple[float, ...]) -
     )
 
 
+TERMS = (
+    *_coefficient("force", "F", "force", (-49.0, 1.08)),
+    *_coefficient("stiffness", "K", "stiffness", (5.6 * N_MM, 1.0e-3 * N_MM, 9.7e-6 * N_MM)),
+    *_coefficient("damping_contract", "B_c", "damping", (1.2 * N_MM, 1.6e-3 * N_MM, 0.0)),
+    *_coefficient("damping_relax", "B_r", "damping", (1.1 * N_MM, 3.4e-3 * N_MM, 0.0)),
+)
+
+
 @described(
     "polynomial-coefficients", FAMILY, "Your own F_ce line, K and B parabolas, and what they make",
     equation=(
@@ -52,17 +60,8 @@ def _coefficient(name: str, symbol: str, base: str, values: tuple[float, ...]) -
         "x = (F_ce - F_L) / K;  tau = B / K;  P_low <= P <= P_high",
     ),
     source="form of paper 0's curve fits; reference values are those of mas-20-250-paper0",
-    fitted=(
-        "force_0", "force_1", "stiffness_0", "stiffness_1", "stiffness_2", "damping_contract_0",
-        "damping_contract_1", "damping_contract_2", "damping_relax_0", "damping_relax_1", "damping_relax_2",
-    ),
-    parameters=(
-        PRESSURE, LOAD, *limits(100 * KPA, 600 * KPA),
-        *_coefficient("force", "F", "force", (-49.0, 1.08)),
-        *_coefficient("stiffness", "K", "stiffness", (5.6 * N_MM, 1.0e-3 * N_MM, 9.7e-6 * N_MM)),
-        *_coefficient("damping_contract", "B_c", "damping", (1.2 * N_MM, 1.6e-3 * N_MM, 0.0)),
-        *_coefficient("damping_relax", "B_r", "damping", (1.1 * N_MM, 3.4e-3 * N_MM, 0.0)),
-    ),
+    fitted=tuple(term.name for term in TERMS),
+    parameters=(PRESSURE, LOAD, *limits(100 * KPA, 600 * KPA), *TERMS),
     outputs=OUTPUTS,
     references=(
         Reference("stiffness", "6.773", "N/mm", N_MM, "by hand: 5.6 + 0.3 + 0.873"),
@@ -72,29 +71,13 @@ def _coefficient(name: str, symbol: str, base: str, values: tuple[float, ...]) -
     notes=("Refused where K is not above 0 or B would be negative, also inside of P_low to P_high.",),
 )  # fmt: skip
 def polynomial_coefficients(
-    pressure: Array,
-    load: Array,
-    pressure_low: Array,
-    pressure_high: Array,
-    force_0: Array,
-    force_1: Array,
-    stiffness_0: Array,
-    stiffness_1: Array,
-    stiffness_2: Array,
-    damping_contract_0: Array,
-    damping_contract_1: Array,
-    damping_contract_2: Array,
-    damping_relax_0: Array,
-    damping_relax_1: Array,
-    damping_relax_2: Array,
+    pressure: Array, load: Array, pressure_low: Array, pressure_high: Array, *terms: Array
 ) -> Values:
-    """F_ce [N], K [N/m], B_c and B_r [N.s/m], x [m], tau [s]; P [Pa gauge], F_L [N], coefficients SI per Pa**n."""
+    """F_ce [N], K [N/m], B_c and B_r [N.s/m], x [m], tau [s]; P [Pa gauge], F_L [N], `TERMS` SI per Pa**n."""
     P = pressure
     within(P, pressure_low, pressure_high)
-    F_ce = np.maximum(force_0 + force_1 * P, 0)
-    K = stiffness_0 + P * (stiffness_1 + P * stiffness_2)
-    B_c = damping_contract_0 + P * (damping_contract_1 + P * damping_contract_2)
-    B_r = damping_relax_0 + P * (damping_relax_1 + P * damping_relax_2)
+    F_ce = np.maximum(terms[0] + terms[1] * P, 0)
+    K, B_c, B_r = (a + P * (b + P * c) for a, b, c in (terms[2:5], terms[5:8], terms[8:]))
     _sound(pressure, K, B_c, B_r)
     return with_motion(F_ce, K, B_c, B_r, load)
 
@@ -135,39 +118,16 @@ def polynomial_coefficients(
     ),
     notes=("A jump at the join is an output of the model: lines of two fits seldom meet exactly.",),
 )  # fmt: skip
-def piecewise_coefficients(
-    pressure: Array,
-    pressure_low: Array,
-    pressure_high: Array,
-    stiffness_below_0: Array,
-    stiffness_below_1: Array,
-    stiffness_break: Array,
-    stiffness_above_0: Array,
-    stiffness_above_1: Array,
-    damping_below_0: Array,
-    damping_below_1: Array,
-    damping_break: Array,
-    damping_above_0: Array,
-    damping_above_1: Array,
-) -> Values:
-    """K [N/m], B [N.s/m], tau [s] and the jumps; P and joins [Pa gauge], coefficients SI per Pa**n."""
+def piecewise_coefficients(pressure: Array, pressure_low: Array, pressure_high: Array, *lines: Array) -> Values:
+    """K [N/m], B [N.s/m], tau [s] and the jumps; P [Pa gauge], `lines` of K and of B: below, join, above (SI)."""
     within(pressure, pressure_low, pressure_high)
-
-    def lines(P: Array, join: Array, low: tuple[Array, Array], high: tuple[Array, Array]) -> Array:
-        return np.where(join <= P, high[0] + high[1] * P, low[0] + low[1] * P)
-
-    K_low, K_high = (stiffness_below_0, stiffness_below_1), (stiffness_above_0, stiffness_above_1)
-    B_low, B_high = (damping_below_0, damping_below_1), (damping_above_0, damping_above_1)
-    K, B = lines(pressure, stiffness_break, K_low, K_high), lines(pressure, damping_break, B_low, B_high)
+    values, jumps = [], []
+    for low_0, low_1, join, high_0, high_1 in (lines[:5], lines[5:]):
+        values.append(np.where(join <= pressure, high_0 + high_1 * pressure, low_0 + low_1 * pressure))
+        jumps.append(high_0 - low_0 + (high_1 - low_1) * join + 0 * pressure)
+    K, B = values
     _sound(pressure, K, B)
-    zero = 0 * pressure
-    return {
-        "stiffness": K,
-        "damping": B,
-        "tau": B / K,
-        "stiffness_jump": K_high[0] - K_low[0] + (K_high[1] - K_low[1]) * stiffness_break + zero,
-        "damping_jump": B_high[0] - B_low[0] + (B_high[1] - B_low[1]) * damping_break + zero,
-    }
+    return {"stiffness": K, "damping": B, "tau": B / K, "stiffness_jump": jumps[0], "damping_jump": jumps[1]}
 
 
 HIGHEST = 6
@@ -207,27 +167,14 @@ def _polynomial(
             "hold there.",
         ),
     )  # fmt: skip
-    def polynomial(
-        pressure: Array,
-        centre: Array,
-        scale: Array,
-        order: Array,
-        pressure_low: Array,
-        pressure_high: Array,
-        c_0: Array,
-        c_1: Array,
-        c_2: Array,
-        c_3: Array,
-        c_4: Array,
-        c_5: Array,
-        c_6: Array,
-    ) -> Values:
+    def polynomial(pressure: Array, centre: Array, scale: Array, order: Array, *rest: Array) -> Values:
         """The coefficient [SI] from P, centre, scale and limits [Pa gauge], order [1], terms [as the coefficient]."""
-        within(pressure, pressure_low, pressure_high)
+        low, high, *terms = rest
+        within(pressure, low, high)
         refuse("order", "a whole number is expected", order != np.round(order), order)
         z = (pressure - centre) / scale
-        value = np.zeros(np.broadcast_shapes(np.shape(z), np.shape(order), np.shape(c_0)))
-        for power, term in reversed(list(enumerate((c_0, c_1, c_2, c_3, c_4, c_5, c_6)))):
+        value = np.zeros(np.broadcast_shapes(np.shape(z), np.shape(order), np.shape(terms[0])))
+        for power, term in reversed(list(enumerate(terms))):
             value = value * z + np.where(power <= order, term, 0.0)
         short = value <= 0 if least > 0 else value < 0
         refuse("pressure", f"{symbol} would be {'negative' if least == 0 else 'not above 0'} there", short, pressure)

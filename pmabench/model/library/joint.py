@@ -13,19 +13,8 @@ import numpy as np
 from scipy.optimize import brentq
 
 from pmabench.model.curve import Array
-from pmabench.model.library.braid import BAR, BRAID_ANGLE, DEG, MM
-from pmabench.model.library.daerden import (
-    ALPHA,
-    ATMOSPHERE,
-    B1,
-    B2,
-    DIAMETER,
-    LENGTH,
-    A,
-    muscle_volume,
-    rubber_force,
-    section_factor,
-)
+from pmabench.model.library.braid import BAR, DEG, MM
+from pmabench.model.library.daerden import ATMOSPHERE, MUSCLE, muscle_volume, rubber_force, section_factor
 from pmabench.model.library.description import Output, Parameter, Reference, Values, described, refuse
 from pmabench.model.presets import paper0, serres2009
 
@@ -41,7 +30,6 @@ PULLEY = Parameter(
 )
 PRELOAD = Parameter("preload", "e0", "ratio", 0.10, "contraction of both at angle 0", LEAST, MOST,
                     "paper 3 measured -3 to 20 %")  # fmt: skip
-MUSCLE = (DIAMETER, LENGTH, BRAID_ANGLE, ALPHA, A, B1, B2)
 TONDU = {"alpha": 2.0, "A": 0.0}
 """What makes both muscles those of Tondu and Lopez."""
 LOWEST, HIGHEST = 0.2 * BAR, 5.5 * BAR
@@ -247,12 +235,8 @@ def joint_inverse(
     ),
     notes=("Refused where the torque has the same sign at all angles at which both muscles are known.",),
 )  # fmt: skip
-def joint_rest(
-    pressure_1: Array, pressure_2: Array, pulley_radius: Array, preload: Array, diameter: Array, length: Array,
-    braid_angle: Array, alpha: Array, A: Array, B1: Array, B2: Array,
-) -> Values:  # fmt: skip
+def joint_rest(*inputs: Array) -> Values:
     """Th [rad] from P_i [Pa gauge], R and l0 [m], e0 [1] and the muscle."""
-    inputs = (pressure_1, pressure_2, pulley_radius, preload, diameter, length, braid_angle, alpha, A, B1, B2)
     return {"angle": np.vectorize(_rest, otypes=[float])(*inputs)}
 
 
