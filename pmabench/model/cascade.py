@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
@@ -40,14 +39,6 @@ class Block:
     stop: float
 
 
-class Member(Protocol):
-    """A muscle of a chain, from rest at 0 s on."""
-
-    def advance(self, times: Array) -> Block:
-        """Go on through the times [s], which rise from call to call."""
-        ...
-
-
 @dataclass(frozen=True)
 class Course:
     """What a chain did at times `t` [s]; per muscle arrays of shape (muscles, times), SI."""
@@ -75,12 +66,11 @@ class Course:
         return np.asarray(self.F_ce.max(axis=0))
 
 
-def simulate(members: Sequence[Member], times: Array) -> Course:
-    """The course of a chain at `times` [s], rising; a second call goes on where the first ended."""
+def simulate(members: Sequence[PrintedMuscle | PlantMuscle], times: Array) -> Course:
+    """The course of a chain from rest at 0 s on, at `times` [s], rising; another call goes on where one ended."""
     blocks = [member.advance(times) for member in members]
     P, x, F_ce, K = (np.array([getattr(block, name) for block in blocks]) for name in ("P", "x", "F_ce", "K"))
-    stops = np.array([block.stop for block in blocks])
-    return Course(times, P, x, F_ce, held_force(F_ce, K, stops, x.sum(axis=0)))
+    return Course(times, P, x, F_ce, held_force(F_ce, K, np.array([block.stop for block in blocks]), x.sum(axis=0)))
 
 
 # -- paper 1's muscle ------------------------------------------------------------------------------------------------
@@ -136,8 +126,7 @@ class PrintedMuscle:
             tau = tau_c if target >= x0 else tau_r
             stretches.append(_Stretch(step.at, step.pressure, x0, target, tau, F_ce, S))
             if step.pressure > 0:
-                released = dmsp_40_305(np.asarray(step.pressure), "polynomial")
-                tau_r, S_r = float(released["tau_relax"]), S
+                tau_r, S_r = float(dmsp_40_305(np.asarray(step.pressure), "polynomial")["tau_relax"]), S
         self._stretches = stretches
 
     @staticmethod

@@ -65,8 +65,7 @@ def about_stream(schema: Any) -> dict[str, Any]:
     about = json.loads((schema.metadata or {}).get(KEY, b"null"))
     if not isinstance(about, dict) or about.get("schema") != STREAM_SCHEMA:
         raise ValueError(f"is not of the schema {STREAM_SCHEMA}")
-    names = [TIME, *(column["name"] for column in about["columns"]), FLAGS]
-    if schema.names != names:
+    if schema.names != [TIME, *(column["name"] for column in about["columns"]), FLAGS]:
         raise ValueError("its columns are not those that it describes")
     return about
 
@@ -270,7 +269,6 @@ class LiveReader:
             self.arrivals += pair
             self.batches, self.position = seq, self._source.tell()
             yield batch
-        rest = self._data[self._source.tell() :].to_pybytes()
-        self.torn = rest not in (b"", _END_OF_STREAM)
+        self.torn = self._data[self._source.tell() :].to_pybytes() not in (b"", _END_OF_STREAM)
         if self.torn:
             self.fault = "something follows the end mark"

@@ -200,8 +200,7 @@ class FreeEnd:
         """Go on by `h` [s], while the pressure goes on a straight line to `P` [Pa]."""
         x, v, g = self.path.x, self.v, self._pull - self.force
         ahead = self.path.step(h, P)
-        at_end = (x <= 0.0 and v <= 0.0) or (x >= self.muscle.stop and v >= 0.0)
-        if at_end:
+        if (x <= 0.0 and v <= 0.0) or (x >= self.muscle.stop and v >= 0.0):
             pull, _ = ahead.pull(x)
             if (pull - self.force) * (1 if x <= 0.0 else -1) <= 0:
                 self.path.arrive(ahead, x)

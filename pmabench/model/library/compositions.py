@@ -196,8 +196,7 @@ def cascade(*inputs: Any) -> Values:
         x[index], S[index] = ratio[index] * muscle["displacement"], muscle["stiffness"]
         F_ce[index] = there * (since >= 0) * (since < hold) * muscle["force_ce"]
     total = x.sum(axis=0)
-    stops = np.full(most, DMSP_SHAPE[1])
-    force = held_force(F_ce.reshape(most, -1), S.reshape(most, -1), stops, total.ravel())
+    force = held_force(F_ce.reshape(most, -1), S.reshape(most, -1), np.full(most, DMSP_SHAPE[1]), total.ravel())
     return {
         "sum": ratio.sum(axis=0), "displacement": total, "force_ce_sum": F_ce.sum(axis=0),
         "force_ce": F_ce.max(axis=0), "force": force.reshape(shape),

@@ -93,8 +93,7 @@ class Reference:
     def rounding(self) -> float:
         """Half a unit of the last printed digit [SI]."""
         mantissa, _, power = self.printed.lower().partition("e")
-        decimals = len(mantissa.partition(".")[2])
-        return 0.5 * 10.0 ** (int(power or 0) - decimals) * self.scale
+        return 0.5 * 10.0 ** (int(power or 0) - len(mantissa.partition(".")[2])) * self.scale
 
 
 @dataclass(frozen=True)

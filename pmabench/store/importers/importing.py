@@ -236,8 +236,7 @@ def _write(prepared: Prepared, rules: ImportMap, apart: Sequence[Found], out: Pa
         begin = 0
         for t, checked in prepared.blocks():
             raw = {c.rule.role: c.raw.astype(np.int32) if c.rule.role in prepared.whole else c.raw for c in checked}
-            time_ns = np.round(t * 1e9).astype(np.int64)
-            writer.append_now("file", time_ns, raw, flags[begin : begin + len(t)])
+            writer.append_now("file", np.round(t * 1e9).astype(np.int64), raw, flags[begin : begin + len(t)])
             begin += len(t)
         _events(writer, prepared)
         writer.close("finished")

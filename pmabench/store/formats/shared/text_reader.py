@@ -248,8 +248,7 @@ class TextReader:
         if not self._blank(line):
             return True
         if self.layout.blank_lines == "refuse":
-            text = 'the line is blank; if that is usual say "blank_lines: skip"'
-            raise invalid(self.path, text, number, 1)
+            raise invalid(self.path, 'the line is blank; if that is usual say "blank_lines: skip"', number, 1)
         return False
 
     def _blank(self, line: str) -> bool:

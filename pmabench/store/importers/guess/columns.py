@@ -103,8 +103,7 @@ _JOINED = re.compile(r"([pxf])_?(set|setpoint|sp|cmd|command|ref|des|desired|sol
 
 def unit_in(name: str) -> str:
     """The unit that a name carries: in brackets, else behind `_`, `/`, `,`, a blank or `in`; empty where none."""
-    inside = re.findall(r"[\[({]([^\])}]{1,12})[\])}]", name)
-    for text in reversed(inside):
+    for text in reversed(re.findall(r"[\[({]([^\])}]{1,12})[\])}]", name)):
         if spelled(text):
             return spelled(text)
     last = re.split(r"[_/,.\s]+", name.strip())
