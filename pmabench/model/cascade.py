@@ -66,7 +66,7 @@ class Course:
         return np.asarray(self.F_ce.max(axis=0))
 
 
-def simulate(members: Sequence[PrintedMuscle | PlantMuscle], times: Array) -> Course:
+def simulate(members: Sequence[Member], times: Array) -> Course:
     """The course of a chain from rest at 0 s on, at `times` [s], rising; another call goes on where one ended."""
     blocks = [member.advance(times) for member in members]
     P, x, F_ce, K = (np.array([getattr(block, name) for block in blocks]) for name in ("P", "x", "F_ce", "K"))
@@ -176,3 +176,7 @@ class PlantMuscle:
         motion = self._plant.advance(float(times[-1]), times)
         muscle = self._plant.muscle
         return Block(motion.P, motion.x, muscle.F_ce.values(motion.P), muscle.K.values(motion.P), muscle.stop)
+
+
+Member = PrintedMuscle | PlantMuscle
+"""A muscle of a chain, from rest at 0 s on."""

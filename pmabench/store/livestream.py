@@ -18,13 +18,20 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow
+import pyarrow.csv
+import pyarrow.parquet
 from numpy.typing import NDArray
 
 from pmabench.base.errors import RecordError
 from pmabench.base.quantities import QUANTITIES
-from pmabench.store.arrow import DAMAGED, pa
 from pmabench.store.folder import AppendFile, plain
 
+pa: Any = pyarrow  # pyarrow declares no types: everything else takes it from here
+pq: Any = pyarrow.parquet
+arrow_csv: Any = pyarrow.csv
+DAMAGED: tuple[type[Exception], ...] = (pa.ArrowException, OSError, ValueError, KeyError, TypeError, RecursionError)
+"""What reading damaged files raises."""
 STREAM_SCHEMA = "pmabench.stream/1"
 TIME, FLAGS = "time_ns", "flags"
 KEY = b"pmabench"

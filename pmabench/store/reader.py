@@ -20,9 +20,8 @@ from numpy.typing import NDArray
 from pmabench.base.errors import InvalidFile, Problem, UsageError, invalid
 from pmabench.base.quantities import QUANTITIES
 from pmabench.store import folder as files
-from pmabench.store.arrow import pa
 from pmabench.store.folder import Journal, decode_lines, is_regular, read_file, read_manifest, read_seal, status_of
-from pmabench.store.livestream import FLAGS, TIME, LiveReader, numbers
+from pmabench.store.livestream import FLAGS, TIME, LiveReader, numbers, pa
 from pmabench.store.notes import read_notes
 from pmabench.store.records import (
     UNUSABLE,

@@ -6,8 +6,7 @@
 | `contractor` | sigmoid length, corrected force with dead band, arm angle; also with their coefficients as inputs |
 | `daerden` | force with rubber term, its inverse, volume, volume from measurements |
 | `three_element` | balance, step, release; conventions of papers 0, 1 and 4 |
-| `coefficients` | published coefficients over pressure |
-| `fitted` | parabolas, joined lines, polynomials up to the sixth order, with your own coefficients |
+| `coefficients` | published coefficients over pressure; parabolas, joined lines, polynomials with your own |
 | `chamber` | rate of pressure, closed chamber, a driven muscle behind a regulator |
 | `regulators` | first and second order, limits of rate and flow, filling against venting, amplitude of a sine |
 | `loads` | end stops, force, hanging mass, spring, imposed displacement; Coulomb friction, hysteresis |
@@ -29,7 +28,6 @@ from pmabench.model.library import (  # noqa: F401  each enters its models
     compositions,
     contractor,
     daerden,
-    fitted,
     joint,
     loads,
     platform,

@@ -16,10 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.base.errors import InvalidFile, Problem, did_you_mean, invalid
-from pmabench.store.arrow import arrow_csv, pa
 from pmabench.store.formats.shared.times import MINUS, Fields, seconds_of
 from pmabench.store.formats.text import MARKS, TextLayout
-from pmabench.store.livestream import numbers
+from pmabench.store.livestream import arrow_csv, numbers, pa
 from pmabench.store.records import Array
 
 PIECE = 4_000_000
