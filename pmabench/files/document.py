@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import types
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 from stat import S_ISDIR, S_ISREG
@@ -184,12 +185,9 @@ def _scalar(node: ScalarNode) -> str | int | float | bool | None:
         return text
     if text in _WORDS:
         return _WORDS[text]
-    for kind in (int, float):
-        try:
-            if text[0] in "+-.0123456789" and "_" not in text:
-                return kind(text)
-        except ValueError:
-            continue
+    for kind in (int, float) if text[0] in "+-.0123456789" and "_" not in text else ():
+        with suppress(ValueError):
+            return kind(text)
     return text
 
 

@@ -139,9 +139,7 @@ def _example(quantity: str) -> str:
 
 def parse_quantity(value: object, quantity: str) -> float:
     """`"300 kPa"` to 300000.0; raises ValueError that says what was expected."""
-    if isinstance(value, bool) or value is None:
-        raise ValueError(f"a {quantity} with its unit is expected, {_hint(quantity)}")
-    if isinstance(value, (int, float)):
+    if isinstance(value, (int, float)) and not isinstance(value, bool):
         value = float(value) if abs(value) < 1e300 else float("inf")
         if value == 0 and quantity == "ratio":
             return 0.0

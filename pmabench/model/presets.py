@@ -480,6 +480,9 @@ def tabulated_force(P: Sequence[float], F_ce: Sequence[float]) -> Curve:
     return Curve(lines, tuple(edges))
 
 
+COEFFICIENTS = ("F_ce", "K", "B_c", "B_r", "tau_r")
+
+
 def setup_of(numbers: Mapping[str, Any]) -> Setup:
     """The setup of a simulated bench.
 
@@ -491,16 +494,9 @@ def setup_of(numbers: Mapping[str, Any]) -> Setup:
         return _published(numbers, regulator, noise, lag)
     if numbers["law"] == "real":
         return Setup(_real(numbers), regulator, noise, lag)
-    curves = {symbol: _curve(numbers[symbol]) for symbol in ("F_ce", "K", "B_c", "B_r", "tau_r") if symbol in numbers}
-    muscle = Muscle(
-        name=str(numbers["name"]),
-        friction=Friction(**numbers["friction"]),
-        length=float(numbers["length"]),
-        stop=float(numbers["stop"]),
-        diameter=float(numbers.get("diameter", 0.0)),
-        braid_angle=float(numbers.get("braid_angle", 0.0)),
-        **curves,
-    )
+    given: dict[str, Any] = {symbol: _curve(numbers[symbol]) for symbol in COEFFICIENTS if symbol in numbers}
+    given |= {size: float(numbers[size]) for size in ("length", "stop", "diameter", "braid_angle") if size in numbers}
+    muscle = Muscle(str(numbers["name"]), friction=Friction(**numbers["friction"]), **given)
     return Setup(muscle, regulator, noise, lag, air=_air_of(numbers.get("flow"), regulator))
 
 

@@ -319,25 +319,21 @@ def channel_info(column: Mapping[str, Any], stream: str, rate: float) -> Channel
     """A channel as the head of its stream describes it."""
     scale, calibration = column.get("scale") or {}, column.get("calibration") or {}
     quantity = str(column.get("quantity", ""))
+    unsure = ("offset_uncertainty", "gain_uncertainty", "sensor_lag")
+    low, high = column.get("low"), column.get("high")
     return ChannelInfo(
         name=column["name"],
         quantity=quantity,
         unit=QUANTITIES[quantity].unit if quantity in QUANTITIES else "",
         slope=float(scale.get("slope", 1.0)),
         offset=float(scale.get("offset", 0.0)),
-        low=_limit(column.get("low"), -np.inf),
-        high=_limit(column.get("high"), np.inf),
-        offset_uncertainty=float(calibration.get("offset_uncertainty") or 0.0),
-        gain_uncertainty=float(calibration.get("gain_uncertainty") or 0.0),
-        sensor_lag=float(calibration.get("sensor_lag") or 0.0),
+        low=-np.inf if low is None else float(low),
+        high=np.inf if high is None else float(high),
+        **{name: float(calibration.get(name) or 0.0) for name in unsure},
         calibration=str(calibration.get("id") or ""),
         stream=stream,
         rate=rate,
     )
-
-
-def _limit(value: Any, otherwise: float) -> float:
-    return otherwise if value is None else float(value)
 
 
 LONGEST = 60.0

@@ -80,18 +80,9 @@ def muscle_volume(contraction: Array, diameter: Array, length: Array, braid_angl
         "The force may come out below 0 at low pressure and high contraction: there a real muscle buckles.",
     ),
 )  # fmt: skip
-def daerden_force(
-    pressure: Array,
-    contraction: Array,
-    diameter: Array,
-    braid_angle: Array,
-    alpha: Array,
-    A: Array,
-    B1: Array,
-    B2: Array,
-) -> Values:
+def daerden_force(pressure: Array, contraction: Array, *muscle: Array) -> Values:
     """F [N], S [N/Pa], F_e [N] from P [Pa gauge], eps [1], D0 [m], theta0 [rad], alpha [1], A [N], B1 and B2 [1]."""
-    section, rubber = section_factor(contraction, diameter, braid_angle, alpha), rubber_force(contraction, A, B1, B2)
+    section, rubber = section_factor(contraction, *muscle[:3]), rubber_force(contraction, *muscle[3:])
     return {"force": section * pressure + rubber, "section": section, "rubber_force": rubber}
 
 

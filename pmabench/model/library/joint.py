@@ -188,17 +188,10 @@ def joint_inverse(
     # along a constant torque P1 and P2 rise together, and the stiffness with them: what the limits leave is an interval
     low = np.maximum(pressure_min, (pull + two.section * pressure_min) / one.section)
     high = np.minimum(pressure_max, (pull + two.section * pressure_max) / one.section)
-    ends = [
-        pulley_radius**2
-        / length
-        * (
-            -one.section_slope * P
-            - two.section_slope * (one.section * P - pull) / two.section
-            - one.rubber_slope
-            - two.rubber_slope
-        )
-        for P in (low, high)
-    ]
+    ends = []
+    for P in (low, high):
+        steeper = -one.section_slope * P - two.section_slope * (one.section * P - pull) / two.section
+        ends.append(pulley_radius**2 / length * (steeper - one.rubber_slope - two.rubber_slope))
     outside = (
         (np.minimum(P1, P2) < pressure_min - 1e-6)
         | (np.maximum(P1, P2) > pressure_max + 1e-6)

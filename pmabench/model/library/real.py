@@ -45,13 +45,12 @@ CREPT = {
 
 
 def _points() -> tuple[Reference, ...]:
-    found = []
-    for kPa, (forces, stiffnesses) in POINTS.items():
-        for name, unit, scale, values in (("surface", "N", 1.0, forces), ("stiffness", "N/mm", 1e3, stiffnesses)):
-            for place, printed in enumerate(values.split()):
-                at = {"pressure": kPa * KPA, "displacement": place * 10 * MM}
-                found.append(Reference(name, printed, unit, scale, "computed apart", at))
-    return tuple(found)
+    return tuple(
+        Reference(name, printed, unit, scale, "computed apart", {"pressure": kPa * KPA, "displacement": cm * 10 * MM})
+        for kPa, (forces, stiffnesses) in POINTS.items()
+        for name, unit, scale, values in (("surface", "N", 1.0, forces), ("stiffness", "N/mm", 1e3, stiffnesses))
+        for cm, printed in enumerate(values.split())
+    )
 
 
 @described(

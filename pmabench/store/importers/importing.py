@@ -121,10 +121,9 @@ def _swapped(file: Summary, others: Sequence[Summary], allowed: Mapping[str, flo
 def _hint(ratio: float, quantity: str) -> str:
     if ratio <= 0:
         return ", the sign may be wrong"
-    for text, factor in UNIT_FACTORS.get(quantity, {}).items():
-        if min(abs(ratio / factor - 1.0), abs(ratio * factor - 1.0)) < 0.03:
-            return f" (is it {text}?)"
-    return ""
+    factors = UNIT_FACTORS.get(quantity, {}).items()
+    likely = (text for text, factor in factors if min(abs(ratio / factor - 1.0), abs(ratio * factor - 1.0)) < 0.03)
+    return next((f" (is it {text}?)" for text in likely), "")
 
 
 MOST_FILES = 10_000
