@@ -104,7 +104,9 @@ class LiveStream:
         self._lock = threading.Lock()
         self._block = b""
         self._seq = 0
-        self._head = _head_of(self._schema)
+        head = pa.BufferOutputStream()
+        pa.ipc.new_stream(head, self._schema).close()
+        self._head = _crc_of_head(head.getvalue())
         self._sink = _Sink()
         self._arrow = pa.ipc.new_stream(self._sink, self._schema)
         self._build({name: np.empty(0, kind) for name, kind in self._types.items()})
@@ -187,14 +189,8 @@ class LiveStream:
         self.file.close()
 
 
-def _head_of(schema: Any) -> int:
-    """Crc32 of the schema message, byte for byte as the stream will begin."""
-    sink = pa.BufferOutputStream()
-    pa.ipc.new_stream(sink, schema).close()
-    return _crc_of_head(sink.getvalue())
-
-
 def _crc_of_head(data: Any) -> int:
+    """Crc32 of the schema message, byte for byte as the stream begins."""
     return zlib.crc32(data[: 8 + int.from_bytes(data[4:8].to_pybytes(), "little")])
 
 

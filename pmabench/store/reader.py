@@ -45,6 +45,10 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
+TIMING = ("displacement", "angle", "pressure")
+"""The stream of the first of these channels gives the times of the samples."""
+
+
 def open_run(path: Path | str, *, honour_notes: bool = True, anew: Recalibration | None = None) -> RunData:
     """Load a run with all its trials; notes exclude some of them unless `honour_notes` is False.
 
@@ -59,7 +63,8 @@ def open_run(path: Path | str, *, honour_notes: bool = True, anew: Recalibration
     journal = folder.journal()
     events = events_of(journal)
     streams = [folder.stream(name, events) for name in folder.stream_names()]
-    main = _base(streams)
+    named = (stream for channel in TIMING for stream in streams if channel in stream.channels)
+    main = next(named, streams[0] if streams else Samples.none(""))
     channels, flags, infos = dict(main.channels), main.flags, dict(main.infos)
     interpolated: dict[str, str] = {}
     for other in streams:
@@ -115,15 +120,6 @@ def _since(folder: RunFiles) -> Since:
 def _reaches(stream: Samples) -> float:
     """Time up to which a stream is certainly recorded [s]."""
     return float(stream.t[-1]) + 2.0 / stream.rate if len(stream.t) and stream.rate > 0 else -np.inf
-
-
-def _base(streams: list[Samples]) -> Samples:
-    """The stream that gives the times of the samples."""
-    for channel in ("displacement", "angle", "pressure"):
-        for stream in streams:
-            if channel in stream.channels:
-                return stream
-    return streams[0] if streams else Samples.none("")
 
 
 def read_stream(path: Path | str, name: str = "", raw: bool = False) -> pd.DataFrame:

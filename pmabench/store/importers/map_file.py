@@ -113,7 +113,8 @@ def settle(
     for key, (location, question) in asked.items():
         if unresolved and question.used:
             left.append(question)
-            document.put(location, _quoted(question.used), document.path)
+            quoted = "'" + question.used.replace("'", "''") + "'"
+            document.put(location, quoted, document.path)
             continue
         more = f"; --unresolved takes {question.used} until then" if question.used and not unresolved else ""
         sentence = f"not answered: {question.question}; write the answer here, or give --set '{key}=...'{more}"
@@ -163,10 +164,6 @@ def _at(data: Any, location: Location) -> Any:
     for part in location:
         data = data[part]
     return data
-
-
-def _quoted(text: str) -> str:
-    return "'" + text.replace("'", "''") + "'"
 
 
 Reading = Annotated[tuple[float, str], AsText(raw_quantity, "a number with its unit", "4 mA", "0.683 N/count")]
