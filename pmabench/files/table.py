@@ -105,8 +105,8 @@ def read_table(path: Path) -> Table:
             problems.append(Problem(str(path), head.line, head.column, f'a second column "{head.text}"'))
     if problems:
         raise InvalidFile(problems[:MOST_PROBLEMS])
-    cells = zip(*rows, strict=True)
-    columns = tuple(Column(head, *split_head(head.text), mine) for head, mine in zip(heads, cells, strict=True))
+    by_column = zip(*rows, strict=True)
+    columns = tuple(Column(head, *split_head(head.text), mine) for head, mine in zip(heads, by_column, strict=True))
     return Table(path, " ".join(source), columns)
 
 
