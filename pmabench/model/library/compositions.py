@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 from scipy.optimize import brentq
@@ -109,10 +108,12 @@ def series_pair(displacement: Array, *sections: Array) -> Values:
     return {"force": force, "contraction_1": first, "contraction_2": second}
 
 
-def _balance(x: float, *given: float) -> tuple[float, float, float]:
+def _balance(
+    x: float, P1: float, r1: float, t1: float, L1: float, P2: float, r2: float, t2: float, L2: float
+) -> tuple[float, float, float]:
     """Common force [N] and both contractions [1]."""
     sections = []
-    for P, r, theta in (given[:3], given[4:7]):
+    for P, r, theta in ((P1, r1, t1), (P2, r2, t2)):
         a, b = (float(factor) for factor in braid_factors(np.asarray(theta)))
         sections.append((math.pi * r * r * P, a, b))
 
@@ -121,7 +122,7 @@ def _balance(x: float, *given: float) -> tuple[float, float, float]:
 
     def together(force: float) -> float:
         first, second = contractions(force)
-        return given[3] * first + given[7] * second - x
+        return L1 * first + L2 * second - x
 
     most = min(size * (a - b) for size, a, b in sections)
     refuse("displacement", "it is more than both can contract", together(0.0) < -1e-12, x)
@@ -177,10 +178,12 @@ def _balance(x: float, *given: float) -> tuple[float, float, float]:
         "Muscles of other kinds, with steps and delays of their own: pmabench cascade.",
     ),
 )  # fmt: skip
-def cascade(*inputs: Any) -> Values:
+def cascade(
+    time: Array, count: Array, pressure: Array, pressure_step: Array, delay: Array, hold: Array, load: Array, fce_at: str
+) -> Values:
     """Sums [1, m, N] and forces [N] from t [s], N [1], P and P_step [Pa gauge], delay and hold [s], L [N]."""
-    *numbers, fce_at = inputs
-    time, count, pressure, pressure_step, delay, hold, load = np.broadcast_arrays(*numbers)
+    inputs = (time, count, pressure, pressure_step, delay, hold, load)
+    time, count, pressure, pressure_step, delay, hold, load = np.broadcast_arrays(*inputs)
     _whole(count)
     shape, most = time.shape, int(np.max(count))
     ratio, x, F_ce, S = (np.zeros((most, *shape)) for _ in range(4))

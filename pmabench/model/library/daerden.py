@@ -188,10 +188,13 @@ def closed_volume(pressure_start: Array, pressure: Array, volume_start: Array, a
     outputs=(Output("volume", "V", "volume", "volume inside"),),
     references=(Reference("volume", "70.372", "cm3", CM3, "by hand: (pi / 4) (2 * 20^2 * 40 + 24^2 * 100) mm3"),),
 )  # fmt: skip
-def three_cylinder_volume(*sizes: Array) -> Values:
-    """V [m3] from three outer diameters, three heights and the thickness [m]."""
-    volumes, thickness = [], sizes[6]
-    for number, (diameter, height) in enumerate(zip(sizes[:3], sizes[3:6], strict=True), 1):
+def three_cylinder_volume(
+    diameter_1: Array, diameter_2: Array, diameter_3: Array, height_1: Array, height_2: Array, height_3: Array,
+    thickness: Array,
+) -> Values:  # fmt: skip
+    """V [m3] from outer diameters, heights and thickness [m]."""
+    pairs = ((diameter_1, height_1), (diameter_2, height_2), (diameter_3, height_3))
+    for number, (diameter, _) in enumerate(pairs, 1):
         refuse("thickness", f"the wall is thicker than diameter_{number} allows", diameter <= 2 * thickness)
-        volumes.append(np.asarray(math.pi / 4 * (diameter - 2 * thickness) ** 2 * height))
+    volumes = [np.asarray(math.pi / 4 * (diameter - 2 * thickness) ** 2 * height) for diameter, height in pairs]
     return {"volume": volumes[0] + volumes[1] + volumes[2]}

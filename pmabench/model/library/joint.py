@@ -228,8 +228,12 @@ def joint_inverse(
     ),
     notes=("Refused where the torque has the same sign at all angles at which both muscles are known.",),
 )  # fmt: skip
-def joint_rest(*inputs: Array) -> Values:
+def joint_rest(
+    pressure_1: Array, pressure_2: Array, pulley_radius: Array, preload: Array, diameter: Array, length: Array,
+    braid_angle: Array, alpha: Array, A: Array, B1: Array, B2: Array,
+) -> Values:  # fmt: skip
     """Th [rad] from P_i [Pa gauge], R and l0 [m], e0 [1] and the muscle."""
+    inputs = (pressure_1, pressure_2, pulley_radius, preload, diameter, length, braid_angle, alpha, A, B1, B2)
     return {"angle": np.vectorize(_rest, otypes=[float])(*inputs)}
 
 
