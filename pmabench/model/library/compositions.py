@@ -179,8 +179,9 @@ def _balance(
     ),
 )  # fmt: skip
 def cascade(
-    time: Array, count: Array, pressure: Array, pressure_step: Array, delay: Array, hold: Array, load: Array, fce_at: str
-) -> Values:
+    time: Array, count: Array, pressure: Array, pressure_step: Array, delay: Array, hold: Array, load: Array,
+    fce_at: str,
+) -> Values:  # fmt: skip
     """Sums [1, m, N] and forces [N] from t [s], N [1], P and P_step [Pa gauge], delay and hold [s], L [N]."""
     inputs = (time, count, pressure, pressure_step, delay, hold, load)
     time, count, pressure, pressure_step, delay, hold, load = np.broadcast_arrays(*inputs)
