@@ -19,9 +19,8 @@ import numpy as np
 
 from pmabench.base.errors import InvalidFile
 from pmabench.store import folder as files
-from pmabench.store.arrow import pa
 from pmabench.store.folder import decode_lines, open_json, open_regular, read_manifest, read_seal, status_of
-from pmabench.store.livestream import FLAGS, TIME, LiveReader, numbers
+from pmabench.store.livestream import FLAGS, TIME, LiveReader, numbers, pa
 from pmabench.store.reader import channel_info
 from pmabench.store.records import Array, ChannelInfo, ClockInfo, Event, Flags
 from pmabench.store.seal import read_archive

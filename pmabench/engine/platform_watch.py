@@ -13,8 +13,7 @@ from dataclasses import dataclass, field
 
 from pmabench.base.quantities import show
 from pmabench.engine.laws.orders import Orders, Pulse
-from pmabench.model.many.platform import G, described
-from pmabench.model.platform_control import Inverse, Pair, contractions, pressure_rate, tilt
+from pmabench.model.many.platform import G, Inverse, Pair, contractions, described, pressure_rate, tilt
 
 MUSCLES = (1, 2, 3)
 AXES = ("acceleration_x", "acceleration_y", "acceleration_z")

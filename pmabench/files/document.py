@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import re
 import types
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 from stat import S_ISDIR, S_ISREG
@@ -16,6 +17,7 @@ from ruamel.yaml.error import MarkedYAMLError, YAMLError
 from ruamel.yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
 
 from pmabench.base.errors import InvalidFile, Problem, did_you_mean, invalid, reading
+from pmabench.base.quantities import MUSCLES, without_number
 
 MAX_BYTES = 1_000_000
 MAX_NODES = 100_000
@@ -183,12 +185,9 @@ def _scalar(node: ScalarNode) -> str | int | float | bool | None:
         return text
     if text in _WORDS:
         return _WORDS[text]
-    for kind in (int, float):
-        try:
-            if text[0] in "+-.0123456789" and "_" not in text:
-                return kind(text)
-        except ValueError:
-            continue
+    for kind in (int, float) if text[0] in "+-.0123456789" and "_" not in text else ():
+        with suppress(ValueError):
+            return kind(text)
     return text
 
 
@@ -345,3 +344,25 @@ def document_text(document: Document) -> str:
 
 def _commented(text: str) -> str:
     return "".join(f"# {line}\n" for line in text.splitlines())
+
+
+def among(alone: Sequence[str], of_a_muscle: Sequence[str]) -> Callable[[Any], str]:
+    """A check that a value is one of these names, of which those `of_a_muscle` may carry a number from 1 on.
+
+    That is `pressure`, or `pressure_2` where a bench has several muscles.
+    """
+    numbers = [f"_{number}" for number in range(1, MUSCLES + 1)]
+
+    def check(value: Any) -> str:
+        name, number = without_number(str(value))
+        if value not in alone and not (name in of_a_muscle and number in numbers):
+            raise ValueError(f'"{value}" is not known here{did_you_mean(str(value), alone)}')
+        return str(value)
+
+    return check
+
+
+def schema_of(alone: Sequence[str], of_a_muscle: Sequence[str]) -> dict[str, Any]:
+    """The same as a JSON schema."""
+    both = "|".join(f"{name}(_[1-{MUSCLES}])?" if name in of_a_muscle else name for name in alone)
+    return {"type": "string", "pattern": f"^({both})$"}

@@ -118,14 +118,12 @@ def library_factor(unit: str, quantity: str) -> float:
     text = re.sub(r"([A-Za-zµΩ])(-?\d)", r"\1**\2", unit.replace("·", "*").replace("^", "").replace("µ", "u"))
     text = re.sub(r"(?<=[A-Za-z0-9])\.(?=[A-Za-z])", "*", text)
     try:
-        parsed = registry.parse_units(text)
-        one = registry.Quantity(1.0, parsed)
+        one = registry.Quantity(1.0, registry.parse_units(text))
         factor = one.to(_QUANTITIES[quantity][0]).magnitude
         if quantity == "frequency" and "radian" in str(one.to_base_units().units):
             factor /= 2 * pi  # rpm, rad/s, turn/s
     except Exception as error:
-        name = type(error).__name__
-        if name == "DimensionalityError":
+        if type(error).__name__ == "DimensionalityError":
             raise ValueError(f'"{unit}" is no unit of {quantity}, {_hint(quantity)}') from error
         raise ValueError(f'unknown unit "{unit}", {_hint(quantity)}') from error
     return float(factor)
@@ -141,9 +139,7 @@ def _example(quantity: str) -> str:
 
 def parse_quantity(value: object, quantity: str) -> float:
     """`"300 kPa"` to 300000.0; raises ValueError that says what was expected."""
-    if isinstance(value, bool) or value is None:
-        raise ValueError(f"a {quantity} with its unit is expected, {_hint(quantity)}")
-    if isinstance(value, (int, float)):
+    if isinstance(value, (int, float)) and not isinstance(value, bool):
         value = float(value) if abs(value) < 1e300 else float("inf")
         if value == 0 and quantity == "ratio":
             return 0.0
@@ -221,8 +217,7 @@ def _of(quantity: str) -> AsText:
             raise ValueError(f'"{value}": a time is not below zero')
         return number
 
-    pattern = rf"^\s*{NUMBER}\s*{UNIT}\s*$"
-    return AsText(parse, f"{quantity} with its unit", _example(quantity), pattern=pattern)
+    return AsText(parse, f"{quantity} with its unit", _example(quantity), pattern=rf"^\s*{NUMBER}\s*{UNIT}\s*$")
 
 
 Pressure = Annotated[float, _of("pressure")]

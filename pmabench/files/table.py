@@ -105,11 +105,9 @@ def read_table(path: Path) -> Table:
             problems.append(Problem(str(path), head.line, head.column, f'a second column "{head.text}"'))
     if problems:
         raise InvalidFile(problems[:MOST_PROBLEMS])
-    columns = []
-    for place, head in enumerate(heads):
-        name, unit = split_head(head.text)
-        columns.append(Column(head, name, unit, tuple(row[place] for row in rows)))
-    return Table(path, " ".join(source), tuple(columns))
+    by_column = zip(*rows, strict=True)
+    columns = tuple(Column(head, *split_head(head.text), mine) for head, mine in zip(heads, by_column, strict=True))
+    return Table(path, " ".join(source), columns)
 
 
 def _text(path: Path) -> str:

@@ -10,19 +10,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
 from pmabench.model.curve import Array
-from pmabench.model.library.coefficients import (
-    DMSP_ANGLE,
-    DMSP_LENGTH,
-    DMSP_PRESSURE,
-    DMSP_RADIUS,
-    dmsp_40_305,
-    dmsp_40_305_contraction,
-)
+from pmabench.model.library.coefficients import DMSP_PRESSURE, DMSP_SHAPE, dmsp_40_305, dmsp_40_305_contraction
 from pmabench.model.muscle import held_force
 from pmabench.model.plant import Plant
 from pmabench.model.regulator import Wave, constant
@@ -45,14 +37,6 @@ class Block:
     F_ce: Array
     K: Array
     stop: float
-
-
-class Member(Protocol):
-    """A muscle of a chain, from rest at 0 s on."""
-
-    def advance(self, times: Array) -> Block:
-        """Go on through the times [s], which rise from call to call."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -83,11 +67,10 @@ class Course:
 
 
 def simulate(members: Sequence[Member], times: Array) -> Course:
-    """The course of a chain at `times` [s], rising; a second call goes on where the first ended."""
+    """The course of a chain from rest at 0 s on, at `times` [s], rising; another call goes on where one ended."""
     blocks = [member.advance(times) for member in members]
     P, x, F_ce, K = (np.array([getattr(block, name) for block in blocks]) for name in ("P", "x", "F_ce", "K"))
-    stops = np.array([block.stop for block in blocks])
-    return Course(times, P, x, F_ce, held_force(F_ce, K, stops, x.sum(axis=0)))
+    return Course(times, P, x, F_ce, held_force(F_ce, K, np.array([block.stop for block in blocks]), x.sum(axis=0)))
 
 
 # -- paper 1's muscle ------------------------------------------------------------------------------------------------
@@ -143,18 +126,17 @@ class PrintedMuscle:
             tau = tau_c if target >= x0 else tau_r
             stretches.append(_Stretch(step.at, step.pressure, x0, target, tau, F_ce, S))
             if step.pressure > 0:
-                released = dmsp_40_305(np.asarray(step.pressure), "polynomial")
-                tau_r, S_r = float(released["tau_relax"]), S
+                tau_r, S_r = float(dmsp_40_305(np.asarray(step.pressure), "polynomial")["tau_relax"]), S
         self._stretches = stretches
 
     @staticmethod
     def _coefficients(pressure: float, load: float, fce_at: str) -> tuple[float, float, float]:
         """F_ce [N], S [N/m] and tau_c [s]; F_ce at x = 0 where the load is more than it lifts."""
         one = np.asarray(1.0)
-        shape = (one * DMSP_RADIUS, one * DMSP_LENGTH, one * DMSP_ANGLE)
-        least = dmsp_40_305_contraction(one * pressure, one * 0.0, *shape, "x0")
+        radius, length, angle = (one * size for size in DMSP_SHAPE)
+        least = dmsp_40_305_contraction(one * pressure, one * 0.0, radius, length, angle, "x0")
         if load < float(least["force_ce"]) and fce_at == "xmax":
-            least = dmsp_40_305_contraction(one * pressure, one * load, *shape, "xmax")
+            least = dmsp_40_305_contraction(one * pressure, one * load, radius, length, angle, "xmax")
         tau_c = dmsp_40_305(one * pressure, "polynomial")["tau_contract"]
         return float(least["force_ce"]), float(least["stiffness"]), float(tau_c)
 
@@ -170,7 +152,7 @@ class PrintedMuscle:
             np.array([getattr(stretch, name) for stretch in self._stretches])[index]
             for name in ("pressure", "F_ce", "K")
         )
-        return Block(P, x, F_ce, K, DMSP_LENGTH)
+        return Block(P, x, F_ce, K, DMSP_SHAPE[1])
 
 
 # -- plants of the simulated bench -----------------------------------------------------------------------------------
@@ -194,3 +176,7 @@ class PlantMuscle:
         motion = self._plant.advance(float(times[-1]), times)
         muscle = self._plant.muscle
         return Block(motion.P, motion.x, muscle.F_ce.values(motion.P), muscle.K.values(motion.P), muscle.stop)
+
+
+Member = PrintedMuscle | PlantMuscle
+"""A muscle of a chain, from rest at 0 s on."""

@@ -74,24 +74,14 @@ class Tube:
 class AirPlant(Plant):
     """A muscle with a free end, and the air that its regulator has to move."""
 
-    def __init__(
-        self,
-        muscle: Muscle,
-        regulator: Regulator,
-        air: Air,
-        *,
-        force: float = 0.0,
-        mass: float = 0.5,
-        pressure: float = 0.0,
-        start: float = 0.0,
-    ) -> None:
-        super().__init__(muscle, regulator, force=force, mass=mass, pressure=pressure, start=start)
+    def __init__(self, muscle: Muscle, regulator: Regulator, air: Air, *, pressure: float = 0.0, **rest: float) -> None:
+        super().__init__(muscle, regulator, pressure=pressure, **rest)
         self.air, self._tube = air, Tube(muscle)
         self._leak = air.leak * self._tube.at(0.0)[0]
         self._shut = False
         self._flows = self._paces()
-        self._u = self.supply.piece(start)[0]
-        self._still = Trace(start, pressure)
+        self._u = self.supply.piece(self.time)[0]
+        self._still = Trace(self.time, pressure)
         self._known: Trace | Passed = self._still
         self._resting: tuple[tuple[Trace, float, bool], float] | None = None
         self._made: tuple[list[float], list[float]] | None = None

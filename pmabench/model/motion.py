@@ -168,17 +168,6 @@ class Course(Protocol):
         """Pressures at rising times t [s]."""
 
 
-class Grid:
-    """Times to look at, from now to the end of a stretch, with the rows that are samples."""
-
-    def __init__(self, t: Array, rows: NDArray[np.intp], samples: Array) -> None:
-        self.t, self.rows, self._samples = t, rows, samples
-
-    def count(self, end: float) -> int:
-        """How many of the samples lie before `end`."""
-        return int(np.searchsorted(self._samples, end))
-
-
 class Record:
     """Samples asked for, and how many are done."""
 
@@ -191,19 +180,13 @@ class Record:
         """How many samples are due before `end`."""
         return int(self.t.searchsorted(end)) - self.done
 
-    def before(self, end: float) -> list[float]:
-        """When samples are due before `end`."""
-        times: list[float] = self.t[self.done : self.done + self.count(end)].tolist()
-        return times
-
-    def grid(self, now: float, end: float) -> Grid:
-        """The samples before `end` with `now` first and `end` last, filled up where they are far apart."""
-        samples = self.t[self.done : self.done + self.count(end)]
+    def grid(self, now: float, end: float) -> tuple[Array, NDArray[np.intp]]:
+        """Times from `now` to `end` with all samples before `end`, filled up where these are far apart; their rows."""
+        samples = self.due(self.count(end))
         times = np.concatenate(([now], samples[samples > now + INSTANT], [end]))
         if np.diff(times).max() > GAP:
-            even = np.linspace(now, end, int((end - now) / GAP) + 2)
-            times = np.union1d(times, even)
-        return Grid(times, np.searchsorted(times, samples - INSTANT), samples)
+            times = np.union1d(times, np.linspace(now, end, int((end - now) / GAP) + 2))
+        return times, np.searchsorted(times, samples - INSTANT)
 
     def due(self, count: int) -> Array:
         """When the next samples are due."""

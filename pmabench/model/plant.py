@@ -35,7 +35,7 @@ import numpy as np
 from scipy.integrate import odeint
 
 from pmabench.model.curve import Array
-from pmabench.model.motion import NOTHING, Course, Grid, Loaded, Motion, Record
+from pmabench.model.motion import NOTHING, Course, Loaded, Motion, Record
 from pmabench.model.muscle import Friction, Muscle
 from pmabench.model.regulator import FADED, Regulated, Regulator, Trace, to_nanosecond
 
@@ -296,16 +296,12 @@ class Plant(Loaded):
             self._fill(record, np.full(len(t) - record.done, self.x), self.v, course, self.way)
         return record.motion()
 
-    def step(self, dt: float) -> None:
-        """One implicit step of dt [s] with the command as it is: for loops that are closed every sample.
+    def reach(self, until: float, longest: float = STEP) -> None:
+        """Implicit steps of at most `longest` [s] up to `until` [s]: for loops that are closed every sample.
 
         Linearly implicit: pressure and coefficients at the middle of the step, friction and damping in closed form
         (`glide`), the spring by the trapezoidal rule; stable for any mass.
         """
-        self.reach(self.time + dt, dt)
-
-    def reach(self, until: float, longest: float = STEP) -> None:
-        """Implicit steps of at most `longest` [s] up to `until` [s]."""
         while self.time < until:
             trace, end = self._piece()
             self._steps(trace, min(end, until), longest)
@@ -350,9 +346,7 @@ class Plant(Loaded):
         hold = self.muscle.friction.F_s + SETTLED_FORCE
         if drive > hold and self.x < self.muscle.stop:
             return 1
-        if drive < -hold and self.x > 0:
-            return -1
-        return 0
+        return -1 if drive < -hold and self.x > 0 else 0
 
     def _start(self, course: Course) -> None:
         """Begin to slide where the pressure at this moment makes a muscle at rest do so."""
@@ -368,19 +362,15 @@ class Plant(Loaded):
             self._fill(record, np.full(record.count(end), self.x), 0.0, trace, 0)
             self.time = self._since = end
             return
-        grid = record.grid(self.time, end)
-        P = trace.values(grid.t)
+        t, _ = record.grid(self.time, end)
+        P = trace.values(t)
         drive = self.muscle.pull(P, np.full(P.shape, self.x)) - self.force
         hold = self.muscle.friction.F_s + SETTLED_FORCE
-        free = np.zeros(P.shape, dtype=np.bool_)
-        if self.x < self.muscle.stop:
-            free |= drive > hold
-        if self.x > 0:
-            free |= drive < -hold
+        free = ((drive > hold) & (self.x < self.muscle.stop)) | ((drive < -hold) & (self.x > 0))
         free[0] = False
-        first = int(free.argmax()) if free.any() else 0
+        first = int(free.argmax())
         if first:
-            low, high = float(grid.t[first - 1]), float(grid.t[first])
+            low, high = float(t[first - 1]), float(t[first])
             for _ in range(40):
                 middle = 0.5 * (low + high)
                 if self._breaks_away(self._drive(trace.value(middle))):
@@ -388,7 +378,7 @@ class Plant(Loaded):
                 else:
                     low = middle
             end = min(math.ceil(high * 1e9) / 1e9, end)
-        self._fill(record, np.full(grid.count(end), self.x), 0.0, trace, 0)
+        self._fill(record, np.full(record.count(end), self.x), 0.0, trace, 0)
         self.time = self._since = end
         if first:
             self.way = self._breaks_away(self._drive(trace.value(high)))
@@ -397,20 +387,21 @@ class Plant(Loaded):
 
     def _slide(self, trace: Trace, end: float, record: Record) -> None:
         """Slide until it turns, lands, settles, comes to speeds of stiction, or `end`."""
-        grid = record.grid(self.time, end)
-        x, v, course = self._integrate(trace, (self.x, self.v), grid.t)
-        first = self._first_event(course, grid.t, x, v)
+        t, rows = record.grid(self.time, end)
+        x, v, course = self._integrate(trace, (self.x, self.v), t)
+        first = self._first_event(course, t, x, v)
         if first is None:
-            self._record_slide(course, grid, x, v, end, record)
+            self._fill(record, x[rows], v[rows], course, self.way)
             self.x, self.v, self.time = float(x[-1]), float(v[-1]), end
             self._horizon = min(2 * self._horizon, HORIZON)
             return
         before = first - 1
-        fine = np.linspace(grid.t[before], grid.t[first], 65)
+        fine = np.linspace(t[before], t[first], 65)
         fine_x, fine_v, fine_course = self._integrate(trace, (float(x[before]), float(v[before])), fine)
         found = self._first_event(fine_course, fine, fine_x, fine_v) or len(fine) - 1
         moment, place, lands = self._refine(fine, fine_x, fine_v, found)
-        self._record_slide(course, grid, x, v, moment, record)
+        rows = rows[: record.count(moment)]
+        self._fill(record, x[rows], v[rows], course, self.way)
         self.time, self.x, self.v = moment, place, 0.0
         self._horizon = min(max(1.2 * (moment - self._since), SHORT), HORIZON)
         self._since = moment
@@ -452,14 +443,7 @@ class Plant(Loaded):
     def _stop(self, course: Course, lands: bool) -> None:
         """With the speed just come to 0: stay, or slide back."""
         drive = self._drive(course.value(self.time))
-        if lands and drive * self.way > 0:
-            self.way = 0
-        else:
-            self.way = self._breaks_away(drive)
-
-    def _record_slide(self, course: Course, grid: Grid, x: Array, v: Array, end: float, record: Record) -> None:
-        rows = grid.rows[: grid.count(end)]
-        self._fill(record, x[rows], v[rows], course, self.way)
+        self.way = 0 if lands and drive * self.way > 0 else self._breaks_away(drive)
 
     # -- stepping ------------------------------------------------------------------------------------------------
 
@@ -471,7 +455,7 @@ class Plant(Loaded):
 
     def _stepwise(self, trace: Trace, end: float, record: Record, longest: float, speed: float) -> None:
         """Slide in steps of at most `longest` until `end`, or until it turns, rests or is as fast as `speed`."""
-        way, samples, x, v = self.way, record.before(end), [], []
+        way, samples, x, v = self.way, record.due(record.count(end)).tolist(), [], []
         due = 0
         while self.time < end and self.way == way and way * self.v < speed:
             sample = samples[due] if due < len(samples) else math.inf

@@ -175,8 +175,8 @@ BENCH_NOISE = Noise(pressure=500.0, displacement=2e-6, force=0.3)
 ARM_FRICTION, ARM_NOISE = Friction(F_s=0.5, F_c=0.5), Noise(pressure=500.0, displacement=30e-6)
 """Assumed: both sides are 0.38 deg apart, a reading of the angle scatters by 0.06 deg."""
 BENCH_LAG = 0.0955
-BENCH_SECOND = 2.5, 0.9
-"""Natural frequency [Hz] and damping ratio of a regulator of second order that does 90 % of a step in 0.22 s."""
+BENCH_SECOND = {"natural_frequency": 2.5, "damping_ratio": 0.9}
+"""[Hz] and [1]: a regulator of second order that does 90 % of a step in 0.22 s."""
 BENCH_FOLLOW_LAG = 0.005
 DEAD_TIME = 0.04
 REAL_REGULATOR = Regulator(dead_time=0.02, lag=BENCH_LAG, vent_ratio=1.5)
@@ -261,36 +261,30 @@ def preset(plant: str, kind: str = "bench", overrides: Overrides | None = None) 
     """
     if plant not in PLANTS:
         raise ValueError(f'no plant "{plant}"; known: {", ".join(PLANTS)}')
-    regulator = Regulator(dead_time=DEAD_TIME, lag=BENCH_LAG)
     if overrides and overrides.fce_eval is not None and plant != "dmsp-40-305":
         raise ValueError(f"fce_eval is for the plant dmsp-40-305; what {plant} calls F_ce is taken at x = 0")
+    setup = Setup(reference(), Regulator(dead_time=DEAD_TIME, lag=BENCH_LAG), BENCH_NOISE, BENCH_FOLLOW_LAG)
+    if plant == REAL:
+        return changed(replace(setup, regulator=REAL_REGULATOR), kind, overrides)
+    if plant == ARM:
+        return changed(replace(setup, muscle=Arm(friction=ARM_FRICTION), noise=ARM_NOISE), kind, overrides)
     if plant in MUSCLES:
         muscle = replace(MUSCLES[plant](), friction=COULOMB if plant == "dmsp-40-305" else BENCH_FRICTION)
         if overrides and overrides.fce_eval is not None:
             muscle = replace(muscle, F_ce=dmsp_40_305(overrides.fce_eval).F_ce)
-        air = None
-        if plant == "paper0-air":
-            from pmabench.model.published_muscles import assumed_air  # as below
+        setup = replace(setup, muscle=muscle)
+        if plant != "paper0-air":
+            return changed(setup, kind, overrides)
+    from pmabench.model import published_muscles as published  # needs the library of models, which needs this module
 
-            natural_frequency, damping_ratio = BENCH_SECOND
-            regulator = Regulator(DEAD_TIME, natural_frequency=natural_frequency, damping_ratio=damping_ratio)
-            air = assumed_air()
-        return changed(Setup(muscle, regulator, BENCH_NOISE, BENCH_FOLLOW_LAG, air=air), kind, overrides)
-    if plant == ARM:
-        return changed(Setup(Arm(friction=ARM_FRICTION), regulator, ARM_NOISE, BENCH_FOLLOW_LAG), kind, overrides)
-    if plant == REAL:
-        return changed(Setup(reference(), REAL_REGULATOR, BENCH_NOISE, BENCH_FOLLOW_LAG), kind, overrides)
-    # these need the library of models, which needs this module
-    if plant in CONTRACTORS:
-        from pmabench.model.published_muscles import ContractorMuscle
-
-        contractor = ContractorMuscle(name=plant, length=CONTRACTORS[plant])
-        return changed(Setup(contractor, regulator, BENCH_NOISE, BENCH_FOLLOW_LAG), kind, overrides)
-    from pmabench.model.published_muscles import DaerdenMuscle, assumed_air
-
-    stretchy = DaerdenMuscle()
-    hysteresis = Hysteresis(DAERDEN_HEIGHT, DAERDEN_WIDTH * stretchy.length)
-    setup = Setup(stretchy, regulator, BENCH_NOISE, BENCH_FOLLOW_LAG, hysteresis, assumed_air())
+    if plant == "paper0-air":
+        setup = replace(setup, regulator=Regulator(DEAD_TIME, **BENCH_SECOND), air=published.assumed_air())
+    elif plant in CONTRACTORS:
+        setup = replace(setup, muscle=published.ContractorMuscle(name=plant, length=CONTRACTORS[plant]))
+    else:
+        stretchy = published.DaerdenMuscle()
+        hysteresis = Hysteresis(DAERDEN_HEIGHT, DAERDEN_WIDTH * stretchy.length)
+        setup = replace(setup, muscle=stretchy, hysteresis=hysteresis, air=published.assumed_air())
     return changed(setup, kind, overrides)
 
 
@@ -300,7 +294,12 @@ def changed(setup: Setup, kind: str = "bench", overrides: Overrides | None = Non
         raise ValueError(f'no preset "{kind}"; known: {", ".join(KINDS)}')
     real = kind == "bench"
     change = overrides or Overrides()
-    chosen = _Chosen(change, real)
+
+    def chosen(name: str, bench: float, ideal: float = 0.0) -> float:
+        """The user's value of a parameter [SI], else that of the bench, or of an ideal one."""
+        value = getattr(change, name)
+        return float(value) if value is not None else bench if real else ideal
+
     share = 1.0 if change.friction is None else change.friction
     if share < 0:
         raise ValueError("the factor on friction cannot be negative")
@@ -309,21 +308,27 @@ def changed(setup: Setup, kind: str = "bench", overrides: Overrides | None = Non
     if hysteresis is not None:
         height = hysteresis.height if change.hysteresis is None else change.hysteresis
         hysteresis = replace(hysteresis, height=share * height)
-    elif change.hysteresis is not None:
-        raise ValueError(f"hysteresis is not for the muscle {muscle.name}; it is for the plant daerden")
-    if change.relaxes is not None and isinstance(setup.muscle, Muscle | Arm | RealMuscle):
-        raise ValueError(f"relaxes is not for the muscle {muscle.name}; it is for the plant daerden")
-    regulator = _regulator(setup.regulator, chosen)
+    else:
+        _refuse(change, ("hysteresis",), muscle, "; it is for the plant daerden")
+    if isinstance(setup.muscle, Muscle | Arm | RealMuscle):
+        _refuse(change, ("relaxes",), muscle, "; it is for the plant daerden")
+    regulator = _regulator(setup.regulator, change, chosen)
     air = None if setup.air is None else _air(setup.air, chosen)
     if setup.air is None:
         if change.conductance_fill is not None or change.conductance_vent is not None:
             raise ValueError(f"conductances are not for the muscle {muscle.name}: its volume is not known")
-        if change.polytropic is not None:
-            raise ValueError(f"polytropic is not for the muscle {muscle.name}: its volume is not known")
+        _refuse(change, ("polytropic",), muscle, ": its volume is not known")
     regulator = regulator if air is None else replace(regulator, leak=0.0)
     noise = setup.noise.scaled(chosen("noise", 1.0))
     lag = chosen("follow_lag", setup.follow_lag)
     return Setup(muscle, regulator, noise, lag, hysteresis, air, **_mounted(change))
+
+
+def _refuse(change: Overrides, names: Sequence[str], muscle: AnyMuscle, why: str) -> None:
+    """ValueError for an override that is set and that the muscle does not have."""
+    for name in names:
+        if getattr(change, name) is not None:
+            raise ValueError(f"{name} is not for the muscle {muscle.name}{why}")
 
 
 def _mounted(change: Overrides) -> dict[str, Any]:
@@ -336,28 +341,13 @@ def _mounted(change: Overrides) -> dict[str, Any]:
     return {"relaxes": rubber(change.relaxes) if change.relaxes else None, "hose": hose, "parallel": int(parallel)}
 
 
-@dataclass(frozen=True)
-class _Chosen:
-    """Takes the value of a parameter: the user's, else that of the bench, or of an ideal one."""
-
-    change: Overrides
-    real: bool
-
-    def __call__(self, name: str, bench: float, ideal: float = 0.0) -> float:
-        """The value of `name` [SI]."""
-        value = getattr(self.change, name)
-        return float(value) if value is not None else bench if self.real else ideal
-
-
 def _muscle(muscle: AnyMuscle, change: Overrides, share: float, *, real: bool) -> AnyMuscle:
     """The muscle with its friction times `share` and changed; ValueError for what it does not have."""
     if change.b_relax not in {None, "b_contract"}:
         raise ValueError(f'b_relax can only be "b_contract", not "{change.b_relax}"')
     if isinstance(muscle, RealMuscle):
         return muscle.changed(change)
-    for name in REAL_DEPARTURES:
-        if getattr(change, name) is not None:
-            raise ValueError(f"{name} is not for the muscle {muscle.name}; it is for the plant real")
+    _refuse(change, REAL_DEPARTURES, muscle, "; it is for the plant real")
     if isinstance(muscle, Muscle):
         slower: dict[str, Any] = {"B_r": muscle.B_c, "tau_r": None} if change.b_relax else {}
         return replace(muscle, friction=_friction(muscle.friction, change, share, real=real), **slower)
@@ -365,15 +355,12 @@ def _muscle(muscle: AnyMuscle, change: Overrides, share: float, *, real: bool) -
         if change.b_relax:
             raise ValueError(f"b_relax is not for the {muscle.name}: it has one damping")
         return replace(muscle, friction=_friction(muscle.friction, change, share, real=real))
-    for name in ("F_s", "F_c", "b_relax"):
-        if getattr(change, name) is not None:
-            raise ValueError(f"{name} is not for the muscle {muscle.name}: it has no friction and no damping by speed")
+    _refuse(change, ("F_s", "F_c", "b_relax"), muscle, ": it has no friction and no damping by speed")
     return muscle
 
 
-def _regulator(given: Regulator, chosen: _Chosen) -> Regulator:
+def _regulator(given: Regulator, change: Overrides, chosen: Callable[..., float]) -> Regulator:
     """The regulator; a lag that is given makes it first order, a natural frequency second order."""
-    change = chosen.change
     lag, natural_frequency = chosen("regulator_lag", given.lag), chosen("natural_frequency", given.natural_frequency)
     regulator = Regulator(
         dead_time=chosen("dead_time", given.dead_time, given.dead_time),
@@ -389,7 +376,7 @@ def _regulator(given: Regulator, chosen: _Chosen) -> Regulator:
     return regulator
 
 
-def _air(air: Air, chosen: _Chosen) -> Air | None:
+def _air(air: Air, chosen: Callable[..., float]) -> Air | None:
     """The air path; None without any conductance. ValueError for an exponent that air cannot have."""
     air = replace(
         air,
@@ -483,21 +470,17 @@ def tabulated_force(P: Sequence[float], F_ce: Sequence[float]) -> Curve:
 
     The lines of the ends go on: below to where they reach 0 N, and to 0 N at 0 Pa where they would not by themselves.
     """
-    lines: list[tuple[float, ...]] = [_line(P[i], F_ce[i], P[i + 1], F_ce[i + 1]) for i in range(len(P) - 1)] or [
-        (F_ce[0] / P[0] if P[0] > 0 else 0.0, 0.0)
-    ]
+    lines = Curve.through(P, F_ce).pieces[1:-1] or ((F_ce[0] / P[0] if P[0] > 0 else 0.0, 0.0),)
     edges = list(P[1:-1])
     slope, intercept = lines[0]
     if slope > 0 and intercept < 0:
         return Curve(((0.0,), *lines), (-intercept / slope, *edges))
     if P[0] > 0 and len(P) > 1:
         return Curve(((F_ce[0] / P[0], 0.0), *lines), (P[0], *edges))
-    return Curve(tuple(lines), tuple(edges))
+    return Curve(lines, tuple(edges))
 
 
-def _line(P: float, F: float, P_next: float, F_next: float) -> tuple[float, float]:
-    slope = (F_next - F) / (P_next - P)
-    return slope, F - slope * P
+COEFFICIENTS = ("F_ce", "K", "B_c", "B_r", "tau_r")
 
 
 def setup_of(numbers: Mapping[str, Any]) -> Setup:
@@ -507,22 +490,13 @@ def setup_of(numbers: Mapping[str, Any]) -> Setup:
     `Curve.printed`.
     """
     regulator, noise, lag = Regulator(**numbers["regulator"]), Noise(**numbers["noise"]), float(numbers["follow_lag"])
-    if numbers["law"] == "daerden":
-        return _daerden(numbers, regulator, noise, lag)
-    if numbers["law"] == "contractor":
-        return _contractor(numbers, regulator, noise, lag)
+    if numbers["law"] in ("daerden", "contractor"):
+        return _published(numbers, regulator, noise, lag)
     if numbers["law"] == "real":
         return Setup(_real(numbers), regulator, noise, lag)
-    curves = {symbol: _curve(numbers[symbol]) for symbol in ("F_ce", "K", "B_c", "B_r", "tau_r") if symbol in numbers}
-    muscle = Muscle(
-        name=str(numbers["name"]),
-        friction=Friction(**numbers["friction"]),
-        length=float(numbers["length"]),
-        stop=float(numbers["stop"]),
-        diameter=float(numbers.get("diameter", 0.0)),
-        braid_angle=float(numbers.get("braid_angle", 0.0)),
-        **curves,
-    )
+    given: dict[str, Any] = {symbol: _curve(numbers[symbol]) for symbol in COEFFICIENTS if symbol in numbers}
+    given |= {size: float(numbers[size]) for size in ("length", "stop", "diameter", "braid_angle") if size in numbers}
+    muscle = Muscle(str(numbers["name"]), friction=Friction(**numbers["friction"]), **given)
     return Setup(muscle, regulator, noise, lag, air=_air_of(numbers.get("flow"), regulator))
 
 
@@ -533,24 +507,18 @@ def _curve(given: Mapping[str, Any]) -> Curve:
     return Curve.printed(*given["pieces"], breaks=given["breaks"], unit=given["unit"], pressure=given["pressure"])
 
 
-def _contractor(numbers: Mapping[str, Any], regulator: Regulator, noise: Noise, lag: float) -> Setup:
-    from pmabench.model.published_muscles import ContractorMuscle  # needs the library of models, as below
+def _published(numbers: Mapping[str, Any], regulator: Regulator, noise: Noise, lag: float) -> Setup:
+    """A muscle of paper 2 or 3; only the latter has a hysteresis and a volume."""
+    from pmabench.model import published_muscles as published  # needs the library of models, which needs the presets
 
-    names = ("name", "length", "radius", "braid_angle", "threshold")
+    kind = published.DaerdenMuscle if numbers["law"] == "daerden" else published.ContractorMuscle
+    given = {one.name: numbers[one.name] for one in fields(kind) if one.name != "friction"}
     low, high = numbers["reach"]
-    return Setup(ContractorMuscle(**{name: numbers[name] for name in names}, reach=(low, high)), regulator, noise, lag)
-
-
-def _daerden(numbers: Mapping[str, Any], regulator: Regulator, noise: Noise, lag: float) -> Setup:
-    from pmabench.model.published_muscles import DaerdenMuscle  # needs the library of models, which needs the presets
-
-    names = ("name", "length", "diameter", "braid_angle", "alpha", "A", "B1", "B2")
-    low, high = numbers["reach"]
-    muscle = DaerdenMuscle(**{name: numbers[name] for name in names}, reach=(float(low), float(high)))
-    hysteresis = None
-    if numbers["hysteresis"] is not None:
-        loop = numbers["hysteresis"]
-        hysteresis = Hysteresis(float(loop["height"]), float(loop["width"]) * muscle.length)
+    muscle = kind(**{**given, "reach": (float(low), float(high))})
+    if numbers["law"] == "contractor":
+        return Setup(muscle, regulator, noise, lag)
+    loop = numbers["hysteresis"]
+    hysteresis = loop and Hysteresis(float(loop["height"]), float(loop["width"]) * muscle.length)
     return Setup(muscle, regulator, noise, lag, hysteresis, _air_of(numbers["flow"], regulator))
 
 

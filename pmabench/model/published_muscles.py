@@ -214,14 +214,13 @@ def dmsp_40_305(fce_eval: str = "x0") -> Muscle:
     It relaxes with the time constant D_r / S of the pressure before the release, as paper 1 prints it.
     """
     length = next(p.value for p in MODELS["dmsp-40-305-contraction"].parameters if p.name == "nominal_length")
-    tau_r = _printed("D_r").values(GRID) / _printed("S").values(GRID)
     return Muscle(
         name="DMSP-40-305",
         F_ce=_contractile_force(fce_eval),
         K=_printed("S"),
         B_c=_printed("D_c"),
         B_r=_printed("D_r"),
-        tau_r=Curve.through(GRID.tolist(), tau_r.tolist()),
+        tau_r=Curve.through(GRID.tolist(), (_printed("D_r").values(GRID) / _printed("S").values(GRID)).tolist()),
         length=float(length),
         stop=DMSP_STOP * float(length),
     )
@@ -233,15 +232,12 @@ def _contractile_force(fce_eval: str) -> Curve:
         raise ValueError(f'fce_eval can only be {" or ".join(FCE_EVAL)}, not "{fce_eval}"')
     F = MODELS["dmsp-40-305-contraction"].evaluate({"pressure": GRID, "fce_at": fce_eval})["force_ce"]
     line = (float(F[0]) / LOW, 0.0)
-    if fce_eval == "x0":
-        return Curve((line,))
-    return _held(Polynomial.fit(GRID, F, ORDER).convert(), below=line)
+    return Curve((line,)) if fce_eval == "x0" else _held(Polynomial.fit(GRID, F, ORDER).convert(), below=line)
 
 
 def _printed(symbol: str) -> Curve:
     """One of paper 1's polynomials of z = (P - CENTRE) / SCALE, as one of P [Pa]."""
-    z = Polynomial([-CENTRE / SCALE, 1 / SCALE])
-    return _held(Polynomial(POLYNOMIALS[symbol][::-1])(z))
+    return _held(Polynomial(POLYNOMIALS[symbol][::-1])(Polynomial([-CENTRE / SCALE, 1 / SCALE])))
 
 
 def _held(polynomial: Polynomial, below: tuple[float, ...] = ()) -> Curve:

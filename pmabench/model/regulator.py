@@ -424,9 +424,7 @@ class Regulated:
         near = 1e-9 * (1 + abs(value))
         if error > band + near or (error >= band - near and rate > 0):
             return 1
-        if error < -band - near or (error <= near - band and rate < 0):
-            return -1
-        return 0
+        return -1 if error < -band - near or (error <= near - band and rate < 0) else 0
 
     def _change(self, wave: Wave, way: int, t: float, end: float) -> float:
         """When, before `end`, the regulator leaves this way of working.

@@ -13,8 +13,7 @@ from pmabench.base.errors import Problem
 from pmabench.base.quantities import OF_A_MUSCLE, show
 from pmabench.bench.compile import Mounted
 from pmabench.bench.session import Stack
-from pmabench.files.document import Document, Location, Strict
-from pmabench.files.numbered import among, schema_of
+from pmabench.files.document import Document, Location, Strict, among, schema_of
 from pmabench.files.quantity import Frequency, Pressure, Time
 from pmabench.protocol import accept
 from pmabench.protocol.accept import Acceptance

@@ -213,7 +213,7 @@ def _heads(symbol: str, coordinate: str, quantity: str, unit: str) -> list[tuple
 
 
 def _write_parquet(rows: Sequence[Mapping[str, Any]], numbers: Mapping[str, tuple[str, str]], path: Path) -> None:
-    from pmabench.store.arrow import pa, pq
+    from pmabench.store.livestream import pa, pq
 
     types = {str: pa.string(), bool: pa.bool_(), int: pa.int64()}
     fields = [pa.field(name, types[type(kind)]) for name, kind in FIRST.items()]

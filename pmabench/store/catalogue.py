@@ -81,12 +81,8 @@ def tasks_below(given: Sequence[Path]) -> list[Task]:
     chains = {run: chain_of(run) for run in places}
     continued = {before.resolve() for chain in chains.values() for before in chain[:-1]}
     taken: set[str] = set()
-    tasks = []
-    for run, chain in chains.items():
-        if len(continued) and run.resolve() in continued:
-            continue
-        tasks.append(Task(run, unused(places[run], taken), chain))
-    return tasks
+    last = (run for run in chains if not continued or run.resolve() not in continued)
+    return [Task(run, unused(places[run], taken), chains[run]) for run in last]
 
 
 def chain_of(run: Path) -> tuple[Path, ...]:

@@ -95,8 +95,7 @@ def open_chains(paths: Sequence[Path], anew: Recalibration | None = None) -> lis
         for run in chain:
             other = earlier.get(_place(run))
             if other is not None and other.path != chain[-1].path and _place(other) not in earlier:
-                what = f"and {other.path} both continue {run.id}: give one of the two"
-                raise invalid(chain[-1].path, what)
+                raise invalid(chain[-1].path, f"and {other.path} both continue {run.id}: give one of the two")
             taken.setdefault(_place(run), run)
     return list(taken.values())
 

@@ -103,18 +103,11 @@ def record_of(run: RunData, file: str, heads: Mapping[str, str]) -> dict[str, An
         if event.kind == "trial-end" and data.get("trial") in excluded and data.get("status") in ("finished", "failed"):
             data["status"] = "excluded"
         events.append({"t": event.t, "kind": event.kind, "data": data})
-    columns = {}
-    for head, name in heads.items():
-        info = run.channels[name]
-        columns[head] = {
-            "channel": name,
-            "low": info.low,
-            "high": info.high,
-            "offset_uncertainty": info.offset_uncertainty,
-            "gain_uncertainty": info.gain_uncertainty,
-            "sensor_lag": info.sensor_lag,
-            "calibration": info.calibration,
-        }
+    known = ("low", "high", "offset_uncertainty", "gain_uncertainty", "sensor_lag", "calibration")
+    columns = {
+        head: {"channel": name, **{key: getattr(run.channels[name], key) for key in known}}
+        for head, name in heads.items()
+    }
     found = run.manifest
     record: dict[str, Any] = plain(
         {

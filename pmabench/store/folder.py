@@ -195,8 +195,7 @@ def open_json(raw: bytes, path: object) -> dict[str, Any]:
     """The inverse of `sealed_json`; raises InvalidFile where any byte was changed or is missing."""
     digest, blank = raw[-68:-4], raw[:-68] + _NO_HASH + raw[-4:]
     if len(raw) < 80 or hashlib.sha256(blank).hexdigest().encode() != digest:
-        what = "is empty" if not raw else "is damaged or was changed: its own hash does not fit"
-        raise invalid(path, what)
+        raise invalid(path, "is empty" if not raw else "is damaged or was changed: its own hash does not fit")
     try:
         data = json.loads(raw)
     except (ValueError, RecursionError) as error:

@@ -18,13 +18,20 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow
+import pyarrow.csv
+import pyarrow.parquet
 from numpy.typing import NDArray
 
 from pmabench.base.errors import RecordError
 from pmabench.base.quantities import QUANTITIES
-from pmabench.store.arrow import DAMAGED, pa
 from pmabench.store.folder import AppendFile, plain
 
+pa: Any = pyarrow  # pyarrow declares no types: everything else takes it from here
+pq: Any = pyarrow.parquet
+arrow_csv: Any = pyarrow.csv
+DAMAGED: tuple[type[Exception], ...] = (pa.ArrowException, OSError, ValueError, KeyError, TypeError, RecursionError)
+"""What reading damaged files raises."""
 STREAM_SCHEMA = "pmabench.stream/1"
 TIME, FLAGS = "time_ns", "flags"
 KEY = b"pmabench"
@@ -65,8 +72,7 @@ def about_stream(schema: Any) -> dict[str, Any]:
     about = json.loads((schema.metadata or {}).get(KEY, b"null"))
     if not isinstance(about, dict) or about.get("schema") != STREAM_SCHEMA:
         raise ValueError(f"is not of the schema {STREAM_SCHEMA}")
-    names = [TIME, *(column["name"] for column in about["columns"]), FLAGS]
-    if schema.names != names:
+    if schema.names != [TIME, *(column["name"] for column in about["columns"]), FLAGS]:
         raise ValueError("its columns are not those that it describes")
     return about
 
@@ -98,7 +104,9 @@ class LiveStream:
         self._lock = threading.Lock()
         self._block = b""
         self._seq = 0
-        self._head = _head_of(self._schema)
+        head = pa.BufferOutputStream()
+        pa.ipc.new_stream(head, self._schema).close()
+        self._head = _crc_of_head(head.getvalue())
         self._sink = _Sink()
         self._arrow = pa.ipc.new_stream(self._sink, self._schema)
         self._build({name: np.empty(0, kind) for name, kind in self._types.items()})
@@ -181,14 +189,8 @@ class LiveStream:
         self.file.close()
 
 
-def _head_of(schema: Any) -> int:
-    """Crc32 of the schema message, byte for byte as the stream will begin."""
-    sink = pa.BufferOutputStream()
-    pa.ipc.new_stream(sink, schema).close()
-    return _crc_of_head(sink.getvalue())
-
-
 def _crc_of_head(data: Any) -> int:
+    """Crc32 of the schema message, byte for byte as the stream begins."""
     return zlib.crc32(data[: 8 + int.from_bytes(data[4:8].to_pybytes(), "little")])
 
 
@@ -270,7 +272,6 @@ class LiveReader:
             self.arrivals += pair
             self.batches, self.position = seq, self._source.tell()
             yield batch
-        rest = self._data[self._source.tell() :].to_pybytes()
-        self.torn = rest not in (b"", _END_OF_STREAM)
+        self.torn = self._data[self._source.tell() :].to_pybytes() not in (b"", _END_OF_STREAM)
         if self.torn:
             self.fault = "something follows the end mark"

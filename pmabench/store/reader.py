@@ -20,9 +20,8 @@ from numpy.typing import NDArray
 from pmabench.base.errors import InvalidFile, Problem, UsageError, invalid
 from pmabench.base.quantities import QUANTITIES
 from pmabench.store import folder as files
-from pmabench.store.arrow import pa
 from pmabench.store.folder import Journal, decode_lines, is_regular, read_file, read_manifest, read_seal, status_of
-from pmabench.store.livestream import FLAGS, TIME, LiveReader, numbers
+from pmabench.store.livestream import FLAGS, TIME, LiveReader, numbers, pa
 from pmabench.store.notes import read_notes
 from pmabench.store.records import (
     UNUSABLE,
@@ -46,6 +45,10 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
+TIMING = ("displacement", "angle", "pressure")
+"""The stream of the first of these channels gives the times of the samples."""
+
+
 def open_run(path: Path | str, *, honour_notes: bool = True, anew: Recalibration | None = None) -> RunData:
     """Load a run with all its trials; notes exclude some of them unless `honour_notes` is False.
 
@@ -60,7 +63,8 @@ def open_run(path: Path | str, *, honour_notes: bool = True, anew: Recalibration
     journal = folder.journal()
     events = events_of(journal)
     streams = [folder.stream(name, events) for name in folder.stream_names()]
-    main = _base(streams)
+    named = (stream for channel in TIMING for stream in streams if channel in stream.channels)
+    main = next(named, streams[0] if streams else Samples.none(""))
     channels, flags, infos = dict(main.channels), main.flags, dict(main.infos)
     interpolated: dict[str, str] = {}
     for other in streams:
@@ -116,15 +120,6 @@ def _since(folder: RunFiles) -> Since:
 def _reaches(stream: Samples) -> float:
     """Time up to which a stream is certainly recorded [s]."""
     return float(stream.t[-1]) + 2.0 / stream.rate if len(stream.t) and stream.rate > 0 else -np.inf
-
-
-def _base(streams: list[Samples]) -> Samples:
-    """The stream that gives the times of the samples."""
-    for channel in ("displacement", "angle", "pressure"):
-        for stream in streams:
-            if channel in stream.channels:
-                return stream
-    return streams[0] if streams else Samples.none("")
 
 
 def read_stream(path: Path | str, name: str = "", raw: bool = False) -> pd.DataFrame:
@@ -320,25 +315,21 @@ def channel_info(column: Mapping[str, Any], stream: str, rate: float) -> Channel
     """A channel as the head of its stream describes it."""
     scale, calibration = column.get("scale") or {}, column.get("calibration") or {}
     quantity = str(column.get("quantity", ""))
+    unsure = ("offset_uncertainty", "gain_uncertainty", "sensor_lag")
+    low, high = column.get("low"), column.get("high")
     return ChannelInfo(
         name=column["name"],
         quantity=quantity,
         unit=QUANTITIES[quantity].unit if quantity in QUANTITIES else "",
         slope=float(scale.get("slope", 1.0)),
         offset=float(scale.get("offset", 0.0)),
-        low=_limit(column.get("low"), -np.inf),
-        high=_limit(column.get("high"), np.inf),
-        offset_uncertainty=float(calibration.get("offset_uncertainty") or 0.0),
-        gain_uncertainty=float(calibration.get("gain_uncertainty") or 0.0),
-        sensor_lag=float(calibration.get("sensor_lag") or 0.0),
+        low=-np.inf if low is None else float(low),
+        high=np.inf if high is None else float(high),
+        **{name: float(calibration.get(name) or 0.0) for name in unsure},
         calibration=str(calibration.get("id") or ""),
         stream=stream,
         rate=rate,
     )
-
-
-def _limit(value: Any, otherwise: float) -> float:
-    return otherwise if value is None else float(value)
 
 
 LONGEST = 60.0

@@ -23,8 +23,7 @@ from typing import Any
 
 from pmabench.base.errors import InvalidFile, RecordError
 from pmabench.store import folder as files
-from pmabench.store.arrow import DAMAGED, pa, pq
-from pmabench.store.livestream import LiveReader, about_stream, raw_bytes
+from pmabench.store.livestream import DAMAGED, LiveReader, about_stream, pa, pq, raw_bytes
 from pmabench.store.since import adopt
 
 GROUP = 500_000

@@ -139,8 +139,7 @@ def _turn(a: tuple[float, float], b: tuple[float, float], c: tuple[float, float]
 
 def _shortest(x: Array, delay: Array) -> Array:
     """Of each stretch of time with points: the shortest delay, and how much longer the next is; shape (m, 2)."""
-    edges = np.linspace(float(x.min()), float(x.max()), WINDOWS + 1)[1:-1]
-    which = np.searchsorted(edges, x)
+    which = np.searchsorted(np.linspace(float(x.min()), float(x.max()), WINDOWS + 1)[1:-1], x)
     found = []
     for number in range(WINDOWS):
         inside = np.sort(delay[which == number])

@@ -12,8 +12,7 @@ import numpy as np
 
 from pmabench.base.errors import InvalidFile, invalid
 from pmabench.store import folder as files
-from pmabench.store.arrow import pa
-from pmabench.store.livestream import LiveReader
+from pmabench.store.livestream import LiveReader, pa
 from pmabench.store.notes import check_notes
 from pmabench.store.reader import RunFiles, events_of
 from pmabench.store.records import Flag, trial_spans

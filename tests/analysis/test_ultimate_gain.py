@@ -253,7 +253,7 @@ def on_the_plant(
             break
         plant.command(constant(t, command))
         t = 10.0 + TS * k
-        plant.step(t - plant.time)
+        plant.reach(t, t - plant.time)
     columns = dict(zip(("t", "displacement", "pressure", "pressure_command"), np.array(rows).T, strict=True))
     trial = as_trial(columns, {"ultimate-gain": law.result()}, setpoint=0.03, mass=mass)
     k_g = (1.08e-3 - (1e-3 + 2 * 9.7e-9 * P) * 0.03) / K_of(P)

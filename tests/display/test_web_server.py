@@ -18,7 +18,7 @@ import pytest
 from pmabench.display.web.feed import Feed, Seen
 from pmabench.display.web.page import page
 from pmabench.display.web.server import MOST_STREAMS
-from pmabench.store.arrow import pa
+from pmabench.store.livestream import pa
 from tests.display.browsed import TOKEN, served
 from tests.display.recorded import BASELINE, DEAD, LENGTH, RATE, TAU, Recorded
 

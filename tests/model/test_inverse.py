@@ -5,8 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from pmabench.model.identified.inverse import led, pressures, rising_root
-from pmabench.model.identified.plant import free_run
+from pmabench.model.identified.plant import free_run, led, pressures, rising_root
 from pmabench.model.pid import PID
 from pmabench.model.reference_path import ReferencePath
 from pmabench.model.regulator import Regulator

@@ -4,8 +4,18 @@ import math
 
 import pytest
 
-from pmabench.model.many.platform import DELAY, LEVEL, G, Opening, Platform, PlatformPlant
-from pmabench.model.platform_control import Inverse, contractions, on_time, tilt
+from pmabench.model.many.platform import (
+    DELAY,
+    LEVEL,
+    G,
+    Inverse,
+    Opening,
+    Platform,
+    PlatformPlant,
+    contractions,
+    on_time,
+    tilt,
+)
 
 BAR, DEG = 1e5, math.pi / 180
 

@@ -6,9 +6,8 @@ import shutil
 import pytest
 
 from pmabench.base.errors import InvalidFile
-from pmabench.store.arrow import pa
 from pmabench.store.folder import decode_lines
-from pmabench.store.livestream import LiveReader
+from pmabench.store.livestream import LiveReader, pa
 from pmabench.store.notes import add_note
 from pmabench.store.reader import open_run, read_stream
 from pmabench.store.verify import verify

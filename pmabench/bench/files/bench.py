@@ -21,8 +21,7 @@ from pmabench.bench.files.specimen import (
     Text,
     TimeAbove0,
 )
-from pmabench.files.document import Strict
-from pmabench.files.numbered import among, schema_of
+from pmabench.files.document import Strict, among, schema_of
 from pmabench.files.quantity import (
     Acceleration,
     Angle,

@@ -18,8 +18,8 @@ from pmabench.base.system import give_back_memory
 from pmabench.display.web.feed import Feed
 from pmabench.display.wording import about_run, clean
 from pmabench.store import folder as files
-from pmabench.store.arrow import pa
 from pmabench.store.folder import read_manifest, read_seal, status_of
+from pmabench.store.livestream import pa
 
 PERIOD = 0.1
 """Runs that somebody looks at are read so often [s] ..."""

@@ -12,8 +12,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from pmabench.engine.laws.orders import Orders, Pulse
-from pmabench.model.many.platform import described
-from pmabench.model.platform_control import Inverse, Lags, Pair, on_time, tilt
+from pmabench.model.many.platform import Inverse, Lags, Pair, described, on_time, tilt
 
 CHAINS = ("reference", "measured")
 PRESSURES = tuple(f"pressure_{i}" for i in (1, 2, 3))

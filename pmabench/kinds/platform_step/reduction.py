@@ -27,7 +27,7 @@ from pmabench.kinds.platform_step.course import (
     course_of,
     wanted,
 )
-from pmabench.model.platform_control import Lags
+from pmabench.model.many.platform import Lags
 from pmabench.store.analyses.results import Analysis, Dropped, Estimate, Finding, Parts, Trace, withhold
 from pmabench.store.records import Array, RunData
 

@@ -309,7 +309,7 @@ def feedforward(
     at: Location,
 ) -> dict[str, Any] | None:
     """The command over time by the inverse of the protocol's model, as plain data; None with a problem noted."""
-    from pmabench.model.identified.inverse import led, pressures
+    from pmabench.model.identified.plant import led, pressures
     from pmabench.model.presets import Described
 
     known = None if model is None else Described.of(model)

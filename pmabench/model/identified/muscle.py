@@ -161,14 +161,13 @@ class IdentifiedMuscle:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data, SI."""
-        parts = ("stops_x", "stops_P", "creep_x", "creep_P")
         return {
             "schema": SCHEMA,
             "name": self.name,
             "pressure_knots": list(self.over_P.knots),
             "contraction_knots": list(self.over_x.knots),
             "heights": self.heights.tolist(),
-            **{part: getattr(self, part).to_dict() for part in parts},
+            **{part: getattr(self, part).to_dict() for part in ("stops_x", "stops_P", "creep_x", "creep_P")},
             "B_c": list(self.B_c),
             "B_r": list(self.B_r),
             "fast": self.fast,

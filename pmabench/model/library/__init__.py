@@ -6,10 +6,8 @@
 | `contractor` | sigmoid length, corrected force with dead band, arm angle; also with their coefficients as inputs |
 | `daerden` | force with rubber term, its inverse, volume, volume from measurements |
 | `three_element` | balance, step, release; conventions of papers 0, 1 and 4 |
-| `coefficients` | published coefficients over pressure |
-| `fitted` | parabolas, joined lines, polynomials up to the sixth order, with your own coefficients |
-| `chamber` | rate of pressure, closed chamber, a driven muscle behind a regulator |
-| `regulators` | first and second order, limits of rate and flow, filling against venting, amplitude of a sine |
+| `coefficients` | published coefficients over pressure; parabolas, joined lines, polynomials with your own |
+| `chamber` | rate of pressure, closed and driven chamber; regulators: lags, limits of rate and flow, a sine |
 | `loads` | end stops, force, hanging mass, spring, imposed displacement; Coulomb friction, hysteresis |
 | `real` | bent force, loops and creep of plant `real` |
 | `joint` | two muscles that pull on a pulley against each other: torque, stiffness, pressures for both, rest |
@@ -29,12 +27,10 @@ from pmabench.model.library import (  # noqa: F401  each enters its models
     compositions,
     contractor,
     daerden,
-    fitted,
     joint,
     loads,
     platform,
     real,
-    regulators,
     three_element,
 )
 from pmabench.model.library.description import FAMILIES, MODELS, Model, OutsideDomain, Parameter, Refusal

@@ -10,14 +10,7 @@ from scipy.optimize import brentq
 from pmabench.model.curve import Array
 from pmabench.model.library.braid import BAR, BRAID_ANGLE, CONTRACTION, DEG, MM, PRESSURE, RADIUS, braid_factors
 from pmabench.model.library.braid import braid_force as force_of
-from pmabench.model.library.coefficients import (
-    DMSP_ANGLE,
-    DMSP_LENGTH,
-    DMSP_PRESSURE,
-    DMSP_RADIUS,
-    dmsp_40_305,
-    dmsp_40_305_contraction,
-)
+from pmabench.model.library.coefficients import DMSP_PRESSURE, DMSP_SHAPE, dmsp_40_305, dmsp_40_305_contraction
 from pmabench.model.library.description import INF, Output, Parameter, Reference, Values, described, refuse
 from pmabench.model.loop import Loop, ultimate
 from pmabench.model.muscle import held_force
@@ -109,21 +102,9 @@ def _section(number: int, radius: float, angle: float, length: float) -> tuple[P
     ),
     notes=("Equal contraction holds only for equal r0, theta0 and P; paper 2 claims it for all.",),
 )  # fmt: skip
-def series_pair(
-    displacement: Array,
-    pressure_1: Array,
-    radius_1: Array,
-    braid_angle_1: Array,
-    length_1: Array,
-    pressure_2: Array,
-    radius_2: Array,
-    braid_angle_2: Array,
-    length_2: Array,
-) -> Values:
-    """F [N], eps_1 and eps_2 [1] from x [m], P_i [Pa gauge], r_i [m], theta_i [rad], L_i [m]."""
-    force, first, second = np.vectorize(_balance, otypes=[float] * 3)(
-        displacement, pressure_1, radius_1, braid_angle_1, length_1, pressure_2, radius_2, braid_angle_2, length_2
-    )
+def series_pair(displacement: Array, *sections: Array) -> Values:
+    """F [N], eps_1 and eps_2 [1] from x [m] and of each section P_i [Pa gauge], r_i [m], theta_i [rad], L_i [m]."""
+    force, first, second = np.vectorize(_balance, otypes=[float] * 3)(displacement, *sections)
     return {"force": force, "contraction_1": first, "contraction_2": second}
 
 
@@ -198,26 +179,20 @@ def _balance(
     ),
 )  # fmt: skip
 def cascade(
-    time: Array,
-    count: Array,
-    pressure: Array,
-    pressure_step: Array,
-    delay: Array,
-    hold: Array,
-    load: Array,
+    time: Array, count: Array, pressure: Array, pressure_step: Array, delay: Array, hold: Array, load: Array,
     fce_at: str,
-) -> Values:
+) -> Values:  # fmt: skip
     """Sums [1, m, N] and forces [N] from t [s], N [1], P and P_step [Pa gauge], delay and hold [s], L [N]."""
-    _whole(count)
     inputs = (time, count, pressure, pressure_step, delay, hold, load)
     time, count, pressure, pressure_step, delay, hold, load = np.broadcast_arrays(*inputs)
+    _whole(count)
     shape, most = time.shape, int(np.max(count))
     ratio, x, F_ce, S = (np.zeros((most, *shape)) for _ in range(4))
     for index in range(most):
         there = index < count
         own = np.where(there, pressure + index * pressure_step, pressure)
         tau = dmsp_40_305(own, "polynomial")
-        radius, length, angle = (np.asarray(size) for size in (DMSP_RADIUS, DMSP_LENGTH, DMSP_ANGLE))
+        radius, length, angle = map(np.asarray, DMSP_SHAPE)
         muscle = dmsp_40_305_contraction(own, load, radius, length, angle, fce_at)
         since = time - index * delay
         risen = -np.expm1(-np.clip(since, 0, hold) / tau["tau_contract"])
@@ -225,8 +200,7 @@ def cascade(
         x[index], S[index] = ratio[index] * muscle["displacement"], muscle["stiffness"]
         F_ce[index] = there * (since >= 0) * (since < hold) * muscle["force_ce"]
     total = x.sum(axis=0)
-    stops = np.full(most, DMSP_LENGTH)
-    force = held_force(F_ce.reshape(most, -1), S.reshape(most, -1), stops, total.ravel())
+    force = held_force(F_ce.reshape(most, -1), S.reshape(most, -1), np.full(most, DMSP_SHAPE[1]), total.ravel())
     return {
         "sum": ratio.sum(axis=0), "displacement": total, "force_ce_sum": F_ce.sum(axis=0),
         "force_ce": F_ce.max(axis=0), "force": force.reshape(shape),

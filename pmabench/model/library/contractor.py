@@ -262,36 +262,11 @@ def arm_angle_at_load(pressure: Array, a: Array, b: Array, c: Array, d: Array) -
     fitted=tuple(f"{row}_{power}" for row in ROWS for power in range(5)),
     notes=("Five loads at least are needed for the powers of w; the curve at each is arm-angle-at-load.",),
 )  # fmt: skip
-def arm_angle_coefficients(
-    pressure: Array,
-    load: Array,
-    a_0: Array,
-    a_1: Array,
-    a_2: Array,
-    a_3: Array,
-    a_4: Array,
-    b_0: Array,
-    b_1: Array,
-    b_2: Array,
-    b_3: Array,
-    b_4: Array,
-    c_0: Array,
-    c_1: Array,
-    c_2: Array,
-    c_3: Array,
-    c_4: Array,
-    d_0: Array,
-    d_1: Array,
-    d_2: Array,
-    d_3: Array,
-    d_4: Array,
-) -> Values:
-    """Gives alpha [rad] from p [Pa gauge] and w [kg]; a [rad], b [rad], c [Pa] and d [1] per kg^n."""
-
-    def at_load(*terms: Array) -> Array:
-        return np.asarray(sum(term * load**power for power, term in enumerate(terms)))
-
-    a, b = at_load(a_0, a_1, a_2, a_3, a_4), at_load(b_0, b_1, b_2, b_3, b_4)
-    c, d = at_load(c_0, c_1, c_2, c_3, c_4), at_load(d_0, d_1, d_2, d_3, d_4)
+def arm_angle_coefficients(pressure: Array, load: Array, *terms: Array) -> Values:
+    """Gives alpha [rad] from p [Pa gauge] and w [kg]; five each of a [rad], b [rad], c [Pa] and d [1] per kg^n."""
+    a, b, c, d = (
+        np.asarray(sum(term * load**power for power, term in enumerate(terms[first : first + 5])))
+        for first in range(0, 20, 5)
+    )
     refuse("load", "the coefficient c is not above 0 there", c <= 0, load)
     return {"angle": a + b / (1 + (pressure / c) ** d)}

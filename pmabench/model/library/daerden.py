@@ -29,6 +29,7 @@ B1 = Parameter("B1", "B1", "ratio", 0.22, "contraction at which the rubber term 
 B2 = Parameter("B2", "B2", "ratio", 0.04, "the rubber term has its pole at eps = -B2", 0.03, 1.0,
                "the pole would lie inside the measured range", ASSUMED, above=True)  # fmt: skip
 LENGTH = Parameter("length", "l0", "length", 200 * MM, "free length", 0.0, 10.0, "", ASSUMED, above=True)
+MUSCLE = (DIAMETER, LENGTH, BRAID_ANGLE, ALPHA, A, B1, B2)
 ATMOSPHERE = Parameter(
     "atmosphere", "P_atm", "pressure", 101325.0, "absolute pressure of the room", 5e4, 1.1e5, "no place is like that"
 )
@@ -79,18 +80,9 @@ def muscle_volume(contraction: Array, diameter: Array, length: Array, braid_angl
         "The force may come out below 0 at low pressure and high contraction: there a real muscle buckles.",
     ),
 )  # fmt: skip
-def daerden_force(
-    pressure: Array,
-    contraction: Array,
-    diameter: Array,
-    braid_angle: Array,
-    alpha: Array,
-    A: Array,
-    B1: Array,
-    B2: Array,
-) -> Values:
+def daerden_force(pressure: Array, contraction: Array, *muscle: Array) -> Values:
     """F [N], S [N/Pa], F_e [N] from P [Pa gauge], eps [1], D0 [m], theta0 [rad], alpha [1], A [N], B1 and B2 [1]."""
-    section, rubber = section_factor(contraction, diameter, braid_angle, alpha), rubber_force(contraction, A, B1, B2)
+    section, rubber = section_factor(contraction, *muscle[:3]), rubber_force(contraction, *muscle[3:])
     return {"force": section * pressure + rubber, "section": section, "rubber_force": rubber}
 
 
@@ -197,14 +189,9 @@ def closed_volume(pressure_start: Array, pressure: Array, volume_start: Array, a
     references=(Reference("volume", "70.372", "cm3", CM3, "by hand: (pi / 4) (2 * 20^2 * 40 + 24^2 * 100) mm3"),),
 )  # fmt: skip
 def three_cylinder_volume(
-    diameter_1: Array,
-    diameter_2: Array,
-    diameter_3: Array,
-    height_1: Array,
-    height_2: Array,
-    height_3: Array,
+    diameter_1: Array, diameter_2: Array, diameter_3: Array, height_1: Array, height_2: Array, height_3: Array,
     thickness: Array,
-) -> Values:
+) -> Values:  # fmt: skip
     """V [m3] from outer diameters, heights and thickness [m]."""
     pairs = ((diameter_1, height_1), (diameter_2, height_2), (diameter_3, height_3))
     for number, (diameter, _) in enumerate(pairs, 1):

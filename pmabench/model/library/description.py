@@ -93,8 +93,7 @@ class Reference:
     def rounding(self) -> float:
         """Half a unit of the last printed digit [SI]."""
         mantissa, _, power = self.printed.lower().partition("e")
-        decimals = len(mantissa.partition(".")[2])
-        return 0.5 * 10.0 ** (int(power or 0) - decimals) * self.scale
+        return 0.5 * 10.0 ** (int(power or 0) - len(mantissa.partition(".")[2])) * self.scale
 
 
 @dataclass(frozen=True)
@@ -191,19 +190,22 @@ def described(
     """Put a function into the library: its calls are checked against the domains of `parameters`."""
 
     def enter(function: Callable[P, Values]) -> Callable[P, Values]:
-        signature = inspect.signature(function)
         known = [p.name for p in parameters]
-        if list(signature.parameters) != known or name in MODELS or family not in FAMILIES or set(fitted) - set(known):
+        own = inspect.signature(function).parameters.values()
+        named = [p.name for p in own if p.kind is not p.VAR_POSITIONAL]  # `*rest` takes all others in their order
+        as_described = named == (known if len(named) == len(own) else known[: len(named)])
+        if not as_described or name in MODELS or family not in FAMILIES or set(fitted) - set(known):
             raise TypeError(f"{name}: known already, of no family, or not described as its function is")
 
         @wraps(function)
         def checked(*args: P.args, **kwargs: P.kwargs) -> Values:
-            bound = signature.bind(*args, **kwargs)
-            bound.apply_defaults()
-            _check(parameters, bound.arguments)
-            inputs = {p.name: _number(p, bound.arguments[p.name]) for p in parameters}
+            values = {**dict(zip(known, args, strict=False)), **kwargs}
+            if len(args) + len(kwargs) != len(known) or values.keys() != set(known):
+                raise TypeError(f"{name} takes {', '.join(known)}, each once")
+            _check(parameters, values)
+            inputs: Any = [values[p.name] if p.choices else np.asarray(values[p.name], np.float64) for p in parameters]
             with np.errstate(all="ignore"):
-                found = function(**inputs)  # type: ignore[call-arg]
+                found = function(*inputs)  # type: ignore[call-arg]
             return {key: np.asarray(value, dtype=np.float64) for key, value in found.items()}
 
         MODELS[name] = Model(
@@ -212,10 +214,6 @@ def described(
         return checked
 
     return enter
-
-
-def _number(parameter: Parameter, value: Any) -> Any:
-    return value if parameter.choices else np.asarray(value, dtype=np.float64)
 
 
 def _check(parameters: tuple[Parameter, ...], values: Mapping[str, Any]) -> None:

@@ -13,19 +13,8 @@ import numpy as np
 from scipy.optimize import brentq
 
 from pmabench.model.curve import Array
-from pmabench.model.library.braid import BAR, BRAID_ANGLE, DEG, MM
-from pmabench.model.library.daerden import (
-    ALPHA,
-    ATMOSPHERE,
-    B1,
-    B2,
-    DIAMETER,
-    LENGTH,
-    A,
-    muscle_volume,
-    rubber_force,
-    section_factor,
-)
+from pmabench.model.library.braid import BAR, DEG, MM
+from pmabench.model.library.daerden import ATMOSPHERE, MUSCLE, muscle_volume, rubber_force, section_factor
 from pmabench.model.library.description import Output, Parameter, Reference, Values, described, refuse
 from pmabench.model.presets import paper0, serres2009
 
@@ -41,7 +30,6 @@ PULLEY = Parameter(
 )
 PRELOAD = Parameter("preload", "e0", "ratio", 0.10, "contraction of both at angle 0", LEAST, MOST,
                     "paper 3 measured -3 to 20 %")  # fmt: skip
-MUSCLE = (DIAMETER, LENGTH, BRAID_ANGLE, ALPHA, A, B1, B2)
 TONDU = {"alpha": 2.0, "A": 0.0}
 """What makes both muscles those of Tondu and Lopez."""
 LOWEST, HIGHEST = 0.2 * BAR, 5.5 * BAR
@@ -200,17 +188,10 @@ def joint_inverse(
     # along a constant torque P1 and P2 rise together, and the stiffness with them: what the limits leave is an interval
     low = np.maximum(pressure_min, (pull + two.section * pressure_min) / one.section)
     high = np.minimum(pressure_max, (pull + two.section * pressure_max) / one.section)
-    ends = [
-        pulley_radius**2
-        / length
-        * (
-            -one.section_slope * P
-            - two.section_slope * (one.section * P - pull) / two.section
-            - one.rubber_slope
-            - two.rubber_slope
-        )
-        for P in (low, high)
-    ]
+    ends = []
+    for P in (low, high):
+        steeper = -one.section_slope * P - two.section_slope * (one.section * P - pull) / two.section
+        ends.append(pulley_radius**2 / length * (steeper - one.rubber_slope - two.rubber_slope))
     outside = (
         (np.minimum(P1, P2) < pressure_min - 1e-6)
         | (np.maximum(P1, P2) > pressure_max + 1e-6)

@@ -45,13 +45,12 @@ CREPT = {
 
 
 def _points() -> tuple[Reference, ...]:
-    found = []
-    for kPa, (forces, stiffnesses) in POINTS.items():
-        for name, unit, scale, values in (("surface", "N", 1.0, forces), ("stiffness", "N/mm", 1e3, stiffnesses)):
-            for place, printed in enumerate(values.split()):
-                at = {"pressure": kPa * KPA, "displacement": place * 10 * MM}
-                found.append(Reference(name, printed, unit, scale, "computed apart", at))
-    return tuple(found)
+    return tuple(
+        Reference(name, printed, unit, scale, "computed apart", {"pressure": kPa * KPA, "displacement": cm * 10 * MM})
+        for kPa, (forces, stiffnesses) in POINTS.items()
+        for name, unit, scale, values in (("surface", "N", 1.0, forces), ("stiffness", "N/mm", 1e3, stiffnesses))
+        for cm, printed in enumerate(values.split())
+    )
 
 
 @described(
@@ -97,8 +96,7 @@ def _points() -> tuple[Reference, ...]:
 )  # fmt: skip
 def real(pressure: Array, displacement: Array, crept: Array, stops_x: Array, stops_p: Array, speed: Array) -> Values:
     """F and F_s [N], K [N/m], H [N], B [N.s/m] from P [Pa], x and x_c [m], states of the stops [1], x' [m/s]."""
-    inputs = np.broadcast_arrays(pressure, displacement, crept, stops_x, stops_p, speed)
-    P, x, x_c, s_x, s_P, v = inputs
+    P, x, x_c, s_x, s_P, v = np.broadcast_arrays(pressure, displacement, crept, stops_x, stops_p, speed)
     surface, height = MUSCLE.pull(P, x - x_c), MUSCLE.over_x.most(P)
     damping = np.where(v < 0, MUSCLE.B_r.values(P), MUSCLE.B_c.values(P))
     force = surface - height * s_x - MUSCLE.over_P.most(P) * s_P - damping * v
@@ -171,8 +169,7 @@ def real_loop(pressure: Array, amplitude: Array) -> Values:
 def real_creep(pressure: Array, load: Array, time: Array) -> Values:
     """X and x_c [m] from P [Pa], F_L [N] and t [s]."""
     P, F, t = np.broadcast_arrays(pressure, load, time)
-    weak = MUSCLE.pull(P, np.zeros(P.shape)) < F
-    refuse("load", "the muscle cannot lift it at this pressure", weak, F)
+    refuse("load", "the muscle cannot lift it at this pressure", MUSCLE.pull(P, np.zeros(P.shape)) < F, F)
     refuse("load", "the muscle is at its end", MUSCLE.pull(P, np.full(P.shape, HIGH)) > F, F)
     u = np.vectorize(_balance, otypes=[float])(P, F)
     times = np.array(MUSCLE.creep.times)

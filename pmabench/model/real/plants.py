@@ -121,10 +121,6 @@ class RealPlant(Loaded, Stepped):
             force -= self._curves[1 if self.v > 0 else -1](self._P) * self.v
         return self.x, self._P, max(force, 0.0)
 
-    def step(self, dt: float) -> None:
-        """Go on by dt [s] with the command as it is."""
-        self.reach(self.time + dt)
-
     def _steps(self, until: float) -> Iterator[None]:
         """Go on to `until` [s]: within a step the way differs from a straight line by less than an eighth of `BEND`."""
         while self.time < until:

@@ -92,7 +92,7 @@ def _with_trials(run: Run, frame: pd.DataFrame) -> pd.DataFrame:
 
 
 def _csv(frames: Mapping[str, pd.DataFrame], out: Path) -> list[Path]:
-    from pmabench.store.arrow import pa
+    from pmabench.store.livestream import pa
 
     writer = import_module("pyarrow.csv")
     out.mkdir(parents=True, exist_ok=True)
@@ -107,7 +107,7 @@ def _csv(frames: Mapping[str, pd.DataFrame], out: Path) -> list[Path]:
 
 
 def _parquet(frames: Mapping[str, pd.DataFrame], out: Path, about: Mapping[str, str]) -> list[Path]:
-    from pmabench.store.arrow import pa, pq
+    from pmabench.store.livestream import pa, pq
 
     out.mkdir(parents=True, exist_ok=True)
     paths = []

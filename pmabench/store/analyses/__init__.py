@@ -1,4 +1,4 @@
-"""Analyses as files: `results` is the record of what was found, `folder` writes and reads it, `made_from` says of what.
+"""Analyses as files: `results` is the record of what was found; `folder` writes and reads it, and what made it.
 
-`made_from` decides whether analyses of the last time can be used again.
+By that it decides whether analyses of the last time can be used again.
 """

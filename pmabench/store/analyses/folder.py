@@ -26,10 +26,9 @@ from pmabench.base.quantities import QUANTITIES
 from pmabench.base.text import clean, unused
 from pmabench.store import folder as files
 from pmabench.store.analyses.results import SCHEMA, Analysis, Curve, Trace
-from pmabench.store.arrow import pa, pq
 from pmabench.store.folder import open_regular, plain, sha256_of
 from pmabench.store.json_files import read_json
-from pmabench.store.livestream import numbers
+from pmabench.store.livestream import numbers, pa, pq
 from pmabench.store.since import fingerprint, program, stamp
 
 RECORD = ".made-from.json"

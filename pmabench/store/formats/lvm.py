@@ -63,6 +63,7 @@ class _File:
         self.keys: dict[str, str] = {}
         self.body = self._header()
         self.x = self.key("X_Columns", {"No", "One", "Multi"}, "One")
+        self.step = 2 if self.x == "Multi" else 1
         self.multi = self.key("Multi_Headings", {"Yes", "No"}, "No") == "Yes"
         self.decimal = self.keys.get("Decimal_Separator", "")
         if self.decimal not in {"", ".", ","}:
@@ -91,6 +92,10 @@ class _File:
             raise invalid(self.path, f'says {name} "{value[:20]}", expected {" or ".join(sorted(allowed))}')
         return value
 
+    def width(self, segment: _Segment) -> int:
+        """Columns of a row."""
+        return len(segment.names) * 2 if self.x == "Multi" else len(segment.names) + 1
+
 
 def read_lvm(
     path: str, content: bytes, layout: LvmLayout | None = None, only: Collection[str] | None = None
@@ -113,11 +118,10 @@ def read_lvm(
     _drop_cut_row(file, segments[-1], recorded)
     tables = [_numbers(file, segment) for segment in segments]
     xs = _abscissae(file, segments, tables, recorded)
-    step = 2 if file.x == "Multi" else 1
     units = first.keys.get("Y_Unit_Label", [])
     recorded.columns += xs
     for index, name in enumerate(first.names):
-        values = np.concatenate([table[:, 1 + index * step] for table in tables])
+        values = np.concatenate([table[:, 1 + index * file.step] for table in tables])
         recorded.columns.append(Column(name, values, units[index] if len(units) == len(first.names) else ""))
     for number, (segment, table) in enumerate(zip(segments, tables, strict=True), 1):
         said = max(map(_whole, segment.keys.get("Samples", [])), default=len(table))
@@ -129,7 +133,7 @@ def read_lvm(
 
 def _drop_cut_row(file: _File, segment: _Segment, recorded: Recorded) -> None:
     """Leave out the last row where the file ends within it, and say so."""
-    width = len(segment.names) * 2 if file.x == "Multi" else len(segment.names) + 1
+    width = file.width(segment)
     if not file.ends and len(segment.rows) > 1 and len(segment.rows[-1][1]) < width:
         number, fields = segment.rows.pop()
         recorded.cut_end = False
@@ -176,8 +180,7 @@ def _names(file: _File, fields: list[str], keys: dict[str, list[str]], line: int
     count = _whole(keys["Channels"][0]) if keys.get("Channels") else -1
     if not 1 <= count <= MAX_CHANNELS:
         raise invalid(file.path, f"the number of channels is not 1 to {MAX_CHANNELS}", line, 1)
-    step = 2 if file.x == "Multi" else 1
-    names = [text.strip() for text in fields[1 : 1 + count * step : step]]
+    names = [text.strip() for text in fields[1 : 1 + count * file.step : file.step]]
     if len(names) < count or fields[0].strip() != "X_Value":
         raise invalid(file.path, f'"X_Value" and the names of {count} channels are expected', line, 1)
     return distinct([name or "channel" for name in names])
@@ -185,8 +188,7 @@ def _names(file: _File, fields: list[str], keys: dict[str, list[str]], line: int
 
 def _numbers(file: _File, segment: _Segment) -> Array:
     """Shape (rows, 1 + channels x step): X and channels as they are; a comment at the end of a row is left out."""
-    step = 2 if file.x == "Multi" else 1
-    width = len(segment.names) * step + (0 if file.x == "Multi" else 1)
+    width = file.width(segment)
     table = np.full((len(segment.rows), width), np.nan)
     problems: list[Problem] = []
     comma = file.decimal == ","

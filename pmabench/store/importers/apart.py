@@ -195,58 +195,46 @@ class _Child:
             stderr=subprocess.DEVNULL,
             env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
         )
+        self._ask: Any = self.process.stdin
+        self._answers: Any = self.process.stdout
 
     def send(self, content: bytes, question: Mapping[str, Any]) -> None:
         """Put a question; its answer is fetched by `answer` before the next one. EOFError where the process ended."""
-        ask = self.process.stdin
-        if ask is None:
-            raise EOFError
-        found = json.dumps({**question, "bytes": len(content)}).encode() + b"\n"
         self.asked += 1
         with self._within(START + WALL * CPU):
-            try:
-                ask.write(found + content)
-                ask.flush()
-            except (BrokenPipeError, ValueError) as error:
-                raise EOFError from error
+            self._ask.write(json.dumps({**question, "bytes": len(content)}).encode() + b"\n" + content)
+            self._ask.flush()
 
     def answer(self, size: int) -> Answer:
         """The answer to a question with `size` bytes. EOFError where there is none, or one that cannot be."""
-        if self.process.stdout is None:
-            raise EOFError
         with self._within(START + WALL * (CPU + CPU_PER_MB * size / 1e6)):
-            try:
-                return _read_answer(self.process.stdout)
-            except (BrokenPipeError, ValueError, TypeError, KeyError) as error:
-                raise EOFError from error
+            return _read_answer(self._answers)
 
     @contextmanager
     def _within(self, seconds: float) -> Iterator[None]:
-        """Kill the process after `seconds` of wall clock."""
+        """Kill the process after `seconds` of wall clock; EOFError where it ends, or says what cannot be."""
         clock = threading.Timer(seconds, self.process.kill)
         clock.daemon = True
         clock.start()
         try:
             yield
+        except (BrokenPipeError, ValueError, TypeError, KeyError) as error:
+            raise EOFError from error
         finally:
             clock.cancel()
 
-    def end(self) -> int:
-        """Stop the process; its exit code."""
-        for stream in (self.process.stdin, self.process.stdout):
-            if stream is not None:
-                with suppress(OSError):
-                    stream.close()
-        with suppress(OSError):
-            self.process.kill()
-        return self.process.wait()
+    def end(self) -> None:
+        """Stop the process."""
+        for act in (self._ask.close, self._answers.close, self.process.kill):
+            with suppress(OSError):
+                act()
+        self.process.wait()
 
     def ended(self) -> int:
         """The exit code of a process that gave no answer."""
-        try:
-            code = self.process.wait(1.0)
-        except subprocess.TimeoutExpired:
-            code = 0
+        with suppress(subprocess.TimeoutExpired):
+            self.process.wait(1.0)
+        code = self.process.poll() or 0
         self.end()
         return code
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import pairwise, takewhile
 from math import sqrt
 from typing import Any
 
@@ -88,10 +88,8 @@ def commands_of(how: Commanded, t: Array, channels: Mapping[str, Array], smalles
 
     `t` [s] rises; `channels` [SI] by name, shape (n,) each. `smallest` [Pa]: smallest step of pressure.
     """
-    if len(t) < 2 * MOVING_SAMPLES + 2:
-        return [], {}
     channel = f"{how.output}_command" if f"{how.output}_command" in channels else how.output
-    if channel not in channels:
+    if channel not in channels or len(t) < 2 * MOVING_SAMPLES + 2:
         return [], {}
     measured = channel == how.output
     least = smallest if smallest and how.output == "pressure" else SMALLEST[how.output]
@@ -103,9 +101,9 @@ def commands_of(how: Commanded, t: Array, channels: Mapping[str, Array], smalles
         grid = 10.0 ** np.floor(np.log10(float(np.ptp(channels[channel])))) / 40.0
         found = [Change(c.t, c.end, grid * round(c.before / grid), grid * round(c.value / grid)) for c in found]
     seen = Seen(tuple(found), t, channels, max(sines, key=lambda wave: wave.end - wave.begin, default=None))
-    point = {name: COORDINATES[way](seen) for name, way in how.point}
+    point = {name: value for name, way in how.point if (value := COORDINATES[way](seen)) is not None}
     if seen.wave is not None:
-        return [sine_command(seen.wave, how.output)], {k: v for k, v in point.items() if v is not None}
+        return [sine_command(seen.wave, how.output)], point
     commands = []
     for place, change in enumerate(found):
         phase = next(name for way, name in how.phases if CHANGES[way](seen, place))
@@ -113,7 +111,7 @@ def commands_of(how: Commanded, t: Array, channels: Mapping[str, Array], smalles
         if how.ramps and command["type"] == "set":
             command |= {"type": "ramp", "rate": change.speed}
         commands.append({**command, "found": 1.0} if measured else command)
-    return commands, {name: value for name, value in point.items() if value is not None}
+    return commands, point
 
 
 def changes(t: Array, values: Array, smallest: float, *, measured: bool = False) -> list[Change]:
@@ -191,22 +189,18 @@ def _changes(t: Array, values: Array, exact: Array, smallest: float, reach: int,
         jumps = np.abs(np.diff(values))
         still = min(still, 0.5 * float(jumps[jumps > 0].min(initial=np.inf)))
     way = np.sign(moved) * (np.abs(moved) > still)
-    edges = np.flatnonzero(np.diff(way, prepend=0.0, append=0.0))
-    found: list[Change] = []
-    for first, last in pairwise(edges.tolist()):
-        if way[first] == 0:
-            continue
-        begin, end = max(0, first - reach), min(len(values) - 1, last - 1 + reach)
-        change = _change(t, exact, begin, end, smallest)
-        if change is not None:
-            found.append(change)
-    return found
+    edges = np.flatnonzero(np.diff(way, prepend=0.0, append=0.0)).tolist()
+    found = (
+        _change(t, exact, max(0, first - reach), min(len(values) - 1, last - 1 + reach), smallest)
+        for first, last in pairwise(edges)
+        if way[first] != 0
+    )
+    return [change for change in found if change is not None]
 
 
 def _change(t: Array, values: Array, begin: int, end: int, smallest: float) -> Change | None:
     part = values[begin : end + 1]
-    low, high = int(np.argmin(part)), int(np.argmax(part))
-    first, last = sorted((low, high))
+    first, last = sorted((int(np.argmin(part)), int(np.argmax(part))))
     before, value = float(part[first]), float(part[last])
     size = value - before
     if abs(size) < smallest:
@@ -284,22 +278,14 @@ def _highest(seen: Seen) -> float:
 
 def _climbs(seen: Seen, k: int) -> bool:
     """Whether a change leads up to the highest value, at once or by others that rise, too."""
-    for change in seen.changes[k:]:
-        if change.value <= change.before:
-            return False
-        if change.value >= _highest(seen):
-            return True
-    return False
+    rising = takewhile(lambda change: change.value > change.before, seen.changes[k:])
+    return any(change.value >= _highest(seen) for change in rising)
 
 
 def _descends(seen: Seen, k: int) -> bool:
     """Whether a change leads down from the highest value, at once or after others that fall, too."""
-    for change in seen.changes[k::-1]:
-        if change.value >= change.before:
-            return False
-        if change.before >= _highest(seen):
-            return True
-    return False
+    falling = takewhile(lambda change: change.value < change.before, seen.changes[k::-1])
+    return any(change.before >= _highest(seen) for change in falling)
 
 
 CHANGES: Mapping[str, Callable[[Seen, int], bool]] = {

@@ -121,10 +121,9 @@ def _swapped(file: Summary, others: Sequence[Summary], allowed: Mapping[str, flo
 def _hint(ratio: float, quantity: str) -> str:
     if ratio <= 0:
         return ", the sign may be wrong"
-    for text, factor in UNIT_FACTORS.get(quantity, {}).items():
-        if min(abs(ratio / factor - 1.0), abs(ratio * factor - 1.0)) < 0.03:
-            return f" (is it {text}?)"
-    return ""
+    factors = UNIT_FACTORS.get(quantity, {}).items()
+    likely = (text for text, factor in factors if min(abs(ratio / factor - 1.0), abs(ratio * factor - 1.0)) < 0.03)
+    return next((f" (is it {text}?)" for text in likely), "")
 
 
 MOST_FILES = 10_000
@@ -236,8 +235,7 @@ def _write(prepared: Prepared, rules: ImportMap, apart: Sequence[Found], out: Pa
         begin = 0
         for t, checked in prepared.blocks():
             raw = {c.rule.role: c.raw.astype(np.int32) if c.rule.role in prepared.whole else c.raw for c in checked}
-            time_ns = np.round(t * 1e9).astype(np.int64)
-            writer.append_now("file", time_ns, raw, flags[begin : begin + len(t)])
+            writer.append_now("file", np.round(t * 1e9).astype(np.int64), raw, flags[begin : begin + len(t)])
             begin += len(t)
         _events(writer, prepared)
         writer.close("finished")

@@ -98,8 +98,7 @@ def inspected(
         early = max(0, begin - BEFORE)
         seen = inspect(table.part(early, end))
         doubled = bool(seen.flags[: begin - early].any())
-        before = inspect(table.part(early, begin)).found if doubled else []
-        merged.add(seen.found, early, before)
+        merged.add(seen.found, early, inspect(table.part(early, begin)).found if doubled else [])
         core = _slice(seen, slice(begin - early, None))
         flags[begin:end] = core.flags
         counts, highest = summarise(core, table.part(begin, end))

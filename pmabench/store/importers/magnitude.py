@@ -200,8 +200,7 @@ def _shows_least(muscle: Muscle) -> bool:
 
 def _stretched(muscle: Muscle) -> bool:
     """Whether the muscle is known to be hardly contracted."""
-    length = muscle.length or 0.0
-    return muscle.contraction is not None and abs(muscle.contraction) <= HELD * length
+    return muscle.contraction is not None and abs(muscle.contraction) <= HELD * (muscle.length or 0.0)
 
 
 def _units(m: float, fits: Callable[[float], bool]) -> str:

@@ -113,7 +113,8 @@ def settle(
     for key, (location, question) in asked.items():
         if unresolved and question.used:
             left.append(question)
-            document.put(location, _quoted(question.used), document.path)
+            quoted = "'" + question.used.replace("'", "''") + "'"
+            document.put(location, quoted, document.path)
             continue
         more = f"; --unresolved takes {question.used} until then" if question.used and not unresolved else ""
         sentence = f"not answered: {question.question}; write the answer here, or give --set '{key}=...'{more}"
@@ -163,10 +164,6 @@ def _at(data: Any, location: Location) -> Any:
     for part in location:
         data = data[part]
     return data
-
-
-def _quoted(text: str) -> str:
-    return "'" + text.replace("'", "''") + "'"
 
 
 Reading = Annotated[tuple[float, str], AsText(raw_quantity, "a number with its unit", "4 mA", "0.683 N/count")]
@@ -279,8 +276,7 @@ class ColumnFile(Strict):
         measured = self.is_ not in {"time", "date", "point"} | NUMBERS
         if self.points is not None and self.line is not None:
             raise ValueError('give "points" or "line", not both')
-        counts = self.is_ == "time" and self.written in ("number", "epoch")
-        if (measured or counts) and not self.unit:
+        if (measured or (self.is_ == "time" and self.written in ("number", "epoch"))) and not self.unit:
             raise ValueError(f'"{self.is_}" needs "unit", the unit of its raw reading')
         if (self.is_ == "point") != (self.of is not None):
             raise ValueError('"is: point" and "of" belong together, for instance {is: point, of: load, unit: N}')
@@ -442,8 +438,7 @@ class MapFile(Strict):
         if not self.file.holds_texts and time.written in ("clock", "date and time", "header step"):
             raise ValueError(f'"written: {time.written}" is for text; {self.file.format} holds numbers')
         if self.tests:
-            placed = any(PLACE in name for name in self.columns)
-            if placed == self.file.repeats:
+            if any(PLACE in name for name in self.columns) == self.file.repeats:
                 raise ValueError('"tests" needs either "{test}" in names of columns or "repeated_header: new test"')
             if len({test.name for test in self.tests}) < len(self.tests):
                 raise ValueError("two tests have the same name")

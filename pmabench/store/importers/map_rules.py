@@ -264,9 +264,8 @@ class _Rules:
             zero = self.raw(file.contraction.zero, file.unit, (*at, "contraction", "zero")) or 0.0
             slope = abs(slope) * (-1.0 if file.contraction.reading == "falls" else 1.0)
             offset = -slope * zero
-        uncertainty = 0.0
-        if file.expanded_uncertainty is not None:
-            uncertainty = self.si(file.expanded_uncertainty, quantity, (*at, "expanded_uncertainty"))
+        known = file.expanded_uncertainty
+        uncertainty = 0.0 if known is None else self.si(known, quantity, (*at, "expanded_uncertainty"))
         if bend > uncertainty:
             text = f"bend away from a straight line by {show(bend, quantity, 3)}, more than expanded_uncertainty"
             self.fault((*at, "points"), text)
@@ -279,15 +278,12 @@ class _Rules:
             slope=slope,
             offset=offset,
             back=self.back(file, at),
-            whole=file.whole,
             low=min(ends),
             high=max(ends),
             dropout=self.raw(file.dropout, file.unit, (*at, "dropout")),
             blip=self.raw(file.blip, file.unit, (*at, "blip")),
-            stale_after=file.stale_after,
             spike=None if file.spike is None else abs(self.limit(file.spike, (*scale[:3], 0.0), (*at, "spike"))),
-            late_by=file.late_by,
-            optional=file.optional,
+            **{key: getattr(file, key) for key in ("whole", "stale_after", "late_by", "optional")},
             calibration={
                 "id": f"{Path(self.document.path).name}: {name}",
                 "reference": file.reference,
@@ -305,9 +301,8 @@ class _Rules:
         names = {c.is_: name for name, c in self.file.columns.items() if c.is_ in ("time", "date")}
         time = self.file.columns[names["time"]]
         dated = self.file.columns.get(names.get("date", ""), time)
-        unit = 1.0
-        if time.written == "epoch":
-            unit = self.si((1.0, time.unit), "time", ("columns", names["time"], "unit"))
+        counted = time.written == "epoch"
+        unit = self.si((1.0, time.unit), "time", ("columns", names["time"], "unit")) if counted else 1.0
         return Stamps(names["time"], time.written, unit, names.get("date", ""), dated.order, time.period or 0.0)
 
     def of_point(self, name: str, unit: str, location: Location) -> float:

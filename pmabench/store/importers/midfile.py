@@ -110,8 +110,7 @@ def _crossings(a: Array, b: Array) -> list[int]:
         sides = [(a[part], b[part]) for part in (slice(at - FAR, at - 2), slice(at + 2, at + FAR))]
         if any(np.ptp(x) == 0 or np.ptp(y) == 0 for x, y in sides):
             continue
-        alike = [float(np.corrcoef(x, y)[0, 1]) for x, y in sides]
-        if min(alike) < STRAIGHT:
+        if min(float(np.corrcoef(x, y)[0, 1]) for x, y in sides) < STRAIGHT:
             continue
         before, after = (float(np.log(np.std(y) / np.std(x))) for x, y in sides)
         if abs(before - after) > LEVER and abs(before + after) < SAME * abs(before - after):

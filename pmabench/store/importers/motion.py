@@ -91,8 +91,7 @@ def runs(where: NDArray[np.bool_]) -> list[tuple[int, int]]:
 
 def _parted(begin: int, end: int, at: NDArray[np.intp]) -> list[tuple[int, int]]:
     """The stretch from `begin` to `end` in parts that begin at the indices `at` that lie in it."""
-    edges = [begin, *at[(at > begin) & (at < end)].tolist(), end]
-    return list(pairwise(edges))
+    return list(pairwise([begin, *at[(at > begin) & (at < end)].tolist(), end]))
 
 
 def levels(t: Array, values: Array, smallest: float) -> list[Level]:

@@ -139,8 +139,7 @@ def clipped(report: Report, channel: Checked, other: Checked, good: Bools) -> No
     if near.sum() < SAMPLES or np.ptp(ref[near]) == 0:
         return
     onward = (slope(ref[near], si[near]) or 0.0) * moves
-    marks = np.unique(si)
-    if onward <= max(PILED * span, 3.0 * float(np.diff(marks[-3:]).max())):
+    if onward <= max(PILED * span, 3.0 * float(np.diff(np.unique(si)[-3:]).max())):
         return
     where = np.zeros(len(good), dtype=bool)
     where[rows[at_top]] = True
@@ -352,8 +351,7 @@ def _judged(report: Report, channels: Sequence[Checked], muscle: Muscle) -> tupl
         changed = midfile.jumped(report, *pair, good, follows=muscle.held)
         if muscle.held and not changed and not midfile.regained(report, *pair, good):
             late(report, *pair, good)
-    questions = magnitude.judge(report, roles, good, muscle)
-    return report.found, questions
+    return report.found, magnitude.judge(report, roles, good, muscle)
 
 
 def _pair(channels: Sequence[Checked], held: bool) -> tuple[Checked, Checked] | None:

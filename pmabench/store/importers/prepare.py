@@ -91,8 +91,7 @@ def prepare_all(path: Path, rules: ImportMap) -> list[Prepared]:
     """Read, scale and check every test of one file."""
     found = [(each, table) for each in rules.each_test() for table in _read(path, each).tests()]
     if rules.tests and len(found) != len(rules.tests):
-        text = f"holds {len(found)} tests, the map gives the points of {len(rules.tests)}"
-        raise invalid(path, text)
+        raise invalid(path, f"holds {len(found)} tests, the map gives the points of {len(rules.tests)}")
     prepared = []
     for number, (each, table) in enumerate(found):
         name = "" if len(found) == 1 else list(rules.tests)[number] if rules.tests else str(number + 1)

@@ -173,8 +173,7 @@ def _far(si: Array, looked_at: Bools) -> Bools:
             continue
         far = ~rest
         for begin, end in runs(far):
-            equal = bool(np.all(values[begin:end] == values[begin]))
-            if end - begin > (HELD if equal else BURST):
+            if end - begin > (HELD if np.all(values[begin:end] == values[begin]) else BURST):
                 far[begin:end] = False
         out[rows[far]] = True
     return out

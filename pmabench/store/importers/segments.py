@@ -75,6 +75,11 @@ class _Rows:
         """Those of a trial that lie later than all samples before them."""
         return np.asarray(self.rising & (self.t >= part.begin - 1e-9) & (self.t <= part.end + 1e-9))
 
+    def of(self, part: Segment) -> tuple[Array, dict[str, Array]]:
+        """The times of these samples, and their channels by name."""
+        rows = self.between(part)
+        return self.t[rows], {name: column[rows] for name, column in self.values.items() if name in CHANNEL_QUANTITY}
+
     @property
     def smallest(self) -> float:
         """Smallest change of pressure that counts [Pa]."""
@@ -146,24 +151,19 @@ def _as_own(found: Sequence[Segment], all_rows: _Rows) -> tuple[list[Segment], l
 
     The operating point is what the map says, else what its columns say, else what the commands say.
     """
-    t, values, rules = all_rows.t, all_rows.values, all_rows.rules
-    parts: list[Segment] = []
-    doubts: list[str] = []
+    rules = all_rows.rules
+    parts, doubts = list[Segment](), list[str]()
     loads: dict[int, float] = {}
     hanging = 0
-    channels = {name: column for name, column in values.items() if name in CHANNEL_QUANTITY}
     how = rules.test.commanded
     if how and how.sine:
-        found = [each for part in found for each in _sine_by_sine(part, how, channels, all_rows)]
+        found = [each for part in found for each in _sine_by_sine(part, how, all_rows)]
     for number, part in enumerate(found):
-        rows = all_rows.between(part)
-        mine = {name: column[rows] for name, column in channels.items()}
-        commands, known = commands_of(how, t[rows], mine, rules.trials.smallest) if how else ([], {})
+        commands, known = commands_of(how, *all_rows.of(part), rules.trials.smallest) if how else ([], {})
         part = _at_one_point(part, commands, all_rows)
-        rows = all_rows.between(part)
-        mine = {name: column[rows] for name, column in channels.items()}
+        rows, (t, mine) = all_rows.between(part), all_rows.of(part)
         columns: dict[str, float] = {}
-        for name, column in values.items():
+        for name, column in all_rows.values.items():
             if not name.startswith(POINT):
                 continue
             here = column[rows][np.isfinite(column[rows])]
@@ -180,10 +180,10 @@ def _as_own(found: Sequence[Segment], all_rows: _Rows) -> tuple[list[Segment], l
             point["mass"] = point["load"] / G
             hanging += "force" not in mine
         if rules.test.loaded and "load" not in point and "force" in mine:
-            load = cell_load(t[rows], mine, commands)
+            load = cell_load(t, mine, commands)
             if load is not None:
                 loads[number] = load
-        searched = lift_and_set_down(t[rows], mine) if rules.test.lifted else []
+        searched = lift_and_set_down(t, mine) if rules.test.lifted else []
         parts.append(replace(part, point=point, commands=tuple(commands) or part.commands, found=tuple(searched)))
     if hanging:
         doubts.append(
@@ -195,10 +195,9 @@ def _as_own(found: Sequence[Segment], all_rows: _Rows) -> tuple[list[Segment], l
     return parts, doubts
 
 
-def _sine_by_sine(part: Segment, how: Commanded, channels: Mapping[str, Array], all_rows: _Rows) -> list[Segment]:
+def _sine_by_sine(part: Segment, how: Commanded, all_rows: _Rows) -> list[Segment]:
     """A trial of sines: one for each where several follow each other, cut in the middle between them."""
-    rows = all_rows.between(part)
-    waves = driven_waves(how, all_rows.t[rows], {name: column[rows] for name, column in channels.items()})
+    waves = driven_waves(how, *all_rows.of(part))
     cuts = [0.5 * (one.end + after.begin) for one, after in pairwise(waves) if one.parted(after)]
     return [replace(part, begin=begin, end=end) for begin, end in pairwise([part.begin, *cuts, part.end])]
 

@@ -16,10 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.base.errors import InvalidFile, Problem, did_you_mean, invalid
-from pmabench.store.arrow import arrow_csv, pa
 from pmabench.store.formats.shared.times import MINUS, Fields, seconds_of
 from pmabench.store.formats.text import MARKS, TextLayout
-from pmabench.store.livestream import numbers
+from pmabench.store.livestream import arrow_csv, numbers, pa
 from pmabench.store.records import Array
 
 PIECE = 4_000_000
@@ -248,8 +247,7 @@ class TextReader:
         if not self._blank(line):
             return True
         if self.layout.blank_lines == "refuse":
-            text = 'the line is blank; if that is usual say "blank_lines: skip"'
-            raise invalid(self.path, text, number, 1)
+            raise invalid(self.path, 'the line is blank; if that is usual say "blank_lines: skip"', number, 1)
         return False
 
     def _blank(self, line: str) -> bool:

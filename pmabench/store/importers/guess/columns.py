@@ -103,10 +103,8 @@ _JOINED = re.compile(r"([pxf])_?(set|setpoint|sp|cmd|command|ref|des|desired|sol
 
 def unit_in(name: str) -> str:
     """The unit that a name carries: in brackets, else behind `_`, `/`, `,`, a blank or `in`; empty where none."""
-    inside = re.findall(r"[\[({]([^\])}]{1,12})[\])}]", name)
-    for text in reversed(inside):
-        if spelled(text):
-            return spelled(text)
+    if found := [unit for text in re.findall(r"[\[({]([^\])}]{1,12})[\])}]", name) if (unit := spelled(text))]:
+        return found[-1]
     last = re.split(r"[_/,.\s]+", name.strip())
     if len(last) > 1 and (len(last[-1]) > 1 or last[-1] in QUANTITY):
         return spelled(last[-1])
@@ -450,10 +448,8 @@ def held(column: Proposal, pressure: Proposal | None) -> bool:
 
 def _pressure_unit(values: Array) -> str | None:
     top = float(np.quantile(values, 0.99))
-    for unit, low, high in (("bar", 0.8, 12.0), ("kPa", 50.0, 1200.0), ("Pa", 5e4, 1.2e6), ("MPa", 0.05, 0.8)):
-        if low <= top <= high:
-            return unit
-    return None
+    usual = (("bar", 0.8, 12.0), ("kPa", 50.0, 1200.0), ("Pa", 5e4, 1.2e6), ("MPa", 0.05, 0.8))
+    return next((unit for unit, low, high in usual if low <= top <= high), None)
 
 
 def _like_pressure(values: Array) -> float:

@@ -179,8 +179,7 @@ def as_exported(guess: Guess, files: Sequence[Path]) -> bool:
         raise invalid(place, f'is of a run of kind "{record.kind}", which cannot be imported here')
     guess.kind, guess.trials = record.kind, {"by": "record"}
     guess.exported, guess.simulated = True, record.simulated
-    text = f"{RECORD} next to it says what {record.run} commanded and found, trial by trial"
-    guess.reasons["trials"] = [text]
+    guess.reasons["trials"] = [f"{RECORD} next to it says what {record.run} commanded and found, trial by trial"]
     for column in guess.columns:
         known = record.columns.get(column.name)
         column.role, column.doubts, column.question, column.reasons = "ignore", [], "", ["the record has it"]

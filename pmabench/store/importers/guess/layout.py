@@ -437,10 +437,7 @@ def _may_be_thousands(rows: Sequence[Sequence[str]]) -> str:
 
 
 def _comment(lines: Sequence[str], first: int) -> str | None:
-    for mark in COMMENTS:
-        if any(line.lstrip().startswith(mark) for line in lines[:first]):
-            return mark
-    return None
+    return next((mark for mark in COMMENTS if any(line.lstrip().startswith(mark) for line in lines[:first])), None)
 
 
 def _header(body: _Body, comment: str | None, reasons: list[str]) -> tuple[list[str], dict[str, str], int | None]:

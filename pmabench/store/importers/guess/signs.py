@@ -116,7 +116,7 @@ def _driven(guess: Guess) -> Sign | None:
     left = [one - by @ np.linalg.lstsq(by, one, rcond=None)[0] for one in (values, pull)]
     if abs(correlation(*left)) < TOGETHER:
         return None
-    pure = _pure(t, values, smallest)
+    pure = max((wave.left for wave in motion.waves(t, values, smallest)), default=1.0) < PURE
     reason = f"the length goes through {'sines' if pure else 'cycles'} at "
     reason += f"{steps + 1} pressures" if steps else "one pressure"
     reason += " while the force falls and rises: it is driven"
@@ -128,12 +128,6 @@ def _steady(P: Array) -> bool:
     """Whether a pressure, shape (n,), is held throughout."""
     low, middle, high = np.quantile(P, [0.02, 0.5, 0.98])
     return bool(high - low <= STEADY * abs(middle))
-
-
-def _pure(t: Array, values: Array, smallest: float) -> bool:
-    """Whether a signal, shape (n,), is one sine, and no triangle."""
-    waves = motion.waves(t, values, smallest)
-    return bool(waves) and max(wave.left for wave in waves) < PURE
 
 
 def _lead(guess: Guess) -> str:
