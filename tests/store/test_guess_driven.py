@@ -185,3 +185,24 @@ def test_levels_of_a_slow_log_step_from_one_sample_to_the_next():
     found = levels(t, P, 5e4)
     assert [round(one.t) for one in found] == [12, 24, 36, 48]
     assert all(one.value - one.before == pytest.approx(1e5, rel=0.01) for one in found)
+
+
+@pytest.mark.parametrize("lengths", [(0.0, 6.0, 12.0), (0.0, 0.0, 10.0, 10.0)])
+def test_slow_ramps_of_pressure_at_lengths_that_are_held_are_no_sine(tmp_path, lengths):
+    """F = (2.4 - 0.06 x) P - 20, 8 N between filling and emptying; x in mm, P in kPa. A triangle is nearly a sine."""
+    random = np.random.default_rng(11)
+    t = np.arange(0.0, 120.0, 0.02)
+    P = np.interp(t, [5.0, 55.0, 60.0, 110.0], [0.0, 500.0, 500.0, 0.0])
+    way = np.where((t > 5) & (t < 58), -4.0, np.where((t >= 58) & (t < 110), 4.0, 0.0))
+    columns = []
+    for number, x in enumerate(lengths):
+        F = np.maximum((2.4 - 0.06 * x) * P - 20.0 + way, 0.0) + random.normal(0, 0.2, len(t))
+        held = x + random.normal(0, 0.005, len(t))
+        columns.append([t + 120.0 * number, P + random.normal(0, 0.5, len(t)), held, F])
+    write(tmp_path / "log.csv", "t [s],p [kPa],x [mm],F [N]", *np.hstack(columns))
+    kind, found = processed(tmp_path)
+    assert kind == "isometric-pressurisation"
+    slopes = {round(e["at"]["contraction"] * 1e3): e for e in found if e["symbol"] == "m"}
+    assert set(slopes) == {round(x) for x in lengths}
+    for x, one in slopes.items():
+        assert one["value"] == pytest.approx((2.4 - 0.06 * x) * 1e-3, rel=2e-3)

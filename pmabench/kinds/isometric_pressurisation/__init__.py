@@ -90,5 +90,6 @@ KIND = Kind(
             point=(("contraction", "length"),),
         ),
         follows="force",
+        shown="held lengths",
     ),
 )

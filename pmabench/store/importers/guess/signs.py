@@ -23,6 +23,8 @@ TOGETHER = 0.5
 """Correlation of force and length at a steady pressure, where hysteresis or damping opens the loop."""
 PURE = 0.06
 """A sine leaves less of itself than this (`motion.Wave.left`)."""
+MOVES = 0.1
+"""A length that is held moves by less than this share of the way between the lengths."""
 FEWEST = 50
 """Samples in which cycles are looked for."""
 
@@ -72,8 +74,7 @@ def signs(guess: Guess) -> Iterator[Sign]:
             reason += f"\nthe pressure rises and falls {cycles} times: each is a trial"
             trials = {"by": "ramp", "smallest": f"{5 * share(guess, 'pressure'):.3g}"}
         yield Sign("held length", trials, reason, "pressure" if cycles > 1 else "pressure_command")
-    if (driven := _driven(guess)) is not None:
-        yield driven
+    yield from filter(None, (_held_lengths(guess), _driven(guess)))
     sine = sine_of(t, command.values) if command is not None and t is not None else 0.0
     if sine:
         reason = f"the command is a sine of {sine:.3g} Hz ({sine * 2 * np.pi:.3g} rad/s)"
@@ -91,6 +92,25 @@ def signs(guess: Guess) -> Iterator[Sign]:
         trials = {"by": "step", "smallest": f"{share(guess, 'pressure'):.3g}", "lead": _lead(guess)}
         yield Sign("steps", trials, reason, "pressure")
     yield Sign("steps", {"by": "file"}, "neither steps nor sines were found: the file is one trial")
+
+
+def _held_lengths(guess: Guess) -> Sign | None:
+    """A length that is held while the pressure rises and falls, and another one the next time; None where it is not."""
+    x, pressure, t = guess.role("displacement"), guess.role("pressure"), guess.seconds
+    if x is None or pressure is None or t is None or guess.role("force") is None or guess.role("pressure_command"):
+        return None
+    good = np.isfinite(x.values) & np.isfinite(pressure.values) & motion.later(t)
+    t, values, P = t[good], x.values[good], pressure.values[good]
+    smallest = 5 * share(guess, "pressure")
+    cycles = motion.cycles(t, P, smallest) if smallest > 0 and len(t) >= FEWEST else []
+    held_at = [values[(t >= cycle.begin) & (t <= cycle.end)] for cycle in cycles]
+    if len(held_at) < 2 or min(map(len, held_at)) < 3:
+        return None
+    apart = float(np.ptp([np.median(one) for one in held_at]))
+    if max(float(np.ptp(np.quantile(one, [0.05, 0.95]))) for one in held_at) > MOVES * apart:
+        return None
+    reason = f"the pressure rises and falls {len(cycles)} times, at lengths that are held: each is a trial"
+    return Sign("held lengths", {"by": "ramp", "smallest": f"{smallest:.3g}"}, reason, "pressure")
 
 
 def _driven(guess: Guess) -> Sign | None:
