@@ -191,7 +191,7 @@ def execute(
 
 def _chosen(chooser: Until, shown: Mapping[str, Any]) -> dict[str, Any]:
     """Arguments of `run_plan` with which trials are chosen; the chooser learns the run's folder as the display does."""
-    from pmabench.engine.choosing import Choosing
+    from pmabench.engine.resume import Choosing
 
     def begun(folder: Path) -> None:
         chooser.folder = folder

@@ -15,9 +15,8 @@ from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError, LimitTripped, PmaError, RecordError
 from pmabench.bench.interface import Block, CompiledBench, Stream
 from pmabench.engine.commanded import Commanded
-from pmabench.engine.flags import Ranges, Spacing
 from pmabench.engine.recorder import Forgiving, Recorder
-from pmabench.engine.source import Piece, Source
+from pmabench.engine.source import Piece, Ranges, Source, Spacing
 from pmabench.engine.watch import ENDS, Trip, Watch
 from pmabench.store.records import Flag
 

@@ -14,12 +14,11 @@ from pmabench.base.errors import Interrupted, LimitTripped, PmaError, VerdictFai
 from pmabench.base.quantities import highest_pressure, show, without_number
 from pmabench.bench.interface import CompiledBench, Load
 from pmabench.engine.acquire import Acquisition, Samples
+from pmabench.engine.bench_checks import LoadCheck, LoadImplausible
 from pmabench.engine.commanded import Commander, Commands
-from pmabench.engine.control import run_control
-from pmabench.engine.load_check import LoadCheck, LoadImplausible
 from pmabench.engine.operator import Operator
 from pmabench.engine.recorder import Recorder
-from pmabench.engine.seek import run_seek
+from pmabench.engine.seek import run_control, run_seek
 from pmabench.protocol.plan import (
     HANDS_OUT,
     VENTED_WITHIN,

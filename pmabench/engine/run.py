@@ -18,14 +18,12 @@ from pmabench.base.system import ENGINE, ordinary, real_time
 from pmabench.bench.compile import Mounted
 from pmabench.bench.interface import CompiledBench, Identity, TripRecord
 from pmabench.engine.acquire import Acquisition, Tripped
+from pmabench.engine.bench_checks import LoadImplausible, agree, as_data, not_proven, prove
 from pmabench.engine.ending import Signals, exit_code, sentence, status_of, zero_check
 from pmabench.engine.executor import Executor, Progress
-from pmabench.engine.load_check import LoadImplausible
 from pmabench.engine.operator import Operator
 from pmabench.engine.own import OwnDevices
-from pmabench.engine.proof import prove
 from pmabench.engine.recorder import Forgiving, NoRecord, Recorder
-from pmabench.engine.untried import agree, as_data, not_proven
 from pmabench.guard.guard import Guard, Vent
 from pmabench.guard.remote import RemoteGuard
 from pmabench.protocol.plan import Plan, Step, TrialRecord

@@ -17,7 +17,7 @@ from pmabench.display.lines import against_text, half_text, number_text, off_tex
 from pmabench.display.state import RunState
 from pmabench.display.verdicts import Number, TrialLine
 from pmabench.display.view import WANTED
-from pmabench.display.web.loop import axes_of
+from pmabench.display.web.series import axes_of
 from pmabench.display.wording import POINT, about_run, clean, decimals, of_point, point_text, quantity
 from pmabench.files.document import Document
 from pmabench.kinds import registry

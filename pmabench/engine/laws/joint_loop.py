@@ -11,7 +11,7 @@ from bisect import bisect_right
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from pmabench.engine.laws.orders import Orders
+from pmabench.engine.laws import Orders
 
 PRESSURES = ("pressure_1", "pressure_2")
 

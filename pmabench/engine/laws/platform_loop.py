@@ -11,7 +11,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from pmabench.engine.laws.orders import Orders, Pulse
+from pmabench.engine.laws import Orders, Pulse
 from pmabench.model.many.platform import described
 from pmabench.model.platform_control import Inverse, Lags, Pair, on_time, tilt
 

@@ -1,7 +1,11 @@
-"""Law `ramp-until`: ramp the output until a channel crosses a threshold: lift, set-down, return to zero, dead band.
+"""Laws that ramp and wait: `ramp-until` and `closed-strokes`; they know no devices and no files.
 
-A fast approach finds the neighbourhood, then the output goes back until the crossing is undone and a slow ramp finds
-it again, so that regulator lag and creep do not enter. Knows no devices and no files.
+`ramp-until` ramps the output until a channel crosses a threshold: lift, set-down, return to zero, dead band. A fast
+approach finds the neighbourhood, then the output goes back until the crossing is undone and a slow ramp finds it again,
+so that regulator lag and creep do not enter.
+
+`closed-strokes`: a valve shuts the air in, the driven end goes there and back, the valve opens again. The valve is shut
+by its safe state, so whatever ends the run leaves it as it is.
 """
 
 from __future__ import annotations
@@ -10,9 +14,10 @@ from typing import Any
 
 import numpy as np
 
+from pmabench.base.errors import LimitTripped
 from pmabench.base.quantities import CHANNEL_QUANTITY, show, without_number
 from pmabench.engine.acquire import Samples, Stop
-from pmabench.engine.moves import Moves
+from pmabench.engine.seek import Moves
 
 
 def ramp_until(
@@ -120,3 +125,28 @@ class _Crossing:
         first = max(0, hit - self.samples + 1)
         self.at = {name: float(np.mean(values[first : hit + 1])) for name, values in block.values.items()}
         return hit
+
+
+def closed_strokes(
+    moves: Moves, *, valve: str, start: float, to: float, rate: float, rest: float, cycles: int
+) -> dict[str, Any]:
+    """Shut `valve`, move the output `cycles` times from `start` to `to` [SI] and back at `rate` [SI/s], open it.
+
+    It rests for `rest` [s] after the valve has shut, at both ends of each stroke, and before it opens again. Result:
+    bench times [s] at which it was shut and opened.
+
+    Raises
+    ------
+    LimitTripped
+        Where it takes longer than the step's limit: the end is not where the plan believes, and air is shut in.
+    """
+    shut = moves.valve(valve, safe=True)
+    moves.wait(shut + rest)
+    for _ in range(cycles):
+        for origin, target in ((start, to), (to, start)):
+            there = moves.ramp(origin, target, rate)
+            moves.wait(there + rest)
+            if moves.clock.now() < there + rest - 1e-6:
+                raise LimitTripped(f"the strokes with {valve} shut took longer than {moves.step.limit:g} s")
+    opened = moves.valve(valve, safe=False)
+    return {"found": True, "command": start, "shut": shut, "opened": opened}
