@@ -198,7 +198,7 @@ def _chosen(chooser: Until, shown: Mapping[str, Any]) -> dict[str, Any]:
         if "begun" in shown:
             shown["begun"](folder)
 
-    return {"begun": begun, "further": lambda executor: Choosing(executor, chooser)}
+    return {"begun": begun, "further": lambda executor: Choosing(executor, chooser.choose)}
 
 
 def _in_session(ui: Ui, mounted: Mounted, out: Path, who: str, options: dict[str, Any], *, yes: bool) -> Mounted:

@@ -88,7 +88,7 @@ class Until:
         """Of the run; known when it begins."""
 
     def choose(self, wait: Callable[[], None]) -> Chosen | NoMore:
-        """See `pmabench.engine.resume.Chooser`."""
+        """See `pmabench.engine.resume.Choosing`."""
         if self.folder is None:
             raise UsageError("a run that is not recorded cannot choose its trials")
         answer = self._answer(self.folder, wait)

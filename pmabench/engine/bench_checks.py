@@ -20,8 +20,8 @@ from pmabench.base.quantities import show
 from pmabench.bench.interface import UNPROVEN, CompiledBench, DeviceRecord, Identity
 from pmabench.bench.registry import HARDWARE, driver_version
 from pmabench.engine.acquire import Acquisition, Array, Samples, Stop
-from pmabench.engine.commanded import Commands
 from pmabench.engine.recorder import Recorder
+from pmabench.guard.remote import AnyGuard
 from pmabench.guard.station import Station
 
 if TYPE_CHECKING:
@@ -34,12 +34,8 @@ AGREED = "drivers"
 def as_data(bench: CompiledBench) -> dict[str, dict[str, str]]:
     """For the manifest: each device's driver, its version and what it was verified on."""
     return {
-        device.name: {
-            "driver": device.driver,
-            "version": driver_version(device.driver),
-            "verified": device.verified,
-        }
-        for device in bench.devices
+        one.name: {"driver": one.driver, "version": driver_version(one.driver), "verified": one.verified}
+        for one in bench.devices
     }
 
 
@@ -99,7 +95,7 @@ FILLED = 0.8
 """Of the asked pressure, from where on the bench counts as filled."""
 
 
-def prove(bench: CompiledBench, guard: Commands, acquisition: Acquisition, recorder: Recorder) -> None:
+def prove(bench: CompiledBench, guard: AnyGuard, acquisition: Acquisition, recorder: Recorder) -> None:
     """Try the vent path of a bench that declares a proof test; raises LimitTripped where it does not vent in time."""
     proof = bench.proof
     if proof is None:

@@ -11,9 +11,9 @@ import hashlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
-from pmabench.base.errors import InvalidFile, Problem
+from pmabench.base.errors import InvalidFile, Problem, invalid
 from pmabench.bench.compile import Mounted
 from pmabench.engine.executor import Executor
 from pmabench.engine.run import Continues
@@ -39,32 +39,23 @@ def continue_run(
     changed = sorted(set(_changes(manifest.get("snapshots", {}), now)))
     refused = [what for what in changed if what not in accept]
     if refused:
-        raise InvalidFile(
-            [
-                Problem(
-                    str(folder),
-                    0,
-                    0,
-                    f"the {what} is not what it was in this run; begin a new one, or give --accept-changed {what}",
-                )
-                for what in refused
-            ]
-        )
+        what = "the {0} is not what it was in this run; begin a new one, or give --accept-changed {0}"
+        raise InvalidFile([Problem(str(folder), 0, 0, what.format(one)) for one in refused])
     if (last := goes_on(folder)) is not None:
         what = f"{last.name} already goes on after this run, and its trials would be done twice; go on after that one"
-        raise InvalidFile([Problem(str(folder), 0, 0, f"{what}: pmabench run --resume {last}")])
+        raise invalid(folder, f"{what}: pmabench run --resume {last}")
     link = continued(folder)
     done = set(link["trials_done"])
     chosen = bool(manifest.get("until"))
     steps = remaining(plan, done)
     if not chosen and not any(isinstance(step, Record) and step.trial is not None for step in steps):
-        raise InvalidFile([Problem(str(folder), 0, 0, "every trial of this run is finished: nothing is left to do")])
+        raise invalid(folder, "every trial of this run is finished: nothing is left to do")
     attempts: dict[int, int] = {}
     for run in open_chain(folder):
         for trial in run.trials:
             attempts[trial.index] = attempts.get(trial.index, 0) + 1
     again = max([len(plan.trials) - 1, *attempts]) + 1
-    left = _reference_again(plan, again) if chosen else with_reference(plan, steps, again)
+    left = with_reference(plan, steps, again, alone=chosen)
     return Continues({**link, "accepted_changes": changed}, *left, attempts)
 
 
@@ -101,21 +92,24 @@ def remaining(plan: Plan, done: set[int]) -> tuple[Step, ...]:
     return tuple(kept)
 
 
-def with_reference(plan: Plan, steps: tuple[Step, ...], index: int) -> tuple[tuple[Step, ...], TrialRecord | None]:
+def with_reference(
+    plan: Plan, steps: tuple[Step, ...], index: int, *, alone: bool = False
+) -> tuple[tuple[Step, ...], TrialRecord | None]:
     """`steps` with the plan's reference trial before them, done again as the trial `index`; None where it is not due.
 
     A new start shows by it whether the specimen is still the same. It is no trial of the plan and takes no place of
-    one. Where the first trial that is left is a reference trial, that one shows it.
+    one. Where the first trial that is left is a reference trial, that one shows it. `alone`: without `steps`, where
+    trials are chosen after it.
     """
-    trials = {trial.index: trial for trial in plan.trials}
     reference = next((trial for trial in plan.trials if trial.reference), None)
     first = next((step.trial for step in steps if isinstance(step, Record) and step.trial is not None), None)
-    if reference is None or first is None or trials[first].reference:
+    if alone:
+        steps = ()
+    elif first is None or next(trial for trial in plan.trials if trial.index == first).reference:
         return steps, None
-    before = [
-        replace(step, trial=index) if isinstance(step, Record) and step.trial is not None else step
-        for step in remaining(plan, trials.keys() - {reference.index})
-    ]
+    if reference is None:
+        return steps, None
+    before = steps_of(plan, reference.index, index)
     rest = [step for step in steps if step.phase != "precondition"]
     on = next((step.load for step in before if isinstance(step, Ask)), None)
     if rest and isinstance(rest[0], Ask) and rest[0].load == on:
@@ -123,14 +117,12 @@ def with_reference(plan: Plan, steps: tuple[Step, ...], index: int) -> tuple[tup
     return (*before, *rest), replace(reference, index=index)
 
 
-def _reference_again(plan: Plan, index: int) -> tuple[tuple[Step, ...], TrialRecord | None]:
-    """The plan's reference trial alone, where trials are chosen after it; nothing where the plan has none."""
-    reference = next((trial for trial in plan.trials if trial.reference), None)
-    if reference is None:
-        return (), None
-    steps = remaining(plan, {trial.index for trial in plan.trials} - {reference.index})
-    again = (replace(s, trial=index) if isinstance(s, Record) and s.trial is not None else s for s in steps)
-    return tuple(again), replace(reference, index=index)
+def steps_of(plan: Plan, like: int, index: int) -> list[Step]:
+    """The steps of a plan's trial `like` as those of the trial `index`."""
+    return [
+        replace(step, trial=index) if isinstance(step, Record) and step.trial is not None else step
+        for step in remaining(plan, {trial.index for trial in plan.trials} - {like})
+    ]
 
 
 def _left_of(part: Sequence[Step], done: set[int]) -> list[Step]:
@@ -171,12 +163,10 @@ def sources(folder: Path) -> dict[str, Any]:
     if not manifest.get("trials_planned"):
         what = f"is a run of kind {manifest.get('kind')} without trials: there is nothing to go on with"
         then = "run the protocol again, a session comes first by itself"
-        raise InvalidFile([Problem(str(folder), 0, 0, f"{what}; {then}")])
+        raise invalid(folder, f"{what}; {then}")
     found = manifest.get("sources")
     if not isinstance(found, dict) or not {"protocol", "bench", "specimen"} <= set(found):
-        raise InvalidFile(
-            [Problem(str(folder), 0, 0, "does not say which files it was made from; name protocol, bench and specimen")]
-        )
+        raise invalid(folder, "does not say which files it was made from; name protocol, bench and specimen")
     return found
 
 
@@ -205,19 +195,15 @@ class NoMore:
     why: str
 
 
-class Chooser(Protocol):
-    """Chooses one trial after the other."""
-
-    def choose(self, wait: Callable[[], None]) -> Chosen | NoMore:
-        """The next trial, after all that is recorded; calls `wait` again and again while it takes time."""
-        ...
-
-
 class Choosing:
-    """The steps of one trial after the other, as an executor asks for them."""
+    """The steps of one trial after the other, as an executor asks for them.
 
-    def __init__(self, executor: Executor, chooser: Chooser) -> None:
-        self.executor, self.chooser = executor, chooser
+    `choose` gives the next trial, after all that is recorded; it calls its argument again and again while it takes
+    time.
+    """
+
+    def __init__(self, executor: Executor, choose: Callable[[Callable[[], None]], Chosen | NoMore]) -> None:
+        self.executor, self.choose = executor, choose
         self.prepared = False
         self.load: tuple[float, float] | None = None
         self.before: int | None = None
@@ -225,11 +211,9 @@ class Choosing:
     def __call__(self) -> Sequence[Step]:
         """The steps of the next trial; none at the end."""
         executor = self.executor
-        begun = executor.steps or ()
-        if not self.prepared and begun:  # a reference trial was done again before
-            self.prepared = True
-            self.load = next((step.load for step in begun if isinstance(step, Ask) and step.load is not None), None)
-        answer = self.chooser.choose(lambda: self._wait())
+        if not self.prepared and executor.steps:  # a reference trial was done again before
+            self._take(executor.steps)
+        answer = self.choose(self._wait)
         now = executor.clock.now()
         if isinstance(answer, NoMore):
             executor.recorder.event(ENDED, now, reached=answer.reached, why=answer.why)
@@ -241,21 +225,20 @@ class Choosing:
             repeat=trial.repeat, reference=trial.reference, why=answer.why, **answer.data,
         )  # fmt: skip
         self.before = trial.index
-        steps = steps_of(executor.plan, answer.like, trial.index, self.load if self.prepared else None)
-        if self.prepared:
-            steps = [step for step in steps if step.phase != "precondition"]
-        self.prepared = True
-        self.load = next((step.load for step in steps if isinstance(step, Ask) and step.load is not None), self.load)
+        steps = steps_of(executor.plan, answer.like, trial.index)
+        if self.prepared:  # no hands where its load is on already
+            steps = [s for s in steps if s.phase != "precondition" and not (_puts_on(s) and _puts_on(s) == self.load)]
+        self._take(steps)
         return steps
+
+    def _take(self, steps: Sequence[Step]) -> None:
+        self.prepared = True
+        self.load = next((load for step in steps if (load := _puts_on(step)) is not None), self.load)
 
     def _wait(self) -> None:
         self.executor.acquisition.pass_time(0.1)
 
 
-def steps_of(plan: Plan, like: int, index: int, load: tuple[float, float] | None) -> list[Step]:
-    """The steps of a plan's trial as those of the trial `index`; no hands where its load is on already."""
-    steps = [
-        replace(step, trial=index) if isinstance(step, Record) and step.trial is not None else step
-        for step in remaining(plan, {trial.index for trial in plan.trials} - {like})
-    ]
-    return [step for step in steps if not (isinstance(step, Ask) and step.load is not None and step.load == load)]
+def _puts_on(step: Step) -> tuple[float, float] | None:
+    """The load that hands put on at a step."""
+    return step.load if isinstance(step, Ask) else None

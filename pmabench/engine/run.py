@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gc
-import getpass
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import asdict, dataclass, replace
@@ -14,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from pmabench import __version__
 from pmabench.base.clock import RealClock, VirtualClock
 from pmabench.base.errors import DeviceError, Interrupted, LimitTripped, RecordError, VerdictFailed
-from pmabench.base.system import ENGINE, ordinary, real_time
+from pmabench.base.system import ENGINE, ordinary, real_time, user_name
 from pmabench.bench.compile import Mounted
 from pmabench.bench.interface import CompiledBench, Identity, TripRecord
 from pmabench.engine.acquire import Acquisition, Tripped
@@ -25,7 +24,7 @@ from pmabench.engine.operator import Operator
 from pmabench.engine.own import OwnDevices
 from pmabench.engine.recorder import Forgiving, NoRecord, Recorder
 from pmabench.guard.guard import Guard, Vent
-from pmabench.guard.remote import RemoteGuard
+from pmabench.guard.remote import AnyGuard, RemoteGuard
 from pmabench.protocol.plan import Plan, Step, TrialRecord
 from pmabench.store.folder import run_name
 
@@ -123,41 +122,35 @@ def run_plan(
     mounted.refuse_unconfirmed()
     bench = mounted.bench
     clock: RealClock | VirtualClock = RealClock() if bench.realtime else VirtualClock()
-    guard = RemoteGuard(bench, clock) if isinstance(clock, RealClock) else Guard(bench, clock)
-    own = OwnDevices(bench, clock) if bench.realtime else None
+    guard: AnyGuard = RemoteGuard(bench, clock) if isinstance(clock, RealClock) else Guard(bench, clock)
+    own = OwnDevices(bench, clock)
     try:
         why = real_time(ENGINE) if bench.realtime else ""
         guard.open()
-        if own is not None:
-            own.open()
-        identities = {**guard.identities, **(own.identities if own is not None else {})}
+        own.open()
+        identities = {**guard.identities, **own.identities}
         bench = _as_answered(bench, identities)
         recorder: Recorder = trying or NoRecord()
         writer: RunWriter | None = None
         if out is not None:
-            entries = {"deviations": list(deviations), "operator": operator_name or _user(), **(about or {})}
+            entries = {"deviations": list(deviations), "operator": operator_name or user_name(), **(about or {})}
             entries |= {} if continues is None else {"continues": dict(continues.manifest)}
             opened = _opened(bench, identities, why or "real time")
             writer = _new_folder(plan, mounted, bench, out, protocol_text, {**opened, **entries})
             recorder = writer
             begun(writer.folder)
-        streams = {**guard.devices, **(own.streams if own is not None else {})}
         with Signals() as signals:
+            streams = {**guard.devices, **own.streams}
             acquisition = Acquisition(bench, streams, clock, plan.rate, plan.record, recorder)
             executor = Executor(plan, bench, guard, acquisition, recorder, Waiting(operator, signals), clock, progress)
             _what_to_do(executor, continues, further)
             with _no_long_collection() if bench.realtime else nullcontext():
                 return _Run(executor, guard, own, signals, writer, (before_proof, procedure)).execute()
     finally:
-        _closed(guard, own)
-
-
-def _closed(guard: Guard | RemoteGuard, own: OwnDevices | None) -> None:
-    """Close what was opened; in real time (with `own`) scheduling is ordinary again."""
-    guard.close()
-    if own is not None:
+        guard.close()
         own.close()
-        ordinary()
+        if bench.realtime:
+            ordinary()
 
 
 def _what_to_do(
@@ -221,6 +214,8 @@ def _new_folder(
 
     started = datetime.now(UTC)
     specimen = mounted.specimen_file
+    muscles = {number: {"type": one.type, "serial": one.serial} for number, one in mounted.bench_file.muscles.items()}
+    """Which muscle has which number, where there are several."""
     name = run_name(started, f"{specimen.type}-{specimen.serial}", plan.kind, bench.simulated)
     manifest = {
         "kind": plan.kind,
@@ -230,7 +225,7 @@ def _new_folder(
         "started_utc": started.isoformat(timespec="milliseconds"),
         "bench": bench.name,
         "specimen": specimen.model_dump(mode="json", by_alias=True, exclude={"expected"}),
-        **_muscles(mounted),
+        **({"muscles": muscles} if muscles else {}),
         "plan_sha256": plan.sha256,
         "trials_planned": len(plan.trials),
         "rate": plan.rate,
@@ -252,27 +247,14 @@ def _new_folder(
     return writer
 
 
-def _muscles(mounted: Mounted) -> dict[str, Any]:
-    """Which muscle has which number, where there are several."""
-    muscles = {number: {"type": one.type, "serial": one.serial} for number, one in mounted.bench_file.muscles.items()}
-    return {"muscles": muscles} if muscles else {}
-
-
-def _user() -> str:
-    try:
-        return getpass.getuser()
-    except (OSError, KeyError):
-        return "unknown"
-
-
 class _Run:
     """One execution of a plan, from arming to the sealed folder."""
 
     def __init__(
         self,
         executor: Executor,
-        guard: Guard | RemoteGuard,
-        own: OwnDevices | None,
+        guard: AnyGuard,
+        own: OwnDevices,
         signals: Signals,
         writer: RunWriter | None,
         procedures: tuple[Callable[[Executor], None], Callable[[Executor], None]],
@@ -292,7 +274,7 @@ class _Run:
         try:
             acquisition.start()
             self._open_streams()
-            agree(executor, {**self.guard.identities, **(self.own.identities if self.own is not None else {})})
+            agree(executor, {**self.guard.identities, **self.own.identities})
             executor.recorder.event("armed", self.clock.now(), bench=self.bench.name)
             self.guard.arm(str(self.writer.folder.resolve()) if self.writer is not None else "")
             acquisition.pass_time(0.1)
@@ -306,17 +288,18 @@ class _Run:
                 cause = VerdictFailed(f"{len(executor.failed)} of {len(executor.plan.trials)} trials failed: {failed}")
         except BaseException as error:  # every way out leads through the safe state below
             cause = error
-        gently = isinstance(cause, Interrupted) and self.signals.gently
-        gently = gently or isinstance(cause, LoadImplausible)
+        gently = (isinstance(cause, Interrupted) and self.signals.gently) or isinstance(cause, LoadImplausible)
         if gently or (isinstance(cause, Tripped) and cause.trip.limit.action == "stop"):
             self._controlled_stop()
         return self._end(cause)
 
     def _open_streams(self) -> None:
         """One stream per device that is recorded, at the rate that the device itself says."""
-        for device in self.bench.devices if self.writer is not None else ():
+        if self.writer is None:
+            return
+        for device in self.bench.devices:
             columns = [asdict(channel) for channel in device.channels if channel.name in self.executor.plan.record]
-            if columns and self.writer is not None:
+            if columns:
                 self.writer.open_stream(device.name, columns, self.acquisition.rates[device.name])
 
     def _check(self) -> None:
@@ -349,7 +332,7 @@ class _Run:
         if self.signals.news():
             self.guard.begin_safe(hurry=True)
         values = self.acquisition.measure()
-        if isinstance(self.guard, RemoteGuard) and self.own is not None:
+        if isinstance(self.guard, RemoteGuard):
             self.guard.seen = {name: value for name, value in values.items() if name in self.own.channels}
         return values
 

@@ -7,8 +7,7 @@ pulses to the guard while a watch looks at every sample.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from importlib import import_module
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from pmabench.base.clock import Clock
 from pmabench.base.errors import LimitRefused
@@ -17,6 +16,9 @@ from pmabench.engine.acquire import Acquisition, Samples
 from pmabench.engine.commanded import Commander
 from pmabench.engine.laws import LawOfSeveral, Orders, law_of
 from pmabench.protocol.plan import Control, Seek
+
+if TYPE_CHECKING:
+    from pmabench.engine.platform_watch import PlatformWatch
 
 AT_ONCE = 100
 """Samples that a law which rarely changes its command is given at once [1]."""
@@ -45,14 +47,14 @@ def run_seek(
         found: dict[str, Any] = made(Moves(step, guard, acquisition, clock, log), **step.parameters)
         return found
     law: SampledLaw = made(**step.parameters)
-    deadline = clock.now() + step.limit
     run = _rarely if getattr(law, "rarely", False) and acquisition.goes_back else _always
-    return run(step, law, guard, acquisition, clock, deadline)
+    in_time = run(step, law, guard, acquisition, clock, clock.now() + step.limit)
+    return {"found": in_time, **({} if in_time else {"reason": _late(step)}), **law.result()}
 
 
 def _always(
     step: Seek, law: SampledLaw, guard: Commander, acquisition: Acquisition, clock: Clock, deadline: float
-) -> dict[str, Any]:
+) -> bool:
     """Sample by sample; a command that is unchanged is not sent again."""
     sent: float | None = None
     t, values = acquisition.sample()
@@ -64,14 +66,14 @@ def _always(
             guard.set(step.output, command)
             sent = command
         if clock.now() >= deadline:
-            return _late(step, law)
+            return False
         t, values = acquisition.sample()
-    return {"found": True, **law.result()}
+    return True
 
 
 def _rarely(
     step: Seek, law: SampledLaw, guard: Commander, acquisition: Acquisition, clock: Clock, deadline: float
-) -> dict[str, Any]:
+) -> bool:
     """The same, block by block, where time can be taken back to the sample at which the law changes its command."""
     sent: float | None = None
     command = step.low
@@ -81,9 +83,8 @@ def _rarely(
         nonlocal command
         columns = {name: column.tolist() for name, column in samples.values.items()}
         for i, t in enumerate(samples.t.tolist()):
-            command = min(
-                max(law.update(t, {name: column[i] for name, column in columns.items()}), step.low), step.high
-            )
+            wanted = law.update(t, {name: column[i] for name, column in columns.items()})
+            command = min(max(wanted, step.low), step.high)
             if command != sent or law.done:
                 return i
         return None
@@ -95,13 +96,13 @@ def _rarely(
             guard.set(step.output, command)
             sent = command
         if clock.now() >= deadline:
-            return _late(step, law)
+            return False
     acquisition.sample()
-    return {"found": True, **law.result()}
+    return True
 
 
-def _late(step: Seek, law: SampledLaw) -> dict[str, Any]:
-    return {"found": False, "reason": f"not done within {step.limit:g} s", **law.result()}
+def _late(step: Seek | Control) -> str:
+    return f"not done within {step.limit:g} s"
 
 
 class Moves:
@@ -149,26 +150,18 @@ class Moves:
         self.acquisition.until(min(until, self.deadline))
 
 
-WATCHES = {"platform": "platform_watch:PlatformWatch"}
-"""Name of a watch in a compiled bench -> its module in this room, and its class."""
+def _watch_of(bench: CompiledBench) -> PlatformWatch | None:
+    """The watch on all muscles of a bench together, where it needs one; LimitRefused where there is none of its name.
 
+    Set-points go to regulators, whose channels have limits; only valves that are steered need such a watch.
+    """
+    if not bench.together:
+        return None
+    if bench.together != "platform":
+        raise LimitRefused(f'a loop over several muscles needs a watch on them, and "{bench.together}" is none')
+    from pmabench.engine.platform_watch import PlatformWatch
 
-class WatchTogether(Protocol):
-    """Looks at what several channels say about one thing."""
-
-    def look(self, t: float, values: Mapping[str, float], orders: Orders) -> str:
-        """A sentence about a fault that the sample `values` [SI] at `t` [s] shows, or an empty text."""
-        ...
-
-
-def watch_of(name: str, numbers: Mapping[str, float]) -> WatchTogether:
-    """A new watch of this name; LimitRefused where there is none, for a bench that needs one is not safe without."""
-    if name not in WATCHES:
-        raise LimitRefused(f'a loop over several muscles needs a watch on them, and "{name}" is none')
-    module, _, attribute = WATCHES[name].partition(":")
-    made = getattr(import_module(f"pmabench.engine.{module}"), attribute)
-    watch: WatchTogether = made(numbers)
-    return watch
+    return PlatformWatch(bench.platform)
 
 
 LOGGED_EVERY = 1.0
@@ -210,8 +203,7 @@ def run_control(
     watch finds a fault, LimitRefused for a command outside its range.
     """
     law: LawOfSeveral = law_of(step.law)(**step.parameters)
-    # set-points go to regulators, whose channels have limits; only valves that are steered need a watch on all together
-    watch = watch_of(bench.together, bench.platform) if bench.together else None
+    watch = _watch_of(bench)
     deadline, period = clock.now() + step.limit, float(getattr(law, "called_every", 0.0))
     steered = _Steered(log, clock.now())
     try:
@@ -228,7 +220,7 @@ def run_control(
             if orders.aims:
                 steered.note(t, orders)
             if clock.now() >= deadline and not law.done:
-                return {"found": False, "reason": f"not done within {step.limit:g} s", **law.result()}
+                return {"found": False, "reason": _late(step), **law.result()}
     finally:
         steered.flush()
     return {"found": True, **law.result()}

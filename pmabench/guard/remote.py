@@ -5,7 +5,6 @@ Also the safe state without a guard process: for when there is none, or it does 
 
 from __future__ import annotations
 
-import getpass
 import json
 import socket
 import subprocess
@@ -20,6 +19,7 @@ from typing import IO, Any
 from pmabench.base import errors
 from pmabench.base.clock import RealClock
 from pmabench.base.errors import DeviceError, Interrupted, LimitTripped, PmaError, RecordError
+from pmabench.base.system import user_name
 from pmabench.bench.interface import Block, CompiledBench, Identity, Load, Stream
 from pmabench.guard.guard import Guard, Measure, State
 from pmabench.guard.limits import to_device
@@ -135,7 +135,7 @@ class RemoteGuard:
     def open(self) -> None:
         """Start the guard and have it open its devices. Raises DeviceError, or LimitRefused where it is latched."""
         station = Station(self.bench.name)
-        given = {"bench": json.loads(self.bench.to_json()), "start": self._clock.start, "user": _user()}
+        given = {"bench": json.loads(self.bench.to_json()), "start": self._clock.start, "user": user_name()}
         with _log(station) as log:
             process = self._process = subprocess.Popen(
                 [sys.executable, "-P", "-m", "pmabench.guard"],
@@ -270,9 +270,9 @@ class RemoteGuard:
             self._process.returncode = self._process.returncode or 0  # no warning of a child that is still there
             self._process = None
 
-    def describe(self) -> dict[str, Any]:
-        """Who answered, for the manifest."""
-        return {name: vars(identity) for name, identity in self.identities.items()}
+
+AnyGuard = Guard | RemoteGuard
+"""The guard as the engine sees it, in this process or in another."""
 
 
 def _log(station: Station) -> IO[bytes]:
@@ -284,13 +284,6 @@ def _log(station: Station) -> IO[bytes]:
         raise DeviceError(
             station.name, f"its state cannot be kept in {station.folder}: {error.strerror}; set PMABENCH_STATE"
         ) from error
-
-
-def _user() -> str:
-    try:
-        return getpass.getuser()
-    except (OSError, KeyError):
-        return "unknown"
 
 
 def _ended(ended: Mapping[str, str]) -> PmaError:

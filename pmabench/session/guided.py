@@ -76,19 +76,15 @@ def looking(bench: CompiledBench, rate: float = LOOKED_AT) -> Iterator[Look]:
         guard = RemoteGuard(bench, clock) if isinstance(clock, RealClock) else Guard(bench, clock)
         stack.callback(guard.close)
         guard.open()
-        identities, streams = dict(guard.identities), dict(guard.devices)
-        if bench.realtime:
-            own = OwnDevices(bench, clock)
-            stack.callback(own.close)
-            own.open()
-            identities |= own.identities
-            streams |= own.streams
+        own = OwnDevices(bench, clock)
+        stack.callback(own.close)
+        own.open()
         names = tuple(channel.name for channel in bench.channels)
-        acquisition = Acquisition(bench, streams, clock, rate, names, NoRecord())
+        acquisition = Acquisition(bench, {**guard.devices, **own.streams}, clock, rate, names, NoRecord())
         acquisition.begin_safe_state()
         stack.callback(acquisition.stop)
         acquisition.start()
-        yield Look(identities, acquisition)
+        yield Look({**guard.identities, **own.identities}, acquisition)
 
 
 OTHER_CLOCK = 0.5
