@@ -20,12 +20,13 @@ from pmabench.bench.compile import Mounted
 from pmabench.bench.interface import CompiledBench, Identity
 from pmabench.bench.session import Stack
 from pmabench.engine.acquire import Acquisition, Array, Samples, Stop
+from pmabench.engine.executor import Executor
 from pmabench.engine.own import OwnDevices
 from pmabench.engine.recorder import NoRecord
 from pmabench.guard.guard import Guard
 from pmabench.guard.remote import RemoteGuard
 from pmabench.protocol.common import FORCE_MASS
-from pmabench.protocol.plan import Plan
+from pmabench.protocol.plan import Ask, Plan
 
 RATE = 200.0
 """Rate at which a guided run samples [Hz]."""
@@ -51,6 +52,12 @@ def moving_mass(mounted: Mounted, mass: float) -> float:
     """Moving mass with a load of `mass`: load, carriage and muscle [kg]."""
     bench = mounted.bench
     return mass + bench.carriage if bench.hanging and mass + bench.carriage > 0 else FORCE_MASS
+
+
+def put_on(executor: Executor, mounted: Mounted, phase: str, mass: float, also: str = "") -> None:
+    """Have hands put a load of `mass` [kg] on, vented, and do what `also` says."""
+    load = (mass * mounted.bench.gravity, moving_mass(mounted, mass))
+    executor.do(Ask(phase, f"{load_text(mounted, mass)} {also}".strip(), "vented", load))
 
 
 LOOKED_AT = 100.0

@@ -26,10 +26,10 @@ from pmabench.engine.run import Outcome, run_plan
 from pmabench.guard.station import Station
 from pmabench.protocol.plan import HANDS_OUT, VENTED_WITHIN, Ask, Hold, Record, Set, WaitUntil
 from pmabench.session.checks import Check
-from pmabench.session.guided import Reading, guided_plan, load_text, moving_mass, steady
-from pmabench.session.self_test import LEAK, SelfTesting, refuse_backwards
+from pmabench.session.guided import guided_plan, put_on, steady
+from pmabench.session.self_test import SelfTesting, refuse_backwards
 from pmabench.session.several import longest
-from pmabench.session.stepping import REST, SPEED, VALVE, WAY
+from pmabench.session.stepping import LEAK, REST, SPEED, VALVE, WAY, isolation
 
 FILE = "session"
 
@@ -148,16 +148,15 @@ def take_zeros(executor: Executor, mounted: Mounted) -> dict[str, ZeroTaken]:
         taken |= {name: _take(executor, name, wanted[name], "vented, valves open") for name in pressures}
         executor.guard.valves(closed=True)
     if "force" in wanted:
-        text = load_text(mounted, 0.0)
-        executor.do(Ask(PHASE, text, "vented", (0.0, moving_mass(mounted, 0.0))))
+        put_on(executor, mounted, PHASE, 0.0)
         taken["force"] = _take(executor, "force", wanted["force"], "unloaded")
     for name in (name for name in PLACED if name in wanted):
-        zero, load = wanted[name], None
+        zero = wanted[name]
         text = f"Bring the free end to where its {name} is zero: {zero.at}."
-        if zero.load is not None:
-            load = (zero.load * mounted.bench.gravity, moving_mass(mounted, zero.load))
-            text = f"{load_text(mounted, zero.load)} {text}"
-        executor.do(Ask(PHASE, text, "vented", load))
+        if zero.load is None:
+            executor.do(Ask(PHASE, text, "vented"))
+        else:
+            put_on(executor, mounted, PHASE, zero.load, text)
         taken[name] = _take(executor, name, zero, zero.at)
     return taken
 
@@ -173,7 +172,7 @@ def _vent(executor: Executor) -> None:
 
 
 def _take(executor: Executor, name: str, zero: Zero, condition: str) -> ZeroTaken:
-    reading: Reading = steady(executor.acquisition, name, DRIFT * zero.most, seconds=STEADY, within=STEADY_WITHIN)
+    reading = steady(executor.acquisition, name, DRIFT * zero.most, seconds=STEADY, within=STEADY_WITHIN)
     quantity = CHANNEL_QUANTITY[name]
     if abs(reading.mean) > zero.most:
         channel = next(c for c in executor.bench.channels if c.name == name)
@@ -241,8 +240,7 @@ def session_length(mounted: Mounted) -> Length | None:
         shortest += VALVE if any(valve.safe == "open" for valve in mounted.bench.valves) else 0.0
         if any(output.name == "displacement" for output in mounted.bench.outputs):
             shortest += 2 * (WAY / SPEED + 2 * REST)
-        isolation = mounted.bench_file.air.isolation_valve
-        if any(valve.name == isolation and valve.safe == "closed" for valve in mounted.bench.valves):
+        if isolation(mounted):
             shortest += 2 * test.settle + 1.0 + LEAK
         if weights:
             loaded = test.load is not None
@@ -298,7 +296,8 @@ def ensure(
     why = "asked for" if anew else out_of_date(session, mounted, utc_now())
     if why:
         say(f"a session comes first, because {why}" if not anew else "a new session, as asked for")
-        session = _hold(mounted, operator, out, operator_name, skip_warm_up, report, progress, begun)
+        run: dict[str, Any] = {"out": out, "operator_name": operator_name, "progress": progress, "begun": begun}
+        session = _hold(mounted, operator, skip_warm_up, report, run)
         if out is not None:
             keep(mounted.bench.name, session)
     else:
@@ -311,14 +310,11 @@ def ensure(
 def _hold(
     mounted: Mounted,
     operator: Operator,
-    out: Path | None,
-    operator_name: str,
     skip_warm_up: str,
     report: Callable[[Sequence[Check]], None],
-    progress: Callable[[Progress], None],
-    begun: Callable[[Path], None],
+    run: Mapping[str, Any],
 ) -> dict[str, Any]:
-    """Execute the run of the session; its results, to be kept for later runs."""
+    """Execute the run of the session with what `run` gives to `run_plan`; its results, to be kept for later runs."""
     declared = mounted.session
     assert declared is not None  # noqa: S101  (looked at before)
     skipped = {"warm-up": skip_warm_up} if skip_warm_up and declared.warm_up is not None else {}
@@ -342,11 +338,8 @@ def _hold(
         guided_plan(mounted, "session", f"session of {mounted.bench.name}"),
         mounted,
         operator,
-        out=out,
-        operator_name=operator_name,
+        **run,
         deviations=[*(f"{what} skipped because {why}" for what, why in skipped.items()), *shortened],
-        progress=progress,
-        begun=begun,
         before_proof=test.before_proof if test is not None else lambda _executor: None,
         procedure=procedure,
     )
@@ -360,7 +353,7 @@ def _hold(
         "bench": mounted.bench.name,
         "at": started.isoformat(timespec="seconds"),
         "valid_until": (started + timedelta(seconds=declared.valid)).isoformat(timespec="seconds"),
-        "operator": operator_name,
+        "operator": run["operator_name"],
         "specimen": specimen(mounted),
         "calibrations": calibrations(mounted),
         "zeros": as_data(zeros),

@@ -103,6 +103,10 @@ class Wiring:
         """The inputs of channels as device.input."""
         return " and ".join(f"{self.channels[name].device}.{self.channels[name].input}" for name in names)
 
+    def output(self, name: str) -> str:
+        """An output as device.output."""
+        return f"{self.outputs[name].device}.{self.outputs[name].output}"
+
     def zero_limit(self, name: str) -> float:
         """How far from zero a vented, unloaded channel may read [SI]."""
         session, channel = self.mounted.session, self.channels[name]
