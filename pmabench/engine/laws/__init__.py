@@ -42,6 +42,13 @@ def law_of(name: str) -> Any:
     return brought[name].load()
 
 
+def refuse_wrong(*rules: tuple[bool, str]) -> None:
+    """Raise ValueError with the text of every rule that is not kept."""
+    wrong = [text for good, text in rules if not good]
+    if wrong:
+        raise ValueError("; ".join(wrong))
+
+
 @dataclass(frozen=True)
 class Pulse:
     """Open a valve now, for a time that its device keeps: no multiple of the sample period."""

@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from math import isfinite
 from typing import Any
 
+from pmabench.engine.laws import refuse_wrong
+
 LARGEST_FACTOR = 1.08
 SKIPPED = 2
 """Swings right after a kick that do not count in the ratio: faster modes are still in them."""
@@ -91,25 +93,19 @@ class GainSteps:
         window: float = 5e-3,
         beyond: int = 1,
     ) -> None:
-        wrong = [
-            text
-            for good, text in (
-                (
-                    1.0 < factor <= LARGEST_FACTOR,
-                    f"factor must be above 1 and at most {LARGEST_FACTOR}, not {factor:g}",
-                ),
-                (half_periods >= 8, f"half_periods must be at least 8, not {half_periods}"),
-                (start > 0, f"start must be above 0 Pa/m, not {start:g}"),
-                (low <= bias <= high, f"bias {bias:g} is outside the range of the command, {low:g} to {high:g}"),
-                (kick > 0, f"kick must be above 0 m, not {kick:g}"),
-                (window > kick, f"window must be larger than kick, {kick:g}, not {window:g}"),
-                (noise >= 0 and settle >= 0 and trim >= 0, "noise, settle and trim must not be negative"),
-                (level_time > 0 and levels >= 1 and beyond >= 1, "level_time, levels and beyond must be above 0"),
-            )
-            if not good
-        ]
-        if wrong:
-            raise ValueError("; ".join(wrong))
+        refuse_wrong(
+            (
+                1.0 < factor <= LARGEST_FACTOR,
+                f"factor must be above 1 and at most {LARGEST_FACTOR}, not {factor:g}",
+            ),
+            (half_periods >= 8, f"half_periods must be at least 8, not {half_periods}"),
+            (start > 0, f"start must be above 0 Pa/m, not {start:g}"),
+            (low <= bias <= high, f"bias {bias:g} is outside the range of the command, {low:g} to {high:g}"),
+            (kick > 0, f"kick must be above 0 m, not {kick:g}"),
+            (window > kick, f"window must be larger than kick, {kick:g}, not {window:g}"),
+            (noise >= 0 and settle >= 0 and trim >= 0, "noise, settle and trim must not be negative"),
+            (level_time > 0 and levels >= 1 and beyond >= 1, "level_time, levels and beyond must be above 0"),
+        )
         self.setpoint, self.bias, self.low, self.high, self.channel = setpoint, bias, low, high, channel
         self.factor, self.half_periods, self.kick = factor, half_periods, kick
         self.settle, self.trim, self.level_time = settle, trim, level_time
@@ -209,10 +205,7 @@ class GainSteps:
             "levels": [dict(level) for level in self._levels],
             "ended": self._ended,
             "found": found,
-            "setpoint": self.setpoint,
-            "bias": self.bias,
-            "low": self.low,
-            "high": self.high,
+            **{"setpoint": self.setpoint, "bias": self.bias, "low": self.low, "high": self.high},
             "command": self._command,
         }
         if self.done and not found:

@@ -9,86 +9,8 @@ from collections.abc import Mapping
 from math import inf, isfinite
 from typing import Any
 
-from pmabench.model.pid import ANTI_WINDUP, PID
+from pmabench.model.pid import PID
 from pmabench.model.reference_path import ReferencePath
-
-
-class Proportional:
-    """u = bias + gain (setpoint - y), clamped to `low`..`high`.
-
-    Parameters
-    ----------
-    setpoint : value of `channel` to hold [SI of the channel, m for displacement]
-    bias : command at which the error is expected to be 0 [SI of the output, Pa for pressure]
-    gain : K_p [output per channel, Pa/m]
-    duration : how long to control [s]
-    low, high : range of the command [SI of the output]
-    channel : measured channel, `displacement`
-    """
-
-    def __init__(
-        self,
-        *,
-        setpoint: float,
-        bias: float,
-        gain: float,
-        duration: float,
-        low: float,
-        high: float,
-        channel: str = "displacement",
-    ) -> None:
-        if not low <= bias <= high:
-            raise ValueError(f"bias {bias:g} is outside the range of the command, {low:g} to {high:g}")
-        if not duration > 0:
-            raise ValueError(f"duration must be above 0 s, not {duration:g}")
-        self.setpoint, self.bias, self.gain = setpoint, bias, gain
-        self.duration, self.low, self.high, self.channel = duration, low, high, channel
-        self.done = False
-        self._ended = "limit"
-        self._start: float | None = None
-        self._t = 0.0
-        self._command = bias
-        self._error = 0.0
-        self._samples = self._saturated = 0
-
-    def update(self, t: float, values: Mapping[str, float]) -> float:
-        """The command [SI of the output] for the sample `values` taken at `t` [s]."""
-        if self._start is None:
-            self._start = t
-        if self.done:
-            return self._command
-        self._t = t
-        measured = values.get(self.channel)
-        if measured is None or not isfinite(measured):
-            self.done, self._ended, self._command = True, "no signal", self.bias
-            return self.bias
-        self._error = error = self.setpoint - measured
-        command = self.bias + self.gain * error
-        self._samples += 1
-        if not self.low <= command <= self.high:
-            self._saturated += 1
-            command = self.low if command < self.low else self.high
-        self._command = command
-        if t - self._start >= self.duration:
-            self.done, self._ended = True, "time"
-        return command
-
-    def result(self) -> dict[str, Any]:
-        """What happened, as plain data: last error and command, share of clamped samples, `ended`.
-
-        `ended` is `time` (as planned), `no signal`, or `limit` where the caller stopped it.
-        """
-        return {
-            "setpoint": self.setpoint,
-            "bias": self.bias,
-            "gain": self.gain,
-            "t0": self._start,
-            "t1": self._t,
-            "error": self._error,
-            "command": self._command,
-            "saturated": self._saturated / self._samples if self._samples else 0.0,
-            "ended": self._ended,
-        }
 
 
 class PositionLoop:
@@ -110,47 +32,24 @@ class PositionLoop:
         setpoint: float,
         duration: float,
         K_p: float,
-        low: float,
-        high: float,
         T_i: float | None = None,
-        T_d: float = 0.0,
-        N: float = 10.0,
-        anti_windup: str = ANTI_WINDUP[0],
-        tracking: float | None = None,
-        start: float = 0.0,
         channel: str = "displacement",
         path: Mapping[str, Any] | None = None,
         feedforward: Mapping[str, Any] | None = None,
+        **controller: Any,
     ) -> None:
         if not isfinite(setpoint):
             raise ValueError("the set-point is no number")
         if not duration > 0:
             raise ValueError(f"duration must be above 0 s, not {duration:g}")
-        self.controller = PID(
-            K_p,
-            inf if T_i is None else T_i,
-            T_d,
-            N=N,
-            low=low,
-            high=high,
-            anti_windup=anti_windup,
-            tracking=tracking,
-            start=start,
-        )
+        pid = self.controller = PID(K_p, inf if T_i is None else T_i, **controller)
         self.setpoint, self.duration, self.channel = setpoint, duration, channel
         self.path = None if path is None else ReferencePath(**path)
         self._ahead = [] if feedforward is None else [float(value) for value in feedforward["values"]]
         self._every = 1.0 if feedforward is None else float(feedforward["every"])
         self._settings: dict[str, Any] = {
-            "K_p": K_p,
-            "T_i": T_i,
-            "T_d": T_d,
-            "N": N,
-            "low": low,
-            "high": high,
-            "start": start,
-            "anti_windup": anti_windup,
-            "tracking": tracking,
+            **{"K_p": K_p, "T_i": T_i, "T_d": pid.T_d, "N": pid.N, "low": pid.low, "high": pid.high},
+            **{"start": pid.output, "anti_windup": pid.anti_windup, "tracking": controller.get("tracking")},
             "channel": channel,
             **({} if path is None else {"path": dict(path), "feedforward": feedforward is not None}),
         }
@@ -213,3 +112,39 @@ class PositionLoop:
         if self._ended == "no signal":
             data |= {"found": False, "reason": f"{self.channel} gave no number"}
         return data
+
+
+class Proportional(PositionLoop):
+    """u = bias + gain (setpoint - y), clamped to `low`..`high`; the command is the bias without a signal.
+
+    Parameters
+    ----------
+    setpoint : value of `channel` to hold [SI of the channel, m for displacement]
+    bias : command at which the error is expected to be 0 [SI of the output, Pa for pressure]
+    gain : K_p [output per channel, Pa/m]
+    duration : how long to control [s]
+    low, high : range of the command [SI of the output]
+    channel : measured channel, `displacement`
+    """
+
+    def __init__(self, *, bias: float, gain: float, low: float, high: float, **held: Any) -> None:
+        if not low <= bias <= high:
+            raise ValueError(f"bias {bias:g} is outside the range of the command, {low:g} to {high:g}")
+        super().__init__(K_p=gain, start=bias, low=low, high=high, **held)
+        self.bias, self.gain = bias, gain
+
+    def update(self, t: float, values: Mapping[str, float]) -> float:
+        """The command [SI of the output] for the sample `values` taken at `t` [s]."""
+        command = super().update(t, values)
+        return self.bias if self._ended == "no signal" else command
+
+    def result(self) -> dict[str, Any]:
+        """What happened, as plain data: last error and command, share of clamped samples, `ended`.
+
+        `ended` is `time` (as planned), `no signal`, or `limit` where the caller stopped it.
+        """
+        found = super().result()
+        found["command"] = self.bias if self._ended == "no signal" else found["command"]
+        names = ("t0", "t1", "error", "command", "saturated", "ended")
+        about = {"setpoint": self.setpoint, "bias": self.bias, "gain": self.gain}
+        return about | {name: found[name] for name in names}

@@ -10,6 +10,8 @@ from collections.abc import Mapping
 from math import inf, isfinite
 from typing import Any
 
+from pmabench.engine.laws import refuse_wrong
+
 MOST_ASYMMETRY = 0.5
 FOUND = "levels"
 REASONS = {
@@ -65,25 +67,19 @@ class Relay:
         watched: Mapping[str, tuple[float, float] | list[float]] | None = None,
     ) -> None:
         up, down = 1 + asymmetry, 1 - asymmetry
-        wrong = [
-            text
-            for good, text in (
-                (
-                    len(amplitudes) == len(hysteresis) >= 1 and min((*amplitudes, *hysteresis)) > 0,
-                    "amplitudes and hysteresis must be as many, at least one each, and above 0",
-                ),
-                (0 <= asymmetry <= MOST_ASYMMETRY, f"asymmetry must be 0 to {MOST_ASYMMETRY:g}, not {asymmetry:g}"),
-                (
-                    all(low <= bias - d * down and bias + d * up <= high for d in amplitudes),
-                    f"bias {bias:g} with an amplitude leaves the range of the command, {low:g} to {high:g}",
-                ),
-                (all(window > h for h in hysteresis), "window must be larger than every hysteresis"),
-                (periods >= 2 and level_time > 0 and settle > 0, "periods (2), level_time and settle are too small"),
-            )
-            if not good
-        ]
-        if wrong:
-            raise ValueError("; ".join(wrong))
+        refuse_wrong(
+            (
+                len(amplitudes) == len(hysteresis) >= 1 and min((*amplitudes, *hysteresis)) > 0,
+                "amplitudes and hysteresis must be as many, at least one each, and above 0",
+            ),
+            (0 <= asymmetry <= MOST_ASYMMETRY, f"asymmetry must be 0 to {MOST_ASYMMETRY:g}, not {asymmetry:g}"),
+            (
+                all(low <= bias - d * down and bias + d * up <= high for d in amplitudes),
+                f"bias {bias:g} with an amplitude leaves the range of the command, {low:g} to {high:g}",
+            ),
+            (all(window > h for h in hysteresis), "window must be larger than every hysteresis"),
+            (periods >= 2 and level_time > 0 and settle > 0, "periods (2), level_time and settle are too small"),
+        )
         self.setpoint, self.bias, self.low, self.high = setpoint, bias, low, high
         self.amplitudes, self.hysteresis = tuple(amplitudes), tuple(hysteresis)
         self.periods, self.level_time, self.settle = periods, level_time, settle
