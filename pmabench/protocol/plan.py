@@ -282,10 +282,7 @@ class Plan:
 
     def duration(self) -> tuple[float, float]:
         """Shortest and longest duration [s], without the operator's time."""
-        return (
-            sum(step.shortest() for step in self.steps),
-            sum(step.longest() for step in self.steps),
-        )
+        return sum(step.shortest() for step in self.steps), sum(step.longest() for step in self.steps)
 
     def rows(self) -> int:
         """Most samples that can be recorded."""

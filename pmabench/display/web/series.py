@@ -40,46 +40,40 @@ class _Level:
 
     def __init__(self, channels: int) -> None:
         self.count = 0
-        self._k = np.empty(256, np.int64)
-        self._ends = np.empty((2, 256, channels), np.float32)
+        ends = np.float32, (channels,)
+        self._rows = np.empty(256, np.dtype([("k", np.int64), ("low", *ends), ("high", *ends)]))
 
     def add(self, k: NDArray[np.int64], low: Array, high: Array) -> None:
         """Append buckets; the first is merged with the last that is there, where both are the same."""
-        last = self.count - 1
-        if last >= 0 and k[0] <= self._k[last]:
-            self._ends[0, last] = np.fmin(self._ends[0, last], low[0])
-            self._ends[1, last] = np.fmax(self._ends[1, last], high[0])
+        last = self._rows[max(self.count - 1, 0)]
+        if self.count and k[0] <= last["k"]:
+            last["low"], last["high"] = np.fmin(last["low"], low[0]), np.fmax(last["high"], high[0])
             k, low, high = k[1:], low[1:], high[1:]
-        needed = self.count + len(k)
-        if needed > len(self._k):
-            more = max(needed, 2 * len(self._k))
-            self._k = np.concatenate([self._k, np.empty(more - len(self._k), np.int64)])
-            ends = np.empty((2, more, self._ends.shape[2]), np.float32)
-            ends[:, : self.count] = self._ends[:, : self.count]
-            self._ends = ends
-        self._k[self.count : needed] = k
-        self._ends[0, self.count : needed], self._ends[1, self.count : needed] = low, high
+        needed, there = self.count + len(k), len(self._rows)
+        if needed > there:
+            self._rows = np.concatenate([self._rows, np.empty(max(needed, 2 * there) - there, self._rows.dtype)])
+        new = self._rows[self.count : needed]
+        new["k"], new["low"], new["high"] = k, low, high
         self.count = needed
 
     def forget(self, before: int) -> None:
         """Drop buckets before number `before`, once they are more than half of all."""
-        first = int(np.searchsorted(self._k[: self.count], before))
+        first = int(np.searchsorted(self._rows["k"][: self.count], before))
         if 2 * first > self.count > 1024:
             left = self.count - first
-            self._k[:left] = self._k[first : self.count].copy()
-            self._ends[:, :left] = self._ends[:, first : self.count].copy()
+            self._rows[:left] = self._rows[first : self.count].copy()
             self.count = left
 
     def between(self, first: int, last: int) -> tuple[NDArray[np.int64], NDArray[np.float32], NDArray[np.float32]]:
         """Copies of the buckets from number `first` to number `last`."""
-        k = self._k[: self.count]
-        cut = slice(int(np.searchsorted(k, first)), int(np.searchsorted(k, last, side="right")))
-        return k[cut].copy(), self._ends[0, cut].copy(), self._ends[1, cut].copy()
+        k = self._rows["k"][: self.count]
+        cut = self._rows[int(np.searchsorted(k, first)) : int(np.searchsorted(k, last, side="right"))].copy()
+        return cut["k"], cut["low"], cut["high"]
 
     @property
     def ends(self) -> tuple[int, int]:
         """Numbers of the first and the last bucket."""
-        return int(self._k[0]), int(self._k[self.count - 1])
+        return int(self._rows["k"][0]), int(self._rows["k"][self.count - 1])
 
 
 class Buckets:

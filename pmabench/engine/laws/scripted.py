@@ -16,7 +16,7 @@ import numpy as np
 
 from pmabench.base.errors import LimitTripped
 from pmabench.base.quantities import CHANNEL_QUANTITY, show, without_number
-from pmabench.engine.acquire import Samples, Stop
+from pmabench.engine.acquire import Samples
 from pmabench.engine.seek import Moves
 
 
@@ -85,7 +85,7 @@ def _cross(
     samples = max(1, round(window * moves.acquisition.rate))
     seen = _Crossing(channel, threshold, samples, above=above)
     end = min(moves.ramp(origin, target, rate) + 1.0, moves.deadline)
-    stopped = moves.acquisition.until(end, seen.stop())
+    stopped = moves.acquisition.until(end, seen)
     if stopped is None:
         return None
     return {"t": stopped, **seen.at}
@@ -99,24 +99,13 @@ class _Crossing:
         self.run = 0
         self.at: dict[str, float] = {}
 
-    def stop(self) -> Stop:
-        return self._stop
-
-    def _stop(self, block: Samples) -> int | None:
+    def __call__(self, block: Samples) -> int | None:
         x = block.values.get(self.channel)
         if x is None:
             return None
         beyond = x > self.threshold if self.above else x < self.threshold
-        if not beyond.any():
-            self.run = 0
-            return None
-        breaks = np.flatnonzero(~beyond)
         index = np.arange(len(beyond))
-        last = np.full(len(beyond), -1 - self.run)
-        if len(breaks):
-            position = np.searchsorted(breaks, index, side="right") - 1
-            last = np.where(position >= 0, breaks[np.maximum(position, 0)], -1 - self.run)
-        runs = index - last
+        runs = index - np.maximum.accumulate(np.where(beyond, -1 - self.run, index))  # since the last one not beyond
         hits = np.flatnonzero(beyond & (runs >= self.samples))
         if len(hits) == 0:
             self.run = int(runs[-1]) if beyond[-1] else 0
