@@ -72,7 +72,6 @@ def calibrate(
     *,
     operator_name: str = "",
     progress: Callable[[Progress], None] = lambda _progress: None,
-    begun: Callable[[Path], None] = lambda _folder: None,
 ) -> Calibrated:
     """Calibrate; raises UsageError where the bench cannot, before anything is opened."""
     channel, output = check(mounted, request)
@@ -104,10 +103,10 @@ def calibrate(
         out=out,
         operator_name=operator_name,
         progress=progress,
-        begun=begun,
         procedure=procedure,
     )
-    raw_unit = channel.raw_unit if channel is not None else _raw_unit(mounted)
+    # of the regulator the unit of its command, as in its scale
+    raw_unit = channel.raw_unit if channel else str(mounted.bench_file.set_points["pressure"].scale[0][0][1])
     return Calibrated(outcome, fits[0] if fits else None, raw_unit)
 
 
@@ -263,11 +262,6 @@ class _Work:
             self._executor.do(Set(PHASE, "pressure", self._request.hold))
             self._executor.do(Hold(PHASE, 5.0))
         return target
-
-
-def _raw_unit(mounted: Mounted) -> str:
-    """Unit of the regulator's command, as in its scale."""
-    return str(mounted.bench_file.set_points["pressure"].scale[0][0][1])
 
 
 def budget(found: Fit, quantity: str, raw_unit: str) -> list[tuple[str, str]]:

@@ -23,6 +23,7 @@ TRAVEL = 0.05
 """Speed of the actuator, of its highest."""
 STEPS = {"pressure": (1e3, 2e3, 5e3, 10e3, 20e3, 50e3), "displacement": (0.1e-3, 0.2e-3, 0.5e-3, 1e-3, 2e-3, 5e-3)}
 """Steps that can be chosen [SI]."""
+MOVES = {"+": ("pressure", 1), "-": ("pressure", -1), "]": ("displacement", 1), "[": ("displacement", -1)}
 KEYS = "+ - pressure   ] [ actuator   > < step   0 no pressure   z tare   v vent and end"
 
 
@@ -48,10 +49,9 @@ class Jog:
 
     def press(self, key: str) -> str:
         """Do what a key says; what was done, in words, empty for a key that means nothing."""
-        if key in "+-" and "pressure" in self._outputs:
-            return self._step("pressure", 1 if key == "+" else -1)
-        if key in "][" and "displacement" in self._outputs:
-            return self._step("displacement", 1 if key == "]" else -1)
+        name, way = MOVES.get(key, ("", 0))
+        if name in self._outputs:
+            return self._step(name, way)
         if key in "><":
             self.size = min(max(self.size + (1 if key == ">" else -1), 0), len(STEPS["pressure"]) - 1)
             return f"step {self.steps()}"
