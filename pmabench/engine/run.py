@@ -21,8 +21,8 @@ from pmabench.engine.bench_checks import LoadImplausible, agree, as_data, not_pr
 from pmabench.engine.ending import Signals, exit_code, sentence, status_of, zero_check
 from pmabench.engine.executor import Executor, Progress
 from pmabench.engine.operator import Operator
-from pmabench.engine.own import OwnDevices
 from pmabench.engine.recorder import Forgiving, NoRecord, Recorder
+from pmabench.engine.source import OwnDevices
 from pmabench.guard.guard import Guard, Vent
 from pmabench.guard.remote import AnyGuard, RemoteGuard
 from pmabench.protocol.plan import Plan, Step, TrialRecord

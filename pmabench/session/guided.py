@@ -21,8 +21,8 @@ from pmabench.bench.interface import CompiledBench, Identity
 from pmabench.bench.session import Stack
 from pmabench.engine.acquire import Acquisition, Array, Samples, Stop
 from pmabench.engine.executor import Executor
-from pmabench.engine.own import OwnDevices
 from pmabench.engine.recorder import NoRecord
+from pmabench.engine.source import OwnDevices
 from pmabench.guard.guard import Guard
 from pmabench.guard.remote import RemoteGuard
 from pmabench.protocol.common import FORCE_MASS
