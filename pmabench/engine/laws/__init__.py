@@ -49,6 +49,11 @@ def refuse_wrong(*rules: tuple[bool, str]) -> None:
         raise ValueError("; ".join(wrong))
 
 
+def outside_range(bias: float, low: float, high: float) -> str:
+    """The sentence for a bias [SI of the output] that is no command."""
+    return f"bias {bias:g} is outside the range of the command, {low:g} to {high:g}"
+
+
 @dataclass(frozen=True)
 class Pulse:
     """Open a valve now, for a time that its device keeps: no multiple of the sample period."""

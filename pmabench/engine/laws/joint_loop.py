@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from pmabench.engine.laws import Orders
@@ -16,6 +17,7 @@ from pmabench.engine.laws import Orders
 PRESSURES = ("pressure_1", "pressure_2")
 
 
+@dataclass(kw_only=True, eq=False)
 class JointLoop:
     """P_i = P_i0(reference) + G_i(reference) (K_i times the integral of reference minus angle).
 
@@ -32,28 +34,24 @@ class JointLoop:
     called_every : time between two commands [s]; the regulators are ten times slower
     """
 
-    def __init__(
-        self,
-        *,
-        goals: Sequence[Sequence[float]],
-        duration: float,
-        table: Mapping[str, Sequence[float]],
-        K_i: float,
-        reference_lag: float,
-        low: float,
-        high: float,
-        sine: Mapping[str, float] | None = None,
-        called_every: float = 0.01,
-    ) -> None:
-        if not goals or not duration > 0 or len(table["angle"]) < 2:
+    goals: Sequence[Sequence[float]]
+    duration: float
+    table: Mapping[str, Sequence[float]]
+    K_i: float
+    reference_lag: float
+    low: float
+    high: float
+    sine: Mapping[str, float] | None = None
+    called_every: float = 0.01
+
+    def __post_init__(self) -> None:
+        if not self.goals or not self.duration > 0 or len(self.table["angle"]) < 2:
             raise ValueError("a joint needs an angle to go to, a duration above 0 s, and a table of two angles or more")
-        self.goals = [(float(begin), float(angle)) for begin, angle in goals]
-        self.duration, self.K_i, self.reference_lag, self.low, self.high = duration, K_i, reference_lag, low, high
-        self.called_every = called_every
-        self._angles = [float(angle) for angle in table["angle"]]
+        self._goals = [(float(begin), float(angle)) for begin, angle in self.goals]
+        self._angles = [float(angle) for angle in self.table["angle"]]
         names = (*PRESSURES, "gain_1", "gain_2")
-        self._rows = [tuple(map(float, row)) for row in zip(*(table[name] for name in names), strict=True)]
-        self._sine = dict(sine or {})
+        self._rows = [tuple(map(float, row)) for row in zip(*(self.table[name] for name in names), strict=True)]
+        self._sine = dict(self.sine or {})
         self._first: float | None = None
         self._t = self._lagged = self._reference = self._torque = 0.0
         self._samples = self._clipped = 0
@@ -75,7 +73,7 @@ class JointLoop:
         h, self._t = t - self._t, t
         since = t - self._first
         keep = math.exp(-h / self.reference_lag) if self.reference_lag > 0 else 0.0
-        goal = next((at for begin, at in reversed(self.goals) if since >= begin - 1e-9), angle)
+        goal = next((at for begin, at in reversed(self._goals) if since >= begin - 1e-9), angle)
         self._lagged = goal + (self._lagged - goal) * keep
         self._reference = self._lagged + (self._reference - self._lagged) * keep
         reference = self._reference + self._swing(since)
@@ -113,7 +111,7 @@ class JointLoop:
         `ended` is `time` (as planned), `no signal`, or `limit` where the caller stopped it.
         """
         data: dict[str, Any] = {
-            "goals": [list(goal) for goal in self.goals],
+            "goals": [list(goal) for goal in self._goals],
             "sine": self._sine,
             "reference_lag": self.reference_lag,
             "K_i": self.K_i,

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from pmabench.engine.laws import Orders, Pulse
@@ -26,6 +27,7 @@ STEEPEST = math.radians(20)
 """Paper 3's platform tilts so far."""
 
 
+@dataclass(kw_only=True, eq=False)
 class PlatformLoop:
     """M = K_p e + K_i (integral of e), pressures that make it, and on-times that bring the muscles there.
 
@@ -44,38 +46,33 @@ class PlatformLoop:
     platform : what it is made of, as in `model.many.platform.described`
     """
 
-    def __init__(
-        self,
-        *,
-        goals: Sequence[Sequence[float]],
-        duration: float,
-        K_p: float = 10.0,
-        K_i: float = 180.0,
-        most: float = 10.0,
-        reference_lag: float = 1 / 20,
-        attitude_lag: float = 1 / (2 * math.pi * 10),
-        period: float = 0.02,
-        least: float = 0.002,
-        mean: float = 2.5e5,
-        low: float = 0.2e5,
-        high: float = 5.5e5,
-        chain: str = CHAINS[0],
-        gyro_time: float = 0.5,
-        platform: Mapping[str, float] | None = None,
-    ) -> None:
-        if chain not in CHAINS:
-            raise ValueError(f'chain "{chain}" is neither {CHAINS[0]} nor {CHAINS[1]}')
-        if not goals or not duration > 0:
+    goals: Sequence[Sequence[float]]
+    duration: float
+    K_p: float = 10.0
+    K_i: float = 180.0
+    most: float = 10.0
+    reference_lag: float = 1 / 20
+    attitude_lag: float = 1 / (2 * math.pi * 10)
+    period: float = 0.02
+    least: float = 0.002
+    mean: float = 2.5e5
+    low: float = 0.2e5
+    high: float = 5.5e5
+    chain: str = CHAINS[0]
+    gyro_time: float = 0.5
+    platform: Mapping[str, float] | None = None
+
+    def __post_init__(self) -> None:
+        if self.chain not in CHAINS:
+            raise ValueError(f'chain "{self.chain}" is neither {CHAINS[0]} nor {CHAINS[1]}')
+        if not self.goals or not self.duration > 0:
             raise ValueError("a platform needs an attitude to go to, and a duration above 0 s")
-        steep = max(math.acos(math.cos(phi) * math.cos(psi)) for _, phi, psi in goals)
+        steep = max(math.acos(math.cos(phi) * math.cos(psi)) for _, phi, psi in self.goals)
         if not steep <= STEEPEST * (1 + 1e-9):
             raise ValueError(f"a tilt of {math.degrees(steep):.3g} deg is beyond {math.degrees(STEEPEST):.3g} deg")
-        self.platform = described(platform or {})
-        self._inverse = Inverse(self.platform, low, high, mean)
-        self.goals = [(float(begin), (float(phi), float(psi))) for begin, phi, psi in goals]
-        self.duration, self.K_p, self.K_i, self.most = duration, K_p, K_i, most
-        self._period, self.least, self.chain, self.gyro_time = period, least, chain, gyro_time
-        self._lags = reference_lag, attitude_lag
+        self._platform = described(self.platform or {})
+        self._inverse = Inverse(self._platform, self.low, self.high, self.mean)
+        self._goals = [(float(begin), (float(phi), float(psi))) for begin, phi, psi in self.goals]
         self._reference: Lags | None = None
         self._filtered: Lags | None = None
         self._turned: Pair | None = None
@@ -101,7 +98,7 @@ class PlatformLoop:
             return Orders()
         if self._first is None:
             self._first = self._t = t
-            self._next = t + self._period + APART  # a pulse of the loop before may still be open for so long
+            self._next = t + self.period + APART  # a pulse of the loop before may still be open for so long
         h, self._t = t - self._t, t
         reference, attitude = self._follow(h, t - self._first, values)
         error = (reference[0] - attitude[0], reference[1] - attitude[1])
@@ -114,7 +111,7 @@ class PlatformLoop:
             return Orders()
         if t < self._next - 1e-9:
             return Orders()
-        self._next += self._period
+        self._next += self.period
         goal = self._goal(t - self._first) or reference
         moment = self.K_p * error[0] + self._integral[0], self.K_p * error[1] + self._integral[1]
         return self._orders(t, goal, reference if self.chain == "reference" else attitude, moment, values)
@@ -123,7 +120,7 @@ class PlatformLoop:
         """The reference, and the attitude as it is known, `h` [s] after the sample before."""
         measured = tilt(*(values[name] for name in ACCELERATIONS))
         if self._reference is None or self._filtered is None:
-            self._reference, self._filtered = Lags(self._lags[0], measured), Lags(self._lags[1], measured)
+            self._reference, self._filtered = Lags(self.reference_lag, measured), Lags(self.attitude_lag, measured)
         reference = self._reference.update(h, self._goal(since) or measured)
         if not all(math.isfinite(values.get(name, math.nan)) for name in TURNS[:2]):
             return reference, self._filtered.update(h, measured)
@@ -131,7 +128,7 @@ class PlatformLoop:
 
     def _goal(self, since: float) -> Pair | None:
         """Where to go, so long after the first sample [s]; None before the first goal."""
-        return next((at for begin, at in reversed(self.goals) if since >= begin - 1e-9), None)
+        return next((at for begin, at in reversed(self._goals) if since >= begin - 1e-9), None)
 
     def _complementary(self, h: float, measured: Pair, values: Mapping[str, float]) -> Pair:
         """What the gyroscope says quickly and the accelerometer slowly."""
@@ -152,8 +149,8 @@ class PlatformLoop:
         pulses = []
         for i, aim in enumerate(wanted.pressures):
             P = values[PRESSURES[i]]
-            seconds = min(on_time(self.platform, P, aim, wanted.contractions[i]), self._period)
-            seconds = max(seconds, -self._period)
+            seconds = min(on_time(self._platform, P, aim, wanted.contractions[i]), self.period)
+            seconds = max(seconds, -self.period)
             valve, other = ("fill", "exhaust") if seconds > 0 else ("exhaust", "fill")
             if abs(seconds) >= self.least and self._shuts.get(f"{other}_{i + 1}", -math.inf) <= t - APART:
                 pulses.append(Pulse(f"{valve}_{i + 1}", abs(seconds)))
@@ -167,9 +164,9 @@ class PlatformLoop:
         `ended` is `time` (as planned), `no signal`, or `limit` where the caller stopped it.
         """
         data: dict[str, Any] = {
-            "goals": [[begin, *at] for begin, at in self.goals],
+            "goals": [[begin, *at] for begin, at in self._goals],
             "chain": self.chain,
-            "reference_lag": self._lags[0],
+            "reference_lag": self.reference_lag,
             "t0": self._first,
             "t1": self._t,
             "saturated": self._clipped / self._periods if self._periods else 0.0,

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from math import inf, isfinite
 from typing import Any
 
+from pmabench.engine.laws import outside_range
 from pmabench.model.pid import PID
 from pmabench.model.reference_path import ReferencePath
 
@@ -129,7 +130,7 @@ class Proportional(PositionLoop):
 
     def __init__(self, *, bias: float, gain: float, low: float, high: float, **held: Any) -> None:
         if not low <= bias <= high:
-            raise ValueError(f"bias {bias:g} is outside the range of the command, {low:g} to {high:g}")
+            raise ValueError(outside_range(bias, low, high))
         super().__init__(K_p=gain, start=bias, low=low, high=high, **held)
         self.bias, self.gain = bias, gain
 
