@@ -73,6 +73,28 @@ class Orders:
     """Set-points of outputs whose regulators bring the muscles there, by name [SI]."""
 
 
+class Timed:
+    """What a law that lasts a time keeps: its first and newest sample, how often a limit was in its way, its end."""
+
+    done = False
+    _ended = "limit"
+    _first: float | None = None
+    _t = 0.0
+    _samples = _clipped = 0
+
+    def _end(self, why: str) -> None:
+        self.done, self._ended = True, why
+
+    def _how_it_went(self, lost: str) -> dict[str, Any]:
+        """Times t0, t1 [s], share of samples with a limit in the way, why it ended; `lost` says which signal was.
+
+        `ended` is `time` (as planned), `no signal`, or `limit` where the caller stopped it.
+        """
+        saturated = self._clipped / self._samples if self._samples else 0.0
+        data = {"t0": self._first, "t1": self._t, "saturated": saturated, "ended": self._ended}
+        return data | ({"found": False, "reason": lost} if self._ended == "no signal" else {})
+
+
 class LawOfSeveral(Protocol):
     """A law that is called at every sample and steers several quantities, by pulses of valves or by set-points.
 

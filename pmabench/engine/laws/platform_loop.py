@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from pmabench.engine.laws import Orders, Pulse
+from pmabench.engine.laws import Orders, Pulse, Timed
 from pmabench.model.many.platform import described
 from pmabench.model.platform_control import Inverse, Lags, Pair, on_time, tilt
 
@@ -28,7 +28,7 @@ STEEPEST = math.radians(20)
 
 
 @dataclass(kw_only=True, eq=False)
-class PlatformLoop:
+class PlatformLoop(Timed):
     """M = K_p e + K_i (integral of e), pressures that make it, and on-times that bring the muscles there.
 
     Parameters
@@ -78,13 +78,9 @@ class PlatformLoop:
         self._turned: Pair | None = None
         """Attitude of the complementary filter [rad]."""
         self._integral: Pair = (0.0, 0.0)
-        self._first: float | None = None
-        self._t = self._next = 0.0
-        self._clipped = self._periods = 0
+        self._next = 0.0
         self._shuts: dict[str, float] = {}
         """When the last pulse of each valve ends [s]."""
-        self.done = False
-        self._ended = "limit"
 
     def update(self, t: float, values: Mapping[str, float]) -> Orders:
         """Set-points and pulses for the sample `values` [SI] taken at `t` [s].
@@ -94,7 +90,7 @@ class PlatformLoop:
         if self.done:
             return Orders()
         if not all(math.isfinite(values.get(name, math.nan)) for name in (*PRESSURES, *ACCELERATIONS)):
-            self.done, self._ended = True, "no signal"
+            self._end("no signal")
             return Orders()
         if self._first is None:
             self._first = self._t = t
@@ -107,7 +103,7 @@ class PlatformLoop:
             self._clamped(self._integral[1] + self.K_i * h * error[1]),
         )
         if t - self._first >= self.duration:
-            self.done, self._ended = True, "time"
+            self._end("time")
             return Orders()
         if t < self._next - 1e-9:
             return Orders()
@@ -144,7 +140,7 @@ class PlatformLoop:
     def _orders(self, t: float, goal: Pair, attitude: Pair, moment: Pair, values: Mapping[str, float]) -> Orders:
         """Pressures that make `moment` [N.m] at `attitude` [rad], and the pulses that bring the muscles there."""
         wanted = self._inverse.wanted(attitude, moment)
-        self._periods += 1
+        self._samples += 1
         self._clipped += wanted.clipped
         pulses = []
         for i, aim in enumerate(wanted.pressures):
@@ -159,19 +155,10 @@ class PlatformLoop:
         return Orders(aims | {"tilt": math.acos(math.cos(goal[0]) * math.cos(goal[1]))}, tuple(pulses))
 
     def result(self) -> dict[str, Any]:
-        """What happened, as plain data: times [s], share of periods in which limits forbade the moment, why it ended.
-
-        `ended` is `time` (as planned), `no signal`, or `limit` where the caller stopped it.
-        """
-        data: dict[str, Any] = {
+        """What happened, as plain data; also the share of periods in which limits forbade the moment, why it ended."""
+        return {
             "goals": [[begin, *at] for begin, at in self._goals],
             "chain": self.chain,
             "reference_lag": self.reference_lag,
-            "t0": self._first,
-            "t1": self._t,
-            "saturated": self._clipped / self._periods if self._periods else 0.0,
-            "ended": self._ended,
+            **self._how_it_went("an accelerometer or a pressure gave no number"),
         }
-        if self._ended == "no signal":
-            data |= {"found": False, "reason": "an accelerometer or a pressure gave no number"}
-        return data

@@ -9,12 +9,12 @@ from collections.abc import Mapping
 from math import inf, isfinite
 from typing import Any
 
-from pmabench.engine.laws import outside_range
+from pmabench.engine.laws import Timed, outside_range
 from pmabench.model.pid import PID
 from pmabench.model.reference_path import ReferencePath
 
 
-class PositionLoop:
+class PositionLoop(Timed):
     """u = PID(setpoint - y) from the command in force on, for a time.
 
     Parameters
@@ -54,12 +54,7 @@ class PositionLoop:
             "channel": channel,
             **({} if path is None else {"path": dict(path), "feedforward": feedforward is not None}),
         }
-        self.done = False
-        self._ended = "limit"
-        self._first: float | None = None
-        self._t = 0.0
         self._error = 0.0
-        self._samples = self._saturated = 0
 
     def update(self, t: float, values: Mapping[str, float]) -> float:
         """The command [SI of the output] for the sample `values` taken at `t` [s].
@@ -71,7 +66,7 @@ class PositionLoop:
             return controller.output
         measured = values.get(self.channel)
         if measured is None or not isfinite(measured):
-            self.done, self._ended = True, "no signal"
+            self._end("no signal")
             return controller.output
         if self._first is None:
             self._first = self._t = t
@@ -81,9 +76,9 @@ class PositionLoop:
         self._error = setpoint - measured
         command = controller.update(h, setpoint, measured, self._ahead_at(since))
         self._samples += 1
-        self._saturated += controller.saturated
+        self._clipped += controller.saturated
         if t - self._first >= self.duration:
-            self.done, self._ended = True, "time"
+            self._end("time")
         return command
 
     def _ahead_at(self, since: float) -> float:
@@ -96,23 +91,14 @@ class PositionLoop:
         return self._ahead[left] + (place - left) * (self._ahead[right] - self._ahead[left])
 
     def result(self) -> dict[str, Any]:
-        """What happened, as plain data: the settings, t0, t1 [s], last error and command, share of clamped samples.
-
-        `ended` is `time` (as planned), `no signal`, or `limit` where the caller stopped it.
-        """
-        data: dict[str, Any] = {
+        """What happened, as plain data: settings, last error and command, share of clamped samples, why it ended."""
+        return {
             **self._settings,
             "setpoint": self.setpoint,
-            "t0": self._first,
-            "t1": self._t,
             "error": self._error,
             "command": self.controller.output,
-            "saturated": self._saturated / self._samples if self._samples else 0.0,
-            "ended": self._ended,
+            **self._how_it_went(f"{self.channel} gave no number"),
         }
-        if self._ended == "no signal":
-            data |= {"found": False, "reason": f"{self.channel} gave no number"}
-        return data
 
 
 class Proportional(PositionLoop):
