@@ -145,7 +145,7 @@ def run_plan(
             executor = Executor(plan, bench, guard, acquisition, recorder, Waiting(operator, signals), clock, progress)
             _what_to_do(executor, continues, further)
             with _no_long_collection() if bench.realtime else nullcontext():
-                return _Run(executor, guard, own, signals, writer, (before_proof, procedure)).execute()
+                return _Run(executor, guard, own, signals, writer, before_proof, procedure).execute()
     finally:
         guard.close()
         own.close()
@@ -247,20 +247,20 @@ def _new_folder(
     return writer
 
 
+@dataclass
 class _Run:
     """One execution of a plan, from arming to the sealed folder."""
 
-    def __init__(
-        self,
-        executor: Executor,
-        guard: AnyGuard,
-        own: OwnDevices,
-        signals: Signals,
-        writer: RunWriter | None,
-        procedures: tuple[Callable[[Executor], None], Callable[[Executor], None]],
-    ) -> None:
-        self.executor, self.guard, self.own, self.signals, self.writer = executor, guard, own, signals, writer
-        self.before_proof, self.procedure = procedures
+    executor: Executor
+    guard: AnyGuard
+    own: OwnDevices
+    signals: Signals
+    writer: RunWriter | None
+    before_proof: Callable[[Executor], None]
+    procedure: Callable[[Executor], None]
+
+    def __post_init__(self) -> None:
+        executor = self.executor
         self.acquisition, self.clock, self.bench = executor.acquisition, executor.clock, executor.bench
 
     def execute(self) -> Outcome:

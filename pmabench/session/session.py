@@ -18,7 +18,7 @@ from pmabench.base.errors import PmaError, VerdictFailed
 from pmabench.base.quantities import CHANNEL_QUANTITY, in_words, show, without_number
 from pmabench.bench.compile import Mounted
 from pmabench.bench.files.bench import PLACED
-from pmabench.bench.interface import CompiledBench, Scale
+from pmabench.bench.interface import ChannelRecord, Scale
 from pmabench.bench.session import WarmUp, Zero
 from pmabench.engine.executor import Executor, Progress
 from pmabench.engine.operator import Operator
@@ -187,24 +187,15 @@ def _take(executor: Executor, name: str, zero: Zero, condition: str) -> ZeroTake
 
 def with_zeros(mounted: Mounted, zeros: Mapping[str, float], about: Mapping[str, Any] | None) -> Mounted:
     """The bench with zeros [SI] taken off the offsets of its channels; `about` is what manifests say of the session."""
-    devices = tuple(
-        replace(
-            device,
-            channels=tuple(
-                replace(
-                    channel,
-                    scale=Scale(channel.scale.slope, channel.scale.offset - zeros[channel.name]),
-                    zero=zeros[channel.name],
-                )
-                if channel.name in zeros and channel.zero is None
-                else channel
-                for channel in device.channels
-            ),
-        )
-        for device in mounted.bench.devices
-    )
-    bench: CompiledBench = replace(mounted.bench, devices=devices)
-    return replace(mounted, bench=bench, in_session=about)
+
+    def zeroed(channel: ChannelRecord) -> ChannelRecord:
+        zero = zeros.get(channel.name)
+        if zero is None or channel.zero is not None:
+            return channel
+        return replace(channel, scale=Scale(channel.scale.slope, channel.scale.offset - zero), zero=zero)
+
+    devices = tuple(replace(one, channels=tuple(map(zeroed, one.channels))) for one in mounted.bench.devices)
+    return replace(mounted, bench=replace(mounted.bench, devices=devices), in_session=about)
 
 
 def as_data(taken: Mapping[str, ZeroTaken]) -> dict[str, dict[str, Any]]:
