@@ -145,7 +145,3 @@ class Commander:
         self._guard.steer(aims, pulses)
         for name, value in aims.items():
             self._commanded.set(name, self._clock.now(), value)
-
-    def value_sent(self, output: str, value: float) -> float:
-        """The value [SI] that the device would get."""
-        return self._guard.value_sent(output, value)

@@ -88,6 +88,12 @@ class Continues:
     """The reference trial that is done again before it."""
     attempts: Mapping[int, int]
 
+    @property
+    def left(self) -> dict[str, Any]:
+        """What an executor is given of it."""
+        done = set(self.manifest["trials_done"])
+        return {"steps": self.steps, "again": self.again, "attempts": dict(self.attempts), "finished": done}
+
 
 def run_plan(
     plan: Plan,
@@ -142,8 +148,11 @@ def run_plan(
         with Signals() as signals:
             streams = {**guard.devices, **own.streams}
             acquisition = Acquisition(bench, streams, clock, plan.rate, plan.record, recorder)
-            executor = Executor(plan, bench, guard, acquisition, recorder, Waiting(operator, signals), clock, progress)
-            _what_to_do(executor, continues, further)
+            person = Waiting(operator, signals)
+            left: dict[str, Any] = {} if continues is None else continues.left
+            executor = Executor(plan, bench, guard, acquisition, recorder, person, clock, progress, **left)
+            if further is not None:
+                executor.steps, executor.further = executor.steps or (), further(executor)
             with _no_long_collection() if bench.realtime else nullcontext():
                 return _Run(executor, guard, own, signals, writer, before_proof, procedure).execute()
     finally:
@@ -151,21 +160,6 @@ def run_plan(
         own.close()
         if bench.realtime:
             ordinary()
-
-
-def _what_to_do(
-    executor: Executor,
-    continues: Continues | None,
-    further: Callable[[Executor], Callable[[], Sequence[Step]]] | None,
-) -> None:
-    """Give the executor what is left of a run that it goes on with, and what chooses its trials."""
-    if continues is not None:
-        executor.steps, executor.attempts = continues.steps, dict(continues.attempts)
-        executor.again = continues.again
-        executor.finished = set(continues.manifest["trials_done"])
-    if further is not None:
-        executor.steps = () if continues is None else continues.steps
-        executor.further = further(executor)
 
 
 @contextmanager
