@@ -65,13 +65,9 @@ def value_text(value: float | None, name: str, span: float) -> str:
 
 def point_text(point: Mapping[str, float]) -> str:
     """An operating point in words; the moving mass is left out where the load is given."""
-    shown = []
-    for name, value in point.items():
-        if name == "mass" and "load" in point:
-            continue
-        value_text = of_point(name)[1].show(value, 4) if name in POINT else f"{value:.4g}"
-        shown.append(f"{clean(name)} {value_text}")
-    return ", ".join(shown)
+    shown = {name: value for name, value in point.items() if not (name == "mass" and "load" in point)}
+    texts = (of_point(name)[1].show(value, 4) if name in POINT else f"{value:.4g}" for name, value in shown.items())
+    return ", ".join(f"{clean(name)} {text}" for name, text in zip(shown, texts, strict=True))
 
 
 def about_run(manifest: Mapping[str, Any]) -> dict[str, str]:

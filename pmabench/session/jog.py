@@ -69,12 +69,12 @@ class Jog:
 
     def settings(self) -> str:
         """What is commanded, in words."""
-        lines = []
-        for name, value in self.values.items():
-            output = self._outputs[name]
-            most = show(highest(self.executor.bench, output), output.quantity, 4)
-            lines.append(f"{name} {show(value, output.quantity, 4)} (up to {most})")
-        return "commanded " + "   ".join(lines)
+        outputs = ((self._outputs[name], value) for name, value in self.values.items())
+        settings = (
+            f"{o.name} {show(value, o.quantity, 4)} (up to {show(highest(self.executor.bench, o), o.quantity, 4)})"
+            for o, value in outputs
+        )
+        return "commanded " + "   ".join(settings)
 
     def _step(self, name: str, way: int) -> str:
         output = self._outputs[name]

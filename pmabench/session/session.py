@@ -92,16 +92,13 @@ def out_of_date(session: Mapping[str, Any], mounted: Mounted, now: datetime) -> 
 
 def _disturbed(bench: str, since: datetime) -> str:
     """Whether the bench was tripped, ended uncleanly or was reset since then, by its journal."""
-    lines: list[dict[str, Any]] = []
     with suppress(OSError):
         for text in (Station(bench).folder / "journal.jsonl").read_text("utf-8").splitlines():
-            with suppress(ValueError):
-                lines.append(json.loads(text))
-    for line in lines:
-        with suppress(KeyError, TypeError, ValueError):
-            at = datetime.fromisoformat(str(line["at"]))
-            if at >= since.replace(microsecond=0) and (line["what"] == "tripped" or line.get("why") == "reset"):
-                return f"the bench was {'reset' if line.get('why') == 'reset' else 'tripped'} since then"
+            with suppress(KeyError, TypeError, ValueError):
+                line = json.loads(text)
+                at, reset = datetime.fromisoformat(str(line["at"])), line.get("why") == "reset"
+                if at >= since.replace(microsecond=0) and (line["what"] == "tripped" or reset):
+                    return f"the bench was {'reset' if reset else 'tripped'} since then"
     return ""
 
 
