@@ -295,9 +295,7 @@ class Console:
         return urgent
 
     def _words(self) -> tuple[str, ...]:
-        asked = self._asked or {}
-        words = asked.get("words") or [asked.get("word", "clear")]
-        return tuple(str(word) for word in words)
+        return tuple(str(word) for word in (self._asked or {}).get("words") or ("clear",))
 
     def _extra(self) -> Extra:
         footer = (LINKED if self.link is not None else ALONE) if self._keys is not None else ""
