@@ -19,10 +19,10 @@ from pmabench.bench.safety import EXTRAPOLATED
 from pmabench.bench.session import Stack
 from pmabench.engine.executor import Executor, Progress
 from pmabench.engine.operator import Operator
-from pmabench.engine.run import Outcome, run_plan
+from pmabench.engine.run import Outcome
 from pmabench.protocol.plan import Ask, Hold, Ramp, Set
 from pmabench.session.calibration_file import DOWN, UP, Fit, Point, fit
-from pmabench.session.guided import guided_plan, load_text, moving_mass, steady
+from pmabench.session.guided import guided_run, load_text, moving_mass, steady
 
 PHASE = "calibration"
 REGULATOR = "pressure_command"
@@ -95,16 +95,10 @@ def calibrate(
         fits.append(found)
         executor.recorder.event("calibrated", executor.clock.now(), channel=request.channel, **asdict(found))
 
-    plan = guided_plan(mounted, "calibration", f"calibration of {request.channel}", {"points": list(request.points)})
-    outcome = run_plan(
-        plan,
-        mounted,
-        operator,
-        out=out,
-        operator_name=operator_name,
-        progress=progress,
-        procedure=procedure,
-    )
+    points_of = {"points": list(request.points)}
+    more = {"out": out, "operator_name": operator_name, "progress": progress}
+    name = f"calibration of {request.channel}"
+    outcome = guided_run(mounted, operator, "calibration", name, procedure, points_of, **more)
     # of the regulator the unit of its command, as in its scale
     raw_unit = channel.raw_unit if channel else str(mounted.bench_file.set_points["pressure"].scale[0][0][1])
     return Calibrated(outcome, fits[0] if fits else None, raw_unit)

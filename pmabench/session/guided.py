@@ -1,4 +1,4 @@
-"""What guided runs share: their plan, loads by hanger and plates, a bench looked at without being armed, listening.
+"""What guided runs share: a plan without steps, loads by hanger and plates, looking at a bench unarmed, listening.
 
 Looking opens and samples the devices, commands nothing, and closes them on every way out. Listening gives series, mean,
 noise and drift over a stretch of bench time.
@@ -6,7 +6,7 @@ noise and drift over a stretch of bench time.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -21,7 +21,9 @@ from pmabench.bench.interface import CompiledBench, Identity
 from pmabench.bench.session import Stack
 from pmabench.engine.acquire import Acquisition, Array, Samples, Stop
 from pmabench.engine.executor import Executor
+from pmabench.engine.operator import Operator
 from pmabench.engine.recorder import NoRecord
+from pmabench.engine.run import Outcome, run_plan
 from pmabench.engine.source import OwnDevices
 from pmabench.guard.guard import Guard
 from pmabench.guard.remote import RemoteGuard
@@ -32,10 +34,19 @@ RATE = 200.0
 """Rate at which a guided run samples [Hz]."""
 
 
-def guided_plan(mounted: Mounted, kind: str, name: str, settings: Mapping[str, Any] | None = None) -> Plan:
-    """A plan without steps for a guided run: every channel is recorded."""
+def guided_run(
+    mounted: Mounted,
+    operator: Operator,
+    kind: str,
+    name: str,
+    procedure: Callable[[Executor], None],
+    settings: Mapping[str, Any] | None = None,
+    **more: Any,
+) -> Outcome:
+    """A run of `procedure`, whose plan has no steps; every channel is recorded. `more` is for `run_plan`."""
     channels = tuple(channel.name for channel in mounted.bench.channels)
-    return Plan(kind, name, "", mounted.bench.free_end, RATE, channels, (), (), settings or {})
+    plan = Plan(kind, name, "", mounted.bench.free_end, RATE, channels, (), (), settings or {})
+    return run_plan(plan, mounted, operator, procedure=procedure, **more)
 
 
 def load_text(mounted: Mounted, mass: float) -> str:

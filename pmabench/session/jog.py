@@ -12,9 +12,9 @@ from pmabench.bench.compile import Mounted
 from pmabench.bench.interface import CompiledBench, OutputRecord
 from pmabench.engine.executor import Executor
 from pmabench.engine.operator import Operator
-from pmabench.engine.run import Outcome, run_plan
+from pmabench.engine.run import Outcome
 from pmabench.protocol.plan import Ramp, Set
-from pmabench.session.guided import Series, guided_plan, listen
+from pmabench.session.guided import Series, guided_run, listen
 
 PHASE = "jog"
 BLOCK = 0.1
@@ -124,8 +124,8 @@ def jog(
                     executor.recorder.event("tare", executor.clock.now())
             shown(series, work, [line for line in lines if line])
 
-    plan = guided_plan(mounted, "setup", f"set-up of {mounted.bench.name}")
-    return run_plan(plan, mounted, operator, out=out, operator_name=operator_name, procedure=procedure)
+    name = f"set-up of {mounted.bench.name}"
+    return guided_run(mounted, operator, "setup", name, procedure, out=out, operator_name=operator_name)
 
 
 def hold_at(
@@ -172,5 +172,5 @@ def hold_at(
         while clock.now() < end - 1e-9:
             shown(listen(acquisition, min(BLOCK, end - clock.now())), work)
 
-    plan = guided_plan(mounted, "setup", f"{name} of {bench.name} by hand", {name: value})
-    return run_plan(plan, mounted, operator, out=out, operator_name=operator_name, procedure=procedure)
+    title, by = f"{name} of {bench.name} by hand", operator_name
+    return guided_run(mounted, operator, "setup", title, procedure, {name: value}, out=out, operator_name=by)

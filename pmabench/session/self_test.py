@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 from pmabench.base.errors import UsageError
 from pmabench.base.quantities import show
@@ -13,10 +14,10 @@ from pmabench.bench.compile import Mounted
 from pmabench.engine.acquire import Tripped
 from pmabench.engine.executor import Executor, Progress
 from pmabench.engine.operator import Operator
-from pmabench.engine.run import Outcome, run_plan
+from pmabench.engine.run import Outcome
 from pmabench.protocol.plan import Hold, Set
 from pmabench.session.checks import NOT_MEASURED, Check, SelfTestFailed, at_rest, refuse, table, unchecked
-from pmabench.session.guided import guided_plan, put_on
+from pmabench.session.guided import guided_run, put_on
 from pmabench.session.several import EachMuscle
 from pmabench.session.stepping import NO_LEAK, PHASE, Stepping, isolation, leaks
 from pmabench.session.wiring import MOVED, Stage, Wiring
@@ -153,16 +154,9 @@ def run_self_test(
         executor.acquisition.record(on=True)
         test.run(executor)
 
-    outcome = run_plan(
-        guided_plan(mounted, "self-test", f"self-test of {mounted.bench.name}"),
-        mounted,
-        operator,
-        out=out,
-        operator_name=operator_name,
-        progress=progress,
-        before_proof=test.before_proof,
-        procedure=procedure,
-    )
+    more: dict[str, Any] = {"out": out, "operator_name": operator_name, "progress": progress}
+    name = f"self-test of {mounted.bench.name}"
+    outcome = guided_run(mounted, operator, "self-test", name, procedure, before_proof=test.before_proof, **more)
     test.ended(outcome)
     return outcome
 

@@ -22,11 +22,11 @@ from pmabench.bench.interface import ChannelRecord, Scale
 from pmabench.bench.session import WarmUp, Zero
 from pmabench.engine.executor import Executor, Progress
 from pmabench.engine.operator import Operator
-from pmabench.engine.run import Outcome, run_plan
+from pmabench.engine.run import Outcome
 from pmabench.guard.station import Station
 from pmabench.protocol.plan import HANDS_OUT, VENTED_WITHIN, Ask, Hold, Record, Set, WaitUntil
 from pmabench.session.checks import Check
-from pmabench.session.guided import guided_plan, put_on, steady
+from pmabench.session.guided import guided_run, put_on, steady
 from pmabench.session.self_test import SelfTesting, refuse_backwards
 from pmabench.session.several import longest
 from pmabench.session.stepping import LEAK, REST, SPEED, VALVE, WAY, isolation
@@ -302,7 +302,7 @@ def _hold(
     report: Callable[[Sequence[Check]], None],
     run: Mapping[str, Any],
 ) -> dict[str, Any]:
-    """Execute the run of the session with what `run` gives to `run_plan`; its results, to be kept for later runs."""
+    """Execute the run of the session with what `run` gives to `guided_run`; its results, to be kept for later runs."""
     declared = mounted.session
     assert declared is not None  # noqa: S101  (looked at before)
     skipped = {"warm-up": skip_warm_up} if skip_warm_up and declared.warm_up is not None else {}
@@ -322,15 +322,11 @@ def _hold(
         executor.recorder.event("zeros", executor.clock.now(), channels=as_data(zeros))
         executor.acquisition.record(on=False)
 
-    outcome = run_plan(
-        guided_plan(mounted, "session", f"session of {mounted.bench.name}"),
-        mounted,
-        operator,
-        **run,
-        deviations=[*(f"{what} skipped because {why}" for what, why in skipped.items()), *shortened],
-        before_proof=test.before_proof if test is not None else lambda _executor: None,
-        procedure=procedure,
-    )
+    if test is not None:
+        run = {**run, "before_proof": test.before_proof}
+    deviations = [*(f"{what} skipped because {why}" for what, why in skipped.items()), *shortened]
+    name = f"session of {mounted.bench.name}"
+    outcome = guided_run(mounted, operator, "session", name, procedure, deviations=deviations, **run)
     if test is not None:
         test.ended(outcome)
     if outcome.exit_code:
