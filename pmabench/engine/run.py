@@ -145,8 +145,8 @@ def run_plan(
             writer = _new_folder(plan, mounted, bench, out, protocol_text, {**opened, **entries})
             recorder = writer
             begun(writer.folder)
+        streams = {**guard.devices, **own.streams}
         with Signals() as signals:
-            streams = {**guard.devices, **own.streams}
             acquisition = Acquisition(bench, streams, clock, plan.rate, plan.record, recorder)
             person = Waiting(operator, signals)
             left: dict[str, Any] = {} if continues is None else continues.left
