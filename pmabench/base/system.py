@@ -1,7 +1,8 @@
-"""What only one kind of operating system has: file locks that the kernel frees, limits and priority of a process."""
+"""What only one kind of system has: file locks that the kernel frees, limits of a process, its priority and user."""
 
 from __future__ import annotations
 
+import getpass
 import os
 import sys
 from pathlib import Path
@@ -43,6 +44,14 @@ def give_back_memory() -> None:
         trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
         if trim is not None:
             trim(0)
+
+
+def user_name() -> str:
+    """Who runs this process."""
+    try:
+        return getpass.getuser()
+    except (OSError, KeyError):
+        return "unknown"
 
 
 def try_lock(path: Path) -> int | None:

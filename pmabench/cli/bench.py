@@ -120,7 +120,7 @@ def _read_once(bench: str) -> tuple[str, dict[str, dict[str, Any]], list[dict[st
 
 
 def _about(device: DeviceRecord, identity: Identity) -> dict[str, Any]:
-    from pmabench.engine.untried import doubt
+    from pmabench.engine.bench_checks import doubt
 
     return {**vars(identity), "verified": device.verified, "doubt": doubt(device, identity)}
 

@@ -32,8 +32,8 @@ from pmabench.cli.common import fields
 from pmabench.cli.outcome import WIDTH, cut
 from pmabench.engine.executor import Progress
 from pmabench.engine.operator import ConfirmedBeforehand
+from pmabench.engine.recorder import TrialPeaks
 from pmabench.engine.run import Outcome, run_plan
-from pmabench.engine.trial_peaks import TrialPeaks
 from pmabench.model.real.muscle import Surface
 from pmabench.protocol.idle import foreseen
 from pmabench.protocol.plan import Plan

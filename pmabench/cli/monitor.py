@@ -22,7 +22,7 @@ from pmabench.cli.outcome import show_outcome
 if TYPE_CHECKING:
     from pmabench.bench.compile import Mounted
     from pmabench.bench.interface import CompiledBench
-    from pmabench.display.monitor import Page
+    from pmabench.display.channel import Page
     from pmabench.session.guided import Series
     from pmabench.session.jog import Jog
 
@@ -58,7 +58,7 @@ def command(
 
 
 def _monitor(ui: Ui, bench: CompiledBench, seconds: float | None, *, plain: bool) -> None:
-    from pmabench.display.monitor import monitor_line
+    from pmabench.display.channel import monitor_line
     from pmabench.session.guided import listen, looking
 
     with looking(bench) as look:
@@ -113,8 +113,7 @@ class _Live:
     """The page of a bench, brought up to date with blocks of samples."""
 
     def __init__(self, bench: CompiledBench, *, simulated: bool) -> None:
-        from pmabench.display.channel import Channel
-        from pmabench.display.monitor import Page, Row
+        from pmabench.display.channel import Channel, Page, Row
 
         self._scales = {channel.name: channel.scale for channel in bench.channels}
         self._last: dict[str, float] = {}
@@ -210,8 +209,8 @@ def _screen(ui: Ui, page: Page, footer: str, *, wanted: bool) -> Iterator[_Keys]
         return
 
     from pmabench.base import terminal
+    from pmabench.display.channel import monitor_screen
     from pmabench.display.console import Painter
-    from pmabench.display.monitor import monitor_screen
 
     ended = threading.Event()
     with ExitStack() as stack:

@@ -191,14 +191,14 @@ def execute(
 
 def _chosen(chooser: Until, shown: Mapping[str, Any]) -> dict[str, Any]:
     """Arguments of `run_plan` with which trials are chosen; the chooser learns the run's folder as the display does."""
-    from pmabench.engine.choosing import Choosing
+    from pmabench.engine.resume import Choosing
 
     def begun(folder: Path) -> None:
         chooser.folder = folder
         if "begun" in shown:
             shown["begun"](folder)
 
-    return {"begun": begun, "further": lambda executor: Choosing(executor, chooser)}
+    return {"begun": begun, "further": lambda executor: Choosing(executor, chooser.choose)}
 
 
 def _in_session(ui: Ui, mounted: Mounted, out: Path, who: str, options: dict[str, Any], *, yes: bool) -> Mounted:

@@ -22,7 +22,7 @@ from pmabench.base.errors import PmaError, UsageError, did_you_mean
 from pmabench.base.kind import Kind, load
 from pmabench.base.quantities import show
 from pmabench.cli.common import Ui, read_quantity
-from pmabench.engine.choosing import CHANGED, Chosen, NoMore
+from pmabench.engine.resume import CHANGED, Chosen, NoMore
 from pmabench.protocol.plan import TrialRecord
 
 if TYPE_CHECKING:
@@ -88,7 +88,7 @@ class Until:
         """Of the run; known when it begins."""
 
     def choose(self, wait: Callable[[], None]) -> Chosen | NoMore:
-        """See `pmabench.engine.choosing.Chooser`."""
+        """See `pmabench.engine.resume.Choosing`."""
         if self.folder is None:
             raise UsageError("a run that is not recorded cannot choose its trials")
         answer = self._answer(self.folder, wait)

@@ -145,7 +145,7 @@ def _vent(ui: Ui, station: Station, saved: dict[str, Any], began: float) -> Vent
         if by_guard is not None:
             return by_guard
     from pmabench.bench.interface import CompiledBench
-    from pmabench.guard.direct import vent_directly
+    from pmabench.guard.remote import vent_directly
 
     if not saved:
         raise PmaError(f"{station.folder.name}: its guard does not answer and its compiled bench is not kept")

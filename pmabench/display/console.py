@@ -16,6 +16,7 @@ import threading
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -155,28 +156,22 @@ def _dots(character: str) -> str:
     return " '.:"[bool(code & 0x1B) + 2 * bool(code & 0xE4)]
 
 
+@dataclass(eq=False)
 class Console:
     """Shows one run until it ends, until `q` where it is not linked, or until the link ends.
 
     With `on`, the run that comes after it in the same program is shown next.
     """
 
-    def __init__(
-        self,
-        folder: Path,
-        stream: TextIO,
-        *,
-        link: Link | None = None,
-        color: bool = True,
-        plain: bool = False,
-        on: bool = False,
-    ) -> None:
-        self.state = RunState(folder)
-        self._stream = stream
-        self._link = link
-        self._color = color
-        self._plain = plain
-        self._on = on
+    folder: Path
+    stream: TextIO
+    link: Link | None = None
+    color: bool = True
+    plain: bool = False
+    on: bool = False
+
+    def __post_init__(self) -> None:
+        self.state = RunState(self.folder)
         self._keys: terminal.Keyboard | None = None
         self._parent = os.getppid()
         self._asked: dict[str, Any] | None = None
@@ -190,10 +185,10 @@ class Console:
     def run(self, *, quiet: bool = False) -> RunState:
         """Show the run; what is known of it at the end. `quiet`: print nothing, only follow."""
         self._quiet = quiet
-        if self._plain or quiet:
+        if self.plain or quiet:
             self._run_plain()
             return self.state
-        painter = Painter(self._stream, color=self._color)
+        painter = Painter(self.stream, color=self.color)
         with ExitStack() as stack:
             stack.enter_context(painter.open())
             with suppress(UsageError):  # without keys it is a picture all the same
@@ -234,42 +229,42 @@ class Console:
             self._look_for_end(behind)
             if not behind and not self._over:
                 self._wait(PERIOD)
-        if self._link is None:
+        if self.link is None:
             self._print(last_line(self.state))
 
     def _print(self, line: str) -> None:
         if not self._quiet:
-            encoding = self._stream.encoding or "utf-8"
-            print(line.encode(encoding, "replace").decode(encoding), file=self._stream, flush=True)
+            encoding = self.stream.encoding or "utf-8"
+            print(line.encode(encoding, "replace").decode(encoding), file=self.stream, flush=True)
 
     def _close(self, width: int) -> None:
         """Print what stays on the terminal: the last trials and, unless the run prints it, how it ended."""
         lines = closing(self.state, width)
-        if self._link is None:
+        if self.link is None:
             lines = [*lines, Text(last_line(self.state))]
         elif self._orphaned:
             files = self.state.files
             fields = {"folder": shlex.quote(str(files.folder)), "bench": shlex.quote(str(files.bench.get("name", "")))}
             lines += [Text(clean(text.format(**fields))) for text in ORPHANED[: None if self.state.trials else -1]]
-        ascii_only = "utf" not in (self._stream.encoding or "").lower()
-        for line in rendered(lines, width, color=self._color, ascii_only=ascii_only):
+        ascii_only = "utf" not in (self.stream.encoding or "").lower()
+        for line in rendered(lines, width, color=self.color, ascii_only=ascii_only):
             self._print(line)
 
     def _look_for_end(self, behind: bool) -> None:
-        if self._link is None:
+        if self.link is None:
             self._over |= self.state.ended and not self._goes_on()
-        elif self._link.closed or os.getppid() != self._parent:
+        elif self.link.closed or os.getppid() != self._parent:
             self._over = self._orphaned = not behind
 
     def _goes_on(self) -> bool:
         """Whether another run follows; shows it as soon as it is there."""
         manifest = self.state.files.manifest
-        if not self._on:
+        if not self.on:
             return False
         awaited = awaits_another(manifest, self.state.status)  # first: a program that began one may end at once
         after = run_after(self.state.files.folder, manifest)
         if after is not None:
-            if self._plain:
+            if self.plain:
                 self._print(last_line(self.state))
             self.state = RunState(after)
         return awaited or after is not None
@@ -279,14 +274,14 @@ class Console:
     def _listen(self) -> bool:
         """Handle messages of the run; True where a question was asked or withdrawn, or the run ended."""
         urgent = False
-        for message in self._link.receive() if self._link is not None else ():
+        for message in self.link.receive() if self.link is not None else ():
             urgent |= "ask" in message or "end" in message
             if "ask" in message:
                 asked = message["ask"]
                 self._asked = asked if isinstance(asked, dict) else None
                 self._typed = self._refused = ""
                 self._note = None
-                if self._asked is not None and self._plain:
+                if self._asked is not None and self.plain:
                     self.state.log(
                         f"asked: {self._asked.get('text')} (no terminal here: it cannot be answered)", "doubt"
                     )
@@ -300,12 +295,10 @@ class Console:
         return urgent
 
     def _words(self) -> tuple[str, ...]:
-        asked = self._asked or {}
-        words = asked.get("words") or [asked.get("word", "clear")]
-        return tuple(str(word) for word in words)
+        return tuple(str(word) for word in (self._asked or {}).get("words") or ("clear",))
 
     def _extra(self) -> Extra:
-        footer = (LINKED if self._link is not None else ALONE) if self._keys is not None else ""
+        footer = (LINKED if self.link is not None else ALONE) if self._keys is not None else ""
         if self._asked is None:
             return Extra(footer=footer, typing=self._note)
         question = Question(str(self._asked.get("text", "")), self._words(), self._typed, self._refused)
@@ -314,8 +307,8 @@ class Console:
     # -- keys ---------------------------------------------------------------------------------------------------------
 
     def _wait(self, seconds: float) -> None:
-        if self._link is not None and not self._link.closed:
-            select.select([self._link.fileno()], [], [], seconds)
+        if self.link is not None and not self.link.closed:
+            select.select([self.link.fileno()], [], [], seconds)
         else:
             time.sleep(seconds)
 
@@ -325,7 +318,7 @@ class Console:
         if keys is None or not terminal.in_front(keys.fd):
             self._wait(seconds)
             return self._listen()
-        sources = [keys.fd] + ([self._link.fileno()] if self._link is not None and not self._link.closed else [])
+        sources = [keys.fd] + ([self.link.fileno()] if self.link is not None and not self.link.closed else [])
         ready = select.select(sources, [], [], seconds)[0]
         pressed = keys.read() if keys.fd in ready else []
         for key in pressed:
@@ -337,7 +330,7 @@ class Console:
             self._answer(key)
         elif self._note is not None:
             self._type_note(key)
-        elif self._link is None:
+        elif self.link is None:
             self._over |= key.lower() == "q"
         elif key.lower() == "n":
             self._note = ""
@@ -346,7 +339,7 @@ class Console:
 
     def _send(self, message: dict[str, Any], text: str, *, comes_back: bool = False) -> None:
         """Send a message and add it to the log, unless the run's own record of it will be shown."""
-        taken = self._link is not None and self._link.send(message)
+        taken = self.link is not None and self.link.send(message)
         if not taken:
             self.state.log(f"{text}; the run did not take it", "fault")
         elif not comes_back:

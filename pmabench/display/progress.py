@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
 from contextlib import suppress
+from itertools import accumulate
 from typing import Any
 
 from pmabench.protocol.plan import STEPS, Ask, Record, Seek, Step, WaitUntil
@@ -28,11 +29,11 @@ class Progress:
             for item in plan.get("steps") or ():
                 fields = dict(item)
                 self._steps.append(STEPS[fields.pop("step")](**fields))
-        self._until = [0.0]
-        for step in self._steps:
-            usual = step.shortest() if isinstance(step, Ask | WaitUntil) else step.longest()
-            self._until.append(self._until[-1] + max(0.0, float(usual)))
-        self._at = 0
+        usual = (s.shortest() if isinstance(s, Ask | WaitUntil) else s.longest() for s in self._steps)
+        self._until = list(accumulate((max(0.0, float(seconds)) for seconds in usual), initial=0.0))
+        left = (i for i, s in enumerate(self._steps) if _opens(s) and getattr(s, "trial", None) not in before)
+        self._at = next(left, len(self._steps)) if before else 0
+        """Index of the current step; at first of the first trial that was not finished `before` this run."""
         self._begun = False  # whether the step at the pointer has begun
         self._t = 0.0
         self._asked: float | None = None
@@ -40,17 +41,9 @@ class Progress:
         """Time that does not count [s]."""
         self._aside: float | None = None
         """Since when the plan has not moved on [s]: in a pause, or in a trial that is none of it."""
-        self._leapt = 0.0
+        self._leapt = self._until[self._at]
         """Duration of the steps that were skipped [s], less those that were repeated."""
         self._first: float | None = None
-        self._skip(before)
-
-    def _skip(self, before: Collection[int]) -> None:
-        """Begin at the first trial that is not among those that were finished `before` this run."""
-        if before:
-            left = (i for i, s in enumerate(self._steps) if _opens(s) and getattr(s, "trial", None) not in before)
-            self._at = next(left, len(self._steps))
-            self._leapt = self._until[self._at]
 
     @property
     def length(self) -> float:

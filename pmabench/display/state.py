@@ -179,9 +179,8 @@ class RunState:
             self.end_event = dict(data)
         self._take_of_operator(kind, data)
         self._take_of_trial(event)
-        sentence = event_text(event)
-        if sentence is not None:
-            self.log(sentence[0], sentence[1], event.t)
+        if (sentence := event_text(event)) is not None:
+            self.log(*sentence, event.t)
 
     def _take_of_operator(self, kind: str, data: Mapping[str, Any]) -> None:
         """What is asked, which keys wait, and what holds or pauses the run."""
@@ -217,8 +216,7 @@ class RunState:
     def _command(self, event: Event) -> None:
         output = str(event.data.get("output", ""))
         quantity = next((str(o.get("quantity", "")) for o in self._outputs() if o.get("name") == output), output)
-        value = _number(event.data.get("value"))
-        if value is not None:
+        if (value := _number(event.data.get("value"))) is not None:
             self.settings[output] = Setting(output, quantity, str(event.data.get("type", "set")), value, event.data)
 
     def _close_trial(self, event: Event) -> None:
@@ -260,8 +258,7 @@ class RunState:
             if trial.end is None or not (self._complete(trial.end) or late):
                 return
             self._waiting.pop(0)
-            line = self._line(trial)
-            if line is not None:
+            if (line := self._line(trial)) is not None:
                 self.lines = [*(before for before in self.lines if not line.replaces(before)), line]
                 self.fresh.append(line)
 
@@ -348,8 +345,7 @@ class RunState:
     @property
     def before(self) -> frozenset[int]:
         """Trials that were finished in the runs that this one continues."""
-        continues = self.files.manifest.get("continues")
-        done = continues.get("trials_done") if isinstance(continues, dict) else None
+        done = _dict(self.files.manifest.get("continues")).get("trials_done")
         return frozenset(index for index in done if isinstance(index, int)) if isinstance(done, list) else frozenset()
 
     @property
@@ -377,9 +373,8 @@ class RunState:
     @property
     def vent(self) -> str:
         """Result of the vent at the end, as `confirmed`; empty before."""
-        end = (self.files.seal or {}).get("end") or self.end_event or {}
-        vent = end.get("vent") if isinstance(end, dict) else None
-        return str(vent.get("result", "")) if isinstance(vent, dict) else ""
+        end = (self.files.seal or {}).get("end") or self.end_event
+        return str(_dict(_dict(end).get("vent")).get("result", ""))
 
     @property
     def t(self) -> float:
@@ -388,6 +383,10 @@ class RunState:
         if self.status == "running" and self.files.bench.get("realtime") and written:
             return self._t + max(0.0, self._now - written)
         return self._t
+
+
+def _dict(value: Any) -> dict[str, Any]:
+    return value if isinstance(value, dict) else {}
 
 
 def _list(value: Any) -> list[dict[str, Any]]:

@@ -1,26 +1,20 @@
-"""The whole picture of a run as lines of exactly the asked width and number; knows the state, no terminal.
-
-Colours are the sixteen of every terminal; text that must be noticed has its own background, and a sign too.
-"""
+"""The whole picture of a run as lines of exactly the asked width and number; knows the state, no terminal."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from math import isfinite
 
 import numpy as np
 from numpy.typing import NDArray
 from rich.text import Text
 
 from pmabench.base.quantities import without_number
-from pmabench.display.channel import Channel, Setting
+from pmabench.display.channel import BAD, FAINT, GOOD, STRONG, WARN, Channel, Setting, channel_text, fill, limit_bar
 from pmabench.display.lines import trial_table
 from pmabench.display.state import RunState
 from pmabench.display.wording import clean, clock, point_text, quantity, value_text, wrapped
 from pmabench.store.records import Array
 
-WARN, BAD, GOOD, STRONG, FAINT = "bold black on yellow", "bold white on red", "black on green", "bold", "dim"
 LEVELS = {"info": "", "doubt": WARN, "fault": BAD}
 SIGNS = {"info": " ", "doubt": "!", "fault": "!!"}
 CURVES = (("pressure", "cyan"), ("displacement", "green"), ("force", "magenta"))
@@ -87,15 +81,6 @@ def screen(state: RunState, width: int, height: int, extra: Extra | None = None)
         lines += _lower(state, width, left, curves=not asked or left > 16)
     lines = fill(lines, width, room)
     return [*lines, *fill([footer], width, 1)] if footer else lines
-
-
-def fill(lines: Sequence[Text], width: int, height: int) -> list[Text]:
-    """The lines cut to width and height, with empty lines where there are too few."""
-    kept = list(lines[:height]) + [Text() for _ in range(height - len(lines))]
-    for line in kept:
-        line.no_wrap = True
-        line.truncate(width, overflow="ellipsis")
-    return kept
 
 
 def _row(left: Text, right: Text, width: int) -> Text:
@@ -187,42 +172,8 @@ def _channel(state: RunState, channel: Channel, bar: int, width: int) -> Text:
     return _row(line, Text(("! " if old else "") + age, BAD if old else FAINT), width)
 
 
-def channel_text(channel: Channel, value: float | None, wide: int) -> Text:
-    """The begin of a channel's line: its alarm, its name `wide` columns wide, and a value with its unit."""
-    alarm, name = channel.alarm, clean(channel.name).replace("_command", " set")
-    style = ("", WARN, BAD)[alarm]
-    line = Text().append((" ", "!", "!!")[alarm].ljust(2), style).append(f"{name[:wide]:<{wide}}")
-    line.append(f"{value_text(value, channel.quantity, channel.span):>9}", style or STRONG)
-    return line.append(f" {quantity(channel.quantity).shown_in:<5}")
-
-
 def _age(seconds: float) -> str:
     return f"{seconds:.1f} s" if seconds < 10 else clock(seconds) if seconds < 86400 else "old"
-
-
-def limit_bar(channel: Channel, width: int) -> Text:
-    """A bar from zero to the value; `╎` marks limits of the command, `┃` trip limits."""
-    low, high = channel.axis()
-
-    def place(value: float) -> int:
-        return min(width - 1, max(0, round((value - low) / (high - low) * (width - 1))))
-
-    cells, styles = ["─"] * width, [FAINT] * width
-    value = channel.value
-    if value is not None and isfinite(value):
-        ends = sorted((place(0.0), place(value)))
-        for k in range(ends[0], ends[1] + 1):
-            cells[k], styles[k] = "━", ("green", "yellow", "red")[channel.alarm]
-        cells[place(value)] = "●"
-    marks = [(channel.command_low, "╎", ""), (channel.command_high, "╎", "")]
-    marks += [(channel.trip_low, "┃", "red"), (channel.trip_high, "┃", "red")]
-    for at, mark, style in marks:
-        if at is not None and isfinite(at) and low < at < high and cells[place(at)] != "●":
-            cells[place(at)], styles[place(at)] = mark, style
-    line = Text()
-    for cell, style in zip(cells, styles, strict=True):
-        line.append(cell, style)
-    return line
 
 
 def _settings(state: RunState) -> Text:

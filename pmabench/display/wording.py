@@ -11,38 +11,18 @@ from rich.cells import cell_len
 
 from pmabench.base.quantities import CHANNEL_QUANTITY, QUANTITIES, Quantity, in_words
 from pmabench.base.text import printable
+from pmabench.store.analyses.results import POINT_QUANTITIES
 from pmabench.store.records import Event
 
 LONGEST = 400
 """Characters of a text that are kept."""
 POINT = {
-    "load": ("F_L", "force"),
-    "pressure": ("P", "pressure"),
-    "from": ("P_1", "pressure"),
-    "frequency": ("f", "frequency"),
-    "setpoint": ("x", "length"),
-    "contraction": ("x", "length"),
-    "speed": ("v", "speed"),
-    "lower": ("x_1", "length"),
-    "upper": ("x_2", "length"),
-    "start": ("x_0", "length"),
-    "step": ("dx", "length"),
-    "mean": ("x_0", "length"),
-    "amplitude": ("A", "length"),
-    "bias": ("P_0", "pressure"),
-    "mass": ("M", "mass"),
-    "tip_mass": ("w", "mass"),
-    "pressure_1": ("P_1", "pressure"),
-    "pressure_2": ("P_2", "pressure"),
-    "angular_speed": ("ω", "angular speed"),
-    "lowest_angle": ("θ_1", "angle"),
-    "highest_angle": ("θ_2", "angle"),
-    "goal": ("θ", "angle"),
-    "integral": ("K_i", "angular integral gain"),
-    "phi": ("φ", "angle"),
-    "psi": ("ψ", "angle"),
-}
-"""Names of an operating point -> symbol and quantity."""
+    "load": "F_L", "pressure": "P", "from": "P_1", "frequency": "f", "setpoint": "x", "contraction": "x",
+    "speed": "v", "lower": "x_1", "upper": "x_2", "start": "x_0", "step": "dx", "mean": "x_0", "amplitude": "A",
+    "bias": "P_0", "mass": "M", "tip_mass": "w", "pressure_1": "P_1", "pressure_2": "P_2", "angular_speed": "ω",
+    "lowest_angle": "θ_1", "highest_angle": "θ_2", "goal": "θ", "integral": "K_i", "phi": "φ", "psi": "ψ",
+}  # fmt: skip
+"""Names of an operating point -> symbol; those that are shown."""
 
 
 def clean(text: object) -> str:
@@ -57,8 +37,7 @@ def quantity(name: str) -> Quantity:
 
 def of_point(name: str) -> tuple[str, Quantity]:
     """Symbol and quantity of a name of an operating point."""
-    symbol, of = POINT.get(name, (clean(name), ""))
-    return symbol, quantity(of)
+    return POINT.get(name, clean(name)), quantity(POINT_QUANTITIES[name] if name in POINT else "")
 
 
 def clock(seconds: float) -> str:
@@ -86,13 +65,9 @@ def value_text(value: float | None, name: str, span: float) -> str:
 
 def point_text(point: Mapping[str, float]) -> str:
     """An operating point in words; the moving mass is left out where the load is given."""
-    shown = []
-    for name, value in point.items():
-        if name == "mass" and "load" in point:
-            continue
-        value_text = quantity(POINT[name][1]).show(value, 4) if name in POINT else f"{value:.4g}"
-        shown.append(f"{clean(name)} {value_text}")
-    return ", ".join(shown)
+    shown = {name: value for name, value in point.items() if not (name == "mass" and "load" in point)}
+    texts = (of_point(name)[1].show(value, 4) if name in POINT else f"{value:.4g}" for name, value in shown.items())
+    return ", ".join(f"{clean(name)} {text}" for name, text in zip(shown, texts, strict=True))
 
 
 def about_run(manifest: Mapping[str, Any]) -> dict[str, str]:

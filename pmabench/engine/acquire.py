@@ -15,9 +15,8 @@ from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError, LimitTripped, PmaError, RecordError
 from pmabench.bench.interface import Block, CompiledBench, Stream
 from pmabench.engine.commanded import Commanded
-from pmabench.engine.flags import Ranges, Spacing
 from pmabench.engine.recorder import Forgiving, Recorder
-from pmabench.engine.source import Piece, Source
+from pmabench.engine.source import Piece, Ranges, Source, Spacing
 from pmabench.engine.watch import ENDS, Trip, Watch
 from pmabench.store.records import Flag
 
@@ -60,7 +59,8 @@ class Acquisition:
     ) -> None:
         self.clock = clock
         self.rate = rate
-        self._recording = False
+        self.recording = False
+        """Whether samples are recorded."""
         self.latest: dict[str, float] = {}
         self.counts = {"rows": 0, **dict.fromkeys(COUNTED, 0)}
         self._ranges = Ranges(bench.slack_below)
@@ -131,25 +131,19 @@ class Acquisition:
         """Whether bench time can be set back to a sample: only virtual time with all channels in one stream can."""
         return not self._realtime and len(self._sources) == 1
 
-    @property
-    def recording(self) -> bool:
-        """Whether samples are recorded."""
-        return self._recording
-
     def record(self, *, on: bool) -> None:
         """Record samples from now on, or no longer."""
         with self._lock:
             for source in self._sources:
                 source.flag(source.spacing.settle())
                 self._hand_over(source, source.kept())
-            self._recording = on
+            self.recording = on
 
     def begin_controlled_stop(self) -> None:
         """From now on act only on limits that vent at once: the others would stop a run that is stopping already."""
         with self._lock:
-            self._watch = Watch(
-                [limit for limit in self._bench.trips if limit.action == "vent"], self._bench.channels, self.commanded
-            )
+            limits = [limit for limit in self._bench.trips if limit.action == "vent"]
+            self._watch = Watch(limits, self._bench.channels, self.commanded)
             self._tripped = None
             self.holding.clear()
 
@@ -199,18 +193,7 @@ class Acquisition:
         self._asked = self.clock.now()
         self.clock.wait_until((floor(self._asked / period + 1e-6) + 1.0) * period)
         self.check()
-        with self._lock:
-            self._raise_trip()
-            self._collected = self.clock.now()
-            for source in self._sources:
-                block = source.stream.collect()
-                if len(block.time) == 1 and source.last is not None:
-                    self._single(source, block)
-                else:
-                    self._take(source, block)
-            if self._watch is not None:
-                self._act(self._watch.silent(self.clock.now()))
-            self._raise_trip()
+        self._collect(single=True)
         return self.clock.now(), self.latest
 
     def measure(self) -> Mapping[str, float]:
@@ -220,12 +203,17 @@ class Acquisition:
         self._collect()
         return self.latest
 
-    def _collect(self) -> None:
+    def _collect(self, *, single: bool = False) -> None:
+        """Take what is new of every stream; `single`: one sample by itself in plain numbers, where it is one."""
         with self._lock:
             self._raise_trip()  # before a device is asked whose line the guard may have closed since
             self._collected = self.clock.now()
             for source in self._sources:
-                self._take(source, source.stream.collect())
+                block = source.stream.collect()
+                if single and len(block.time) == 1 and source.last is not None:
+                    self._single(source, block)
+                else:
+                    self._take(source, block)
             if self._watch is not None:
                 self._act(self._watch.silent(self.clock.now()))
             self._raise_trip()
@@ -290,7 +278,8 @@ class Acquisition:
             self._stopped = float(t[at])
             if self._rewound(source, t, at):
                 count = at + 1
-        trips = self._look(t[:count], {name: column[:count] for name, column in values.items()})
+        seen = {name: column[:count] for name, column in values.items()}
+        trips = self._watch.look(t[:count], seen, self.clock.now()) if self._watch is not None else []
         ends = next((trip for trip in trips if trip.limit.action in ENDS), None)
         if ends is not None and ends.index < count - 1 and self._rewound(source, t, ends.index):
             count = ends.index + 1
@@ -314,9 +303,6 @@ class Acquisition:
         source.stream.collect()  # nothing new; lets the device see that time went back before it goes on
         return True
 
-    def _look(self, t: Array, values: Mapping[str, Array]) -> list[Trip]:
-        return self._watch.look(t, values, self.clock.now()) if self._watch is not None else []
-
     def _act(self, trips: Sequence[Trip]) -> None:
         """Do what the limits say: note a warning, hold, or end the run."""
         for trip in trips:
@@ -324,24 +310,16 @@ class Acquisition:
                 self._tripped = Tripped(trip)
                 if trip.limit.action == "vent":
                     self.on_trip(str(trip), True)
-                self._recorder.event(
-                    "trip",
-                    trip.t,
-                    reason=str(trip),
-                    limit=trip.limit.kind,
-                    channel=trip.limit.channel,
-                    value=trip.value,
-                    low=trip.limit.low,
-                    high=trip.limit.high,
-                    action=trip.limit.action,
-                    source=trip.limit.source,
-                    reacted_in=self.clock.now() - trip.t,
-                )
+                limit = trip.limit
+                about = {"limit": limit.kind, "channel": limit.channel, "value": trip.value, "low": limit.low}
+                about |= {"high": limit.high, "action": limit.action, "source": limit.source}
+                reacted_in = self.clock.now() - trip.t
+                self._recorder.event("trip", trip.t, reason=str(trip), **about, reacted_in=reacted_in)
                 raise self._tripped
             name = f"{trip.limit.kind} {trip.limit.channel}"
             if trip.limit.action == "hold":
                 (self.holding.discard if trip.over else self.holding.add)(name)
-            what = f"{'over' if trip.over else trip.limit.action}"
+            what = "over" if trip.over else trip.limit.action
             self._recorder.event("warning", trip.t, reason=str(trip), limit=name, action=what, value=trip.value)
 
     def _single(self, source: Source, block: Block) -> None:
@@ -355,7 +333,7 @@ class Acquisition:
         source.last = time_ns
         source.flag(before)
         flags = self._ranges.one(source.channels.values(), values)
-        if self._recording and source.recorded:
+        if self.recording and source.recorded:
             count = source.keep(time_ns, columns, flags, self._arrival(block.host))
             if count >= self.rate * self._block:
                 self._hand_over(source, source.kept())
@@ -385,7 +363,7 @@ class Acquisition:
         flags = self._ranges.block(source.channels, values, len(time_ns))
         if any(apart):
             flags |= np.array(apart, dtype=np.uint16)
-        if self._recording and source.recorded:
+        if self.recording and source.recorded:
             self._hand_over(source, source.pieces(time_ns, raw, flags, self._arrival(host)))
 
     def _arrival(self, host: int) -> int | None:

@@ -6,53 +6,19 @@ import math
 from bisect import bisect_right
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.base.clock import Clock
-from pmabench.bench.interface import Load
 from pmabench.guard import course
+
+if TYPE_CHECKING:
+    from pmabench.guard.remote import AnyGuard
 
 SETTLES = 2.0
 """After the command went down, a pressure that falls may still follow it for so long [s], and no deeper."""
-
-
-class Commands(Protocol):
-    """What the engine needs of the guard, in this process or in another."""
-
-    def set(self, name: str, value: float) -> float:
-        """A set-point [SI]; what the device got."""
-        ...
-
-    def ramp(self, name: str, origin: float, target: float, rate: float) -> None:
-        """A ramp."""
-        ...
-
-    def sine(self, name: str, mean: float, amplitude: float, frequency: float, cycles: float) -> None:
-        """A sine."""
-        ...
-
-    def valves(self, *, closed: bool, only: str = "") -> None:
-        """Valves, or `only` one, as in a run, or (not `closed`) in the safe state."""
-        ...
-
-    def steer(self, aims: Mapping[str, float], pulses: Mapping[str, float]) -> None:
-        """Pulses of valves [s], to bring muscles to `aims` [SI]."""
-        ...
-
-    def value_sent(self, name: str, value: float) -> float:
-        """What the device would get [SI]."""
-        ...
-
-    def place(self, load: Load) -> None:
-        """Hands put a load on."""
-        ...
-
-    def release(self) -> None:
-        """The vent path of the bench is proven."""
-        ...
 
 
 @dataclass
@@ -144,7 +110,7 @@ class Commanded:
 class Commander:
     """The guard as steps and laws see it: what is commanded is noted, and waits while a limit says `hold`."""
 
-    def __init__(self, guard: Commands, commanded: Commanded, clock: Clock, wait: Callable[[], None]) -> None:
+    def __init__(self, guard: AnyGuard, commanded: Commanded, clock: Clock, wait: Callable[[], None]) -> None:
         self._guard, self._commanded, self._clock = guard, commanded, clock
         self.wait = wait
         """Returns when nothing holds the bench any more."""
@@ -179,7 +145,3 @@ class Commander:
         self._guard.steer(aims, pulses)
         for name, value in aims.items():
             self._commanded.set(name, self._clock.now(), value)
-
-    def value_sent(self, output: str, value: float) -> float:
-        """The value [SI] that the device would get."""
-        return self._guard.value_sent(output, value)

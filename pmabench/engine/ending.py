@@ -94,14 +94,10 @@ def status_of(cause: BaseException | None) -> tuple[str, str]:
     """The run's status and why."""
     if cause is None:
         return "finished", ""
-    if isinstance(cause, Interrupted):
-        return "aborted", str(cause)
-    if isinstance(cause, LimitTripped):
-        return "tripped", str(cause)
-    if isinstance(cause, VerdictFailed):
-        return "failed", str(cause)
-    if isinstance(cause, PmaError):
-        return "error", str(cause)
+    kinds = {Interrupted: "aborted", LimitTripped: "tripped", VerdictFailed: "failed", PmaError: "error"}
+    for kind, status in kinds.items():
+        if isinstance(cause, kind):
+            return status, str(cause)
     return "error", f"{type(cause).__name__}: {cause}"
 
 

@@ -13,13 +13,13 @@ from pmabench.base.clock import Clock
 from pmabench.base.errors import Interrupted, LimitTripped, PmaError, VerdictFailed
 from pmabench.base.quantities import highest_pressure, show, without_number
 from pmabench.bench.interface import CompiledBench, Load
-from pmabench.engine.acquire import Acquisition, Samples
-from pmabench.engine.commanded import Commander, Commands
-from pmabench.engine.control import run_control
-from pmabench.engine.load_check import LoadCheck, LoadImplausible
+from pmabench.engine.acquire import Acquisition, Array, Samples
+from pmabench.engine.bench_checks import LoadCheck, LoadImplausible
+from pmabench.engine.commanded import Commander
 from pmabench.engine.operator import Operator
 from pmabench.engine.recorder import Recorder
-from pmabench.engine.seek import run_seek
+from pmabench.engine.seek import run_control, run_seek
+from pmabench.guard.remote import AnyGuard
 from pmabench.protocol.plan import (
     HANDS_OUT,
     VENTED_WITHIN,
@@ -70,7 +70,7 @@ class Executor:
 
     plan: Plan
     bench: CompiledBench
-    guard: Commands
+    guard: AnyGuard
     acquisition: Acquisition
     recorder: Recorder
     operator: Operator
@@ -103,17 +103,6 @@ class Executor:
         self._pressures = self._pressures or ["pressure"]
         self._load = LoadCheck(self.bench)
         self._commander = Commander(self.guard, self.acquisition.commanded, self.clock, self._wait_while_held)
-        self._act: dict[type[Step], Callable[[Any], None]] = {
-            Set: self._set,
-            Ramp: self._ramp,
-            Follow: self._follow,
-            Hold: self._hold,
-            Record: self._record,
-            WaitUntil: self._wait_until,
-            Ask: self._ask,
-            Seek: self._seek,
-            Control: self._control,
-        }
 
     def run(self) -> None:
         """All steps in order; raises whatever ends the run before its time."""
@@ -139,7 +128,7 @@ class Executor:
                 steps, left = (*steps, *more), left + sum(step.longest() for step in more)
             step = steps[number]
             trial, phase = self._trial, step.phase
-            if self.again is not None and trial == self.again.index:
+            if trial is not None and self._trial_of(trial) is self.again:
                 trial, phase = None, "reference trial again"
             self.progress(Progress(number, len(steps), trial, len(self.plan.trials), self.clock.now(), left, phase))
             if isinstance(step, Ask) or step.phase == "precondition":
@@ -153,8 +142,8 @@ class Executor:
                 after = number
 
     def do(self, step: Step) -> None:
-        """One step, now."""
-        self._act[type(step)](step)
+        """One step, now: by the method of its kind's name."""
+        getattr(self, f"_{step.kind.replace('-', '_')}")(step)
 
     def handle_keys(self) -> None:
         """Take what the operator has typed: a note or a vent at once, a pause at the end of the trial.
@@ -204,9 +193,8 @@ class Executor:
         until = self.clock.now() + LONGEST_HOLD
         while self.acquisition.holding:
             if self.clock.now() > until:
-                raise LimitTripped(
-                    f"held for {LONGEST_HOLD:g} s, and still outside: {', '.join(sorted(self.acquisition.holding))}"
-                )
+                outside = ", ".join(sorted(self.acquisition.holding))
+                raise LimitTripped(f"held for {LONGEST_HOLD:g} s, and still outside: {outside}")
             self.acquisition.pass_time(0.05)
 
     def _event(self, kind: str, **data: Any) -> None:
@@ -233,16 +221,8 @@ class Executor:
 
     def _follow(self, step: Follow) -> None:
         self._wait_while_held()
-        self._command(
-            step,
-            step.output,
-            "sine",
-            step.mean,
-            self._value.get(step.output, step.mean),
-            amplitude=step.amplitude,
-            frequency=step.frequency,
-            cycles=step.cycles,
-        )
+        shape = {"amplitude": step.amplitude, "frequency": step.frequency, "cycles": step.cycles}
+        self._command(step, step.output, "sine", step.mean, self._value.get(step.output, step.mean), **shape)
         self._commander.sine(step.output, step.mean, step.amplitude, step.frequency, step.cycles)
         self.acquisition.pass_time(step.longest())
 
@@ -251,15 +231,8 @@ class Executor:
         verdict = self._load.verdict()
         if verdict is None:
             return
-        self._event(
-            "load-check",
-            expected=verdict.expected,
-            measured=verdict.measured,
-            tolerance=verdict.tolerance,
-            ok=verdict.ok,
-            text=str(verdict),
-            trial=self._trial,
-        )
+        numbers = {"expected": verdict.expected, "measured": verdict.measured, "tolerance": verdict.tolerance}
+        self._event("load-check", **numbers, ok=verdict.ok, text=str(verdict), trial=self._trial)
         if not verdict.ok and self.bench.load_action == "stop":
             raise LoadImplausible(str(verdict))
 
@@ -267,8 +240,7 @@ class Executor:
         if step.on:
             self._trial, self._trial_status = step.trial, "finished"
             if step.trial is not None:
-                again = self.again is not None and step.trial == self.again.index
-                trial = self.again if self.again is not None and again else self._trial_of(step.trial)
+                trial = self._trial_of(step.trial)
                 self.attempts[trial.index] = self.attempts.get(trial.index, 0) + 1
                 self._event(
                     "trial-begin",
@@ -277,18 +249,20 @@ class Executor:
                     repeat=trial.repeat,
                     reference=trial.reference,
                     attempt=self.attempts[trial.index],
-                    **({"again": True} if again else {}),
+                    **({"again": True} if trial is self.again else {}),
                 )
             self.acquisition.record(on=True)
             return
         self.acquisition.record(on=False)
         if self._trial is not None:
             self._event("trial-end", trial=self._trial, status=self._trial_status)
-            if self._trial_status == "finished" and (self.again is None or self._trial != self.again.index):
+            if self._trial_status == "finished" and self._trial_of(self._trial) is not self.again:
                 self.finished.add(self._trial)
         self._trial = None
 
     def _trial_of(self, index: int) -> TrialRecord:
+        if self.again is not None and index == self.again.index:
+            return self.again
         return self.beyond[index] if index in self.beyond else self.plan.trials[index]
 
     def end_trial(self, status: str) -> None:
@@ -298,6 +272,11 @@ class Executor:
             self._trial = None
 
     def _wait_until(self, step: WaitUntil) -> None:
+        holds: Callable[[Array], bool] = {
+            "below": lambda span: span.max() < step.value,
+            "above": lambda span: span.min() > step.value,
+            "steady": lambda span: span.max() - span.min() <= step.value,
+        }[step.comparison]
         window = max(1, round(step.window * self.acquisition.rate))
         kept = np.zeros(0)
 
@@ -310,11 +289,7 @@ class Executor:
             kept = np.concatenate((kept, values))
             for end in range(max(window, start + 1), len(kept) + 1):
                 span = kept[end - window : end]
-                if (
-                    (step.comparison == "below" and span.max() < step.value)
-                    or (step.comparison == "above" and span.min() > step.value)
-                    or (step.comparison == "steady" and span.max() - span.min() <= step.value)
-                ):
+                if holds(span):
                     return end - start - 1
             kept = kept[-window:]
             return None
@@ -322,12 +297,8 @@ class Executor:
         if self.acquisition.pass_time(step.limit, reached) is None:
             quantity = next(c.quantity for c in self.bench.channels if c.name == step.channel)
             value = self.acquisition.latest.get(step.channel, float("nan"))
-            self._at_limit(
-                step,
-                step.at_limit,
-                f"waited {step.limit:g} s for {step.channel} {step.comparison} {show(step.value, quantity)}; "
-                f"it is at {show(value, quantity)}",
-            )
+            waited = f"waited {step.limit:g} s for {step.channel} {step.comparison} {show(step.value, quantity)}"
+            self._at_limit(step, step.at_limit, f"{waited}; it is at {show(value, quantity)}")
 
     def _at_limit(self, step: Step, at_limit: str, reason: str) -> None:
         self._event("limit-reached", phase=step.phase, trial=self._trial, reason=reason, then=at_limit)
@@ -376,10 +347,8 @@ class Executor:
     def _refuse_hands_above(self, below: float, what: str) -> None:
         measured = max(self.acquisition.latest.get(name, float("inf")) for name in self._pressures)
         if not measured <= below:
-            raise PmaError(
-                f"hands are not let in: the measured pressure {show(measured, 'pressure')} "
-                f"{what} {show(below, 'pressure')}"
-            )
+            pressure = f"the measured pressure {show(measured, 'pressure')} {what} {show(below, 'pressure')}"
+            raise PmaError(f"hands are not let in: {pressure}")
 
     def _seek(self, step: Seek) -> None:
         def log(how: str, value: float, before: float, **data: Any) -> None:

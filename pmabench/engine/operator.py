@@ -25,20 +25,12 @@ class Operator(Protocol):
     def poll(self, measured: Mapping[str, float]) -> Sequence[tuple[str, str]]:
         """What the operator did since the last call: `("note", text)`, `("key", "p")` ...; never waits.
 
-        `measured` are the newest values [SI], for whoever shows them while nothing is recorded.
+        `measured` are the newest values [SI], for whoever shows them while nothing is recorded. Without keys: nothing.
         """
-        ...
-
-
-class _WithoutKeys:
-    """Has no keys to press."""
-
-    def poll(self, measured: Mapping[str, float]) -> Sequence[tuple[str, str]]:
-        """Nothing."""
         return ()
 
 
-class ConfirmedBeforehand(_WithoutKeys):
+class ConfirmedBeforehand(Operator):
     """`--yes`: every prompt counts as answered, and the record says so."""
 
     def ask(self, text: str, measured: Mapping[str, float], wait: Callable[[], None]) -> str:
@@ -46,7 +38,7 @@ class ConfirmedBeforehand(_WithoutKeys):
         return "confirmed beforehand (--yes)"
 
 
-class AtTerminal(_WithoutKeys):
+class AtTerminal(Operator):
     """A person at a bench in virtual time, which waits: sees the pressure, types `clear` when hands are out."""
 
     def __init__(self, read: Callable[[str], str], write: Callable[[str], None]) -> None:
@@ -67,7 +59,7 @@ class AtTerminal(_WithoutKeys):
                 return "clear"
 
 
-class Nobody(_WithoutKeys):
+class Nobody(Operator):
     """No operator: neither a terminal nor `--yes`."""
 
     def ask(self, text: str, measured: Mapping[str, float], wait: Callable[[], None]) -> str:

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from pmabench.base.quantities import show
-from pmabench.engine.laws.orders import Orders, Pulse
+from pmabench.engine.laws import Orders, Pulse
 from pmabench.model.many.platform import G, Inverse, Pair, contractions, described, pressure_rate, tilt
 
 MUSCLES = (1, 2, 3)

@@ -1,15 +1,21 @@
-"""Continues a plan whose run ended early: the steps left, and whether bench, specimen, protocol are as before."""
+"""Trials that are left of a run that ended early, and trials that are chosen one by one while a run goes on.
+
+To go on, bench, specimen and protocol must be as before. The steps of a choice are those that the plan has for a trial
+at the same point: whatever is chosen was checked against all limits before the run, and is checked again by the guard.
+Whoever chooses is asked after each trial, and knows nothing of a bench.
+"""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from pmabench.base.errors import InvalidFile, Problem
+from pmabench.base.errors import InvalidFile, Problem, invalid
 from pmabench.bench.compile import Mounted
+from pmabench.engine.executor import Executor
 from pmabench.engine.run import Continues
 from pmabench.protocol.plan import Ask, Plan, Record, Step, TrialRecord
 
@@ -33,32 +39,23 @@ def continue_run(
     changed = sorted(set(_changes(manifest.get("snapshots", {}), now)))
     refused = [what for what in changed if what not in accept]
     if refused:
-        raise InvalidFile(
-            [
-                Problem(
-                    str(folder),
-                    0,
-                    0,
-                    f"the {what} is not what it was in this run; begin a new one, or give --accept-changed {what}",
-                )
-                for what in refused
-            ]
-        )
+        what = "the {0} is not what it was in this run; begin a new one, or give --accept-changed {0}"
+        raise InvalidFile([Problem(str(folder), 0, 0, what.format(one)) for one in refused])
     if (last := goes_on(folder)) is not None:
         what = f"{last.name} already goes on after this run, and its trials would be done twice; go on after that one"
-        raise InvalidFile([Problem(str(folder), 0, 0, f"{what}: pmabench run --resume {last}")])
+        raise invalid(folder, f"{what}: pmabench run --resume {last}")
     link = continued(folder)
     done = set(link["trials_done"])
     chosen = bool(manifest.get("until"))
     steps = remaining(plan, done)
     if not chosen and not any(isinstance(step, Record) and step.trial is not None for step in steps):
-        raise InvalidFile([Problem(str(folder), 0, 0, "every trial of this run is finished: nothing is left to do")])
+        raise invalid(folder, "every trial of this run is finished: nothing is left to do")
     attempts: dict[int, int] = {}
     for run in open_chain(folder):
         for trial in run.trials:
             attempts[trial.index] = attempts.get(trial.index, 0) + 1
     again = max([len(plan.trials) - 1, *attempts]) + 1
-    left = _reference_again(plan, again) if chosen else with_reference(plan, steps, again)
+    left = with_reference(plan, steps, again, alone=chosen)
     return Continues({**link, "accepted_changes": changed}, *left, attempts)
 
 
@@ -95,21 +92,24 @@ def remaining(plan: Plan, done: set[int]) -> tuple[Step, ...]:
     return tuple(kept)
 
 
-def with_reference(plan: Plan, steps: tuple[Step, ...], index: int) -> tuple[tuple[Step, ...], TrialRecord | None]:
+def with_reference(
+    plan: Plan, steps: tuple[Step, ...], index: int, *, alone: bool = False
+) -> tuple[tuple[Step, ...], TrialRecord | None]:
     """`steps` with the plan's reference trial before them, done again as the trial `index`; None where it is not due.
 
     A new start shows by it whether the specimen is still the same. It is no trial of the plan and takes no place of
-    one. Where the first trial that is left is a reference trial, that one shows it.
+    one. Where the first trial that is left is a reference trial, that one shows it. `alone`: without `steps`, where
+    trials are chosen after it.
     """
-    trials = {trial.index: trial for trial in plan.trials}
     reference = next((trial for trial in plan.trials if trial.reference), None)
     first = next((step.trial for step in steps if isinstance(step, Record) and step.trial is not None), None)
-    if reference is None or first is None or trials[first].reference:
+    if alone:
+        steps = ()
+    elif first is None or next(trial for trial in plan.trials if trial.index == first).reference:
         return steps, None
-    before = [
-        replace(step, trial=index) if isinstance(step, Record) and step.trial is not None else step
-        for step in remaining(plan, trials.keys() - {reference.index})
-    ]
+    if reference is None:
+        return steps, None
+    before = steps_of(plan, reference.index, index)
     rest = [step for step in steps if step.phase != "precondition"]
     on = next((step.load for step in before if isinstance(step, Ask)), None)
     if rest and isinstance(rest[0], Ask) and rest[0].load == on:
@@ -117,14 +117,12 @@ def with_reference(plan: Plan, steps: tuple[Step, ...], index: int) -> tuple[tup
     return (*before, *rest), replace(reference, index=index)
 
 
-def _reference_again(plan: Plan, index: int) -> tuple[tuple[Step, ...], TrialRecord | None]:
-    """The plan's reference trial alone, where trials are chosen after it; nothing where the plan has none."""
-    reference = next((trial for trial in plan.trials if trial.reference), None)
-    if reference is None:
-        return (), None
-    steps = remaining(plan, {trial.index for trial in plan.trials} - {reference.index})
-    again = (replace(s, trial=index) if isinstance(s, Record) and s.trial is not None else s for s in steps)
-    return tuple(again), replace(reference, index=index)
+def steps_of(plan: Plan, like: int, index: int) -> list[Step]:
+    """The steps of a plan's trial `like` as those of the trial `index`."""
+    return [
+        replace(step, trial=index) if isinstance(step, Record) and step.trial is not None else step
+        for step in remaining(plan, {trial.index for trial in plan.trials} - {like})
+    ]
 
 
 def _left_of(part: Sequence[Step], done: set[int]) -> list[Step]:
@@ -165,10 +163,82 @@ def sources(folder: Path) -> dict[str, Any]:
     if not manifest.get("trials_planned"):
         what = f"is a run of kind {manifest.get('kind')} without trials: there is nothing to go on with"
         then = "run the protocol again, a session comes first by itself"
-        raise InvalidFile([Problem(str(folder), 0, 0, f"{what}; {then}")])
+        raise invalid(folder, f"{what}; {then}")
     found = manifest.get("sources")
     if not isinstance(found, dict) or not {"protocol", "bench", "specimen"} <= set(found):
-        raise InvalidFile(
-            [Problem(str(folder), 0, 0, "does not say which files it was made from; name protocol, bench and specimen")]
-        )
+        raise invalid(folder, "does not say which files it was made from; name protocol, bench and specimen")
     return found
+
+
+CHANGED, ENDED = "plan-change", "choice-end"
+"""Kinds of events: a trial that was chosen; why no other is."""
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """The next trial."""
+
+    trial: TrialRecord
+    like: int
+    """Index of the plan's trial at the same point, whose steps are done."""
+    why: str
+    data: Mapping[str, Any]
+    """What the event says besides."""
+
+
+@dataclass(frozen=True)
+class NoMore:
+    """The end of the run."""
+
+    reached: bool
+    """Whether what was asked for is reached."""
+    why: str
+
+
+class Choosing:
+    """The steps of one trial after the other, as an executor asks for them.
+
+    `choose` gives the next trial, after all that is recorded; it calls its argument again and again while it takes
+    time.
+    """
+
+    def __init__(self, executor: Executor, choose: Callable[[Callable[[], None]], Chosen | NoMore]) -> None:
+        self.executor, self.choose = executor, choose
+        self.prepared = False
+        self.load: tuple[float, float] | None = None
+        self.before: int | None = None
+
+    def __call__(self) -> Sequence[Step]:
+        """The steps of the next trial; none at the end."""
+        executor = self.executor
+        if not self.prepared and executor.steps:  # a reference trial was done again before
+            self._take(executor.steps)
+        answer = self.choose(self._wait)
+        now = executor.clock.now()
+        if isinstance(answer, NoMore):
+            executor.recorder.event(ENDED, now, reached=answer.reached, why=answer.why)
+            return ()
+        trial = answer.trial
+        executor.beyond[trial.index] = trial
+        executor.recorder.event(
+            CHANGED, now, after=self.before, trial=trial.index, like=answer.like, point=dict(trial.point),
+            repeat=trial.repeat, reference=trial.reference, why=answer.why, **answer.data,
+        )  # fmt: skip
+        self.before = trial.index
+        steps = steps_of(executor.plan, answer.like, trial.index)
+        if self.prepared:  # no hands where its load is on already
+            steps = [s for s in steps if s.phase != "precondition" and not (_puts_on(s) and _puts_on(s) == self.load)]
+        self._take(steps)
+        return steps
+
+    def _take(self, steps: Sequence[Step]) -> None:
+        self.prepared = True
+        self.load = next((load for step in steps if (load := _puts_on(step)) is not None), self.load)
+
+    def _wait(self) -> None:
+        self.executor.acquisition.pass_time(0.1)
+
+
+def _puts_on(step: Step) -> tuple[float, float] | None:
+    """The load that hands put on at a step."""
+    return step.load if isinstance(step, Ask) else None

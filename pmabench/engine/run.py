@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gc
-import getpass
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import asdict, dataclass, replace
@@ -14,20 +13,18 @@ from typing import TYPE_CHECKING, Any
 from pmabench import __version__
 from pmabench.base.clock import RealClock, VirtualClock
 from pmabench.base.errors import DeviceError, Interrupted, LimitTripped, RecordError, VerdictFailed
-from pmabench.base.system import ENGINE, ordinary, real_time
+from pmabench.base.system import ENGINE, ordinary, real_time, user_name
 from pmabench.bench.compile import Mounted
 from pmabench.bench.interface import CompiledBench, Identity, TripRecord
 from pmabench.engine.acquire import Acquisition, Tripped
+from pmabench.engine.bench_checks import LoadImplausible, agree, as_data, not_proven, prove
 from pmabench.engine.ending import Signals, exit_code, sentence, status_of, zero_check
 from pmabench.engine.executor import Executor, Progress
-from pmabench.engine.load_check import LoadImplausible
 from pmabench.engine.operator import Operator
-from pmabench.engine.own import OwnDevices
-from pmabench.engine.proof import prove
 from pmabench.engine.recorder import Forgiving, NoRecord, Recorder
-from pmabench.engine.untried import agree, as_data, not_proven
+from pmabench.engine.source import OwnDevices
 from pmabench.guard.guard import Guard, Vent
-from pmabench.guard.remote import RemoteGuard
+from pmabench.guard.remote import AnyGuard, RemoteGuard
 from pmabench.protocol.plan import Plan, Step, TrialRecord
 from pmabench.store.folder import run_name
 
@@ -91,6 +88,12 @@ class Continues:
     """The reference trial that is done again before it."""
     attempts: Mapping[int, int]
 
+    @property
+    def left(self) -> dict[str, Any]:
+        """What an executor is given of it."""
+        done = set(self.manifest["trials_done"])
+        return {"steps": self.steps, "again": self.again, "attempts": dict(self.attempts), "finished": done}
+
 
 def run_plan(
     plan: Plan,
@@ -125,56 +128,38 @@ def run_plan(
     mounted.refuse_unconfirmed()
     bench = mounted.bench
     clock: RealClock | VirtualClock = RealClock() if bench.realtime else VirtualClock()
-    guard = RemoteGuard(bench, clock) if isinstance(clock, RealClock) else Guard(bench, clock)
-    own = OwnDevices(bench, clock) if bench.realtime else None
+    guard: AnyGuard = RemoteGuard(bench, clock) if isinstance(clock, RealClock) else Guard(bench, clock)
+    own = OwnDevices(bench, clock)
     try:
         why = real_time(ENGINE) if bench.realtime else ""
         guard.open()
-        if own is not None:
-            own.open()
-        identities = {**guard.identities, **(own.identities if own is not None else {})}
+        own.open()
+        identities = {**guard.identities, **own.identities}
         bench = _as_answered(bench, identities)
         recorder: Recorder = trying or NoRecord()
         writer: RunWriter | None = None
         if out is not None:
-            entries = {"deviations": list(deviations), "operator": operator_name or _user(), **(about or {})}
+            entries = {"deviations": list(deviations), "operator": operator_name or user_name(), **(about or {})}
             entries |= {} if continues is None else {"continues": dict(continues.manifest)}
             opened = _opened(bench, identities, why or "real time")
             writer = _new_folder(plan, mounted, bench, out, protocol_text, {**opened, **entries})
             recorder = writer
             begun(writer.folder)
-        streams = {**guard.devices, **(own.streams if own is not None else {})}
+        streams = {**guard.devices, **own.streams}
         with Signals() as signals:
             acquisition = Acquisition(bench, streams, clock, plan.rate, plan.record, recorder)
-            executor = Executor(plan, bench, guard, acquisition, recorder, Waiting(operator, signals), clock, progress)
-            _what_to_do(executor, continues, further)
+            person = Waiting(operator, signals)
+            left: dict[str, Any] = {} if continues is None else continues.left
+            executor = Executor(plan, bench, guard, acquisition, recorder, person, clock, progress, **left)
+            if further is not None:
+                executor.steps, executor.further = executor.steps or (), further(executor)
             with _no_long_collection() if bench.realtime else nullcontext():
-                return _Run(executor, guard, own, signals, writer, (before_proof, procedure)).execute()
+                return _Run(executor, guard, own, signals, writer, before_proof, procedure).execute()
     finally:
-        _closed(guard, own)
-
-
-def _closed(guard: Guard | RemoteGuard, own: OwnDevices | None) -> None:
-    """Close what was opened; in real time (with `own`) scheduling is ordinary again."""
-    guard.close()
-    if own is not None:
+        guard.close()
         own.close()
-        ordinary()
-
-
-def _what_to_do(
-    executor: Executor,
-    continues: Continues | None,
-    further: Callable[[Executor], Callable[[], Sequence[Step]]] | None,
-) -> None:
-    """Give the executor what is left of a run that it goes on with, and what chooses its trials."""
-    if continues is not None:
-        executor.steps, executor.attempts = continues.steps, dict(continues.attempts)
-        executor.again = continues.again
-        executor.finished = set(continues.manifest["trials_done"])
-    if further is not None:
-        executor.steps = () if continues is None else continues.steps
-        executor.further = further(executor)
+        if bench.realtime:
+            ordinary()
 
 
 @contextmanager
@@ -223,6 +208,8 @@ def _new_folder(
 
     started = datetime.now(UTC)
     specimen = mounted.specimen_file
+    muscles = {number: {"type": one.type, "serial": one.serial} for number, one in mounted.bench_file.muscles.items()}
+    """Which muscle has which number, where there are several."""
     name = run_name(started, f"{specimen.type}-{specimen.serial}", plan.kind, bench.simulated)
     manifest = {
         "kind": plan.kind,
@@ -232,7 +219,7 @@ def _new_folder(
         "started_utc": started.isoformat(timespec="milliseconds"),
         "bench": bench.name,
         "specimen": specimen.model_dump(mode="json", by_alias=True, exclude={"expected"}),
-        **_muscles(mounted),
+        **({"muscles": muscles} if muscles else {}),
         "plan_sha256": plan.sha256,
         "trials_planned": len(plan.trials),
         "rate": plan.rate,
@@ -254,33 +241,20 @@ def _new_folder(
     return writer
 
 
-def _muscles(mounted: Mounted) -> dict[str, Any]:
-    """Which muscle has which number, where there are several."""
-    muscles = {number: {"type": one.type, "serial": one.serial} for number, one in mounted.bench_file.muscles.items()}
-    return {"muscles": muscles} if muscles else {}
-
-
-def _user() -> str:
-    try:
-        return getpass.getuser()
-    except (OSError, KeyError):
-        return "unknown"
-
-
+@dataclass
 class _Run:
     """One execution of a plan, from arming to the sealed folder."""
 
-    def __init__(
-        self,
-        executor: Executor,
-        guard: Guard | RemoteGuard,
-        own: OwnDevices | None,
-        signals: Signals,
-        writer: RunWriter | None,
-        procedures: tuple[Callable[[Executor], None], Callable[[Executor], None]],
-    ) -> None:
-        self.executor, self.guard, self.own, self.signals, self.writer = executor, guard, own, signals, writer
-        self.before_proof, self.procedure = procedures
+    executor: Executor
+    guard: AnyGuard
+    own: OwnDevices
+    signals: Signals
+    writer: RunWriter | None
+    before_proof: Callable[[Executor], None]
+    procedure: Callable[[Executor], None]
+
+    def __post_init__(self) -> None:
+        executor = self.executor
         self.acquisition, self.clock, self.bench = executor.acquisition, executor.clock, executor.bench
 
     def execute(self) -> Outcome:
@@ -294,7 +268,7 @@ class _Run:
         try:
             acquisition.start()
             self._open_streams()
-            agree(executor, {**self.guard.identities, **(self.own.identities if self.own is not None else {})})
+            agree(executor, {**self.guard.identities, **self.own.identities})
             executor.recorder.event("armed", self.clock.now(), bench=self.bench.name)
             self.guard.arm(str(self.writer.folder.resolve()) if self.writer is not None else "")
             acquisition.pass_time(0.1)
@@ -308,17 +282,18 @@ class _Run:
                 cause = VerdictFailed(f"{len(executor.failed)} of {len(executor.plan.trials)} trials failed: {failed}")
         except BaseException as error:  # every way out leads through the safe state below
             cause = error
-        gently = isinstance(cause, Interrupted) and self.signals.gently
-        gently = gently or isinstance(cause, LoadImplausible)
+        gently = (isinstance(cause, Interrupted) and self.signals.gently) or isinstance(cause, LoadImplausible)
         if gently or (isinstance(cause, Tripped) and cause.trip.limit.action == "stop"):
             self._controlled_stop()
         return self._end(cause)
 
     def _open_streams(self) -> None:
         """One stream per device that is recorded, at the rate that the device itself says."""
-        for device in self.bench.devices if self.writer is not None else ():
+        if self.writer is None:
+            return
+        for device in self.bench.devices:
             columns = [asdict(channel) for channel in device.channels if channel.name in self.executor.plan.record]
-            if columns and self.writer is not None:
+            if columns:
                 self.writer.open_stream(device.name, columns, self.acquisition.rates[device.name])
 
     def _check(self) -> None:
@@ -351,7 +326,7 @@ class _Run:
         if self.signals.news():
             self.guard.begin_safe(hurry=True)
         values = self.acquisition.measure()
-        if isinstance(self.guard, RemoteGuard) and self.own is not None:
+        if isinstance(self.guard, RemoteGuard):
             self.guard.seen = {name: value for name, value in values.items() if name in self.own.channels}
         return values
 

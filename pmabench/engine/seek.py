@@ -1,16 +1,24 @@
-"""Searches and closed loops: the ways to run a law, which cannot leave the output range of its step."""
+"""Searches and closed loops: the ways to run a law, which cannot leave the output ranges of its step.
+
+A sampled law steers one output, a script ramps and waits by its `Moves`, and a law of several quantities sends aims and
+pulses to the guard while a watch looks at every sample.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from pmabench.base.clock import Clock
+from pmabench.base.errors import LimitRefused
+from pmabench.bench.interface import CompiledBench
 from pmabench.engine.acquire import Acquisition, Samples
 from pmabench.engine.commanded import Commander
-from pmabench.engine.laws import law_of
-from pmabench.engine.moves import Moves
-from pmabench.protocol.plan import Seek
+from pmabench.engine.laws import LawOfSeveral, Orders, law_of
+from pmabench.protocol.plan import Control, Seek
+
+if TYPE_CHECKING:
+    from pmabench.engine.platform_watch import PlatformWatch
 
 AT_ONCE = 100
 """Samples that a law which rarely changes its command is given at once [1]."""
@@ -39,14 +47,14 @@ def run_seek(
         found: dict[str, Any] = made(Moves(step, guard, acquisition, clock, log), **step.parameters)
         return found
     law: SampledLaw = made(**step.parameters)
-    deadline = clock.now() + step.limit
     run = _rarely if getattr(law, "rarely", False) and acquisition.goes_back else _always
-    return run(step, law, guard, acquisition, clock, deadline)
+    in_time = run(step, law, guard, acquisition, clock, clock.now() + step.limit)
+    return {"found": in_time, **({} if in_time else {"reason": _late(step)}), **law.result()}
 
 
 def _always(
     step: Seek, law: SampledLaw, guard: Commander, acquisition: Acquisition, clock: Clock, deadline: float
-) -> dict[str, Any]:
+) -> bool:
     """Sample by sample; a command that is unchanged is not sent again."""
     sent: float | None = None
     t, values = acquisition.sample()
@@ -58,14 +66,14 @@ def _always(
             guard.set(step.output, command)
             sent = command
         if clock.now() >= deadline:
-            return _late(step, law)
+            return False
         t, values = acquisition.sample()
-    return {"found": True, **law.result()}
+    return True
 
 
 def _rarely(
     step: Seek, law: SampledLaw, guard: Commander, acquisition: Acquisition, clock: Clock, deadline: float
-) -> dict[str, Any]:
+) -> bool:
     """The same, block by block, where time can be taken back to the sample at which the law changes its command."""
     sent: float | None = None
     command = step.low
@@ -75,9 +83,8 @@ def _rarely(
         nonlocal command
         columns = {name: column.tolist() for name, column in samples.values.items()}
         for i, t in enumerate(samples.t.tolist()):
-            command = min(
-                max(law.update(t, {name: column[i] for name, column in columns.items()}), step.low), step.high
-            )
+            wanted = law.update(t, {name: column[i] for name, column in columns.items()})
+            command = min(max(wanted, step.low), step.high)
             if command != sent or law.done:
                 return i
         return None
@@ -89,10 +96,148 @@ def _rarely(
             guard.set(step.output, command)
             sent = command
         if clock.now() >= deadline:
-            return _late(step, law)
+            return False
     acquisition.sample()
+    return True
+
+
+def _late(step: Seek | Control) -> str:
+    return f"not done within {step.limit:g} s"
+
+
+class Moves:
+    """What a scripted law may do: ramp its output inside the step's range, and let time pass until a crossing."""
+
+    def __init__(self, step: Seek, guard: Commander, acquisition: Acquisition, clock: Clock, log: Callable[..., None]):
+        self.step = step
+        self.acquisition = acquisition
+        self.clock = clock
+        self.deadline = clock.now() + step.limit
+        self._guard = guard
+        self._log = log
+        self.commanded: float | None = None
+
+    def inside(self, value: float) -> float:
+        """The nearest value in the step's range."""
+        return min(max(value, self.step.low), self.step.high)
+
+    def set(self, value: float) -> None:
+        """Command a value at once."""
+        value = self.inside(value)
+        self._guard.wait()  # first: the record says when it was commanded
+        before = self.commanded
+        self._log("set", value, value if before is None else before)
+        self._guard.set(self.step.output, value)
+        self.commanded = value
+
+    def ramp(self, origin: float, target: float, rate: float) -> float:
+        """Start a ramp; returns the bench time [s] when it will be there."""
+        origin, target = self.inside(origin), self.inside(target)
+        self._guard.wait()
+        self._log("ramp", target, origin, rate=rate)
+        self._guard.ramp(self.step.output, origin, target, rate)
+        self.commanded = target
+        return self.clock.now() + abs(target - origin) / rate
+
+    def valve(self, name: str, *, safe: bool) -> float:
+        """Switch a valve to its safe state, or to its state in a run; returns the bench time [s]."""
+        self._guard.valve(name, safe=safe)
+        self.acquisition.switched(name, safe=safe)
+        return self.clock.now()
+
+    def wait(self, until: float) -> None:
+        """Let time pass until `until` [s], but not beyond the step's limit."""
+        self.acquisition.until(min(until, self.deadline))
+
+
+def _watch_of(bench: CompiledBench) -> PlatformWatch | None:
+    """The watch on all muscles of a bench together, where it needs one; LimitRefused where there is none of its name.
+
+    Set-points go to regulators, whose channels have limits; only valves that are steered need such a watch.
+    """
+    if not bench.together:
+        return None
+    if bench.together != "platform":
+        raise LimitRefused(f'a loop over several muscles needs a watch on them, and "{bench.together}" is none')
+    from pmabench.engine.platform_watch import PlatformWatch
+
+    return PlatformWatch(bench.platform)
+
+
+LOGGED_EVERY = 1.0
+"""What was steered becomes an event so often [s]: an event for each pulse would be sixty lines a second."""
+
+
+class _Steered:
+    """Set-points and pulses since the last event."""
+
+    def __init__(self, log: Callable[..., None], begun: float) -> None:
+        self._log, self._next = log, begun + LOGGED_EVERY
+        self._aims: list[list[float]] = []
+        self._names: list[str] = []
+        self._pulses: list[list[Any]] = []
+
+    def note(self, t: float, orders: Orders) -> None:
+        """Keep what was sent at `t` [s]; an event where it is time."""
+        self._names = list(orders.aims)
+        self._aims.append([round(t, 6), *(float(f"{value:.6g}") for value in orders.aims.values())])
+        self._pulses += [[round(t, 6), pulse.valve, round(pulse.seconds, 6)] for pulse in orders.pulses]
+        if t >= self._next:
+            self.flush()
+            self._next = t + LOGGED_EVERY
+
+    def flush(self) -> None:
+        """What is left becomes an event."""
+        if self._aims:
+            self._log(columns=["t", *self._names], aims=self._aims, pulses=self._pulses)
+        self._aims, self._pulses = [], []
+
+
+def run_control(
+    step: Control, bench: CompiledBench, guard: Commander, acquisition: Acquisition, clock: Clock,
+    log: Callable[..., None],
+) -> dict[str, Any]:  # fmt: skip
+    """Run the step's law to its end; its result has `found` True or False and, when False, `reason`.
+
+    `log` gets what was steered, a second at a time, also where a fault ends it. Raises LimitTripped where the bench's
+    watch finds a fault, LimitRefused for a command outside its range.
+    """
+    law: LawOfSeveral = law_of(step.law)(**step.parameters)
+    watch = _watch_of(bench)
+    deadline, period = clock.now() + step.limit, float(getattr(law, "called_every", 0.0))
+    steered = _Steered(log, clock.now())
+    try:
+        while not law.done:
+            if period:
+                acquisition.pass_time(period)
+            t, values = (clock.now(), acquisition.latest) if period else acquisition.sample()
+            orders = law.update(t, values)
+            wrong = "" if watch is None else watch.look(t, values, orders)
+            if wrong:
+                acquisition.trip(wrong)
+            _refuse_outside(step, orders)
+            _carry_out(orders, guard)
+            if orders.aims:
+                steered.note(t, orders)
+            if clock.now() >= deadline and not law.done:
+                return {"found": False, "reason": _late(step), **law.result()}
+    finally:
+        steered.flush()
     return {"found": True, **law.result()}
 
 
-def _late(step: Seek, law: SampledLaw) -> dict[str, Any]:
-    return {"found": False, "reason": f"not done within {step.limit:g} s", **law.result()}
+def _carry_out(orders: Orders, guard: Commander) -> None:
+    if orders.aims:
+        guard.steer(orders.aims, {pulse.valve: pulse.seconds for pulse in orders.pulses})
+    for name, value in orders.sets.items():
+        guard.set(name, value)
+    if not orders.aims and not orders.sets:
+        guard.wait()
+
+
+def _refuse_outside(step: Control, orders: Orders) -> None:
+    for name, value in {**orders.aims, **orders.sets}.items():
+        low, high = step.aims.get(name, (1.0, 0.0))
+        slack = 1e-9 * max(abs(low), abs(high))
+        if not low - slack <= value <= high + slack:
+            raise LimitRefused(f'the law "{step.law}" wants {value:g} for {name}, outside the range of its step')

@@ -1,16 +1,215 @@
-"""One stream with its channels: its clock against bench time, and samples on their way to the recorder."""
+"""Where samples come from: devices that the engine opens itself, and each stream with its clock, flags and samples.
+
+Devices that only measure are opened by the engine, each called from its own thread with a deadline. Missing or late
+samples are flagged by their times alone, overrange and slack by their values.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from math import inf
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from functools import partial
+from math import floor, inf
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pmabench.bench.interface import ChannelRecord, Stream
-from pmabench.engine.flags import Spacing
+from pmabench.base.clock import Clock
+from pmabench.base.errors import DeviceError
+from pmabench.bench.interface import Block, ChannelRecord, CompiledBench, Device, Identity, Stream
+from pmabench.guard.links import OPENS_WITHIN, load_driver
+from pmabench.guard.owner import Owner
+from pmabench.store.records import Flag
+
+COLLECTS_WITHIN = 0.5
+"""How long handing over samples may take [s]."""
+
+
+class OwnStream:
+    """A stream behind its owner."""
+
+    def __init__(self, owner: Owner, device: Stream) -> None:
+        self._owner, self._device = owner, device
+
+    def start(self, rate: float) -> float:
+        """As `Stream.start`."""
+        return float(self._owner.call(partial(self._device.start, rate), COLLECTS_WITHIN))
+
+    def stop(self) -> None:
+        """As `Stream.stop`."""
+        self._owner.call(self._device.stop, COLLECTS_WITHIN)
+
+    def collect(self) -> Block:
+        """As `Stream.collect`."""
+        block: Block = self._owner.call(self._device.collect, COLLECTS_WITHIN)
+        return block
+
+
+class OwnDevices:
+    """The devices of a bench that carry no output; none in virtual time, where the guard has all."""
+
+    def __init__(self, bench: CompiledBench, clock: Clock) -> None:
+        self._records = [record for record in bench.devices if bench.realtime and not record.guarded]
+        self._clock = clock
+        self._opened: dict[str, tuple[Owner, Device]] = {}
+        self.identities: dict[str, Identity] = {}
+        self.streams: dict[str, OwnStream] = {}
+        self.channels = frozenset(channel.name for record in self._records for channel in record.channels)
+
+    def open(self) -> None:
+        """Open all; on failure those already open are closed."""
+        for record in self._records:
+            owner = Owner(record.name)
+            try:
+                device = load_driver(record, self._clock)
+                self.identities[record.name] = owner.call(device.open, OPENS_WITHIN)
+            except BaseException:
+                self.close()
+                raise
+            self._opened[record.name] = owner, device
+            if isinstance(device, Stream):
+                self.streams[record.name] = OwnStream(owner, device)
+
+    def close(self) -> None:
+        """Let go of all; harmless when repeated."""
+        for owner, device in self._opened.values():
+            with suppress(DeviceError):
+                owner.call(device.close)
+        self._opened = {}
+
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.uint16]
+
+APART = 1.5
+"""A sample that comes more than so many periods after the one before is late or follows a missing one [1] ..."""
+LATE_ONLY = 1.75
+"""... up to here it is only late: with one missing before it, it would have come early."""
+CARRIED = 0.25
+"""A sample later than this shortens the step to the next one [periods]; less is jitter of the clock."""
+MISSING = 0.75
+"""A sample counts as missing, not late, where steps are longer than they should be by so many periods [1]."""
+WAITING = 12
+"""At most so many samples wait for later ones to decide their flag: made-up polls come a few at once or never."""
+
+
+class Spacing:
+    """Whether samples are missing before a sample (GAP), or it only came late (LATE), from block to block.
+
+    Polls at absolute deadlines that are late by x periods make one step of 1 + x and, with those that are made up, the
+    next ones shorter by x in all; where a sample is missing they stay longer. So where x is near 1 or more the samples
+    after decide, and until they are there the last ones are `open`.
+    """
+
+    def __init__(self, rate: float) -> None:
+        self._period = 1e9 / rate
+        self._last: int | None = None
+        self._late = 0.0
+        self._open: list[float] = []
+        """How late the samples that are open would be, if none were missing [periods]."""
+
+    @property
+    def open(self) -> int:
+        """How many of the newest samples still wait for the next one to decide their flag."""
+        return len(self._open)
+
+    def look(self, time_ns: Sequence[int] | NDArray[np.int64]) -> tuple[list[int], list[int]]:
+        """The flags of the samples that were open, oldest first, and those of the samples at `time_ns`.
+
+        0 where a sample is open now.
+        """
+        were = self.open
+        flags = [0] * were
+        if isinstance(time_ns, np.ndarray) and self._even(time_ns):
+            return flags, [0] * len(time_ns)
+        for time in time_ns:
+            step = 1.0 if self._last is None else (time - self._last) / self._period
+            self._last = time
+            if self._open and step < MISSING <= self._open[-1] + step - 1.0 and self.open < WAITING:
+                self._open.append(self._open[-1] + step - 1.0)
+                flags.append(0)
+                continue
+            decided = self._decide(step)
+            flags[len(flags) - len(decided) :] = decided
+            step += self._late
+            flags.append(int(Flag.LATE) if APART < step <= LATE_ONLY else 0)
+            if step > LATE_ONLY:
+                self._open, self._late = [step - 1.0], 0.0
+            else:
+                self._late = step - 1.0 if step - 1.0 > CARRIED else 0.0
+        return flags[:were], flags[were:]
+
+    def _even(self, time_ns: NDArray[np.int64]) -> bool:
+        """Whether no sample is late or missing, nor waits, so that nothing is carried over; they then count as seen."""
+        if self._open or self._late or not len(time_ns):
+            return False
+        first = 0 if self._last is None else int(time_ns[0]) - self._last
+        if (time_ns[1:] - time_ns[:-1]).max(initial=first) / self._period - 1.0 > CARRIED:
+            return False
+        self._last = int(time_ns[-1])
+        return True
+
+    def settle(self) -> list[int]:
+        """The flags of the samples that still wait, at the end of the recording."""
+        return self._decide(1.0)
+
+    def _decide(self, step: float) -> list[int]:
+        """The flags of the samples that wait, decided by the `step` [periods] to the next sample."""
+        late, self._open = self._open, []
+        if not late:
+            return []
+        beyond = late[-1] + step - 1.0
+        lost = floor(beyond + 1.0 - MISSING) if beyond >= MISSING else 0
+        self._late = late[-1] - lost if not lost or late[-1] - lost > CARRIED else 0.0
+        found = [int(Flag.LATE) if x - lost > APART - 1.0 else 0 for x in late]
+        if lost:
+            found[0] = int(Flag.GAP)
+        return found
+
+
+class Ranges:
+    """Overrange and slack, and how far each channel has gone: `extremes` [SI], lowest and highest."""
+
+    def __init__(self, slack_below: float) -> None:
+        self._slack_below = slack_below
+        self.extremes: dict[str, tuple[float, float]] = {}
+
+    def block(self, channels: Mapping[str, ChannelRecord], values: Mapping[str, Array], count: int) -> Flags:
+        """Flags of `count` samples, of shape (n,); `values` [SI] have that shape too."""
+        flags = np.zeros(count, dtype=np.uint16)
+        for name, value in values.items():
+            channel = channels[name]
+            low, high = float(value.min()), float(value.max())
+            if low == low and high == high:
+                seen = self.extremes.get(name, (low, high))
+                self.extremes[name] = (min(seen[0], low), max(seen[1], high))
+            if not (low > channel.low and high < channel.high):  # also where one is no number
+                inside = (value > channel.low) & (value < channel.high)
+                if channel.raw_type != "int32":
+                    inside = (value >= channel.low) & (value <= channel.high)
+                flags[~inside] |= np.uint16(Flag.OVERRANGE)
+        force = values.get("force")
+        if self._slack_below > 0 and force is not None:
+            flags[force < self._slack_below] |= np.uint16(Flag.SLACK)
+        return flags
+
+    def one(self, channels: Iterable[ChannelRecord], values: Mapping[str, float]) -> int:
+        """As `block` for a single sample, in plain numbers: a loop closed at 500 Hz has 2 ms for everything."""
+        flags = 0
+        for channel in channels:
+            value = values[channel.name]
+            low, high = self.extremes.get(channel.name, (value, value))
+            if value < low or value > high:
+                self.extremes[channel.name] = (min(low, value), max(high, value))
+            if not channel.low < value < channel.high and (
+                channel.raw_type == "int32" or not channel.low <= value <= channel.high
+            ):
+                flags |= int(Flag.OVERRANGE)
+        if self._slack_below > 0 and values.get("force", self._slack_below) < self._slack_below:
+            flags |= int(Flag.SLACK)
+        return flags
+
 
 DRIFT = 2e-4
 """How far a device's clock may drift against the computer's [1]."""

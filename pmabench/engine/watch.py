@@ -45,24 +45,20 @@ class Trip:
             return f"{name} reads {self.value} {where}: no valid value"
         shown = show(self.value, quantity)
         high = show(limit.high, quantity) if limit.high is not None else ""
-        if limit.kind == "rate":
-            return f"{name} changes by {shown} per second, faster than {high} per second {where}"
-        if limit.kind == "frozen":
-            return f"{name} has not changed from {shown} for {limit.delay:g} s {where}"
-        if limit.kind == "off-range":
-            return f"{name} {shown} is at the end of what the channel can measure {where}"
-        if limit.kind == "following":
-            return f"{name} {shown} is further than {high} from what is commanded {where}"
-        if limit.kind == "burst":
-            return f"{name} fell by {shown} within {limit.window:g} s, more than {high}: burst or broken line {where}"
-        if limit.kind == "slack":
-            return f"{name} {shown} is under {show(limit.low or 0.0, quantity)}: slack {where}"
+        sentences = {
+            "rate": f"changes by {shown} per second, faster than {high} per second",
+            "frozen": f"has not changed from {shown} for {limit.delay:g} s",
+            "off-range": f"{shown} is at the end of what the channel can measure",
+            "following": f"{shown} is further than {high} from what is commanded",
+            "burst": f"fell by {shown} within {limit.window:g} s, more than {high}: burst or broken line",
+            "slack": f"{shown} is under {show(limit.low or 0.0, quantity)}: slack",
+        }
+        if limit.kind in sentences:
+            return f"{name} {sentences[limit.kind]} {where}"
         bound = limit.high if limit.high is not None and self.value >= limit.high else limit.low
         side = "above" if bound is limit.high else "below"
-        return (
-            f"{name} {shown} at {self.t:.3f} s is {side} its limit "
-            f"{show(bound if bound is not None else 0.0, quantity)} ({limit.source})"
-        )
+        end = show(bound if bound is not None else 0.0, quantity)
+        return f"{name} {shown} at {self.t:.3f} s is {side} its limit {end} ({limit.source})"
 
 
 class _Watched:

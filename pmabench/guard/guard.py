@@ -26,10 +26,17 @@ from pmabench.bench.interface import (
     ValveRecord,
 )
 from pmabench.guard import course
-from pmabench.guard.limits import refuse_jump, refuse_outside, refuse_unsafe_bench, to_device
+from pmabench.guard.limits import (
+    refuse_aims,
+    refuse_jump,
+    refuse_outside,
+    refuse_pulse,
+    refuse_together,
+    refuse_unsafe_bench,
+    to_device,
+)
 from pmabench.guard.links import Act, Links
 from pmabench.guard.owner import Call
-from pmabench.guard.pulses import refuse_aims, refuse_pulse, refuse_together
 from pmabench.guard.safe import AT_ONCE, SafeState, Vent
 from pmabench.guard.supervision import Supervision
 

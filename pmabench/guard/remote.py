@@ -1,8 +1,10 @@
-"""The engine's side of a guard in another process: the same methods as `Guard`, over a loopback socket."""
+"""The engine's side of a guard in another process: the same methods as `Guard`, over a loopback socket.
+
+Also the safe state without a guard process: for when there is none, or it does not answer.
+"""
 
 from __future__ import annotations
 
-import getpass
 import json
 import socket
 import subprocess
@@ -16,14 +18,55 @@ from typing import IO, Any
 
 from pmabench.base import errors
 from pmabench.base.clock import RealClock
-from pmabench.base.errors import DeviceError, Interrupted, LimitTripped, PmaError
-from pmabench.bench.interface import Block, CompiledBench, Identity, Load
-from pmabench.guard.direct import vent_directly
-from pmabench.guard.guard import Measure
+from pmabench.base.errors import DeviceError, Interrupted, LimitTripped, PmaError, RecordError
+from pmabench.base.system import user_name
+from pmabench.bench.interface import Block, CompiledBench, Identity, Load, Stream
+from pmabench.guard.guard import Guard, Measure, State
 from pmabench.guard.limits import to_device
 from pmabench.guard.safe import Vent
-from pmabench.guard.station import Station
+from pmabench.guard.station import UNCLEAN, Station
 from pmabench.guard.wire import Message, Messages, encode, keys
+
+RATE = 50.0
+"""At which the pressure is looked at while a vent is confirmed [Hz]."""
+
+
+def vent_directly(bench: CompiledBench, station: Station, why: str) -> Vent:
+    """Open the guarded devices here, run the safe state, write its result into the bench's state folder.
+
+    Devices that cannot be opened are left out: those that answer are vented. A bench that was armed or tripped before,
+    or is not confirmed to be safe now, is latched.
+    """
+    guard = Guard(bench, RealClock(), threads=True, forgiving=True)
+    guard.open()
+    try:
+        sampled = [name for name, device in list(guard.devices.items()) if isinstance(device, Stream)]
+        guard.begin_safe()
+        guard.step_safe({})
+        for name in sampled:
+            with suppress(PmaError):
+                guard.links.stream(name, RATE)
+
+        def measure() -> Mapping[str, float]:
+            guard.latest.clear()
+            guard.clock.wait_until(guard.clock.now() + 0.05)
+            for name in sampled:
+                with suppress(PmaError):
+                    guard.collect(name)
+            return guard.latest
+
+        vent = guard.safe_state(measure)
+    finally:
+        guard.close()
+    unclean = station.read("state").get("what") == "armed"
+    latched = bool(station.latched()) or not vent.confirmed or guard.state is State.TRIPPED
+    why = UNCLEAN if unclean else why
+    if not vent.confirmed:
+        why = f"{why}; safe state {vent.result}"
+    with suppress(RecordError):
+        station.note("tripped" if latched else "safe", why=why, vent=vars(vent))
+    return vent
+
 
 ANSWERS_WITHIN = 1.0
 """A guard that does not answer for so long [s] is lost."""
@@ -92,7 +135,7 @@ class RemoteGuard:
     def open(self) -> None:
         """Start the guard and have it open its devices. Raises DeviceError, or LimitRefused where it is latched."""
         station = Station(self.bench.name)
-        given = {"bench": json.loads(self.bench.to_json()), "start": self._clock.start, "user": _user()}
+        given = {"bench": json.loads(self.bench.to_json()), "start": self._clock.start, "user": user_name()}
         with _log(station) as log:
             process = self._process = subprocess.Popen(
                 [sys.executable, "-P", "-m", "pmabench.guard"],
@@ -227,9 +270,9 @@ class RemoteGuard:
             self._process.returncode = self._process.returncode or 0  # no warning of a child that is still there
             self._process = None
 
-    def describe(self) -> dict[str, Any]:
-        """Who answered, for the manifest."""
-        return {name: vars(identity) for name, identity in self.identities.items()}
+
+AnyGuard = Guard | RemoteGuard
+"""The guard as the engine sees it, in this process or in another."""
 
 
 def _log(station: Station) -> IO[bytes]:
@@ -241,13 +284,6 @@ def _log(station: Station) -> IO[bytes]:
         raise DeviceError(
             station.name, f"its state cannot be kept in {station.folder}: {error.strerror}; set PMABENCH_STATE"
         ) from error
-
-
-def _user() -> str:
-    try:
-        return getpass.getuser()
-    except (OSError, KeyError):
-        return "unknown"
 
 
 def _ended(ended: Mapping[str, str]) -> PmaError:

@@ -29,35 +29,26 @@ IN_EXPECTED = ("F_ce", "K", "B_c", "B_r", "F_c")
 """What a specimen file can expect."""
 
 
-def _interval_above_zero(value: float) -> float:
-    if not value > 0:
-        raise ValueError(f'{show(value, "ratio")}: an interval must be > 0 %, for instance "5 %"')
-    return value
+def _above_zero(expected: str) -> AfterValidator:
+    """A share, or a value with its quantity, above 0; the message ends with what is `expected`."""
+
+    def check(limit: Any) -> Any:
+        quantity, value = limit if isinstance(limit, tuple) else ("ratio", limit)
+        if not value > 0:
+            raise ValueError(f"{show(value, quantity)}: {expected}")
+        return limit
+
+    return AfterValidator(check)
 
 
-def _above_zero(value: float) -> float:
-    if not value > 0:
-        raise ValueError(f'{show(value, "ratio")}: a limit is above 0 %, for instance "5 %"')
-    return value
-
-
-def _size_above_zero(limit: tuple[str, float]) -> tuple[str, float]:
-    quantity, value = limit
-    if not value > 0:
-        raise ValueError(f'{show(value, quantity)}: a limit is above 0, for instance "3 %" or "15 N"')
-    return limit
-
-
-Limit = Annotated[Ratio, AfterValidator(_above_zero)]
-
-
-StaticLimit = Annotated[ShareOrForce, AfterValidator(_size_above_zero)]
+Limit = Annotated[Ratio, _above_zero('a limit is above 0 %, for instance "5 %"')]
+StaticLimit = Annotated[ShareOrForce, _above_zero('a limit is above 0, for instance "3 %" or "15 N"')]
 
 
 class Accept(Strict):
     """Limits of one coefficient, of one check, or of R2."""
 
-    relative_interval: Annotated[Ratio, AfterValidator(_interval_above_zero)] | None = None
+    relative_interval: Annotated[Ratio, _above_zero('an interval must be > 0 %, for instance "5 %"')] | None = None
     """Widest 95 % interval of a coefficient, of its value."""
     of_specimen: Limit | None = None
     """How far a coefficient may be from what the specimen file expects, of that."""
@@ -76,13 +67,9 @@ Acceptance = dict[Coefficient | CheckName | Literal["R2"], Accept]
 
 def measures_of(name: str) -> tuple[str, ...]:
     """Which limits a name of the section can have."""
-    return (
-        ("relative_interval", "of_specimen", *(("of_static", "static_E_n") if name == "F_ce" else ()))
-        if name in COEFFICIENTS
-        else ("at_least",)
-        if name == "R2"
-        else ("at_most",)
-    )
+    if name in COEFFICIENTS:
+        return ("relative_interval", "of_specimen", *(("of_static", "static_E_n") if name == "F_ce" else ()))
+    return ("at_least",) if name == "R2" else ("at_most",)
 
 
 def find_faults(
@@ -95,32 +82,23 @@ def find_faults(
     kind = c.document.data.get("kind")
     for name, limits in accept.items():
         able = gives if name in COEFFICIENTS else (*checks, *(("R2",) if gives and checks else ()))
-        if not able:
-            c.fault(
-                ("accept", name),
-                f'"{kind}" gives nothing of the kind; it gives {", ".join(gives) or ", ".join(checks)}',
-                key=True,
-            )
-            continue
         if name not in able:
-            c.fault(("accept", name), f'"{kind}" does not give {name}; it gives {", ".join(able)}', key=True)
+            nothing = f"gives nothing of the kind; it gives {', '.join(gives) or ', '.join(checks)}"
+            wrong = f"does not give {name}; it gives {', '.join(able)}" if able else nothing
+            c.fault(("accept", name), f'"{kind}" {wrong}', key=True)
             continue
         fitting = measures_of(name)
+        expected = f"expected {' or '.join(fitting)}"
         measures = [measure for measure in Accept.model_fields if getattr(limits, measure) is not None]
         if not measures:
-            c.fault(("accept", name), f"says no limit; expected {' or '.join(fitting)}", key=True)
+            c.fault(("accept", name), f"says no limit; {expected}", key=True)
         for measure in measures:
             if measure not in fitting:
-                c.fault(
-                    ("accept", name, measure), f"{name} has no {measure}; expected {' or '.join(fitting)}", key=True
-                )
+                c.fault(("accept", name, measure), f"{name} has no {measure}; {expected}", key=True)
         for measure in ("of_static", "static_E_n"):
             if measure in measures and name == "F_ce" and not with_static:
-                c.fault(
-                    ("accept", name, measure),
-                    f'compares F_ce with that of static load; "{kind}" has no such comparison',
-                    key=True,
-                )
+                wrong = f'compares F_ce with that of static load; "{kind}" has no such comparison'
+                c.fault(("accept", name, measure), wrong, key=True)
         if "of_specimen" in measures and name in COEFFICIENTS:
             _needs_expected(c, name)
 
@@ -137,9 +115,8 @@ def for_plan(c: Compilation, accept: Acceptance) -> dict[str, Any]:
     """The section as the plan holds it: widest relative intervals by coefficient, and all `limits`; empty for none."""
     if not accept:
         return {}
-    widest = {
-        str(name): limits.relative_interval for name, limits in accept.items() if limits.relative_interval is not None
-    }
+    widest = {str(name): limits.relative_interval for name, limits in accept.items()}
+    widest = {name: interval for name, interval in widest.items() if interval is not None}
     return {**widest, "limits": list(_limits(c, accept))}
 
 

@@ -97,12 +97,14 @@ class Compilation:
         if record is None:
             self.fault(location, f'needs the output "{output}", which the bench does not have')
             return
-        if value > record.high * (1 + 1e-9) + 1e-12:
-            limit = f"above the limit for commanded {output}, {show(record.high, record.quantity)} ({record.high_from})"
-            self._outside(value, record.quantity, location, limit)
-        if value < record.low - 1e-12 - 1e-9 * abs(record.low):
-            limit = f"below the limit for commanded {output}, {show(record.low, record.quantity)} ({record.low_from})"
-            self._outside(value, record.quantity, location, limit)
+        beyond = {
+            "above": (value > record.high * (1 + 1e-9) + 1e-12, record.high, record.high_from),
+            "below": (value < record.low - 1e-12 - 1e-9 * abs(record.low), record.low, record.low_from),
+        }
+        for side, (wrong, end, source) in beyond.items():
+            if wrong:
+                limit = f"{side} the limit for commanded {output}, {show(end, record.quantity)} ({source})"
+                self._outside(value, record.quantity, location, limit)
 
     def _outside(self, value: float, quantity: str, location: Location, limit: str) -> None:
         """Note a value beyond a limit; all values of one place, as those of a range, make one problem."""

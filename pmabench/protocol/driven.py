@@ -3,6 +3,8 @@
 A muscle that is stretched loses volume. What its regulator cannot let out in time raises the pressure (paper 3, chamber
 equation), which is compared with what the bench and the muscle bear. Predicted with the bench's `air: conductance`;
 where that is not given, a fast motion counts as closed.
+
+For a joint of two muscles also the names of its pressures, what its drive can do, and the way out.
 """
 
 from __future__ import annotations
@@ -253,3 +255,20 @@ def _down(value: float) -> float:
         return 0.0
     digit = 10.0 ** (len(f"{int(value * 1e9)}") - 11)
     return (ceil(value / digit) - 1) * digit
+
+
+MUSCLES = ("pressure_1", "pressure_2")
+
+
+def vented() -> list[Step]:
+    """Both muscles to 0 together, and a rest."""
+    return [*(Set("vent", name, 0.0) for name in MUSCLES), Hold("vent", VENT_HOLD)]
+
+
+def not_faster(c: Compilation, speed: float, place: Location) -> None:
+    """Note a problem where a speed [rad/s] is not above 0, or above what the drive of the joint can do."""
+    c.positive(speed, place)
+    output = next((o for o in c.mounted.bench.outputs if o.name == "angle"), None)
+    if output is not None and output.rate and speed > output.rate * (1 + 1e-9):
+        most = show(output.rate, "angular speed")
+        c.fault(place, f"{show(speed, 'angular speed')} is faster than the drive of the joint, {most}")

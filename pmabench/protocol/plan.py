@@ -28,8 +28,8 @@ class Step:
     phase: str
 
     def longest(self) -> float:
-        """Longest duration [s]; hands take no bench time."""
-        return 0.0
+        """Longest duration [s]: the time limit of a step that has one; hands take no bench time."""
+        return float(getattr(self, "limit", 0.0))
 
     def shortest(self) -> float:
         """Shortest duration [s]."""
@@ -129,10 +129,6 @@ class WaitUntil(Step):
     limit: float
     at_limit: str = "fail"
 
-    def longest(self) -> float:
-        """The time limit."""
-        return self.limit
-
     def shortest(self) -> float:
         """The window."""
         return self.window
@@ -178,10 +174,6 @@ class Seek(Step):
     parameters: Mapping[str, Any] = field(default_factory=dict)
     at_limit: str = "fail"
 
-    def longest(self) -> float:
-        """The time limit."""
-        return self.limit
-
     def shortest(self) -> float:
         """A search may end at once."""
         return 0.0
@@ -206,10 +198,6 @@ class Control(Step):
     limit: float
     parameters: Mapping[str, Any] = field(default_factory=dict)
     at_limit: str = "fail"
-
-    def longest(self) -> float:
-        """The time limit."""
-        return self.limit
 
     def shortest(self) -> float:
         """What the law is to last where its parameters say it; else it may end at once."""
@@ -282,10 +270,7 @@ class Plan:
 
     def duration(self) -> tuple[float, float]:
         """Shortest and longest duration [s], without the operator's time."""
-        return (
-            sum(step.shortest() for step in self.steps),
-            sum(step.longest() for step in self.steps),
-        )
+        return sum(step.shortest() for step in self.steps), sum(step.longest() for step in self.steps)
 
     def rows(self) -> int:
         """Most samples that can be recorded."""

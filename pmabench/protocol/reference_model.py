@@ -5,18 +5,23 @@ It is put into the plan as plain numbers, so that a run does not depend on a fil
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import Field
 
 from pmabench.base.errors import InvalidFile, PmaError, did_you_mean
+from pmabench.bench.plant import read_plant
 from pmabench.files.document import Location, Strict
 from pmabench.files.quantity import Force, Pressure, Time
+from pmabench.model.curve import Curve
+from pmabench.model.muscle import Friction, Muscle
+from pmabench.model.presets import MUSCLES, Described, changed, preset, setup_of, tabulated_force
+from pmabench.model.regulator import Regulator
 from pmabench.protocol.common import Compilation
 
 if TYPE_CHECKING:
-    from pmabench.model.curve import Curve
     from pmabench.store.analyses.results import Analysis, Estimate
 
 SPECIMEN = "specimen"
@@ -53,13 +58,11 @@ class ReferenceModel(Strict):
 
 def described(c: Compilation, model: ReferenceModel, at: Location) -> dict[str, Any] | None:
     """The model as plain data for the plan's settings; None with a problem noted where there is none."""
-    from pmabench.model.presets import Described, tabulated_force
-
     name, place = model.coefficients, (*at, "coefficients")
     try:
         if name == SPECIMEN:
             table = _of_specimen(c)
-        elif name.split()[0] in _presets() or _plant_file(name):
+        elif name.split()[0] in MUSCLES or _plant_file(name):
             return _of_preset(c, model, at)
         else:
             if (folder := _surface_folder(c, name)) is not None:
@@ -68,9 +71,6 @@ def described(c: Compilation, model: ReferenceModel, at: Location) -> dict[str, 
     except (PmaError, ValueError, IndexError) as error:
         c.fault(place, str(error) or f'"{name}" names no model')
         return None
-    from pmabench.model.curve import Curve
-    from pmabench.model.muscle import Friction, Muscle
-    from pmabench.model.regulator import Regulator
 
     def through(symbol: str) -> Curve:
         points = table["points"][symbol]
@@ -103,19 +103,7 @@ def described(c: Compilation, model: ReferenceModel, at: Location) -> dict[str, 
     return Described(muscle, before, table["source"], (min(pressures), max(pressures))).to_dict()
 
 
-def _presets() -> list[str]:
-    from pmabench.model.presets import MUSCLES
-
-    return list(MUSCLES)
-
-
 def _of_preset(c: Compilation, model: ReferenceModel, at: Location) -> dict[str, Any] | None:
-    from dataclasses import replace
-
-    from pmabench.model.muscle import Friction, Muscle
-    from pmabench.model.presets import Described, changed, preset, setup_of
-    from pmabench.model.regulator import Regulator
-
     name, _, kind = model.coefficients.partition(" ")
     source, domain = f"preset {name} {kind.strip() or 'ideal'}", (0.0, 1e7)
     try:
@@ -150,8 +138,6 @@ def _plant_file(text: str) -> tuple[str, str] | None:
 
 def _read_plant(c: Compilation, name: str) -> dict[str, Any]:
     """The numbers of a plant file, looked for from the current folder, then next to the protocol."""
-    from pmabench.bench.plant import read_plant
-
     places = [Path(name), Path(str(c.document.path)).parent / name]
     path = next((place for place in places if place.is_file()), None)
     if path is None:
@@ -164,7 +150,7 @@ def _of_specimen(c: Compilation) -> dict[str, Any]:
     if expected is None:
         raise ValueError(
             'the specimen file has no "expected" coefficients; name a preset '
-            f"({', '.join(_presets())}) or the folder of an analysis"
+            f"({', '.join(MUSCLES)}) or the folder of an analysis"
         )
     points = sorted(expected.points, key=lambda point: point.pressure)
     table = {
@@ -213,7 +199,6 @@ def _surface_folder(c: Compilation, name: str) -> Path | None:
 def _of_surface(folder: Path, model: ReferenceModel) -> dict[str, Any]:
     """The muscle of an analysis of kind surface; ValueError in words."""
     from pmabench.model.identified.library import described as surface
-    from pmabench.model.regulator import Regulator
     from pmabench.store.analyses.folder import read_analysis
 
     analysis = read_analysis(folder)
@@ -254,7 +239,7 @@ def read_folder(c: Compilation, name: str, needed: tuple[str, ...]) -> Analysis:
     symbols = ", ".join(needed)
     found = _folders(c, name)
     if not found:
-        known = [SPECIMEN, *_presets()]
+        known = [SPECIMEN, *MUSCLES]
         raise ValueError(
             f'"{name}" is no analysis folder{did_you_mean(name, known)}; '
             f"process a run that gives {symbols} and name its folder"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import random
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from itertools import product
+from itertools import groupby, product
 from math import prod
 from typing import Annotated, Any, Generic, Literal, TypeVar
 
@@ -185,11 +185,7 @@ def _ordered(points: list[Point], sweep: Sweep[Any], repeat: int) -> list[Point]
         return shuffled
     if sweep.order == "snake" and sweep.matrix is not None and points:
         outer = next(iter(points[0].values))
-        rows: list[list[Point]] = []
-        for point in points:
-            if not rows or rows[-1][0].values[outer] != point.values[outer]:
-                rows.append([])
-            rows[-1].append(point)
+        rows = [list(row) for _, row in groupby(points, key=lambda point: point.values[outer])]
         if repeat % 2:
             rows.reverse()
         return [p for index, row in enumerate(rows) for p in (row[::-1] if index % 2 else row)]

@@ -19,10 +19,10 @@ from pmabench.bench.safety import EXTRAPOLATED
 from pmabench.bench.session import Stack
 from pmabench.engine.executor import Executor, Progress
 from pmabench.engine.operator import Operator
-from pmabench.engine.run import Outcome, run_plan
+from pmabench.engine.run import Outcome
 from pmabench.protocol.plan import Ask, Hold, Ramp, Set
 from pmabench.session.calibration_file import DOWN, UP, Fit, Point, fit
-from pmabench.session.guided import guided_plan, load_text, moving_mass, steady
+from pmabench.session.guided import guided_run, load_text, moving_mass, steady
 
 PHASE = "calibration"
 REGULATOR = "pressure_command"
@@ -72,7 +72,6 @@ def calibrate(
     *,
     operator_name: str = "",
     progress: Callable[[Progress], None] = lambda _progress: None,
-    begun: Callable[[Path], None] = lambda _folder: None,
 ) -> Calibrated:
     """Calibrate; raises UsageError where the bench cannot, before anything is opened."""
     channel, output = check(mounted, request)
@@ -96,18 +95,12 @@ def calibrate(
         fits.append(found)
         executor.recorder.event("calibrated", executor.clock.now(), channel=request.channel, **asdict(found))
 
-    plan = guided_plan(mounted, "calibration", f"calibration of {request.channel}", {"points": list(request.points)})
-    outcome = run_plan(
-        plan,
-        mounted,
-        operator,
-        out=out,
-        operator_name=operator_name,
-        progress=progress,
-        begun=begun,
-        procedure=procedure,
-    )
-    raw_unit = channel.raw_unit if channel is not None else _raw_unit(mounted)
+    points_of = {"points": list(request.points)}
+    more = {"out": out, "operator_name": operator_name, "progress": progress}
+    name = f"calibration of {request.channel}"
+    outcome = guided_run(mounted, operator, "calibration", name, procedure, points_of, **more)
+    # of the regulator the unit of its command, as in its scale
+    raw_unit = channel.raw_unit if channel else str(mounted.bench_file.set_points["pressure"].scale[0][0][1])
     return Calibrated(outcome, fits[0] if fits else None, raw_unit)
 
 
@@ -188,86 +181,79 @@ def uncovered(mounted: Mounted, request: Request) -> list[str]:
     return found
 
 
+@dataclass
 class _Work:
     """Goes to points and reads them."""
 
-    def __init__(
-        self,
-        executor: Executor,
-        mounted: Mounted,
-        request: Request,
-        read: Read,
-        channel: ChannelRecord | None,
-        output: OutputRecord | None,
-    ) -> None:
-        self._executor, self._mounted, self._request, self._read = executor, mounted, request, read
-        self._channel, self._output = channel, output
+    executor: Executor
+    mounted: Mounted
+    request: Request
+    read: Read
+    channel: ChannelRecord | None
+    output: OutputRecord | None
+
+    def __post_init__(self) -> None:
         self._measured = next(
-            c for c in executor.bench.channels if c.name == ("pressure" if channel is None else channel.name)
+            c for c in self.executor.bench.channels if c.name == (self.channel.name if self.channel else "pressure")
         )
-        self._commanded = output.safe if output is not None else 0.0
+        self._commanded = self.output.safe if self.output is not None else 0.0
         self._at: float | None = None
 
     @property
     def reference_uncertainty(self) -> float:
         """Of the reference, k = 2 [SI]: what was said; the measured pressure's for the regulator."""
-        if self._channel is not None:
-            return self._request.reference_uncertainty
+        if self.channel is not None:
+            return self.request.reference_uncertainty
         known = self._measured.calibration
-        of_channel = known.offset_uncertainty + known.gain_uncertainty * max(abs(p) for p in self._request.points)
-        return max(of_channel, self._request.reference_uncertainty)
+        of_channel = known.offset_uncertainty + known.gain_uncertainty * max(abs(p) for p in self.request.points)
+        return max(of_channel, self.request.reference_uncertainty)
 
     def point(self, target: float, way: str, cycle: int) -> Point:
         """Go there, wait until it is steady, average, read the reference."""
         nominal = self._go(target)
         most = DRIFT * (self._measured.high - self._measured.low)
         reading = steady(
-            self._executor.acquisition, self._measured.name, most, seconds=self._request.seconds, within=60.0
+            self.executor.acquisition, self._measured.name, most, seconds=self.request.seconds, within=60.0
         )
-        if self._channel is None:
-            assert self._output is not None  # noqa: S101  (the regulator has one)
-            return Point(target, reading.mean, float(self._output.scale.to_raw(nominal)), way, cycle)
-        raw = float(self._channel.scale.to_raw(reading.mean))
-        quantity = self._channel.quantity
-        text = f"{self._request.reference}: what does it read at {show(nominal, quantity)}?"
-        reference = self._read(text, nominal, self._wait)
+        if self.channel is None:
+            assert self.output is not None  # noqa: S101  (the regulator has one)
+            return Point(target, reading.mean, float(self.output.scale.to_raw(nominal)), way, cycle)
+        raw = float(self.channel.scale.to_raw(reading.mean))
+        quantity = self.channel.quantity
+        text = f"{self.request.reference}: what does it read at {show(nominal, quantity)}?"
+        reference = self.read(text, nominal, self._wait)
         return Point(target, reference, raw, way, cycle)
 
     def _wait(self) -> None:
-        self._executor.acquisition.pass_time(0.1)
+        self.executor.acquisition.pass_time(0.1)
 
     def _go(self, target: float) -> float:
         """Bring the quantity to `target` [SI]; the nominal value then, as far as the output can resolve it."""
         if self._at == target:
-            return self._commanded if self._output is not None else target
+            return self._commanded if self.output is not None else target
         self._at = target
-        if self._output is not None:
-            if self._output.rate:
-                self._executor.do(Ramp(PHASE, self._output.name, self._commanded, target, TRAVEL * self._output.rate))
+        if self.output is not None:
+            if self.output.rate:
+                self.executor.do(Ramp(PHASE, self.output.name, self._commanded, target, TRAVEL * self.output.rate))
             else:
-                self._executor.do(Set(PHASE, self._output.name, target))
-            self._executor.do(Hold(PHASE, 1.0))
-            self._commanded = self._executor.guard.value_sent(self._output.name, target)
+                self.executor.do(Set(PHASE, self.output.name, target))
+            self.executor.do(Hold(PHASE, 1.0))
+            self._commanded = self.executor.guard.value_sent(self.output.name, target)
             return self._commanded
-        weights = self._mounted.bench_file.weights
+        weights = self.mounted.bench_file.weights
         quantity = self._measured.quantity
         text, load = f"Bring {self._measured.name} to {show(target, quantity)} of the reference.", None
         if self._measured.name == "force" and weights is not None:
             mass = target / weights.g
-            text, load = load_text(self._mounted, mass), (target, moving_mass(self._mounted, mass))
-        has_pressure = any(output.name == "pressure" for output in self._executor.bench.outputs)
+            text, load = load_text(self.mounted, mass), (target, moving_mass(self.mounted, mass))
+        has_pressure = any(output.name == "pressure" for output in self.executor.bench.outputs)
         if has_pressure:
-            self._executor.do(Set(PHASE, "pressure", 0.0))
-        self._executor.do(Ask(PHASE, text, "vented", load))
-        if has_pressure and self._request.hold and target > 0:
-            self._executor.do(Set(PHASE, "pressure", self._request.hold))
-            self._executor.do(Hold(PHASE, 5.0))
+            self.executor.do(Set(PHASE, "pressure", 0.0))
+        self.executor.do(Ask(PHASE, text, "vented", load))
+        if has_pressure and self.request.hold and target > 0:
+            self.executor.do(Set(PHASE, "pressure", self.request.hold))
+            self.executor.do(Hold(PHASE, 5.0))
         return target
-
-
-def _raw_unit(mounted: Mounted) -> str:
-    """Unit of the regulator's command, as in its scale."""
-    return str(mounted.bench_file.set_points["pressure"].scale[0][0][1])
 
 
 def budget(found: Fit, quantity: str, raw_unit: str) -> list[tuple[str, str]]:

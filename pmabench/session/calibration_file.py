@@ -7,7 +7,6 @@ import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import date
-from itertools import groupby
 from math import sqrt
 from pathlib import Path
 
@@ -59,23 +58,25 @@ def fit(points: Sequence[Point], reference: float) -> Fit:
     half the hysteresis and half the drift as half widths of rectangles (/ sqrt 3, GUM 4.3.7); repeatability.
     Raises VerdictFailed where the points make no line.
     """
-    groups = {
-        target: list(group) for target, group in groupby(sorted(points, key=lambda p: p.target), lambda p: p.target)
-    }
-    means = [
-        (float(np.mean([p.raw for p in group])), float(np.mean([p.reference for p in group])))
-        for group in groups.values()
-    ]
+    target, raw, value = (np.array([getattr(p, name) for p in points]) for name in ("target", "raw", "reference"))
+    way, cycle = np.array([p.way for p in points]), np.array([p.cycle for p in points])
+    places = [target == place for place in np.unique(target)]
+    means = [(float(raw[at].mean()), float(value[at].mean())) for at in places]
     try:
-        scale = fit_line([raw for raw, _ in means], [value for _, value in means])
+        scale = fit_line([one for one, _ in means], [one for _, one in means])
     except (ValueError, ZeroDivisionError) as error:
         raise VerdictFailed(f"no calibration: {error}") from error
-    residual = max(abs(scale.to_si(raw) - value) for raw, value in means)
+    residual = max(abs(scale.to_si(one) - reference_value) for one, reference_value in means)
     # what the line is off at each reading: differences in the reference itself do not count
-    off = {id(p): float(scale.to_si(p.raw)) - p.reference for p in points}
-    hysteresis = max((_between_ways(group, off) for group in groups.values()), default=0.0)
-    repeatability = _repeatability(points, off)
-    drift = _drift(points, off)
+    off = scale.to_si(raw) - value
+    ways = [(off[at & (way == UP)], off[at & (way == DOWN)]) for at in places]
+    hysteresis = max((abs(float(up.mean() - down.mean())) for up, down in ways if len(up) and len(down)), default=0.0)
+    cells = [off[(target == place) & (way == one)] for place, one in dict.fromkeys((p.target, p.way) for p in points)]
+    freedom = len(points) - len(cells)  # pooled over points and ways; nothing where nothing was repeated
+    repeatability = sqrt(sum(float(np.sum((c - c.mean()) ** 2)) for c in cells) / freedom) if freedom else 0.0
+    first = target == target[0]
+    ends = [float(off[first & (cycle == number)].mean()) for number in (cycle[0], cycle[first][-1])]
+    drift = ends[1] - ends[0]
     squares = (
         (reference / 2) ** 2,
         (residual / sqrt(3)) ** 2,
@@ -84,32 +85,6 @@ def fit(points: Sequence[Point], reference: float) -> Fit:
         repeatability**2,
     )
     return Fit(scale, tuple(means), residual, hysteresis, repeatability, drift, reference, 2 * sqrt(sum(squares)))
-
-
-def _drift(points: Sequence[Point], off: dict[int, float]) -> float:
-    cycles: dict[int, list[float]] = {}
-    for p in points:
-        if p.target == points[0].target:
-            cycles.setdefault(p.cycle, []).append(off[id(p)])
-    means = [float(np.mean(values)) for values in cycles.values()]
-    return means[-1] - means[0]
-
-
-def _between_ways(group: Sequence[Point], off: dict[int, float]) -> float:
-    up, down = ([off[id(p)] for p in group if p.way == way] for way in (UP, DOWN))
-    return abs(float(np.mean(up)) - float(np.mean(down))) if up and down else 0.0
-
-
-def _repeatability(points: Sequence[Point], off: dict[int, float]) -> float:
-    """Pooled over points and ways; 0 where nothing was repeated."""
-    sums, freedom = 0.0, 0
-    cells: dict[tuple[float, str], list[float]] = {}
-    for p in points:
-        cells.setdefault((p.target, p.way), []).append(off[id(p)])
-    for values in cells.values():
-        sums += float(np.sum((np.array(values) - np.mean(values)) ** 2))
-        freedom += len(values) - 1
-    return sqrt(sums / freedom) if freedom else 0.0
 
 
 def write_calibration(

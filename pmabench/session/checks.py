@@ -228,8 +228,8 @@ def _named(wiring: Wiring, wire: str) -> str:
     if wiring.dump is not None and wire == wiring.dump.name:
         return f"the valve {wire} ({wiring.dump.device}.{wiring.dump.output})"
     if wire in {OUT, MOVE}:
-        output = wiring.outputs[wire.removeprefix("set ")]
-        return f"the output {output.name} ({output.device}.{output.output})"
+        name = wire.removeprefix("set ")
+        return f"the output {name} ({wiring.output(name)})"
     return f"the {wire} ({wiring.input(wire)})"
 
 

@@ -1,4 +1,4 @@
-"""What guided runs share: their plan, loads by hanger and plates, a bench looked at without being armed, listening.
+"""What guided runs share: a plan without steps, loads by hanger and plates, looking at a bench unarmed, listening.
 
 Looking opens and samples the devices, commands nothing, and closes them on every way out. Listening gives series, mean,
 noise and drift over a stretch of bench time.
@@ -6,7 +6,7 @@ noise and drift over a stretch of bench time.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -20,21 +20,33 @@ from pmabench.bench.compile import Mounted
 from pmabench.bench.interface import CompiledBench, Identity
 from pmabench.bench.session import Stack
 from pmabench.engine.acquire import Acquisition, Array, Samples, Stop
-from pmabench.engine.own import OwnDevices
+from pmabench.engine.executor import Executor
+from pmabench.engine.operator import Operator
 from pmabench.engine.recorder import NoRecord
+from pmabench.engine.run import Outcome, run_plan
+from pmabench.engine.source import OwnDevices
 from pmabench.guard.guard import Guard
 from pmabench.guard.remote import RemoteGuard
 from pmabench.protocol.common import FORCE_MASS
-from pmabench.protocol.plan import Plan
+from pmabench.protocol.plan import Ask, Plan
 
 RATE = 200.0
 """Rate at which a guided run samples [Hz]."""
 
 
-def guided_plan(mounted: Mounted, kind: str, name: str, settings: Mapping[str, Any] | None = None) -> Plan:
-    """A plan without steps for a guided run: every channel is recorded."""
+def guided_run(
+    mounted: Mounted,
+    operator: Operator,
+    kind: str,
+    name: str,
+    procedure: Callable[[Executor], None],
+    settings: Mapping[str, Any] | None = None,
+    **more: Any,
+) -> Outcome:
+    """A run of `procedure`, whose plan has no steps; every channel is recorded. `more` is for `run_plan`."""
     channels = tuple(channel.name for channel in mounted.bench.channels)
-    return Plan(kind, name, "", mounted.bench.free_end, RATE, channels, (), (), settings or {})
+    plan = Plan(kind, name, "", mounted.bench.free_end, RATE, channels, (), (), settings or {})
+    return run_plan(plan, mounted, operator, procedure=procedure, **more)
 
 
 def load_text(mounted: Mounted, mass: float) -> str:
@@ -51,6 +63,12 @@ def moving_mass(mounted: Mounted, mass: float) -> float:
     """Moving mass with a load of `mass`: load, carriage and muscle [kg]."""
     bench = mounted.bench
     return mass + bench.carriage if bench.hanging and mass + bench.carriage > 0 else FORCE_MASS
+
+
+def put_on(executor: Executor, mounted: Mounted, phase: str, mass: float, also: str = "") -> None:
+    """Have hands put a load of `mass` [kg] on, vented, and do what `also` says."""
+    load = (mass * mounted.bench.gravity, moving_mass(mounted, mass))
+    executor.do(Ask(phase, f"{load_text(mounted, mass)} {also}".strip(), "vented", load))
 
 
 LOOKED_AT = 100.0
@@ -76,19 +94,15 @@ def looking(bench: CompiledBench, rate: float = LOOKED_AT) -> Iterator[Look]:
         guard = RemoteGuard(bench, clock) if isinstance(clock, RealClock) else Guard(bench, clock)
         stack.callback(guard.close)
         guard.open()
-        identities, streams = dict(guard.identities), dict(guard.devices)
-        if bench.realtime:
-            own = OwnDevices(bench, clock)
-            stack.callback(own.close)
-            own.open()
-            identities |= own.identities
-            streams |= own.streams
+        own = OwnDevices(bench, clock)
+        stack.callback(own.close)
+        own.open()
         names = tuple(channel.name for channel in bench.channels)
-        acquisition = Acquisition(bench, streams, clock, rate, names, NoRecord())
+        acquisition = Acquisition(bench, {**guard.devices, **own.streams}, clock, rate, names, NoRecord())
         acquisition.begin_safe_state()
         stack.callback(acquisition.stop)
         acquisition.start()
-        yield Look(identities, acquisition)
+        yield Look({**guard.identities, **own.identities}, acquisition)
 
 
 OTHER_CLOCK = 0.5

@@ -12,9 +12,9 @@ from pmabench.bench.compile import Mounted
 from pmabench.bench.interface import CompiledBench, OutputRecord
 from pmabench.engine.executor import Executor
 from pmabench.engine.operator import Operator
-from pmabench.engine.run import Outcome, run_plan
+from pmabench.engine.run import Outcome
 from pmabench.protocol.plan import Ramp, Set
-from pmabench.session.guided import Series, guided_plan, listen
+from pmabench.session.guided import Series, guided_run, listen
 
 PHASE = "jog"
 BLOCK = 0.1
@@ -23,6 +23,7 @@ TRAVEL = 0.05
 """Speed of the actuator, of its highest."""
 STEPS = {"pressure": (1e3, 2e3, 5e3, 10e3, 20e3, 50e3), "displacement": (0.1e-3, 0.2e-3, 0.5e-3, 1e-3, 2e-3, 5e-3)}
 """Steps that can be chosen [SI]."""
+MOVES = {"+": ("pressure", 1), "-": ("pressure", -1), "]": ("displacement", 1), "[": ("displacement", -1)}
 KEYS = "+ - pressure   ] [ actuator   > < step   0 no pressure   z tare   v vent and end"
 
 
@@ -48,10 +49,9 @@ class Jog:
 
     def press(self, key: str) -> str:
         """Do what a key says; what was done, in words, empty for a key that means nothing."""
-        if key in "+-" and "pressure" in self._outputs:
-            return self._step("pressure", 1 if key == "+" else -1)
-        if key in "][" and "displacement" in self._outputs:
-            return self._step("displacement", 1 if key == "]" else -1)
+        name, way = MOVES.get(key, ("", 0))
+        if name in self._outputs:
+            return self._step(name, way)
         if key in "><":
             self.size = min(max(self.size + (1 if key == ">" else -1), 0), len(STEPS["pressure"]) - 1)
             return f"step {self.steps()}"
@@ -69,12 +69,12 @@ class Jog:
 
     def settings(self) -> str:
         """What is commanded, in words."""
-        lines = []
-        for name, value in self.values.items():
-            output = self._outputs[name]
-            most = show(highest(self.executor.bench, output), output.quantity, 4)
-            lines.append(f"{name} {show(value, output.quantity, 4)} (up to {most})")
-        return "commanded " + "   ".join(lines)
+        outputs = ((self._outputs[name], value) for name, value in self.values.items())
+        settings = (
+            f"{o.name} {show(value, o.quantity, 4)} (up to {show(highest(self.executor.bench, o), o.quantity, 4)})"
+            for o, value in outputs
+        )
+        return "commanded " + "   ".join(settings)
 
     def _step(self, name: str, way: int) -> str:
         output = self._outputs[name]
@@ -124,8 +124,8 @@ def jog(
                     executor.recorder.event("tare", executor.clock.now())
             shown(series, work, [line for line in lines if line])
 
-    plan = guided_plan(mounted, "setup", f"set-up of {mounted.bench.name}")
-    return run_plan(plan, mounted, operator, out=out, operator_name=operator_name, procedure=procedure)
+    name = f"set-up of {mounted.bench.name}"
+    return guided_run(mounted, operator, "setup", name, procedure, out=out, operator_name=operator_name)
 
 
 def hold_at(
@@ -172,5 +172,5 @@ def hold_at(
         while clock.now() < end - 1e-9:
             shown(listen(acquisition, min(BLOCK, end - clock.now())), work)
 
-    plan = guided_plan(mounted, "setup", f"{name} of {bench.name} by hand", {name: value})
-    return run_plan(plan, mounted, operator, out=out, operator_name=operator_name, procedure=procedure)
+    title, by = f"{name} of {bench.name} by hand", operator_name
+    return guided_run(mounted, operator, "setup", title, procedure, {name: value}, out=out, operator_name=by)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
-from math import sqrt
 from pathlib import Path
+from typing import Any
 
 from pmabench.base.errors import UsageError
 from pmabench.base.quantities import show
@@ -14,20 +14,16 @@ from pmabench.bench.compile import Mounted
 from pmabench.engine.acquire import Tripped
 from pmabench.engine.executor import Executor, Progress
 from pmabench.engine.operator import Operator
-from pmabench.engine.run import Outcome, run_plan
-from pmabench.protocol.plan import Ask, Hold, Set
-from pmabench.session.checks import NOT_MEASURED, Check, SelfTestFailed, at_rest, judged, refuse, table, unchecked
-from pmabench.session.guided import guided_plan, listen, load_text, moving_mass
+from pmabench.engine.run import Outcome
+from pmabench.protocol.plan import Hold, Set
+from pmabench.session.checks import NOT_MEASURED, Check, SelfTestFailed, at_rest, refuse, table, unchecked
+from pmabench.session.guided import guided_run, put_on
 from pmabench.session.several import EachMuscle
-from pmabench.session.stepping import PHASE, Stepping
+from pmabench.session.stepping import NO_LEAK, PHASE, Stepping, isolation, leaks
 from pmabench.session.wiring import MOVED, Stage, Wiring
 
-LEAK = 10.0
-"""How long the pressure is watched with the isolation valve shut [s]."""
 VALUES = ("range", "rate", "off-range")
 """Limits that a wrong value crosses; others are about silence or time."""
-NORMAL = 1.96
-"""Half width of 95 % of a normal distribution, in standard deviations."""
 
 
 class SelfTesting:
@@ -43,7 +39,7 @@ class SelfTesting:
             name = mounted.bench.name
             raise UsageError(f'"{name}" declares no self-test; add "session: {{self_test: {{}}}}" to its file')
         self._mounted, self._test, self._report = mounted, test, report
-        self._before = [*_interlocks(mounted), _relief(mounted)]
+        self._before = [_interlocks(mounted), _relief(mounted)]
         self._others: list[Check] = []
         self._leaks: dict[str, float] | None = None
         self._stepping: Stepping | None = None
@@ -116,14 +112,13 @@ class SelfTesting:
         mounted, test = self._mounted, self._test
         weights = mounted.bench_file.weights
         if weights is not None:
-            executor.do(Ask(PHASE, load_text(mounted, 0.0), "vented", (0.0, moving_mass(mounted, 0.0))))
+            put_on(executor, mounted, PHASE, 0.0)
             stepping.rest(0.0)
         if not self._pressurises:
             return
         if weights is not None and test.load is not None:
-            load = test.load * mounted.bench.gravity
-            executor.do(Ask(PHASE, load_text(mounted, test.load), "vented", (load, moving_mass(mounted, test.load))))
-            stepping.rest(load)
+            put_on(executor, mounted, PHASE, test.load)
+            stepping.rest(test.load * mounted.bench.gravity)
         stepping.drive()
         stepping.run(self._others)
         refuse(self._others)
@@ -133,37 +128,14 @@ class SelfTesting:
         self._others.append(self._leak(executor))
 
     def _leak(self, executor: Executor) -> Check:
-        """Fall of the pressure with the isolation valve shut, where there is one that the safe state shuts.
-
-        The record gets it as numbers too: set `pressure` [Pa], `falls` [Pa/s] with the `half_width` that white noise
-        leaves to the slope of a straight line.
-        """
-        name = self._mounted.bench_file.air.isolation_valve
-        valve = next((valve for valve in executor.bench.valves if valve.name == name), None)
-        if valve is None or valve.safe != "closed":
-            why = "cannot be measured on this bench: no isolation valve that is switched"
-            return Check("leak", "", "", NOT_MEASURED, why)
+        """Fall of the pressure with the isolation valve shut, where there is one that the safe state shuts."""
+        if not isolation(self._mounted):
+            return NO_LEAK
         executor.do(Set(PHASE, "pressure", self._test.points[-1]))
         executor.do(Hold(PHASE, self._test.settle))
-        executor.guard.valves(closed=False, only=name)
-        executor.do(Hold(PHASE, 1.0))
-        reading = listen(executor.acquisition, LEAK)["pressure"].reading()
-        executor.do(Set(PHASE, "pressure", 0.0))
-        executor.guard.valves(closed=True, only=name)
-        executor.do(Hold(PHASE, self._test.settle))
-        falls = -reading.drift / LEAK
-        self._leaks = {
-            "pressure": self._test.points[-1],
-            "falls": falls,
-            "half_width": NORMAL * reading.noise * sqrt(12 / reading.count) / LEAK,
-        }
-        return judged(
-            "leak",
-            f"falls by {show(60 * falls, 'pressure', 3)} per min at {show(reading.mean, 'pressure', 4)}",
-            f"at most {show(60 * self._test.leak, 'pressure', 3)} per min",
-            good=falls <= self._test.leak,
-            hint="look at hoses, fittings and the muscle between the isolation valve and its end",
-        )
+        hint = "look at hoses, fittings and the muscle between the isolation valve and its end"
+        [(check, self._leaks)] = leaks(executor, self._mounted, self._test, {"pressure": ("leak", hint)})
+        return check
 
 
 def run_self_test(
@@ -182,16 +154,9 @@ def run_self_test(
         executor.acquisition.record(on=True)
         test.run(executor)
 
-    outcome = run_plan(
-        guided_plan(mounted, "self-test", f"self-test of {mounted.bench.name}"),
-        mounted,
-        operator,
-        out=out,
-        operator_name=operator_name,
-        progress=progress,
-        before_proof=test.before_proof,
-        procedure=procedure,
-    )
+    more: dict[str, Any] = {"out": out, "operator_name": operator_name, "progress": progress}
+    name = f"self-test of {mounted.bench.name}"
+    outcome = guided_run(mounted, operator, "self-test", name, procedure, before_proof=test.before_proof, **more)
     test.ended(outcome)
     return outcome
 
@@ -208,13 +173,12 @@ def refuse_backwards(executor: Executor, rest: float) -> None:
         )
 
 
-def _interlocks(mounted: Mounted) -> Iterator[Check]:
+def _interlocks(mounted: Mounted) -> Check:
     """A line for the interlocks: all are closed, since arming refuses a bench with an open one."""
     names = [interlock.name for device in mounted.bench.devices for interlock in device.interlocks]
-    if names:
-        yield Check("interlocks", f"{', '.join(names)} closed", "all closed")
-    else:
-        yield Check("interlocks", "", "", NOT_MEASURED, "none on this bench")
+    if not names:
+        return Check("interlocks", "", "", NOT_MEASURED, "none on this bench")
+    return Check("interlocks", f"{', '.join(names)} closed", "all closed")
 
 
 def _relief(mounted: Mounted) -> Check:

@@ -18,18 +18,18 @@ from pmabench.base.errors import PmaError, VerdictFailed
 from pmabench.base.quantities import CHANNEL_QUANTITY, in_words, show, without_number
 from pmabench.bench.compile import Mounted
 from pmabench.bench.files.bench import PLACED
-from pmabench.bench.interface import CompiledBench, Scale
+from pmabench.bench.interface import ChannelRecord, Scale
 from pmabench.bench.session import WarmUp, Zero
 from pmabench.engine.executor import Executor, Progress
 from pmabench.engine.operator import Operator
-from pmabench.engine.run import Outcome, run_plan
+from pmabench.engine.run import Outcome
 from pmabench.guard.station import Station
 from pmabench.protocol.plan import HANDS_OUT, VENTED_WITHIN, Ask, Hold, Record, Set, WaitUntil
 from pmabench.session.checks import Check
-from pmabench.session.guided import Reading, guided_plan, load_text, moving_mass, steady
-from pmabench.session.self_test import LEAK, SelfTesting, refuse_backwards
+from pmabench.session.guided import guided_run, put_on, steady
+from pmabench.session.self_test import SelfTesting, refuse_backwards
 from pmabench.session.several import longest
-from pmabench.session.stepping import REST, SPEED, VALVE, WAY
+from pmabench.session.stepping import LEAK, REST, SPEED, VALVE, WAY, isolation
 
 FILE = "session"
 
@@ -92,16 +92,13 @@ def out_of_date(session: Mapping[str, Any], mounted: Mounted, now: datetime) -> 
 
 def _disturbed(bench: str, since: datetime) -> str:
     """Whether the bench was tripped, ended uncleanly or was reset since then, by its journal."""
-    lines: list[dict[str, Any]] = []
     with suppress(OSError):
         for text in (Station(bench).folder / "journal.jsonl").read_text("utf-8").splitlines():
-            with suppress(ValueError):
-                lines.append(json.loads(text))
-    for line in lines:
-        with suppress(KeyError, TypeError, ValueError):
-            at = datetime.fromisoformat(str(line["at"]))
-            if at >= since.replace(microsecond=0) and (line["what"] == "tripped" or line.get("why") == "reset"):
-                return f"the bench was {'reset' if line.get('why') == 'reset' else 'tripped'} since then"
+            with suppress(KeyError, TypeError, ValueError):
+                line = json.loads(text)
+                at, reset = datetime.fromisoformat(str(line["at"])), line.get("why") == "reset"
+                if at >= since.replace(microsecond=0) and (line["what"] == "tripped" or reset):
+                    return f"the bench was {'reset' if reset else 'tripped'} since then"
     return ""
 
 
@@ -148,16 +145,15 @@ def take_zeros(executor: Executor, mounted: Mounted) -> dict[str, ZeroTaken]:
         taken |= {name: _take(executor, name, wanted[name], "vented, valves open") for name in pressures}
         executor.guard.valves(closed=True)
     if "force" in wanted:
-        text = load_text(mounted, 0.0)
-        executor.do(Ask(PHASE, text, "vented", (0.0, moving_mass(mounted, 0.0))))
+        put_on(executor, mounted, PHASE, 0.0)
         taken["force"] = _take(executor, "force", wanted["force"], "unloaded")
     for name in (name for name in PLACED if name in wanted):
-        zero, load = wanted[name], None
+        zero = wanted[name]
         text = f"Bring the free end to where its {name} is zero: {zero.at}."
-        if zero.load is not None:
-            load = (zero.load * mounted.bench.gravity, moving_mass(mounted, zero.load))
-            text = f"{load_text(mounted, zero.load)} {text}"
-        executor.do(Ask(PHASE, text, "vented", load))
+        if zero.load is None:
+            executor.do(Ask(PHASE, text, "vented"))
+        else:
+            put_on(executor, mounted, PHASE, zero.load, text)
         taken[name] = _take(executor, name, zero, zero.at)
     return taken
 
@@ -173,7 +169,7 @@ def _vent(executor: Executor) -> None:
 
 
 def _take(executor: Executor, name: str, zero: Zero, condition: str) -> ZeroTaken:
-    reading: Reading = steady(executor.acquisition, name, DRIFT * zero.most, seconds=STEADY, within=STEADY_WITHIN)
+    reading = steady(executor.acquisition, name, DRIFT * zero.most, seconds=STEADY, within=STEADY_WITHIN)
     quantity = CHANNEL_QUANTITY[name]
     if abs(reading.mean) > zero.most:
         channel = next(c for c in executor.bench.channels if c.name == name)
@@ -188,24 +184,15 @@ def _take(executor: Executor, name: str, zero: Zero, condition: str) -> ZeroTake
 
 def with_zeros(mounted: Mounted, zeros: Mapping[str, float], about: Mapping[str, Any] | None) -> Mounted:
     """The bench with zeros [SI] taken off the offsets of its channels; `about` is what manifests say of the session."""
-    devices = tuple(
-        replace(
-            device,
-            channels=tuple(
-                replace(
-                    channel,
-                    scale=Scale(channel.scale.slope, channel.scale.offset - zeros[channel.name]),
-                    zero=zeros[channel.name],
-                )
-                if channel.name in zeros and channel.zero is None
-                else channel
-                for channel in device.channels
-            ),
-        )
-        for device in mounted.bench.devices
-    )
-    bench: CompiledBench = replace(mounted.bench, devices=devices)
-    return replace(mounted, bench=bench, in_session=about)
+
+    def zeroed(channel: ChannelRecord) -> ChannelRecord:
+        zero = zeros.get(channel.name)
+        if zero is None or channel.zero is not None:
+            return channel
+        return replace(channel, scale=Scale(channel.scale.slope, channel.scale.offset - zero), zero=zero)
+
+    devices = tuple(replace(one, channels=tuple(map(zeroed, one.channels))) for one in mounted.bench.devices)
+    return replace(mounted, bench=replace(mounted.bench, devices=devices), in_session=about)
 
 
 def as_data(taken: Mapping[str, ZeroTaken]) -> dict[str, dict[str, Any]]:
@@ -241,8 +228,7 @@ def session_length(mounted: Mounted) -> Length | None:
         shortest += VALVE if any(valve.safe == "open" for valve in mounted.bench.valves) else 0.0
         if any(output.name == "displacement" for output in mounted.bench.outputs):
             shortest += 2 * (WAY / SPEED + 2 * REST)
-        isolation = mounted.bench_file.air.isolation_valve
-        if any(valve.name == isolation and valve.safe == "closed" for valve in mounted.bench.valves):
+        if isolation(mounted):
             shortest += 2 * test.settle + 1.0 + LEAK
         if weights:
             loaded = test.load is not None
@@ -298,7 +284,8 @@ def ensure(
     why = "asked for" if anew else out_of_date(session, mounted, utc_now())
     if why:
         say(f"a session comes first, because {why}" if not anew else "a new session, as asked for")
-        session = _hold(mounted, operator, out, operator_name, skip_warm_up, report, progress, begun)
+        run: dict[str, Any] = {"out": out, "operator_name": operator_name, "progress": progress, "begun": begun}
+        session = _hold(mounted, operator, skip_warm_up, report, run)
         if out is not None:
             keep(mounted.bench.name, session)
     else:
@@ -311,14 +298,11 @@ def ensure(
 def _hold(
     mounted: Mounted,
     operator: Operator,
-    out: Path | None,
-    operator_name: str,
     skip_warm_up: str,
     report: Callable[[Sequence[Check]], None],
-    progress: Callable[[Progress], None],
-    begun: Callable[[Path], None],
+    run: Mapping[str, Any],
 ) -> dict[str, Any]:
-    """Execute the run of the session; its results, to be kept for later runs."""
+    """Execute the run of the session with what `run` gives to `guided_run`; its results, to be kept for later runs."""
     declared = mounted.session
     assert declared is not None  # noqa: S101  (looked at before)
     skipped = {"warm-up": skip_warm_up} if skip_warm_up and declared.warm_up is not None else {}
@@ -338,18 +322,11 @@ def _hold(
         executor.recorder.event("zeros", executor.clock.now(), channels=as_data(zeros))
         executor.acquisition.record(on=False)
 
-    outcome = run_plan(
-        guided_plan(mounted, "session", f"session of {mounted.bench.name}"),
-        mounted,
-        operator,
-        out=out,
-        operator_name=operator_name,
-        deviations=[*(f"{what} skipped because {why}" for what, why in skipped.items()), *shortened],
-        progress=progress,
-        begun=begun,
-        before_proof=test.before_proof if test is not None else lambda _executor: None,
-        procedure=procedure,
-    )
+    if test is not None:
+        run = {**run, "before_proof": test.before_proof}
+    deviations = [*(f"{what} skipped because {why}" for what, why in skipped.items()), *shortened]
+    name = f"session of {mounted.bench.name}"
+    outcome = guided_run(mounted, operator, "session", name, procedure, deviations=deviations, **run)
     if test is not None:
         test.ended(outcome)
     if outcome.exit_code:
@@ -360,7 +337,7 @@ def _hold(
         "bench": mounted.bench.name,
         "at": started.isoformat(timespec="seconds"),
         "valid_until": (started + timedelta(seconds=declared.valid)).isoformat(timespec="seconds"),
-        "operator": operator_name,
+        "operator": run["operator_name"],
         "specimen": specimen(mounted),
         "calibrations": calibrations(mounted),
         "zeros": as_data(zeros),

@@ -7,29 +7,24 @@ goes to one muscle after the other, and nothing higher follows before each outpu
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from math import inf, sqrt
+from math import inf
 
 from pmabench.base.quantities import show
 from pmabench.bench.compile import Mounted
 from pmabench.bench.session import SelfTest
 from pmabench.engine.acquire import Samples
 from pmabench.engine.executor import Executor
-from pmabench.protocol.plan import Hold, Set
+from pmabench.protocol.plan import Set
 from pmabench.session.checks import NOT_CHECKED, NOT_MEASURED, Check, at_rest, judged, refuse
 from pmabench.session.guided import Series, listen
-from pmabench.session.stepping import REST
-from pmabench.session.wiring import SHARE, SIGNIFICANT
+from pmabench.session.stepping import LEAK, NO_LEAK, REST, isolation, leaks
+from pmabench.session.wiring import SIGNIFICANT, Wiring
 
 PHASE = "self-test"
 LAST = 0.2
 """Share of a hold whose mean counts."""
 TOGETHER = 0.75
 """Share of the highest pressure that all muscles have while one of them gets all of it."""
-LEAK = 10.0
-"""How long the pressures are watched with the isolation valve shut [s]."""
-NORMAL = 1.96
-"""Half width of 95 % of a normal distribution, in standard deviations."""
 SAME = "explained by the same"
 WAYS = {"1": 1.0, "2": -1.0}
 """Muscle of a joint -> the sign of the angle and of the torque to which it pulls."""
@@ -37,22 +32,7 @@ Rises = Mapping[str, Mapping[str, float]]
 """Muscle whose output alone was commanded -> muscle -> what its channel rose by [Pa]."""
 
 
-@dataclass(frozen=True)
-class Wires:
-    """Outputs and channels of pressures by muscle, as device.name."""
-
-    outputs: Mapping[str, str]
-    channels: Mapping[str, str]
-
-
-def wires(mounted: Mounted) -> Wires:
-    """The wires of a bench with an output and a channel of pressure for each muscle."""
-    names = {f"pressure_{number}": number for number in mounted.bench_file.muscles}
-    outputs = {names[o.name]: f"{o.device}.{o.output}" for o in mounted.bench.outputs if o.name in names}
-    return Wires(outputs, {names[c.name]: f"{c.device}.{c.input}" for c in mounted.bench.channels if c.name in names})
-
-
-def alone(rises: Rises, asked: float, within: float, wired: Wires) -> Iterator[Check]:
+def alone(rises: Rises, asked: float, within: float, wired: Wiring) -> Iterator[Check]:
     """A line for each muscle that got `asked` [Pa] by itself: its own channel follows `within` [Pa], no other moves."""
     moved = {muscle: [other for other, rise in seen.items() if abs(rise) > within] for muscle, seen in rises.items()}
     explained: set[str] = set()
@@ -70,15 +50,16 @@ def alone(rises: Rises, asked: float, within: float, wired: Wires) -> Iterator[C
         explained |= {other for other in others if moved.get(other) == [muscle]}
 
 
-def _why(muscle: str, others: Sequence[str], moved: Mapping[str, Sequence[str]], wired: Wires, own: float) -> str:
+def _why(muscle: str, others: Sequence[str], moved: Mapping[str, Sequence[str]], wired: Wiring, own: float) -> str:
     """What explains that a muscle's channel does not follow its output, or that others do."""
-    out, channel = f"output pressure_{muscle} ({wired.outputs[muscle]})", wired.channels[muscle]
+    out, channel = f"output pressure_{muscle} ({wired.output(f'pressure_{muscle}')})", wired.input(f"pressure_{muscle}")
     if others and muscle not in moved[muscle]:
         other = others[0]
         if moved.get(other) == [muscle]:
+            sensors = wired.input(f"pressure_{muscle}", f"pressure_{other}")
             return (
                 f"muscles {muscle} and {other} are exchanged: {out} moves the pressure of muscle {other}. Exchange "
-                f"back their hoses, or the plugs of their pressure sensors ({channel} and {wired.channels[other]}); "
+                f"back their hoses, or the plugs of their pressure sensors ({sensors}); "
                 "until then nothing more is pressurised, for a controller would push the wrong way"
             )
         return f"{out} moves the pressure of muscle {other} instead: look at the hoses, then at the sensors' plugs"
@@ -123,16 +104,14 @@ class EachMuscle:
 
     def __init__(self, mounted: Mounted, test: SelfTest) -> None:
         self._mounted, self._test = mounted, test
-        self._wires = wires(mounted)
+        self._wires = Wiring(mounted)
+        muscles = {f"pressure_{number}": number for number in mounted.bench_file.muscles}
+        self._names = {muscles[output.name]: output.name for output in mounted.bench.outputs if output.name in muscles}
         self.checks: list[Check] = []
         self.leaks: dict[str, dict[str, float]] = {}
         """Muscle -> set `pressure` [Pa], and what it `falls` by [Pa/s] with its `half_width`."""
         self._rest: dict[str, float] = {}
         self._noise: dict[str, float] = {}
-
-    @property
-    def _names(self) -> dict[str, str]:
-        return {number: f"pressure_{number}" for number in self._wires.outputs}
 
     def first(self, executor: Executor) -> None:
         """Channels at rest, then the first small pressure in each muscle alone."""
@@ -200,18 +179,15 @@ class EachMuscle:
         return self._test.linearity * self._test.points[-1] + unknown
 
     def _zeros(self) -> Iterator[Check]:
-        session = self._mounted.session
         for number, name in self._names.items():
-            channel = next(c for c in self._mounted.bench.channels if c.name == name)
-            zero = session.zeros.get(name) if session is not None else None
-            most = zero.most if zero is not None else SHARE * (channel.high - channel.low)
+            most = self._wires.zero_limit(name)
             reads = self._rest[name]
             yield judged(
                 f"muscle {number} at rest",
                 show(reads, "pressure", 4),
                 f"within {show(most, 'pressure', 4)} of 0, vented",
                 good=abs(reads) <= most,
-                hint=f"look at the wire of the pressure of muscle {number} ({self._wires.channels[number]}), at its "
+                hint=f"look at the wire of the pressure of muscle {number} ({self._wires.input(name)}), at its "
                 "range and its calibration",
             )
 
@@ -223,7 +199,7 @@ class EachMuscle:
             f"at most {show(limit, 'pressure', 3)} off",
             good=abs(off) <= limit,
             hint=f"a leak of muscle {number}, too little supply, or the scale of its output "
-            f"({self._wires.outputs[number]}) or of its sensor ({self._wires.channels[number]})",
+            f"({self._wires.output(self._names[number])}) or of its sensor ({self._wires.input(self._names[number])})",
         )
 
     def _pulls(self, executor: Executor) -> Iterator[Check]:
@@ -243,39 +219,25 @@ class EachMuscle:
 
     def _leak(self, executor: Executor) -> Iterator[Check]:
         """Fall of each pressure with the isolation valve shut, where there is one that the safe state shuts."""
-        name = self._mounted.bench_file.air.isolation_valve
-        valve = next((valve for valve in executor.bench.valves if valve.name == name), None)
-        if valve is None or valve.safe != "closed":
-            why = "cannot be measured on this bench: no isolation valve that is switched"
-            yield Check("leak", "", "", NOT_MEASURED, why)
+        if not isolation(self._mounted):
+            yield NO_LEAK
             return
-        top = self._test.points[-1]
-        self._go(executor, dict.fromkeys(self._names.values(), top))
-        executor.guard.valves(closed=False, only=name)
-        executor.do(Hold(PHASE, 1.0))
-        series = listen(executor.acquisition, LEAK)
-        for output in self._names.values():
-            executor.do(Set(PHASE, output, 0.0))
-        executor.guard.valves(closed=True, only=name)
-        executor.do(Hold(PHASE, self._test.settle))
-        for number, channel in self._names.items():
-            reading = series[channel].reading()
-            falls = -reading.drift / LEAK
-            half = NORMAL * reading.noise * sqrt(12 / reading.count) / LEAK
-            self.leaks[number] = {"pressure": top, "falls": falls, "half_width": half}
-            yield judged(
+        self._go(executor, dict.fromkeys(self._names.values(), self._test.points[-1]))
+        rows = {
+            name: (
                 f"leak of muscle {number}",
-                f"falls by {show(60 * falls, 'pressure', 3)} per min at {show(reading.mean, 'pressure', 4)}",
-                f"at most {show(60 * self._test.leak, 'pressure', 3)} per min",
-                good=falls <= self._test.leak,
-                hint=f"look at muscle {number} and at hoses and fittings between the isolation valve and its end",
+                f"look at muscle {number} and at hoses and fittings between the isolation valve and its end",
             )
+            for number, name in self._names.items()
+        }
+        for number, (check, numbers) in zip(self._names, leaks(executor, self._mounted, self._test, rows), strict=True):
+            self.leaks[number] = numbers
+            yield check
 
 
 def longest(mounted: Mounted, test: SelfTest) -> float:
     """How long this self-test takes [s]."""
-    muscles, isolation = len(mounted.bench_file.muscles), mounted.bench_file.air.isolation_valve
+    muscles, shut = len(mounted.bench_file.muscles), bool(isolation(mounted))
     holds = 2 * muscles + len(test.points) + 1
     holds += 2 * muscles + 1 if mounted.bench.free_end == "joint" else 0
-    shut = any(valve.name == isolation and valve.safe == "closed" for valve in mounted.bench.valves)
     return REST + (holds + 2 * shut) * test.settle + (1.0 + LEAK) * shut

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from math import sqrt
 
 import numpy as np
 
@@ -17,9 +18,9 @@ from pmabench.bench.safety import SUPPLY_MARGIN
 from pmabench.bench.session import SelfTest
 from pmabench.engine.acquire import Array, Samples
 from pmabench.engine.executor import Executor
-from pmabench.protocol.plan import Ask, Hold, Ramp, Set
+from pmabench.protocol.plan import Hold, Ramp, Set
 from pmabench.session.checks import NOT_CHECKED, NOT_MEASURED, Check, judged, refuse, table
-from pmabench.session.guided import Series, listen, load_text, moving_mass
+from pmabench.session.guided import Series, listen, put_on
 from pmabench.session.wiring import (
     DISPLACEMENT,
     FORCE,
@@ -130,6 +131,49 @@ WAY, SPEED = 1.5e-3, 5e-3
 """How far [m] and how fast [m/s] a drive is moved without pressure."""
 
 
+LEAK = 10.0
+"""How long pressures are watched with the isolation valve shut [s]."""
+NORMAL = 1.96
+"""Half width of 95 % of a normal distribution, in standard deviations."""
+NO_LEAK = Check("leak", "", "", NOT_MEASURED, "cannot be measured on this bench: no isolation valve that is switched")
+
+
+def isolation(mounted: Mounted) -> str:
+    """The isolation valve, where there is one that is switched and that the safe state shuts; else empty."""
+    name = mounted.bench_file.air.isolation_valve
+    return next((valve.name for valve in mounted.bench.valves if valve.name == name and valve.safe == "closed"), "")
+
+
+def leaks(
+    executor: Executor, mounted: Mounted, test: SelfTest, rows: Mapping[str, tuple[str, str]]
+) -> Iterator[tuple[Check, dict[str, float]]]:
+    """Fall of each pressure with the isolation valve shut; all are at the highest point of the test, and end at 0.
+
+    `rows`: channel -> name of its check, where to look when it has failed. With each check come its numbers for the
+    record: set `pressure` [Pa], `falls` [Pa/s] with the `half_width` that white noise leaves to the slope of a straight
+    line.
+    """
+    executor.guard.valves(closed=False, only=isolation(mounted))
+    executor.do(Hold(PHASE, 1.0))
+    series = listen(executor.acquisition, LEAK)
+    for channel in rows:
+        executor.do(Set(PHASE, channel, 0.0))
+    executor.guard.valves(closed=True, only=isolation(mounted))
+    executor.do(Hold(PHASE, test.settle))
+    for channel, (row, hint) in rows.items():
+        reading = series[channel].reading()
+        falls = -reading.drift / LEAK
+        check = judged(
+            row,
+            f"falls by {show(60 * falls, 'pressure', 3)} per min at {show(reading.mean, 'pressure', 4)}",
+            f"at most {show(60 * test.leak, 'pressure', 3)} per min",
+            good=falls <= test.leak,
+            hint=hint,
+        )
+        half = NORMAL * reading.noise * sqrt(12 / reading.count) / LEAK
+        yield check, {"pressure": test.points[-1], "falls": falls, "half_width": half}
+
+
 class Stepping:
     """Takes pressure and drive through small steps, and keeps what every channel read: `stages`."""
 
@@ -181,9 +225,6 @@ class Stepping:
         self._keep(series)
         return series
 
-    def _refuse(self) -> None:
-        refuse(self.table())
-
     # -- before the vent path is proven ---------------------------------------------------------------------------
 
     def first(self) -> None:
@@ -201,7 +242,7 @@ class Stepping:
         if (series[PRESSURE].y > most).any():
             self._executor.acquisition.pass_time(READ_BACK)
             self.ended(dict(self._executor.acquisition.latest))
-            self._refuse()
+            refuse(self.table())
         self._keep(series)
         self._open_dump(pressure)
         self._refuse_lost()
@@ -232,7 +273,7 @@ class Stepping:
             self._executor.do(Hold(PHASE, REST))
             self._now = Stage({}, 0.0, self._now.load, place)
             self._keep(listen(self._executor.acquisition, REST))
-        self._refuse()
+        refuse(self.table())
 
     def run(self, checks: list[Check]) -> None:
         """Pressure up in steps, and down; then one whole step. Adds to `checks` what is no claim."""
@@ -249,7 +290,7 @@ class Stepping:
         """Stop where the pressure is wrong; other faults are judged at the highest step, where they show best."""
         broken = [claim for claim in self.wiring.claims(self.stages) if not claim.good]
         if any(name in claim.wires for claim in broken for name in (PRESSURE, SET)):
-            self._refuse()
+            refuse(self.table())
 
     def hanging(self) -> Check | None:
         """Lift the smallest load at the highest pressure, if the one before stayed down: a weight for the cell."""
@@ -259,7 +300,7 @@ class Stepping:
             return None
         top = max(self.stages, key=lambda stage: stage.pressure)
         load = weights.hanger * weights.g
-        self._executor.do(Ask(PHASE, load_text(self._mounted, weights.hanger), "vented", self._placed(weights.hanger)))
+        put_on(self._executor, self._mounted, PHASE, weights.hanger)
         start = self.rest(load)[DISPLACEMENT].mean() if DISPLACEMENT in acquisition.latest else 0.0
         series = self._go(top.pressure)
         self._go(0.0)
@@ -267,9 +308,6 @@ class Stepping:
             return None
         why = f"at {show(top.pressure, 'pressure')} the hanger alone, {show(load, 'force', 3)}, stays on its support"
         return Check("load cell", "", "", NOT_CHECKED, f"no independent reference: {why}")
-
-    def _placed(self, mass: float) -> tuple[float, float]:
-        return mass * self._mounted.bench.gravity, moving_mass(self._mounted, mass)
 
     def _linearity(self, stages: list[Stage]) -> Check:
         """Largest distance of the measured pressure from what was commanded, and from a straight line."""
@@ -307,8 +345,7 @@ class Stepping:
         def time(value: float | None) -> str:
             return never if value is None else f"{value:.3f} s"
 
-        overshoot = self._mounted.bench_file.air.overshoot
-        most = overshoot + SIGNIFICANT * noise if overshoot else self._test.linearity * top + SIGNIFICANT * noise
+        most = (self._mounted.bench_file.air.overshoot or self._test.linearity * top) + SIGNIFICANT * noise
         step = f"step to {show(top, 'pressure', 4)}"
         look = "look at the regulator's supply, at its settings and at the length of its hose"
         yield judged(
@@ -350,9 +387,7 @@ class Stepping:
     def _alignment(self, up: Mapping[str, Series], down: Mapping[str, Series]) -> Check:
         name = "time of force against pressure"
         top, rest = self.stages[-2].means, self.stages[-3].means
-        rises = {
-            name: self.wiring.change(name, top[name] - rest[name]) for name in (FORCE, DISPLACEMENT) if name in top
-        }
+        rises = {one: self.wiring.change(one, top[one] - rest[one]) for one in (FORCE, DISPLACEMENT) if one in top}
         if not rises.get(FORCE) or rises.get(DISPLACEMENT):
             return Check(name, "", "", NOT_MEASURED, "needs a force that rises without a motion: a load on its support")
         found = delay((up[PRESSURE], down[PRESSURE]), (up[FORCE], down[FORCE]))

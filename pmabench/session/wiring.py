@@ -103,6 +103,10 @@ class Wiring:
         """The inputs of channels as device.input."""
         return " and ".join(f"{self.channels[name].device}.{self.channels[name].input}" for name in names)
 
+    def output(self, name: str) -> str:
+        """An output as device.output."""
+        return f"{self.outputs[name].device}.{self.outputs[name].output}"
+
     def zero_limit(self, name: str) -> float:
         """How far from zero a vented, unloaded channel may read [SI]."""
         session, channel = self.mounted.session, self.channels[name]
@@ -280,22 +284,12 @@ class Wiring:
         unknown = self.channels[name].calibration.offset_uncertainty if name == FORCE else MOVED
         return rise if abs(rise) > max(unknown, SIGNIFICANT * self.noise.get(name, 0.0)) else 0.0
 
-    def weight_within(self, load: float) -> float:
-        """How far the force of a load [N] that hangs may be from its weight [N]."""
-        known = self.channels[FORCE].calibration
-        return self.mounted.bench.load_tolerance * load + known.offset_uncertainty + known.gain_uncertainty * load
-
-    @staticmethod
-    def hangs(rises: Mapping[str, float]) -> bool:
-        """Whether the load has left its support."""
-        return rises.get(DISPLACEMENT, 0.0) > LIFTED
-
     def _weighed(self, stage: Stage, rises: Mapping[str, float]) -> Iterator[Claim]:
         """A load that hangs pulls with its weight; one on its support with at most that."""
-        load = stage.load or 0.0
-        limit, rise = self.weight_within(load), rises[FORCE]
+        load, known, rise = stage.load or 0.0, self.channels[FORCE].calibration, rises[FORCE]
+        limit = self.mounted.bench.load_tolerance * load + known.offset_uncertainty + known.gain_uncertainty * load
         value = f"{show(rise, 'force', 4)} for {show(load, 'force', 4)}"
-        if load and self.hangs(rises):
+        if load and rises.get(DISPLACEMENT, 0.0) > LIFTED:
             within = f"within {show(limit, 'force', 3)}"
             yield Claim("load cell", (PLATES, FORCE), abs(rise - load) <= limit, value, within, SCALE, exact=True)
         else:

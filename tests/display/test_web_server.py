@@ -15,9 +15,8 @@ from hashlib import sha256
 import numpy as np
 import pytest
 
-from pmabench.display.web.feed import Feed, Seen
-from pmabench.display.web.page import page
-from pmabench.display.web.server import MOST_STREAMS
+from pmabench.display.web.feeds import Feed, Seen
+from pmabench.display.web.server import MOST_STREAMS, page
 from pmabench.store.livestream import pa
 from tests.display.browsed import TOKEN, served
 from tests.display.recorded import BASELINE, DEAD, LENGTH, RATE, TAU, Recorded
@@ -374,7 +373,7 @@ def test_the_script_names_no_other_address():
 READ = """
 import sys
 from pathlib import Path
-from pmabench.display.web.feed import Feed, Seen
+from pmabench.display.web.feeds import Feed, Seen
 from pmabench.display.verdicts import prepare
 feed = Feed(Path(sys.argv[1]))
 while feed.poll():

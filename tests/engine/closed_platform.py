@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from pmabench.engine.laws.orders import Orders
+from pmabench.engine.laws import Orders
 from pmabench.engine.laws.platform_loop import PlatformLoop
 from pmabench.engine.platform_watch import PlatformWatch
 from pmabench.model.many.platform import PlatformPlant

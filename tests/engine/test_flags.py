@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pmabench.engine.flags import Spacing
+from pmabench.engine.source import Spacing
 from pmabench.store.records import Flag
 
 G, L = int(Flag.GAP), int(Flag.LATE)

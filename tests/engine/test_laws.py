@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from pmabench.engine.laws.gain_steps import GainSteps
-from pmabench.engine.laws.proportional import Proportional
+from pmabench.engine.laws.position_loop import Proportional
 from tests.analysis.loop_rig import LinearPlant, close_loop
 from tests.engine.loop_cost import MOST, plain_calls
 

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from pmabench.engine.laws.orders import Orders
+from pmabench.engine.laws import Orders
 from pmabench.engine.laws.platform_loop import PlatformLoop
 from pmabench.engine.platform_watch import PlatformLimits, PlatformWatch
 from pmabench.model.many.platform import PlatformPlant

@@ -8,8 +8,7 @@ from pmabench.base.clock import RealClock
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import DeviceRecord
 from pmabench.guard import remote
-from pmabench.guard.direct import vent_directly
-from pmabench.guard.remote import RemoteGuard
+from pmabench.guard.remote import RemoteGuard, vent_directly
 from pmabench.guard.station import UNCLEAN, Station
 from tests.guard.rig import BENCH, DEVICE, Rig, bench
 

@@ -12,11 +12,11 @@ OURS = {
     "pmabench", "pmabench.base", "pmabench.base.clock", "pmabench.base.errors", "pmabench.base.quantities",
     "pmabench.base.system", "pmabench.bench", "pmabench.bench.interface", "pmabench.guard",
     "pmabench.guard.course", "pmabench.guard.guard", "pmabench.guard.limits", "pmabench.guard.links",
-    "pmabench.guard.owner", "pmabench.guard.process", "pmabench.guard.pulses", "pmabench.guard.safe", "pmabench.guard.station",
+    "pmabench.guard.owner", "pmabench.guard.process", "pmabench.guard.safe", "pmabench.guard.station",
     "pmabench.guard.supervision", "pmabench.guard.wire",
 }  # fmt: skip
 """All modules of the program that the guard loads, besides the driver that it is told."""
-COMMANDS = ("guard", "links", "limits", "pulses", "safe", "course", "owner")
+COMMANDS = ("guard", "links", "limits", "safe", "course", "owner")
 """What may command (docs/decisions/0011). The rest only asks devices, or is how the engine reaches the guard."""
 MAY_COMMAND, WHOLE = 710, 1230
 """Lines of code that may be there; they may become fewer, and more only for a reason (last: valves in pulses)."""

@@ -339,7 +339,7 @@ BUGS = (
     ),
     Bug(
         "a driver that only an emulator knows is armed on hardware without a word",
-        "pmabench/engine/untried.py",
+        "pmabench/engine/bench_checks.py",
         "    if not device.verified.startswith(HARDWARE):",
         "    if device.verified and not device.verified.startswith((HARDWARE, 'emulator')):",
         ("tests/session/test_untried.py",),

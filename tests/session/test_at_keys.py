@@ -4,7 +4,7 @@ import pytest
 
 from pmabench.base.errors import Interrupted
 from pmabench.cli.monitor import _AtKeys, _Keys
-from pmabench.display.monitor import Page
+from pmabench.display.channel import Page
 
 
 def asked(*pressed):

@@ -7,8 +7,8 @@ import pytest
 
 from pmabench.bench.compile import mount_alone
 from pmabench.bench.interface import DeviceRecord, Identity
+from pmabench.engine.bench_checks import doubt
 from pmabench.engine.operator import ConfirmedBeforehand, Nobody
-from pmabench.engine.untried import doubt
 from pmabench.report.document.provenance import benches
 from pmabench.session.jog import hold_at
 from pmabench.store.reader import open_run

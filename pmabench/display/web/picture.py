@@ -5,7 +5,7 @@ Each function gives one part of the page, which is sent again only when it has c
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from math import isfinite
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ from pmabench.display.lines import against_text, half_text, number_text, off_tex
 from pmabench.display.state import RunState
 from pmabench.display.verdicts import Number, TrialLine
 from pmabench.display.view import WANTED
-from pmabench.display.web.loop import axes_of
+from pmabench.display.web.series import axes_of
 from pmabench.display.wording import POINT, about_run, clean, decimals, of_point, point_text, quantity
 from pmabench.files.document import Document
 from pmabench.kinds import registry
@@ -241,31 +241,31 @@ def _round(value: float) -> float:
     return float(f"{value:.5g}")
 
 
+def _measured(state: RunState, symbol: str, along: str) -> Iterator[tuple[float, TrialLine, Number]]:
+    """Each number of a quantity with its trial, and its place on the axis."""
+    for line in state.lines:
+        place = _place(line.point, along) if along else float(line.number)
+        if place is not None:
+            yield from ((place, line, number) for number in line.numbers if number.symbol == symbol)
+
+
 def _points(state: RunState, symbol: str, along: str) -> list[list[Any]]:
     """[place, value, trial number, whether without doubt, half width or None] of trials that measured a quantity."""
     found = []
-    for line in state.lines:
-        place = _at(line, along)
-        for n in line.numbers:
-            if n.symbol == symbol and n.value is not None and isfinite(n.value) and place is not None:
-                scale = quantity(n.quantity).scale
-                half = None if n.half is None or not isfinite(n.half) else _round(n.half / scale)
-                found.append([place, _round(n.value / scale), line.number, line.ok, half])
+    for place, line, n in _measured(state, symbol, along):
+        if n.value is not None and isfinite(n.value):
+            scale = quantity(n.quantity).scale
+            half = None if n.half is None or not isfinite(n.half) else _round(n.half / scale)
+            found.append([place, _round(n.value / scale), line.number, line.ok, half])
     return found
-
-
-def _at(line: TrialLine, along: str) -> float | None:
-    return _place(line.point, along) if along else float(line.number)
 
 
 def _references(state: RunState, symbol: str, along: str) -> list[list[float]]:
     """What the specimen file predicts where trials were made: the mean of each place."""
     found: dict[float, list[float]] = {}
-    for line in state.lines:
-        place = _at(line, along)
-        for n in line.numbers:
-            if n.symbol == symbol and n.reference_is == "expected" and n.reference is not None and place is not None:
-                found.setdefault(place, []).append(n.reference / quantity(n.quantity).scale)
+    for place, _line, n in _measured(state, symbol, along):
+        if n.reference_is == "expected" and n.reference is not None:
+            found.setdefault(place, []).append(n.reference / quantity(n.quantity).scale)
     return [[place, _round(sum(values) / len(values))] for place, values in sorted(found.items())]
 
 

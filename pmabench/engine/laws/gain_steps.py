@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from math import isfinite
 from typing import Any
 
+from pmabench.engine.laws import outside_range, refuse_wrong
+
 LARGEST_FACTOR = 1.08
 SKIPPED = 2
 """Swings right after a kick that do not count in the ratio: faster modes are still in them."""
@@ -46,6 +48,7 @@ class _Swings:
             self.before, self.extreme, self.rising = self.extreme, y, not self.rising
 
 
+@dataclass(kw_only=True, eq=False)
 class GainSteps:
     """Proportional control u = bias + K_p (aim - y) with K_p raised in steps (Ziegler and Nichols 1942).
 
@@ -71,54 +74,41 @@ class GainSteps:
     beyond : levels with growing swings after which it has found what it looks for
     """
 
-    def __init__(
-        self,
-        *,
-        setpoint: float,
-        bias: float,
-        start: float,
-        low: float,
-        high: float,
-        channel: str = "displacement",
-        factor: float = LARGEST_FACTOR,
-        half_periods: int = 8,
-        kick: float = 5e-4,
-        noise: float = 2e-6,
-        settle: float = 4.0,
-        trim: float = 1.0,
-        level_time: float = 4.0,
-        levels: int = 40,
-        window: float = 5e-3,
-        beyond: int = 1,
-    ) -> None:
-        wrong = [
-            text
-            for good, text in (
-                (
-                    1.0 < factor <= LARGEST_FACTOR,
-                    f"factor must be above 1 and at most {LARGEST_FACTOR}, not {factor:g}",
-                ),
-                (half_periods >= 8, f"half_periods must be at least 8, not {half_periods}"),
-                (start > 0, f"start must be above 0 Pa/m, not {start:g}"),
-                (low <= bias <= high, f"bias {bias:g} is outside the range of the command, {low:g} to {high:g}"),
-                (kick > 0, f"kick must be above 0 m, not {kick:g}"),
-                (window > kick, f"window must be larger than kick, {kick:g}, not {window:g}"),
-                (noise >= 0 and settle >= 0 and trim >= 0, "noise, settle and trim must not be negative"),
-                (level_time > 0 and levels >= 1 and beyond >= 1, "level_time, levels and beyond must be above 0"),
-            )
-            if not good
-        ]
-        if wrong:
-            raise ValueError("; ".join(wrong))
-        self.setpoint, self.bias, self.low, self.high, self.channel = setpoint, bias, low, high, channel
-        self.factor, self.half_periods, self.kick = factor, half_periods, kick
-        self.settle, self.trim, self.level_time = settle, trim, level_time
-        self.most_levels, self.window, self.beyond = levels, window, beyond
-        self.threshold = max(SEEN * noise, 1e-3 * kick)
-        self.gain = start
+    setpoint: float
+    bias: float
+    start: float
+    low: float
+    high: float
+    channel: str = "displacement"
+    factor: float = LARGEST_FACTOR
+    half_periods: int = 8
+    kick: float = 5e-4
+    noise: float = 2e-6
+    settle: float = 4.0
+    trim: float = 1.0
+    level_time: float = 4.0
+    levels: int = 40
+    window: float = 5e-3
+    beyond: int = 1
+
+    def __post_init__(self) -> None:
+        bias, kick, factor = self.bias, self.kick, self.factor
+        positive = self.level_time > 0 and self.levels >= 1 and self.beyond >= 1
+        refuse_wrong(
+            (1.0 < factor <= LARGEST_FACTOR, f"factor must be above 1 and at most {LARGEST_FACTOR}, not {factor:g}"),
+            (self.half_periods >= 8, f"half_periods must be at least 8, not {self.half_periods}"),
+            (self.start > 0, f"start must be above 0 Pa/m, not {self.start:g}"),
+            (self.low <= bias <= self.high, outside_range(bias, self.low, self.high)),
+            (kick > 0, f"kick must be above 0 m, not {kick:g}"),
+            (self.window > kick, f"window must be larger than kick, {kick:g}, not {self.window:g}"),
+            (self.noise >= 0 and self.settle >= 0 and self.trim >= 0, "noise, settle and trim must not be negative"),
+            (positive, "level_time, levels and beyond must be above 0"),
+        )
+        self.threshold = max(SEEN * self.noise, 1e-3 * kick)
+        self.gain = self.start
         self.done = False
         self._ended = "limit"
-        self._aim = setpoint - kick / 2
+        self._aim = self.setpoint - kick / 2
         self._command = bias
         self._first: float | None = None
         self._last = 0.0
@@ -182,7 +172,7 @@ class GainSteps:
             self._grown += 1
         if self._grown >= self.beyond:
             self._end("growth", self.bias)
-        elif len(self._levels) >= self.most_levels:
+        elif len(self._levels) >= self.levels:
             self._end("levels", self.bias)
         else:
             self.gain *= self.factor
@@ -209,10 +199,7 @@ class GainSteps:
             "levels": [dict(level) for level in self._levels],
             "ended": self._ended,
             "found": found,
-            "setpoint": self.setpoint,
-            "bias": self.bias,
-            "low": self.low,
-            "high": self.high,
+            **{"setpoint": self.setpoint, "bias": self.bias, "low": self.low, "high": self.high},
             "command": self._command,
         }
         if self.done and not found:

@@ -9,14 +9,16 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
-from pmabench.engine.laws.orders import Orders
+from pmabench.engine.laws import Orders, Timed
 
 PRESSURES = ("pressure_1", "pressure_2")
 
 
-class JointLoop:
+@dataclass(kw_only=True, eq=False)
+class JointLoop(Timed):
     """P_i = P_i0(reference) + G_i(reference) (K_i times the integral of reference minus angle).
 
     Parameters
@@ -32,34 +34,26 @@ class JointLoop:
     called_every : time between two commands [s]; the regulators are ten times slower
     """
 
-    def __init__(
-        self,
-        *,
-        goals: Sequence[Sequence[float]],
-        duration: float,
-        table: Mapping[str, Sequence[float]],
-        K_i: float,
-        reference_lag: float,
-        low: float,
-        high: float,
-        sine: Mapping[str, float] | None = None,
-        called_every: float = 0.01,
-    ) -> None:
-        if not goals or not duration > 0 or len(table["angle"]) < 2:
+    goals: Sequence[Sequence[float]]
+    duration: float
+    table: Mapping[str, Sequence[float]]
+    K_i: float
+    reference_lag: float
+    low: float
+    high: float
+    sine: Mapping[str, float] | None = None
+    called_every: float = 0.01
+
+    def __post_init__(self) -> None:
+        if not self.goals or not self.duration > 0 or len(self.table["angle"]) < 2:
             raise ValueError("a joint needs an angle to go to, a duration above 0 s, and a table of two angles or more")
-        self.goals = [(float(begin), float(angle)) for begin, angle in goals]
-        self.duration, self.K_i, self.reference_lag, self.low, self.high = duration, K_i, reference_lag, low, high
-        self.called_every = called_every
-        self._angles = [float(angle) for angle in table["angle"]]
+        self._goals = [(float(begin), float(angle)) for begin, angle in self.goals]
+        self._angles = [float(angle) for angle in self.table["angle"]]
         names = (*PRESSURES, "gain_1", "gain_2")
-        self._rows = [tuple(map(float, row)) for row in zip(*(table[name] for name in names), strict=True)]
-        self._sine = dict(sine or {})
-        self._first: float | None = None
-        self._t = self._lagged = self._reference = self._torque = 0.0
-        self._samples = self._clipped = 0
+        self._rows = [tuple(map(float, row)) for row in zip(*(self.table[name] for name in names), strict=True)]
+        self._sine = dict(self.sine or {})
+        self._lagged = self._reference = self._torque = 0.0
         self._sent: dict[str, float] = {}
-        self.done = False
-        self._ended = "limit"
 
     def update(self, t: float, values: Mapping[str, float]) -> Orders:
         """Set-points for the sample `values` [SI] taken at `t` [s]; without an angle it ends and sends nothing."""
@@ -67,7 +61,7 @@ class JointLoop:
             return Orders()
         angle = values.get("angle", math.nan)
         if not math.isfinite(angle):
-            self.done, self._ended = True, "no signal"
+            self._end("no signal")
             return Orders()
         if self._first is None:
             self._first = self._t = t
@@ -75,7 +69,7 @@ class JointLoop:
         h, self._t = t - self._t, t
         since = t - self._first
         keep = math.exp(-h / self.reference_lag) if self.reference_lag > 0 else 0.0
-        goal = next((at for begin, at in reversed(self.goals) if since >= begin - 1e-9), angle)
+        goal = next((at for begin, at in reversed(self._goals) if since >= begin - 1e-9), angle)
         self._lagged = goal + (self._lagged - goal) * keep
         self._reference = self._lagged + (self._reference - self._lagged) * keep
         reference = self._reference + self._swing(since)
@@ -89,7 +83,7 @@ class JointLoop:
         if not (stuck and more * self._torque > 0):  # beyond a limit the integral may only become smaller
             self._torque += more
         if since >= self.duration:
-            self.done, self._ended = True, "time"
+            self._end("time")
         self._sent = dict(zip(PRESSURES, sets, strict=True))
         return Orders(sets=self._sent)
 
@@ -108,22 +102,13 @@ class JointLoop:
         return tuple(a + share * (b - a) for a, b in zip(self._rows[place - 1], self._rows[place], strict=True))
 
     def result(self) -> dict[str, Any]:
-        """What happened, as plain data: times [s], share of samples with a pressure at a limit, why it ended.
-
-        `ended` is `time` (as planned), `no signal`, or `limit` where the caller stopped it.
-        """
-        data: dict[str, Any] = {
-            "goals": [list(goal) for goal in self.goals],
+        """What happened, as plain data; also the share of samples with a pressure at a limit, and why it ended."""
+        return {
+            "goals": [list(goal) for goal in self._goals],
             "sine": self._sine,
             "reference_lag": self.reference_lag,
             "K_i": self.K_i,
             "torque": self._torque,
             "commands": self._sent,
-            "t0": self._first,
-            "t1": self._t,
-            "saturated": self._clipped / self._samples if self._samples else 0.0,
-            "ended": self._ended,
+            **self._how_it_went("the angle gave no number"),
         }
-        if self._ended == "no signal":
-            data |= {"found": False, "reason": "the angle gave no number"}
-        return data

@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
-from pmabench.engine.laws.orders import Orders, Pulse
+from pmabench.engine.laws import Orders, Pulse, Timed
 from pmabench.model.many.platform import Inverse, Lags, Pair, described, on_time, tilt
 
 CHAINS = ("reference", "measured")
@@ -25,7 +26,8 @@ STEEPEST = math.radians(20)
 """Paper 3's platform tilts so far."""
 
 
-class PlatformLoop:
+@dataclass(kw_only=True, eq=False)
+class PlatformLoop(Timed):
     """M = K_p e + K_i (integral of e), pressures that make it, and on-times that bring the muscles there.
 
     Parameters
@@ -43,50 +45,41 @@ class PlatformLoop:
     platform : what it is made of, as in `model.many.platform.described`
     """
 
-    def __init__(
-        self,
-        *,
-        goals: Sequence[Sequence[float]],
-        duration: float,
-        K_p: float = 10.0,
-        K_i: float = 180.0,
-        most: float = 10.0,
-        reference_lag: float = 1 / 20,
-        attitude_lag: float = 1 / (2 * math.pi * 10),
-        period: float = 0.02,
-        least: float = 0.002,
-        mean: float = 2.5e5,
-        low: float = 0.2e5,
-        high: float = 5.5e5,
-        chain: str = CHAINS[0],
-        gyro_time: float = 0.5,
-        platform: Mapping[str, float] | None = None,
-    ) -> None:
-        if chain not in CHAINS:
-            raise ValueError(f'chain "{chain}" is neither {CHAINS[0]} nor {CHAINS[1]}')
-        if not goals or not duration > 0:
+    goals: Sequence[Sequence[float]]
+    duration: float
+    K_p: float = 10.0
+    K_i: float = 180.0
+    most: float = 10.0
+    reference_lag: float = 1 / 20
+    attitude_lag: float = 1 / (2 * math.pi * 10)
+    period: float = 0.02
+    least: float = 0.002
+    mean: float = 2.5e5
+    low: float = 0.2e5
+    high: float = 5.5e5
+    chain: str = CHAINS[0]
+    gyro_time: float = 0.5
+    platform: Mapping[str, float] | None = None
+
+    def __post_init__(self) -> None:
+        if self.chain not in CHAINS:
+            raise ValueError(f'chain "{self.chain}" is neither {CHAINS[0]} nor {CHAINS[1]}')
+        if not self.goals or not self.duration > 0:
             raise ValueError("a platform needs an attitude to go to, and a duration above 0 s")
-        steep = max(math.acos(math.cos(phi) * math.cos(psi)) for _, phi, psi in goals)
+        steep = max(math.acos(math.cos(phi) * math.cos(psi)) for _, phi, psi in self.goals)
         if not steep <= STEEPEST * (1 + 1e-9):
             raise ValueError(f"a tilt of {math.degrees(steep):.3g} deg is beyond {math.degrees(STEEPEST):.3g} deg")
-        self.platform = described(platform or {})
-        self._inverse = Inverse(self.platform, low, high, mean)
-        self.goals = [(float(begin), (float(phi), float(psi))) for begin, phi, psi in goals]
-        self.duration, self.K_p, self.K_i, self.most = duration, K_p, K_i, most
-        self._period, self.least, self.chain, self.gyro_time = period, least, chain, gyro_time
-        self._lags = reference_lag, attitude_lag
+        self._platform = described(self.platform or {})
+        self._inverse = Inverse(self._platform, self.low, self.high, self.mean)
+        self._goals = [(float(begin), (float(phi), float(psi))) for begin, phi, psi in self.goals]
         self._reference: Lags | None = None
         self._filtered: Lags | None = None
         self._turned: Pair | None = None
         """Attitude of the complementary filter [rad]."""
         self._integral: Pair = (0.0, 0.0)
-        self._first: float | None = None
-        self._t = self._next = 0.0
-        self._clipped = self._periods = 0
+        self._next = 0.0
         self._shuts: dict[str, float] = {}
         """When the last pulse of each valve ends [s]."""
-        self.done = False
-        self._ended = "limit"
 
     def update(self, t: float, values: Mapping[str, float]) -> Orders:
         """Set-points and pulses for the sample `values` [SI] taken at `t` [s].
@@ -96,11 +89,11 @@ class PlatformLoop:
         if self.done:
             return Orders()
         if not all(math.isfinite(values.get(name, math.nan)) for name in (*PRESSURES, *ACCELERATIONS)):
-            self.done, self._ended = True, "no signal"
+            self._end("no signal")
             return Orders()
         if self._first is None:
             self._first = self._t = t
-            self._next = t + self._period + APART  # a pulse of the loop before may still be open for so long
+            self._next = t + self.period + APART  # a pulse of the loop before may still be open for so long
         h, self._t = t - self._t, t
         reference, attitude = self._follow(h, t - self._first, values)
         error = (reference[0] - attitude[0], reference[1] - attitude[1])
@@ -109,11 +102,11 @@ class PlatformLoop:
             self._clamped(self._integral[1] + self.K_i * h * error[1]),
         )
         if t - self._first >= self.duration:
-            self.done, self._ended = True, "time"
+            self._end("time")
             return Orders()
         if t < self._next - 1e-9:
             return Orders()
-        self._next += self._period
+        self._next += self.period
         goal = self._goal(t - self._first) or reference
         moment = self.K_p * error[0] + self._integral[0], self.K_p * error[1] + self._integral[1]
         return self._orders(t, goal, reference if self.chain == "reference" else attitude, moment, values)
@@ -122,7 +115,7 @@ class PlatformLoop:
         """The reference, and the attitude as it is known, `h` [s] after the sample before."""
         measured = tilt(*(values[name] for name in ACCELERATIONS))
         if self._reference is None or self._filtered is None:
-            self._reference, self._filtered = Lags(self._lags[0], measured), Lags(self._lags[1], measured)
+            self._reference, self._filtered = Lags(self.reference_lag, measured), Lags(self.attitude_lag, measured)
         reference = self._reference.update(h, self._goal(since) or measured)
         if not all(math.isfinite(values.get(name, math.nan)) for name in TURNS[:2]):
             return reference, self._filtered.update(h, measured)
@@ -130,7 +123,7 @@ class PlatformLoop:
 
     def _goal(self, since: float) -> Pair | None:
         """Where to go, so long after the first sample [s]; None before the first goal."""
-        return next((at for begin, at in reversed(self.goals) if since >= begin - 1e-9), None)
+        return next((at for begin, at in reversed(self._goals) if since >= begin - 1e-9), None)
 
     def _complementary(self, h: float, measured: Pair, values: Mapping[str, float]) -> Pair:
         """What the gyroscope says quickly and the accelerometer slowly."""
@@ -146,13 +139,13 @@ class PlatformLoop:
     def _orders(self, t: float, goal: Pair, attitude: Pair, moment: Pair, values: Mapping[str, float]) -> Orders:
         """Pressures that make `moment` [N.m] at `attitude` [rad], and the pulses that bring the muscles there."""
         wanted = self._inverse.wanted(attitude, moment)
-        self._periods += 1
+        self._samples += 1
         self._clipped += wanted.clipped
         pulses = []
         for i, aim in enumerate(wanted.pressures):
             P = values[PRESSURES[i]]
-            seconds = min(on_time(self.platform, P, aim, wanted.contractions[i]), self._period)
-            seconds = max(seconds, -self._period)
+            seconds = min(on_time(self._platform, P, aim, wanted.contractions[i]), self.period)
+            seconds = max(seconds, -self.period)
             valve, other = ("fill", "exhaust") if seconds > 0 else ("exhaust", "fill")
             if abs(seconds) >= self.least and self._shuts.get(f"{other}_{i + 1}", -math.inf) <= t - APART:
                 pulses.append(Pulse(f"{valve}_{i + 1}", abs(seconds)))
@@ -161,19 +154,10 @@ class PlatformLoop:
         return Orders(aims | {"tilt": math.acos(math.cos(goal[0]) * math.cos(goal[1]))}, tuple(pulses))
 
     def result(self) -> dict[str, Any]:
-        """What happened, as plain data: times [s], share of periods in which limits forbade the moment, why it ended.
-
-        `ended` is `time` (as planned), `no signal`, or `limit` where the caller stopped it.
-        """
-        data: dict[str, Any] = {
-            "goals": [[begin, *at] for begin, at in self.goals],
+        """What happened, as plain data; also the share of periods in which limits forbade the moment, why it ended."""
+        return {
+            "goals": [[begin, *at] for begin, at in self._goals],
             "chain": self.chain,
-            "reference_lag": self._lags[0],
-            "t0": self._first,
-            "t1": self._t,
-            "saturated": self._clipped / self._periods if self._periods else 0.0,
-            "ended": self._ended,
+            "reference_lag": self.reference_lag,
+            **self._how_it_went("an accelerometer or a pressure gave no number"),
         }
-        if self._ended == "no signal":
-            data |= {"found": False, "reason": "an accelerometer or a pressure gave no number"}
-        return data

@@ -1,6 +1,6 @@
-"""The law `pid`: a P, PI or PID controller takes a channel to a set-point and holds it there; knows no device, no plan.
+"""The laws `p` and `pid`: a controller takes a channel to a set-point and holds it there; they know no device, no plan.
 
-Standard library only: it runs once per sample. The discrete form is in `pmabench.model.pid`.
+Standard library only: they run once per sample. The discrete form of the PID is in `pmabench.model.pid`.
 """
 
 from __future__ import annotations
@@ -9,11 +9,12 @@ from collections.abc import Mapping
 from math import inf, isfinite
 from typing import Any
 
-from pmabench.model.pid import ANTI_WINDUP, PID
+from pmabench.engine.laws import Timed, outside_range
+from pmabench.model.pid import PID
 from pmabench.model.reference_path import ReferencePath
 
 
-class PositionLoop:
+class PositionLoop(Timed):
     """u = PID(setpoint - y) from the command in force on, for a time.
 
     Parameters
@@ -32,56 +33,28 @@ class PositionLoop:
         setpoint: float,
         duration: float,
         K_p: float,
-        low: float,
-        high: float,
         T_i: float | None = None,
-        T_d: float = 0.0,
-        N: float = 10.0,
-        anti_windup: str = ANTI_WINDUP[0],
-        tracking: float | None = None,
-        start: float = 0.0,
         channel: str = "displacement",
         path: Mapping[str, Any] | None = None,
         feedforward: Mapping[str, Any] | None = None,
+        **controller: Any,
     ) -> None:
         if not isfinite(setpoint):
             raise ValueError("the set-point is no number")
         if not duration > 0:
             raise ValueError(f"duration must be above 0 s, not {duration:g}")
-        self.controller = PID(
-            K_p,
-            inf if T_i is None else T_i,
-            T_d,
-            N=N,
-            low=low,
-            high=high,
-            anti_windup=anti_windup,
-            tracking=tracking,
-            start=start,
-        )
+        pid = self.controller = PID(K_p, inf if T_i is None else T_i, **controller)
         self.setpoint, self.duration, self.channel = setpoint, duration, channel
         self.path = None if path is None else ReferencePath(**path)
         self._ahead = [] if feedforward is None else [float(value) for value in feedforward["values"]]
         self._every = 1.0 if feedforward is None else float(feedforward["every"])
         self._settings: dict[str, Any] = {
-            "K_p": K_p,
-            "T_i": T_i,
-            "T_d": T_d,
-            "N": N,
-            "low": low,
-            "high": high,
-            "start": start,
-            "anti_windup": anti_windup,
-            "tracking": tracking,
+            **{"K_p": K_p, "T_i": T_i, "T_d": pid.T_d, "N": pid.N, "low": pid.low, "high": pid.high},
+            **{"start": pid.output, "anti_windup": pid.anti_windup, "tracking": controller.get("tracking")},
             "channel": channel,
             **({} if path is None else {"path": dict(path), "feedforward": feedforward is not None}),
         }
-        self.done = False
-        self._ended = "limit"
-        self._first: float | None = None
-        self._t = 0.0
         self._error = 0.0
-        self._samples = self._saturated = 0
 
     def update(self, t: float, values: Mapping[str, float]) -> float:
         """The command [SI of the output] for the sample `values` taken at `t` [s].
@@ -93,7 +66,7 @@ class PositionLoop:
             return controller.output
         measured = values.get(self.channel)
         if measured is None or not isfinite(measured):
-            self.done, self._ended = True, "no signal"
+            self._end("no signal")
             return controller.output
         if self._first is None:
             self._first = self._t = t
@@ -103,9 +76,9 @@ class PositionLoop:
         self._error = setpoint - measured
         command = controller.update(h, setpoint, measured, self._ahead_at(since))
         self._samples += 1
-        self._saturated += controller.saturated
+        self._clipped += controller.saturated
         if t - self._first >= self.duration:
-            self.done, self._ended = True, "time"
+            self._end("time")
         return command
 
     def _ahead_at(self, since: float) -> float:
@@ -118,20 +91,47 @@ class PositionLoop:
         return self._ahead[left] + (place - left) * (self._ahead[right] - self._ahead[left])
 
     def result(self) -> dict[str, Any]:
-        """What happened, as plain data: the settings, t0, t1 [s], last error and command, share of clamped samples.
+        """What happened, as plain data: settings, last error and command, share of clamped samples, why it ended."""
+        return {
+            **self._settings,
+            "setpoint": self.setpoint,
+            "error": self._error,
+            "command": self.controller.output,
+            **self._how_it_went(f"{self.channel} gave no number"),
+        }
+
+
+class Proportional(PositionLoop):
+    """u = bias + gain (setpoint - y), clamped to `low`..`high`; the command is the bias without a signal.
+
+    Parameters
+    ----------
+    setpoint : value of `channel` to hold [SI of the channel, m for displacement]
+    bias : command at which the error is expected to be 0 [SI of the output, Pa for pressure]
+    gain : K_p [output per channel, Pa/m]
+    duration : how long to control [s]
+    low, high : range of the command [SI of the output]
+    channel : measured channel, `displacement`
+    """
+
+    def __init__(self, *, bias: float, gain: float, low: float, high: float, **held: Any) -> None:
+        if not low <= bias <= high:
+            raise ValueError(outside_range(bias, low, high))
+        super().__init__(K_p=gain, start=bias, low=low, high=high, **held)
+        self.bias, self.gain = bias, gain
+
+    def update(self, t: float, values: Mapping[str, float]) -> float:
+        """The command [SI of the output] for the sample `values` taken at `t` [s]."""
+        command = super().update(t, values)
+        return self.bias if self._ended == "no signal" else command
+
+    def result(self) -> dict[str, Any]:
+        """What happened, as plain data: last error and command, share of clamped samples, `ended`.
 
         `ended` is `time` (as planned), `no signal`, or `limit` where the caller stopped it.
         """
-        data: dict[str, Any] = {
-            **self._settings,
-            "setpoint": self.setpoint,
-            "t0": self._first,
-            "t1": self._t,
-            "error": self._error,
-            "command": self.controller.output,
-            "saturated": self._saturated / self._samples if self._samples else 0.0,
-            "ended": self._ended,
-        }
-        if self._ended == "no signal":
-            data |= {"found": False, "reason": f"{self.channel} gave no number"}
-        return data
+        found = super().result()
+        found["command"] = self.bias if self._ended == "no signal" else found["command"]
+        names = ("t0", "t1", "error", "command", "saturated", "ended")
+        about = {"setpoint": self.setpoint, "bias": self.bias, "gain": self.gain}
+        return about | {name: found[name] for name in names}

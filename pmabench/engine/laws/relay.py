@@ -6,9 +6,12 @@ about the loop is worked out later, from the samples.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from math import inf, isfinite
-from typing import Any
+from typing import Any, ClassVar
+
+from pmabench.engine.laws import refuse_wrong
 
 MOST_ASYMMETRY = 0.5
 FOUND = "levels"
@@ -22,6 +25,7 @@ REASONS = {
 }
 
 
+@dataclass(kw_only=True, eq=False)
 class Relay:
     """Relay with hysteresis about the place where the bias holds the muscle (Astrom and Hagglund 1984).
 
@@ -45,51 +49,44 @@ class Relay:
     watched : channel -> lowest and highest value [SI]; leaving it ends the search
     """
 
-    rarely = True
+    rarely: ClassVar[bool] = True
 
-    def __init__(
-        self,
-        *,
-        setpoint: float,
-        bias: float,
-        amplitudes: tuple[float, ...] | list[float],
-        hysteresis: tuple[float, ...] | list[float],
-        low: float,
-        high: float,
-        periods: int,
-        level_time: float,
-        settle: float,
-        window: float,
-        asymmetry: float = 0.0,
-        channel: str = "displacement",
-        watched: Mapping[str, tuple[float, float] | list[float]] | None = None,
-    ) -> None:
-        up, down = 1 + asymmetry, 1 - asymmetry
-        wrong = [
-            text
-            for good, text in (
-                (
-                    len(amplitudes) == len(hysteresis) >= 1 and min((*amplitudes, *hysteresis)) > 0,
-                    "amplitudes and hysteresis must be as many, at least one each, and above 0",
-                ),
-                (0 <= asymmetry <= MOST_ASYMMETRY, f"asymmetry must be 0 to {MOST_ASYMMETRY:g}, not {asymmetry:g}"),
-                (
-                    all(low <= bias - d * down and bias + d * up <= high for d in amplitudes),
-                    f"bias {bias:g} with an amplitude leaves the range of the command, {low:g} to {high:g}",
-                ),
-                (all(window > h for h in hysteresis), "window must be larger than every hysteresis"),
-                (periods >= 2 and level_time > 0 and settle > 0, "periods (2), level_time and settle are too small"),
-            )
-            if not good
-        ]
-        if wrong:
-            raise ValueError("; ".join(wrong))
-        self.setpoint, self.bias, self.low, self.high = setpoint, bias, low, high
-        self.amplitudes, self.hysteresis = tuple(amplitudes), tuple(hysteresis)
-        self.periods, self.level_time, self.settle = periods, level_time, settle
-        self.asymmetry, self.channel, self.window = asymmetry, channel, window
-        self.watched = {name: (float(ends[0]), float(ends[1])) for name, ends in (watched or {}).items()}
-        self.centre = setpoint
+    setpoint: float
+    bias: float
+    amplitudes: Sequence[float]
+    hysteresis: Sequence[float]
+    low: float
+    high: float
+    periods: int
+    level_time: float
+    settle: float
+    window: float
+    asymmetry: float = 0.0
+    channel: str = "displacement"
+    watched: Mapping[str, Sequence[float]] | None = None
+
+    def __post_init__(self) -> None:
+        bias, low, high, most = self.bias, self.low, self.high, MOST_ASYMMETRY
+        up, down = 1 + self.asymmetry, 1 - self.asymmetry
+        sizes = (*self.amplitudes, *self.hysteresis)
+        refuse_wrong(
+            (
+                len(self.amplitudes) == len(self.hysteresis) >= 1 and min(sizes) > 0,
+                "amplitudes and hysteresis must be as many, at least one each, and above 0",
+            ),
+            (0 <= self.asymmetry <= most, f"asymmetry must be 0 to {most:g}, not {self.asymmetry:g}"),
+            (
+                all(low <= bias - d * down and bias + d * up <= high for d in self.amplitudes),
+                f"bias {bias:g} with an amplitude leaves the range of the command, {low:g} to {high:g}",
+            ),
+            (all(self.window > h for h in self.hysteresis), "window must be larger than every hysteresis"),
+            (
+                self.periods >= 2 and self.level_time > 0 and self.settle > 0,
+                "periods (2), level_time and settle are too small",
+            ),
+        )
+        self._watched = {name: (float(ends[0]), float(ends[1])) for name, ends in (self.watched or {}).items()}
+        self.centre = self.setpoint
         self.done = False
         self._ended = "limit"
         self._command = bias
@@ -104,14 +101,14 @@ class Relay:
         if self.done:
             return self._command
         y = values.get(self.channel, inf)
-        if not isfinite(y) or any(not isfinite(values.get(name, inf)) for name in self.watched):
+        if not isfinite(y) or any(not isfinite(values.get(name, inf)) for name in self._watched):
             return self._end("no signal")
         if self._first is None:
             self._first = t
         self._last = t
         if abs(y - self.setpoint) > self.window:
             return self._end("window")
-        for name, (low, high) in self.watched.items():
+        for name, (low, high) in self._watched.items():
             if not low <= values[name] <= high:
                 return self._end(name)
         if not self._levels:

@@ -10,7 +10,7 @@ import numpy as np
 
 from pmabench.base.errors import PmaError
 from pmabench.base.quantities import show
-from pmabench.protocol.joint import MUSCLES
+from pmabench.protocol.driven import MUSCLES
 from pmabench.store.records import Array
 
 ROWS = 91

@@ -23,7 +23,7 @@ from pmabench.files.quantity import (
 )
 from pmabench.kinds.joint_step.inverse import by_map, by_model
 from pmabench.protocol.common import Compilation, ProtocolHead
-from pmabench.protocol.joint import MUSCLES, vented
+from pmabench.protocol.driven import MUSCLES, vented
 from pmabench.protocol.plan import Control, Hold, Plan, Record, Set, TrialRecord
 from pmabench.protocol.sweep import AngleAxis, Point, Sweep, expand
 

@@ -11,7 +11,7 @@ from pmabench.files.document import Strict
 from pmabench.files.quantity import Angle, AngularSpeed, Time
 from pmabench.protocol.accept import OF_TRIALS
 from pmabench.protocol.common import Compilation, ProtocolHead
-from pmabench.protocol.joint import MUSCLES, not_faster, vented
+from pmabench.protocol.driven import MUSCLES, not_faster, vented
 from pmabench.protocol.plan import Hold, Plan, Ramp, Record, Set, Step, TrialRecord
 from pmabench.protocol.sweep import AngularSpeedAxis, Point, PressureAxis, Sweep, expand
 

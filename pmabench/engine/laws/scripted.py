@@ -1,7 +1,11 @@
-"""Law `ramp-until`: ramp the output until a channel crosses a threshold: lift, set-down, return to zero, dead band.
+"""Laws that ramp and wait: `ramp-until` and `closed-strokes`; they know no devices and no files.
 
-A fast approach finds the neighbourhood, then the output goes back until the crossing is undone and a slow ramp finds
-it again, so that regulator lag and creep do not enter. Knows no devices and no files.
+`ramp-until` ramps the output until a channel crosses a threshold: lift, set-down, return to zero, dead band. A fast
+approach finds the neighbourhood, then the output goes back until the crossing is undone and a slow ramp finds it again,
+so that regulator lag and creep do not enter.
+
+`closed-strokes`: a valve shuts the air in, the driven end goes there and back, the valve opens again. The valve is shut
+by its safe state, so whatever ends the run leaves it as it is.
 """
 
 from __future__ import annotations
@@ -10,9 +14,10 @@ from typing import Any
 
 import numpy as np
 
+from pmabench.base.errors import LimitTripped
 from pmabench.base.quantities import CHANNEL_QUANTITY, show, without_number
-from pmabench.engine.acquire import Samples, Stop
-from pmabench.engine.moves import Moves
+from pmabench.engine.acquire import Samples
+from pmabench.engine.seek import Moves
 
 
 def ramp_until(
@@ -80,7 +85,7 @@ def _cross(
     samples = max(1, round(window * moves.acquisition.rate))
     seen = _Crossing(channel, threshold, samples, above=above)
     end = min(moves.ramp(origin, target, rate) + 1.0, moves.deadline)
-    stopped = moves.acquisition.until(end, seen.stop())
+    stopped = moves.acquisition.until(end, seen)
     if stopped is None:
         return None
     return {"t": stopped, **seen.at}
@@ -94,24 +99,13 @@ class _Crossing:
         self.run = 0
         self.at: dict[str, float] = {}
 
-    def stop(self) -> Stop:
-        return self._stop
-
-    def _stop(self, block: Samples) -> int | None:
+    def __call__(self, block: Samples) -> int | None:
         x = block.values.get(self.channel)
         if x is None:
             return None
         beyond = x > self.threshold if self.above else x < self.threshold
-        if not beyond.any():
-            self.run = 0
-            return None
-        breaks = np.flatnonzero(~beyond)
         index = np.arange(len(beyond))
-        last = np.full(len(beyond), -1 - self.run)
-        if len(breaks):
-            position = np.searchsorted(breaks, index, side="right") - 1
-            last = np.where(position >= 0, breaks[np.maximum(position, 0)], -1 - self.run)
-        runs = index - last
+        runs = index - np.maximum.accumulate(np.where(beyond, -1 - self.run, index))  # since the last one not beyond
         hits = np.flatnonzero(beyond & (runs >= self.samples))
         if len(hits) == 0:
             self.run = int(runs[-1]) if beyond[-1] else 0
@@ -120,3 +114,28 @@ class _Crossing:
         first = max(0, hit - self.samples + 1)
         self.at = {name: float(np.mean(values[first : hit + 1])) for name, values in block.values.items()}
         return hit
+
+
+def closed_strokes(
+    moves: Moves, *, valve: str, start: float, to: float, rate: float, rest: float, cycles: int
+) -> dict[str, Any]:
+    """Shut `valve`, move the output `cycles` times from `start` to `to` [SI] and back at `rate` [SI/s], open it.
+
+    It rests for `rest` [s] after the valve has shut, at both ends of each stroke, and before it opens again. Result:
+    bench times [s] at which it was shut and opened.
+
+    Raises
+    ------
+    LimitTripped
+        Where it takes longer than the step's limit: the end is not where the plan believes, and air is shut in.
+    """
+    shut = moves.valve(valve, safe=True)
+    moves.wait(shut + rest)
+    for _ in range(cycles):
+        for origin, target in ((start, to), (to, start)):
+            there = moves.ramp(origin, target, rate)
+            moves.wait(there + rest)
+            if moves.clock.now() < there + rest - 1e-6:
+                raise LimitTripped(f"the strokes with {valve} shut took longer than {moves.step.limit:g} s")
+    opened = moves.valve(valve, safe=False)
+    return {"found": True, "command": start, "shut": shut, "opened": opened}

@@ -1,0 +1,237 @@
+"""Whether a bench is what it is said to be: its drivers, its vent path, and the weight of a load at rest.
+
+- Drivers that nobody has tried on hardware: the operator is asked once for each bench, and the run records it.
+- The proof test of the vent path: fill to a low pressure, vent, look; before anything else is commanded.
+- The load: looked at once after hands put it on, when it hangs still.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pmabench.base.errors import LimitTripped, PmaError, VerdictFailed
+from pmabench.base.quantities import show
+from pmabench.bench.interface import UNPROVEN, CompiledBench, DeviceRecord, Identity
+from pmabench.bench.registry import HARDWARE, driver_version
+from pmabench.engine.acquire import Acquisition, Array, Samples, Stop
+from pmabench.engine.recorder import Recorder
+from pmabench.guard.remote import AnyGuard
+from pmabench.guard.station import Station
+
+if TYPE_CHECKING:
+    from pmabench.engine.executor import Executor
+
+AGREED = "drivers"
+"""File in the bench's state folder: the drivers that somebody agreed to, by driver and version."""
+
+
+def as_data(bench: CompiledBench) -> dict[str, dict[str, str]]:
+    """For the manifest: each device's driver, its version and what it was verified on."""
+    return {
+        one.name: {"driver": one.driver, "version": driver_version(one.driver), "verified": one.verified}
+        for one in bench.devices
+    }
+
+
+def doubt(device: DeviceRecord, identity: Identity) -> str:
+    """Why the driver of a device that answers as hardware is not verified for it; empty where it is, or simulated."""
+    if identity.simulated:
+        return ""
+    if not device.verified.startswith(HARDWARE):
+        return f"was never tried on a device (verified: {device.verified})"
+    if device.verified_firmware and device.verified_firmware != identity.firmware:
+        return f"is {device.verified}, and firmware {identity.firmware or 'unknown'} answers"
+    return ""
+
+
+def not_proven(identities: Mapping[str, Identity]) -> list[str]:
+    """The emulated devices whose wiring and scales were taken from the bench file, so that its errors cancel out."""
+    return [name for name, identity in identities.items() if identity.model.startswith(UNPROVEN)]
+
+
+def agree(executor: Executor, identities: Mapping[str, Identity]) -> None:
+    """Ask once per bench, driver, version and doubt, with nothing armed yet; a person's answer is remembered."""
+    station = Station(executor.bench.name)
+    for device in executor.bench.devices:
+        identity = identities[device.name]
+        why = doubt(device, identity)
+        if not why:
+            continue
+        key = f"{device.driver} {driver_version(device.driver)} {why}"
+        agreed = station.read(AGREED)
+        if key not in agreed:
+            answer = _ask(executor, device, identity, why)
+            if "--yes" not in answer:
+                at = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
+                with suppress(PmaError):  # it is asked again then
+                    station.write(AGREED, {**agreed, key: {"answer": answer, "at": at}})
+
+
+def _ask(executor: Executor, device: DeviceRecord, identity: Identity, why: str) -> str:
+    who = " ".join(part for part in (identity.maker, identity.model) if part)
+    text = (
+        f"The driver of {device.name} ({who}), {device.driver}, {why}. Trust no value and no vent before you have "
+        "compared it with an instrument. This is asked once."
+    )
+    acquisition, clock = executor.acquisition, executor.clock
+
+    def wait() -> None:
+        acquisition.pass_time(0.1)
+
+    about: dict[str, Any] = {"text": text, "phase": "driver", "device": device.name}
+    executor.recorder.event("prompt", clock.now(), **about)
+    answer = executor.operator.ask(text, acquisition.latest, wait)
+    executor.recorder.event("answer", clock.now(), **about, answer=answer)
+    return answer
+
+
+FILLED = 0.8
+"""Of the asked pressure, from where on the bench counts as filled."""
+
+
+def prove(bench: CompiledBench, guard: AnyGuard, acquisition: Acquisition, recorder: Recorder) -> None:
+    """Try the vent path of a bench that declares a proof test; raises LimitTripped where it does not vent in time."""
+    proof = bench.proof
+    if proof is None:
+        return
+    clock = acquisition.clock
+    names = [output.name for output in bench.pressures]
+    asked = clock.now()
+    for name in names:
+        guard.set(name, proof.pressure)
+        acquisition.commanded.set(name, asked, proof.pressure)
+    filled = acquisition.pass_time(proof.fill, _crossing(names, above=FILLED * proof.pressure))
+    if filled is None:
+        measured = _measured(acquisition, names)
+        raise LimitTripped(
+            f"the proof test asked for {show(proof.pressure, 'pressure')}, and after {proof.fill:g} s {measured} is "
+            "measured: no supply, a shut valve, or the pressure channel is wired wrongly"
+        )
+    vented_at = clock.now()
+    for output in bench.pressures:
+        guard.set(output.name, output.safe)
+        acquisition.commanded.set(output.name, vented_at, output.safe)  # it falls as commanded: no burst
+    guard.valves(closed=False)
+    vented = acquisition.pass_time(proof.within, _crossing(names, below=proof.below))
+    if vented is None:
+        measured = _measured(acquisition, names)
+        raise LimitTripped(
+            f"the vent path failed its proof test: {measured} {proof.within:g} s after venting, "
+            f"below {show(proof.below, 'pressure')} was expected; look at the dump valve and at the regulator's exhaust"
+        )
+    guard.valves(closed=True)
+    guard.release()
+    recorder.event(
+        "proof-test", clock.now(), pressure=proof.pressure, filled_in=filled - asked, vented_in=vented - vented_at
+    )
+
+
+def _measured(acquisition: Acquisition, names: Sequence[str]) -> str:
+    """The newest pressure of each muscle, in words."""
+    return " and ".join(show(acquisition.latest.get(name, float("nan")), "pressure") for name in names)
+
+
+def _crossing(names: Sequence[str], above: float = float("-inf"), below: float = float("inf")) -> Stop:
+    """The sample at which the last of these channels has come between the bounds."""
+    left = set(names)
+
+    def crossed(block: Samples) -> int | None:
+        last = None
+        for name in left & block.values.keys():
+            inside = (block.values[name] > above) & (block.values[name] < below)
+            if inside.any():
+                left.discard(name)
+                last = max(last or 0, int(inside.argmax()))
+        return last if not left else None
+
+    return crossed
+
+
+LIFTED = 1e-3
+"""Contraction since the load was put on from which on it hangs [m]."""
+STILL = 0.1e-3
+"""A load moves by less than this within `SPAN` while it hangs still [m]."""
+SPAN = 0.5
+"""How long it is looked at [s]."""
+
+
+class LoadImplausible(VerdictFailed):
+    """The load cell and the plates do not agree."""
+
+
+@dataclass(frozen=True)
+class LoadVerdict:
+    """What the cell reads of a load at rest, mean over `SPAN` [N]."""
+
+    expected: float
+    measured: float
+    tolerance: float
+    asked: str
+
+    @property
+    def ok(self) -> bool:
+        """Whether they agree."""
+        return abs(self.measured - self.expected) <= self.tolerance
+
+    def __str__(self) -> str:
+        """One sentence with the weight of the plates and the reading of the cell."""
+        reads = f"the load cell reads {self.measured:.2f} N for a load at rest of {self.expected:.2f} N"
+        if self.ok:
+            return f"{reads}, within {self.tolerance:.2f} N"
+        return (
+            f"{reads}, further off than {self.tolerance:.2f} N; asked for was: {self.asked} "
+            "Look at the plates that are on, and at the load cell: its plug, its calibration, what touches it"
+        )
+
+
+class LoadCheck:
+    """Remembers the load that was put on until it was seen hanging; judges it once."""
+
+    def __init__(self, bench: CompiledBench) -> None:
+        channels = {channel.name: channel for channel in bench.channels}
+        self._cell = channels.get("force")
+        self._possible = bench.free_end == "weights" and self._cell is not None and "displacement" in channels
+        self._share = bench.load_tolerance
+        self._pending: tuple[float, str, float] | None = None
+        self._kept: dict[str, tuple[Array, Array]] = {}
+
+    def put_on(self, force: float, asked: str, displacement: float | None) -> None:
+        """Hands put F_L = `force` [N] on, with the free end at `displacement` [m]."""
+        self._pending = (force, asked, displacement or 0.0) if self._possible and force > 0 else None
+        self._kept = {}
+
+    def watch(self) -> Stop | None:
+        """Stop rule for the acquisition while it waits: looks at the samples and never stops."""
+        if self._pending is None:
+            return None
+        self._kept = {}
+        return self._keep
+
+    def _keep(self, block: Samples) -> None:
+        for name in ("force", "displacement"):
+            if name in block.values:
+                t, y = self._kept.get(name, (block.t[:0], block.t[:0]))
+                t, y = np.concatenate((t, block.t)), np.concatenate((y, block.values[name]))
+                recent = t > t[-1] - SPAN
+                self._kept[name] = t[recent], y[recent]
+
+    def verdict(self) -> LoadVerdict | None:
+        """The verdict when the load has hung still at the end of what was watched, else None."""
+        if self._pending is None or len(self._kept) < 2:
+            return None
+        force, asked, before = self._pending
+        (t, x), (_, pull) = self._kept["displacement"], self._kept["force"]
+        if len(t) < 5 or t[-1] - t[0] < 0.5 * SPAN or not (np.isfinite(x).all() and np.isfinite(pull).all()):
+            return None
+        if x.mean() - before < LIFTED or x.max() - x.min() > STILL or self._cell is None:
+            return None
+        self._pending = None
+        known = self._cell.calibration
+        tolerance = self._share * force + known.offset_uncertainty + known.gain_uncertainty * force
+        return LoadVerdict(force, float(pull.mean()), tolerance, asked)
