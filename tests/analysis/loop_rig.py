@@ -119,7 +119,7 @@ class LinearPlant:
 def close_loop(plant: Any, law: Any, limit: float, ts: float = TS, start: float = 5.0) -> dict[str, np.ndarray]:
     """Run `law` on `plant` until it is done or `limit` [s] is over; samples from `start` [s] on."""
     rows = []
-    k, command = 0, law.bias
+    k, command = 0, getattr(law, "bias", 0.0)
     while not law.done and k * ts < limit:
         t = start + k * ts
         values = plant.read()

@@ -39,8 +39,8 @@ STEPS = {
     "wait-until": (Set("w", "pressure", 3e5), WaitUntil("w", "displacement", "above", 0.2, 0.1, 5.0, "flag")),
     "seek scripted": (Seek("lift", "ramp-until", "pressure", 0.0, 5.8e5, 500.0, LIFT),),
     "seek sampled": (
-        Seek("p", "p", "pressure", 0.0, 5e5, 500.0,
-             {"setpoint": 0.02, "bias": 2e5, "gain": 1e6, "low": 0.0, "high": 5e5, "duration": 4.0}),
+        Seek("p", "pid", "pressure", 0.0, 5e5, 500.0,
+             {"setpoint": 0.02, "start": 2e5, "K_p": 1e6, "low": 0.0, "high": 5e5, "duration": 4.0}),
     ),
     "follow": (Set("s", "pressure", 3e5), Follow("s", "pressure", 3e5, 5e4, 0.5, 3)),
 }  # fmt: skip

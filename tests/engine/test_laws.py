@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from pmabench.engine.laws.gain_steps import GainSteps
-from pmabench.engine.laws.position_loop import Proportional
+from pmabench.engine.laws.position_loop import PositionLoop
 from tests.analysis.loop_rig import LinearPlant, close_loop
 from tests.engine.loop_cost import MOST, plain_calls
 
@@ -114,7 +114,7 @@ def test_noise_alone_is_no_swing() -> None:
 
 
 def test_proportional_leaves_the_error_that_it_must() -> None:
-    p = Proportional(setpoint=1e-3, bias=0.0, gain=0.3 * K_U, duration=10.0, low=-2e5, high=2e5)
+    p = PositionLoop(setpoint=1e-3, start=0.0, K_p=0.3 * K_U, duration=10.0, low=-2e5, high=2e5)
     close_loop(plant(noise=0.0), p, 20.0)
     found = p.result()
     assert found["ended"] == "time"
@@ -124,15 +124,14 @@ def test_proportional_leaves_the_error_that_it_must() -> None:
 
 
 def test_proportional_is_clamped_and_stops_without_a_signal() -> None:
-    p = Proportional(setpoint=1.0, bias=0.0, gain=1e6, duration=1.0, low=-1e3, high=1e3)
+    p = PositionLoop(setpoint=1.0, start=0.0, K_p=1e6, duration=1.0, low=-1e3, high=1e3)
     assert p.update(0.0, {"displacement": 0.0}) == 1e3
     assert p.update(0.1, {"displacement": 2.0}) == -1e3
     assert p.result()["saturated"] == 1.0
-    assert p.update(0.2, {}) == 0.0
+    assert p.update(0.2, {}) == -1e3, "the command stays, and the run ends"
     assert p.done
     assert p.result()["ended"] == "no signal"
-    with pytest.raises(ValueError, match="outside the range"):
-        Proportional(setpoint=0.0, bias=5.0, gain=1.0, duration=1.0, low=0.0, high=1.0)
+    assert not p.result()["found"]
 
 
 def test_an_update_costs_few_plain_calls() -> None:

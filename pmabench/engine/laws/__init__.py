@@ -18,7 +18,6 @@ from pmabench.base.extensions import registered
 
 GROUP = "pmabench.laws"
 LAWS = {
-    "p": "position_loop:Proportional",
     "gain-steps": "gain_steps:GainSteps",
     "relay": "relay:Relay",
     "pid": "position_loop:PositionLoop",

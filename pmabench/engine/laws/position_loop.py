@@ -1,6 +1,6 @@
-"""The laws `p` and `pid`: a controller takes a channel to a set-point and holds it there; they know no device, no plan.
+"""The law `pid`: a P, PI or PID controller takes a channel to a set-point and holds it there; knows no device, no plan.
 
-Standard library only: they run once per sample. The discrete form of the PID is in `pmabench.model.pid`.
+Standard library only: it runs once per sample. The discrete form of the PID is in `pmabench.model.pid`.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from math import inf, isfinite
 from typing import Any
 
-from pmabench.engine.laws import Timed, outside_range
+from pmabench.engine.laws import Timed
 from pmabench.model.pid import PID
 from pmabench.model.reference_path import ReferencePath
 
@@ -99,39 +99,3 @@ class PositionLoop(Timed):
             "command": self.controller.output,
             **self._how_it_went(f"{self.channel} gave no number"),
         }
-
-
-class Proportional(PositionLoop):
-    """u = bias + gain (setpoint - y), clamped to `low`..`high`; the command is the bias without a signal.
-
-    Parameters
-    ----------
-    setpoint : value of `channel` to hold [SI of the channel, m for displacement]
-    bias : command at which the error is expected to be 0 [SI of the output, Pa for pressure]
-    gain : K_p [output per channel, Pa/m]
-    duration : how long to control [s]
-    low, high : range of the command [SI of the output]
-    channel : measured channel, `displacement`
-    """
-
-    def __init__(self, *, bias: float, gain: float, low: float, high: float, **held: Any) -> None:
-        if not low <= bias <= high:
-            raise ValueError(outside_range(bias, low, high))
-        super().__init__(K_p=gain, start=bias, low=low, high=high, **held)
-        self.bias, self.gain = bias, gain
-
-    def update(self, t: float, values: Mapping[str, float]) -> float:
-        """The command [SI of the output] for the sample `values` taken at `t` [s]."""
-        command = super().update(t, values)
-        return self.bias if self._ended == "no signal" else command
-
-    def result(self) -> dict[str, Any]:
-        """What happened, as plain data: last error and command, share of clamped samples, `ended`.
-
-        `ended` is `time` (as planned), `no signal`, or `limit` where the caller stopped it.
-        """
-        found = super().result()
-        found["command"] = self.bias if self._ended == "no signal" else found["command"]
-        names = ("t0", "t1", "error", "command", "saturated", "ended")
-        about = {"setpoint": self.setpoint, "bias": self.bias, "gain": self.gain}
-        return about | {name: found[name] for name in names}
