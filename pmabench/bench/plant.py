@@ -366,8 +366,7 @@ def _extremes(curve: dict[str, Any], highest: float) -> Iterator[tuple[float, fl
         yield from points[len(inside) : len(inside) + 1]
         return
     unit, pressure = curve["unit"], curve["pressure"]
-    edges = [0.0, *curve["breaks"], highest / pressure]
-    for piece, (low, high) in zip(curve["pieces"], pairwise(edges), strict=True):
+    for piece, (low, high) in zip(curve["pieces"], pairwise([0.0, *curve["breaks"], highest / pressure]), strict=True):
         end = min(high, highest / pressure)
         if low <= end:
             yield from ((P * pressure, _value(piece, P) * unit) for P in _turns(piece, low, end))
@@ -375,8 +374,7 @@ def _extremes(curve: dict[str, Any], highest: float) -> Iterator[tuple[float, fl
 
 def _jumps(curve: dict[str, Any]) -> Iterator[tuple[float, float, float]]:
     """Each break [Pa] with the values before and behind it [SI]."""
-    pieces = curve.get("pieces", [])
-    for edge, (left, right) in zip(curve.get("breaks", []), pairwise(pieces), strict=True):
+    for edge, (left, right) in zip(curve.get("breaks", []), pairwise(curve.get("pieces", [])), strict=True):
         yield edge * curve["pressure"], _value(left, edge) * curve["unit"], _value(right, edge) * curve["unit"]
 
 

@@ -65,8 +65,7 @@ class Stack:
         loads = self._loads
         place = bisect_left(loads, mass)
         near = loads[max(place - 1, 0) : place + 1]
-        hit = [load for load in near if abs(load - mass) <= TOLERANCE]
-        return hit[:1] or near
+        return [load for load in near if abs(load - mass) <= TOLERANCE][:1] or near
 
     def can_make(self, mass: float) -> bool:
         """Whether `mass` [kg] is one of the loads."""
@@ -199,8 +198,7 @@ def lacks_session(c: Compilation) -> Iterator[str]:
 
 
 def _commanded(c: Compilation, pressure: float, at: Location) -> None:
-    names = [f"pressure_{number}" for number in c.bench.muscles] or ["pressure"]
-    for name in names:
+    for name in [f"pressure_{number}" for number in c.bench.muscles] or ["pressure"]:
         if name not in c.bench.set_points:
             c.fault(at, f"nothing commands the {name} on this bench")
         elif name in c.outputs and pressure > c.outputs[name].high:

@@ -410,10 +410,8 @@ def _follows(
         places = (min(bisect_left(at, moment + shift), len(at) - 1) for moment in moments)
         return fmean(abs(s - real[place]) for s, place in zip(shown, places, strict=True))
 
-    shifts = [step * GRID for step in range(-round(WINDOW / GRID), round(WINDOW / GRID) + 1)]
-    best = min(shifts, key=deviation)
-    stride = round(period / GRID)
-    per_period = fmean(abs(b - a) for a, b in zip(real, real[stride:], strict=False))
+    best = min([step * GRID for step in range(-round(WINDOW / GRID), round(WINDOW / GRID) + 1)], key=deviation)
+    per_period = fmean(abs(b - a) for a, b in zip(real, real[round(period / GRID) :], strict=False))
     moving = sum(a != b for a, b in pairwise(real)) / len(real)
     if per_period < 2 * tolerance(channel) or moving < 0.03:
         return False

@@ -248,8 +248,7 @@ class AsciiLink:
             except Unanswered as lost:
                 reading, why = self._found(lost, value, deadline), lost.message
         if not abs(reading.set_point - value) <= tolerance + self._step:
-            message = f"was commanded {value:g} and holds {reading.set_point:g}: {why}"
-            raise DeviceError(self._device, message, OUTPUT)
+            raise DeviceError(self._device, f"was commanded {value:g} and holds {reading.set_point:g}: {why}", OUTPUT)
         return reading
 
     def vent(self, value: float, deadline: float, tolerance: float, still: Still = always) -> Reading | None:
@@ -345,8 +344,7 @@ class AsciiLink:
             if column.unit_code not in same:
                 given = f'gives "{column.name}" in {column.unit or "no unit"} (unit {column.unit_code})'
                 wanted = f"the bench expects {self._options.unit} (unit {code}): set the device or the bench file"
-                message = f"{given} and {wanted}"
-                raise DeviceError(self._device, message)
+                raise DeviceError(self._device, f"{given} and {wanted}")
 
     def _refuse_other_source(self, deadline: float) -> None:
         """Firmware before 10v05 does not say it; there each set-point is proven by its answer."""
@@ -408,8 +406,7 @@ class AsciiLink:
         now = monotonic()
         limit, pending = min(deadline, now + self._options.timeout), now < self._late_until
         if limit <= now or (pending and self._asked_since):
-            message = "is not asked again yet, so that a late answer is not taken for a new one"
-            raise Unanswered(self._device, message)
+            raise Unanswered(self._device, "is not asked again yet, so that a late answer is not taken for a new one")
         if not pending:
             self._drain()
             self._splitter = sp.Splitter(b"\r", whole=True)

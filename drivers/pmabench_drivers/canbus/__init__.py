@@ -219,8 +219,7 @@ class CanBus(Driver):
         try:
             if self._rows.may_sync():
                 self._lead()
-                before = self._clock.now()
-                self._rows.begin(round(before * 1e9))
+                self._rows.begin(round(self._clock.now() * 1e9))
                 self._send(f.SYNC)
             self._cycle.note(None)
         except DeviceError as error:
@@ -229,8 +228,7 @@ class CanBus(Driver):
     def _lead(self) -> None:
         """Send every moving drive its position for the SYNC after this one; the drive interpolates until then."""
         for name, segment in list(self._following.items()):
-            ahead = self._clock.now() + self._options.sync
-            value, over = stepped(segment, ahead)
+            value, over = stepped(segment, self._clock.now() + self._options.sync)
             output, drive = self._outputs[name], self._drive(name)
             if value is None:
                 continue

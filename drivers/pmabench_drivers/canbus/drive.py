@@ -225,8 +225,7 @@ class Drive(Node):
         if not self._cyclic:
             return
         self.lead = min(max(target, self.lead - most), self.lead + most)
-        value = round(self.lead)
-        self._send(self._target_pdo, value.to_bytes(4, "little", signed=True))
+        self._send(self._target_pdo, round(self.lead).to_bytes(4, "little", signed=True))
 
     def halt(self, deadline: float) -> None:
         """Quick stop; it holds where it comes to rest. Without power there is nothing to stop."""

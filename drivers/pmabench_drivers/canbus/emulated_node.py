@@ -365,8 +365,7 @@ class EmulatedNode:
         self._waiting.clear()
         self.synchronised()
         for index in range(PDOS):
-            kind = self.get(f.TPDO_PARAMETER + index, 2)
-            if 1 <= kind <= 240:
+            if 1 <= self.get(f.TPDO_PARAMETER + index, 2) <= 240:
                 self._transmit(index)
 
     def _on_event(self, index: int) -> None:

@@ -62,8 +62,7 @@ class Signal:
         if not self.big:
             return tuple(range(self.start, self.start + self.length))
         first = (self.start // 8) * 8 + 7 - self.start % 8
-        places = range(first + self.length - 1, first - 1, -1)
-        return tuple(8 * (place // 8) + 7 - place % 8 for place in places)
+        return tuple(8 * (place // 8) + 7 - place % 8 for place in range(first + self.length - 1, first - 1, -1))
 
     def value(self, data: bytes) -> float:
         """The physical value; IndexError where the frame is too short."""

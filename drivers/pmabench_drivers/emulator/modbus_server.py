@@ -78,8 +78,7 @@ def parse(pdu: bytes) -> Request:
                 raise Refused(VALUE)
             if function == 16:
                 return Request(function, address, count, struct.unpack(f">{count}H", data))
-            bits = tuple(data[i // 8] >> i % 8 & 1 for i in range(count))
-            return Request(function, address, count, bits)
+            return Request(function, address, count, tuple(data[i // 8] >> i % 8 & 1 for i in range(count)))
     except struct.error:
         raise Refused(VALUE) from None
     raise Refused(FUNCTION)

@@ -43,8 +43,7 @@ def bracketed(host: str) -> str:
 def listen(device: str, host: str, port: int) -> socket.socket:
     """A listening TCP socket; UsageError where there can be none."""
     try:
-        family = socket.AF_INET6 if ":" in host else socket.AF_INET
-        return socket.create_server((host, port), family=family)
+        return socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET)
     except OSError as error:
         raise UsageError(f"cannot serve {device} at {bracketed(host)}:{port}: {error.strerror}") from None
 

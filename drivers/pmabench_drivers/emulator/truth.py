@@ -45,8 +45,7 @@ def wired(devices: Iterable[DeviceRecord], truth: Truth | None) -> list[Wired]:
             hint = did_you_mean(device.name, truth.devices)
             raise UsageError(f'{truth.path}: says nothing of the device "{device.name}" of the bench{hint}')
         item = truth.devices[device.name]
-        places = {name: device.options[name] for name in PLACES if name in device.options}
-        options = {**item.record.options, **places}
+        options = {**item.record.options, **{name: device.options[name] for name in PLACES if name in device.options}}
         here = replace(item.record, address=device.address, options=options, watchdog=device.watchdog)
         found.append(replace(item, record=here))
     return found
@@ -255,8 +254,7 @@ def _swap(rig: list[Wired], first: str, second: str) -> str:
 
 def _usual_swap(rig: Sequence[Wired]) -> tuple[str, str]:
     for item in rig:
-        measured = [c for c in item.record.channels if c.name not in COMMANDS]
-        for one, other in combinations(measured, 2):
+        for one, other in combinations([c for c in item.record.channels if c.name not in COMMANDS], 2):
             if item.inputs[one.input].unit == item.inputs[other.input].unit:
                 return one.name, other.name
     raise UsageError(

@@ -199,8 +199,7 @@ class FestoCmmt(Watched):
         if segment.kind == "ramp" and segment.start <= self._clock.now():
             self._task(self._whole(segment.target, output), segment.rate, output)
             return
-        until = monotonic() + CALL
-        self._switch_on(until)
+        self._switch_on(monotonic() + CALL)
         with self._turn:
             self._path.follow(segment)
 
@@ -216,8 +215,7 @@ class FestoCmmt(Watched):
             self._replace(t.Command(on=on, stop=True), until)
         while not (status := self._look(until)).has(t.STOPPED):
             if monotonic() > until - LOOK:
-                message = f"was commanded to stop and still moves (status word 0x{status.word:04x})"
-                raise self._error(message, output)
+                raise self._error(f"was commanded to stop and still moves (status word 0x{status.word:04x})", output)
             sleep(LOOK)
         with self._turn:
             self._path.rest_at(status.position)
@@ -243,8 +241,7 @@ class FestoCmmt(Watched):
                 return
             if monotonic() > until - LOOK:
                 what = "did not answer to" if lost else "did not take"
-                message = f"{what} the motion to {target} (status word 0x{status.word:04x})"
-                raise self._error(message, output)
+                raise self._error(f"{what} the motion to {target} (status word 0x{status.word:04x})", output)
             sleep(LOOK)
 
     def _held(self, until: float) -> float:

@@ -128,8 +128,7 @@ class FestoCpxE(ModbusDevice):
         names = {value: key for key, value in t.RANGES.items()}
         found = f"is set to {names.get(code, f'range {code}')} and the bench file says {names[wanted]}"
         if not self._terminal.set_ranges:
-            message = f"{found}: set it at the terminal, or let it be set with set_ranges: true"
-            raise self._error(message, channel)
+            raise self._error(f"{found}: set it at the terminal, or let it be set with set_ranges: true", channel)
         if protected:
             raise self._error(f"{found}, and the terminal is write-protected", channel)
         if channel in self._map.outputs and self._get(self._map.outputs[channel], until) != 0:
@@ -204,8 +203,7 @@ class FestoCpxE(ModbusDevice):
             if status:
                 message = f"reports a fault (status 0x{status:04x}): look at its LEDs and its data sheet"
                 raise self._error(message, f"module {module.position} ({module.name})")
-        row = [decode(item, [words[item.address - t.FIRST_INPUT]]) for item in self._inputs]
-        self._keep(row, asked, answered)
+        self._keep([decode(item, [words[item.address - t.FIRST_INPUT]]) for item in self._inputs], asked, answered)
 
     # -- commands -------------------------------------------------------------------------------------------------
 

@@ -114,8 +114,7 @@ def misset(code: int) -> str:
     """What is set wrong where the sensor sends this code; empty where nothing is."""
     if code <= FULL or code in SCENE:
         return ""
-    known = SETTING.get(code)
-    return known or f"sends {code}, which is no distance: a master value may be set in it"
+    return SETTING.get(code) or f"sends {code}, which is no distance: a master value may be set in it"
 
 
 class CounterBroken(Exception):

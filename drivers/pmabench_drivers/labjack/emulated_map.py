@@ -140,8 +140,7 @@ def feedback(pdu: bytes) -> list[Request]:
         data, rest = (rest[4 : 4 + 2 * count], rest[4 + 2 * count :]) if kind else (b"", rest[4:])
         if len(data) != 2 * count * kind:
             raise Refused(VALUE)
-        words = struct.unpack(f">{len(data) // 2}H", data)
-        found.append(Request(16 if kind else 3, address, count, words))
+        found.append(Request(16 if kind else 3, address, count, struct.unpack(f">{len(data) // 2}H", data)))
     if not found:
         raise Refused(VALUE)
     return found

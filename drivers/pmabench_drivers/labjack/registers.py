@@ -151,8 +151,7 @@ def u32(*values: int) -> list[int]:
 
 def f32(*values: float) -> list[int]:
     """The words of numbers in single precision."""
-    data = struct.pack(f">{len(values)}f", *values)
-    return list(struct.unpack(f">{2 * len(values)}H", data))
+    return list(struct.unpack(f">{2 * len(values)}H", struct.pack(f">{len(values)}f", *values)))
 
 
 def from_u32(words: Sequence[int]) -> list[int]:

@@ -39,8 +39,7 @@ class PlatformSimulation(Sampled):
         refuse_unknown(device.name, "output", [valve.output for valve in device.valves], o.VALVES_OF[o.PLATFORM])
         height = options.built.get("accelerometer", HEIGHT)
         self._plant = PlatformPlant(described(options.built), state=(0.0,) * 10, height=height, noise=0.0)
-        dumps = [valve.output for valve in device.valves if valve.output in o.DUMPS]
-        self._dumps = dumps or [o.DUMP_VALVE]
+        self._dumps = [valve.output for valve in device.valves if valve.output in o.DUMPS] or [o.DUMP_VALVE]
         self._plant.time = start
         self._plant.supply, self._plant.dump = False, True
         self._valve = frozenset[str]()

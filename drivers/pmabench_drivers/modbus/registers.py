@@ -176,8 +176,7 @@ def spans(registers: Iterable[Register]) -> list[Span]:
             and register.address <= last.address + last.count
             and end - last.address <= most
         ):
-            count = max(last.count, end - last.address)
-            found[-1] = Span(last.table, last.address, count, (*last.registers, register))
+            found[-1] = Span(last.table, last.address, max(last.count, end - last.address), (*last.registers, register))
         else:
             found.append(Span(register.table, register.address, register.count, (register,)))
     return found
@@ -248,8 +247,7 @@ def _read_map(data: Any, place: Place, reader: Reader) -> RegisterMap:
         }
 
     identity: dict[str, Register | str] = {}
-    known = reader.keys(given.get("identity", {}), readers["identity"], IDENTITY)
-    for name, item in known.items():
+    for name, item in reader.keys(given.get("identity", {}), readers["identity"], IDENTITY).items():
         at = (*readers["identity"], name)
         identity[name] = (
             item if isinstance(item, str) else _register(name, item, at, reader, usual, allowed, "identity")
@@ -367,8 +365,7 @@ def _names(device: DeviceRecord, map_: RegisterMap, reader: Reader) -> None:
         place = ("channels", channel.name, "input")
         if not reader.known(place, "the map has no input", channel.input, map_.inputs):
             continue
-        register = map_.inputs[channel.input]
-        if channel.raw_type == "int32" and register.type == "float32":
+        if channel.raw_type == "int32" and map_.inputs[channel.input].type == "float32":
             reader.fault(place, "gives numbers with a fraction, not counts; name the unit that the device gives")
         elif channel.raw_type == "int32" and max(map(abs, _ends(channel.scale, channel))) >= 2**31:
             reader.fault(place, "counts from 2147483648 on cannot be recorded")

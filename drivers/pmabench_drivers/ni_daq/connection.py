@@ -302,8 +302,7 @@ class Connection:
         for item in options.inputs.values():
             if not any(abs(span - item.span) < 1e-6 for span in spans):
                 shown = ", ".join(f"{span:g} V" for span in spans)
-                message = f"a {model} has no range of {item.span:g} V; it has {shown}"
-                raise DeviceError(self._name, message, item.name)
+                raise DeviceError(self._name, f"a {model} has no range of {item.span:g} V; it has {shown}", item.name)
 
     def _range(self, device: Any, output: str) -> tuple[float, float]:
         """The narrowest range of the outputs that holds all that is ever commanded [V]."""

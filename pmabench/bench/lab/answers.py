@@ -36,8 +36,7 @@ class Answers:
     def text(self, key: str) -> str:
         """The answer as typed, or the derived one; KeyError where there is neither."""
         found = self.given.get(key)
-        question = QUESTIONS[key]
-        found = question.default(self) if found is None else found
+        found = QUESTIONS[key].default(self) if found is None else found
         if found is None:
             raise KeyError(key)
         return found

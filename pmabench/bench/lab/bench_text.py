@@ -181,8 +181,7 @@ def _actuator_output(sheet: Sheet, answers: Answers, daq: Daq) -> None:
 def _valves(sheet: Sheet, answers: Answers) -> None:
     valve = answers.value("dump_valve")
     if valve is not None:
-        line = f"  dump_valve: {{device: {DEVICE}, output: {valve[0]}, energised: {valve[1]}}}"
-        sheet.said(line, "dump_valve")
+        sheet.said(f"  dump_valve: {{device: {DEVICE}, output: {valve[0]}, energised: {valve[1]}}}", "dump_valve")
     interlock = answers.value("interlock")
     stop = f"[{{name: e-stop, input: {{device: {DEVICE}, input: {interlock}}}, safe: high}}]" if interlock else "[]"
     sheet.said(f"interlocks: {stop}", "interlock", "interlocks")

@@ -39,8 +39,7 @@ def specimen_text(answers: Answers) -> str:
     sheet.said(line, "mounted", "mounted.length")
     sheet.add("limits:", "  pressure:")
     sheet.said(f"    never_above: {show(answers.value('never_above'), 'pressure')}", "never_above")
-    command = f"    command: {show(limits.specimen, 'pressure')}"
-    sheet.guessed(command, "95 % of never_above", "limits.pressure.command")
+    sheet.guessed(f"    command: {show(limits.specimen, 'pressure')}", "95 % of never_above", "limits.pressure.command")
     sheet.said(f"  contraction: {show(limits.contraction, 'ratio')}", "contraction", "limits.contraction")
     sheet.add(f"  source: {quoted(f'answers to pmabench init, {answers.asked.isoformat()}')}")
     return sheet.text()
