@@ -107,7 +107,7 @@ class ModbusDevice(Watched, Controlled):
     """
 
     emulator = "pmabench_drivers.modbus.emulated"
-    r.read_options = staticmethod(r.read_options)
+    read_options = staticmethod(r.read_options)
     _options: r.Options
 
     def __init__(self, device: DeviceRecord, clock: Clock) -> None:
