@@ -13,7 +13,6 @@ from pathlib import Path
 
 from pmabench.base.quantities import show, without_number
 from pmabench.bench.compile import Mounted
-from pmabench.bench.files.specimen import Reading
 from pmabench.bench.interface import ChannelRecord, DeviceRecord, SafeAction, TripRecord
 from pmabench.bench.safety import RATE_OF
 
@@ -309,17 +308,13 @@ def _limits(mounted: Mounted) -> Iterator[list[str]]:
         if key == "contraction" and limit.trip is not None and not mounted.specimen_file.make:
             after = f" after {seconds(limit.delay)}" if limit.delay else ""
             source = Path(mounted.bench.path).name
-            yield ["contraction", "", "", f"above {_reading(limit.trip)}", limit.action + after, source]
+            yield ["contraction", "", "", f"above {limit.trip[0]:g} {limit.trip[1]}", limit.action + after, source]
 
 
 def _quantities(mounted: Mounted) -> dict[str, str]:
     """Quantity of each channel and output."""
     found = {name: record.quantity for name, record in mounted.bench.commanded.items()}
     return found | {channel.name: channel.quantity for channel in mounted.bench.channels}
-
-
-def _reading(reading: Reading) -> str:
-    return f"{reading[0]:g} {reading[1]}"
 
 
 def _trip(trip: TripRecord, mounted: Mounted) -> list[str]:

@@ -25,7 +25,6 @@ from pmabench.bench.truth import read_truth, truth_of
 from pmabench.conformance import broken_wire, commands, following, samples
 from pmabench.conformance import rig as r
 from pmabench.conformance.broken_wire import Battle
-from pmabench.conformance.relay import Relay
 from pmabench.conformance.rig import COLLECTS_WITHIN, OPENS_WITHIN, Failed, NotApplicable, Result, Rig, open_files
 from pmabench.files.shipped import shipped_folder
 
@@ -156,7 +155,8 @@ def life(rig: Rig) -> str:
     with rig.opened(armed=False) as device:
         if commanded := _commanded(rig)[before:]:
             raise Failed(f"open() commands something: {commanded[0]}; it connects and identifies, nothing else")
-        if not rig.identity.simulated and any(_says_emulated(relay) for relay in rig.relays):
+        heard = [b"".join(data for sent, data in relay.heard if sent) for relay in rig.relays]
+        if not rig.identity.simulated and any(EMULATED.encode() in data for data in heard):
             raise Failed(f'the device says "{EMULATED.strip()}" over its wire, and open() gives simulated=False')
         rig.call("close()", device.close).good(COLLECTS_WITHIN)
         rig.call("close() again", device.close).good(COLLECTS_WITHIN)
@@ -169,10 +169,6 @@ def life(rig: Rig) -> str:
             raise Failed("a driver that was closed cannot be opened again")
     who = f"{again.maker} {again.model}".strip()
     return who if again.simulated else f"{who}; its wire does not show that it is emulated"
-
-
-def _says_emulated(relay: Relay) -> bool:
-    return EMULATED.encode() in b"".join(data for sent, data in relay.heard if sent)
 
 
 def _commanded(rig: Rig) -> list[Any]:

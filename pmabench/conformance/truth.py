@@ -46,10 +46,6 @@ class Emulated:
     def _plant(self) -> Any:
         return self._emulator().plant
 
-    @property
-    def _server(self) -> Any:
-        return self._emulator().devices[self._record.name]
-
     def now(self) -> Mapping[str, float]:
         """What each channel is exposed to now [SI]."""
         return dict(self._plant.quantities())
@@ -87,7 +83,7 @@ class Emulated:
 
     def by_hand(self, output: str, value: float) -> bool:
         """Change an output without the driver; whether that can be done."""
-        own = getattr(self._server, "by_hand", None)
+        own = getattr(self._emulator().devices[self._record.name], "by_hand", None)
         if own is None:
             return rescued(self._rescue(), output, value)
         own(output, value)

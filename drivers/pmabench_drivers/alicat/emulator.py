@@ -10,8 +10,7 @@ import struct
 from collections.abc import Mapping
 
 from pmabench.bench.interface import DeviceRecord
-from pmabench_drivers.alicat.emulated_commands import Commands
-from pmabench_drivers.alicat.emulated_controller import Controller
+from pmabench_drivers.alicat.emulated_controller import Commands, Controller
 from pmabench_drivers.alicat.options import ASCII, read_options
 from pmabench_drivers.emulator import faults as f
 from pmabench_drivers.emulator.modbus_server import ADDRESS, VALUE, Refused, Request, RtuDevice, read_cells

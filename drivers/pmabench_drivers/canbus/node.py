@@ -109,7 +109,7 @@ class Objects:
             data, toggle, over = b"", 0, False
             while not over and len(data) <= LONGEST:
                 self._put(f.next_segment(toggle))
-                piece, over, code = self._wait(partial(_segment, toggle), index, sub, deadline)
+                piece, over, code = self._wait(partial(f.read_segment, toggle=toggle), index, sub, deadline)
                 if code:
                     raise self._refused(index, sub, code)
                 data, toggle = data + piece, toggle ^ 1
@@ -166,10 +166,6 @@ class Objects:
 
     def _error(self, index: int, sub: int, message: str) -> DeviceError:
         return DeviceError(self._device, f"{self._name}: object {index:04X}h:{sub} {message}", self._name)
-
-
-def _segment(toggle: int, data: bytes) -> tuple[bytes, bool, int]:
-    return f.read_segment(data, toggle)
 
 
 class Node(ABC):

@@ -10,9 +10,11 @@ from __future__ import annotations
 import socket
 import struct
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import count
+from time import monotonic
 from typing import Any, Protocol
 
 from pmabench.bench.interface import DeviceRecord
@@ -324,22 +326,66 @@ class RtuDevice(_Device):
                     return
 
 
-class NamedDevice(TcpDevice):
-    """Also gives its names, objects 0 to 5; `hear` is called for that question, as for any communication."""
+class NamedRegisters(ABC):
+    """Holding registers of a device with a time-out, which any communication begins anew, and with names."""
 
-    def __init__(
-        self, registers: Answering, names: Sequence[str], hear: Callable[[], None], log: CommandLog, port: int
-    ) -> None:
-        super().__init__(registers, 1, log, port)
-        self._names, self._hear = names, hear
+    timeout: int
+    """[ms]; 0: never."""
+
+    def __init__(self, device: DeviceRecord, names: Sequence[str]) -> None:
+        self.device, self.names = device, names
+        self._lock, self._heard = threading.Lock(), monotonic()
+
+    def hear(self) -> None:
+        """Any communication."""
+        with self._lock:
+            self._heard = monotonic()
+
+    def carry_out(self, request: Request, connection: int, *, ignore: bool = False) -> list[int]:
+        """What is read, or nothing; `Refused` where the device says no."""
+        self.hear()
+        if request.table != "holding":
+            raise Refused(FUNCTION)
+        with self._lock:
+            if request.values:
+                self._write(request, connection, ignore=ignore)
+                return []
+            return read_cells(self._cells(), request)
+
+    @abstractmethod
+    def _cells(self) -> Mapping[int, int]:
+        """Everything that can be read now."""
+
+    @abstractmethod
+    def _write(self, request: Request, connection: int, *, ignore: bool) -> None:
+        """Carry out what is written; `Refused` where the device says no."""
+
+    @abstractmethod
+    def look_at_watchdog(self) -> None:
+        """Act by itself where its time-out has ended."""
+
+    def switch_off_watchdog(self) -> bool:
+        """Another program takes the time-out away; whether there was one."""
+        with self._lock:
+            before, self.timeout = self.timeout, 0
+            return before > 0
+
+
+class NamedDevice(TcpDevice):
+    """Also gives its names, objects 0 to 5, which counts as communication, too."""
+
+    registers: NamedRegisters
+
+    def __init__(self, registers: NamedRegisters, log: CommandLog) -> None:
+        super().__init__(registers, 1, log, int(registers.device.address.rpartition(":")[2]))
 
     def reply(self, pdu: bytes, connection: int, fault: Fault) -> bytes:
         """Also the answer to function 43/14."""
         if pdu[:2] != IDENTIFY:
             return super().reply(pdu, connection, fault)
-        self._hear()
+        self.registers.hear()
         if len(pdu) != 4 or pdu[2] not in {1, 2}:
             raise Refused(VALUE)
-        objects = self._names[:3] if pdu[2] == 1 else self._names
+        objects = self.registers.names[:3] if pdu[2] == 1 else self.registers.names
         body = b"".join(bytes([i, len(text)]) + text.encode("ascii") for i, text in enumerate(objects))
         return bytes([0x2B, 0x0E, pdu[2], 0x82, 0, 0, len(objects)]) + body

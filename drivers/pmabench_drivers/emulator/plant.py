@@ -15,10 +15,9 @@ from pmabench.base.clock import RealClock
 from pmabench.bench import interface as b
 from pmabench_drivers.emulator.faults import CommandLog, Faults
 from pmabench_drivers.emulator.truth import Errors
-from pmabench_drivers.mock.driver import MockBench
-from pmabench_drivers.mock.joint import JointSimulation
+from pmabench_drivers.mock import MockBench
 from pmabench_drivers.mock.options import ANGLE, ARM, DUMP_VALVE, E_STOP
-from pmabench_drivers.mock.platform import PlatformSimulation
+from pmabench_drivers.mock.several import JointSimulation, PlatformSimulation
 from pmabench_drivers.mock.simulation import Simulation
 
 RATE = 1000.0

@@ -63,30 +63,26 @@ def _derived(device: DeviceRecord) -> Wired:
 def moved(item: Wired, *, inputs: Mapping[str, str] | None = None, outputs: Mapping[str, str] | None = None) -> Wired:
     """The same device with plugs in other terminals: where each of them was -> where it is now."""
     inputs, outputs = inputs or {}, outputs or {}
-    record = item.record
-    channels = tuple(
-        replace(c, input=inputs[c.input], scale=_in(item.inputs, c.input, inputs[c.input]).scale)
-        if c.input in inputs
-        else c
-        for c in record.channels
-    )
-    driven = tuple(
-        replace(o, output=outputs[o.output], scale=_in(item.outputs, o.output, outputs[o.output]).scale)
-        if o.output in outputs
-        else o
-        for o in record.outputs
-    )
-    valves = tuple(replace(v, output=outputs.get(v.output, v.output)) for v in record.valves)
+    record, plugs, driven = item.record, _plugged(item.inputs, inputs), _plugged(item.outputs, outputs)
+    channels = [(c, inputs[c.input]) if c.input in inputs else (c, "") for c in record.channels]
+    moving = [(o, outputs[o.output]) if o.output in outputs else (o, "") for o in record.outputs]
     return Wired(
-        replace(record, channels=channels, outputs=driven, valves=valves),
-        {inputs.get(at, at): _in(item.inputs, at, inputs.get(at, at)) for at in item.inputs},
-        {outputs.get(at, at): _in(item.outputs, at, outputs.get(at, at)) for at in item.outputs},
+        replace(
+            record,
+            channels=tuple(replace(c, input=at, scale=plugs[at].scale) if at else c for c, at in channels),
+            outputs=tuple(replace(o, output=at, scale=driven[at].scale) if at else o for o, at in moving),
+            valves=tuple(replace(v, output=outputs.get(v.output, v.output)) for v in record.valves),
+        ),
+        plugs,
+        driven,
     )
 
 
-def _in(plugs: Mapping[str, Plug], was: str, now: str) -> Plug:
-    """A plug in another terminal: the sensor moves, the resolution is that of the new terminal."""
-    return replace(plugs[was], digits=plugs.get(now, plugs[was]).digits)
+def _plugged(plugs: Mapping[str, Plug], ways: Mapping[str, str]) -> dict[str, Plug]:
+    """Plugs in other terminals: the sensor moves, the resolution is that of the new terminal."""
+    return {
+        (now := ways.get(was, was)): replace(plug, digits=plugs.get(now, plug).digits) for was, plug in plugs.items()
+    }
 
 
 @dataclass(frozen=True)

@@ -138,7 +138,7 @@ class MockClient:
     """A bench whose simulated plant lives in real time in a separate process (`pmabench_drivers.mock.server`).
 
     Channels, outputs, dump valve, digital input and options are those of the driver `mock`
-    (`pmabench_drivers.mock.driver.MockBench`), with `pmabench_drivers.mock.options.Service`. The address is
+    (`pmabench_drivers.mock.MockBench`), with `pmabench_drivers.mock.options.Service`. The address is
     `127.0.0.1:PORT`; `open` starts the process where nobody listens there, unless `start` is false. It has a watchdog
     and a second way to its outputs. Needs a clock in real time. An answer that does not come in time ends the
     connection, so that it can never be taken for a later one; the next call makes a new one.
@@ -265,10 +265,14 @@ class MockClient:
 
     def control(self, do: str, **fields: Any) -> dict[str, Any]:
         """Ask the plant's process over a connection of the role `control`, which faults of the link do not affect."""
+        return self._aside("control", do, **fields)
+
+    def _aside(self, role: str, do: str, **fields: Any) -> dict[str, Any]:
+        """The answer to one question over a connection of its own."""
         by = time.monotonic() + PATIENCE
 
         def act() -> dict[str, Any]:
-            link, _ = self._connect("control", by)
+            link, _ = self._connect(role, by)
             try:
                 return link.ask(do, by, **fields)[0]
             finally:
@@ -361,13 +365,4 @@ class MockClient:
         """Command `value` [device units; 0 and 1 for the valve] over a separate connection; no retry."""
         if output not in self._valves:
             output_of(self._device, output, value)
-        by = time.monotonic() + PATIENCE
-
-        def act() -> None:
-            link, _ = self._connect("rescue", by)
-            try:
-                link.ask("rescue", by, output=output, value=value)
-            finally:
-                link.close()
-
-        self._try(act)
+        self._aside("rescue", "rescue", output=output, value=value)

@@ -14,8 +14,8 @@ import numpy as np
 from pmabench.base.clock import RealClock
 from pmabench.base.errors import DeviceError, did_you_mean
 from pmabench.bench.interface import DeviceRecord, Identity, Load, Segment
+from pmabench_drivers.mock import MockBench
 from pmabench_drivers.mock import options as o
-from pmabench_drivers.mock.driver import MockBench
 
 EMPTY = 1e3
 """Gauge pressure under which the muscle counts as empty [Pa]."""
@@ -94,9 +94,9 @@ class Served:
             "stop": lambda _, q: self._bench.stop(),
             "rescue": self._rescue,
             "arm": self._arm,
-            "feed": self._feed,
+            "feed": lambda _asker, _question: self._refuse_fired(),
             "disarm": self._disarm,
-            "held": self._report,
+            "held": lambda _a, _q: {"watchdog": self._watchdog, "uptime": time.monotonic() - self._started},
         }
         self._events: dict[str, Callable[[Any], None]] = {
             "restart": lambda _value: self._restart(),
@@ -249,15 +249,9 @@ class Served:
         self._note(asker, "arm", seconds=self._watchdog)
         return self._watchdog
 
-    def _feed(self, asker: Asker, question: Mapping[str, Any]) -> None:
-        self._refuse_fired()
-
     def _disarm(self, asker: Asker, question: Mapping[str, Any]) -> None:
-        self._watchdog, self._fired = 0.0, None
+        self._switch_off_watchdog()
         self._note(asker, "disarm")
-
-    def _report(self, asker: Asker, question: Mapping[str, Any]) -> dict[str, float]:
-        return {"watchdog": self._watchdog, "uptime": time.monotonic() - self._started}
 
     def _refuse_fired(self) -> None:
         if self._fired is not None:

@@ -165,7 +165,9 @@ class Server:
         if not control and self._due("lost"):
             self._drop(connection)
             return
-        if not control and (self._due("dead") or (self._due("hang") and self._role(asker, question) == "client")):
+        if not control and (
+            self._due("dead") or (self._due("hang") and (asker.role or question.get("role")) == "client")
+        ):
             return
         if not control:
             self._plant.hear(now)
@@ -184,10 +186,6 @@ class Server:
         if control or not self._due("mute"):
             connection.out += encode({"n": question.get("n"), **answer}, payload)
             self._send(connection)
-
-    @staticmethod
-    def _role(asker: Asker, question: dict[str, Any]) -> str:
-        return asker.role or str(question.get("role", ""))
 
     def _send(self, connection: _Connection) -> None:
         try:

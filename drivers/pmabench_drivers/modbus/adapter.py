@@ -337,7 +337,8 @@ class NamedLine(Line):
         """Objects 0 to 5 before `deadline` [s, monotonic]: maker, code, revision, address, product, model."""
         found: dict[int, str] = {}
         for code in (BASIC, REGULAR):
-            answer = self._ask(partial(self._query, code), (IDENTIFY, code), deadline, "identification")
+            query = partial(self._client.read_device_information, read_code=code, object_id=0, device_id=self._unit_id)
+            answer = self._ask(query, (IDENTIFY, code), deadline, "identification")
             for number, item in answer.information.items():
                 data = item[0] if isinstance(item, list) else item
                 found[number] = "".join(chr(byte) for byte in data if 32 <= byte < 127).strip()
@@ -349,9 +350,6 @@ class NamedLine(Line):
         model = names.get(4) or names.get(1, "")
         simulated = model.startswith(EMULATED)
         return Identity(names.get(0, ""), model, "", names.get(2, ""), simulated=simulated, clock=COMPUTER)
-
-    def _query(self, code: int) -> Any:
-        return self._client.read_device_information(read_code=code, object_id=0, device_id=self._unit_id)
 
     def _belongs(self, answer: Any, wanted: Signature) -> bool:
         if wanted[0] != IDENTIFY or answer.isError():

@@ -185,8 +185,10 @@ class Connection:
 
     def close(self) -> None:
         """End what this connection has made, and let go; outputs stay as they are."""
-        for key in list(self._tasks):
-            self._end(key)
+        for task in self._tasks.values():
+            with suppress(Exception):  # a server that is gone has no tasks
+                task.close()
+        self._tasks.clear()
         self._writers, self._readers, self._samples = {}, {}, None
         self.hang_up()
 
@@ -219,14 +221,11 @@ class Connection:
 
     # -- tasks ----------------------------------------------------------------------------------------------------
 
-    def _task_name(self, key: str) -> str:
-        return f"pmabench {socket.gethostname()} {self._options.device} {key}"
-
     def _task(self, key: str, *, attach: bool = False) -> Any:
         """A task of this device; a new one unless `attach`: what a program left on the server when it died is ended."""
         from nidaqmx import Task
 
-        name = self._task_name(key)
+        name = f"pmabench {socket.gethostname()} {self._options.device} {key}"
         task = Task(name, grpc_options=self._session(name, attach=attach))
         if self._options.server and not attach and task.number_of_channels:
             task.close()
@@ -234,12 +233,6 @@ class Connection:
         if not attach:
             self._tasks[key] = task
         return task
-
-    def _end(self, key: str) -> None:
-        task = self._tasks.pop(key, None)
-        if task is not None:
-            with suppress(Exception):  # a server that is gone has no tasks
-                task.close()
 
     def _prepare_output(self, output: str, limits: tuple[float, float] | None) -> None:
         """A task for one output; `limits` None: it is there already."""

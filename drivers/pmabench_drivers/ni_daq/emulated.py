@@ -309,15 +309,8 @@ def _not_done(_board: Board, task: Task, _request: Any) -> None:
         raise Refused(-200560, "Wait Until Done did not indicate that the task was done within the specified timeout.")
 
 
-def _clear(board: Board, _task: Task, request: Any) -> None:
-    del board.tasks[request.task.name]
-
-
-def _set_state(state: str) -> Callable[[Board, Task, Any], None]:
-    def act(_board: Board, task: Task, _request: Any) -> None:
-        task.state = state if task.state == "running" else task.state
-
-    return act
+def _stop(_board: Board, task: Task, _request: Any) -> None:
+    task.state = "committed" if task.state == "running" else task.state
 
 
 def _task(act: Callable[[Task], Any]) -> Callable[[Board, Any], Any]:
@@ -382,9 +375,9 @@ ATTRIBUTES: dict[tuple[str, int], Callable[[Board, Any], Any]] = {
 CALLS: dict[str, Callable[..., Answer]] = {
     **{name: _attribute(name) for name in {"Get" + of.replace(" ", "Attribute") for of, _ in ATTRIBUTES}},
     "CreateTask": lambda server, request, context, _fault: server.create_task(request, context),
-    "ClearTask": _of_task(_clear),
+    "ClearTask": _of_task(lambda board, _task, request: board.tasks.pop(request.task.name)),
     "StartTask": _of_task(lambda board, task, _request: board.start(task)),
-    "StopTask": _of_task(_set_state("committed")),
+    "StopTask": _of_task(_stop),
     "TaskControl": _of_task(lambda board, task, request: board.control(task, request.action_raw)),
     "CreateAIVoltageChan": _of_task(
         lambda b, t, r: b.add_input(

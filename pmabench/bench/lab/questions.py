@@ -196,14 +196,6 @@ MOST = 20
 """Questions that anybody is asked."""
 
 
-def _nothing(_answers: Answers) -> str | None:
-    return None
-
-
-def _always(_answers: Answers) -> bool:
-    return True
-
-
 def _has_daq(answers: Answers) -> bool:
     return answers.text("daq") != NONE_YET
 
@@ -216,11 +208,11 @@ class Question:
     text: str
     explain: str
     read: Callable[[str, Answers], Any]
-    default: Callable[[Answers], str | None] = _nothing
+    default: Callable[[Answers], str | None] = field(default=lambda _answers: None)
     """The derived answer; None where there is none."""
     choices: Callable[[Answers], Mapping[str, str]] = field(default=lambda _answers: {})
     """Answer -> words, for a numbered menu."""
-    asked: Callable[[Answers], bool] = _always
+    asked: Callable[[Answers], bool] = field(default=lambda _answers: True)
     needed: bool = False
     """Only a person may answer it."""
     hint: Callable[[Answers], str] = field(default=lambda _answers: "")
