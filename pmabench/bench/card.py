@@ -112,8 +112,7 @@ def _power(mounted: Mounted) -> Iterator[str]:
 
 
 def _load(mounted: Mounted) -> Iterator[str]:
-    weights = mounted.bench_file.weights
-    if weights is not None:
+    if (weights := mounted.bench_file.weights) is not None:
         caught = f"the catch at {show(weights.catch_height, 'length')}" if weights.catch_height else "NOTHING"
         yield f"The load comes down; {caught} stops it."
 
@@ -126,8 +125,7 @@ def _air(mounted: Mounted) -> Iterator[str]:
     names = mounted.bench_file.pressures
     following = [trip for trip in mounted.bench.trips if trip.kind == "following" and trip.channel in names]
     for trip in supply[:1]:
-        least = show(trip.low or 0.0, "pressure")
-        yield f"Supply below {least} for {seconds(trip.delay)}: {trip.action}."
+        yield f"Supply below {show(trip.low or 0.0, 'pressure')} for {seconds(trip.delay)}: {trip.action}."
     for trip in following[: 0 if supply else 1]:
         yield f"{noticed(trip)}: {trip.action}."
     if not supply and not following:
@@ -260,8 +258,7 @@ def _facts(mounted: Mounted) -> Iterator[list[str]]:
     if specimen.make:
         mounted_as = show(specimen.mounted.length, "length")
         yield ["Specimen", f"{specimen.make} {specimen.type}, {specimen.serial}, mounted length {mounted_as}"]
-        never = show(specimen.limits.pressure.never_above, "pressure")
-        yield ["Never above", f"{never} ({specimen.limits.source})"]
+        yield ["Never above", f"{show(specimen.limits.pressure.never_above, 'pressure')} ({specimen.limits.source})"]
     else:
         yield ["Specimen", "any: its own limits come on top of these"]
     free_end = "driven by an actuator" if file.free_end == "actuator" else str(file.free_end)

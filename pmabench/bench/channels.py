@@ -47,8 +47,7 @@ def paired(c: Compilation, name: str, valve: b.ValveRecord) -> b.ValveRecord:
 
 def aims(c: Compilation) -> tuple[b.AimRecord, ...]:
     """Limits of each pressure and of the tilt, and every problem of a bench whose valves open in pulses."""
-    platform = c.bench.platform
-    if platform is None:
+    if (platform := c.bench.platform) is None:
         return ()
     if len(c.bench.muscles) != PLATFORM_MUSCLES:
         c.fault(("platform",), f"a platform has {PLATFORM_MUSCLES} muscles, not {len(c.bench.muscles)}", key=True)
@@ -221,8 +220,7 @@ def fit_line(raw: list[float], value: list[float]) -> b.Scale:
         raise ValueError("a number is out of all range")
     n = len(raw)
     raw_mean, value_mean = sum(raw) / n, sum(value) / n
-    spread = sum((r - raw_mean) ** 2 for r in raw)
-    if spread == 0:
+    if (spread := sum((r - raw_mean) ** 2 for r in raw)) == 0:
         raise ValueError("all readings are the same: they make no line")
     slope = sum((r - raw_mean) * (v - value_mean) for r, v in zip(raw, value, strict=True)) / spread
     if slope == 0:
@@ -249,8 +247,7 @@ def _channel(c: Compilation, name: str) -> b.ChannelRecord | None:
     before = len(c.problems)
     c.unknown((*at, "device"), "device", file.device, c.bench.devices)
     if file.calibration is not None:
-        found = _calibration(c, file.calibration, quantity, (*at, "calibration"))
-        if found is None:
+        if (found := _calibration(c, file.calibration, quantity, (*at, "calibration"))) is None:
             return None
         c.calibrated[name] = (found.low, found.high)
         scale, record, raw_unit = found.scale, found.record, found.raw_unit

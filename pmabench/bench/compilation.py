@@ -127,8 +127,7 @@ class Compilation:
 
     def borne(self, name: str) -> Iterator[Borne]:
         """What the muscle bears to which a channel or an output belongs: as the bench file says, and the specimen's."""
-        number = without_number(name)[1][1:]
-        if number in self.bench.muscles:
+        if (number := without_number(name)[1][1:]) in self.bench.muscles:
             place = partial(self.place, "muscles", number, "limits")
             yield Borne(self.bench.muscles[number].limits, f"muscle {number}'s", place)
         yield Borne(self.specimen.limits, "the specimen's", partial(self.specimen_place, "limits"))

@@ -67,8 +67,7 @@ class PredictedMuscle:
 
     def times(self, factor: float) -> PredictedMuscle:
         """The same with another force."""
-        expected = self.expected
-        if expected is not None:
+        if (expected := self.expected) is not None:
             points = [
                 point.model_copy(update={name: factor * getattr(point, name) for name in ("F_ce", "K", "B_c", "B_r")})
                 for point in expected.points

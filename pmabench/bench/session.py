@@ -154,16 +154,14 @@ class Session:
             found.append(f"warm-up of {in_words(self.warm_up.duration)} instead of {in_words(WARM_UP)}")
         if self.self_test is None:
             found.append("no self-test")
-        missing = [name for name in self.expected if name not in self.zeros]
-        if missing:
+        if missing := [name for name in self.expected if name not in self.zeros]:
             found.append(f"no zero of {', '.join(missing)}")
         return tuple(found)
 
 
 def session(c: Compilation, setup: float) -> Session | None:
     """The session that the bench file declares, or None; `setup` is the set-up pressure [Pa]."""
-    file = c.bench.session
-    if file is None:
+    if (file := c.bench.session) is None:
         return None
     if c.bench.platform is not None:
         c.fault(
@@ -227,8 +225,7 @@ def _zeros(c: Compilation, file: SessionFile) -> dict[str, Zero]:
         at: Location = ("session", "zeros", name)
         if c.unknown(at, "channel", name, c.bench.channels) or name not in c.channels:
             continue
-        most = c.si(zero.most, c.channels[name].quantity, (*at, "most"))
-        if most <= 0:
+        if (most := c.si(zero.most, c.channels[name].quantity, (*at, "most"))) <= 0:
             c.fault((*at, "most"), "a value above zero is expected")
         found[name] = Zero(most, zero.at, _mass(c, zero.load, (*at, "load")))
     return found

@@ -84,8 +84,7 @@ def _in_silence(rig: rigs.Rig, device: Any) -> list[str]:
         answers.append(str(answer))
         time.sleep(0.05)
         for output in rig.record.outputs if what.startswith("write") else ():
-            times = times_sent(rig, output, _fifth(output), before)
-            if times > 1:
+            if (times := times_sent(rig, output, _fifth(output), before)) > 1:
                 raise rigs.Failed(f"{what} in silence was carried out {times} times; a write is never repeated")
     return answers
 
@@ -172,8 +171,7 @@ def exchanges(rig: rigs.Rig) -> str:
     """Question and answer are the bytes that the emulator's module lists as `EXCHANGES`, from the device's manual."""
     rig.need_wire()
     module = sys.modules[type(rig.server).__module__]
-    listed = getattr(module, "EXCHANGES", ())
-    if not listed:
+    if not (listed := getattr(module, "EXCHANGES", ())):
         raise rigs.NotApplicable(f"{module.__name__} lists no EXCHANGES")
     with rig.opened(armed=False) as device:
         relay = rig.relays[0]
@@ -342,8 +340,7 @@ class Battle:
         value = raw(output, self._chance.uniform(output.low, output.high))
         before = len(sent(rig))
         answer = rig.call(f"write({value:g})", self._device.write, output.output, value).judged()
-        times = times_sent(rig, output, value, before)
-        if times > 1:
+        if (times := times_sent(rig, output, value, before)) > 1:
             raise rigs.Failed(f"write({value:g}) was carried out {times} times; a write is never repeated")
         return self._note(answer)
 

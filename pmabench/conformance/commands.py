@@ -62,8 +62,7 @@ def close_enough(output: OutputRecord) -> float:
 
 def commanded(truth: Truth, output: OutputRecord) -> float:
     """The set-point that the plant's regulator or actuator has [SI]."""
-    found = truth.now().get(f"{output.name}_command")
-    if found is None:
+    if (found := truth.now().get(f"{output.name}_command")) is None:
         raise NotChecked(f"the emulated plant has no {output.name} that is commanded")
     return float(found)
 
@@ -200,8 +199,7 @@ def valves(rig: Rig) -> str:
                 refuse_position(rig, truth, valve, on=on, after=f"switch(on={on})")
                 if others != {v.name: truth.coil(v) for v in rig.record.valves if v is not valve}:
                     raise Failed(f"switching {valve.name} has switched another valve")
-                shown = rig.call("is_on()", device.is_on, valve.output).good()
-                if shown is not on:
+                if (shown := rig.call("is_on()", device.is_on, valve.output).good()) is not on:
                     raise Failed(f"{valve.name} was switched {'on' if on else 'off'} and is_on() gives {shown!r}")
         _refuse_nowhere(rig, "switch", "is_on")
     dump = dump_of(rig.record.valves)

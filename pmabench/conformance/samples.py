@@ -195,8 +195,7 @@ def _at_once(rig: Rig, found: Recording, rate: float) -> None:
         outcome = rig.call("collect()", rig.device.collect)
         found.take(outcome.good(COLLECTS_WITHIN), rig.bench_clock.now())
         lag = max(lag, outcome.lag)
-    took = monotonic() - began
-    if took > 0.5 * AT_ONCE / rate + 3 * lag:
+    if (took := monotonic() - began) > 0.5 * AT_ONCE / rate + 3 * lag:
         raise Late(f"{AT_ONCE} calls of collect() in a row took {took:.2f} s: it waits for samples, and must not")
 
 
@@ -353,8 +352,7 @@ def _diagnosis(channel: ChannelRecord, others: Sequence[ChannelRecord], states: 
         ):
             return f"{text}: it shows {other.name}; are these channels swapped?"
     mean_s, mean_h = fmean(shown), fmean(had)
-    spread = sum((h - mean_h) ** 2 for h in had)
-    if spread <= (DISTINCT * most) ** 2:
+    if (spread := sum((h - mean_h) ** 2 for h in had)) <= (DISTINCT * most) ** 2:
         return f"{text}: is there an offset, or another unit?"
     if max(shown) - min(shown) <= most:
         return f"{text}: it does not change with the plant; is an old value repeated, or another channel shown?"

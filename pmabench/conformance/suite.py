@@ -66,8 +66,7 @@ def light(rig: Rig) -> str:
     )
     if done.returncode:
         raise Failed(f"it cannot be imported and built by itself: {done.stderr.strip().splitlines()[-1]}")
-    loaded = json.loads(done.stdout)
-    if loaded:
+    if loaded := json.loads(done.stdout):
         raise Failed(f"it loads {', '.join(loaded)} before it is opened; import these inside open()")
     return "nothing but the standard library, pmabench and its own package is loaded before open()"
 
@@ -98,11 +97,9 @@ def interfaces(rig: Rig) -> str:
 
 def options(rig: Rig) -> str:
     """`check` finds nothing wrong with the bench's own options, and names what cannot be."""
-    check = getattr(rig.driver(), "check", None)
-    if check is None:
+    if (check := getattr(rig.driver(), "check", None)) is None:
         raise Failed("it has no class method check(device): a mistake in a bench file is found only at the rig")
-    found = [f"{'.'.join(map(str, place))}: {text}" for place, text in check(rig.record)]
-    if found:
+    if found := [f"{'.'.join(map(str, place))}: {text}" for place, text in check(rig.record)]:
         raise Failed(f"check() finds fault with the bench's own record: {found[0]}")
     wrong: list[tuple[str, DeviceRecord]] = [
         ("an option that does not exist", replace(rig.record, options={**rig.record.options, NOWHERE: 1}))
@@ -250,8 +247,7 @@ def subjects(driver: str, bench: Path | None = None) -> list[Subject]:
 
 def subject(driver: str, bench: Path | None = None, device: str | None = None) -> Subject:
     """The device with most to try, or the one called `device`; raises UsageError where there is none."""
-    found = [one for one in subjects(driver, bench) if device in {None, one.record.name}]
-    if found:
+    if found := [one for one in subjects(driver, bench) if device in {None, one.record.name}]:
         return max(found, key=lambda one: _size(one.record))
     named = f' called "{device}"' if device else ""
     raise UsageError(

@@ -75,8 +75,7 @@ class AlicatController(Controlled):
 
     def _tick(self) -> None:
         """One turn of the thread: the next step of a segment, whose answer may be a reading, or a poll."""
-        link = self._link
-        if link is None:
+        if (link := self._link) is None:
             return
         self._reading = None
         failure = self._step()
@@ -87,8 +86,7 @@ class AlicatController(Controlled):
         except DeviceError as error:
             failure = error
         if reading is not None:
-            wrong = trouble(reading.status, exhausting=link.exhausting)
-            if wrong:
+            if wrong := trouble(reading.status, exhausting=link.exhausting):
                 failure = self._error(wrong)
             if self._streaming and not reading.status & NO_VALUE:
                 self._take(reading)

@@ -96,8 +96,7 @@ class Layout:
 
     def read(self, line: bytes) -> tuple[float, float, frozenset[str]]:
         """Pressure, set-point and status codes; raises `Unreadable`, or `Wrong` for a refusal."""
-        words = _text(line).split()
-        if words in (["?"], [self.unit_id, "?"]):
+        if (words := _text(line).split()) in (["?"], [self.unit_id, "?"]):
             raise sp.Wrong("refuses what it was asked (?)")
         count = len(self.columns)
         if len(words) < count or words[0].upper() != self.unit_id or not set(words[count:]) <= self.codes:
@@ -151,8 +150,7 @@ def _chosen(columns: Sequence[Column], codes: frozenset[str], unit_id: str) -> L
     if ABSOLUTE_SET_POINT in statistics:
         raise sp.Wrong("controls absolute pressure: set its control variable to gauge pressure")
     for index, statistic in enumerate(statistics):
-        wanted = MEASURED_BY.get(statistic)
-        if wanted is None:
+        if (wanted := MEASURED_BY.get(statistic)) is None:
             continue
         if wanted not in statistics:
             raise sp.Wrong(f'its data line does not contain the pressure of "{columns[index].name}"')
@@ -320,8 +318,7 @@ class AsciiLink:
 
     def _about(self, deadline: float) -> dict[int, str]:
         """Its answers to who it is, by their numbers."""
-        lines = self._listed("??M*", deadline, last=b" M09 ")
-        if not lines:
+        if not (lines := self._listed("??M*", deadline, last=b" M09 ")):
             message = (
                 f"nobody answers at {self._address}: is it switched on, at {self._options.baud} baud, with the unit ID "
                 f"{self._options.letter}, and set to ASCII?"
@@ -446,8 +443,7 @@ class AsciiLink:
     def _drain(self) -> bool:
         """Drop what came unasked or late; whether there was any line."""
         port = self._opened()
-        waiting = port.in_waiting
-        if waiting:
+        if waiting := port.in_waiting:
             self._lines += self._splitter.feed(port.read(waiting).replace(b"\n", b""))
         lines, self._lines = self._lines, []
         return bool(lines)

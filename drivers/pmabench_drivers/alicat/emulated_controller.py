@@ -233,8 +233,7 @@ class Commands:
         elif command[:1] == "G" and command[1:].strip().isdigit():
             return self._gas([command[1:].strip()], fault)
         elif command[:1] == "S":
-            value = _number(command[1:])
-            if value is None:
+            if (value := _number(command[1:])) is None:
                 return ["?"]
             if fault != "ignore":
                 controller.command(value)
@@ -324,8 +323,7 @@ class Commands:
     def _set_point(self, given: list[str], fault: str) -> Lines:
         controller = self._controller
         if given:
-            value = _number(given[0])
-            if value is None:
+            if (value := _number(given[0])) is None:
                 return ["?"]
             if fault != "ignore":
                 controller.command(value)
@@ -442,9 +440,7 @@ class Commands:
 
     def _forget_mix(self, text: str) -> Lines:
         number = int(text) if text.strip().isdigit() else 0
-        if self._controller.mixes.pop(number, None) is None:
-            return ["?"]
-        return self._said(str(number))
+        return ["?"] if self._controller.mixes.pop(number, None) is None else self._said(str(number))
 
 
 def _flow(value: float) -> str:

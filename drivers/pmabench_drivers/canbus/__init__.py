@@ -77,8 +77,7 @@ class CanBus(Driver):
     def _reading(self, name: str) -> Callable[[], float]:
         """A function that returns the newest value of an input."""
         node_name, _, what = name.partition(".")
-        node = self._nodes.get(node_name)
-        if node is None:
+        if (node := self._nodes.get(node_name)) is None:
             return lambda: self._signals.value(name)
         return lambda: float(getattr(node, what))
 

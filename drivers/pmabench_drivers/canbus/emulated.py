@@ -113,8 +113,7 @@ class Hub:
                     self._accept()
                 elif isinstance(key.fileobj, socket.socket):
                     self._hear(key.fileobj)
-            now = monotonic()
-            if now >= due:
+            if (now := monotonic()) >= due:
                 due = max(due + TICK, now)
                 self._turn(now)
             while self._late and self._late[0][0] <= now:

@@ -292,8 +292,7 @@ class Dataq(SerialStream):
                 round(self._newest * 1e9), [values[column] for column in self._columns], round(now * 1e9)
             )
         # scans have no numbers: that some never came shows in that all that follow seem to come late
-        behind = self._pace.behind(self._newest, now)
-        if behind > 0:
+        if (behind := self._pace.behind(self._newest, now)) > 0:
             self._failure = f"is {behind:.2f} s behind its clock: scans are lost, or it is slower than it says"
         elif behind < 0:
             self._failure = f"sends more scans than {self._rate:g} a second"

@@ -105,8 +105,7 @@ class Emulator:
         self.proven = truth is not None
         rig = [item for item in wired(devices, truth) if server_of(item.record.driver)]
         rig, errors, self.wrong = apply(rig, wrong)
-        served = [item.record for item in rig]
-        if not served:
+        if not (served := [item.record for item in rig]):
             raise UsageError("the bench has no device whose driver has an emulator, as modbus and serial-ascii have")
         if not expose:
             for device in served:

@@ -64,14 +64,11 @@ def parse(pdu: bytes) -> Request:
             if not 1 <= count <= (2000 if function < 3 else 125):
                 raise Refused(VALUE)
             return Request(function, address, count)
-        if function == 5:
+        if function in {5, 6}:
             address, value = struct.unpack(">HH", pdu[1:])
-            if value not in {0, 0xFF00}:
+            if function == 5 and value not in {0, 0xFF00}:
                 raise Refused(VALUE)
-            return Request(function, address, 1, (int(value == 0xFF00),))
-        if function == 6:
-            address, value = struct.unpack(">HH", pdu[1:])
-            return Request(function, address, 1, (value,))
+            return Request(function, address, 1, (int(value == 0xFF00) if function == 5 else value,))
         if function in {15, 16}:
             address, count, size = struct.unpack(">HHB", pdu[1:6])
             data = pdu[6:]
@@ -92,15 +89,10 @@ def answer(request: Request, values: Sequence[int]) -> bytes:
     if request.function in {3, 4}:
         return head + bytes([2 * len(values)]) + struct.pack(f">{len(values)}H", *values)
     if request.function in {1, 2}:
-        data = bytearray((len(values) + 7) // 8)
-        for i, value in enumerate(values):
-            data[i // 8] |= (value & 1) << i % 8
-        return head + bytes([len(data)]) + bytes(data)
-    if request.function == 5:
-        return head + struct.pack(">HH", request.address, 0xFF00 if request.values[0] else 0)
-    if request.function == 6:
-        return head + struct.pack(">HH", request.address, request.values[0])
-    return head + struct.pack(">HH", request.address, request.count)
+        size, bits = (len(values) + 7) // 8, sum((value & 1) << i for i, value in enumerate(values))
+        return head + bytes([size]) + bits.to_bytes(size, "little")
+    echo = request.count if request.function in {15, 16} else request.values[0]
+    return head + struct.pack(">HH", request.address, echo * 0xFF00 if request.function == 5 else echo)
 
 
 def read_cells(cells: Mapping[int, int], request: Request) -> list[int]:
@@ -234,9 +226,7 @@ class _Device:
         if fault.kind == "exception":
             raise Refused(int(fault.value))
         values = self.registers.carry_out(request, connection, ignore=fault.kind == "ignore")
-        if fault.kind == "wrong":
-            return [(value + int(fault.value)) & 0xFFFF for value in values]
-        return values
+        return [(value + int(fault.value)) & 0xFFFF for value in values] if fault.kind == "wrong" else values
 
     def _watch(self) -> None:
         while not self._ended.wait(WATCH):
@@ -308,8 +298,7 @@ class RtuDevice(_Device):
     def _serve(self) -> None:
         data, outgoing = b"", Outgoing()
         while not self._ended.is_set():
-            received = self._terminal.read(0.05)
-            if received is None:
+            if (received := self._terminal.read(0.05)) is None:
                 return
             data = (data + received)[-600:]
             while (parts := split_rtu(data)) is not None:

@@ -264,24 +264,21 @@ class Wiring:
 
     def raw(self, terminal: str, quantities: Mapping[str, float], *, calibrated: bool = False) -> float:
         """What a terminal gives at the quantities of the plant [raw]; 0 where nothing is wired."""
-        channel = self.channels.get(terminal)
-        if channel is None:
+        if (channel := self.channels.get(terminal)) is None:
             return 0.0
         scale = channel.calibrated if calibrated else channel.scale
         return float(scale.to_raw(quantities.get(channel.name, 0.0)))
 
     def level(self, terminal: str) -> bool:
         """Whether the contact at a terminal holds it high; low where nothing is wired."""
-        lock = self.locks.get(terminal)
-        if lock is None:
+        if (lock := self.locks.get(terminal)) is None:
             return False
         closed = self._plant.e_stop_high() if "stop" in lock.name else True
         return closed == (lock.safe == "high")
 
     def set(self, terminal: str, raw: float, *, reached: float | None = None, **more: Any) -> None:
         """A command came: it is noted, and done, to what the terminal has `reached` where that is not `raw`."""
-        output = self.outputs.get(terminal)
-        if output is not None:
+        if (output := self.outputs.get(terminal)) is not None:
             self._log.note("set", self._name, output=output.name, raw=raw, si=float(output.scale.to_si(raw)), **more)
             if not more.get("held"):
                 self.give(terminal, raw if reached is None else reached)
@@ -294,8 +291,7 @@ class Wiring:
 
     def switch(self, terminal: str, *, on: bool, **more: Any) -> None:
         """A command for a valve came: it is noted, and done."""
-        valve = self.valves.get(terminal)
-        if valve is not None:
+        if (valve := self.valves.get(terminal)) is not None:
             self._log.note("switch", self._name, valve=valve.name, on=on, **more)
             if not more.get("held"):
                 self.drive(terminal, on=on)

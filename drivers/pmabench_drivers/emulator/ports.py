@@ -166,8 +166,7 @@ class OnTerminal(ABC):
 
     def _serve(self) -> None:
         while not self._ended.is_set():
-            data = self.terminal.read(self.wait())
-            if data is None:
+            if (data := self.terminal.read(self.wait())) is None:
                 return
             try:
                 self.take(data)

@@ -152,8 +152,7 @@ def _ends(rig: Sequence[Wired]) -> Iterable[_End]:
 
 
 def _usual(rig: Sequence[Wired]) -> str:
-    measured = [channel.name for item in rig for channel in item.record.channels]
-    if not measured:
+    if not (measured := [channel.name for item in rig for channel in item.record.channels]):
         raise UsageError("this rig measures nothing; say what is wrong, as scale:output.pressure=0.5")
     return "force" if "force" in measured else measured[0]
 

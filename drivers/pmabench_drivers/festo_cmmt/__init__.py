@@ -148,11 +148,9 @@ class FestoCmmt(Watched):
     def _send_due(self) -> None:
         """The command of this moment: the next piece of a sine, or the same as before."""
         with self._turn:
-            command = self._command
-            if command is None:
+            if (command := self._command) is None:
                 return
-            piece = self._path.next(1.0 / self._options.rate)
-            if piece is not None:
+            if (piece := self._path.next(1.0 / self._options.rate)) is not None:
                 command = self._command = self._moving(command, *piece)
         self._send(command)
 

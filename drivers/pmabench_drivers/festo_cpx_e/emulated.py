@@ -82,8 +82,7 @@ class EmulatedTerminal(frames.NamedRegisters):
         cells.update({t.STATUS: self.status, t.READY: ready, t.VALUE_OUT: self._read, t.TIMEOUT.address: self.timeout})
         quantities = self._plant.quantities()
         for name, register in self._inputs.items():
-            output = self._written.get(name)
-            if output is not None:
+            if (output := self._written.get(name)) is not None:
                 word = self._show(output.address)
                 cells[register.address] = word & 0xFF if register.bit >= 0 else word
             elif register.bit >= 0:

@@ -99,9 +99,7 @@ def encode(code: int, counter: int) -> bytes:
 
 def distance(code: int, span: int) -> float:
     """Distance from the begin of the measuring range [mm] at a range of `span` [mm]; no number where it is none."""
-    if not 0 <= code <= FULL:
-        return math.nan
-    return 0.01 * (102.0 / FULL * code - 1.0) * span
+    return math.nan if not 0 <= code <= FULL else 0.01 * (102.0 / FULL * code - 1.0) * span
 
 
 def code_of(value: float, span: int) -> int:

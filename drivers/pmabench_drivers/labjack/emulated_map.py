@@ -117,8 +117,7 @@ def whole(values: dict[int, Value], address: int, count: int, access: str) -> It
         return
     at, end = address, address + count
     while at < end:
-        value = values.get(at)
-        if value is None:
+        if (value := values.get(at)) is None:
             before = values.get(at - 1)
             raise Cut if before is not None and WORDS[before.type] > 1 else Unknown
         if access not in value.access:

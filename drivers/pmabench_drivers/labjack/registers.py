@@ -292,8 +292,7 @@ def _outputs(device: DeviceRecord, name: str, reader: Reader) -> None:
     places += [(("interlocks", lock.name, "input"), lock.input) for lock in device.interlocks]
     seen: dict[int, str] = {}
     for place, name in places:
-        line = line_of(name)
-        if line is None:
+        if (line := line_of(name)) is None:
             reader.known(place, "no digital line", name, LINES, f"; known: {KNOWN_LINES}")
         elif line in seen:
             reader.fault(place, f"{name} is in use by {seen[line]}")

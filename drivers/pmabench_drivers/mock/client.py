@@ -57,8 +57,7 @@ class Inbox:
         self._bytes += piece
         while True:
             if self._head is None:
-                end = self._bytes.find(b"\n")
-                if end < 0:
+                if (end := self._bytes.find(b"\n")) < 0:
                     if len(self._bytes) > LONGEST_LINE:
                         raise ValueError("a line is longer than any that is sent")
                     return
@@ -114,16 +113,14 @@ class Link:
         self._socket.settimeout(max(by - time.monotonic(), 1e-3))
         self._socket.sendall(encode({"n": self._number, "by": by, "do": do, **fields}))
         while True:
-            piece = self._socket.recv(1 << 18)
-            if not piece:
+            if not (piece := self._socket.recv(1 << 18)):
                 raise ConnectionResetError("the other side has closed the connection")
             for answer, payload in self._inbox.feed(piece):
                 if answer.get("n") == self._number:
                     if "error" in answer:
                         raise DeviceError(self._device, str(answer["error"]), str(answer.get("channel", "")))
                     return answer, payload
-            left = by - time.monotonic()
-            if left <= 0:
+            if (left := by - time.monotonic()) <= 0:
                 raise TimeoutError
             self._socket.settimeout(left)
 

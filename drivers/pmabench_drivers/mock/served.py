@@ -151,8 +151,7 @@ class Served:
 
     def answer(self, asker: Asker, question: Mapping[str, Any]) -> tuple[dict[str, Any], bytes]:
         """Carry out a question: the head and payload of its answer; raises DeviceError for what is refused."""
-        do = str(question.get("do"))
-        if do == "collect":
+        if (do := str(question.get("do"))) == "collect":
             return self._collect(asker)
         if do not in self._questions:
             raise DeviceError(self.device.name, f'no command "{do}"{did_you_mean(do, self._questions)}')

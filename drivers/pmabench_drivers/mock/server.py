@@ -95,8 +95,7 @@ class Server:
                     self._send(key.data)
                 if events & selectors.EVENT_READ:
                     self._receive(key.data)
-            now = time.monotonic()
-            if now >= tick:
+            if (now := time.monotonic()) >= tick:
                 self._plant.advance(now)
                 self._watch_links(now)
                 tick = max(tick + TICK, now)
@@ -147,8 +146,7 @@ class Server:
 
     def _receive(self, connection: _Connection) -> None:
         try:
-            piece = connection.link.recv(1 << 18)
-            if not piece:
+            if not (piece := connection.link.recv(1 << 18)):
                 self._drop(connection)
                 return
             for question, _ in connection.inbox.feed(piece):

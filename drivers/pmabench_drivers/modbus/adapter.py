@@ -104,15 +104,13 @@ class _Tcp(ModbusTcpClient):
             return b""
         if not self._ready.poll(1e3 * left):
             return b""
-        data = connection.recv(size or 4096)
-        if not data:
+        if not (data := connection.recv(size or 4096)):
             raise ConnectionException("the device closed the connection")
         return data
 
     def cut(self) -> None:
         """End the connection under a call that waits for it."""
-        connection = self.socket
-        if connection is not None:
+        if (connection := self.socket) is not None:
             with contextlib.suppress(OSError):
                 connection.shutdown(socket.SHUT_RDWR)
 
@@ -133,8 +131,7 @@ class _Rtu(ModbusSerialClient):
     def recv(self, size: int | None) -> bytes:
         """The bytes that are there, or none at the deadline."""
         while self.socket is not None and monotonic() < self.deadline:
-            data = bytes(self.socket.read(1))
-            if data:
+            if data := bytes(self.socket.read(1)):
                 return data + bytes(self.socket.read(self.socket.in_waiting))
         return b""
 
@@ -252,8 +249,7 @@ class Line:
             if self._owed and wanted[0] <= LAST_READ:
                 self._wait_until_clean(wanted, deadline, what)
             now = monotonic()
-            limit = min(deadline, now + self._timeout)
-            if limit <= now:
+            if (limit := min(deadline, now + self._timeout)) <= now:
                 raise DeviceError(self._device, "no time was left to ask", what)
             if not still():
                 return None
@@ -282,8 +278,7 @@ class Line:
 
     def _belongs(self, answer: Any, wanted: Signature) -> bool:
         """Whether an answer belongs to this request; a late answer to an earlier one is ticked off."""
-        function = answer.function_code
-        if function > FAILED:
+        if (function := answer.function_code) > FAILED:
             return bool(function == wanted[0] | FAILED)
         signature: Signature = (function, *SIGNATURES.get(function, lambda _answer: ())(answer))
         if signature == wanted:

@@ -77,8 +77,7 @@ class Sampling:
         why = self._failure or (str(self._cycle.broken) if self._cycle.broken else "")
         if why:
             raise DeviceError(self._device, f"sampling broke off: {why}")
-        silent = monotonic() - self._heard
-        if silent > max(PATIENCE, 3 / self._rate):
+        if (silent := monotonic() - self._heard) > max(PATIENCE, 3 / self._rate):
             because = f": {self._unheard}" if self._unheard else ""
             raise DeviceError(self._device, f"no sample for {silent:.2f} s{because}")
         return block
@@ -113,12 +112,10 @@ class Sampling:
         now, first = self._clock.now(), self._number
         self._number += len(columns[0])
         for item, column in zip(self._inputs, columns, strict=True):
-            strange = [value for value in column if not abs(value) <= BEYOND * item.span]
-            if strange:
+            if strange := [value for value in column if not abs(value) <= BEYOND * item.span]:
                 self._failure = f"{item.name} gives {strange[0]:g} V at a range of {item.span:g} V"
                 return
-        behind = self._pace.behind(self.start + (self._number - 1) / self._rate, now)
-        if behind:
+        if behind := self._pace.behind(self.start + (self._number - 1) / self._rate, now):
             late = "late" if behind > 0 else "early"
             self._failure = f"samples come {abs(behind):.2f} s too {late} for {self._rate:g} Hz"
             return

@@ -146,8 +146,7 @@ class Connection:
         """Connect, find the device, see that it has what the bench uses, and prepare its tasks; commands nothing."""
         system = self._system()
         names = [_short(name) for name in system.devices.device_names]
-        wanted = self._options.device
-        if wanted not in names:
+        if (wanted := self._options.device) not in names:
             hint = did_you_mean(wanted, names[:9]) or "; it knows none"
             raise DeviceError(self._name, f'NI-DAQmx knows no device "{wanted}"{hint}')
         device = system.devices[wanted]
@@ -358,8 +357,7 @@ class Connection:
         """Sample no more; harmless when repeated."""
         from nidaqmx.constants import TaskMode
 
-        task = self._tasks.get("ai")
-        if task is not None:
+        if (task := self._tasks.get("ai")) is not None:
             task.stop()
             task.control(TaskMode.TASK_UNRESERVE)
 
@@ -371,8 +369,7 @@ class Connection:
         """What waits, `MOST` samples at most, an array [V] for each input."""
         import numpy as np
 
-        waiting = min(int(self._tasks["ai"].in_stream.avail_samp_per_chan), MOST)
-        if waiting <= 0:
+        if (waiting := min(int(self._tasks["ai"].in_stream.avail_samp_per_chan), MOST)) <= 0:
             return []
         data = np.full((len(self._options.inputs), waiting), np.nan)
         got = int(self._samples.read_many_sample(data, waiting, timeout=self.left()))

@@ -337,8 +337,7 @@ def _names(task: Task) -> str:
 
 def _terminals(_board: Board, request: Any) -> int:
     """How an input can be measured, as bits: against ground, against AI SENSE, against the one eight higher."""
-    name = request.physical_channel.partition("/")[2]
-    if name not in AI:
+    if (name := request.physical_channel.partition("/")[2]) not in AI:
         raise Refused(-200170, "Physical channel specified does not exist on this device.")
     return 7 if name in AI[:8] else 3
 

@@ -42,8 +42,7 @@ def listed(text: str) -> list[str]:
     """Each physical channel of a list such as `Dev1/ai0:3, Dev1/ai7`."""
     found = []
     for part in text.split(","):
-        span = re.fullmatch(r"(.*?)(\d+):(\d+)", part.strip())
-        if span is None:
+        if (span := re.fullmatch(r"(.*?)(\d+):(\d+)", part.strip())) is None:
             found.append(part.strip())
             continue
         first, last = int(span[2]), int(span[3])

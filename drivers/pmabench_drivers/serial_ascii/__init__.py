@@ -53,15 +53,13 @@ def pattern_problem(pattern: str) -> str:
     variable: list[frozenset[str]] = []
     position = 0
     while position < len(pattern):
-        token = _TOKEN.match(pattern, position)
-        if token is None:
+        if (token := _TOKEN.match(pattern, position)) is None:
             return (
                 f'cannot be used from "{pattern[position : position + 12]}" on; characters, [classes], \\d \\w \\s, '
                 "groups, | and repetitions are understood, references and looks around are not"
             )
         position = token.end()
-        times = _QUANTIFIER.match(pattern, position)
-        if times is None:
+        if (times := _QUANTIFIER.match(pattern, position)) is None:
             continue
         position = times.end()
         if token["atom"] is None:
@@ -149,8 +147,7 @@ def read_options(device: DeviceRecord, reader: Reader) -> Options:
     if not isinstance(errors, Mapping) or not all(isinstance(v, str) for v in errors.values()):
         reader.fault((*place, "errors"), "texts and what they mean are expected")
         errors = {}
-    terminator = _bytes(given, "terminator", reader, "\r")
-    if not terminator:
+    if not (terminator := _bytes(given, "terminator", reader, "\r")):
         reader.fault((*place, "terminator"), "what ends a line is expected")
     line = reader.text(given, "emulate", place, base.emulate)
     if not _EMULATED.fullmatch(line):
@@ -218,22 +215,17 @@ class LineReader:
         Raises `Wrong` or `Unreadable`.
         """
         options, text = self._options, sp.text_of(line)
-        bare = text.strip()
-        if bare in options.errors:
+        if (bare := text.strip()) in options.errors:
             raise sp.Wrong(f'says "{sp.readable(line)}": {options.errors[bare]}')
-        found = options.pattern.fullmatch(text)
-        if found is None:
+        if (found := options.pattern.fullmatch(text)) is None:
             if bare and any(mark in bare for mark in options.over_range):
                 return self._over_range()
             raise sp.Unreadable(f'"{sp.readable(line)}"')
-        if self._checks_unit:
-            unit = (found["unit"] or "").strip()
-            if unit != self._unit:
-                raise sp.Wrong(f'gives "{unit}" and the bench expects "{self._unit}": set the indicator back')
-        if self._has_status and options.good_status:
-            status = (found["status"] or "").strip()
-            if status not in options.good_status:
-                raise sp.Wrong(f'says status "{status}"; good ones are {", ".join(options.good_status)}')
+        if self._checks_unit and (unit := (found["unit"] or "").strip()) != self._unit:
+            raise sp.Wrong(f'gives "{unit}" and the bench expects "{self._unit}": set the indicator back')
+        status = (found["status"] or "").strip() if self._has_status else ""
+        if self._has_status and options.good_status and status not in options.good_status:
+            raise sp.Wrong(f'says status "{status}"; good ones are {", ".join(options.good_status)}')
         try:
             sign = (found["sign"] or "") if self._has_sign else ""
             return [number(found[name] or "", sign) for name in self._names]

@@ -79,8 +79,7 @@ def encode(*fields: object) -> bytes:
 
 def decode(line: bytes) -> list[str]:
     """The fields of a line without its end; raises NoLine."""
-    found = _WHOLE.fullmatch(line)
-    if found is None:
+    if (found := _WHOLE.fullmatch(line)) is None:
         raise NoLine("a line that is none of the protocol")
     if crc_hqx(found[1], 0xFFFF) != int(found[2], 16):
         raise NoLine("a line whose checksum is wrong")
@@ -124,8 +123,7 @@ class Timeline:
 
     def place(self, sample: Sample, host: float) -> int | None:
         """Time of a sample that came at `host` [s, bench time] by the board's clock [us]; None: it is not believed."""
-        last = self._last
-        if last is None:
+        if (last := self._last) is None:
             if self.ahead is None:
                 self.ahead = sample.micros - host * 1e6
             self._time = sample.micros + WRAP * round((host * 1e6 + self.ahead - sample.micros) / WRAP)
@@ -339,8 +337,7 @@ class SerialLineDaq(Led):
         self.stop()
         self._samples.take()
         self._failure = None
-        used = self._ask("G", period)
-        if used != period:
+        if (used := self._ask("G", period)) != period:
             raise self._error(f"samples each {used} us where {period} us were asked for")
         self._period, self._heard = period * 1e-6, monotonic()
         self._before = self._timeline = Timeline(period, self._before)
@@ -380,8 +377,7 @@ class SerialLineDaq(Led):
         sample = read_sample(fields, self._has["a"])
         if timeline is None:
             return  # sampling has not begun here: another program left it on
-        micros = timeline.place(sample, now)
-        if micros is None:
+        if (micros := timeline.place(sample, now)) is None:
             if timeline.misfits == MISFITS:
                 message = (
                     "the number of its samples and its clock do not fit: it has started again, or is no such board"
@@ -445,8 +441,7 @@ class SerialLineDaq(Led):
             raise self._error(f"a watchdog of {seconds} s cannot be set", "watchdog")
         until = monotonic() + CALL
         self._ask("T", math.floor(seconds * 1e3 + 1e-6), until=until)
-        held = self._ask("T", until=until)
-        if held <= 0:
+        if (held := self._ask("T", until=until)) <= 0:
             raise self._error("holds a watchdog time of 0, which is none", "watchdog")
         self._armed, self._reported_vent = held * 1e-3, False
         return self._armed
@@ -494,8 +489,7 @@ class SerialLineDaq(Led):
             except Unanswered:
                 message = f"did not answer within {CALL:g} s; whether it took {value} is not known"
                 raise Unanswered(self._device.name, message, f"{'o' if letter == 'W' else 'v'}{index}") from None
-        held = self._number(answer)
-        if held != value:
+        if (held := self._number(answer)) != value:
             name = f"{'o' if letter == 'W' else 'v'}{index}"
             raise self._error(f"{lost or 'was commanded'} {value} and holds {held}", name)
 

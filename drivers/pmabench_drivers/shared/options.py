@@ -106,8 +106,7 @@ class Reader:
 
     def one_of(self, given: Mapping[str, Any], key: str, place: Place, known: Sequence[int], default: int) -> int:
         """One of the known whole numbers, which are in rising order."""
-        value = self.whole(given, key, place, known[0], known[-1], default)
-        if value not in known:
+        if (value := self.whole(given, key, place, known[0], known[-1], default)) not in known:
             self.fault((*place, key), f"{value} is not possible here; known: {', '.join(map(str, known))}")
         return value
 

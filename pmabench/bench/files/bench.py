@@ -65,8 +65,7 @@ def one_of(model: Strict, kinds: dict[str, tuple[str, ...]], optional: set[tuple
     missing = [key for key in kinds[kind] if key not in given and (kind, key) not in optional]
     if missing:
         raise ValueError(f'"{kind}" needs "{missing[0]}"')
-    extra = sorted(given - {kind, "action", *kinds[kind]})
-    if extra:
+    if extra := sorted(given - {kind, "action", *kinds[kind]}):
         belongs = ", ".join(f'"{key}"' for key in kinds[kind]) or "nothing else"
         raise ValueError(f'"{extra[0]}" does not belong to "{kind}", which takes {belongs}')
     return kind

@@ -51,11 +51,8 @@ class Answers:
 
     def missing(self) -> list[str]:
         """Keys of answers that only a person can give, and nobody has."""
-        found = []
-        for question in self.questions():
-            if not self.said(question.key) and (question.needed or not self._derivable(question)):
-                found.append(question.key)
-        return found
+        open_ones = [question for question in self.questions() if not self.said(question.key)]
+        return [question.key for question in open_ones if question.needed or not self._derivable(question)]
 
     def _derivable(self, question: Question) -> bool:
         """Whether an answer can be derived, once the others are there."""
@@ -66,13 +63,9 @@ class Answers:
 
     def text_of_file(self) -> str:
         """The answers as a file that `init --answers` takes."""
-        lines = [
-            "# Answers to the questions of `pmabench init`; `init DIR --answers FILE` writes the same files again."
-        ]
-        lines.append(f"{ASKED}: {self.asked.isoformat()}")
-        for key, value in self.given.items():
-            lines.append(f"{key}: {'null' if value is None else quoted(value)}")
-        return "\n".join(lines) + "\n"
+        head = "# Answers to the questions of `pmabench init`; `init DIR --answers FILE` writes the same files again."
+        given = [f"{key}: {'null' if value is None else quoted(value)}" for key, value in self.given.items()]
+        return "\n".join([head, f"{ASKED}: {self.asked.isoformat()}", *given]) + "\n"
 
 
 def read_answers(path: Path) -> tuple[dict[str, str | None], datetime.date | None]:

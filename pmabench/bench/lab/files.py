@@ -157,8 +157,7 @@ def _channels(sheet: Sheet, answers: Answers, limits: Limits, calibrations: dict
         sheet.said(f"    range: [{low}, {high}]", "sensors", f"channels.{channel}.range")
         if channel == "force":
             sheet.guessed("    at: fixed end", "where the load cell is", "channels.force.at")
-        name = calibrations.get(channel)
-        if name:
+        if name := calibrations.get(channel):
             sheet.said(f"    calibration: {name}", "calibration")
         else:
             why = "the data sheet's line, 0.5 % of the range uncertain"
@@ -191,8 +190,7 @@ def _actuator_output(sheet: Sheet, answers: Answers, daq: Daq) -> None:
 
 
 def _valves(sheet: Sheet, answers: Answers) -> None:
-    valve = answers.value("dump_valve")
-    if valve is not None:
+    if (valve := answers.value("dump_valve")) is not None:
         sheet.said(f"  dump_valve: {{device: {DEVICE}, output: {valve[0]}, energised: {valve[1]}}}", "dump_valve")
     interlock = answers.value("interlock")
     stop = f"[{{name: e-stop, input: {{device: {DEVICE}, input: {interlock}}}, safe: high}}]" if interlock else "[]"
@@ -227,8 +225,7 @@ def _limits(sheet: Sheet, answers: Answers, limits: Limits) -> None:
     sheet.add("limits:", "  pressure:")
     sheet.guessed(f"    command: {show(limits.command, 'pressure')}", "88 % of what may be", "limits.pressure.command")
     sheet.guessed(f"    trip: {show(limits.trip, 'pressure')}", pressure, "limits.pressure.trip")
-    low = 0.6 * limits.scales["pressure"].values[0]
-    if low < 0:
+    if (low := 0.6 * limits.scales["pressure"].values[0]) < 0:
         sheet.guessed(f"    trip_low: {show(low, 'pressure')}", "a broken wire", "limits.pressure.trip_low")
     sheet.add("    delay: 4 ms", "    action: vent")
     sheet.add("  contraction:")
@@ -236,13 +233,11 @@ def _limits(sheet: Sheet, answers: Answers, limits: Limits) -> None:
     sheet.add("    action: vent", "  force:")
     sheet.guessed(f"    trip: {show(limits.force, 'force')}", "95 % of the sensor's range", "limits.force.trip")
     sheet.add("    action: vent")
-    actuated = answers.text("free_end") == "actuator"
-    if actuated:
+    if actuated := answers.text("free_end") == "actuator":
         most = min(answers.value("actuator")[0], 0.9 * limits.contraction * answers.value("mounted")[0])
         line = f"  displacement: {{command: {show(most, 'length', 3)}}}"
         sheet.guessed(line, "90 % of the highest contraction", "limits.displacement.command")
-    real = answers.text("daq") != NONE_YET
-    if real:
+    if real := answers.text("daq") != NONE_YET:
         sheet.guessed("watch:", "times of a usual regulator", "watch")
         sheet.add(
             "  - {stale: pressure, for: 300 ms, action: vent}",
@@ -306,13 +301,6 @@ def specimen_text(answers: Answers) -> str:
     sheet.said(f"  contraction: {show(limits.contraction, 'ratio')}", "contraction", "limits.contraction")
     sheet.add(f"  source: {quoted(f'answers to pmabench init, {answers.asked.isoformat()}')}")
     return sheet.text()
-
-
-def simulated_plant(answers: Answers) -> str:
-    """A plant file of this muscle by its type, else by its braid."""
-    specimen = validate(SpecimenFile, Document("specimen.yaml", specimen_text(answers)))
-    top = limits_of(answers).scales["pressure"].values[1]
-    return plant_text(of_specimen(specimen, top), answers.asked)
 
 
 LOADS, PRESSURES = 9, 7
@@ -427,11 +415,12 @@ def lab_files(answers: Answers, shipped_protocol: str) -> dict[str, str]:
         **calibration_texts(answers, {channel: path.stem for channel, path in own.items()}),
         **{f"calibrations/{path.name}": path.read_text(encoding="utf-8") for path in own.values()},
     }
+    muscle = validate(SpecimenFile, Document("specimen.yaml", specimen))
     if answers.text("daq") == NONE_YET:
-        files[PLANT_FILE] = simulated_plant(answers)
+        top = limits_of(answers).scales["pressure"].values[1]
+        files[PLANT_FILE] = plant_text(of_specimen(muscle, top), answers.asked)
     elif registers := answers.text("address").partition(",")[2].strip():
         files[f"registers/{Path(registers).name}"] = _text(Path(registers), "address")
-    muscle = validate(SpecimenFile, Document("specimen.yaml", specimen))
     files["protocol.yaml"] = protocol_text(shipped_protocol, answers, muscle)
     return files
 

@@ -242,8 +242,7 @@ def _supply(value: str, answers: Answers) -> tuple[float, float | None]:
 
 
 def _contraction(value: str, _answers: Answers) -> float:
-    ratio = reading.above_zero("ratio")(value)
-    if ratio >= 0.6:
+    if (ratio := reading.above_zero("ratio")(value)) >= 0.6:
         raise ValueError("a share of the nominal length below 60 % is expected")
     return ratio
 

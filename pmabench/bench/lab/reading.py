@@ -168,8 +168,7 @@ def dump_valve(value: str) -> tuple[str, str] | None:
 
 def supply(value: str) -> tuple[float, float | None]:
     """`700 kPa, relief 650 kPa` or `700 kPa, relief none`: supply and relief valve [Pa]."""
-    found = re.fullmatch(r"(.+?),\s*relief\s+(.+)", value)
-    if found is None:
+    if (found := re.fullmatch(r"(.+?),\s*relief\s+(.+)", value)) is None:
         raise ValueError('supply and relief valve are expected: "700 kPa, relief 650 kPa", or "relief none"')
     relief = None if found[2] == "none" else above_zero("pressure")(found[2])
     return above_zero("pressure")(found[1]), relief
