@@ -280,11 +280,6 @@ def _facts(mounted: Mounted) -> Iterator[list[str]]:
         yield ["Reviewed", f"{file.reviewed.by}, {file.reviewed.date}"]
 
 
-def _place(source: str) -> str:
-    """`path:line:column` with the path's last part only."""
-    return Path(source).name
-
-
 def _limits(mounted: Mounted) -> Iterator[list[str]]:
     """One row for each quantity that is commanded or watched."""
     bench = mounted.bench
@@ -296,7 +291,7 @@ def _limits(mounted: Mounted) -> Iterator[list[str]]:
         command, by = "", ""
         if output is not None:
             command = f"{show(output.low, output.quantity)} to {show(output.high, output.quantity)}"
-            by = _place(output.high_from)
+            by = Path(output.high_from).name
         for number, trip in enumerate(own or [None]):
             first = number == 0
             trip_cells = ["", "", ""] if trip is None else _trip(trip, mounted)
@@ -319,7 +314,7 @@ def _trip(trip: TripRecord, mounted: Mounted) -> list[str]:
     bounds = [f"below {show(trip.low, quantity)}"] if trip.low is not None else []
     bounds += [f"above {show(trip.high, quantity)}"] if trip.high is not None else []
     after = f" after {seconds(trip.delay)}" if trip.delay else ""
-    return [", ".join(bounds), trip.action + after, _place(trip.source)]
+    return [", ".join(bounds), trip.action + after, Path(trip.source).name]
 
 
 def _action(action: SafeAction, mounted: Mounted) -> tuple[str, str]:

@@ -112,8 +112,8 @@ def _compilation(paths: list[Path], today: datetime.date | None) -> Compilation:
     problems += unfilled(paths[0], documents) if len(documents) == len(paths) else []
     if problems:
         raise InvalidFile(problems)
-    today = today or datetime.date.today()
-    return Compilation(documents[0], documents[1] if len(documents) > 1 else None, today)
+    bench, *specimens = documents
+    return Compilation(bench, specimens[0] if specimens else None, today or datetime.date.today())
 
 
 def _compile(c: Compilation, path: Path) -> Mounted:

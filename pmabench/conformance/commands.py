@@ -319,15 +319,12 @@ def safe_state(rig: Rig) -> str:
     truth, slowest = rig.truth(), 0.0
     with rig.opened() as device:
         lift(rig, truth)
-        for _ in range(3):
-            for output in rig.record.outputs:
-                done = rig.call("write(safe)", device.write, output.output, raw(output, output.safe))
-                done.nothing()
-                slowest = max(slowest, done.seconds)
-            for valve in rig.record.valves:
-                done = rig.call("switch(safe)", device.switch, valve.output, on=False)
-                done.nothing()
-                slowest = max(slowest, done.seconds)
+        acts = [("write(safe)", partial(device.write, o.output, raw(o, o.safe))) for o in rig.record.outputs]
+        acts += [("switch(safe)", partial(device.switch, v.output, on=False)) for v in rig.record.valves]
+        for what, act in 3 * acts:
+            done = rig.call(what, act)
+            done.nothing()
+            slowest = max(slowest, done.seconds)
         refuse_unsafe(rig, truth, "the commands of the safe state, sent three times")
     return f"three times over, safe in the plant; the slowest command took {1e3 * slowest:.0f} ms"
 

@@ -96,7 +96,7 @@ class Layout:
 
     def read(self, line: bytes) -> tuple[float, float, frozenset[str]]:
         """Pressure, set-point and status codes; raises `Unreadable`, or `Wrong` for a refusal."""
-        if (words := _text(line).split()) in (["?"], [self.unit_id, "?"]):
+        if (words := sp.text_of(line).rstrip().split()) in (["?"], [self.unit_id, "?"]):
             raise sp.Wrong("refuses what it was asked (?)")
         count = len(self.columns)
         if len(words) < count or words[0].upper() != self.unit_id or not set(words[count:]) <= self.codes:
@@ -109,7 +109,7 @@ class Layout:
 
 def read_layout(lines: Sequence[bytes], unit_id: str) -> Layout:
     """The layout that a list of columns describes; raises `Wrong` where it is none that can be driven."""
-    texts = [_text(line) for line in lines]
+    texts = [sp.text_of(line).rstrip() for line in lines]
     head = HEAD.fullmatch(texts[0]) if texts else None
     if head is None:
         first = f'; it begins with "{sp.readable(lines[0])}"' if lines else ""
@@ -165,10 +165,6 @@ def _fits(column: Column, word: str) -> bool:
     """Whether a number has as many characters and decimals as its column says: one that lost a character has not."""
     point = len(word) - word.find(".") - 1 if "." in word else 0
     return NUMBER.fullmatch(word) is not None and len(word) == column.width and point == column.decimals
-
-
-def _text(line: bytes) -> str:
-    return sp.text_of(line).rstrip()
 
 
 class AsciiLink:
@@ -245,7 +241,7 @@ class AsciiLink:
                 reading = self._reading(text, deadline)
             except Unanswered as lost:
                 reading, why = self._found(lost, value, deadline), lost.message
-        if not abs(reading.set_point - value) <= tolerance + self._step:
+        if not abs(reading.set_point - value) <= tolerance + 10.0**-self._shape.decimals:
             raise DeviceError(self._device, f"was commanded {value:g} and holds {reading.set_point:g}: {why}", OUTPUT)
         return reading
 
@@ -263,7 +259,7 @@ class AsciiLink:
                     reading, lost = None, error
             if reading is None and lost is not None:
                 reading = self._found(lost, value, deadline)
-        if reading is None or not abs(reading.set_point - value) <= tolerance + self._step:
+        if reading is None or not abs(reading.set_point - value) <= tolerance + 10.0**-self._shape.decimals:
             held = "nothing" if reading is None else f"{reading.set_point:g}"
             raise DeviceError(self._device, f"was commanded {value:g} to vent and holds {held}", OUTPUT)
         if HELD in reading.status:
@@ -298,11 +294,6 @@ class AsciiLink:
         except DeviceError as error:
             message = f"{lost.message}; whether it took {value:g} is not known ({error.message})"
             raise Unanswered(self._device, message, OUTPUT) from None
-
-    @property
-    def _step(self) -> float:
-        """The device shows a set-point to this."""
-        return 10.0**-self._shape.decimals
 
     def _written(self, value: float) -> str:
         if not abs(value) < LARGEST:

@@ -145,10 +145,8 @@ class Hub:
         if line[:1] in COMMANDS:
             self._write(link, SERIAL if line[:1] == b"N" else b"V1010\r" if line[:1] == b"V" else b"\r")
             return
-        frame = read_line(line) or _asked(line)
-        if frame is None:
-            if line:
-                self._write(link, b"\x07")
+        if (frame := read_line(line) or _asked(line)) is None:
+            self._write(link, b"\x07" if line else b"")
             return
         self._write(link, b"Z\r" if frame.extended else b"z\r")
         for other in [other for other in self._rests if other is not link]:

@@ -268,12 +268,12 @@ class Dataq(SerialStream):
         if self._echo is not None:
             self._wait_for_echo(data)
             return
+        broken = False
         try:
-            whole = self._scans.feed(data)
-            broken = False
+            self._scans.feed(data)
         except Lost:
-            whole, broken = self._scans.whole, True
-        if whole:
+            broken = True
+        if whole := self._scans.whole:
             self._keep(whole, now)
         if broken:
             self._begin_again()

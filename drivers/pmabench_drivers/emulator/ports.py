@@ -75,14 +75,10 @@ def refuse_others(device: str, address: str) -> None:
         )
 
 
-def _no_tap(_kind: str, _data: bytes) -> None:
-    """Nobody writes down what is exchanged."""
-
-
 class Terminal:
     """A pseudo-terminal whose far end is reached by the symbolic link `path`; `tap` gets what goes through it."""
 
-    def __init__(self, path: str, tap: Tap = _no_tap) -> None:
+    def __init__(self, path: str, tap: Tap) -> None:
         self._link, self._tap = Path(path), tap
         if self._link.exists() and not self._link.is_symlink():
             raise UsageError(f"{path} is there and is no link of an emulator; give the device another address")

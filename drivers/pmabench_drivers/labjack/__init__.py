@@ -337,8 +337,7 @@ class LabJack(ModbusDevice):
             [code] = self._opened().read("holding", r.LAST_ERR_DETAIL, 1, deadline, what)
         except DeviceError:
             return error
-        reason = r.ERRORS.get(code)
-        detail = f"its error {code}: {reason}" if reason else f"its error {code}"
+        detail = ": ".join([f"its error {code}", *([r.ERRORS[code]] if code in r.ERRORS else [])])
         return DeviceError(self._device.name, f"{error.message}; {detail}", what)
 
 

@@ -194,7 +194,7 @@ class T7:
         """What is read, or nothing; `Refused` where the device says no."""
         with self._lock:
             if not self._u32(r.WATCHDOG_STRICT):
-                self._clear()
+                self._cleared, self._fired = monotonic(), False
             if request.table not in {"holding", "input"}:
                 raise Refused(FUNCTION)
             if request.values:
@@ -314,7 +314,7 @@ class T7:
             self._set_line(at - r.DIO, high=part[0] != 0, connection=connection)
         elif at == r.WATCHDOG_CLEAR:
             if not self._u32(r.WATCHDOG_STRICT) or r.from_u32(part) == [self._u32(r.WATCHDOG_KEY)]:
-                self._clear()
+                self._cleared, self._fired = monotonic(), False
         elif at == r.STREAM_ENABLE:
             self._enable_stream(on=part[1] != 0)
         elif at == r.REBOOT:
@@ -326,7 +326,7 @@ class T7:
         else:
             self._store(at, part)
         if at == r.WATCHDOG_ENABLE:
-            self._clear()
+            self._cleared, self._fired = monotonic(), False
             self._log.note("watchdog-register", self.device.name, raw=part[1], connection=connection)
 
     # -- terminals ------------------------------------------------------------------------------------------------
@@ -432,9 +432,6 @@ class T7:
         self._stream.begin(rate, addresses, per_packet, size // 2, self.sample or sample)
 
     # -- the device's watchdog ------------------------------------------------------------------------------------
-
-    def _clear(self) -> None:
-        self._cleared, self._fired = monotonic(), False
 
     def switch_off_watchdog(self) -> bool:
         """Another program switches it off; whether it was on."""

@@ -74,12 +74,10 @@ class Sampling:
         block = self._samples.take()
         if len(block.time):
             return block
-        why = self._failure or (str(self._cycle.broken) if self._cycle.broken else "")
-        if why:
+        if why := self._failure or str(self._cycle.broken or ""):
             raise DeviceError(self._device, f"sampling broke off: {why}")
         if (silent := monotonic() - self._heard) > max(PATIENCE, 3 / self._rate):
-            because = f": {self._unheard}" if self._unheard else ""
-            raise DeviceError(self._device, f"no sample for {silent:.2f} s{because}")
+            raise DeviceError(self._device, ": ".join(filter(None, [f"no sample for {silent:.2f} s", self._unheard])))
         return block
 
     def _fetch(self) -> None:
@@ -309,7 +307,7 @@ class NiDaq(Led):
 
     def is_on(self, output: str) -> bool:
         """Whether a valve's line is high."""
-        self._valve(output)
+        self._known("valve output", output, self._options.valves)
         return self._level(output, CALL)
 
     def level(self, name: str) -> bool:
@@ -318,7 +316,7 @@ class NiDaq(Led):
         return self._level(name, CALL)
 
     def _put_line(self, link: Connection, line: str, *, on: bool) -> None:
-        self._valve(line)
+        self._known("valve output", line, self._options.valves)
         until, lost = monotonic() + CALL, ""
         try:
             with link.calls(ANSWER, line):
@@ -334,9 +332,6 @@ class NiDaq(Led):
         if high != on:
             message = f"{lost or f'was commanded {int(on)} and '}its line is {'high' if high else 'low'}"
             raise self._error(message, line)
-
-    def _valve(self, line: str) -> None:
-        self._known("valve output", line, self._options.valves)
 
     def _level(self, line: str, within: float) -> bool:
         link = self._opened()

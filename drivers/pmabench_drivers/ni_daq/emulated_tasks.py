@@ -200,7 +200,7 @@ class Board:
     def restart(self) -> None:
         """Outputs at 0 V and lines low as after power-on; tasks under way are aborted."""
         for name in AO:
-            self._give(name, 0.0)
+            self._wiring.give(name, self._reached(name, 0.0))
         for name in DO:
             self._levels[name] = False
             self._wiring.drive(name, on=False)
@@ -210,7 +210,7 @@ class Board:
     def change_set_point(self, value: float) -> bool:
         """Another program sets the first output that the bench uses [V]; whether there is one."""
         for name in list(self._wiring.outputs)[:1]:
-            self._give(name, value)
+            self._wiring.give(name, self._reached(name, value))
         return bool(self._wiring.outputs)
 
     # -- samples ----------------------------------------------------------------------------------------------------
@@ -292,9 +292,6 @@ class Board:
             raise Refused(-200524, "Write cannot be performed: the number of channels in the data is another.")
         if not start and task.state != "running":
             raise Refused(-200846, "Write cannot be performed when auto start is false and the task is not running.")
-
-    def _give(self, name: str, volts: float) -> None:
-        self._wiring.give(name, self._reached(name, volts))
 
     def _reached(self, name: str, volts: float) -> float:
         """The nearest voltage that an output can give, which it gives from now on."""

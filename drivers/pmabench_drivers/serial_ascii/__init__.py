@@ -205,8 +205,6 @@ class LineReader:
         self._options, self._channels = options, channels
         raw = channels[0].raw_unit if channels else ""
         self._unit = options.unit or raw
-        groups = options.pattern.groupindex
-        self._checks_unit, self._has_sign, self._has_status = "unit" in groups, "sign" in groups, "status" in groups
         self._names = [channel.input for channel in channels] or inputs_of(options.pattern)
 
     def values(self, line: bytes) -> list[float]:
@@ -221,14 +219,14 @@ class LineReader:
             if bare and any(mark in bare for mark in options.over_range):
                 return self._over_range()
             raise sp.Unreadable(f'"{sp.readable(line)}"')
-        if self._checks_unit and (unit := (found["unit"] or "").strip()) != self._unit:
+        groups = found.groupdict("")
+        if "unit" in groups and (unit := groups["unit"].strip()) != self._unit:
             raise sp.Wrong(f'gives "{unit}" and the bench expects "{self._unit}": set the indicator back')
-        status = (found["status"] or "").strip() if self._has_status else ""
-        if self._has_status and options.good_status and status not in options.good_status:
+        status = groups.get("status", "").strip()
+        if "status" in groups and options.good_status and status not in options.good_status:
             raise sp.Wrong(f'says status "{status}"; good ones are {", ".join(options.good_status)}')
         try:
-            sign = (found["sign"] or "") if self._has_sign else ""
-            return [number(found[name] or "", sign) for name in self._names]
+            return [number(groups[name], groups.get("sign", "")) for name in self._names]
         except ValueError:
             if any(mark in bare for mark in options.over_range):
                 return self._over_range()
