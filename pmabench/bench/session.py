@@ -54,7 +54,7 @@ class Stack:
         return sorted(self.plates, key=lambda plate: -plate[1])
 
     @cached_property
-    def _loads(self) -> list[float]:
+    def loads(self) -> list[float]:
         """Every load that can be made [kg], ascending: nothing at all, the hanger, the hanger with plates."""
         return sorted({0.0, *(self.hanger + mass * _GRID for mass in self._sums)})
 
@@ -62,9 +62,8 @@ class Stack:
         """The nearest loads [kg] that can be made, below and above `mass`; one where `mass` can be made."""
         if not self.plates:
             return [mass] if mass == 0 or mass >= self.hanger - TOLERANCE else [0.0, self.hanger]
-        loads = self._loads
-        place = bisect_left(loads, mass)
-        near = loads[max(place - 1, 0) : place + 1]
+        place = bisect_left(self.loads, mass)
+        near = self.loads[max(place - 1, 0) : place + 1]
         return [load for load in near if abs(load - mass) <= TOLERANCE][:1] or near
 
     def can_make(self, mass: float) -> bool:

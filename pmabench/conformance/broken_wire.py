@@ -333,10 +333,7 @@ class Battle:
     def _output(self, output: Any) -> Any:
         rig = self._rig
         if self._chance.random() < 0.5:
-            answer = rig.call("read_back()", self._device.read_back, output.output).judged()
-            if not isinstance(answer, DeviceError | float | int):
-                raise rigs.Failed(f"read_back() gave {answer!r}; a number is expected")
-            return self._note(answer)
+            return self._asked("read_back()", self._device.read_back, output.output, float | int, "a number")
         value = raw(output, self._chance.uniform(output.low, output.high))
         before = len(sent(rig))
         answer = rig.call(f"write({value:g})", self._device.write, output.output, value).judged()
@@ -346,17 +343,17 @@ class Battle:
 
     def _valve(self, valve: Any) -> Any:
         if self._chance.random() < 0.5:
-            answer = self._rig.call("is_on()", self._device.is_on, valve.output).judged()
-            if not isinstance(answer, DeviceError | bool):
-                raise rigs.Failed(f"is_on() gave {answer!r}; True or False is expected")
-            return self._note(answer)
+            return self._asked("is_on()", self._device.is_on, valve.output, bool, "True or False")
         on = self._chance.random() < 0.5
         return self._note(self._rig.call(f"switch(on={on})", self._device.switch, valve.output, on=on).judged())
 
     def _lock(self, lock: Any) -> Any:
-        answer = self._rig.call("level()", self._device.level, lock.input).judged()
-        if not isinstance(answer, DeviceError | bool):
-            raise rigs.Failed(f"level() gave {answer!r}; True or False is expected")
+        return self._asked("level()", self._device.level, lock.input, bool, "True or False")
+
+    def _asked(self, what: str, act: Callable[[str], Any], name: str, kind: Any, expected: str) -> Any:
+        answer = self._rig.call(what, act, name).judged()
+        if not isinstance(answer, DeviceError | kind):
+            raise rigs.Failed(f"{what} gave {answer!r}; {expected} is expected")
         return self._note(answer)
 
     def _samples(self, _nothing: Any) -> Any:

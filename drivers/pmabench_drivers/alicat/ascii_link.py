@@ -23,7 +23,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from time import monotonic
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError
@@ -31,9 +31,6 @@ from pmabench.bench.interface import COMPUTER, EMULATED, Identity
 from pmabench_drivers.alicat.options import HELD, OUTPUT, UNITS, Options, Reading
 from pmabench_drivers.shared import serial_port as sp
 from pmabench_drivers.shared.link import Still, Unanswered, always, opened, reason, turn
-
-if TYPE_CHECKING:
-    from serial import Serial
 
 HEAD = re.compile(r"\S D00 (?P<id>ID_+) (?P<name>NAME_+) (?P<type>TYPE_+) (?P<width>WIDTH_*) (?P<notes>NOTES_*)\s*")
 ROW = re.compile(r"(?P<unit_id>\S) D(?P<number>\d\d) .*")
@@ -176,7 +173,7 @@ class AsciiLink:
     def __init__(self, device: str, address: str, options: Options, clock: Clock) -> None:
         self._device, self._address, self._options, self._clock = device, address, options, clock
         self._lock = threading.Lock()
-        self._port: Serial | None = None
+        self._port: Any = None
         self._layout: Layout | None = None
         self._splitter = sp.Splitter(b"\r", whole=True)
         self._lines: list[bytes] = []

@@ -236,22 +236,19 @@ def _read_map(data: Any, place: Place, reader: Reader) -> RegisterMap:
     if not isinstance(functions, list | tuple) or not functions or any(f not in FUNCTIONS for f in functions):
         reader.fault((*place, "functions"), f"a list of function codes is expected, out of {list(FUNCTIONS)}")
         functions = FUNCTIONS
-    readers = {key: (*place, key) for key in ("identity", "inputs", "outputs")}
     allowed = tuple(functions)
 
-    def registers(key: str) -> dict[str, Register]:
-        items = reader.named(given.get(key, {}), readers[key])
+    def registers(key: str, items: Mapping[str, Any]) -> dict[str, Any]:
         return {
-            name: _register(name, item, (*readers[key], name), reader, usual, allowed, key)
+            name: _register(name, item, (*place, key, name), reader, usual, allowed, key)
             for name, item in items.items()
         }
 
-    identity: dict[str, Register | str] = {}
-    for name, item in reader.keys(given.get("identity", {}), readers["identity"], IDENTITY).items():
-        at = (*readers["identity"], name)
-        identity[name] = (
-            item if isinstance(item, str) else _register(name, item, at, reader, usual, allowed, "identity")
-        )
+    def named(key: str) -> dict[str, Register]:
+        return registers(key, reader.named(given.get(key, {}), (*place, key)))
+
+    said = reader.keys(given.get("identity", {}), (*place, "identity"), IDENTITY)
+    asked = registers("identity", {name: item for name, item in said.items() if not isinstance(item, str)})
     watchdog = given.get("watchdog")
     return RegisterMap(
         unit_id=reader.whole(given, "unit_id", place, 0, 255, base.unit_id),
@@ -259,9 +256,9 @@ def _read_map(data: Any, place: Place, reader: Reader) -> RegisterMap:
         slowest=reader.quantity(given, "slowest", place, "time", base.slowest, 0.0, 10.0),
         rate=reader.quantity(given, "rate", place, "frequency", base.rate, 0.1, 1000.0),
         functions=allowed,
-        identity=identity,
-        inputs=registers("inputs"),
-        outputs=registers("outputs"),
+        identity={**said, **asked},
+        inputs=named("inputs"),
+        outputs=named("outputs"),
         watchdog=None if watchdog is None else _watchdog(watchdog, (*place, "watchdog"), reader, usual, allowed),
         uptime=_register("uptime", given["uptime"], (*place, "uptime"), reader, usual, allowed, "uptime")
         if "uptime" in given

@@ -20,6 +20,7 @@ from pmabench.bench.files.specimen import SpecimenFile
 from pmabench.bench.lab.answers import UNCERTAINTY, Answers, Limits, limits_of, quoted
 from pmabench.bench.lab.questions import DAQS, NONE_YET, Daq
 from pmabench.bench.lab.reading import GRAVITY, QUANTITY_OF, Scale
+from pmabench.bench.session import Stack
 from pmabench.files.document import Document, read_document, validate
 from pmabench.model.real.muscle import Surface
 
@@ -353,7 +354,8 @@ def _with_weights(text: str, answers: Answers, limits: Limits, muscle: Predicted
 def _loads(answers: Answers, surface: Surface, pressure: float) -> list[float]:
     """Loads that hanger and plates make [kg], spread over what the muscle lifts at the pressure [Pa]."""
     force = float(surface.force(np.array(0.0), np.array(pressure)))
-    totals = np.array(answers.value("stack").totals())
+    given = answers.value("stack")
+    totals = np.round(Stack(given.hanger, given.plates).loads[1:], 6)
     low, high = (share * force / GRAVITY for share in LIFTED)
     within = totals[(totals >= low) & (totals <= high)]
     if not len(within):

@@ -54,15 +54,6 @@ class Stack:
     plates: list[tuple[int, float]] = field(default_factory=list)
     pulley: bool = False
 
-    def totals(self) -> list[float]:
-        """Every load that hanger and plates make [kg], ascending, at most some thousands."""
-        sums = {0.0}
-        for count, mass in self.plates:
-            sums = {round(one + n * mass, 6) for one in sums for n in range(count + 1)}
-            if len(sums) > 5000:
-                break
-        return [round(self.hanger + one, 6) for one in sorted(sums)]
-
 
 def stack(value: str) -> Stack:
     """`hanger 1 kg, plates 10 x 5 kg + 1 x 2 kg, carriage 2 kg, pulley`; all but the hanger may be left out."""
