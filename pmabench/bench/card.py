@@ -126,8 +126,7 @@ def _air(mounted: Mounted) -> Iterator[str]:
     following = [trip for trip in mounted.bench.trips if trip.kind == "following" and trip.channel in names]
     for trip in supply[:1]:
         yield f"Supply below {show(trip.low or 0.0, 'pressure')} for {seconds(trip.delay)}: {trip.action}."
-    for trip in following[: 0 if supply else 1]:
-        yield f"{noticed(trip)}: {trip.action}."
+    yield from (f"{noticed(trip)}: {trip.action}." for trip in following[: 0 if supply else 1])
     if not supply and not following:
         yield "NOBODY IS TOLD: look at the gauge."
     yield "Air that comes back brings the pressure back: vent first."

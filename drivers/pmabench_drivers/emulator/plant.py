@@ -17,8 +17,7 @@ from pmabench_drivers.emulator.faults import CommandLog, Faults
 from pmabench_drivers.emulator.truth import Errors
 from pmabench_drivers.mock import MockBench
 from pmabench_drivers.mock.options import ANGLE, ARM, DUMP_VALVE, E_STOP
-from pmabench_drivers.mock.several import JointSimulation, PlatformSimulation
-from pmabench_drivers.mock.simulation import Simulation
+from pmabench_drivers.mock.simulation import JointSimulation, PlatformSimulation, Simulation
 
 RATE = 1000.0
 """The plant is sampled so often; whoever looks gets the latest sample, or that of a moment [Hz]."""

@@ -145,10 +145,8 @@ def _ends(rig: Sequence[Wired]) -> Iterable[_End]:
             yield _End(number, "input", channel.input, channel.name, channel.quantity)
         for output in record.outputs:
             yield _End(number, "output", output.output, output.name, output.quantity)
-        for valve in record.valves:
-            yield _End(number, "valve", valve.output, valve.name)
-        for lock in record.interlocks:
-            yield _End(number, "contact", lock.input, lock.name)
+        yield from (_End(number, "valve", valve.output, valve.name) for valve in record.valves)
+        yield from (_End(number, "contact", lock.input, lock.name) for lock in record.interlocks)
 
 
 def _usual(rig: Sequence[Wired]) -> str:

@@ -1,4 +1,9 @@
-"""The device interface in front of the simulation: options, life, faults of the link; knows no physics."""
+"""The mock bench: the simulated plant behind the driver interface, in process.
+
+`options`: what a bench file says; `simulation`: one muscle, a joint, a platform, on what `sampled` has for all of them;
+here: the device interface, which knows no physics. `client`, `server`, `served`: the same in a process of its own, in
+real time.
+"""
 
 from __future__ import annotations
 
@@ -13,8 +18,7 @@ from pmabench.bench.interface import Block, DeviceRecord, Identity, Load, Output
 from pmabench_drivers.mock.options import E_STOP, JOINT, PLATFORM, VALVES, Options, output_of, problems, read_options
 
 if TYPE_CHECKING:
-    from pmabench_drivers.mock.several import JointSimulation, PlatformSimulation
-    from pmabench_drivers.mock.simulation import Simulation
+    from pmabench_drivers.mock.simulation import JointSimulation, PlatformSimulation, Simulation
 
     AnySimulation: TypeAlias = Simulation | JointSimulation | PlatformSimulation
 
@@ -22,7 +26,7 @@ if TYPE_CHECKING:
 class MockBench:
     """A bench with the simulated plant in it: streams, takes set-points, ramps and sines, and has hands.
 
-    With the plant `joint` there are two muscles, with `platform` three: see `pmabench_drivers.mock.several`.
+    With the plant `joint` there are two muscles, with `platform` three: see `pmabench_drivers.mock.simulation`.
     With all others:
     Channel inputs: `pressure`, `displacement`, `force`, `supply`, and the set-points as the device holds them before
     the dead time, `pressure_set` and (free end driven) `displacement_set`. Outputs: `pressure` and (free end driven)
@@ -57,8 +61,7 @@ class MockBench:
     def open(self) -> Identity:
         """Build the plant at rest, without pressure, the load support under the carriage."""
         from pmabench_drivers.mock.sampled import MEMORY
-        from pmabench_drivers.mock.several import JointSimulation, PlatformSimulation
-        from pmabench_drivers.mock.simulation import Simulation
+        from pmabench_drivers.mock.simulation import JointSimulation, PlatformSimulation, Simulation
 
         try:
             memory = 0.0 if isinstance(self._clock, RealClock) else MEMORY

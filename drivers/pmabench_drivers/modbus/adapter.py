@@ -100,9 +100,7 @@ class _Tcp(ModbusTcpClient):
         connection, left = self.socket, self.deadline - monotonic()
         if connection is None:
             raise ConnectionException("the connection was closed")
-        if left <= 0:
-            return b""
-        if not self._ready.poll(1e3 * left):
+        if left <= 0 or not self._ready.poll(1e3 * left):
             return b""
         if not (data := connection.recv(size or 4096)):
             raise ConnectionException("the device closed the connection")

@@ -17,8 +17,7 @@ from pmabench.base.errors import UsageError
 from pmabench.base.quantities import show
 from pmabench.bench.dry_run import PredictedMuscle, of_specimen, plant_text
 from pmabench.bench.files.specimen import SpecimenFile
-from pmabench.bench.lab.answers import UNCERTAINTY, Answers, Limits, limits_of, quoted
-from pmabench.bench.lab.questions import DAQS, NONE_YET, Daq
+from pmabench.bench.lab.questions import DAQS, NONE_YET, UNCERTAINTY, Answers, Daq, Limits, limits_of, quoted
 from pmabench.bench.lab.reading import GRAVITY, QUANTITY_OF, Scale
 from pmabench.bench.session import Stack
 from pmabench.files.document import Document, read_document, validate
