@@ -24,7 +24,7 @@ from pmabench_drivers.alicat.ascii_link import AsciiLink
 from pmabench_drivers.alicat.modbus_link import ModbusLink
 from pmabench_drivers.alicat.options import ASCII, NO_VALUE, OVER, Options, Reading, read_options, trouble
 from pmabench_drivers.shared.device import Controlled
-from pmabench_drivers.shared.link import JOIN, Still, opened
+from pmabench_drivers.shared.link import JOIN, Still
 
 Link = AsciiLink | ModbusLink
 CALL = 0.18
@@ -138,4 +138,6 @@ class AlicatController(Controlled):
         return value <= float(record.scale.to_raw(record.safe)) + 1e-9
 
     def _opened(self) -> Link:
-        return opened(self._link, self._device.name)
+        if self._link is None:
+            raise self._error("is not open")
+        return self._link

@@ -110,9 +110,9 @@ class FestoCmmt(Watched):
             self._opened().parameter(number, "int8", until) for number in (t.POSITION_PREFIX, t.VELOCITY_PREFIX)
         )
         self._per_second = 10.0 ** (position - velocity)
-        for record in (*self._device.outputs, *self._device.channels):
-            if not abs(abs(record.scale.slope) / 10.0**position - 1) < 0.05:
-                message = f"counts in 1e{position:.0f} m, and the bench file in {abs(record.scale.slope):.4g} m"
+        for scale in [o.scale for o in self._device.outputs] + [c.scale for c in self._device.channels]:
+            if not abs(abs(scale.slope) / 10.0**position - 1) < 0.05:
+                message = f"counts in 1e{position:.0f} m, and the bench file in {abs(scale.slope):.4g} m"
                 raise self._error(message, "P1.7841")
 
     # -- samples --------------------------------------------------------------------------------------------------

@@ -71,7 +71,8 @@ class EmulatedDrive(frames.NamedRegisters):
     def __init__(self, device: DeviceRecord, plant: RealPlant, log: CommandLog) -> None:
         super().__init__(device, [name.format(plant.model("CMMT-AS")) for name in NAMES])
         self._plant, self._log = plant, log
-        self._scale = next((record.scale for record in (*device.outputs, *device.channels)), Scale(1e-6))
+        scales = [output.scale for output in device.outputs] + [channel.scale for channel in device.channels]
+        self._scale = scales[0] if scales else Scale(1e-6)
         prefix = round(log10(abs(self._scale.slope)))
         self.parameters = {
             TELEGRAM: struct.pack("<H", 111),
