@@ -13,7 +13,6 @@ from pathlib import Path
 
 from pmabench.base.quantities import show, without_number
 from pmabench.bench.compile import Mounted
-from pmabench.bench.files.specimen import Reading
 from pmabench.bench.interface import ChannelRecord, DeviceRecord, SafeAction, TripRecord
 from pmabench.bench.safety import RATE_OF
 
@@ -113,8 +112,7 @@ def _power(mounted: Mounted) -> Iterator[str]:
 
 
 def _load(mounted: Mounted) -> Iterator[str]:
-    weights = mounted.bench_file.weights
-    if weights is not None:
+    if (weights := mounted.bench_file.weights) is not None:
         caught = f"the catch at {show(weights.catch_height, 'length')}" if weights.catch_height else "NOTHING"
         yield f"The load comes down; {caught} stops it."
 
@@ -127,10 +125,8 @@ def _air(mounted: Mounted) -> Iterator[str]:
     names = mounted.bench_file.pressures
     following = [trip for trip in mounted.bench.trips if trip.kind == "following" and trip.channel in names]
     for trip in supply[:1]:
-        least = show(trip.low or 0.0, "pressure")
-        yield f"Supply below {least} for {seconds(trip.delay)}: {trip.action}."
-    for trip in following[: 0 if supply else 1]:
-        yield f"{noticed(trip)}: {trip.action}."
+        yield f"Supply below {show(trip.low or 0.0, 'pressure')} for {seconds(trip.delay)}: {trip.action}."
+    yield from (f"{noticed(trip)}: {trip.action}." for trip in following[: 0 if supply else 1])
     if not supply and not following:
         yield "NOBODY IS TOLD: look at the gauge."
     yield "Air that comes back brings the pressure back: vent first."
@@ -261,8 +257,7 @@ def _facts(mounted: Mounted) -> Iterator[list[str]]:
     if specimen.make:
         mounted_as = show(specimen.mounted.length, "length")
         yield ["Specimen", f"{specimen.make} {specimen.type}, {specimen.serial}, mounted length {mounted_as}"]
-        never = show(specimen.limits.pressure.never_above, "pressure")
-        yield ["Never above", f"{never} ({specimen.limits.source})"]
+        yield ["Never above", f"{show(specimen.limits.pressure.never_above, 'pressure')} ({specimen.limits.source})"]
     else:
         yield ["Specimen", "any: its own limits come on top of these"]
     free_end = "driven by an actuator" if file.free_end == "actuator" else str(file.free_end)
@@ -284,11 +279,6 @@ def _facts(mounted: Mounted) -> Iterator[list[str]]:
         yield ["Reviewed", f"{file.reviewed.by}, {file.reviewed.date}"]
 
 
-def _place(source: str) -> str:
-    """`path:line:column` with the path's last part only."""
-    return Path(source).name
-
-
 def _limits(mounted: Mounted) -> Iterator[list[str]]:
     """One row for each quantity that is commanded or watched."""
     bench = mounted.bench
@@ -300,7 +290,7 @@ def _limits(mounted: Mounted) -> Iterator[list[str]]:
         command, by = "", ""
         if output is not None:
             command = f"{show(output.low, output.quantity)} to {show(output.high, output.quantity)}"
-            by = _place(output.high_from)
+            by = Path(output.high_from).name
         for number, trip in enumerate(own or [None]):
             first = number == 0
             trip_cells = ["", "", ""] if trip is None else _trip(trip, mounted)
@@ -309,7 +299,7 @@ def _limits(mounted: Mounted) -> Iterator[list[str]]:
         if key == "contraction" and limit.trip is not None and not mounted.specimen_file.make:
             after = f" after {seconds(limit.delay)}" if limit.delay else ""
             source = Path(mounted.bench.path).name
-            yield ["contraction", "", "", f"above {_reading(limit.trip)}", limit.action + after, source]
+            yield ["contraction", "", "", f"above {limit.trip[0]:g} {limit.trip[1]}", limit.action + after, source]
 
 
 def _quantities(mounted: Mounted) -> dict[str, str]:
@@ -318,16 +308,12 @@ def _quantities(mounted: Mounted) -> dict[str, str]:
     return found | {channel.name: channel.quantity for channel in mounted.bench.channels}
 
 
-def _reading(reading: Reading) -> str:
-    return f"{reading[0]:g} {reading[1]}"
-
-
 def _trip(trip: TripRecord, mounted: Mounted) -> list[str]:
     quantity = _quantities(mounted)[trip.channel]
     bounds = [f"below {show(trip.low, quantity)}"] if trip.low is not None else []
     bounds += [f"above {show(trip.high, quantity)}"] if trip.high is not None else []
     after = f" after {seconds(trip.delay)}" if trip.delay else ""
-    return [", ".join(bounds), trip.action + after, _place(trip.source)]
+    return [", ".join(bounds), trip.action + after, Path(trip.source).name]
 
 
 def _action(action: SafeAction, mounted: Mounted) -> tuple[str, str]:

@@ -16,17 +16,9 @@ from pathlib import Path
 
 from pmabench.base.errors import InvalidFile, did_you_mean
 from pmabench.base.quantities import CHANNEL_QUANTITY, show
+from pmabench.bench import interface as b
 from pmabench.bench.compilation import Compilation
 from pmabench.bench.files.specimen import CalibrationFile
-from pmabench.bench.interface import (
-    AimRecord,
-    CalibrationRecord,
-    ChannelRecord,
-    OutputRecord,
-    SafeAction,
-    Scale,
-    ValveRecord,
-)
 from pmabench.files.document import Location, document_text, read_document, validate
 from pmabench.files.quantity import unit_factor
 
@@ -38,7 +30,7 @@ MEASURED = ("acceleration_x", "acceleration_y", "acceleration_z")
 COUNTERPART = {"fill": "exhaust", "exhaust": "fill"}
 
 
-def paired(c: Compilation, name: str, valve: ValveRecord) -> ValveRecord:
+def paired(c: Compilation, name: str, valve: b.ValveRecord) -> b.ValveRecord:
     """The record of a valve with its longest pulse and its counterpart, where it opens in pulses."""
     pulse, at = c.bench.valves[name].pulse, ("outputs", name)
     kind, _, number = name.partition("_")
@@ -53,10 +45,9 @@ def paired(c: Compilation, name: str, valve: ValveRecord) -> ValveRecord:
     return replace(valve, longest=pulse, never_with=f"{COUNTERPART.get(kind, kind)}_{number}", safe="closed")
 
 
-def aims(c: Compilation) -> tuple[AimRecord, ...]:
+def aims(c: Compilation) -> tuple[b.AimRecord, ...]:
     """Limits of each pressure and of the tilt, and every problem of a bench whose valves open in pulses."""
-    platform = c.bench.platform
-    if platform is None:
+    if (platform := c.bench.platform) is None:
         return ()
     if len(c.bench.muscles) != PLATFORM_MUSCLES:
         c.fault(("platform",), f"a platform has {PLATFORM_MUSCLES} muscles, not {len(c.bench.muscles)}", key=True)
@@ -64,11 +55,11 @@ def aims(c: Compilation) -> tuple[AimRecord, ...]:
         if name not in c.bench.channels:
             c.fault(("channels",), f'nothing measures the attitude: add a channel "{name}" of the accelerometer')
     _refuse_without_valves(c)
-    tilt = AimRecord("tilt", "angle", 0.0, platform.tilt, c.place("platform", "tilt"))
+    tilt = b.AimRecord("tilt", "angle", 0.0, platform.tilt, c.place("platform", "tilt"))
     return (*(aim for name in c.bench.steered if (aim := _pressure(c, name)) is not None), tilt)
 
 
-def _pressure(c: Compilation, name: str) -> AimRecord | None:
+def _pressure(c: Compilation, name: str) -> b.AimRecord | None:
     """What one muscle may be brought to: the limits of bench, muscle and specimen."""
     limit, at = c.bench.limits.get(name), ("limits", name)
     if limit is None or limit.command is None or limit.command_low is None:
@@ -87,12 +78,12 @@ def _pressure(c: Compilation, name: str) -> AimRecord | None:
         if trip < high + margin * (1 - 1e-9):
             least = f"{show(margin, 'pressure')} (uncertainty and overshoot) above {show(high, 'pressure')} ({source})"
             c.fault((*at, "trip"), f"the trip {show(trip, 'pressure')} must lie at least {least}")
-    return AimRecord(name, "pressure", low, high, source)
+    return b.AimRecord(name, "pressure", low, high, source)
 
 
 def _refuse_without_valves(c: Compilation) -> None:
     """Two valves of each muscle that open in pulses, a shut-off of the supply, and dumps that open without power."""
-    valves: Mapping[str, ValveRecord] = c.valves
+    valves: Mapping[str, b.ValveRecord] = c.valves
     for number in c.bench.muscles:
         for kind in COUNTERPART:
             name = f"{kind}_{number}"
@@ -116,7 +107,7 @@ def _refuse_without_valves(c: Compilation) -> None:
         )
 
 
-def refuse_unsafe_order(c: Compilation, actions: tuple[SafeAction, ...]) -> None:
+def refuse_unsafe_order(c: Compilation, actions: tuple[b.SafeAction, ...]) -> None:
     """A problem where the safe state does not shut the supply first, open every dump at once, and look at the end."""
     at: Location = ("safe_state",)
     if not actions or (actions[0].do, actions[0].target) != ("close", SUPPLY_VALVE):
@@ -132,7 +123,7 @@ def refuse_unsafe_order(c: Compilation, actions: tuple[SafeAction, ...]) -> None
         c.fault(("vents",), 'a platform vents all muscles "together": one alone would turn it with all that it has')
 
 
-def _before_any_wait(actions: tuple[SafeAction, ...]) -> Iterator[tuple[str, str]]:
+def _before_any_wait(actions: tuple[b.SafeAction, ...]) -> Iterator[tuple[str, str]]:
     for action in actions:
         if action.do not in {"open", "close"}:
             return
@@ -161,8 +152,8 @@ MOST = 1e100
 class Calibration:
     """A channel's scale, where it comes from, the unit of its raw readings, what it covers, and the file's text."""
 
-    scale: Scale = field(default_factory=Scale)
-    record: CalibrationRecord = field(default_factory=CalibrationRecord)
+    scale: b.Scale = field(default_factory=b.Scale)
+    record: b.CalibrationRecord = field(default_factory=b.CalibrationRecord)
     raw_unit: str = ""
     text: str = ""
     low: float = 0.0
@@ -210,7 +201,7 @@ def read_calibration(path: Path, quantity: str) -> Calibration:
         message = f"bend away from a straight line by {show(bend, quantity)}, more than the uncertainty"
         raise InvalidFile([document.problem(("points",), message)])
     text = document_text(document)
-    record = CalibrationRecord(
+    record = b.CalibrationRecord(
         id=file.id,
         reference=file.reference,
         date=file.date.isoformat(),
@@ -223,31 +214,30 @@ def read_calibration(path: Path, quantity: str) -> Calibration:
     return Calibration(scale, record, raw_unit, text, min(value), max(value))
 
 
-def fit_line(raw: list[float], value: list[float]) -> Scale:
+def fit_line(raw: list[float], value: list[float]) -> b.Scale:
     """Least-squares line through reference points, value against raw; ValueError where they make none."""
     if any(abs(number) > MOST for number in (*raw, *value)):
         raise ValueError("a number is out of all range")
     n = len(raw)
     raw_mean, value_mean = sum(raw) / n, sum(value) / n
-    spread = sum((r - raw_mean) ** 2 for r in raw)
-    if spread == 0:
+    if (spread := sum((r - raw_mean) ** 2 for r in raw)) == 0:
         raise ValueError("all readings are the same: they make no line")
     slope = sum((r - raw_mean) * (v - value_mean) for r, v in zip(raw, value, strict=True)) / spread
     if slope == 0:
         raise ValueError("the readings do not change with the reference: they make no line")
-    return Scale(slope, value_mean - slope * raw_mean)
+    return b.Scale(slope, value_mean - slope * raw_mean)
 
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,79}")
 """What a calibration may be called: it is a file's name."""
 
 
-def channels(c: Compilation) -> dict[str, ChannelRecord]:
+def channels(c: Compilation) -> dict[str, b.ChannelRecord]:
     """Every channel that has no problem, by name."""
     return {name: channel for name in c.bench.channels if (channel := _channel(c, name))}
 
 
-def _channel(c: Compilation, name: str) -> ChannelRecord | None:
+def _channel(c: Compilation, name: str) -> b.ChannelRecord | None:
     file = c.bench.channels[name]
     at: Location = ("channels", name)
     if name not in c.names:
@@ -257,14 +247,13 @@ def _channel(c: Compilation, name: str) -> ChannelRecord | None:
     before = len(c.problems)
     c.unknown((*at, "device"), "device", file.device, c.bench.devices)
     if file.calibration is not None:
-        found = _calibration(c, file.calibration, quantity, (*at, "calibration"))
-        if found is None:
+        if (found := _calibration(c, file.calibration, quantity, (*at, "calibration"))) is None:
             return None
         c.calibrated[name] = (found.low, found.high)
         scale, record, raw_unit = found.scale, found.record, found.raw_unit
     else:
-        raw_unit, record = file.unit or "", CalibrationRecord()
-        scale = Scale(c.si((1.0, raw_unit), quantity, (*at, "unit")), 0.0)
+        raw_unit, record = file.unit or "", b.CalibrationRecord()
+        scale = b.Scale(c.si((1.0, raw_unit), quantity, (*at, "unit")), 0.0)
     if len(c.problems) > before:
         return None
     ends = [
@@ -278,7 +267,7 @@ def _channel(c: Compilation, name: str) -> ChannelRecord | None:
         return None
     raw_type = "int32" if raw_unit in {"count", "counts"} else "float64"
     low, high = min(ends), max(ends)
-    return ChannelRecord(
+    return b.ChannelRecord(
         name, quantity, file.device, file.input, raw_type, raw_unit, scale, low, high, file.reference, record
     )
 
@@ -317,7 +306,7 @@ LEAST_ROOM = 1e-3
 """Margin of a driven end below the specimen's contraction limit: the channel's uncertainty, at least so much [1]."""
 
 
-def outputs(c: Compilation) -> dict[str, OutputRecord]:
+def outputs(c: Compilation) -> dict[str, b.OutputRecord]:
     """Every output that takes values and has no problem, by name."""
     return {name: output for name in c.bench.set_points if (output := _output(c, name, c.channels.get(name)))}
 
@@ -329,7 +318,7 @@ def set_points(c: Compilation) -> tuple[str, ...]:
     return ("angle", *(f"pressure_{number}" for number in c.bench.muscles)) if c.bench.muscles else SET_POINTS
 
 
-def valves(c: Compilation) -> dict[str, ValveRecord]:
+def valves(c: Compilation) -> dict[str, b.ValveRecord]:
     """Every valve, by name."""
     found = {}
     for name, file in c.bench.valves.items():
@@ -337,11 +326,11 @@ def valves(c: Compilation) -> dict[str, ValveRecord]:
         if name in set_points(c):
             c.fault(at, f'"{name}" takes values and cannot be a valve; give the valve another name', key=True)
         c.unknown((*at, "device"), "device", file.device, c.bench.devices)
-        found[name] = paired(c, name, ValveRecord(name, file.device, file.output, file.energised))
+        found[name] = paired(c, name, b.ValveRecord(name, file.device, file.output, file.energised))
     return found
 
 
-def _output(c: Compilation, name: str, measured: ChannelRecord | None) -> OutputRecord | None:
+def _output(c: Compilation, name: str, measured: b.ChannelRecord | None) -> b.OutputRecord | None:
     file = c.bench.set_points[name]
     at: Location = ("outputs", name)
     if name not in set_points(c):
@@ -382,13 +371,13 @@ def _output(c: Compilation, name: str, measured: ChannelRecord | None) -> Output
         c.fault((*at, "safe"), f"the safe value {show(safe, quantity)} leaves pressure on: it must be the lowest")
     drive = getattr(c.bench, DRIVES[name]) if name in DRIVES else None
     rate = drive.speed if drive is not None else 0.0
-    return OutputRecord(
+    return b.OutputRecord(
         name, quantity, file.device, file.output, scale, resolution, safe, low, high, low_from, high_from, rate
     )
 
 
 def _limits(
-    c: Compilation, name: str, quantity: str, ends: list[float], measured: ChannelRecord | None
+    c: Compilation, name: str, quantity: str, ends: list[float], measured: b.ChannelRecord | None
 ) -> tuple[float, str, float, str]:
     """The highest of the lower limits and the lowest of the upper ones [SI], each with its place."""
     scale = c.place("outputs", name, "scale")

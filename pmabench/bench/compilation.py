@@ -8,10 +8,10 @@ also needs a name under `reviewed`, because the safety values were among them.
 from __future__ import annotations
 
 import datetime
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from functools import partial
 from math import isfinite
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 from pmabench.base.errors import InvalidFile, Problem, did_you_mean
 from pmabench.base.quantities import CHANNEL_QUANTITY, OF_A_MUSCLE, without_number
@@ -28,7 +28,8 @@ def known_places(c: Compilation) -> None:
         for index, name in enumerate(_entries(document)):
             data: Any = document.data if document is not None else {}
             for part in name.split("."):
-                known = list(data) if isinstance(data, dict) else [str(place) for place in range(_length(data))]
+                places = range(len(data) if isinstance(data, list) else 0)
+                known = list(data) if isinstance(data, dict) else [str(place) for place in places]
                 if part not in known:
                     message = f'there is no "{part}" in this file{did_you_mean(part, known)}'
                     c.problems.append(_problem(document, ("to_confirm", index), message))
@@ -58,24 +59,13 @@ def _problem(document: Document | None, location: Location, message: str) -> Pro
     return document.problem(location, message)
 
 
-def _length(data: Any) -> int:
-    return len(data) if isinstance(data, list) else 0
-
-
-class Written(Protocol):
-    """Says where a value is written."""
-
-    def __call__(self, *location: str | int) -> str:
-        """`path:line:column` of the value at a location below."""
-        ...
-
-
 class Borne(NamedTuple):
     """What a muscle bears, whose limits these are, and where they are written."""
 
     limits: SpecimenLimits
     whose: str
-    place: Written
+    place: Callable[..., str]
+    """`path:line:column` of the value at a location below."""
 
 
 class Compilation:
@@ -137,8 +127,7 @@ class Compilation:
 
     def borne(self, name: str) -> Iterator[Borne]:
         """What the muscle bears to which a channel or an output belongs: as the bench file says, and the specimen's."""
-        number = without_number(name)[1][1:]
-        if number in self.bench.muscles:
+        if (number := without_number(name)[1][1:]) in self.bench.muscles:
             place = partial(self.place, "muscles", number, "limits")
             yield Borne(self.bench.muscles[number].limits, f"muscle {number}'s", place)
         yield Borne(self.specimen.limits, "the specimen's", partial(self.specimen_place, "limits"))

@@ -22,7 +22,7 @@ from pmabench.bench.files.specimen import SpecimenFile
 from pmabench.bench.interface import CompiledBench, DeviceRecord, SafeAction, ValveRecord
 from pmabench.bench.registry import HARDWARE, driver_class
 from pmabench.bench.remarks import lacks, mistaken
-from pmabench.bench.safety import interlocks, proof, safe_state, setup_pressure, stop_rate, trips
+from pmabench.bench.safety import interlocks, proof, safe_state, setup_pressure, trips
 from pmabench.bench.session import Session, lacks_session, session
 from pmabench.files.document import Document, Location, read_document
 
@@ -112,8 +112,8 @@ def _compilation(paths: list[Path], today: datetime.date | None) -> Compilation:
     problems += unfilled(paths[0], documents) if len(documents) == len(paths) else []
     if problems:
         raise InvalidFile(problems)
-    today = today or datetime.date.today()
-    return Compilation(documents[0], documents[1] if len(documents) > 1 else None, today)
+    bench, *specimens = documents
+    return Compilation(bench, specimens[0] if specimens else None, today or datetime.date.today())
 
 
 def _compile(c: Compilation, path: Path) -> Mounted:
@@ -148,7 +148,7 @@ def _compile(c: Compilation, path: Path) -> Mounted:
         slack_below=c.bench.slack_below,
         length=c.length or 0.0,
         setup_pressure=most,
-        stop_rate=stop_rate(c),
+        stop_rate=c.bench.stop.ramp if c.bench.stop is not None else 0.0,
         proof=proof_test,
         aims=steered,
         together="platform" if platform else "",

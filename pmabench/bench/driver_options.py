@@ -145,8 +145,7 @@ def _read_plant(c: Compilation, device: DeviceRecord, at: Location) -> dict[str,
     if not isinstance(name, str):
         c.fault(at, "the name of a plant, or a plant file next to this one, is expected")
         return None
-    path = _yaml_path(c, name, at, "plants/my-muscle.yaml")
-    if path is None:
+    if (path := _yaml_path(c, name, at, "plants/my-muscle.yaml")) is None:
         return None
     try:
         plant = read_plant(path)
@@ -155,9 +154,7 @@ def _read_plant(c: Compilation, device: DeviceRecord, at: Location) -> dict[str,
         return None
     for sentence in plant.beyond(device.outputs):
         c.fault(at, sentence)
-    if not _keep(c, name, plant.text, at):
-        return None
-    return {**plant.numbers, "file": name}
+    return None if not _keep(c, name, plant.text, at) else {**plant.numbers, "file": name}
 
 
 def _yaml_path(c: Compilation, name: str, at: Location, example: str) -> Path | None:
@@ -179,8 +176,7 @@ def _keep(c: Compilation, name: str, text: str, at: Location) -> bool:
 
 def _read_map(c: Compilation, name: str, at: Location) -> Document | None:
     """The map file, kept for the run's snapshot; None where it is a problem."""
-    path = _yaml_path(c, name, at, "registers/regulator.yaml")
-    if path is None:
+    if (path := _yaml_path(c, name, at, "registers/regulator.yaml")) is None:
         return None
     try:
         document = read_document(path)

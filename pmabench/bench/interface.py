@@ -19,8 +19,10 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
-from typing import Any, Protocol, runtime_checkable
+from dataclasses import asdict, dataclass, field, is_dataclass
+from typing import Any, Protocol, TypeVar, get_args, get_origin, get_type_hints, runtime_checkable
+
+R = TypeVar("R")
 
 
 @dataclass(frozen=True)
@@ -314,30 +316,27 @@ class CompiledBench:
 
     @classmethod
     def from_json(cls, text: str) -> CompiledBench:
-        """The inverse of `to_json`."""
+        """The inverse of `to_json`; KeyError where something that protects is missing."""
         data = json.loads(text)
-        data["devices"] = tuple(device_from(item) for item in data["devices"])
-        data["trips"] = tuple(TripRecord(**item) for item in data["trips"])
-        data["safe_state"] = tuple(SafeAction(**item) for item in data["safe_state"])
-        data["aims"] = tuple(AimRecord(**item) for item in data.get("aims", ()))
-        if data.get("proof") is not None:
-            data["proof"] = ProofTest(**data["proof"])
-        return cls(**data)
+        for name in ("devices", "trips", "safe_state"):  # an empty default would be a bench without limits
+            data[name]
+        return _record(cls, data)
 
 
 def device_from(data: Mapping[str, Any]) -> DeviceRecord:
     """A device from its JSON object, as `dataclasses.asdict` gives it."""
-    channels = tuple(
-        ChannelRecord(
-            **{**item, "scale": Scale(**item["scale"]), "calibration": CalibrationRecord(**item["calibration"])}
-        )
-        for item in data["channels"]
-    )
-    outputs = tuple(OutputRecord(**{**item, "scale": Scale(**item["scale"])}) for item in data["outputs"])
-    valves = tuple(ValveRecord(**item) for item in data.get("valves", ()))
-    interlocks = tuple(InterlockRecord(**item) for item in data.get("interlocks", ()))
-    known = {"channels": channels, "outputs": outputs, "valves": valves, "interlocks": interlocks}
-    return DeviceRecord(**{**data, **known})
+    return _record(DeviceRecord, data)
+
+
+def _record(kind: type[R], data: Mapping[str, Any]) -> R:
+    """A record from its JSON object, with all the records that are in it."""
+    values = dict(data)
+    for name, hint in get_type_hints(kind).items():
+        inner = next((each for each in (hint, *get_args(hint)) if isinstance(each, type) and is_dataclass(each)), None)
+        if inner is not None and (given := values.get(name)) is not None:
+            several = get_origin(hint) is tuple
+            values[name] = tuple(_record(inner, item) for item in given) if several else _record(inner, given)
+    return kind(**values)
 
 
 @dataclass(frozen=True)
@@ -448,11 +447,9 @@ class Device(Protocol):
 
     def open(self) -> Identity:
         """Connect and identify; nothing moves and nothing is commanded."""
-        ...
 
     def close(self) -> None:
         """Let go of the link; harmless when repeated."""
-        ...
 
 
 @runtime_checkable
@@ -461,15 +458,12 @@ class Stream(Protocol):
 
     def start(self, rate: float) -> float:
         """Begin to sample at `rate` [Hz]; returns the rate that the device will really use."""
-        ...
 
     def collect(self) -> Block:
         """Every sample taken since the last call, oldest first; at once, and may be empty."""
-        ...
 
     def stop(self) -> None:
         """End sampling; harmless when repeated."""
-        ...
 
 
 @runtime_checkable
@@ -478,11 +472,9 @@ class SetPoint(Protocol):
 
     def write(self, output: str, value: float) -> None:
         """Command `value` [device units] at once, ending a segment under way; never retried."""
-        ...
 
     def read_back(self, output: str) -> float:
         """The value that the device holds now [device units]."""
-        ...
 
 
 @runtime_checkable
@@ -491,7 +483,6 @@ class Follower(Protocol):
 
     def follow(self, output: str, segment: Segment) -> None:
         """Begin the segment; the next `write` or `follow` ends it."""
-        ...
 
 
 @runtime_checkable
@@ -500,7 +491,6 @@ class Hands(Protocol):
 
     def place(self, load: Load) -> None:
         """The free end now carries `load`."""
-        ...
 
 
 @runtime_checkable
@@ -509,11 +499,9 @@ class Switch(Protocol):
 
     def switch(self, output: str, *, on: bool) -> None:
         """Energise the output or not; never retried."""
-        ...
 
     def is_on(self, output: str) -> bool:
         """What the device holds now."""
-        ...
 
 
 @runtime_checkable
@@ -522,7 +510,6 @@ class Pulses(Protocol):
 
     def pulse(self, output: str, seconds: float) -> None:
         """Energise the output from now on for `seconds`; one that is on stays on until the later end; never retried."""
-        ...
 
 
 @runtime_checkable
@@ -531,7 +518,6 @@ class Motion(Protocol):
 
     def halt(self, output: str) -> None:
         """Stop where it is (drive quick stop), and hold."""
-        ...
 
 
 @runtime_checkable
@@ -540,7 +526,6 @@ class Inputs(Protocol):
 
     def level(self, name: str) -> bool:
         """Whether the input is high now."""
-        ...
 
 
 @runtime_checkable
@@ -549,15 +534,12 @@ class Watchdog(Protocol):
 
     def arm_watchdog(self, seconds: float) -> float:
         """Arm it; returns the time that the device itself says it will wait [s]."""
-        ...
 
     def feed_watchdog(self) -> None:
         """Show the device that the program is alive."""
-        ...
 
     def disarm_watchdog(self) -> None:
         """End it; outputs stay as they are."""
-        ...
 
 
 @runtime_checkable
@@ -573,7 +555,6 @@ class Supervised(Protocol):
         watchdog, mode, count of restarts) must stay what it was when the bench was armed. The name of an entry is
         printed in the reason of a trip.
         """
-        ...
 
 
 @runtime_checkable
@@ -585,4 +566,3 @@ class Rescue(Protocol):
 
         Called from another thread than the one that may be hanging.
         """
-        ...

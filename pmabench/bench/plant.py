@@ -65,32 +65,12 @@ def plant_numbers(document: Document) -> dict[str, Any]:
     if law is not None and str(law) not in LAWS:
         raise InvalidFile([document.problem(("law",), f'"{law}" is no law of a plant{did_you_mean(str(law), LAWS)}')])
     file = validate(LAWS[str(law or "three-element")], document)
-    numbers = {
-        "law": file.law,
-        "name": file.name,
-        "length": file.length,
-        "highest_pressure": file.highest_pressure,
-        "regulator": file.regulator.model_dump(),
-        "noise": file.noise.model_dump(),
-        "follow_lag": file.follow_lag,
-    }
-    if isinstance(file, DaerdenFile):
-        if wrong := list(_beyond_the_law(document, file)):
+    numbers = file.model_dump(include={"law", *PlantFile.model_fields} - {"schema_", "source"})
+    if isinstance(file, DaerdenFile | ContractorFile):
+        beyond = _beyond_the_law(document, file) if isinstance(file, DaerdenFile) else _beyond_paper_2(document, file)
+        if wrong := list(beyond):
             raise InvalidFile(wrong)
-        muscle = {name: getattr(file, name) for name in ("diameter", "braid_angle", "alpha", "A", "B1", "B2")}
-        flow, hysteresis = file.flow, file.hysteresis
-        return {
-            **numbers,
-            **muscle,
-            "reach": list(file.reach),
-            "hysteresis": hysteresis.model_dump() if hysteresis is not None else None,
-            "flow": flow.model_dump() if flow is not None else None,
-        }
-    if isinstance(file, ContractorFile):
-        if wrong := list(_beyond_paper_2(document, file)):
-            raise InvalidFile(wrong)
-        muscle = {name: getattr(file, name) for name in ("radius", "braid_angle", "threshold")}
-        return {**numbers, **muscle, "reach": list(file.reach)}
+        return {**file.model_dump(exclude={"schema_", "source"}), "reach": list(file.reach)}
     if isinstance(file, RealFile):
         return {**numbers, **_real_numbers(document, file)}
     compilation = _Curves(document, file.highest_pressure)
@@ -108,8 +88,7 @@ def _real_numbers(document: Document, file: RealFile) -> dict[str, Any]:
     """Surface, damping, stops and creep; height 0 and no stops where none are given."""
     compilation = _Curves(document, file.highest_pressure)
     curves = {symbol: compilation.curve(symbol, getattr(file, symbol)) for symbol in ("B_c", "B_r")}
-    wrong = [*compilation.problems, *_too_soft(document, file)]
-    if wrong:
+    if wrong := [*compilation.problems, *_too_soft(document, file)]:
         raise InvalidFile(wrong)
     none = {"widths": [], "weights": [], "height": 0.0}
     over_x = none
@@ -142,8 +121,7 @@ def _too_soft(document: Document, file: RealFile) -> Iterator[Problem]:
                 there = f"at {show(P, 'pressure')} and {eps:.3g} of the length"
                 yield document.problem(("surface",), f"the stiffness is {show(K, 'stiffness', 4)} {there}, below zero")
                 return
-    rest = surface.A + surface.E
-    if rest > AT_REST:
+    if (rest := surface.A + surface.E) > AT_REST:
         text = f"pulls with {show(rest, 'force', 4)} without pressure and contraction; A + E must not be above zero"
         yield document.problem(("surface",), text)
 
@@ -366,8 +344,7 @@ def _extremes(curve: dict[str, Any], highest: float) -> Iterator[tuple[float, fl
         yield from points[len(inside) : len(inside) + 1]
         return
     unit, pressure = curve["unit"], curve["pressure"]
-    edges = [0.0, *curve["breaks"], highest / pressure]
-    for piece, (low, high) in zip(curve["pieces"], pairwise(edges), strict=True):
+    for piece, (low, high) in zip(curve["pieces"], pairwise([0.0, *curve["breaks"], highest / pressure]), strict=True):
         end = min(high, highest / pressure)
         if low <= end:
             yield from ((P * pressure, _value(piece, P) * unit) for P in _turns(piece, low, end))
@@ -375,8 +352,7 @@ def _extremes(curve: dict[str, Any], highest: float) -> Iterator[tuple[float, fl
 
 def _jumps(curve: dict[str, Any]) -> Iterator[tuple[float, float, float]]:
     """Each break [Pa] with the values before and behind it [SI]."""
-    pieces = curve.get("pieces", [])
-    for edge, (left, right) in zip(curve.get("breaks", []), pairwise(pieces), strict=True):
+    for edge, (left, right) in zip(curve.get("breaks", []), pairwise(curve.get("pieces", [])), strict=True):
         yield edge * curve["pressure"], _value(left, edge) * curve["unit"], _value(right, edge) * curve["unit"]
 
 

@@ -73,8 +73,7 @@ def trips(c: Compilation) -> Iterator[TripRecord]:
     if c.bench.free_end == "joint":
         _of_the_joint(c)
     for index, entry in enumerate(c.bench.watch):
-        watch = _watch(c, index, entry)
-        if watch is not None:
+        if (watch := _watch(c, index, entry)) is not None:
             yield watch
 
 
@@ -87,13 +86,11 @@ def _limits(c: Compilation) -> Iterator[tuple[str, TripRecord]]:
         for key in ("command", "command_low"):
             if getattr(limit, key) is not None and name not in (*c.bench.set_points, *c.bench.steered):
                 c.fault(("limits", name, key), f'nothing commands "{name}" on this bench')
-        channel = c.channels.get(watched_by(name))
-        if channel is None:
+        if (channel := c.channels.get(watched_by(name))) is None:
             if (limit.trip or limit.trip_low) and watched_by(name) not in c.bench.channels:
                 c.fault(("limits", name), f'there is no channel "{watched_by(name)}" to watch')
             continue
-        found = _range(c, name, limit, channel)
-        if found is not None:
+        if (found := _range(c, name, limit, channel)) is not None:
             yield without_number(name)[0], found
 
 
@@ -178,8 +175,7 @@ def _extrapolation(c: Compilation, channel: ChannelRecord, value: float) -> floa
 
 def _above_commands(c: Compilation, name: str, high: float, channel: ChannelRecord) -> None:
     """A trip lies above what may be commanded, by the channel's uncertainty and the regulator's overshoot."""
-    output = c.outputs.get(watched_by(name))
-    if output is None:
+    if (output := c.outputs.get(watched_by(name))) is None:
         return
     margin = channel.calibration.uncertainty(high) + _extrapolation(c, channel, high)
     margin += c.bench.air.overshoot if output.quantity == "pressure" else 0.0
@@ -348,14 +344,12 @@ def _output(c: Compilation, file: SafeActionFile, at: Location) -> SafeAction | 
     if verb == "set" or file.at is None:
         return SafeAction("set", target, value, within)
     quantity = RATE_OF[output.quantity]
-    rate = c.si(file.at, quantity, (*at, "at"))
-    if rate <= 0:
+    if (rate := c.si(file.at, quantity, (*at, "at"))) <= 0:
         c.fault((*at, "at"), "a rate above zero is expected")
         return None
     if output.rate and rate > output.rate:
         c.fault((*at, "at"), f"is faster than the drive, {show(output.rate, quantity)}")
-    longest = max(output.high - value, value - output.low) / rate
-    if longest > within * (1 + 1e-9):
+    if (longest := max(output.high - value, value - output.low) / rate) > within * (1 + 1e-9):
         c.fault((*at, "within"), f"the ramp takes up to {longest:.3g} s, longer than its deadline")
     return SafeAction("ramp", target, value, within, rate)
 
@@ -416,8 +410,7 @@ WAITED_FOR = ("ramp", "hold", "confirm")
 
 def _in_order(c: Compilation, actions: tuple[SafeAction, ...]) -> None:
     """Several muscles go down as the bench file declares: all at once, or outputs and valves in its order."""
-    declared = c.bench.vents
-    if declared == "together":
+    if (declared := c.bench.vents) == "together":
         off = [n for n, a in enumerate(actions) if a.target in c.bench.pressures and a.do in {"set", "ramp"}]
         waits = [a for a in actions[min(off) : max(off)] if a.do in WAITED_FOR] if off else []
         for action in waits:
@@ -466,16 +459,10 @@ def setup_pressure(c: Compilation) -> float:
 
 def proof(c: Compilation, most: float) -> ProofTest | None:
     """The proof of the vent path, within the set-up pressure `most` [Pa]."""
-    file = c.bench.proof
-    if file is None:
+    if (file := c.bench.proof) is None:
         return None
     if not c.pressures:
         c.fault(("proof",), "nothing commands the pressure on this bench: there is nothing to prove")
     if file.pressure > most:
         c.fault(("proof", "pressure"), f"is above the set-up pressure, {show(most, 'pressure')}")
     return ProofTest(file.pressure, file.below, file.within, file.fill)
-
-
-def stop_rate(c: Compilation) -> float:
-    """Rate of a controlled stop [Pa/s]; 0: the safe state at once."""
-    return c.bench.stop.ramp if c.bench.stop is not None else 0.0

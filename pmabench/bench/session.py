@@ -54,7 +54,7 @@ class Stack:
         return sorted(self.plates, key=lambda plate: -plate[1])
 
     @cached_property
-    def _loads(self) -> list[float]:
+    def loads(self) -> list[float]:
         """Every load that can be made [kg], ascending: nothing at all, the hanger, the hanger with plates."""
         return sorted({0.0, *(self.hanger + mass * _GRID for mass in self._sums)})
 
@@ -62,11 +62,9 @@ class Stack:
         """The nearest loads [kg] that can be made, below and above `mass`; one where `mass` can be made."""
         if not self.plates:
             return [mass] if mass == 0 or mass >= self.hanger - TOLERANCE else [0.0, self.hanger]
-        loads = self._loads
-        place = bisect_left(loads, mass)
-        near = loads[max(place - 1, 0) : place + 1]
-        hit = [load for load in near if abs(load - mass) <= TOLERANCE]
-        return hit[:1] or near
+        place = bisect_left(self.loads, mass)
+        near = self.loads[max(place - 1, 0) : place + 1]
+        return [load for load in near if abs(load - mass) <= TOLERANCE][:1] or near
 
     def can_make(self, mass: float) -> bool:
         """Whether `mass` [kg] is one of the loads."""
@@ -155,16 +153,14 @@ class Session:
             found.append(f"warm-up of {in_words(self.warm_up.duration)} instead of {in_words(WARM_UP)}")
         if self.self_test is None:
             found.append("no self-test")
-        missing = [name for name in self.expected if name not in self.zeros]
-        if missing:
+        if missing := [name for name in self.expected if name not in self.zeros]:
             found.append(f"no zero of {', '.join(missing)}")
         return tuple(found)
 
 
 def session(c: Compilation, setup: float) -> Session | None:
     """The session that the bench file declares, or None; `setup` is the set-up pressure [Pa]."""
-    file = c.bench.session
-    if file is None:
+    if (file := c.bench.session) is None:
         return None
     if c.bench.platform is not None:
         c.fault(
@@ -199,8 +195,7 @@ def lacks_session(c: Compilation) -> Iterator[str]:
 
 
 def _commanded(c: Compilation, pressure: float, at: Location) -> None:
-    names = [f"pressure_{number}" for number in c.bench.muscles] or ["pressure"]
-    for name in names:
+    for name in [f"pressure_{number}" for number in c.bench.muscles] or ["pressure"]:
         if name not in c.bench.set_points:
             c.fault(at, f"nothing commands the {name} on this bench")
         elif name in c.outputs and pressure > c.outputs[name].high:
@@ -229,8 +224,7 @@ def _zeros(c: Compilation, file: SessionFile) -> dict[str, Zero]:
         at: Location = ("session", "zeros", name)
         if c.unknown(at, "channel", name, c.bench.channels) or name not in c.channels:
             continue
-        most = c.si(zero.most, c.channels[name].quantity, (*at, "most"))
-        if most <= 0:
+        if (most := c.si(zero.most, c.channels[name].quantity, (*at, "most"))) <= 0:
             c.fault((*at, "most"), "a value above zero is expected")
         found[name] = Zero(most, zero.at, _mass(c, zero.load, (*at, "load")))
     return found

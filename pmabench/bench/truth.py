@@ -8,20 +8,10 @@ from typing import Any
 
 from pmabench.base.errors import InvalidFile, Problem
 from pmabench.base.quantities import CHANNEL_QUANTITY
+from pmabench.bench import interface as b
 from pmabench.bench.channels import fit_line
 from pmabench.bench.driver_options import DBC, LONGEST, MAP, loaded
 from pmabench.bench.files.emulated import ActuatorFile, DeviceTruth, Line, TruthFile
-from pmabench.bench.interface import (
-    ChannelRecord,
-    DeviceRecord,
-    InterlockRecord,
-    OutputRecord,
-    Plug,
-    Scale,
-    Truth,
-    ValveRecord,
-    Wired,
-)
 from pmabench.bench.registry import driver_class
 from pmabench.files.document import Document, Location, read_document, validate
 from pmabench.files.quantity import unit_factor
@@ -40,7 +30,7 @@ def truth_of(bench: Path) -> Path | None:
     return found if shipped and found.is_file() else None
 
 
-def read_truth(path: Path) -> Truth:
+def read_truth(path: Path) -> b.Truth:
     """The rig in a file; raises `InvalidFile` with every problem."""
     document = read_document(path)
     file = validate(TruthFile, document)
@@ -52,7 +42,7 @@ def read_truth(path: Path) -> Truth:
         problems += device.problems or _refused_by_driver(device, devices[name].record)
     if problems:
         raise InvalidFile(problems)
-    return Truth(str(path), devices)
+    return b.Truth(str(path), devices)
 
 
 class _Device:
@@ -67,7 +57,7 @@ class _Device:
         """A problem at a value of this device."""
         self.problems.append(self.document.problem((*self.at, *location), message))
 
-    def wired(self) -> Wired:
+    def wired(self) -> b.Wired:
         """The device at an address that is to be replaced."""
         file, name, driver = self.file, self.name, ""
         try:
@@ -81,7 +71,7 @@ class _Device:
             inputs[terminal], unit = self._plug(at, "sensor", what, sensor.sensor, sensor.device)
             kind, scale = "int32" if unit == "count" else "float64", inputs[terminal].scale
             quantity = CHANNEL_QUANTITY[what]
-            channels.append(ChannelRecord(what, quantity, name, terminal, kind, unit, scale, -ENDLESS, ENDLESS))
+            channels.append(b.ChannelRecord(what, quantity, name, terminal, kind, unit, scale, -ENDLESS, ENDLESS))
         for terminal, actuator in file.outputs.items():
             what, at = actuator.drives, ("outputs", terminal)
             driven[terminal], unit = self._plug(at, "actuator", what, actuator.actuator, actuator.device)
@@ -89,11 +79,11 @@ class _Device:
             ends = [self._si(end, quantity, (*at, "range", i)) for i, end in enumerate(actuator.range or ())]
             low, high = min(ends, default=0.0), max(ends, default=0.0)
             step, scale = self._step(actuator, unit, at), driven[terminal].scale
-            outputs.append(OutputRecord(what, quantity, name, terminal, scale, step, 0.0, low, high, rate=ENDLESS))
-        valves = tuple(ValveRecord(valve.valve, name, at, valve.energised) for at, valve in file.valves.items())
-        locks = tuple(InterlockRecord(item.contact, name, at, item.released) for at, item in file.contacts.items())
-        record = DeviceRecord(name, driver, NOWHERE, self._options(), tuple(channels), tuple(outputs), valves, locks)
-        return Wired(record, inputs, driven)
+            outputs.append(b.OutputRecord(what, quantity, name, terminal, scale, step, 0.0, low, high, rate=ENDLESS))
+        valves = tuple(b.ValveRecord(valve.valve, name, at, valve.energised) for at, valve in file.valves.items())
+        locks = tuple(b.InterlockRecord(item.contact, name, at, item.released) for at, item in file.contacts.items())
+        record = b.DeviceRecord(name, driver, NOWHERE, self._options(), tuple(channels), tuple(outputs), valves, locks)
+        return b.Wired(record, inputs, driven)
 
     def _step(self, actuator: ActuatorFile, unit: str, at: Location) -> float:
         step, given = actuator.step or (0.0, unit)
@@ -101,18 +91,18 @@ class _Device:
             self.fault((*at, "step"), f"a step in {unit} is expected")
         return step
 
-    def _plug(self, at: Location, key: str, what: str, signal: Line, device: Line | None) -> tuple[Plug, str]:
+    def _plug(self, at: Location, key: str, what: str, signal: Line, device: Line | None) -> tuple[b.Plug, str]:
         """The plug, and the unit of what the device itself gives or takes."""
         quantity = CHANNEL_QUANTITY[what]
         unit = self._one_unit(signal, 0, (*at, key))
         ends = [self._si(point[1], quantity, (*at, key, i, 1)) for i, point in enumerate(signal)]
         sensor = self._line([point[0][0] for point in signal], ends, (*at, key))
         if device is None:
-            return Plug(sensor, unit=unit, low=ends[0]), unit
+            return b.Plug(sensor, unit=unit, low=ends[0]), unit
         if self._one_unit(device, 1, (*at, "device")) != unit:
             self.fault((*at, "device", 0, 1), f"what the device makes of its digits is in {unit}, as the {key} is")
         digits = self._line([p[0][0] for p in device], [p[1][0] for p in device], (*at, "device"))
-        return Plug(sensor, digits, unit, ends[0]), self._one_unit(device, 0, (*at, "device"))
+        return b.Plug(sensor, digits, unit, ends[0]), self._one_unit(device, 0, (*at, "device"))
 
     def _one_unit(self, line: Line, side: int, at: Location) -> str:
         first, second = line[0][side][1], line[1][side][1]
@@ -127,12 +117,12 @@ class _Device:
             self.fault(at, str(error))
             return 0.0
 
-    def _line(self, raw: list[float], value: list[float], at: Location) -> Scale:
+    def _line(self, raw: list[float], value: list[float], at: Location) -> b.Scale:
         try:
             return fit_line(raw, value)
         except ValueError as error:
             self.fault(at, str(error))
-            return Scale()
+            return b.Scale()
 
     def _options(self) -> dict[str, Any]:
         """The options, with the content of a register map or DBC file that lies next to this file in its place."""
@@ -161,7 +151,7 @@ def _text(path: Path) -> str:
     return data.decode("latin-1")
 
 
-def _refused_by_driver(device: _Device, record: DeviceRecord) -> Iterator[Problem]:
+def _refused_by_driver(device: _Device, record: b.DeviceRecord) -> Iterator[Problem]:
     """What the driver finds wrong with the options and the names of terminals."""
     try:
         check = getattr(loaded(record.driver), "check", None)

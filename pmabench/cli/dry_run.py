@@ -24,8 +24,8 @@ from pmabench.bench.dry_run import (
     nearest_surface,
     of_specimen,
     options_of,
+    several,
 )
-from pmabench.bench.dry_run_several import several
 from pmabench.bench.files.specimen import ExpectedFile, ExpectedPoint, SpecimenFile
 from pmabench.bench.plant import read_plant
 from pmabench.cli.common import fields

@@ -19,8 +19,7 @@ from pmabench.cli.outcome import next_lines
 from pmabench.files.shipped import find_file, shipped_folder
 
 if TYPE_CHECKING:
-    from pmabench.bench.lab.answers import Answers
-    from pmabench.bench.lab.questions import Question
+    from pmabench.bench.lab.questions import Answers, Question
     from pmabench.cli.prepare import Prepared
 
 
@@ -96,7 +95,7 @@ def _refuse_full(folder: Path) -> None:
 
 def _answers(ui: Ui, folder: Path, path: Path | None, single: tuple[str, ...]) -> Answers:
     """What was answered, in a file, in words or at the terminal; UsageError where a needed answer is missing."""
-    from pmabench.bench.lab.answers import Answers, check_answers, read_answers
+    from pmabench.bench.lab.questions import Answers, check_answers, read_answers
 
     kept = folder / ANSWERS
     given: dict[str, str | None] = {}

@@ -16,18 +16,9 @@ from typing import Any
 
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import OutputRecord
+from pmabench.conformance import rig as rigs
 from pmabench.conformance.commands import near, raw, sent, times_sent
 from pmabench.conformance.relay import Hostile, late, silence
-from pmabench.conformance.rig import (
-    CALLS_WITHIN,
-    COLLECTS_WITHIN,
-    OPENS_WITHIN,
-    Failed,
-    Late,
-    NotApplicable,
-    Rig,
-    open_files,
-)
 from pmabench.conformance.samples import RATE, number, take
 
 LATE = 0.35
@@ -48,16 +39,16 @@ SELDOM_LATE = 500
 """Of so many pieces one call may be late: this computer has other things to do, too."""
 
 
-def calls(rig: Rig, device: Any) -> list[tuple[str, Callable[[], Any], float]]:
+def calls(rig: rigs.Rig, device: Any) -> list[tuple[str, Callable[[], Any], float]]:
     """Everything that a guard or an engine calls while it runs: name, call, longest time [s]."""
     found: list[tuple[str, Callable[[], Any], float]] = []
     for output in rig.record.outputs:
         value = _fifth(output)
-        found.append((f"write({value:g})", partial(device.write, output.output, value), CALLS_WITHIN))
+        found.append((f"write({value:g})", partial(device.write, output.output, value), rigs.CALLS_WITHIN))
     for valve in rig.record.valves:
-        found.append(("switch(on=False)", partial(device.switch, valve.output, on=False), CALLS_WITHIN))
-    within = {"collect()": COLLECTS_WITHIN}
-    return found + [(what, act, within.get(what, CALLS_WITHIN)) for what, act in rig.questions(device)]
+        found.append(("switch(on=False)", partial(device.switch, valve.output, on=False), rigs.CALLS_WITHIN))
+    within = {"collect()": rigs.COLLECTS_WITHIN}
+    return found + [(what, act, within.get(what, rigs.CALLS_WITHIN)) for what, act in rig.questions(device)]
 
 
 def _fifth(output: OutputRecord) -> float:
@@ -65,7 +56,7 @@ def _fifth(output: OutputRecord) -> float:
     return raw(output, output.safe + 0.2 * (output.high - output.safe))
 
 
-def silent(rig: Rig) -> str:
+def silent(rig: rigs.Rig) -> str:
     """When the device falls silent, every call says so in time, and a write is sent once."""
     rig.need_wire()
     answers: list[str] = []
@@ -79,43 +70,42 @@ def silent(rig: Rig) -> str:
     return f"{len(answers)} calls say so in time; the last: {answers[-1]}" if answers else "nothing could be asked"
 
 
-def _in_silence(rig: Rig, device: Any) -> list[str]:
+def _in_silence(rig: rigs.Rig, device: Any) -> list[str]:
     """What each call says; raises Failed where a write is carried out more than once."""
     answers = []
     for what, act, within in calls(rig, device):
         before = len(sent(rig))
         answer = rig.call(f"{what} in silence", act).judged(within)
         if not isinstance(answer, DeviceError) and not what.startswith("collect"):
-            raise Failed(
+            raise rigs.Failed(
                 f"{what} in silence gave {answer!r} as if all were well; what was not answered is a DeviceError, never "
                 "an answer from memory"
             )
         answers.append(str(answer))
         time.sleep(0.05)
         for output in rig.record.outputs if what.startswith("write") else ():
-            times = times_sent(rig, output, _fifth(output), before)
-            if times > 1:
-                raise Failed(f"{what} in silence was carried out {times} times; a write is never repeated")
+            if (times := times_sent(rig, output, _fifth(output), before)) > 1:
+                raise rigs.Failed(f"{what} in silence was carried out {times} times; a write is never repeated")
     return answers
 
 
-def _says_that_samples_stay_away(rig: Rig, device: Any) -> str:
+def _says_that_samples_stay_away(rig: rigs.Rig, device: Any) -> str:
     """A silent stream is an error, or gives no samples: then pmabench says so after its own time."""
     for _ in range(15):
         rig.pass_time(0.1)
-        block = rig.call("collect() in silence", device.collect).judged(COLLECTS_WITHIN)
+        block = rig.call("collect() in silence", device.collect).judged(rigs.COLLECTS_WITHIN)
         if isinstance(block, DeviceError):
             return str(block)
     if len(block.time):
-        raise Failed("samples keep coming 1.5 s after the device has fallen silent: they are made up")
+        raise rigs.Failed("samples keep coming 1.5 s after the device has fallen silent: they are made up")
     return "collect() gives no samples"
 
 
-def late_answers(rig: Rig) -> str:
+def late_answers(rig: rigs.Rig) -> str:
     """An answer that comes too late is never taken for the answer to the next question."""
     rig.need_wire()
     if not rig.record.outputs:
-        raise NotApplicable("it has no output whose value could be mixed up")
+        raise rigs.NotApplicable("it has no output whose value could be mixed up")
     output = rig.record.outputs[0]
     safe = raw(output, output.safe)
     refused = 0
@@ -148,14 +138,14 @@ def late_answers(rig: Rig) -> str:
                 continue
             holds += [safe] if rig.logged("watchdog") else []  # the driver was silent for that long
             if not any(near(output, held, one) for one in holds):
-                raise Failed(
+                raise rigs.Failed(
                     f"read_back() gave {held!r} where the device holds {holds[-1]:g}: the answer to an older question "
                     "was taken; drain the line after a time-out"
                 )
     return f"three late answers, no value mixed up ({refused} questions refused meanwhile)"
 
 
-def hang_up(rig: Rig) -> str:
+def hang_up(rig: rigs.Rig) -> str:
     """When the line is cut, calls say so in time, and after a new open() all is well."""
     rig.need_wire()
     with rig.opened(rate=RATE) as device:
@@ -170,20 +160,19 @@ def hang_up(rig: Rig) -> str:
                     answers.append(str(answer))
             time.sleep(0.1)
         if not answers and all(relay.address.startswith("/") for relay in rig.relays):
-            raise Failed("2 s after the plug was pulled no call has said so")
+            raise rigs.Failed("2 s after the plug was pulled no call has said so")
         rig.shut()
         rig.renew_wire()
         rig.open()
     return f"says: {answers[0]}" if answers else "connects again by itself"
 
 
-def exchanges(rig: Rig) -> str:
+def exchanges(rig: rigs.Rig) -> str:
     """Question and answer are the bytes that the emulator's module lists as `EXCHANGES`, from the device's manual."""
     rig.need_wire()
     module = sys.modules[type(rig.server).__module__]
-    listed = getattr(module, "EXCHANGES", ())
-    if not listed:
-        raise NotApplicable(f"{module.__name__} lists no EXCHANGES")
+    if not (listed := getattr(module, "EXCHANGES", ())):
+        raise rigs.NotApplicable(f"{module.__name__} lists no EXCHANGES")
     with rig.opened(armed=False) as device:
         relay = rig.relays[0]
         for name, arguments, question, answer, *returns in listed:
@@ -193,16 +182,18 @@ def exchanges(rig: Rig) -> str:
             asked = b"".join(data for sent, data in relay.heard if not sent)
             answered = b"".join(data for sent, data in relay.heard if sent)
             if asked != question:
-                raise Failed(f"{name}{arguments} sends {asked!r}; by the manual it is {question!r}")
+                raise rigs.Failed(f"{name}{arguments} sends {asked!r}; by the manual it is {question!r}")
             if answered != answer:
                 emulated = f"is answered {answered!r} by the emulator"
-                raise Failed(f"{name}{arguments} {emulated}; by the manual it is {answer!r}")
+                raise rigs.Failed(f"{name}{arguments} {emulated}; by the manual it is {answer!r}")
             if returns and (given != returns[0] or type(given) is not type(returns[0])):
-                raise Failed(f"{name}{arguments} returned {given!r}; what the device answered means {returns[0]!r}")
+                raise rigs.Failed(
+                    f"{name}{arguments} returned {given!r}; what the device answered means {returns[0]!r}"
+                )
     return f"{len(listed)} exchanges, byte by byte"
 
 
-def nothing_left(rig: Rig) -> str:
+def nothing_left(rig: rigs.Rig) -> str:
     """After close() no thread, no file and no connection is left, whether all was well or the wire silent."""
     rig.need_wire()
     for wire in ("first", "good", "silent"):  # what the emulator itself keeps is there after the first connection
@@ -210,7 +201,7 @@ def nothing_left(rig: Rig) -> str:
         rig.open()
         device: Any = rig.device
         if rig.streams():
-            rig.call("start()", device.start, RATE).good(COLLECTS_WITHIN)
+            rig.call("start()", device.start, RATE).good(rigs.COLLECTS_WITHIN)
         if wire == "silent":
             rig.damage(silence)
         else:
@@ -223,7 +214,7 @@ def nothing_left(rig: Rig) -> str:
         while (left := _left())[1] > before[1] or left[0] - before[0]:
             if time.monotonic() > until:
                 threads = ", ".join(sorted(left[0] - before[0])) or "none"
-                raise Failed(
+                raise rigs.Failed(
                     f"{SETTLES:g} s after close() on a {wire} wire there are {left[1] - before[1]} more open files or "
                     f"connections than before, and threads: {threads}"
                 )
@@ -231,17 +222,17 @@ def nothing_left(rig: Rig) -> str:
     return "no thread, no file and no connection"
 
 
-def _refuse_growth(rig: Rig, device: Any) -> None:
+def _refuse_growth(rig: rigs.Rig, device: Any) -> None:
     """Raise Failed where calls leave threads or files behind while the device is open."""
     asked = rig.questions(device)
     for rounds in (3, MANY):
         before = _left()
         for _ in range(rounds):
             for what, act in asked:
-                rig.call(what, act).judged(COLLECTS_WITHIN)
+                rig.call(what, act).judged(rigs.COLLECTS_WITHIN)
     after = _left()
     if max(after[1] - before[1], len(after[0] - before[0])) >= MANY:
-        raise Failed(
+        raise rigs.Failed(
             f"{MANY} rounds of {', '.join(what for what, _ in asked)} leave {after[1] - before[1]} open files or "
             f"connections and {len(after[0] - before[0])} threads"
         )
@@ -252,13 +243,13 @@ def _left() -> tuple[frozenset[str], int]:
     names = frozenset(
         f"{thread.name} ({thread.ident})" for thread in threading.enumerate() if not thread.name.startswith("link-")
     )
-    return names, open_files()
+    return names, rigs.open_files()
 
 
 class Battle:
     """Damages one piece after another; `many` pieces in all."""
 
-    def __init__(self, rig: Rig, many: int, seed: int) -> None:
+    def __init__(self, rig: rigs.Rig, many: int, seed: int) -> None:
         self._rig, self._many, self._seed = rig, many, seed
         self._chance = Random(seed)
         self._damage = Hostile(self._chance)
@@ -276,19 +267,19 @@ class Battle:
                 kind = self._damage.another()
                 calls += 1
                 if calls > 50 and not self._damage.done:
-                    raise Failed("the device has sent nothing that could be damaged in 50 calls")
+                    raise rigs.Failed("the device has sent nothing that could be damaged in 50 calls")
                 try:
                     if self._chance.random() < 0.03:
                         self._opening()
                     else:
                         self._one()
-                except Late as failure:
+                except rigs.Late as failure:
                     self._count["late"] += 1
                     if self._count["late"] > 2 + self._damage.done // SELDOM_LATE:
-                        raise Failed(f"{self._count['late']} calls were late; the last: {failure}") from None
+                        raise rigs.Failed(f"{self._count['late']} calls were late; the last: {failure}") from None
                     self._open()
-                except Failed as failure:
-                    raise Failed(f"piece {self._damage.done} ({kind}, --seed {self._seed}): {failure}") from None
+                except rigs.Failed as failure:
+                    raise rigs.Failed(f"piece {self._damage.done} ({kind}, --seed {self._seed}): {failure}") from None
         finally:
             rig.well()
         answer = ", ".join(f"{count} {what}" for what, count in self._count.most_common())
@@ -302,9 +293,9 @@ class Battle:
                 rig.shut()
                 rig.open()
                 if rig.streams():
-                    rig.call("start()", rig.device.start, RATE).good(COLLECTS_WITHIN)
+                    rig.call("start()", rig.device.start, RATE).good(rigs.COLLECTS_WITHIN)
                 break
-            except Failed:
+            except rigs.Failed:
                 if attempt == OPENS - 1:
                     raise
                 time.sleep(0.2)
@@ -316,8 +307,8 @@ class Battle:
         rig.shut()
         device = rig.build(rig.record)
         rig.damage(self._damage)
-        self._note(rig.call("open()", device.open).judged(OPENS_WITHIN))
-        rig.call("close()", device.close).judged(OPENS_WITHIN)
+        self._note(rig.call("open()", device.open).judged(rigs.OPENS_WITHIN))
+        rig.call("close()", device.close).judged(rigs.OPENS_WITHIN)
         rig.well()
         self._open()
 
@@ -342,37 +333,33 @@ class Battle:
     def _output(self, output: Any) -> Any:
         rig = self._rig
         if self._chance.random() < 0.5:
-            answer = rig.call("read_back()", self._device.read_back, output.output).judged()
-            if not isinstance(answer, DeviceError | float | int):
-                raise Failed(f"read_back() gave {answer!r}; a number is expected")
-            return self._note(answer)
+            return self._asked("read_back()", self._device.read_back, output.output, float | int, "a number")
         value = raw(output, self._chance.uniform(output.low, output.high))
         before = len(sent(rig))
         answer = rig.call(f"write({value:g})", self._device.write, output.output, value).judged()
-        times = times_sent(rig, output, value, before)
-        if times > 1:
-            raise Failed(f"write({value:g}) was carried out {times} times; a write is never repeated")
+        if (times := times_sent(rig, output, value, before)) > 1:
+            raise rigs.Failed(f"write({value:g}) was carried out {times} times; a write is never repeated")
         return self._note(answer)
 
     def _valve(self, valve: Any) -> Any:
         if self._chance.random() < 0.5:
-            answer = self._rig.call("is_on()", self._device.is_on, valve.output).judged()
-            if not isinstance(answer, DeviceError | bool):
-                raise Failed(f"is_on() gave {answer!r}; True or False is expected")
-            return self._note(answer)
+            return self._asked("is_on()", self._device.is_on, valve.output, bool, "True or False")
         on = self._chance.random() < 0.5
         return self._note(self._rig.call(f"switch(on={on})", self._device.switch, valve.output, on=on).judged())
 
     def _lock(self, lock: Any) -> Any:
-        answer = self._rig.call("level()", self._device.level, lock.input).judged()
-        if not isinstance(answer, DeviceError | bool):
-            raise Failed(f"level() gave {answer!r}; True or False is expected")
+        return self._asked("level()", self._device.level, lock.input, bool, "True or False")
+
+    def _asked(self, what: str, act: Callable[[str], Any], name: str, kind: Any, expected: str) -> Any:
+        answer = self._rig.call(what, act, name).judged()
+        if not isinstance(answer, DeviceError | kind):
+            raise rigs.Failed(f"{what} gave {answer!r}; {expected} is expected")
         return self._note(answer)
 
     def _samples(self, _nothing: Any) -> Any:
         rig = self._rig
         rig.pass_time(LISTENS)
-        answer = rig.call("collect()", self._device.collect).judged(COLLECTS_WITHIN)
+        answer = rig.call("collect()", self._device.collect).judged(rigs.COLLECTS_WITHIN)
         if not isinstance(answer, DeviceError):
             values: dict[str, list[float]] = {channel.name: [] for channel in rig.record.channels}
             take(rig.record.channels, answer, self._times, values)

@@ -62,8 +62,7 @@ def close_enough(output: OutputRecord) -> float:
 
 def commanded(truth: Truth, output: OutputRecord) -> float:
     """The set-point that the plant's regulator or actuator has [SI]."""
-    found = truth.now().get(f"{output.name}_command")
-    if found is None:
+    if (found := truth.now().get(f"{output.name}_command")) is None:
         raise NotChecked(f"the emulated plant has no {output.name} that is commanded")
     return float(found)
 
@@ -200,8 +199,7 @@ def valves(rig: Rig) -> str:
                 refuse_position(rig, truth, valve, on=on, after=f"switch(on={on})")
                 if others != {v.name: truth.coil(v) for v in rig.record.valves if v is not valve}:
                     raise Failed(f"switching {valve.name} has switched another valve")
-                shown = rig.call("is_on()", device.is_on, valve.output).good()
-                if shown is not on:
+                if (shown := rig.call("is_on()", device.is_on, valve.output).good()) is not on:
                     raise Failed(f"{valve.name} was switched {'on' if on else 'off'} and is_on() gives {shown!r}")
         _refuse_nowhere(rig, "switch", "is_on")
     dump = dump_of(rig.record.valves)
@@ -321,15 +319,12 @@ def safe_state(rig: Rig) -> str:
     truth, slowest = rig.truth(), 0.0
     with rig.opened() as device:
         lift(rig, truth)
-        for _ in range(3):
-            for output in rig.record.outputs:
-                done = rig.call("write(safe)", device.write, output.output, raw(output, output.safe))
-                done.nothing()
-                slowest = max(slowest, done.seconds)
-            for valve in rig.record.valves:
-                done = rig.call("switch(safe)", device.switch, valve.output, on=False)
-                done.nothing()
-                slowest = max(slowest, done.seconds)
+        acts = [("write(safe)", partial(device.write, o.output, raw(o, o.safe))) for o in rig.record.outputs]
+        acts += [("switch(safe)", partial(device.switch, v.output, on=False)) for v in rig.record.valves]
+        for what, act in 3 * acts:
+            done = rig.call(what, act)
+            done.nothing()
+            slowest = max(slowest, done.seconds)
         refuse_unsafe(rig, truth, "the commands of the safe state, sent three times")
     return f"three times over, safe in the plant; the slowest command took {1e3 * slowest:.0f} ms"
 

@@ -194,7 +194,7 @@ def held(rig: Rig) -> str:
         rig.pass_time(0.3)
         if reason := _difference(before, _held(rig, device)):
             raise Failed(f"held(): {reason}, and nothing happened")
-        reported = _entries(before)
+        reported = ", ".join(before)
         _reports_change(rig, device, before)
         if not rig.restart():
             raise NotChecked(f"{reported}; a restart: there is no emulator that could be switched off and on")
@@ -220,7 +220,7 @@ def _reports_change(rig: Rig, device: Any, before: Mapping[str, Any]) -> None:
     if isinstance(after, DeviceError):  # an answer may be lost; what is refused is refused again
         after = rig.call("held()", device.held).judged()
     if not isinstance(after, DeviceError) and not _difference(before, after):
-        raise Failed(f"{_entries(before)}: changed at the device, and held() is as before: it answers from memory")
+        raise Failed(f"{', '.join(before)}: changed at the device, and held() is as before: it answers from memory")
 
 
 def _reports_watchdog(rig: Rig, device: Any, before: Mapping[str, Any]) -> None:
@@ -241,7 +241,7 @@ def _reports_watchdog(rig: Rig, device: Any, before: Mapping[str, Any]) -> None:
         after = rig.call("held()", device.held).judged()
         if not (isinstance(after, DeviceError) or _difference(counting, after) or _outputs_show_it(rig, device)):
             raise Failed(
-                f"the watchdog has fired, held() is as before ({_entries(after)}), and outputs and valves are read "
+                f"the watchdog has fired, held() is as before ({', '.join(after)}), and outputs and valves are read "
                 "back as they were commanded: nothing shows that the device has vented"
             )
         armed = rig.call("arm_watchdog()", device.arm_watchdog, rig.record.watchdog).good()
@@ -278,10 +278,6 @@ def _difference(before: Mapping[str, Any], after: Mapping[str, Any]) -> str:
         if was is None or now is None or (now < was if name == "uptime" else now != was):
             return f"{name} was {was!r} and is {now!r}"
     return ""
-
-
-def _entries(found: Mapping[str, Any]) -> str:
-    return ", ".join(found)
 
 
 def _silent(rig: Rig) -> None:

@@ -110,8 +110,7 @@ class Relay(ABC):
     def arriving(self, data: bytes) -> list[bytes]:
         """What arrives of a piece from the device, after the waits that its damage asks for."""
         self.heard.append((True, data))
-        damage = self.damage
-        if damage is None:
+        if (damage := self.damage) is None:
             return [data]
         pieces = []
         for seconds, piece in damage(data):
@@ -161,39 +160,29 @@ class TcpRelay(Relay):
             for end in (near, far):
                 end.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
                 self._open.add(end)
-            pair = _Pair(near, far, self._open)
-            for source, target in ((near, far), (far, near)):
-                threading.Thread(
-                    target=self._pump, args=(pair, source, target), name="conformance relay", daemon=True
-                ).start()
+            threading.Thread(target=self._serve, args=(near, far), name="conformance relay", daemon=True).start()
 
-    def _pump(self, pair: _Pair, source: socket.socket, target: socket.socket) -> None:
+    def _serve(self, near: socket.socket, far: socket.socket) -> None:
+        """Both directions of a connection, whose ends are closed when both have ended."""
+        pump = threading.Thread(target=self._pump, args=(near, far, self.asked), name="conformance relay", daemon=True)
+        pump.start()
+        self._pump(far, near, self.arriving)
+        pump.join()
+        for end in (near, far):
+            self._open.discard(end)
+            end.close()
+
+    def _pump(
+        self, source: socket.socket, target: socket.socket, passed_on: Callable[[bytes], Sequence[bytes]]
+    ) -> None:
+        """One direction; with it the other one ends, too."""
         with suppress(OSError):
             while data := source.recv(PIECE):
-                for piece in self.asked(data) if source is pair.near else self.arriving(data):
+                for piece in passed_on(data):
                     target.sendall(piece)
-        pair.ended()
-
-
-class _Pair:
-    """Two ends that are closed when both directions have ended."""
-
-    def __init__(self, near: socket.socket, far: socket.socket, known: set[socket.socket]) -> None:
-        self.near, self.far, self._known = near, far, known
-        self._lock = threading.Lock()
-        self._ended = 0
-
-    def ended(self) -> None:
-        """Called when one direction has ended: shuts down both; closes them when both have ended."""
-        for end in (self.near, self.far):
+        for end in (source, target):
             with suppress(OSError):
                 end.shutdown(socket.SHUT_RDWR)
-        with self._lock:
-            self._ended += 1
-            if self._ended == 2:
-                for end in (self.near, self.far):
-                    self._known.discard(end)
-                    end.close()
 
 
 class SerialRelay(Relay):

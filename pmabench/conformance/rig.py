@@ -140,9 +140,7 @@ class Rig:
         self.identity: Any = None
         """What the last `open` gave."""
         self._armed = False
-        self._served = served = _rewritten(
-            record, lambda _: f"127.0.0.1:{free_port()}", lambda _: _far(folder, record.name)
-        )
+        self._served = served = _rewritten(record, lambda _: f"127.0.0.1:{free_port()}", lambda _: self._far())
         try:
             self.emulator: Any = _emulator(served, wiring)
         except UsageError:
@@ -169,12 +167,16 @@ class Rig:
         self.relays.append(SerialRelay(self._folder / self.asked.name, far))
         return self.relays[-1].address
 
+    def _far(self) -> str:
+        """The serial port of the emulator."""
+        return str(self._folder / f"{self.asked.name}-far")
+
     def renew_wire(self) -> None:
         """Put a serial line that was pulled back in place."""
         for index, relay in enumerate(self.relays):
             if isinstance(relay, SerialRelay):
                 relay.close()
-                self.relays[index] = SerialRelay(Path(relay.address), _far(self._folder, self.asked.name))
+                self.relays[index] = SerialRelay(Path(relay.address), self._far())
 
     def close(self) -> None:
         """End everything."""
@@ -209,8 +211,7 @@ class Rig:
 
     def _inject(self, fault: str) -> bool:
         """Let it happen to a simulation in another process; whether there is one."""
-        control = getattr(self.device, "control", None)
-        if control is not None:
+        if (control := getattr(self.device, "control", None)) is not None:
             control("inject", fault=fault)
         return control is not None
 
@@ -398,15 +399,9 @@ def _rewritten(record: DeviceRecord, tcp: Callable[[str], str], serial: Callable
 
     address = serial(record.address) if record.address.startswith("/") else moved(record.address)
     options = {
-        name: int(tcp(f"127.0.0.1:{value}").rpartition(":")[2]) if _is_port(name, value) else moved(value)
+        name: int(tcp(f"127.0.0.1:{value}").rpartition(":")[2])
+        if name.endswith("port") and type(value) is int
+        else moved(value)
         for name, value in record.options.items()
     }
     return replace(record, address=address, options=options)
-
-
-def _far(folder: Path, name: str) -> str:
-    return str(folder / f"{name}-far")
-
-
-def _is_port(name: str, value: Any) -> bool:
-    return name.endswith("port") and isinstance(value, int) and not isinstance(value, bool)

@@ -195,8 +195,7 @@ def _at_once(rig: Rig, found: Recording, rate: float) -> None:
         outcome = rig.call("collect()", rig.device.collect)
         found.take(outcome.good(COLLECTS_WITHIN), rig.bench_clock.now())
         lag = max(lag, outcome.lag)
-    took = monotonic() - began
-    if took > 0.5 * AT_ONCE / rate + 3 * lag:
+    if (took := monotonic() - began) > 0.5 * AT_ONCE / rate + 3 * lag:
         raise Late(f"{AT_ONCE} calls of collect() in a row took {took:.2f} s: it waits for samples, and must not")
 
 
@@ -353,8 +352,7 @@ def _diagnosis(channel: ChannelRecord, others: Sequence[ChannelRecord], states: 
         ):
             return f"{text}: it shows {other.name}; are these channels swapped?"
     mean_s, mean_h = fmean(shown), fmean(had)
-    spread = sum((h - mean_h) ** 2 for h in had)
-    if spread <= (DISTINCT * most) ** 2:
+    if (spread := sum((h - mean_h) ** 2 for h in had)) <= (DISTINCT * most) ** 2:
         return f"{text}: is there an offset, or another unit?"
     if max(shown) - min(shown) <= most:
         return f"{text}: it does not change with the plant; is an old value repeated, or another channel shown?"
@@ -410,10 +408,8 @@ def _follows(
         places = (min(bisect_left(at, moment + shift), len(at) - 1) for moment in moments)
         return fmean(abs(s - real[place]) for s, place in zip(shown, places, strict=True))
 
-    shifts = [step * GRID for step in range(-round(WINDOW / GRID), round(WINDOW / GRID) + 1)]
-    best = min(shifts, key=deviation)
-    stride = round(period / GRID)
-    per_period = fmean(abs(b - a) for a, b in zip(real, real[stride:], strict=False))
+    best = min([step * GRID for step in range(-round(WINDOW / GRID), round(WINDOW / GRID) + 1)], key=deviation)
+    per_period = fmean(abs(b - a) for a, b in zip(real, real[round(period / GRID) :], strict=False))
     moving = sum(a != b for a, b in pairwise(real)) / len(real)
     if per_period < 2 * tolerance(channel) or moving < 0.03:
         return False

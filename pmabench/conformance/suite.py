@@ -25,7 +25,6 @@ from pmabench.bench.truth import read_truth, truth_of
 from pmabench.conformance import broken_wire, commands, following, samples
 from pmabench.conformance import rig as r
 from pmabench.conformance.broken_wire import Battle
-from pmabench.conformance.relay import Relay
 from pmabench.conformance.rig import COLLECTS_WITHIN, OPENS_WITHIN, Failed, NotApplicable, Result, Rig, open_files
 from pmabench.files.shipped import shipped_folder
 
@@ -67,8 +66,7 @@ def light(rig: Rig) -> str:
     )
     if done.returncode:
         raise Failed(f"it cannot be imported and built by itself: {done.stderr.strip().splitlines()[-1]}")
-    loaded = json.loads(done.stdout)
-    if loaded:
+    if loaded := json.loads(done.stdout):
         raise Failed(f"it loads {', '.join(loaded)} before it is opened; import these inside open()")
     return "nothing but the standard library, pmabench and its own package is loaded before open()"
 
@@ -99,11 +97,9 @@ def interfaces(rig: Rig) -> str:
 
 def options(rig: Rig) -> str:
     """`check` finds nothing wrong with the bench's own options, and names what cannot be."""
-    check = getattr(rig.driver(), "check", None)
-    if check is None:
+    if (check := getattr(rig.driver(), "check", None)) is None:
         raise Failed("it has no class method check(device): a mistake in a bench file is found only at the rig")
-    found = [f"{'.'.join(map(str, place))}: {text}" for place, text in check(rig.record)]
-    if found:
+    if found := [f"{'.'.join(map(str, place))}: {text}" for place, text in check(rig.record)]:
         raise Failed(f"check() finds fault with the bench's own record: {found[0]}")
     wrong: list[tuple[str, DeviceRecord]] = [
         ("an option that does not exist", replace(rig.record, options={**rig.record.options, NOWHERE: 1}))
@@ -156,7 +152,8 @@ def life(rig: Rig) -> str:
     with rig.opened(armed=False) as device:
         if commanded := _commanded(rig)[before:]:
             raise Failed(f"open() commands something: {commanded[0]}; it connects and identifies, nothing else")
-        if not rig.identity.simulated and any(_says_emulated(relay) for relay in rig.relays):
+        heard = [b"".join(data for sent, data in relay.heard if sent) for relay in rig.relays]
+        if not rig.identity.simulated and any(EMULATED.encode() in data for data in heard):
             raise Failed(f'the device says "{EMULATED.strip()}" over its wire, and open() gives simulated=False')
         rig.call("close()", device.close).good(COLLECTS_WITHIN)
         rig.call("close() again", device.close).good(COLLECTS_WITHIN)
@@ -169,10 +166,6 @@ def life(rig: Rig) -> str:
             raise Failed("a driver that was closed cannot be opened again")
     who = f"{again.maker} {again.model}".strip()
     return who if again.simulated else f"{who}; its wire does not show that it is emulated"
-
-
-def _says_emulated(relay: Relay) -> bool:
-    return EMULATED.encode() in b"".join(data for sent, data in relay.heard if sent)
 
 
 def _commanded(rig: Rig) -> list[Any]:
@@ -254,8 +247,7 @@ def subjects(driver: str, bench: Path | None = None) -> list[Subject]:
 
 def subject(driver: str, bench: Path | None = None, device: str | None = None) -> Subject:
     """The device with most to try, or the one called `device`; raises UsageError where there is none."""
-    found = [one for one in subjects(driver, bench) if device in {None, one.record.name}]
-    if found:
+    if found := [one for one in subjects(driver, bench) if device in {None, one.record.name}]:
         return max(found, key=lambda one: _size(one.record))
     named = f' called "{device}"' if device else ""
     raise UsageError(

@@ -46,10 +46,6 @@ class Emulated:
     def _plant(self) -> Any:
         return self._emulator().plant
 
-    @property
-    def _server(self) -> Any:
-        return self._emulator().devices[self._record.name]
-
     def now(self) -> Mapping[str, float]:
         """What each channel is exposed to now [SI]."""
         return dict(self._plant.quantities())
@@ -87,7 +83,7 @@ class Emulated:
 
     def by_hand(self, output: str, value: float) -> bool:
         """Change an output without the driver; whether that can be done."""
-        own = getattr(self._server, "by_hand", None)
+        own = getattr(self._emulator().devices[self._record.name], "by_hand", None)
         if own is None:
             return rescued(self._rescue(), output, value)
         own(output, value)
@@ -106,9 +102,16 @@ class Inside:
     def _simulation(self) -> Any:
         return self._device().simulation()
 
+    @property
+    def _state(self) -> Mapping[str, Any]:
+        """Its quantities by inputs, its valves by outputs, and whether the dump is open."""
+        now = self._simulation
+        valves = {valve.output: now.is_on(valve.output) for valve in self._record.valves}
+        return {"quantities": now.quantities(), "valves": valves, "dump_open": now.dump_open}
+
     def now(self) -> Mapping[str, float]:
-        """What each channel is exposed to now [SI]."""
-        return _channels(self._simulation.quantities())
+        """What each channel is exposed to now [SI]; inputs of the simulation by the names of a bench's channels."""
+        return {name.replace("_set", "_command"): float(value) for name, value in self._state["quantities"].items()}
 
     def at(self, _moment: float) -> Mapping[str, float]:
         """What each channel is exposed to now [SI]: the past is not known."""
@@ -116,11 +119,11 @@ class Inside:
 
     def coil(self, valve: ValveRecord) -> bool | None:
         """What arrived for a valve."""
-        return bool(self._simulation.is_on(valve.output))
+        return bool(self._state["valves"][valve.output])
 
     def dump_open(self) -> bool:
         """Whether the dump valve is open in the plant."""
-        return bool(self._simulation.dump_open)
+        return bool(self._state["dump_open"])
 
     def bring(self, state: State) -> None:
         """Bring the plant to a state."""
@@ -157,18 +160,6 @@ class Behind(Inside):
     def _state(self) -> Any:
         return self._device().control("state")
 
-    def now(self) -> Mapping[str, float]:
-        """What each channel is exposed to now [SI]."""
-        return _channels(self._state["quantities"])
-
-    def coil(self, valve: ValveRecord) -> bool | None:
-        """What arrived for a valve."""
-        return bool(self._state["valves"][valve.output])
-
-    def dump_open(self) -> bool:
-        """Whether the dump valve is open in the plant."""
-        return bool(self._state["dump_open"])
-
     def e_stop(self, *, pressed: bool) -> None:
         """Press or release the emergency stop."""
         self._device().control("inject", fault="e_stop", after=0.0 if pressed else None)
@@ -190,8 +181,3 @@ def rescued(another: Any, output: str, value: float) -> bool:
     except DeviceError:
         return False
     return True
-
-
-def _channels(inputs: Mapping[str, float]) -> dict[str, float]:
-    """Inputs of the simulation by the names of a bench's channels."""
-    return {name.replace("_set", "_command"): float(value) for name, value in inputs.items()}

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from pmabench_drivers.emulator.emulator import Emulator
+from pmabench_drivers.emulator import Emulator
 from pmabench_drivers.emulator.plant import RealPlant
 
 from pmabench.base.errors import UsageError

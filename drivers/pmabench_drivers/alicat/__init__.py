@@ -1,8 +1,7 @@
 """Alicat PC and PCD pressure controllers, over ASCII or Modbus RTU on a serial line.
 
 `options`: what the bench file says, and what a reading says; `ascii_link`, `modbus_link`: the two protocols behind the
-same few methods; here: the device interface; `emulator`, `emulated_commands`, `emulated_controller`: the device for
-`pmabench emulate`.
+same few methods; here: the device interface; `emulator`, `emulated_controller`: the device for `pmabench emulate`.
 
 Sources: Alicat, manual of standard flow and pressure devices, 02/2023 (Modbus registers, special commands, status bits;
 ASCII commands); Apex/Alicat PC manual, page 22 (set-points, data frame). The list of columns is read as devices with
@@ -76,8 +75,7 @@ class AlicatController(Controlled):
 
     def _tick(self) -> None:
         """One turn of the thread: the next step of a segment, whose answer may be a reading, or a poll."""
-        link = self._link
-        if link is None:
+        if (link := self._link) is None:
             return
         self._reading = None
         failure = self._step()
@@ -88,8 +86,7 @@ class AlicatController(Controlled):
         except DeviceError as error:
             failure = error
         if reading is not None:
-            wrong = trouble(reading.status, exhausting=link.exhausting)
-            if wrong:
+            if wrong := trouble(reading.status, exhausting=link.exhausting):
                 failure = self._error(wrong)
             if self._streaming and not reading.status & NO_VALUE:
                 self._take(reading)

@@ -23,7 +23,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from time import monotonic
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError
@@ -31,9 +31,6 @@ from pmabench.bench.interface import COMPUTER, EMULATED, Identity
 from pmabench_drivers.alicat.options import HELD, OUTPUT, UNITS, Options, Reading
 from pmabench_drivers.shared import serial_port as sp
 from pmabench_drivers.shared.link import Still, Unanswered, always, opened, reason, turn
-
-if TYPE_CHECKING:
-    from serial import Serial
 
 HEAD = re.compile(r"\S D00 (?P<id>ID_+) (?P<name>NAME_+) (?P<type>TYPE_+) (?P<width>WIDTH_*) (?P<notes>NOTES_*)\s*")
 ROW = re.compile(r"(?P<unit_id>\S) D(?P<number>\d\d) .*")
@@ -96,8 +93,7 @@ class Layout:
 
     def read(self, line: bytes) -> tuple[float, float, frozenset[str]]:
         """Pressure, set-point and status codes; raises `Unreadable`, or `Wrong` for a refusal."""
-        words = _text(line).split()
-        if words in (["?"], [self.unit_id, "?"]):
+        if (words := sp.text_of(line).rstrip().split()) in (["?"], [self.unit_id, "?"]):
             raise sp.Wrong("refuses what it was asked (?)")
         count = len(self.columns)
         if len(words) < count or words[0].upper() != self.unit_id or not set(words[count:]) <= self.codes:
@@ -110,7 +106,7 @@ class Layout:
 
 def read_layout(lines: Sequence[bytes], unit_id: str) -> Layout:
     """The layout that a list of columns describes; raises `Wrong` where it is none that can be driven."""
-    texts = [_text(line) for line in lines]
+    texts = [sp.text_of(line).rstrip() for line in lines]
     head = HEAD.fullmatch(texts[0]) if texts else None
     if head is None:
         first = f'; it begins with "{sp.readable(lines[0])}"' if lines else ""
@@ -151,8 +147,7 @@ def _chosen(columns: Sequence[Column], codes: frozenset[str], unit_id: str) -> L
     if ABSOLUTE_SET_POINT in statistics:
         raise sp.Wrong("controls absolute pressure: set its control variable to gauge pressure")
     for index, statistic in enumerate(statistics):
-        wanted = MEASURED_BY.get(statistic)
-        if wanted is None:
+        if (wanted := MEASURED_BY.get(statistic)) is None:
             continue
         if wanted not in statistics:
             raise sp.Wrong(f'its data line does not contain the pressure of "{columns[index].name}"')
@@ -169,10 +164,6 @@ def _fits(column: Column, word: str) -> bool:
     return NUMBER.fullmatch(word) is not None and len(word) == column.width and point == column.decimals
 
 
-def _text(line: bytes) -> str:
-    return sp.text_of(line).rstrip()
-
-
 class AsciiLink:
     """The line to one controller, used by any thread."""
 
@@ -182,7 +173,7 @@ class AsciiLink:
     def __init__(self, device: str, address: str, options: Options, clock: Clock) -> None:
         self._device, self._address, self._options, self._clock = device, address, options, clock
         self._lock = threading.Lock()
-        self._port: Serial | None = None
+        self._port: Any = None
         self._layout: Layout | None = None
         self._splitter = sp.Splitter(b"\r", whole=True)
         self._lines: list[bytes] = []
@@ -247,9 +238,8 @@ class AsciiLink:
                 reading = self._reading(text, deadline)
             except Unanswered as lost:
                 reading, why = self._found(lost, value, deadline), lost.message
-        if not abs(reading.set_point - value) <= tolerance + self._step:
-            message = f"was commanded {value:g} and holds {reading.set_point:g}: {why}"
-            raise DeviceError(self._device, message, OUTPUT)
+        if not abs(reading.set_point - value) <= tolerance + 10.0**-self._shape.decimals:
+            raise DeviceError(self._device, f"was commanded {value:g} and holds {reading.set_point:g}: {why}", OUTPUT)
         return reading
 
     def vent(self, value: float, deadline: float, tolerance: float, still: Still = always) -> Reading | None:
@@ -266,7 +256,7 @@ class AsciiLink:
                     reading, lost = None, error
             if reading is None and lost is not None:
                 reading = self._found(lost, value, deadline)
-        if reading is None or not abs(reading.set_point - value) <= tolerance + self._step:
+        if reading is None or not abs(reading.set_point - value) <= tolerance + 10.0**-self._shape.decimals:
             held = "nothing" if reading is None else f"{reading.set_point:g}"
             raise DeviceError(self._device, f"was commanded {value:g} to vent and holds {held}", OUTPUT)
         if HELD in reading.status:
@@ -302,11 +292,6 @@ class AsciiLink:
             message = f"{lost.message}; whether it took {value:g} is not known ({error.message})"
             raise Unanswered(self._device, message, OUTPUT) from None
 
-    @property
-    def _step(self) -> float:
-        """The device shows a set-point to this."""
-        return 10.0**-self._shape.decimals
-
     def _written(self, value: float) -> str:
         if not abs(value) < LARGEST:
             raise DeviceError(self._device, f"{value} cannot be commanded", OUTPUT)
@@ -321,8 +306,7 @@ class AsciiLink:
 
     def _about(self, deadline: float) -> dict[int, str]:
         """Its answers to who it is, by their numbers."""
-        lines = self._listed("??M*", deadline, last=b" M09 ")
-        if not lines:
+        if not (lines := self._listed("??M*", deadline, last=b" M09 ")):
             message = (
                 f"nobody answers at {self._address}: is it switched on, at {self._options.baud} baud, with the unit ID "
                 f"{self._options.letter}, and set to ASCII?"
@@ -345,8 +329,7 @@ class AsciiLink:
             if column.unit_code not in same:
                 given = f'gives "{column.name}" in {column.unit or "no unit"} (unit {column.unit_code})'
                 wanted = f"the bench expects {self._options.unit} (unit {code}): set the device or the bench file"
-                message = f"{given} and {wanted}"
-                raise DeviceError(self._device, message)
+                raise DeviceError(self._device, f"{given} and {wanted}")
 
     def _refuse_other_source(self, deadline: float) -> None:
         """Firmware before 10v05 does not say it; there each set-point is proven by its answer."""
@@ -408,8 +391,7 @@ class AsciiLink:
         now = monotonic()
         limit, pending = min(deadline, now + self._options.timeout), now < self._late_until
         if limit <= now or (pending and self._asked_since):
-            message = "is not asked again yet, so that a late answer is not taken for a new one"
-            raise Unanswered(self._device, message)
+            raise Unanswered(self._device, "is not asked again yet, so that a late answer is not taken for a new one")
         if not pending:
             self._drain()
             self._splitter = sp.Splitter(b"\r", whole=True)
@@ -449,8 +431,7 @@ class AsciiLink:
     def _drain(self) -> bool:
         """Drop what came unasked or late; whether there was any line."""
         port = self._opened()
-        waiting = port.in_waiting
-        if waiting:
+        if waiting := port.in_waiting:
             self._lines += self._splitter.feed(port.read(waiting).replace(b"\n", b""))
         lines, self._lines = self._lines, []
         return bool(lines)

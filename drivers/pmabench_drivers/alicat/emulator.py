@@ -10,21 +10,9 @@ import struct
 from collections.abc import Mapping
 
 from pmabench.bench.interface import DeviceRecord
-from pmabench_drivers.alicat.emulated_commands import Commands
-from pmabench_drivers.alicat.emulated_controller import Controller
+from pmabench_drivers.alicat.emulated_controller import Commands, Controller
 from pmabench_drivers.alicat.options import ASCII, read_options
-from pmabench_drivers.emulator.faults import (
-    IGNORE,
-    LINK,
-    MODBUS,
-    OVER,
-    RESTART,
-    SETPOINT,
-    STATUS,
-    STUCK,
-    CommandLog,
-    Faults,
-)
+from pmabench_drivers.emulator import faults as f
 from pmabench_drivers.emulator.modbus_server import ADDRESS, VALUE, Refused, Request, RtuDevice, read_cells
 from pmabench_drivers.emulator.plant import RealPlant
 from pmabench_drivers.emulator.ports import OnTerminal
@@ -33,7 +21,7 @@ from pmabench_drivers.shared.options import options_of
 BITS = {"POV": 6, "HLD": 8, "ADC": 9, "EXH": 10, "OPL": 11}
 
 
-def serve(device: DeviceRecord, plant: RealPlant, log: CommandLog) -> AsciiDevice | RtuDevice:
+def serve(device: DeviceRecord, plant: RealPlant, log: f.CommandLog) -> AsciiDevice | RtuDevice:
     """The controller that a device of the driver `alicat` talks to."""
     options = options_of(device, read_options)
     controller = Controller(device, options, plant, log)
@@ -41,7 +29,7 @@ def serve(device: DeviceRecord, plant: RealPlant, log: CommandLog) -> AsciiDevic
         return AsciiDevice(controller, options.letter, log)
     cells = ModbusCells(controller)
     served = RtuDevice(cells, options.number, log, device.address)
-    served.faults = Faults(LINK, STUCK, MODBUS, OVER, STATUS, RESTART, SETPOINT)
+    served.faults = f.Faults(f.LINK, f.STUCK, f.MODBUS, f.OVER, f.STATUS, f.RESTART, f.SETPOINT)
     cells.faults = served.faults
     return served
 
@@ -49,9 +37,11 @@ def serve(device: DeviceRecord, plant: RealPlant, log: CommandLog) -> AsciiDevic
 class AsciiDevice(OnTerminal):
     """The controller on a pseudo-terminal, one answer to one question."""
 
-    def __init__(self, controller: Controller, letter: str, log: CommandLog) -> None:
+    def __init__(self, controller: Controller, letter: str, log: f.CommandLog) -> None:
         self.controller, self._letter, self._commands = controller, letter, Commands(controller, letter)
-        super().__init__(controller.device, log, Faults(LINK, STUCK, IGNORE, OVER, STATUS, RESTART, SETPOINT))
+        super().__init__(
+            controller.device, log, f.Faults(f.LINK, f.STUCK, f.IGNORE, f.OVER, f.STATUS, f.RESTART, f.SETPOINT)
+        )
         self.restart, self.change_set_point = controller.restart, controller.change_set_point
         self._data = b""
 
@@ -84,15 +74,14 @@ class AsciiDevice(OnTerminal):
         if fault.kind == "silence":
             return
         lines = self._commands.answer(question[1:], fault.kind)
-        answer = "".join(f"{line}\r" for line in lines).encode("ascii")
-        self.terminal.write(self.outgoing(answer, fault))
+        self.terminal.write(self.outgoing("".join(f"{line}\r" for line in lines).encode("ascii"), fault))
 
 
 class ModbusCells:
     """The controller's registers, as on the wire; only function 16 writes, and 3 and 4 read the same."""
 
     def __init__(self, controller: Controller) -> None:
-        self.device, self.controller, self.faults = controller.device, controller, Faults()
+        self.device, self.controller, self.faults = controller.device, controller, f.Faults()
         self._command, self.change_set_point = (0, 0), controller.change_set_point
 
     def look_at_watchdog(self) -> None:

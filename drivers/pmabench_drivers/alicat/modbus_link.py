@@ -105,7 +105,7 @@ class ModbusLink:
             if not still():
                 return
             if not self._regulating:
-                self._set_valves(CANCEL, deadline)
+                self._put(COMMAND, [VALVES, CANCEL], deadline)
                 self._refuse_other_result(CANCEL, deadline)
                 self._regulating, self.exhausting = True, False
             lost = self._put(SET_POINT, words, deadline)
@@ -119,7 +119,7 @@ class ModbusLink:
                 return
             self._regulating, self.exhausting = False, setting == EXHAUST
             lost = self._put(SET_POINT, words, deadline)
-            self._set_valves(setting, deadline)
+            self._put(COMMAND, [VALVES, setting], deadline)
             self._refuse_other_set_point(value, deadline, tolerance, lost)
             self._refuse_other_result(setting, deadline)
             self._regulating = setting == CANCEL
@@ -175,10 +175,6 @@ class ModbusLink:
         except DeviceError as error:
             return error
         return None
-
-    def _set_valves(self, setting: int, deadline: float) -> None:
-        """Write the valve setting once; its result is read afterwards."""
-        self._put(COMMAND, [VALVES, setting], deadline)
 
     def _refuse_other_set_point(
         self, value: float, deadline: float, tolerance: float, lost: DeviceError | None

@@ -78,9 +78,7 @@ class CanBus(Driver):
         """A function that returns the newest value of an input."""
         node_name, _, what = name.partition(".")
         node = self._nodes.get(node_name)
-        if node is None:
-            return lambda: self._signals.value(name)
-        return lambda: float(getattr(node, what))
+        return (lambda: self._signals.value(name)) if node is None else (lambda: float(getattr(node, what)))
 
     # -- life -----------------------------------------------------------------------------------------------------
 
@@ -219,8 +217,7 @@ class CanBus(Driver):
         try:
             if self._rows.may_sync():
                 self._lead()
-                before = self._clock.now()
-                self._rows.begin(round(before * 1e9))
+                self._rows.begin(round(self._clock.now() * 1e9))
                 self._send(f.SYNC)
             self._cycle.note(None)
         except DeviceError as error:
@@ -229,13 +226,12 @@ class CanBus(Driver):
     def _lead(self) -> None:
         """Send every moving drive its position for the SYNC after this one; the drive interpolates until then."""
         for name, segment in list(self._following.items()):
-            ahead = self._clock.now() + self._options.sync
-            value, over = stepped(segment, ahead)
+            value, over = stepped(segment, self._clock.now() + self._options.sync)
             output, drive = self._outputs[name], self._drive(name)
             if value is None:
                 continue
             own = 2 * math.pi * segment.frequency * abs(segment.amplitude)
-            drive.lead_to(value, min(CATCH_UP * own, self._fastest(output)) * self._options.sync)
+            drive.lead_to(value, min(CATCH_UP * own, output.rate / abs(output.scale.slope)) * self._options.sync)
             if over and round(drive.lead) == round(value) and self._following.get(name) is segment:
                 self._following.pop(name, None)
 
@@ -266,7 +262,7 @@ class CanBus(Driver):
         if segment.kind == "ramp":
             drive.go(round(segment.target), round(segment.rate), deadline)
             return
-        room = max(1, math.ceil(self._fastest(record) * ROOM))
+        room = max(1, math.ceil(record.rate / abs(record.scale.slope) * ROOM))
         drive.begin_cyclic(round(segment.origin), room, deadline)
         self._following[output] = segment
         if not self._cycle.running:
@@ -346,11 +342,6 @@ class CanBus(Driver):
         node = self._nodes[output.partition(".")[0]]
         assert isinstance(node, Drive)  # noqa: S101  (the options were checked)
         return node
-
-    @staticmethod
-    def _fastest(record: OutputRecord) -> float:
-        """Highest speed [count/s]."""
-        return record.rate / abs(record.scale.slope)
 
     def _refuse_trouble_of(self, drive: Drive) -> None:
         if trouble := drive.trouble():

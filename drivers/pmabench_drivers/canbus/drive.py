@@ -95,8 +95,7 @@ class Drive(Node):
     def state(self, deadline: float) -> f.State:
         """The state that it says it is in."""
         self.status = self.objects.read(f.STATUSWORD, 0, "H", deadline)
-        state = f.state_of(self.status)
-        if state is None:
+        if (state := f.state_of(self.status)) is None:
             raise self.error(f"says the statusword {self.status:04X}h, which is no state of CiA 402")
         return state
 
@@ -128,17 +127,14 @@ class Drive(Node):
             if state not in f.NEXT:
                 raise self._stuck(state, goal)
             if state is f.State.STOPPED or f.NEXT[state][1] is f.State.ENABLED:
-                self._stay(deadline)
+                # its target becomes where it is, so that nothing moves when operation is enabled
+                actual = self.objects.read(f.ACTUAL, 0, "i", deadline)
+                self.objects.write(f.TARGET, 0, "i", actual, deadline)
             word, follows = f.NEXT[state]
             self._control(word, deadline)
             before, state = state, self._reach({follows, f.State.ENABLED}, deadline)
             if state is before:
                 raise self._stuck(state, goal)
-
-    def _stay(self, deadline: float) -> None:
-        """Its target becomes where it is, so that nothing moves when operation is enabled."""
-        actual = self.objects.read(f.ACTUAL, 0, "i", deadline)
-        self.objects.write(f.TARGET, 0, "i", actual, deadline)
 
     def _reach(self, goals: set[f.State], deadline: float) -> f.State:
         """Wait for one of the states, a fault, or the end of the time; the state it is in then."""
@@ -172,8 +168,7 @@ class Drive(Node):
 
     def _use(self, mode: int, deadline: float) -> None:
         """Change the mode of operation, unless it is set already."""
-        shown = self.objects.read(f.MODE_SHOWN, 0, "b", deadline)
-        if shown == mode:
+        if self.objects.read(f.MODE_SHOWN, 0, "b", deadline) == mode:
             return
         self.objects.write(f.MODE, 0, "b", mode, deadline)
         until = min(deadline, monotonic() + STEP)
@@ -200,8 +195,7 @@ class Drive(Node):
                 raise self.error(f"does not acknowledge the target {target}: it may not have its zero yet (homing)")
             sleep(POLL)
         self._control(f.ENABLE, deadline)
-        held = self.objects.read(f.TARGET, 0, "i", deadline)
-        if held != target:
+        if (held := self.objects.read(f.TARGET, 0, "i", deadline)) != target:
             raise self.error(f"holds the target {held} after {target} was sent")
         self._expected = True
 
@@ -225,8 +219,7 @@ class Drive(Node):
         if not self._cyclic:
             return
         self.lead = min(max(target, self.lead - most), self.lead + most)
-        value = round(self.lead)
-        self._send(self._target_pdo, value.to_bytes(4, "little", signed=True))
+        self._send(self._target_pdo, round(self.lead).to_bytes(4, "little", signed=True))
 
     def halt(self, deadline: float) -> None:
         """Quick stop; it holds where it comes to rest. Without power there is nothing to stop."""

@@ -23,18 +23,7 @@ from pmabench_drivers.canbus.emulated_node import EmulatedNode
 from pmabench_drivers.canbus.frames import Frame
 from pmabench_drivers.canbus.link import TCP, line_of, read_line
 from pmabench_drivers.canbus.options import Message, Options, read_options
-from pmabench_drivers.emulator.faults import (
-    EXPIRY,
-    LINK,
-    SETPOINT,
-    STUCK,
-    WATCHDOG_OFF,
-    CommandLog,
-    Faults,
-    Kind,
-    Outgoing,
-    Tap,
-)
+from pmabench_drivers.emulator import faults as wire_faults
 from pmabench_drivers.emulator.plant import RealPlant
 from pmabench_drivers.emulator.ports import listen
 from pmabench_drivers.shared.options import options_of
@@ -50,11 +39,11 @@ GARBAGE = b"t1zz8\x00\xff\r\x07T0000\r"
 COMMANDS = (b"C", b"L", b"O", b"S", b"s", b"F", b"X", b"Z", b"V", b"N")
 PREFIX = f"slcan:{TCP}"
 CAN = {
-    "emergency": Kind(
+    "emergency": wire_faults.Kind(
         "the drive stops with a fault, or a transducer has an error, and the emergency has this code", "number", 0x5000
     ),
-    "restart": Kind("the nodes start again, as after a dip of their supply"),
-    "disabled": Kind("the drive's enable input is off: it does not go on to operation"),
+    "restart": wire_faults.Kind("the nodes start again, as after a dip of their supply"),
+    "disabled": wire_faults.Kind("the drive's enable input is off: it does not go on to operation"),
 }
 """What can happen to the nodes of a bus."""
 CYCLE = 0.01
@@ -64,14 +53,14 @@ CYCLE = 0.01
 class Hub:
     """Frames from one adapter reach all others and the nodes in this process, as a kind of hub says."""
 
-    def __init__(self, name: str, address: str, faults: Faults, tap: Tap) -> None:
+    def __init__(self, name: str, address: str, faults: wire_faults.Faults, tap: wire_faults.Tap) -> None:
         host, _, port = address.removeprefix(PREFIX).rpartition(":")
         if not address.startswith(PREFIX) or not host or not port.isdecimal():
             raise UsageError(f'{name} is at {address}; an emulator serves a bus at "{PREFIX}127.0.0.1:PORT" only')
         self._listener = listen(name, "127.0.0.1" if host == "localhost" else host, int(port))
         self.address = f"{PREFIX}{host}:{self._listener.getsockname()[1]}"
         self.faults, self._tap = faults, tap
-        self._outgoing = Outgoing(GARBAGE)
+        self._outgoing = wire_faults.Outgoing(GARBAGE)
         self._selector = selectors.DefaultSelector()
         self._selector.register(self._listener, selectors.EVENT_READ)
         self._rests: dict[socket.socket, bytes] = {}
@@ -124,8 +113,7 @@ class Hub:
                     self._accept()
                 elif isinstance(key.fileobj, socket.socket):
                     self._hear(key.fileobj)
-            now = monotonic()
-            if now >= due:
+            if (now := monotonic()) >= due:
                 due = max(due + TICK, now)
                 self._turn(now)
             while self._late and self._late[0][0] <= now:
@@ -157,10 +145,8 @@ class Hub:
         if line[:1] in COMMANDS:
             self._write(link, SERIAL if line[:1] == b"N" else b"V1010\r" if line[:1] == b"V" else b"\r")
             return
-        frame = read_line(line) or _asked(line)
-        if frame is None:
-            if line:
-                self._write(link, b"\x07")
+        if (frame := read_line(line) or _asked(line)) is None:
+            self._write(link, b"\x07" if line else b"")
             return
         self._write(link, b"Z\r" if frame.extended else b"z\r")
         for other in [other for other in self._rests if other is not link]:
@@ -197,7 +183,7 @@ def _asked(line: bytes) -> Frame | None:
         return None
 
 
-def serve(device: DeviceRecord, plant: RealPlant, log: CommandLog) -> EmulatedBus:
+def serve(device: DeviceRecord, plant: RealPlant, log: wire_faults.CommandLog) -> EmulatedBus:
     """The bus that the driver of `device` talks to."""
     return EmulatedBus(device, options_of(device, read_options), plant, log)
 
@@ -205,11 +191,13 @@ def serve(device: DeviceRecord, plant: RealPlant, log: CommandLog) -> EmulatedBu
 class EmulatedBus(Hub):
     """One bus: its faults are those of the adapter's line, and `CAN`."""
 
-    def __init__(self, device: DeviceRecord, options: Options, plant: RealPlant, log: CommandLog) -> None:
+    def __init__(self, device: DeviceRecord, options: Options, plant: RealPlant, log: wire_faults.CommandLog) -> None:
         self._device, self._plant, self._log = device, plant, log
         self._events: SimpleQueue[str] = SimpleQueue()
         """What is to happen in the hub's thread."""
-        faults = Faults(LINK, STUCK, EXPIRY, WATCHDOG_OFF, SETPOINT, CAN)
+        faults = wire_faults.Faults(
+            wire_faults.LINK, wire_faults.STUCK, wire_faults.EXPIRY, wire_faults.WATCHDOG_OFF, wire_faults.SETPOINT, CAN
+        )
         super().__init__(device.name, device.address, faults, log.tap(device.name))
         self.nodes: dict[str, EmulatedNode] = {}
         for name, node in options.nodes.items():

@@ -226,8 +226,7 @@ class EmulatedDrive(EmulatedNode):
 
     def _lost(self, code: int) -> None:
         """Do what object 6007h says; `code` where that is a fault."""
-        option = self.get(f.ABORT_OPTION)
-        if option == 1:
+        if (option := self.get(f.ABORT_OPTION)) == 1:
             self.fault(code)
         elif option == 2:
             self._enter(State.DISABLED)
@@ -278,8 +277,7 @@ class EmulatedDrive(EmulatedNode):
         """Cyclic synchronous position: be at the target one period from now."""
         if self.drive_state is not State.ENABLED or self.get(f.MODE_SHOWN) != f.CYCLIC:
             return
-        place = self._inside(self.get(f.TARGET))
-        if place == self._last:
+        if (place := self._inside(self.get(f.TARGET))) == self._last:
             return
         period = self.get(f.PERIOD, 1) * 10.0 ** self.get(f.PERIOD, 2)
         self._plant.drive(place, abs(place - self._last) / period)

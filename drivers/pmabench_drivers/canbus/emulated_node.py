@@ -59,9 +59,7 @@ class Entry:
     def bytes(self) -> bytes:
         """The value as it goes over the wire."""
         value = self.read() if self.read is not None else self.value
-        if isinstance(value, bytes):
-            return value
-        return struct.pack(f"<{self.kind}", value)
+        return value if isinstance(value, bytes) else struct.pack(f"<{self.kind}", value)
 
 
 @dataclass
@@ -182,8 +180,7 @@ class EmulatedNode:
 
     def put(self, index: int, sub: int, data: bytes) -> None:
         """Write an object as it came over the wire; raises Abort."""
-        entry = self.objects.get((index, sub))
-        if entry is None:
+        if (entry := self.objects.get((index, sub))) is None:
             raise Abort(NO_SUB if any(key[0] == index for key in self.objects) else NO_OBJECT)
         if not entry.writable:
             raise Abort(READ_ONLY)
@@ -365,8 +362,7 @@ class EmulatedNode:
         self._waiting.clear()
         self.synchronised()
         for index in range(PDOS):
-            kind = self.get(f.TPDO_PARAMETER + index, 2)
-            if 1 <= kind <= 240:
+            if 1 <= self.get(f.TPDO_PARAMETER + index, 2) <= 240:
                 self._transmit(index)
 
     def _on_event(self, index: int) -> None:

@@ -162,8 +162,7 @@ def read_segment(data: bytes, toggle: int) -> tuple[bytes, bool, int]:
     """Bytes of a segment, whether it is the last one, and an abort code or 0."""
     if len(data) != 8:
         raise NoAnswer(f"{len(data)} bytes where 8 are expected")
-    command = data[0]
-    if command == 0x80:
+    if (command := data[0]) == 0x80:
         return b"", True, int.from_bytes(data[4:], "little") or 0x08000000
     if command >> 5 != 0 or (command >> 4 & 1) != toggle:
         raise NoAnswer(f"command {command:02X}h")

@@ -131,8 +131,7 @@ class Slcan:
         if self._socket is not None:
             if not select.select([self._socket], [], [], wait)[0]:
                 return b""
-            data = self._socket.recv(4096)
-            if not data:
+            if not (data := self._socket.recv(4096)):
                 raise ConnectionResetError("the adapter hung up")
             return data
         data = self._port.read(1)
@@ -142,8 +141,7 @@ class Slcan:
         *lines, rest = (self._rest + self._read(wait)).replace(b"\x07", b"\r").split(b"\r")
         self._rest = rest[-LONGEST:]
         for line in lines:
-            frame = read_line(line)
-            if frame is not None:
+            if (frame := read_line(line)) is not None:
                 self._frames.append(frame)
             elif line[:1] == b"N" and len(line) < 20:
                 self.serial = line[1:].decode("ascii", "replace")

@@ -96,8 +96,7 @@ class Objects:
         if self.read(index, sub, kind, deadline) == value:
             return
         self.write(index, sub, kind, value, deadline)
-        held = self.read(index, sub, kind, deadline)
-        if held != value:
+        if (held := self.read(index, sub, kind, deadline)) != value:
             raise self._error(index, sub, f"holds {held} after {value} was written")
 
     def read_bytes(self, index: int, sub: int, deadline: float) -> bytes:
@@ -109,7 +108,7 @@ class Objects:
             data, toggle, over = b"", 0, False
             while not over and len(data) <= LONGEST:
                 self._put(f.next_segment(toggle))
-                piece, over, code = self._wait(partial(_segment, toggle), index, sub, deadline)
+                piece, over, code = self._wait(partial(f.read_segment, toggle=toggle), index, sub, deadline)
                 if code:
                     raise self._refused(index, sub, code)
                 data, toggle = data + piece, toggle ^ 1
@@ -166,10 +165,6 @@ class Objects:
 
     def _error(self, index: int, sub: int, message: str) -> DeviceError:
         return DeviceError(self._device, f"{self._name}: object {index:04X}h:{sub} {message}", self._name)
-
-
-def _segment(toggle: int, data: bytes) -> tuple[bytes, bool, int]:
-    return f.read_segment(data, toggle)
 
 
 class Node(ABC):
@@ -262,8 +257,7 @@ class Node(ABC):
         """An emergency has come; code 0 says that an error is over, which ends no run's doubt."""
         if len(data) < 2 or self._trouble:
             return
-        code = int.from_bytes(data[:2], "little")
-        if code:
+        if code := int.from_bytes(data[:2], "little"):
             self._trouble = f"{self.name}: emergency {code:04X}h: {f.emergency_text(code)}"
 
     # -- process data -------------------------------------------------------------------------------------------------
@@ -328,8 +322,7 @@ class Transducer(Node):
         alarms = self.objects.read_if_there(ALARMS, 0, "H", deadline)
         if alarms is not None and alarms & NO_MAGNET:
             raise self.error("says that its magnet is missing")
-        step = self.objects.read_if_there(STEPS, 1, "I", deadline)
-        if step is None:
+        if (step := self.objects.read_if_there(STEPS, 1, "I", deadline)) is None:
             step = self.objects.read_if_there(MEASURING_STEP, 0, "I", deadline)
         if not step:
             raise self.error("does not report its measuring step (objects 6005h:1 and 6501h)")

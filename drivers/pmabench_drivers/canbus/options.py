@@ -62,8 +62,7 @@ class Signal:
         if not self.big:
             return tuple(range(self.start, self.start + self.length))
         first = (self.start // 8) * 8 + 7 - self.start % 8
-        places = range(first + self.length - 1, first - 1, -1)
-        return tuple(8 * (place // 8) + 7 - place % 8 for place in places)
+        return tuple(8 * (place // 8) + 7 - place % 8 for place in range(first + self.length - 1, first - 1, -1))
 
     def value(self, data: bytes) -> float:
         """The physical value; IndexError where the frame is too short."""
@@ -116,8 +115,7 @@ def read_dbc(text: str) -> dict[str, Message]:
     current = -1
     for number, line in enumerate(text.splitlines(), 1):
         if found := _MESSAGE.match(line):
-            current = _whole(found[1], number)
-            if current in messages:
+            if (current := _whole(found[1], number)) in messages:
                 raise NoDatabase(f"line {number}: the message {current} is there twice")
             extended, length = bool(current & EXTENDED), _whole(found[3], number)
             if length > 8 or (current & ~EXTENDED) >= 1 << (29 if extended else 11):
@@ -126,8 +124,7 @@ def read_dbc(text: str) -> dict[str, Message]:
             messages[current] = Message(found[2], current & ~EXTENDED, length, extended)
         elif line.lstrip().startswith("SG_ ") and current in messages:
             message = messages[current]
-            signal = _signal(line, message, number)
-            if signal is not None:
+            if (signal := _signal(line, message, number)) is not None:
                 messages[current] = replace(message, signals={**message.signals, signal.name: signal})
         elif line.startswith("BO_ "):
             raise NoDatabase(f"line {number}: no message can be read: {line[:60]!r}")
@@ -147,8 +144,7 @@ def _whole(text: str, line: int) -> int:
 
 
 def _signal(line: str, message: Message, number: int) -> Signal | None:
-    found = _SIGNAL.match(line)
-    if found is None:
+    if (found := _SIGNAL.match(line)) is None:
         raise NoDatabase(f"line {number}: no signal can be read: {line.strip()[:60]!r}")
     start, length = _whole(found[3], number), _whole(found[4], number)
     if found[2] not in {None, "M"}:
@@ -258,12 +254,10 @@ def _nodes(given: Mapping[str, Any], own: int, reader: Reader) -> dict[str, Node
     for name, item in reader.named(given.get("nodes", {}), place).items():
         at = (*place, name)
         data = reader.keys(item, at, ("profile", "node", "approach"), ("profile", "node"))
-        profile = data.get("profile")
-        if profile not in PROFILES:
+        if (profile := data.get("profile")) not in PROFILES:
             reader.fault((*at, "profile"), f"402 (drive) or 406 (transducer) is expected, not {profile}")
             continue
-        number = reader.whole(data, "node", at, 1, 127, 1)
-        if number == own:
+        if (number := reader.whole(data, "node", at, 1, 127, 1)) == own:
             reader.fault((*at, "node"), f"{number} is the number of the program itself: change it, or own_node")
         if any(node.number == number for node in found.values()):
             reader.fault((*at, "node"), f"{number} is the number of two nodes")

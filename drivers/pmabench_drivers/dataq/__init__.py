@@ -268,12 +268,12 @@ class Dataq(SerialStream):
         if self._echo is not None:
             self._wait_for_echo(data)
             return
+        broken = False
         try:
-            whole = self._scans.feed(data)
-            broken = False
+            self._scans.feed(data)
         except Lost:
-            whole, broken = self._scans.whole, True
-        if whole:
+            broken = True
+        if whole := self._scans.whole:
             self._keep(whole, now)
         if broken:
             self._begin_again()
@@ -292,8 +292,7 @@ class Dataq(SerialStream):
                 round(self._newest * 1e9), [values[column] for column in self._columns], round(now * 1e9)
             )
         # scans have no numbers: that some never came shows in that all that follow seem to come late
-        behind = self._pace.behind(self._newest, now)
-        if behind > 0:
+        if (behind := self._pace.behind(self._newest, now)) > 0:
             self._failure = f"is {behind:.2f} s behind its clock: scans are lost, or it is slower than it says"
         elif behind < 0:
             self._failure = f"sends more scans than {self._rate:g} a second"

@@ -81,8 +81,7 @@ class Daq(Streaming):
             self._packet = self._packet[size:]
 
     def _word(self, entry: int, quantities: dict[str, float], fault: Fault) -> bytes:
-        number = entry & 0xF
-        if number == DIGITAL:
+        if (number := entry & 0xF) == DIGITAL:
             return struct.pack("<H", LEVELS)
         channel = self._channels.get(f"a{number}")
         value = float(channel.scale.to_raw(quantities.get(channel.name, 0.0))) if channel is not None else 0.0

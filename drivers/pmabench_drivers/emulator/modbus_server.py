@@ -10,9 +10,11 @@ from __future__ import annotations
 import socket
 import struct
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import count
+from time import monotonic
 from typing import Any, Protocol
 
 from pmabench.bench.interface import DeviceRecord
@@ -62,14 +64,11 @@ def parse(pdu: bytes) -> Request:
             if not 1 <= count <= (2000 if function < 3 else 125):
                 raise Refused(VALUE)
             return Request(function, address, count)
-        if function == 5:
+        if function in {5, 6}:
             address, value = struct.unpack(">HH", pdu[1:])
-            if value not in {0, 0xFF00}:
+            if function == 5 and value not in {0, 0xFF00}:
                 raise Refused(VALUE)
-            return Request(function, address, 1, (int(value == 0xFF00),))
-        if function == 6:
-            address, value = struct.unpack(">HH", pdu[1:])
-            return Request(function, address, 1, (value,))
+            return Request(function, address, 1, (int(value == 0xFF00) if function == 5 else value,))
         if function in {15, 16}:
             address, count, size = struct.unpack(">HHB", pdu[1:6])
             data = pdu[6:]
@@ -78,8 +77,7 @@ def parse(pdu: bytes) -> Request:
                 raise Refused(VALUE)
             if function == 16:
                 return Request(function, address, count, struct.unpack(f">{count}H", data))
-            bits = tuple(data[i // 8] >> i % 8 & 1 for i in range(count))
-            return Request(function, address, count, bits)
+            return Request(function, address, count, tuple(data[i // 8] >> i % 8 & 1 for i in range(count)))
     except struct.error:
         raise Refused(VALUE) from None
     raise Refused(FUNCTION)
@@ -91,15 +89,10 @@ def answer(request: Request, values: Sequence[int]) -> bytes:
     if request.function in {3, 4}:
         return head + bytes([2 * len(values)]) + struct.pack(f">{len(values)}H", *values)
     if request.function in {1, 2}:
-        data = bytearray((len(values) + 7) // 8)
-        for i, value in enumerate(values):
-            data[i // 8] |= (value & 1) << i % 8
-        return head + bytes([len(data)]) + bytes(data)
-    if request.function == 5:
-        return head + struct.pack(">HH", request.address, 0xFF00 if request.values[0] else 0)
-    if request.function == 6:
-        return head + struct.pack(">HH", request.address, request.values[0])
-    return head + struct.pack(">HH", request.address, request.count)
+        size, bits = (len(values) + 7) // 8, sum((value & 1) << i for i, value in enumerate(values))
+        return head + bytes([size]) + bits.to_bytes(size, "little")
+    echo = request.count if request.function in {15, 16} else request.values[0]
+    return head + struct.pack(">HH", request.address, echo * 0xFF00 if request.function == 5 else echo)
 
 
 def read_cells(cells: Mapping[int, int], request: Request) -> list[int]:
@@ -233,9 +226,7 @@ class _Device:
         if fault.kind == "exception":
             raise Refused(int(fault.value))
         values = self.registers.carry_out(request, connection, ignore=fault.kind == "ignore")
-        if fault.kind == "wrong":
-            return [(value + int(fault.value)) & 0xFFFF for value in values]
-        return values
+        return [(value + int(fault.value)) & 0xFFFF for value in values] if fault.kind == "wrong" else values
 
     def _watch(self) -> None:
         while not self._ended.wait(WATCH):
@@ -307,8 +298,7 @@ class RtuDevice(_Device):
     def _serve(self) -> None:
         data, outgoing = b"", Outgoing()
         while not self._ended.is_set():
-            received = self._terminal.read(0.05)
-            if received is None:
+            if (received := self._terminal.read(0.05)) is None:
                 return
             data = (data + received)[-600:]
             while (parts := split_rtu(data)) is not None:
@@ -325,22 +315,66 @@ class RtuDevice(_Device):
                     return
 
 
-class NamedDevice(TcpDevice):
-    """Also gives its names, objects 0 to 5; `hear` is called for that question, as for any communication."""
+class NamedRegisters(ABC):
+    """Holding registers of a device with a time-out, which any communication begins anew, and with names."""
 
-    def __init__(
-        self, registers: Answering, names: Sequence[str], hear: Callable[[], None], log: CommandLog, port: int
-    ) -> None:
-        super().__init__(registers, 1, log, port)
-        self._names, self._hear = names, hear
+    timeout: int
+    """[ms]; 0: never."""
+
+    def __init__(self, device: DeviceRecord, names: Sequence[str]) -> None:
+        self.device, self.names = device, names
+        self._lock, self._heard = threading.Lock(), monotonic()
+
+    def hear(self) -> None:
+        """Any communication."""
+        with self._lock:
+            self._heard = monotonic()
+
+    def carry_out(self, request: Request, connection: int, *, ignore: bool = False) -> list[int]:
+        """What is read, or nothing; `Refused` where the device says no."""
+        self.hear()
+        if request.table != "holding":
+            raise Refused(FUNCTION)
+        with self._lock:
+            if request.values:
+                self._write(request, connection, ignore=ignore)
+                return []
+            return read_cells(self._cells(), request)
+
+    @abstractmethod
+    def _cells(self) -> Mapping[int, int]:
+        """Everything that can be read now."""
+
+    @abstractmethod
+    def _write(self, request: Request, connection: int, *, ignore: bool) -> None:
+        """Carry out what is written; `Refused` where the device says no."""
+
+    @abstractmethod
+    def look_at_watchdog(self) -> None:
+        """Act by itself where its time-out has ended."""
+
+    def switch_off_watchdog(self) -> bool:
+        """Another program takes the time-out away; whether there was one."""
+        with self._lock:
+            before, self.timeout = self.timeout, 0
+            return before > 0
+
+
+class NamedDevice(TcpDevice):
+    """Also gives its names, objects 0 to 5, which counts as communication, too."""
+
+    registers: NamedRegisters
+
+    def __init__(self, registers: NamedRegisters, log: CommandLog) -> None:
+        super().__init__(registers, 1, log, int(registers.device.address.rpartition(":")[2]))
 
     def reply(self, pdu: bytes, connection: int, fault: Fault) -> bytes:
         """Also the answer to function 43/14."""
         if pdu[:2] != IDENTIFY:
             return super().reply(pdu, connection, fault)
-        self._hear()
+        self.registers.hear()
         if len(pdu) != 4 or pdu[2] not in {1, 2}:
             raise Refused(VALUE)
-        objects = self._names[:3] if pdu[2] == 1 else self._names
+        objects = self.registers.names[:3] if pdu[2] == 1 else self.registers.names
         body = b"".join(bytes([i, len(text)]) + text.encode("ascii") for i, text in enumerate(objects))
         return bytes([0x2B, 0x0E, pdu[2], 0x82, 0, 0, len(objects)]) + body

@@ -12,26 +12,12 @@ from collections.abc import Mapping
 from typing import Any
 
 from pmabench.base.clock import RealClock
-from pmabench.bench.interface import (
-    EMULATED,
-    UNPROVEN,
-    Block,
-    ChannelRecord,
-    DeviceRecord,
-    InterlockRecord,
-    Load,
-    OutputRecord,
-    Scale,
-    Segment,
-    ValveRecord,
-)
+from pmabench.bench import interface as b
 from pmabench_drivers.emulator.faults import CommandLog, Faults
 from pmabench_drivers.emulator.truth import Errors
-from pmabench_drivers.mock.driver import MockBench
-from pmabench_drivers.mock.joint import JointSimulation
+from pmabench_drivers.mock import MockBench
 from pmabench_drivers.mock.options import ANGLE, ARM, DUMP_VALVE, E_STOP
-from pmabench_drivers.mock.platform import PlatformSimulation
-from pmabench_drivers.mock.simulation import Simulation
+from pmabench_drivers.mock.simulation import JointSimulation, PlatformSimulation, Simulation
 
 RATE = 1000.0
 """The plant is sampled so often; whoever looks gets the latest sample, or that of a moment [Hz]."""
@@ -66,7 +52,7 @@ class _Mock(MockBench):
         self.rest()
         return super().simulation()
 
-    def collect(self) -> Block:
+    def collect(self) -> b.Block:
         """The samples up to the present."""
         self.rest()
         return super().collect()
@@ -91,22 +77,22 @@ class RealPlant:
         clock: RealClock | None = None,
     ) -> None:
         inputs = CHANNELS | (DRIVEN if driven else {}) | (BENT if plant == ARM else {})
-        drive = OutputRecord("displacement", "length", "plant", "displacement", Scale(), 0.0, 0.0, -0.01, 0.09)
+        drive = b.OutputRecord("displacement", "length", "plant", "displacement", b.Scale(), 0.0, 0.0, -0.01, 0.09)
         channels = tuple(
-            ChannelRecord(name, quantity, "plant", source, "float64", "SI", Scale(), -1e9, 1e9)
+            b.ChannelRecord(name, quantity, "plant", source, "float64", "SI", b.Scale(), -1e9, 1e9)
             for name, (source, quantity) in inputs.items()
         )
-        device = DeviceRecord(
+        device = b.DeviceRecord(
             "plant",
             "pmabench_drivers.mock:MockBench",
             options={"plant": plant, "preset": preset, "seed": seed, **({"free_end": "actuator"} if driven else {})},
             channels=channels,
             outputs=(
-                OutputRecord("pressure", "pressure", "plant", "pressure", Scale(), 0.0, 0.0, 0.0, 1e6),
+                b.OutputRecord("pressure", "pressure", "plant", "pressure", b.Scale(), 0.0, 0.0, 0.0, 1e6),
                 *((drive,) if driven else ()),
             ),
-            valves=(ValveRecord(DUMP_VALVE, "plant", DUMP_VALVE),) if dump_valve else (),
-            interlocks=(InterlockRecord(E_STOP, "plant", E_STOP),),
+            valves=(b.ValveRecord(DUMP_VALVE, "plant", DUMP_VALVE),) if dump_valve else (),
+            interlocks=(b.InterlockRecord(E_STOP, "plant", E_STOP),),
         )
         self._clock = clock or RealClock()
         self._mock = _Mock(device, self._clock)
@@ -141,7 +127,7 @@ class RealPlant:
 
     def model(self, name: str) -> str:
         """How an emulated device in front of it calls itself over its wire."""
-        return f"{EMULATED if self.proven else UNPROVEN}{name}"
+        return f"{b.EMULATED if self.proven else b.UNPROVEN}{name}"
 
     def quantities(self) -> dict[str, float]:
         """What each channel of a bench measures now [SI], noise included."""
@@ -190,7 +176,7 @@ class RealPlant:
         with self._lock:
             origin, self._sent = self._sent if origin is None else origin, position
             if speed > 0 and position != origin:
-                segment = Segment("ramp", self._clock.now(), origin, position, rate=speed)
+                segment = b.Segment("ramp", self._clock.now(), origin, position, rate=speed)
                 self._mock.follow("displacement", segment)
             else:
                 self._mock.write("displacement", position)
@@ -205,7 +191,7 @@ class RealPlant:
     def load(self, force: float, mass: float) -> None:
         """What hangs on the free end from now on [N], [kg]."""
         with self._lock:
-            self._mock.place(Load(force, mass))
+            self._mock.place(b.Load(force, mass))
 
     def e_stop_high(self) -> bool:
         """Whether the emergency stop is not pressed."""
@@ -268,7 +254,7 @@ class _Seen(RealPlant):
 class Wiring:
     """Channels, outputs, valves and contacts by the names of their terminals."""
 
-    def __init__(self, device: DeviceRecord, plant: RealPlant, log: CommandLog) -> None:
+    def __init__(self, device: b.DeviceRecord, plant: RealPlant, log: CommandLog) -> None:
         self._name, self._plant, self._log = device.name, plant, log
         self.channels = {channel.input: channel for channel in device.channels}
         self.outputs = {output.output: output for output in device.outputs}
@@ -277,26 +263,22 @@ class Wiring:
 
     def raw(self, terminal: str, quantities: Mapping[str, float], *, calibrated: bool = False) -> float:
         """What a terminal gives at the quantities of the plant [raw]; 0 where nothing is wired."""
-        channel = self.channels.get(terminal)
-        if channel is None:
+        if (channel := self.channels.get(terminal)) is None:
             return 0.0
         scale = channel.calibrated if calibrated else channel.scale
         return float(scale.to_raw(quantities.get(channel.name, 0.0)))
 
     def level(self, terminal: str) -> bool:
         """Whether the contact at a terminal holds it high; low where nothing is wired."""
-        lock = self.locks.get(terminal)
-        if lock is None:
+        if (lock := self.locks.get(terminal)) is None:
             return False
         closed = self._plant.e_stop_high() if "stop" in lock.name else True
         return closed == (lock.safe == "high")
 
     def set(self, terminal: str, raw: float, *, reached: float | None = None, **more: Any) -> None:
         """A command came: it is noted, and done, to what the terminal has `reached` where that is not `raw`."""
-        output = self.outputs.get(terminal)
-        if output is not None:
-            si = float(output.scale.to_si(raw))
-            self._log.note("set", self._name, output=output.name, raw=raw, si=si, **more)
+        if (output := self.outputs.get(terminal)) is not None:
+            self._log.note("set", self._name, output=output.name, raw=raw, si=float(output.scale.to_si(raw)), **more)
             if not more.get("held"):
                 self.give(terminal, raw if reached is None else reached)
 
@@ -308,8 +290,7 @@ class Wiring:
 
     def switch(self, terminal: str, *, on: bool, **more: Any) -> None:
         """A command for a valve came: it is noted, and done."""
-        valve = self.valves.get(terminal)
-        if valve is not None:
+        if (valve := self.valves.get(terminal)) is not None:
             self._log.note("switch", self._name, valve=valve.name, on=on, **more)
             if not more.get("held"):
                 self.drive(terminal, on=on)

@@ -43,8 +43,7 @@ def bracketed(host: str) -> str:
 def listen(device: str, host: str, port: int) -> socket.socket:
     """A listening TCP socket; UsageError where there can be none."""
     try:
-        family = socket.AF_INET6 if ":" in host else socket.AF_INET
-        return socket.create_server((host, port), family=family)
+        return socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET)
     except OSError as error:
         raise UsageError(f"cannot serve {device} at {bracketed(host)}:{port}: {error.strerror}") from None
 
@@ -76,14 +75,10 @@ def refuse_others(device: str, address: str) -> None:
         )
 
 
-def _no_tap(_kind: str, _data: bytes) -> None:
-    """Nobody writes down what is exchanged."""
-
-
 class Terminal:
     """A pseudo-terminal whose far end is reached by the symbolic link `path`; `tap` gets what goes through it."""
 
-    def __init__(self, path: str, tap: Tap = _no_tap) -> None:
+    def __init__(self, path: str, tap: Tap) -> None:
         self._link, self._tap = Path(path), tap
         if self._link.exists() and not self._link.is_symlink():
             raise UsageError(f"{path} is there and is no link of an emulator; give the device another address")
@@ -167,8 +162,7 @@ class OnTerminal(ABC):
 
     def _serve(self) -> None:
         while not self._ended.is_set():
-            data = self.terminal.read(self.wait())
-            if data is None:
+            if (data := self.terminal.read(self.wait())) is None:
                 return
             try:
                 self.take(data)

@@ -45,8 +45,7 @@ def wired(devices: Iterable[DeviceRecord], truth: Truth | None) -> list[Wired]:
             hint = did_you_mean(device.name, truth.devices)
             raise UsageError(f'{truth.path}: says nothing of the device "{device.name}" of the bench{hint}')
         item = truth.devices[device.name]
-        places = {name: device.options[name] for name in PLACES if name in device.options}
-        options = {**item.record.options, **places}
+        options = {**item.record.options, **{name: device.options[name] for name in PLACES if name in device.options}}
         here = replace(item.record, address=device.address, options=options, watchdog=device.watchdog)
         found.append(replace(item, record=here))
     return found
@@ -64,30 +63,26 @@ def _derived(device: DeviceRecord) -> Wired:
 def moved(item: Wired, *, inputs: Mapping[str, str] | None = None, outputs: Mapping[str, str] | None = None) -> Wired:
     """The same device with plugs in other terminals: where each of them was -> where it is now."""
     inputs, outputs = inputs or {}, outputs or {}
-    record = item.record
-    channels = tuple(
-        replace(c, input=inputs[c.input], scale=_in(item.inputs, c.input, inputs[c.input]).scale)
-        if c.input in inputs
-        else c
-        for c in record.channels
-    )
-    driven = tuple(
-        replace(o, output=outputs[o.output], scale=_in(item.outputs, o.output, outputs[o.output]).scale)
-        if o.output in outputs
-        else o
-        for o in record.outputs
-    )
-    valves = tuple(replace(v, output=outputs.get(v.output, v.output)) for v in record.valves)
+    record, plugs, driven = item.record, _plugged(item.inputs, inputs), _plugged(item.outputs, outputs)
+    channels = [(c, inputs[c.input]) if c.input in inputs else (c, "") for c in record.channels]
+    moving = [(o, outputs[o.output]) if o.output in outputs else (o, "") for o in record.outputs]
     return Wired(
-        replace(record, channels=channels, outputs=driven, valves=valves),
-        {inputs.get(at, at): _in(item.inputs, at, inputs.get(at, at)) for at in item.inputs},
-        {outputs.get(at, at): _in(item.outputs, at, outputs.get(at, at)) for at in item.outputs},
+        replace(
+            record,
+            channels=tuple(replace(c, input=at, scale=plugs[at].scale) if at else c for c, at in channels),
+            outputs=tuple(replace(o, output=at, scale=driven[at].scale) if at else o for o, at in moving),
+            valves=tuple(replace(v, output=outputs.get(v.output, v.output)) for v in record.valves),
+        ),
+        plugs,
+        driven,
     )
 
 
-def _in(plugs: Mapping[str, Plug], was: str, now: str) -> Plug:
-    """A plug in another terminal: the sensor moves, the resolution is that of the new terminal."""
-    return replace(plugs[was], digits=plugs.get(now, plugs[was]).digits)
+def _plugged(plugs: Mapping[str, Plug], ways: Mapping[str, str]) -> dict[str, Plug]:
+    """Plugs in other terminals: the sensor moves, the resolution is that of the new terminal."""
+    return {
+        (now := ways.get(was, was)): replace(plug, digits=plugs.get(now, plug).digits) for was, plug in plugs.items()
+    }
 
 
 @dataclass(frozen=True)
@@ -150,15 +145,12 @@ def _ends(rig: Sequence[Wired]) -> Iterable[_End]:
             yield _End(number, "input", channel.input, channel.name, channel.quantity)
         for output in record.outputs:
             yield _End(number, "output", output.output, output.name, output.quantity)
-        for valve in record.valves:
-            yield _End(number, "valve", valve.output, valve.name)
-        for lock in record.interlocks:
-            yield _End(number, "contact", lock.input, lock.name)
+        yield from (_End(number, "valve", valve.output, valve.name) for valve in record.valves)
+        yield from (_End(number, "contact", lock.input, lock.name) for lock in record.interlocks)
 
 
 def _usual(rig: Sequence[Wired]) -> str:
-    measured = [channel.name for item in rig for channel in item.record.channels]
-    if not measured:
+    if not (measured := [channel.name for item in rig for channel in item.record.channels]):
         raise UsageError("this rig measures nothing; say what is wrong, as scale:output.pressure=0.5")
     return "force" if "force" in measured else measured[0]
 
@@ -255,8 +247,7 @@ def _swap(rig: list[Wired], first: str, second: str) -> str:
 
 def _usual_swap(rig: Sequence[Wired]) -> tuple[str, str]:
     for item in rig:
-        measured = [c for c in item.record.channels if c.name not in COMMANDS]
-        for one, other in combinations(measured, 2):
+        for one, other in combinations([c for c in item.record.channels if c.name not in COMMANDS], 2):
             if item.inputs[one.input].unit == item.inputs[other.input].unit:
                 return one.name, other.name
     raise UsageError(

@@ -110,9 +110,7 @@ class FestoCmmt(Watched):
             self._opened().parameter(number, "int8", until) for number in (t.POSITION_PREFIX, t.VELOCITY_PREFIX)
         )
         self._per_second = 10.0 ** (position - velocity)
-        scales = [output.scale for output in self._device.outputs]
-        scales += [channel.scale for channel in self._device.channels]
-        for scale in scales:
+        for scale in [o.scale for o in self._device.outputs] + [c.scale for c in self._device.channels]:
             if not abs(abs(scale.slope) / 10.0**position - 1) < 0.05:
                 message = f"counts in 1e{position:.0f} m, and the bench file in {abs(scale.slope):.4g} m"
                 raise self._error(message, "P1.7841")
@@ -148,11 +146,9 @@ class FestoCmmt(Watched):
     def _send_due(self) -> None:
         """The command of this moment: the next piece of a sine, or the same as before."""
         with self._turn:
-            command = self._command
-            if command is None:
+            if (command := self._command) is None:
                 return
-            piece = self._path.next(1.0 / self._options.rate)
-            if piece is not None:
+            if (piece := self._path.next(1.0 / self._options.rate)) is not None:
                 command = self._command = self._moving(command, *piece)
         self._send(command)
 
@@ -199,8 +195,7 @@ class FestoCmmt(Watched):
         if segment.kind == "ramp" and segment.start <= self._clock.now():
             self._task(self._whole(segment.target, output), segment.rate, output)
             return
-        until = monotonic() + CALL
-        self._switch_on(until)
+        self._switch_on(monotonic() + CALL)
         with self._turn:
             self._path.follow(segment)
 
@@ -216,8 +211,7 @@ class FestoCmmt(Watched):
             self._replace(t.Command(on=on, stop=True), until)
         while not (status := self._look(until)).has(t.STOPPED):
             if monotonic() > until - LOOK:
-                message = f"was commanded to stop and still moves (status word 0x{status.word:04x})"
-                raise self._error(message, output)
+                raise self._error(f"was commanded to stop and still moves (status word 0x{status.word:04x})", output)
             sleep(LOOK)
         with self._turn:
             self._path.rest_at(status.position)
@@ -243,8 +237,7 @@ class FestoCmmt(Watched):
                 return
             if monotonic() > until - LOOK:
                 what = "did not answer to" if lost else "did not take"
-                message = f"{what} the motion to {target} (status word 0x{status.word:04x})"
-                raise self._error(message, output)
+                raise self._error(f"{what} the motion to {target} (status word 0x{status.word:04x})", output)
             sleep(LOOK)
 
     def _held(self, until: float) -> float:

@@ -8,7 +8,6 @@ library festo-edcon 1.0 and its list of parameters, read as a description of the
 from __future__ import annotations
 
 import struct
-import threading
 from collections.abc import Mapping
 from math import log10
 from time import monotonic
@@ -60,19 +59,18 @@ MILLI = -3
 """Decimal exponent of its velocity unit [m/s]."""
 
 
-def serve(device: DeviceRecord, plant: RealPlant, log: CommandLog) -> CmmtDevice:
+def serve(device: DeviceRecord, plant: RealPlant, log: CommandLog) -> NamedDevice:
     """The drive that a device of the driver `festo-cmmt` talks to, on this machine."""
     options_of(device, read_options)
-    return CmmtDevice(EmulatedDrive(device, plant, log), log, int(device.address.rpartition(":")[2]))
+    return NamedDevice(EmulatedDrive(device, plant, log), log)
 
 
-class EmulatedDrive:
+class EmulatedDrive(frames.NamedRegisters):
     """The registers of one drive, and what they do to the plant."""
 
     def __init__(self, device: DeviceRecord, plant: RealPlant, log: CommandLog) -> None:
-        self.device, self._plant, self._log = device, plant, log
-        self.names = [name.format(plant.model("CMMT-AS")) for name in NAMES]
-        self._lock = threading.Lock()
+        super().__init__(device, [name.format(plant.model("CMMT-AS")) for name in NAMES])
+        self._plant, self._log = plant, log
         scales = [output.scale for output in device.outputs] + [channel.scale for channel in device.channels]
         self._scale = scales[0] if scales else Scale(1e-6)
         prefix = round(log10(abs(self._scale.slope)))
@@ -96,36 +94,20 @@ class EmulatedDrive:
         self._inhibited = True
         self._taken = False
         self._behind_since = 0.0
-        self._heard, self._expire = monotonic(), False
+        self._expire = False
 
     # -- requests -------------------------------------------------------------------------------------------------
 
-    def hear(self) -> None:
-        """Any communication."""
-        with self._lock:
-            self._heard = monotonic()
-
-    def carry_out(self, request: frames.Request, connection: int, *, ignore: bool = False) -> list[int]:
-        """What is read, or nothing; `Refused` where the drive says no."""
-        self.hear()
-        if request.table != "holding":
-            raise frames.Refused(frames.FUNCTION)
-        with self._lock:
-            self.motion.settle(monotonic())
-            if request.values:
-                self._write(request, ignore=ignore)
-                return []
-            return frames.read_cells(self._cells(), request)
-
     def _cells(self) -> Mapping[int, int]:
-        """Everything that can be read now."""
+        self.motion.settle(monotonic())
         cells = {PROCESS_IN + i: word for i, word in enumerate(p.join(self.telegram, self._status_words()))}
         cells.update({TIMEOUT: self.timeout, TIMEOUT + 1: 0})
         cells.update({EXECUTE: self._mail[EXECUTE], LENGTH: self._mail[LENGTH]})
         cells.update({DATA + i: word for i, word in enumerate(self._data)})
         return cells
 
-    def _write(self, request: frames.Request, *, ignore: bool) -> None:
+    def _write(self, request: frames.Request, connection: int, *, ignore: bool) -> None:
+        self.motion.settle(monotonic())
         shape = request.function, request.address, request.count
         if request.function == 16 and request.address == PROCESS_OUT:
             if request.count not in {p.length(self.telegram), p.SIZE}:
@@ -384,12 +366,6 @@ class EmulatedDrive:
             self._heard = monotonic()
             self._log.note("restart", self.device.name)
 
-    def switch_off_watchdog(self) -> bool:
-        """Another program takes the time-out away; whether there was one."""
-        with self._lock:
-            before, self.timeout = self.timeout, 0
-            return before > 0
-
     def change_set_point(self, value: float) -> bool:
         """Another program sends one target [user units] in the process data; whether the drive takes it."""
         with self._lock:
@@ -407,11 +383,3 @@ class EmulatedDrive:
                 self._expire = False
                 self._log.note("watchdog", self.device.name, silent=now - self._heard)
                 self._fail(TIMED_OUT)
-
-
-class CmmtDevice(NamedDevice):
-    """A drive at its address."""
-
-    def __init__(self, drive: EmulatedDrive, log: CommandLog, port: int) -> None:
-        super().__init__(drive, drive.names, drive.hear, log, port)
-        self.drive = drive

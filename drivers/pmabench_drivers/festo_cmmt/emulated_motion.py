@@ -136,8 +136,7 @@ class Motion:
         return self._units(self.place())
 
     def _units(self, place: float) -> int:
-        raw = round(float(self._scale.to_raw(place))) - self._zero
-        return min(max(raw, -(2**31)), 2**31 - 1)
+        return min(max(round(float(self._scale.to_raw(place))) - self._zero, -(2**31)), 2**31 - 1)
 
     def place(self) -> float:
         """Where it is [m of contraction]."""

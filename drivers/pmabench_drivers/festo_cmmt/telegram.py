@@ -68,6 +68,8 @@ HERE = ("options",)
 POSITION, SET_POINT = "position", "set_point"
 """What can be recorded: where the drive is, and where it is wanted at that moment. `POSITION` is also the output."""
 WHOLE = 2**31
+SIGNED, UNSIGNED = (Register("", "holding", 0, kind, low_word_first=True) for kind in ("int32", "uint32"))
+"""How 32-bit words are written."""
 
 
 @dataclass(frozen=True)
@@ -88,9 +90,8 @@ class Command:
         """The registers from `PROCESS_OUT` on."""
         control = NO_COAST_STOP | NO_QUICK_STOP | ENABLE | NO_INTERMEDIATE_STOP | BY_PLC
         control |= self.on * ON | self.task * TASK | self.acknowledge * ACKNOWLEDGE | (not self.stop) * KEEP_TASK
-        target = encode(Register("", "holding", 0, "int32", low_word_first=True), self.target)
-        velocity = encode(Register("", "holding", 0, "uint32", low_word_first=True), self.velocity)
-        return [control, ABSOLUTE | CONTINUOUS | MDI, 0, 0, self.override, *target, *velocity, FULL, FULL]
+        numbers = [*encode(SIGNED, self.target), *encode(UNSIGNED, self.velocity)]
+        return [control, ABSOLUTE | CONTINUOUS | MDI, 0, 0, self.override, *numbers, FULL, FULL]
 
 
 @dataclass(frozen=True)
@@ -107,8 +108,7 @@ class Status:
     @classmethod
     def of(cls, words: Sequence[int]) -> Status:
         """From the registers from `PROCESS_IN` on."""
-        place = Register("", "holding", 0, "int32", low_word_first=True)
-        return cls(words[0], int(decode(place, words[5:7])), words[9])
+        return cls(words[0], int(decode(SIGNED, words[5:7])), words[9])
 
     def has(self, bit: int) -> bool:
         """Whether a bit of ZSW1 is set."""

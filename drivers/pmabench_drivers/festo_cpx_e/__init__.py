@@ -102,12 +102,10 @@ class FestoCpxE(ModbusDevice):
 
     def _compare(self, line: Line, until: float) -> None:
         name, modules = self._device.name, self._terminal.modules
-        present = self._present(line, until)
-        if present != len(modules) + 1:
+        if (present := self._present(line, until)) != len(modules) + 1:
             message = f"has {present} modules with the bus module, and the bench file names {len(modules) + 1}"
             raise DeviceError(name, message, "options.modules")
-        faults = self._faulty(line, until)
-        if faults:
+        if faults := self._faulty(line, until):
             raise DeviceError(name, f"reports faults (bits {', '.join(map(str, faults))}): look at the modules' LEDs")
         [status] = line.read("holding", STATUS, 1, until, "status")
         if status & t.FORCED:
@@ -122,22 +120,19 @@ class FestoCpxE(ModbusDevice):
     def _compare_range(self, line: Line, channel: str, wanted: int, until: float, *, protected: bool) -> None:
         number, shift = self._terminal.module_of(channel).range_of(int(channel.partition(".")[2]))
         held = self._parameter(line, number, until)
-        code = held >> shift & 0xF
-        if code == wanted:
+        if (code := held >> shift & 0xF) == wanted:
             return
         names = {value: key for key, value in t.RANGES.items()}
         found = f"is set to {names.get(code, f'range {code}')} and the bench file says {names[wanted]}"
         if not self._terminal.set_ranges:
-            message = f"{found}: set it at the terminal, or let it be set with set_ranges: true"
-            raise self._error(message, channel)
+            raise self._error(f"{found}: set it at the terminal, or let it be set with set_ranges: true", channel)
         if protected:
             raise self._error(f"{found}, and the terminal is write-protected", channel)
         if channel in self._map.outputs and self._get(self._map.outputs[channel], until) != 0:
             raise self._error(f"{found}, and it puts out something: bring it to 0 first", channel)
         line.write(16, t.VALUE_IN, [held & ~(0xF << shift) | wanted << shift], until, channel)
         self._ask_table(line, t.ASK | t.WRITE | number, until)
-        now = self._parameter(line, number, until) >> shift & 0xF
-        if now != wanted:
+        if self._parameter(line, number, until) >> shift & 0xF != wanted:
             raise self._error(f"did not take the range {names[wanted]}", channel)
 
     def held(self) -> dict[str, float | str]:
@@ -200,12 +195,10 @@ class FestoCpxE(ModbusDevice):
         words = self._opened().read("holding", t.FIRST_INPUT, self._terminal.width, deadline, "process data")
         answered = self._clock.now()
         for module in self._used:
-            status = words[module.status - t.FIRST_INPUT]
-            if status:
+            if status := words[module.status - t.FIRST_INPUT]:
                 message = f"reports a fault (status 0x{status:04x}): look at its LEDs and its data sheet"
                 raise self._error(message, f"module {module.position} ({module.name})")
-        row = [decode(item, [words[item.address - t.FIRST_INPUT]]) for item in self._inputs]
-        self._keep(row, asked, answered)
+        self._keep([decode(item, [words[item.address - t.FIRST_INPUT]]) for item in self._inputs], asked, answered)
 
     # -- commands -------------------------------------------------------------------------------------------------
 

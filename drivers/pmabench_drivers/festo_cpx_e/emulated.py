@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import socket
-import threading
 from time import monotonic
 
 from pmabench.bench.interface import DeviceRecord
@@ -36,19 +35,15 @@ NAMES = ("emulator of pmabench", "CPX-E-EP", "1", "", "{}", "")
 
 def serve(device: DeviceRecord, plant: RealPlant, log: CommandLog) -> CpxDevice:
     """The terminal that a device of the driver `festo-cpx-e` talks to, on this machine."""
-    options = options_of(device, t.read_options)
-    return CpxDevice(
-        EmulatedTerminal(device, options.terminal, plant, log), log, int(device.address.rpartition(":")[2])
-    )
+    return CpxDevice(EmulatedTerminal(device, options_of(device, t.read_options).terminal, plant, log), log)
 
 
-class EmulatedTerminal:
+class EmulatedTerminal(frames.NamedRegisters):
     """The registers of one terminal."""
 
     def __init__(self, device: DeviceRecord, terminal: t.Terminal, plant: RealPlant, log: CommandLog) -> None:
-        self.device, self._terminal, self._plant, self._log = device, terminal, plant, log
-        self.names = [name.format(plant.model("CPX-E")) for name in NAMES]
-        self._lock = threading.Lock()
+        super().__init__(device, [name.format(plant.model("CPX-E")) for name in NAMES])
+        self._terminal, self._plant, self._log = terminal, plant, log
         self._wiring = Wiring(device, plant, log)
         self._inputs, self._written = terminal.inputs(), terminal.outputs()
         self.statuses: dict[int, int] = {}
@@ -69,7 +64,6 @@ class EmulatedTerminal:
         self._read = 0
         self.timeout = FACTORY
         """Without communication for so long the outputs are taken away [ms]; 0: never."""
-        self._heard = monotonic()
         self._fired = self._expire = False
 
     # -- requests -------------------------------------------------------------------------------------------------
@@ -79,19 +73,7 @@ class EmulatedTerminal:
         with self._lock:
             self._heard, self._fired = monotonic(), False
 
-    def carry_out(self, request: frames.Request, connection: int, *, ignore: bool = False) -> list[int]:
-        """What is read, or nothing; `Refused` where the terminal says no."""
-        self.hear()
-        if request.table != "holding":
-            raise frames.Refused(frames.FUNCTION)
-        with self._lock:
-            if request.values:
-                self._write(request, connection, ignore=ignore)
-                return []
-            return frames.read_cells(self._cells(), request)
-
     def _cells(self) -> dict[int, int]:
-        """Everything that can be read now."""
         present = (1 << len(self._terminal.modules) + 1) - 1
         cells = {t.FIRST_INPUT + offset: 0 for offset in range(self._terminal.width)}
         for first, bits in ((t.PRESENT, present), (t.FAULTS, self.faults)):
@@ -100,8 +82,7 @@ class EmulatedTerminal:
         cells.update({t.STATUS: self.status, t.READY: ready, t.VALUE_OUT: self._read, t.TIMEOUT.address: self.timeout})
         quantities = self._plant.quantities()
         for name, register in self._inputs.items():
-            output = self._written.get(name)
-            if output is not None:
+            if (output := self._written.get(name)) is not None:
                 word = self._show(output.address)
                 cells[register.address] = word & 0xFF if register.bit >= 0 else word
             elif register.bit >= 0:
@@ -181,12 +162,6 @@ class EmulatedTerminal:
             self._heard, self._fired = monotonic(), False
             self._log.note("restart", self.device.name)
 
-    def switch_off_watchdog(self) -> bool:
-        """Another program takes the time-out away; whether there was one."""
-        with self._lock:
-            before, self.timeout = self.timeout, 0
-            return before > 0
-
     def change_set_point(self, value: float) -> bool:
         """Another program writes the first analogue output [count]; whether there is one."""
         with self._lock:
@@ -225,13 +200,11 @@ class EmulatedTerminal:
 class CpxDevice(NamedDevice):
     """A terminal at its address; hangs up when its time-out ends."""
 
-    def __init__(self, terminal: EmulatedTerminal, log: CommandLog, port: int) -> None:
-        super().__init__(terminal, terminal.names, terminal.hear, log, port)
-        self.terminal = terminal
+    registers: EmulatedTerminal
 
     def _watch(self) -> None:
         while not self._ended.wait(WATCH):
-            if self.terminal.fire():
+            if self.registers.fire():
                 for connection in list(self._open):
                     with contextlib.suppress(OSError):
                         connection.shutdown(socket.SHUT_RDWR)

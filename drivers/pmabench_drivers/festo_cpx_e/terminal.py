@@ -218,8 +218,7 @@ def _fits(output: OutputRecord, low: int, reader: Reader, *, watched: bool) -> N
     """The range of an output must be that of its module, and 0 its safe value where the terminal vents by itself."""
     at = ("outputs", output.name, "output")
     ends = [float(output.scale.to_raw(value)) for value in (output.low, output.high, output.safe)]
-    beyond = [value for value in ends if not low <= value <= 32767]
-    for value in beyond[:1]:
+    for value in [value for value in ends if not low <= value <= 32767][:1]:
         reader.fault(at, f"cannot be commanded over its whole range: {value:g} is outside {low} to 32767")
     if watched and round(ends[2]) != 0:
         reader.fault(at, f"its safe value is {ends[2]:g} counts, and without communication the terminal puts out 0")

@@ -99,9 +99,7 @@ def encode(code: int, counter: int) -> bytes:
 
 def distance(code: int, span: int) -> float:
     """Distance from the begin of the measuring range [mm] at a range of `span` [mm]; no number where it is none."""
-    if not 0 <= code <= FULL:
-        return math.nan
-    return 0.01 * (102.0 / FULL * code - 1.0) * span
+    return math.nan if not 0 <= code <= FULL else 0.01 * (102.0 / FULL * code - 1.0) * span
 
 
 def code_of(value: float, span: int) -> int:
@@ -114,8 +112,7 @@ def misset(code: int) -> str:
     """What is set wrong where the sensor sends this code; empty where nothing is."""
     if code <= FULL or code in SCENE:
         return ""
-    known = SETTING.get(code)
-    return known or f"sends {code}, which is no distance: a master value may be set in it"
+    return SETTING.get(code) or f"sends {code}, which is no distance: a master value may be set in it"
 
 
 class CounterBroken(Exception):

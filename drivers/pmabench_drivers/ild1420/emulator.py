@@ -33,8 +33,7 @@ class Sensor(Streaming):
             return
         word, _, value = line.partition(" ")
         answer = f"E{int(fault.value):03d} refused" if fault.kind == "exception" else self._carry_out(word, value)
-        data = f"{line} {answer}".strip().encode() + b"\r\n->"
-        self.terminal.write(self.outgoing(data, fault))
+        self.terminal.write(self.outgoing(f"{line} {answer}".strip().encode() + b"\r\n->", fault))
 
     def _carry_out(self, word: str, value: str) -> str:
         if word == "GETINFO":

@@ -191,9 +191,7 @@ class LabJack(ModbusDevice):
         asked = super().collect()
         if not self._t7.model.streams:
             return asked
-        if self._stream is None:
-            return Block([], {name: [] for name in self._names})
-        return self._stream.collect()
+        return Block([], {name: [] for name in self._names}) if self._stream is None else self._stream.collect()
 
     def stop(self) -> None:
         """End the stream; a ramp under way goes on."""
@@ -268,8 +266,7 @@ class LabJack(ModbusDevice):
             if self.get(address, len(words), deadline, "watchdog") == words:
                 continue  # flash wears out, and is slow
             self.put(address, words, deadline, "watchdog")
-            held = self.get(address, len(words), deadline, "watchdog")
-            if held != words:
+            if (held := self.get(address, len(words), deadline, "watchdog")) != words:
                 raise self._error(f"register {address} holds {held} after {words} was written", "watchdog")
         self.put(r.WATCHDOG_CLEAR, r.u32(KEY), deadline, "watchdog")
         self.put(r.WATCHDOG_ENABLE, r.u32(1), deadline, "watchdog")
@@ -340,8 +337,7 @@ class LabJack(ModbusDevice):
             [code] = self._opened().read("holding", r.LAST_ERR_DETAIL, 1, deadline, what)
         except DeviceError:
             return error
-        reason = r.ERRORS.get(code)
-        detail = f"its error {code}: {reason}" if reason else f"its error {code}"
+        detail = ": ".join([f"its error {code}", *([r.ERRORS[code]] if code in r.ERRORS else [])])
         return DeviceError(self._device.name, f"{error.message}; {detail}", what)
 
 

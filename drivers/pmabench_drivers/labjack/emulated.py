@@ -15,20 +15,8 @@ from pmabench_drivers.emulator.faults import EXPIRY, RESTART, SETPOINT, SKEW, WA
 from pmabench_drivers.emulator.modbus_server import ADDRESS, FUNCTION, KINDS, VALUE, Refused, Request, TcpDevice
 from pmabench_drivers.emulator.plant import RealPlant, Wiring
 from pmabench_drivers.emulator.ports import host_of
+from pmabench_drivers.labjack import emulated_map as m
 from pmabench_drivers.labjack import registers as r
-from pmabench_drivers.labjack.emulated_map import (
-    F32,
-    FAULTS,
-    FEEDBACK,
-    WORDS,
-    Cut,
-    Streamer,
-    Unknown,
-    Value,
-    feedback,
-    values_of,
-    whole,
-)
 from pmabench_drivers.labjack.registers import Options, read_options
 from pmabench_drivers.labjack.stream import COUNT, FLASH
 from pmabench_drivers.shared.options import options_of
@@ -99,14 +87,14 @@ def serve(device: DeviceRecord, plant: RealPlant, log: CommandLog) -> EmulatedT7
 class _Faults(Faults):
     """Faults of the link, and those of the stream."""
 
-    def __init__(self, stream: Streamer) -> None:
-        super().__init__(*KINDS, SKEW, EXPIRY, WATCHDOG_OFF, RESTART, SETPOINT, FAULTS)
+    def __init__(self, stream: m.Streamer) -> None:
+        super().__init__(*KINDS, SKEW, EXPIRY, WATCHDOG_OFF, RESTART, SETPOINT, m.FAULTS)
         self._stream = stream
 
     def set(self, kind: str, value: float | None = None, count: int = -1) -> None:
         """Of the stream: once; else as for any link."""
-        if kind in FAULTS:
-            self._stream.fault(kind, FAULTS[kind].usual if value is None else value)
+        if kind in m.FAULTS:
+            self._stream.fault(kind, m.FAULTS[kind].usual if value is None else value)
         else:
             super().set(kind, value, count)
 
@@ -117,7 +105,7 @@ class EmulatedT7(TcpDevice):
     def __init__(
         self, device: DeviceRecord, options: Options, plant: RealPlant, log: CommandLog, port: int, stream_port: int
     ) -> None:
-        self.stream = Streamer(device.name, host_of(device.address), stream_port, log)
+        self.stream = m.Streamer(device.name, host_of(device.address), stream_port, log)
         try:
             self.t7 = T7(device, options, plant, log, self.stream)
             super().__init__(self.t7, 1, log, port)
@@ -139,23 +127,23 @@ class EmulatedT7(TcpDevice):
 
     def reply(self, pdu: bytes, connection: int, fault: Fault) -> bytes:
         """The answer to a request; of function 76, all reads after one another."""
-        if pdu[0] != FEEDBACK:
+        if pdu[0] != m.FEEDBACK:
             return super().reply(pdu, connection, fault)
         words: list[int] = []
-        for number, request in enumerate(feedback(pdu)):
+        for number, request in enumerate(m.feedback(pdu)):
             try:
                 words += self.values(request, connection, fault)
             except Refused:
                 self.t7.failed_frame = number
                 raise
-        return bytes([FEEDBACK]) + struct.pack(f">{len(words)}H", *words)
+        return bytes([m.FEEDBACK]) + struct.pack(f">{len(words)}H", *words)
 
 
 class T7:
     """The registers of a model, kept as words by their addresses."""
 
     def __init__(
-        self, device: DeviceRecord, options: Options, plant: RealPlant, log: CommandLog, stream: Streamer
+        self, device: DeviceRecord, options: Options, plant: RealPlant, log: CommandLog, stream: m.Streamer
     ) -> None:
         self.device, self._plant, self._log, self._stream = device, plant, log, stream
         self._model = options.model
@@ -167,7 +155,7 @@ class T7:
         self._valves = {r.line_of(valve.output): valve.output for valve in device.valves}
         self._locks = {r.line_of(lock.input): lock.input for lock in device.interlocks}
         self._words: dict[int, int] = {}
-        self._values = values_of(options.model)
+        self._values = m.values_of(options.model)
         self._shown = self._show()
         self._last_error = self.failed_frame = 0
         self._levels = self._directions = 0
@@ -206,7 +194,7 @@ class T7:
         """What is read, or nothing; `Refused` where the device says no."""
         with self._lock:
             if not self._u32(r.WATCHDOG_STRICT):
-                self._clear()
+                self._cleared, self._fired = monotonic(), False
             if request.table not in {"holding", "input"}:
                 raise Refused(FUNCTION)
             if request.values:
@@ -214,12 +202,12 @@ class T7:
                 return []
             return self._read(request.address, request.count)
 
-    def _whole(self, address: int, count: int, access: str) -> list[tuple[int, Value]]:
+    def _whole(self, address: int, count: int, access: str) -> list[tuple[int, m.Value]]:
         try:
-            return list(whole(self._values, address, count, access))
-        except Unknown:
+            return list(m.whole(self._values, address, count, access))
+        except m.Unknown:
             raise Refused(ADDRESS) from None
-        except Cut:
+        except m.Cut:
             self._refuse(2315)
             raise
 
@@ -262,7 +250,7 @@ class T7:
         else:
             found = sum(self._terminal(line) << line for line in range(len(r.LINES)))
         found = found >> lines.first & (1 << lines.count) - 1
-        return r.u32(found) if WORDS[self._values[address].type] == 2 else [found]
+        return r.u32(found) if m.WORDS[self._values[address].type] == 2 else [found]
 
     def _read_inputs(self) -> None:
         """Volts of all inputs; a model that captures takes all of them at this moment."""
@@ -283,7 +271,7 @@ class T7:
 
     def _write(self, address: int, words: list[int], connection: int, *, ignore: bool) -> None:
         asked = self._whole(address, len(words), "W")
-        given = {at: words[at - address : at - address + WORDS[value.type]] for at, value in asked}
+        given = {at: words[at - address : at - address + m.WORDS[value.type]] for at, value in asked}
         self._refuse_wrong(given)
         if ignore:
             return
@@ -297,7 +285,7 @@ class T7:
                 self._refuse(2671)
             if self._stream.running and (r.STREAM_SCANRATE <= at < r.STREAM_ENABLE or r.AIN_RANGE <= at < 42100):
                 self._refuse(2605)
-            if self._values[at].type == F32 and at != r.TEST_FLOAT and not isfinite(r.from_f32(part)[0]):
+            if self._values[at].type == m.F32 and at != r.TEST_FLOAT and not isfinite(r.from_f32(part)[0]):
                 raise Refused(VALUE)
             if at == r.WATCHDOG_ENABLE and part[1] and self._u32(r.WATCHDOG_TIMEOUT) < 1:
                 self._refuse(2670)
@@ -326,7 +314,7 @@ class T7:
             self._set_line(at - r.DIO, high=part[0] != 0, connection=connection)
         elif at == r.WATCHDOG_CLEAR:
             if not self._u32(r.WATCHDOG_STRICT) or r.from_u32(part) == [self._u32(r.WATCHDOG_KEY)]:
-                self._clear()
+                self._cleared, self._fired = monotonic(), False
         elif at == r.STREAM_ENABLE:
             self._enable_stream(on=part[1] != 0)
         elif at == r.REBOOT:
@@ -338,7 +326,7 @@ class T7:
         else:
             self._store(at, part)
         if at == r.WATCHDOG_ENABLE:
-            self._clear()
+            self._cleared, self._fired = monotonic(), False
             self._log.note("watchdog-register", self.device.name, raw=part[1], connection=connection)
 
     # -- terminals ------------------------------------------------------------------------------------------------
@@ -444,9 +432,6 @@ class T7:
         self._stream.begin(rate, addresses, per_packet, size // 2, self.sample or sample)
 
     # -- the device's watchdog ------------------------------------------------------------------------------------
-
-    def _clear(self) -> None:
-        self._cleared, self._fired = monotonic(), False
 
     def switch_off_watchdog(self) -> bool:
         """Another program switches it off; whether it was on."""

@@ -117,8 +117,7 @@ def whole(values: dict[int, Value], address: int, count: int, access: str) -> It
         return
     at, end = address, address + count
     while at < end:
-        value = values.get(at)
-        if value is None:
+        if (value := values.get(at)) is None:
             before = values.get(at - 1)
             raise Cut if before is not None and WORDS[before.type] > 1 else Unknown
         if access not in value.access:
@@ -140,8 +139,7 @@ def feedback(pdu: bytes) -> list[Request]:
         data, rest = (rest[4 : 4 + 2 * count], rest[4 + 2 * count :]) if kind else (b"", rest[4:])
         if len(data) != 2 * count * kind:
             raise Refused(VALUE)
-        words = struct.unpack(f">{len(data) // 2}H", data)
-        found.append(Request(16 if kind else 3, address, count, words))
+        found.append(Request(16 if kind else 3, address, count, struct.unpack(f">{len(data) // 2}H", data)))
     if not found:
         raise Refused(VALUE)
     return found

@@ -151,8 +151,7 @@ def u32(*values: int) -> list[int]:
 
 def f32(*values: float) -> list[int]:
     """The words of numbers in single precision."""
-    data = struct.pack(f">{len(values)}f", *values)
-    return list(struct.unpack(f">{2 * len(values)}H", data))
+    return list(struct.unpack(f">{2 * len(values)}H", struct.pack(f">{len(values)}f", *values)))
 
 
 def from_u32(words: Sequence[int]) -> list[int]:
@@ -293,8 +292,7 @@ def _outputs(device: DeviceRecord, name: str, reader: Reader) -> None:
     places += [(("interlocks", lock.name, "input"), lock.input) for lock in device.interlocks]
     seen: dict[int, str] = {}
     for place, name in places:
-        line = line_of(name)
-        if line is None:
+        if (line := line_of(name)) is None:
             reader.known(place, "no digital line", name, LINES, f"; known: {KNOWN_LINES}")
         elif line in seen:
             reader.fault(place, f"{name} is in use by {seen[line]}")

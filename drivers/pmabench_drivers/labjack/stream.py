@@ -68,9 +68,7 @@ class Gain:
 
     def volts(self, raw: int) -> float:
         """The voltage of a count [V]."""
-        if raw < self.center:
-            return (self.center - raw) * self.negative
-        return (raw - self.center) * self.positive
+        return (self.center - raw) * self.negative if raw < self.center else (raw - self.center) * self.positive
 
     def table(self) -> array[float]:
         """The voltage of every count [V], shape (65536,)."""

@@ -1,5 +1,192 @@
-"""The mock bench: the simulated plant behind the driver interface, in process; knows no protocol, no unit of people."""
+"""The mock bench: the simulated plant behind the driver interface, in process.
 
-from pmabench_drivers.mock.driver import MockBench
+`options`: what a bench file says; `simulation`: one muscle, a joint, a platform, on what `sampled` has for all of them;
+here: the device interface, which knows no physics. `client`, `server`, `served`: the same in a process of its own, in
+real time.
+"""
 
-__all__ = ["MockBench"]
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, TypeAlias
+
+from pmabench.base.clock import Clock, RealClock, VirtualClock
+from pmabench.base.errors import DeviceError, did_you_mean
+from pmabench.bench.interface import Block, DeviceRecord, Identity, Load, OutputRecord, Segment
+from pmabench_drivers.mock.options import E_STOP, JOINT, PLATFORM, VALVES, Options, output_of, problems, read_options
+
+if TYPE_CHECKING:
+    from pmabench_drivers.mock.simulation import JointSimulation, PlatformSimulation, Simulation
+
+    AnySimulation: TypeAlias = Simulation | JointSimulation | PlatformSimulation
+
+
+class MockBench:
+    """A bench with the simulated plant in it: streams, takes set-points, ramps and sines, and has hands.
+
+    With the plant `joint` there are two muscles, with `platform` three: see `pmabench_drivers.mock.simulation`.
+    With all others:
+    Channel inputs: `pressure`, `displacement`, `force`, `supply`, and the set-points as the device holds them before
+    the dead time, `pressure_set` and (free end driven) `displacement_set`. Outputs: `pressure` and (free end driven)
+    `displacement`, and `dump_valve` to be switched: it is there when the bench names it as a valve, and open, so that
+    the muscle empties whatever the regulator does, unless it is energised; and `isolation_valve`, there when named,
+    which lets nothing through unless it is energised. Digital input: `e_stop`.
+    Options: `pmabench_drivers.mock.options.Options`. Bench time is the clock's: every call first lets
+    the plant catch up with it, and when the clock was taken back, the plant goes back too. Whoever takes the clock back
+    calls `collect` (which then returns nothing) before time goes on: a jump back and forth between two calls is not
+    seen.
+    """
+
+    verified = "a simulation"
+
+    def __init__(self, device: DeviceRecord, clock: Clock) -> None:
+        self._device, self._clock = device, clock
+        self._options = self._read_options()
+        self._opened: AnySimulation | None = None
+        self._closed = threading.Event()
+
+    @classmethod
+    def check(cls, device: DeviceRecord) -> Iterable[tuple[tuple[str, ...], str]]:
+        """What is wrong with the options, each with its place; builds no plant."""
+        return problems(device, device.options)
+
+    def _read_options(self) -> Options:
+        options, name = read_options(self._device.name, self._device.options), self._device.name
+        if (options.faults.dead_at, options.faults.mute_at) != (None, None):
+            raise DeviceError(name, "the faults dead_at and mute_at need the driver mock-realtime")
+        return options
+
+    def open(self) -> Identity:
+        """Build the plant at rest, without pressure, the load support under the carriage."""
+        from pmabench_drivers.mock.sampled import MEMORY
+        from pmabench_drivers.mock.simulation import JointSimulation, PlatformSimulation, Simulation
+
+        try:
+            memory = 0.0 if isinstance(self._clock, RealClock) else MEMORY
+            several: dict[str, type[AnySimulation]] = {JOINT: JointSimulation, PLATFORM: PlatformSimulation}
+            made = several.get(self._options.plant, Simulation)
+            self._opened = made(self._device, self._options, self._now(), memory)
+        except ValueError as error:
+            raise DeviceError(self._device.name, str(error)) from error
+        self._closed.clear()
+        options = self._options
+        return Identity("pmabench", f"mock {options.plant} {options.preset}", str(options.seed), "1", simulated=True)
+
+    def close(self) -> None:
+        """Forget the plant."""
+        self._opened = None
+        self._closed.set()
+
+    def start(self, rate: float) -> float:
+        """Sample 0 is taken now, sample k at k / rate later; any rate above 0 [Hz] is kept exactly."""
+        if not 0 < rate < math.inf:
+            raise DeviceError(self._device.name, f"cannot sample at {rate} Hz")
+        self.simulation().start(rate)
+        return rate
+
+    def collect(self) -> Block:
+        """All samples due by now that were not collected yet."""
+        opened, now = self._linked()
+        return opened.collect(now, _moment(self._clock.foreseen) if isinstance(self._clock, VirtualClock) else now)
+
+    def stop(self) -> None:
+        """End sampling."""
+        if self._opened is not None:
+            self._opened.stop()
+
+    def write(self, output: str, value: float) -> None:
+        """Command a value [device units] at once."""
+        record = output_of(self._device, output, value)
+        self._command(output, Segment("constant", self._now(), value), record)
+
+    def read_back(self, output: str) -> float:
+        """The set-point held now [device units]."""
+        record = output_of(self._device, output)
+        return float(record.scale.to_raw(self.simulation().setpoint(output)))
+
+    def follow(self, output: str, segment: Segment) -> None:
+        """Follow a ramp or a sine from its start on, or from now on if that has passed."""
+        record = output_of(self._device, output, segment.origin, segment.target, segment.amplitude)
+        if segment.kind not in {"ramp", "sine"}:
+            raise DeviceError(self._device.name, f'cannot follow a "{segment.kind}"', output)
+        speed = segment.rate if segment.kind == "ramp" else segment.frequency
+        if not 0 < speed < math.inf:
+            raise DeviceError(self._device.name, f"a {segment.kind} needs a rate above zero, not {speed}", output)
+        self._command(output, segment, record)
+
+    def halt(self, output: str) -> None:
+        """Stop where it is and hold: the actuator at its place, the regulator at its set-point."""
+        output_of(self._device, output)
+        self.simulation().halt(output)
+
+    def switch(self, output: str, *, on: bool) -> None:
+        """Energise a valve or not."""
+        self._valve(output)
+        self.simulation().switch(output, on=on)
+
+    def pulse(self, output: str, seconds: float) -> None:
+        """Open a valve of a platform from now on for `seconds`."""
+        self._valve(output)
+        try:
+            self.simulation().pulse(output, seconds)
+        except ValueError as error:
+            raise DeviceError(self._device.name, str(error), output) from error
+
+    def is_on(self, output: str) -> bool:
+        """Whether a valve is energised."""
+        self._valve(output)
+        return self.simulation().is_on(output)
+
+    def level(self, name: str) -> bool:
+        """Whether the emergency stop's contact is closed, which holds the input high."""
+        if name != E_STOP:
+            raise DeviceError(self._device.name, f'no digital input "{name}"{did_you_mean(name, [E_STOP])}')
+        return self.simulation().e_stop_high()
+
+    def place(self, load: Load) -> None:
+        """The free end carries `load` from now on; without effect where an actuator holds it."""
+        self.simulation().place(load)
+
+    def _command(self, output: str, segment: Segment, record: OutputRecord) -> None:
+        try:
+            self.simulation().command(output, segment, record.scale)
+        except ValueError as error:
+            raise DeviceError(self._device.name, str(error), output) from error
+
+    def _valve(self, output: str) -> None:
+        known = [valve.output for valve in self._device.valves]
+        if output not in known:
+            raise DeviceError(self._device.name, f'no valve "{output}"{did_you_mean(output, known or VALVES)}')
+
+    def _now(self) -> float:
+        return _moment(self._clock.now())
+
+    def simulation(self) -> AnySimulation:
+        """The simulation, brought to the clock's time: the truth that what the driver says is compared with."""
+        opened, now = self._linked()
+        opened.catch_up(now)
+        return opened
+
+    def _linked(self) -> tuple[AnySimulation, float]:
+        """The simulation where its link works, and the clock's time [s]."""
+        if self._opened is None:
+            raise DeviceError(self._device.name, "is not open")
+        now = self._now()
+        self._check_link(now)
+        return self._opened, now
+
+    def _check_link(self, now: float) -> None:
+        """Act on simulated faults of the link: hang, or raise DeviceError."""
+        faults = self._options.faults
+        if faults.hang_at is not None and now >= faults.hang_at:
+            self._closed.wait()
+            raise DeviceError(self._device.name, "closed while it did not answer (simulated fault)")
+        if faults.lost_at is not None and now >= faults.lost_at:
+            raise DeviceError(self._device.name, "link lost (simulated fault)")
+
+
+def _moment(t: float) -> float:
+    """As `to_nanosecond`, which would import numpy."""
+    return round(t * 1e9) / 1e9

@@ -57,8 +57,7 @@ class Inbox:
         self._bytes += piece
         while True:
             if self._head is None:
-                end = self._bytes.find(b"\n")
-                if end < 0:
+                if (end := self._bytes.find(b"\n")) < 0:
                     if len(self._bytes) > LONGEST_LINE:
                         raise ValueError("a line is longer than any that is sent")
                     return
@@ -114,16 +113,14 @@ class Link:
         self._socket.settimeout(max(by - time.monotonic(), 1e-3))
         self._socket.sendall(encode({"n": self._number, "by": by, "do": do, **fields}))
         while True:
-            piece = self._socket.recv(1 << 18)
-            if not piece:
+            if not (piece := self._socket.recv(1 << 18)):
                 raise ConnectionResetError("the other side has closed the connection")
             for answer, payload in self._inbox.feed(piece):
                 if answer.get("n") == self._number:
                     if "error" in answer:
                         raise DeviceError(self._device, str(answer["error"]), str(answer.get("channel", "")))
                     return answer, payload
-            left = by - time.monotonic()
-            if left <= 0:
+            if (left := by - time.monotonic()) <= 0:
                 raise TimeoutError
             self._socket.settimeout(left)
 
@@ -138,7 +135,7 @@ class MockClient:
     """A bench whose simulated plant lives in real time in a separate process (`pmabench_drivers.mock.server`).
 
     Channels, outputs, dump valve, digital input and options are those of the driver `mock`
-    (`pmabench_drivers.mock.driver.MockBench`), with `pmabench_drivers.mock.options.Service`. The address is
+    (`pmabench_drivers.mock.MockBench`), with `pmabench_drivers.mock.options.Service`. The address is
     `127.0.0.1:PORT`; `open` starts the process where nobody listens there, unless `start` is false. It has a watchdog
     and a second way to its outputs. Needs a clock in real time. An answer that does not come in time ends the
     connection, so that it can never be taken for a later one; the next call makes a new one.
@@ -265,10 +262,14 @@ class MockClient:
 
     def control(self, do: str, **fields: Any) -> dict[str, Any]:
         """Ask the plant's process over a connection of the role `control`, which faults of the link do not affect."""
+        return self._aside("control", do, **fields)
+
+    def _aside(self, role: str, do: str, **fields: Any) -> dict[str, Any]:
+        """The answer to one question over a connection of its own."""
         by = time.monotonic() + PATIENCE
 
         def act() -> dict[str, Any]:
-            link, _ = self._connect("control", by)
+            link, _ = self._connect(role, by)
             try:
                 return link.ask(do, by, **fields)[0]
             finally:
@@ -361,13 +362,4 @@ class MockClient:
         """Command `value` [device units; 0 and 1 for the valve] over a separate connection; no retry."""
         if output not in self._valves:
             output_of(self._device, output, value)
-        by = time.monotonic() + PATIENCE
-
-        def act() -> None:
-            link, _ = self._connect("rescue", by)
-            try:
-                link.ask("rescue", by, output=output, value=value)
-            finally:
-                link.close()
-
-        self._try(act)
+        self._aside("rescue", "rescue", output=output, value=value)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any
 
@@ -222,15 +222,19 @@ def read_options(device: str, given: Mapping[str, Any]) -> Options:
     DeviceError
         For an option that is not known, naming the nearest one, or a value that cannot be.
     """
-    own = {item.name for item in fields(Options)} - {"overrides", "numbers"}
-    changes = {item.name for item in fields(Overrides)}
+    own = {*_names(Options)} - {"overrides", "numbers"}
+    changes = _names(Overrides)
     values: dict[str, Any] = {}
     overrides: dict[str, Any] = {}
     for name, value in given.items():
         if name == "faults":
-            values[name] = Faults(**_values(device, value, Faults, "fault", "faults are given as {name: time in s}"))
+            values[name] = Faults(
+                **_values(device, value, _names(Faults), "no fault", "faults are given as {name: time in s}")
+            )
         elif name == "built":
-            values[name] = _built(device, str(given.get("plant", "")), value)
+            plant, shape = str(given.get("plant", "")), "built is given as {name: number in SI}"
+            says = f"the plant {plant} has nothing called"
+            values[name] = _values(device, value, BUILT_OF.get(plant, ()), says, shape)
         elif name == "errors":
             values[name] = _errors(device, value)
         elif name == "plant" and isinstance(value, Mapping):
@@ -240,7 +244,7 @@ def read_options(device: str, given: Mapping[str, Any]) -> Options:
         elif name in changes:
             overrides[name] = _value(device, name, value)
         else:
-            raise DeviceError(device, f'no option "{name}"{did_you_mean(name, own | changes)}')
+            raise DeviceError(device, f'no option "{name}"{did_you_mean(name, [*own, *changes])}')
     options = Options(**values, overrides=Overrides(**overrides))
     _check_plant(device, options, overrides)
     if options.dump_lag < 0 or not options.slow_vent > 0:
@@ -274,6 +278,10 @@ def _check_plant(device: str, options: Options, overrides: Mapping[str, Any]) ->
     for name in NOT_FOR.get(law, (*STRAIGHT, "fce_eval")):
         if name in overrides:
             raise DeviceError(device, f"option {name}: the plant {options.plant} has no use for it")
+
+
+def _names(kind: Any) -> list[str]:
+    return [item.name for item in fields(kind)]
 
 
 def inputs_of(free_end: str, plant: str) -> list[str]:
@@ -333,17 +341,12 @@ def output_of(device: DeviceRecord, name: str, *values: float) -> OutputRecord:
 
 def split_service(device: str, given: Mapping[str, Any]) -> tuple[Service, dict[str, Any]]:
     """The options of the process, checked, and all others as they are."""
-    names = {item.name for item in fields(Service)}
-    values: dict[str, Any] = {}
-    for name in names & set(given):
-        value = given[name]
-        if name == "start":
-            if not isinstance(value, bool):
-                raise DeviceError(device, f"option start: true or false is expected, not {value!r}")
-            values[name] = value
-        else:
-            values[name] = _value(device, name, value)
-    service = Service(**values)
+    names = _names(Service)
+    start = given.get("start", True)
+    if not isinstance(start, bool):
+        raise DeviceError(device, f"option start: true or false is expected, not {start!r}")
+    values = {name: _value(device, name, given[name]) for name in names if name in given and name != "start"}
+    service = Service(start=start, **values)
     if not service.idle > 0:
         raise DeviceError(device, f"option idle: a time above 0 s is expected, not {service.idle:g}")
     return service, {name: value for name, value in given.items() if name not in names}
@@ -351,7 +354,7 @@ def split_service(device: str, given: Mapping[str, Any]) -> tuple[Service, dict[
 
 def fault_name(device: str, name: str) -> str:
     """The field of `Faults` for `burst` or `burst_at`."""
-    known = [item.name for item in fields(Faults)]
+    known = _names(Faults)
     full = name if name.endswith("_at") else f"{name}_at"
     if full not in known:
         raise DeviceError(device, f'no fault "{name}"{did_you_mean(full, known)}')
@@ -363,15 +366,7 @@ def sensor_error(device: str, channel: str, given: Any) -> SensorError:
     if channel not in INPUTS:
         raise DeviceError(device, f'errors: no input "{channel}"{did_you_mean(channel, INPUTS)}')
     shape = f"errors of {channel} are given as {{factor: ..., offset: ...}}"
-    return SensorError(**_values(device, given, SensorError, "error", shape))
-
-
-def _built(device: str, plant: str, given: Any) -> dict[str, float]:
-    known = BUILT_OF.get(plant, ())
-    for name in _mapping(device, given, "built is given as {name: number in SI}"):
-        if name not in known:
-            raise DeviceError(device, f'the plant {plant} has nothing called "{name}"{did_you_mean(str(name), known)}')
-    return {name: _value(device, name, value) for name, value in given.items()}
+    return SensorError(**_values(device, given, _names(SensorError), "no error", shape))
 
 
 def _errors(device: str, given: Any) -> dict[str, SensorError]:
@@ -379,11 +374,10 @@ def _errors(device: str, given: Any) -> dict[str, SensorError]:
     return {str(name): sensor_error(device, str(name), value) for name, value in items.items()}
 
 
-def _values(device: str, given: Any, kind: Callable[..., Any], word: str, shape: str) -> dict[str, Any]:
-    known = [item.name for item in fields(kind)]  # type: ignore[arg-type]
+def _values(device: str, given: Any, known: Collection[str], says: str, shape: str) -> dict[str, Any]:
     for name in _mapping(device, given, shape):
         if name not in known:
-            raise DeviceError(device, f'no {word} "{name}"{did_you_mean(str(name), known)}')
+            raise DeviceError(device, f'{says} "{name}"{did_you_mean(str(name), known)}')
     return {name: _value(device, name, value) for name, value in given.items()}
 
 

@@ -112,8 +112,7 @@ class Damage:
     ) -> None:
         own = dict(columns)
         for channel in self._channels:
-            error = errors.get(channel.record.input)
-            if error is None:
+            if (error := errors.get(channel.record.input)) is None:
                 continue
             raw = own[channel.record.name]
             if error.reads:

@@ -14,16 +14,8 @@ import numpy as np
 from pmabench.base.clock import RealClock
 from pmabench.base.errors import DeviceError, did_you_mean
 from pmabench.bench.interface import DeviceRecord, Identity, Load, Segment
-from pmabench_drivers.mock.driver import MockBench
-from pmabench_drivers.mock.options import (
-    Faults,
-    Options,
-    fault_name,
-    output_of,
-    read_options,
-    sensor_error,
-    split_service,
-)
+from pmabench_drivers.mock import MockBench
+from pmabench_drivers.mock import options as o
 
 EMPTY = 1e3
 """Gauge pressure under which the muscle counts as empty [Pa]."""
@@ -66,8 +58,8 @@ class _Bench(MockBench):
 
     moment = 0.0
 
-    def _read_options(self) -> Options:
-        return read_options(self._device.name, split_service(self._device.name, self._device.options)[1])
+    def _read_options(self) -> o.Options:
+        return o.read_options(self._device.name, o.split_service(self._device.name, self._device.options)[1])
 
     def _now(self) -> float:
         return self.moment
@@ -84,7 +76,7 @@ class Served:
 
     def __init__(self, device: DeviceRecord, clock: RealClock) -> None:
         self.device, self.clock = device, clock
-        self.service = split_service(device.name, device.options)[0]
+        self.service = o.split_service(device.name, device.options)[0]
         self._bench = _Bench(device, clock)
         self.identity: Identity = self._bench.open()
         self.log = Log(self.service.log)
@@ -102,9 +94,9 @@ class Served:
             "stop": lambda _, q: self._bench.stop(),
             "rescue": self._rescue,
             "arm": self._arm,
-            "feed": self._feed,
+            "feed": lambda _asker, _question: self._refuse_fired(),
             "disarm": self._disarm,
-            "held": self._report,
+            "held": lambda _a, _q: {"watchdog": self._watchdog, "uptime": time.monotonic() - self._started},
         }
         self._events: dict[str, Callable[[Any], None]] = {
             "restart": lambda _value: self._restart(),
@@ -137,7 +129,7 @@ class Served:
         self.log.write(why, **data, pressure=self.pressure)
 
     @property
-    def faults(self) -> Faults:
+    def faults(self) -> o.Faults:
         """The faults of this moment."""
         return self._bench.simulation().faults
 
@@ -159,8 +151,7 @@ class Served:
 
     def answer(self, asker: Asker, question: Mapping[str, Any]) -> tuple[dict[str, Any], bytes]:
         """Carry out a question: the head and payload of its answer; raises DeviceError for what is refused."""
-        do = str(question.get("do"))
-        if do == "collect":
+        if (do := str(question.get("do"))) == "collect":
             return self._collect(asker)
         if do not in self._questions:
             raise DeviceError(self.device.name, f'no command "{do}"{did_you_mean(do, self._questions)}')
@@ -188,7 +179,7 @@ class Served:
         return head, b"".join([moment.astype("<i8").tobytes(), *columns])
 
     def _write(self, asker: Asker, question: Mapping[str, Any]) -> None:
-        output, value = output_of(self.device, str(question["output"])), float(question["value"])
+        output, value = o.output_of(self.device, str(question["output"])), float(question["value"])
         safe = float(output.scale.to_raw(output.safe))
         if abs(value - safe) > max(output.resolution, 1e-9 * abs(safe)):
             self._refuse_fired()
@@ -198,7 +189,7 @@ class Served:
 
     def _follow(self, asker: Asker, question: Mapping[str, Any]) -> None:
         self._refuse_fired()
-        output = output_of(self.device, str(question["output"]))
+        output = o.output_of(self.device, str(question["output"]))
         given = {**question["segment"]}
         given["start"] = float(given["start"]) + asker.zero - self.clock.start
         segment = Segment(**given)
@@ -219,7 +210,7 @@ class Served:
         )
 
     def _halt(self, asker: Asker, question: Mapping[str, Any]) -> None:
-        output = output_of(self.device, str(question["output"]))
+        output = o.output_of(self.device, str(question["output"]))
         self._bench.halt(output.output)
         held = float(output.scale.to_si(self._bench.read_back(output.output)))
         self._note(asker, "halt", output=output.output, held=held)
@@ -257,15 +248,9 @@ class Served:
         self._note(asker, "arm", seconds=self._watchdog)
         return self._watchdog
 
-    def _feed(self, asker: Asker, question: Mapping[str, Any]) -> None:
-        self._refuse_fired()
-
     def _disarm(self, asker: Asker, question: Mapping[str, Any]) -> None:
-        self._watchdog, self._fired = 0.0, None
+        self._switch_off_watchdog()
         self._note(asker, "disarm")
-
-    def _report(self, asker: Asker, question: Mapping[str, Any]) -> dict[str, float]:
-        return {"watchdog": self._watchdog, "uptime": time.monotonic() - self._started}
 
     def _refuse_fired(self) -> None:
         if self._fired is not None:
@@ -284,12 +269,12 @@ class Served:
             self._events[str(question["fault"])](question.get("value"))
             self.log.write("fault", fault=question["fault"], value=question.get("value"))
         elif "fault" in question:
-            fault = fault_name(name, str(question["fault"]))
+            fault = o.fault_name(name, str(question["fault"]))
             after = question.get("after", 0.0)
             simulation.fail(fault, None if after is None else simulation.time + float(after))
             self.log.write("fault", fault=fault.removesuffix("_at"), after=after)
         for channel, error in question.get("errors", {}).items():
-            simulation.disturb(channel, None if error is None else sensor_error(name, channel, error))
+            simulation.disturb(channel, None if error is None else o.sensor_error(name, channel, error))
             self.log.write("fault", errors={channel: error})
 
     def _restart(self) -> None:
@@ -309,7 +294,7 @@ class Served:
     def state(self) -> dict[str, Any]:
         """The state of the plant, in SI, whatever is wrong with its link and sensors."""
         simulation = self._bench.simulation()
-        faults = {item.name: getattr(simulation.faults, item.name) for item in fields(Faults)}
+        faults = {item.name: getattr(simulation.faults, item.name) for item in fields(o.Faults)}
         return {
             "t": time.monotonic(),
             "pressure": simulation.pressure,

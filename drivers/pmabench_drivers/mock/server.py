@@ -95,8 +95,7 @@ class Server:
                     self._send(key.data)
                 if events & selectors.EVENT_READ:
                     self._receive(key.data)
-            now = time.monotonic()
-            if now >= tick:
+            if (now := time.monotonic()) >= tick:
                 self._plant.advance(now)
                 self._watch_links(now)
                 tick = max(tick + TICK, now)
@@ -147,8 +146,7 @@ class Server:
 
     def _receive(self, connection: _Connection) -> None:
         try:
-            piece = connection.link.recv(1 << 18)
-            if not piece:
+            if not (piece := connection.link.recv(1 << 18)):
                 self._drop(connection)
                 return
             for question, _ in connection.inbox.feed(piece):
@@ -165,7 +163,9 @@ class Server:
         if not control and self._due("lost"):
             self._drop(connection)
             return
-        if not control and (self._due("dead") or (self._due("hang") and self._role(asker, question) == "client")):
+        if not control and (
+            self._due("dead") or (self._due("hang") and (asker.role or question.get("role")) == "client")
+        ):
             return
         if not control:
             self._plant.hear(now)
@@ -184,10 +184,6 @@ class Server:
         if control or not self._due("mute"):
             connection.out += encode({"n": question.get("n"), **answer}, payload)
             self._send(connection)
-
-    @staticmethod
-    def _role(asker: Asker, question: dict[str, Any]) -> str:
-        return asker.role or str(question.get("role", ""))
 
     def _send(self, connection: _Connection) -> None:
         try:

@@ -1,9 +1,24 @@
-"""One muscle on a bench in bench time: its plant, its valves and what fails of them; knows no clock and no link."""
+"""Simulated benches in bench time: one muscle, a joint of two, a platform of three, with what fails of them.
+
+They know no clock and no link.
+
+The joint's channel inputs: `pressure_1`, `pressure_2`, their set-points `pressure_1_set` and `pressure_2_set`, `angle`,
+`torque`, `supply`, and with a drive `angle_set`. Outputs: `pressure_1`, `pressure_2`, and with a drive `angle`; the
+valve `dump_valve` empties both muscles, `dump_valve_1` and `dump_valve_2` one each; `supply_valve` lets air to the
+regulators while it is energised, and is there where the bench names it. A drive holds the joint wherever it was
+sent, at any torque; without one it is free.
+
+The platform's channel inputs: `pressure_1` to `pressure_3`, `acceleration_x` to `_z`, `turn_x` and `turn_y` of a
+gyroscope, `supply`. Valves: `fill_1` to `exhaust_3` open in pulses; `supply_valve` lets air to the fill valves while it
+is energised; `dump_valve` is one at each muscle, open while it is not; `dump_valve_1` and so on are those of one
+muscle.
+"""
 
 from __future__ import annotations
 
 import copy
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,10 +27,13 @@ from numpy.typing import NDArray
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import DeviceRecord, Load, Scale, Segment
 from pmabench.model.driven import Actuator, DrivenPlant
+from pmabench.model.many import joint, platform
+from pmabench.model.many.joint import JointPlant
+from pmabench.model.many.platform import MUSCLES, PlatformPlant
 from pmabench.model.plant import Plant
 from pmabench.model.presets import Arm, changed, preset, setup_of
 from pmabench.model.real.plants import RealPlant
-from pmabench.model.regulator import Regulated, constant
+from pmabench.model.regulator import Regulated, Regulator, constant, ramp
 from pmabench_drivers.mock import options as o
 from pmabench_drivers.mock.options import Options
 from pmabench_drivers.mock.sampled import MEMORY, Sampled, refuse_unknown, waves_of
@@ -44,6 +62,16 @@ class _Valve:
     """The pressure that a stuck regulator or a shut isolation valve holds [Pa]."""
     forced: tuple[float, float] | None = None
     """Where the pressure goes whatever is commanded [Pa], and with which lag [s]."""
+
+
+def _press(
+    supply: Regulated, time: float, before: tuple[float, float] | None, forced: tuple[float, float] | None
+) -> None:
+    """Let the pressure go where it is forced [Pa], with its lag [s], or back to the regulator, where that is new."""
+    if forced is None and before is not None:
+        supply.release(time)
+    elif forced is not None and forced != before:
+        supply.force(time, *forced)
 
 
 class Simulation(Sampled):
@@ -166,11 +194,7 @@ class Simulation(Sampled):
             forced = 0.0, 1.0 / self._regulator.leak
         elif held is not None:
             forced = held, self._regulator.lag
-        if forced != valve.forced:
-            if forced is None:
-                supply.release(time)
-            else:
-                supply.force(time, *forced)
+        _press(supply, time, valve.forced, forced)
         self._valve = replace(valve, open=opens, held=held, forced=forced)
 
     def place(self, load: Load) -> None:
@@ -223,3 +247,298 @@ class Simulation(Sampled):
         if not self._metered or not isinstance(self._plant, DrivenPlant) or self._valve.forced is not None:
             return np.zeros(t.shape)
         return self._plant.inflow(regulator, t, P)
+
+
+JOINT_NOISE = {**dict.fromkeys(o.PRESSURES, 500.0), o.ANGLE: math.radians(0.02), o.TORQUE: 0.01}
+"""Of the sensors of preset `bench` [Pa, rad, N m]; assumed."""
+
+
+LEAK_LAG = 20.0
+"""With which a leaking muscle empties behind its isolation valve [s]."""
+DRIVE_SPEED = math.radians(60)
+"""At which the drive goes to an angle that it is sent to at once [rad/s]."""
+
+
+@dataclass(frozen=True)
+class _Air:
+    """What keeps a regulator from its muscle."""
+
+    open: bool
+    """The dump valve empties it."""
+    held: float | None = None
+    """The pressure at which its regulator is stuck [Pa]."""
+    forced: tuple[float, float] | None = None
+    """Where the pressure goes whatever is commanded [Pa], and with which lag [s]."""
+
+
+@dataclass(frozen=True)
+class _Valves:
+    energised: frozenset[str]
+    each: tuple[_Air, ...]
+
+
+class JointSimulation(Sampled):
+    """The joint from bench time `start` [s] on, without pressure, at angle 0; `memory` as in `Sampled`."""
+
+    def __init__(self, device: DeviceRecord, options: Options, start: float, memory: float = MEMORY) -> None:
+        super().__init__(device, options, JOINT_NOISE if options.preset == "bench" else {}, memory)
+        named = [valve.output for valve in device.valves]
+        refuse_unknown(device.name, "output", named, o.VALVES_OF[o.JOINT])
+        built = joint.described(options.built)
+        if options.preset != "bench":
+            built = replace(built, regulator=Regulator(dead_time=0.04))
+        vent_ratio = built.regulator.vent_ratio * options.slow_vent
+        self._plant = JointPlant(replace(built, regulator=replace(built.regulator, vent_ratio=vent_ratio)), start=start)
+        self._wanted = Regulated(Regulator(), start=start)
+        """Where the drive was sent [rad]."""
+        if options.free_end == "actuator":
+            self._plant.drive(constant(start, 0.0))
+        self._dumps = tuple([n for n in named if n in (o.DUMP_VALVE, f"{o.DUMP_VALVE}_{i}")] for i in (1, 2))
+        self._isolated = o.ISOLATION_VALVE in named
+        self._shut_off = o.SUPPLY_VALVE in named
+        self._valve = _Valves(frozenset(), tuple(_Air(bool(dumps)) for dumps in self._dumps))
+        self._settle()
+
+    @property
+    def pressure(self) -> float:
+        """The higher one of the two gauge pressures [Pa], without any error of a sensor."""
+        return float(max(supply.value(self.time) for supply in self._plant.supplies))
+
+    @property
+    def energised(self) -> bool:
+        """Whether every dump valve is commanded closed."""
+        return any(self._dumps) and all(self._valve.energised.issuperset(dumps) for dumps in self._dumps)
+
+    @property
+    def dump_open(self) -> bool:
+        """Whether the dump valve empties both muscles."""
+        return all(air.open for air in self._valve.each)
+
+    # -- commands, at the plant's time ----------------------------------------------------------------------------
+
+    def command(self, output: str, segment: Segment, scale: Scale) -> None:
+        """Follow a segment in device units; `constant` goes to its origin at once.
+
+        A pressure's set-point ends at the regulator's range; ValueError for a sine that goes beyond.
+        """
+        if output in o.PRESSURES:
+            self._plant.command(self._muscle(output), waves_of(segment, scale, self.time, SETPOINTS))
+        elif output == o.ANGLE and self._options.free_end == "actuator":
+            waves = waves_of(segment, scale, self.time, (-math.inf, math.inf))
+            self._wanted.command(waves)
+            if segment.kind == "constant":
+                waves = ramp(self.time, self._plant.angle, waves[0].level, DRIVE_SPEED)
+            self._plant.drive(waves)
+        else:
+            raise DeviceError(self._name, f'no output "{output}" with a free end of {self._options.free_end}')
+
+    def _muscle(self, output: str) -> int:
+        """Where the hose of an output leads, from 0."""
+        index = o.PRESSURES.index(output)
+        return 1 - index if self._options.hoses == "crossed" else index
+
+    def setpoint(self, output: str) -> float:
+        """The value commanded now [SI]."""
+        held = self._wanted if output == o.ANGLE else self._plant.supplies[self._muscle(output)]
+        return held.setpoint(self.time)
+
+    def halt(self, output: str) -> None:
+        """Stop where it is: the drive at its angle, a regulator at its set-point of now."""
+        here = constant(self.time, self._plant.angle if output == o.ANGLE else self.setpoint(output))
+        if output == o.ANGLE:
+            self._wanted.command(here)
+            self._plant.drive(here)
+        else:
+            self._plant.command(self._muscle(output), here)
+
+    def switch(self, output: str, *, on: bool) -> None:
+        """Energise a valve, which closes a dump and opens the supply, or not."""
+        energised = self._valve.energised
+        self._valve = replace(self._valve, energised=energised | {output} if on else energised - {output})
+        self._settle()
+
+    def is_on(self, output: str) -> bool:
+        """Whether a valve is energised."""
+        return output in self._valve.energised
+
+    def place(self, load: Load) -> None:
+        """Nothing: a joint carries no weights."""
+
+    # -- the air --------------------------------------------------------------------------------------------------
+
+    def _settle(self) -> None:
+        """Bring the air of each muscle in line with valve and faults as they are at this moment."""
+        airs = enumerate(zip(self._valve.each, self._plant.supplies, strict=True), start=1)
+        each = tuple(
+            self._settled(air, supply, self._dumps[number - 1], failing=number == self._options.faulty)
+            for number, (air, supply) in airs
+        )
+        self._valve = replace(self._valve, each=each)
+
+    def _settled(self, air: _Air, supply: Regulated, dumps: Sequence[str], *, failing: bool) -> _Air:
+        """The air of one muscle, which may be the `failing` one; the strongest of what acts on it counts."""
+        faults, time, energised = self.faults, self.time, self._valve.energised
+        shut = energised.issuperset(dumps)
+        opens = not shut and (air.open or not (failing and self._is_due(faults.dump_stuck_at)))
+        held = None
+        if failing and self._is_due(faults.regulator_stuck_at):
+            held = supply.value(time) if air.held is None else air.held
+        forced: tuple[float, float] | None = None
+        if failing and self._is_due(faults.burst_at):
+            forced = 0.0, BURST_LAG
+        elif opens:
+            forced = 0.0, self._options.dump_lag * self._options.slow_vent
+        elif self._is_due(faults.supply_lost_at) or (self._shut_off and o.SUPPLY_VALVE not in energised):
+            forced = 0.0, SUPPLY_LAG
+        elif held is not None:
+            forced = held, supply.regulator.lag
+        elif self._isolated and o.ISOLATION_VALVE not in energised:
+            leaks = failing and self._is_due(faults.leak_at)
+            forced = (0.0, LEAK_LAG) if leaks else air.forced or (supply.value(time), supply.regulator.lag)
+        _press(supply, time, air.forced, forced)
+        return _Air(opens, held, forced)
+
+    # -- what the channels are exposed to --------------------------------------------------------------------------
+
+    def _at(self, time: float) -> dict[str, float]:
+        self._plant.advance(time)
+        self._wanted.value(time)
+        values = {name: supply.value(time) for name, supply in zip(o.PRESSURES, self._plant.supplies, strict=True)}
+        values |= {f"{name}_set": self.setpoint(name) for name in o.PRESSURES}
+        values |= {o.ANGLE: self._plant.angle, o.TORQUE: self._plant.torque(), "angle_set": self.setpoint(o.ANGLE)}
+        return values | {"supply": self._supply()}
+
+    def _along(self, until: float, times: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
+        supply = self._supply()
+        supplies = self._plant.supplies
+        wanted = {f"{name}_set": supplies[self._muscle(name)].setpoints(times) for name in o.PRESSURES}
+        # before the plant goes on: old commands are dropped
+        wanted["angle_set"] = self._wanted.setpoints(times)
+        moved = self._plant.advance(until, times.tolist())
+        self._wanted.value(until)
+        return {
+            **wanted,
+            "pressure_1": moved.pressure_1,
+            "pressure_2": moved.pressure_2,
+            o.ANGLE: moved.angle,
+            o.TORQUE: moved.torque,
+            "supply": np.full(len(times), supply),
+        }
+
+
+PLATFORM_NOISE = {
+    **dict.fromkeys(o.OF_THREE, 300.0),
+    **dict.fromkeys(o.ACCELERATIONS, 0.02),
+    **dict.fromkeys(o.TURNS, math.radians(0.1)),
+}
+"""Of the sensors [Pa, m/s2, rad/s]; assumed."""
+HEIGHT = 0.02
+"""Of the accelerometer above the joint, where nothing says more [m]."""
+BURST, LEAK = 10.0, 0.5
+"""How wide a hole is, an exhaust valve being 1."""
+
+
+class PlatformSimulation(Sampled):
+    """The platform from bench time `start` [s] on, without pressure, upright; `memory` as in `Sampled`."""
+
+    def __init__(self, device: DeviceRecord, options: Options, start: float, memory: float = MEMORY) -> None:
+        super().__init__(device, options, PLATFORM_NOISE, memory)
+        refuse_unknown(device.name, "output", [valve.output for valve in device.valves], o.VALVES_OF[o.PLATFORM])
+        height = options.built.get("accelerometer", HEIGHT)
+        self._plant = PlatformPlant(platform.described(options.built), state=(0.0,) * 10, height=height, noise=0.0)
+        self._dumps = [valve.output for valve in device.valves if valve.output in o.DUMPS] or [o.DUMP_VALVE]
+        self._plant.time = start
+        self._plant.supply, self._plant.dump = False, True
+        self._valve = frozenset[str]()
+        """Valves that are energised."""
+        self._settle()
+
+    @property
+    def pressure(self) -> float:
+        """The highest of the three gauge pressures [Pa], without any error of a sensor."""
+        return float(max(self._plant.state[4:7]))
+
+    @property
+    def energised(self) -> bool:
+        """Whether the dumps are commanded shut."""
+        return bool(self._valve.issuperset(self._dumps))
+
+    @property
+    def dump_open(self) -> bool:
+        """Whether the dumps empty all muscles."""
+        return self._plant.dump and not self._plant.blocked
+
+    # -- commands, at the plant's time ----------------------------------------------------------------------------
+
+    def pulse(self, output: str, seconds: float) -> None:
+        """Open a valve from now on for so long."""
+        kind, _, number = output.partition("_")
+        if output not in (*o.FILLS, *o.EXHAUSTS):
+            raise ValueError(f'"{output}" is switched and stays')
+        self._plant.pulse(kind, int(number) - 1, seconds)
+
+    def switch(self, output: str, *, on: bool) -> None:
+        """Shut-off and dumps; of a valve that opens in pulses this ends the pulse, or opens it until it is shut."""
+        self._valve = self._valve | {output} if on else self._valve - {output}
+        if output in (*o.FILLS, *o.EXHAUSTS):
+            kind, _, number = output.partition("_")
+            self._plant.shut(kind, int(number) - 1)
+            if on:
+                self._plant.pulse(kind, int(number) - 1, math.inf)
+        self._settle()
+
+    def is_on(self, output: str) -> bool:
+        """Whether a valve is energised by `switch`; a pulse is over by itself."""
+        return output in self._valve
+
+    def command(self, output: str, segment: Segment, scale: Scale) -> None:
+        """Nothing takes a value."""
+        raise DeviceError(self._name, f'no output "{output}": a platform has valves only')
+
+    def setpoint(self, output: str) -> float:
+        """Nothing takes a value."""
+        raise DeviceError(self._name, f'no output "{output}": a platform has valves only')
+
+    def halt(self, output: str) -> None:
+        """Nothing moves by itself."""
+
+    def place(self, load: Load) -> None:
+        """Nothing: a platform carries no weights."""
+
+    # -- faults ---------------------------------------------------------------------------------------------------
+
+    def _settle(self) -> None:
+        """Bring valves and sensors in line with commands and faults as they are at this moment."""
+        plant, faults, i = self._plant, self.faults, self._options.faulty - 1
+        plant.supply = o.SUPPLY_VALVE in self._valve and not self._is_due(faults.supply_lost_at)
+        plant.dump = not self.energised
+        plant.blocked = tuple(m for m in MUSCLES if self._shut(m) or (m == i and self._is_due(faults.dump_stuck_at)))
+        stuck = {
+            ("fill", True): faults.fill_stuck_open_at,
+            ("fill", False): faults.fill_stuck_shut_at,
+            ("exhaust", True): faults.exhaust_stuck_open_at,
+            ("exhaust", False): faults.exhaust_stuck_shut_at,
+        }
+        plant.stuck = {(kind, i): is_open for (kind, is_open), at in stuck.items() if self._is_due(at)}
+        plant.holes[i] = BURST * self._is_due(faults.burst_at) + LEAK * self._is_due(faults.leak_at)
+        plant.shows_level = self._is_due(faults.accelerometer_level_at)
+
+    def _shut(self, muscle: int) -> bool:
+        """Whether the dump of a muscle, from 0, is commanded closed."""
+        return not {o.DUMP_VALVE, f"{o.DUMP_VALVE}_{muscle + 1}"}.intersection(self._dumps) - self._valve
+
+    # -- what the channels are exposed to --------------------------------------------------------------------------
+
+    def _at(self, time: float) -> dict[str, float]:
+        self._plant.advance(time)
+        turns = dict(zip(o.TURNS, self._plant.turns(), strict=True))
+        return {**self._plant.measure(), **turns, "supply": self._supply()}
+
+    def _along(self, until: float, times: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
+        rows = [self._at(t) for t in times.tolist()]
+        self._plant.advance(until)
+        return {name: np.array([row[name] for row in rows]) for name in rows[0]}
+
+    def attitude(self) -> tuple[float, float]:
+        """Phi and psi [rad], without any sensor."""
+        return self._plant.state[0], self._plant.state[1]

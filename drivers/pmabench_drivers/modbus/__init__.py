@@ -17,17 +17,7 @@ from typing import TYPE_CHECKING, Any
 from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import COMPUTER, EMULATED, DeviceRecord, Identity
-from pmabench_drivers.modbus.registers import (
-    Options,
-    Register,
-    WatchdogRegisters,
-    decode,
-    decode_text,
-    encode,
-    read_options,
-    spans,
-    write_function,
-)
+from pmabench_drivers.modbus import registers as r
 from pmabench_drivers.shared.device import Controlled, Polled
 from pmabench_drivers.shared.link import JOIN, PATIENCE, Still, Unanswered, always, opened
 from pmabench_drivers.shared.options import Reader
@@ -48,7 +38,7 @@ SHARE, LEAST = 0.25, 0.1
 class Watched(Polled):
     """A polled device whose own watchdog is made of registers."""
 
-    _watchdog: WatchdogRegisters | None
+    _watchdog: r.WatchdogRegisters | None
 
     def __init__(self, device: DeviceRecord, clock: Clock) -> None:
         super().__init__(device, clock)
@@ -56,11 +46,11 @@ class Watched(Polled):
         self._beat = 0
 
     @abstractmethod
-    def _get(self, register: Register, deadline: float) -> float:
+    def _get(self, register: r.Register, deadline: float) -> float:
         """Read a register before a deadline [s, monotonic]."""
 
     @abstractmethod
-    def _put(self, register: Register, value: float, deadline: float, *, checked: bool = True) -> None:
+    def _put(self, register: r.Register, value: float, deadline: float, *, checked: bool = True) -> None:
         """Write a register before a deadline [s, monotonic]; then read it back, where it is `checked`."""
 
     def _hungry(self) -> bool:
@@ -104,7 +94,7 @@ class Watched(Polled):
         off = (registers.timeout, 0.0) if registers.trigger is None else (registers.trigger, registers.off)
         self._put(*off, monotonic() + CALL)
 
-    def _own_watchdog(self) -> WatchdogRegisters:
+    def _own_watchdog(self) -> r.WatchdogRegisters:
         if self._watchdog is None:
             raise self._error('has no watchdog: the map has no "watchdog"', "watchdog")
         return self._watchdog
@@ -117,14 +107,14 @@ class ModbusDevice(Watched, Controlled):
     """
 
     emulator = "pmabench_drivers.modbus.emulated"
-    read_options = staticmethod(read_options)
-    _options: Options
+    read_options = staticmethod(r.read_options)
+    _options: r.Options
 
     def __init__(self, device: DeviceRecord, clock: Clock) -> None:
         super().__init__(device, clock)
         self._map = self._options.map
         self._inputs = [self._map.inputs[channel.input] for channel in device.channels]
-        self._spans = spans(self._inputs)
+        self._spans = r.spans(self._inputs)
         polled = [register for span in self._spans for register in span.registers]
         self._places = [polled.index(register) for register in self._inputs]
         self._line: Line | None = None
@@ -185,16 +175,16 @@ class ModbusDevice(Watched, Controlled):
         serial = {"baudrate": options.baud, "parity": options.parity, "stopbits": options.stop_bits}
         return Line(self._device.name, self._device.address, map_.unit_id, map_.timeout, map_.slowest, serial)
 
-    def _identify(self, item: Register | str, deadline: float) -> str:
+    def _identify(self, item: r.Register | str, deadline: float) -> str:
         if isinstance(item, str):
             return item
         words = self._opened().read(item.table, item.address, item.count, deadline, item.name)
         if item.type == "text":
-            return decode_text(words)
-        value = decode(item, words)
+            return r.decode_text(words)
+        value = r.decode(item, words)
         if item.expect is not None and value != item.expect:
             message = f"holds {value:g} instead of {item.expect:g}: another device, or another map"
-            if len(words) > 1 and decode(item, words[::-1]) == item.expect:
+            if len(words) > 1 and r.decode(item, words[::-1]) == item.expect:
                 message = f'gives {item.expect:g} with its words in the other order: change "words" in the map'
             raise self._error(message, item.name)
         return f"{value:.10g}"
@@ -259,7 +249,7 @@ class ModbusDevice(Watched, Controlled):
         register = self._map.outputs[output]
         self._following.pop(output, None)
         words, function = self._words(register, value), self._function(register)
-        self._written[output] = decode(register, words)
+        self._written[output] = r.decode(register, words)
         line, deadline = self._line, monotonic() + CALL
         if line is not None and line.is_serial:
             line.write(function, register.address, words, deadline, output)
@@ -293,13 +283,13 @@ class ModbusDevice(Watched, Controlled):
                 found["watchdog"] = seconds if on == registers.on else 0.0
         if self._map.uptime is not None:
             found["uptime"] = self._get(self._map.uptime, deadline)
-        if isinstance(serial := self._map.identity.get("serial"), Register):
+        if isinstance(serial := self._map.identity.get("serial"), r.Register):
             found["serial"] = self._identify(serial, deadline)
         return found
 
     # -- registers ------------------------------------------------------------------------------------------------
 
-    def _holds(self, register: Register) -> float:
+    def _holds(self, register: r.Register) -> float:
         if register.read_back:
             return self._get(register)
         if register.name not in self._written:
@@ -310,24 +300,24 @@ class ModbusDevice(Watched, Controlled):
     def _opened(self) -> Line:
         return opened(self._line, self._device.name)
 
-    def _switched(self, output: str) -> Register:
+    def _switched(self, output: str) -> r.Register:
         self._known("valve output", output, set(self._map.outputs) - set(self._outputs))
         return self._map.outputs[output]
 
-    def _words(self, register: Register, value: float) -> list[int]:
+    def _words(self, register: r.Register, value: float) -> list[int]:
         try:
-            return encode(register, value)
+            return r.encode(register, value)
         except ValueError as error:
             raise self._error(str(error), register.name) from None
 
-    def _get(self, register: Register, deadline: float = 0.0) -> float:
+    def _get(self, register: r.Register, deadline: float = 0.0) -> float:
         until = deadline or monotonic() + CALL
         words = self._opened().read(register.table, register.address, register.count, until, register.name)
-        return decode(register, words)
+        return r.decode(register, words)
 
     def _put(
         self,
-        register: Register,
+        register: r.Register,
         value: float,
         deadline: float = 0.0,
         *,
@@ -350,17 +340,17 @@ class ModbusDevice(Watched, Controlled):
         if checked:
             self._settle(register, wanted, until, resolution, lost)
 
-    def _function(self, register: Register) -> int:
+    def _function(self, register: r.Register) -> int:
         """The function code that writes a register."""
-        return write_function(register, self._map.functions)
+        return r.write_function(register, self._map.functions)
 
-    def _to_send(self, register: Register, value: float, _until: float, *, checked: bool) -> tuple[list[int], float]:
+    def _to_send(self, register: r.Register, value: float, _until: float, *, checked: bool) -> tuple[list[int], float]:
         """The words of a value, and what the device then holds."""
         words = self._words(register, value)
-        return words, decode(register, words)
+        return words, r.decode(register, words)
 
     def _settle(
-        self, register: Register, wanted: float, until: float, resolution: float, lost: Unanswered | None
+        self, register: r.Register, wanted: float, until: float, resolution: float, lost: Unanswered | None
     ) -> None:
         """Refuse where the device holds something else; a lost answer is settled so, never by writing again."""
         try:
@@ -374,6 +364,6 @@ class ModbusDevice(Watched, Controlled):
             what = "did not answer to the command" if lost else "was commanded"
             raise self._error(f"{what} {wanted:g} and holds {held:g}", register.name)
 
-    def _arrived(self, register: Register, _wanted: float, until: float, _resolution: float) -> float:
+    def _arrived(self, register: r.Register, _wanted: float, until: float, _resolution: float) -> float:
         """What the device holds after a command."""
         return self._get(register, until)

@@ -100,19 +100,15 @@ class _Tcp(ModbusTcpClient):
         connection, left = self.socket, self.deadline - monotonic()
         if connection is None:
             raise ConnectionException("the connection was closed")
-        if left <= 0:
+        if left <= 0 or not self._ready.poll(1e3 * left):
             return b""
-        if not self._ready.poll(1e3 * left):
-            return b""
-        data = connection.recv(size or 4096)
-        if not data:
+        if not (data := connection.recv(size or 4096)):
             raise ConnectionException("the device closed the connection")
         return data
 
     def cut(self) -> None:
         """End the connection under a call that waits for it."""
-        connection = self.socket
-        if connection is not None:
+        if (connection := self.socket) is not None:
             with contextlib.suppress(OSError):
                 connection.shutdown(socket.SHUT_RDWR)
 
@@ -133,8 +129,7 @@ class _Rtu(ModbusSerialClient):
     def recv(self, size: int | None) -> bytes:
         """The bytes that are there, or none at the deadline."""
         while self.socket is not None and monotonic() < self.deadline:
-            data = bytes(self.socket.read(1))
-            if data:
+            if data := bytes(self.socket.read(1)):
                 return data + bytes(self.socket.read(self.socket.in_waiting))
         return b""
 
@@ -252,8 +247,7 @@ class Line:
             if self._owed and wanted[0] <= LAST_READ:
                 self._wait_until_clean(wanted, deadline, what)
             now = monotonic()
-            limit = min(deadline, now + self._timeout)
-            if limit <= now:
+            if (limit := min(deadline, now + self._timeout)) <= now:
                 raise DeviceError(self._device, "no time was left to ask", what)
             if not still():
                 return None
@@ -282,8 +276,7 @@ class Line:
 
     def _belongs(self, answer: Any, wanted: Signature) -> bool:
         """Whether an answer belongs to this request; a late answer to an earlier one is ticked off."""
-        function = answer.function_code
-        if function > FAILED:
+        if (function := answer.function_code) > FAILED:
             return bool(function == wanted[0] | FAILED)
         signature: Signature = (function, *SIGNATURES.get(function, lambda _answer: ())(answer))
         if signature == wanted:
@@ -337,7 +330,8 @@ class NamedLine(Line):
         """Objects 0 to 5 before `deadline` [s, monotonic]: maker, code, revision, address, product, model."""
         found: dict[int, str] = {}
         for code in (BASIC, REGULAR):
-            answer = self._ask(partial(self._query, code), (IDENTIFY, code), deadline, "identification")
+            query = partial(self._client.read_device_information, read_code=code, object_id=0, device_id=self._unit_id)
+            answer = self._ask(query, (IDENTIFY, code), deadline, "identification")
             for number, item in answer.information.items():
                 data = item[0] if isinstance(item, list) else item
                 found[number] = "".join(chr(byte) for byte in data if 32 <= byte < 127).strip()
@@ -349,9 +343,6 @@ class NamedLine(Line):
         model = names.get(4) or names.get(1, "")
         simulated = model.startswith(EMULATED)
         return Identity(names.get(0, ""), model, "", names.get(2, ""), simulated=simulated, clock=COMPUTER)
-
-    def _query(self, code: int) -> Any:
-        return self._client.read_device_information(read_code=code, object_id=0, device_id=self._unit_id)
 
     def _belongs(self, answer: Any, wanted: Signature) -> bool:
         if wanted[0] != IDENTIFY or answer.isError():

@@ -176,8 +176,7 @@ def spans(registers: Iterable[Register]) -> list[Span]:
             and register.address <= last.address + last.count
             and end - last.address <= most
         ):
-            count = max(last.count, end - last.address)
-            found[-1] = Span(last.table, last.address, count, (*last.registers, register))
+            found[-1] = Span(last.table, last.address, max(last.count, end - last.address), (*last.registers, register))
         else:
             found.append(Span(register.table, register.address, register.count, (register,)))
     return found
@@ -237,23 +236,19 @@ def _read_map(data: Any, place: Place, reader: Reader) -> RegisterMap:
     if not isinstance(functions, list | tuple) or not functions or any(f not in FUNCTIONS for f in functions):
         reader.fault((*place, "functions"), f"a list of function codes is expected, out of {list(FUNCTIONS)}")
         functions = FUNCTIONS
-    readers = {key: (*place, key) for key in ("identity", "inputs", "outputs")}
     allowed = tuple(functions)
 
-    def registers(key: str) -> dict[str, Register]:
-        items = reader.named(given.get(key, {}), readers[key])
+    def registers(key: str, items: Mapping[str, Any]) -> dict[str, Any]:
         return {
-            name: _register(name, item, (*readers[key], name), reader, usual, allowed, key)
+            name: _register(name, item, (*place, key, name), reader, usual, allowed, key)
             for name, item in items.items()
         }
 
-    identity: dict[str, Register | str] = {}
-    known = reader.keys(given.get("identity", {}), readers["identity"], IDENTITY)
-    for name, item in known.items():
-        at = (*readers["identity"], name)
-        identity[name] = (
-            item if isinstance(item, str) else _register(name, item, at, reader, usual, allowed, "identity")
-        )
+    def named(key: str) -> dict[str, Register]:
+        return registers(key, reader.named(given.get(key, {}), (*place, key)))
+
+    said = reader.keys(given.get("identity", {}), (*place, "identity"), IDENTITY)
+    asked = registers("identity", {name: item for name, item in said.items() if not isinstance(item, str)})
     watchdog = given.get("watchdog")
     return RegisterMap(
         unit_id=reader.whole(given, "unit_id", place, 0, 255, base.unit_id),
@@ -261,9 +256,9 @@ def _read_map(data: Any, place: Place, reader: Reader) -> RegisterMap:
         slowest=reader.quantity(given, "slowest", place, "time", base.slowest, 0.0, 10.0),
         rate=reader.quantity(given, "rate", place, "frequency", base.rate, 0.1, 1000.0),
         functions=allowed,
-        identity=identity,
-        inputs=registers("inputs"),
-        outputs=registers("outputs"),
+        identity={**said, **asked},
+        inputs=named("inputs"),
+        outputs=named("outputs"),
         watchdog=None if watchdog is None else _watchdog(watchdog, (*place, "watchdog"), reader, usual, allowed),
         uptime=_register("uptime", given["uptime"], (*place, "uptime"), reader, usual, allowed, "uptime")
         if "uptime" in given
@@ -367,8 +362,7 @@ def _names(device: DeviceRecord, map_: RegisterMap, reader: Reader) -> None:
         place = ("channels", channel.name, "input")
         if not reader.known(place, "the map has no input", channel.input, map_.inputs):
             continue
-        register = map_.inputs[channel.input]
-        if channel.raw_type == "int32" and register.type == "float32":
+        if channel.raw_type == "int32" and map_.inputs[channel.input].type == "float32":
             reader.fault(place, "gives numbers with a fraction, not counts; name the unit that the device gives")
         elif channel.raw_type == "int32" and max(map(abs, _ends(channel.scale, channel))) >= 2**31:
             reader.fault(place, "counts from 2147483648 on cannot be recorded")

@@ -74,13 +74,10 @@ class Sampling:
         block = self._samples.take()
         if len(block.time):
             return block
-        why = self._failure or (str(self._cycle.broken) if self._cycle.broken else "")
-        if why:
+        if why := self._failure or str(self._cycle.broken or ""):
             raise DeviceError(self._device, f"sampling broke off: {why}")
-        silent = monotonic() - self._heard
-        if silent > max(PATIENCE, 3 / self._rate):
-            because = f": {self._unheard}" if self._unheard else ""
-            raise DeviceError(self._device, f"no sample for {silent:.2f} s{because}")
+        if (silent := monotonic() - self._heard) > max(PATIENCE, 3 / self._rate):
+            raise DeviceError(self._device, ": ".join(filter(None, [f"no sample for {silent:.2f} s", self._unheard])))
         return block
 
     def _fetch(self) -> None:
@@ -113,12 +110,10 @@ class Sampling:
         now, first = self._clock.now(), self._number
         self._number += len(columns[0])
         for item, column in zip(self._inputs, columns, strict=True):
-            strange = [value for value in column if not abs(value) <= BEYOND * item.span]
-            if strange:
+            if strange := [value for value in column if not abs(value) <= BEYOND * item.span]:
                 self._failure = f"{item.name} gives {strange[0]:g} V at a range of {item.span:g} V"
                 return
-        behind = self._pace.behind(self.start + (self._number - 1) / self._rate, now)
-        if behind:
+        if behind := self._pace.behind(self.start + (self._number - 1) / self._rate, now):
             late = "late" if behind > 0 else "early"
             self._failure = f"samples come {abs(behind):.2f} s too {late} for {self._rate:g} Hz"
             return
@@ -312,7 +307,7 @@ class NiDaq(Led):
 
     def is_on(self, output: str) -> bool:
         """Whether a valve's line is high."""
-        self._valve(output)
+        self._known("valve output", output, self._options.valves)
         return self._level(output, CALL)
 
     def level(self, name: str) -> bool:
@@ -321,7 +316,7 @@ class NiDaq(Led):
         return self._level(name, CALL)
 
     def _put_line(self, link: Connection, line: str, *, on: bool) -> None:
-        self._valve(line)
+        self._known("valve output", line, self._options.valves)
         until, lost = monotonic() + CALL, ""
         try:
             with link.calls(ANSWER, line):
@@ -337,9 +332,6 @@ class NiDaq(Led):
         if high != on:
             message = f"{lost or f'was commanded {int(on)} and '}its line is {'high' if high else 'low'}"
             raise self._error(message, line)
-
-    def _valve(self, line: str) -> None:
-        self._known("valve output", line, self._options.valves)
 
     def _level(self, line: str, within: float) -> bool:
         link = self._opened()

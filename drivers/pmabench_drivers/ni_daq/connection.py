@@ -146,8 +146,7 @@ class Connection:
         """Connect, find the device, see that it has what the bench uses, and prepare its tasks; commands nothing."""
         system = self._system()
         names = [_short(name) for name in system.devices.device_names]
-        wanted = self._options.device
-        if wanted not in names:
+        if (wanted := self._options.device) not in names:
             hint = did_you_mean(wanted, names[:9]) or "; it knows none"
             raise DeviceError(self._name, f'NI-DAQmx knows no device "{wanted}"{hint}')
         device = system.devices[wanted]
@@ -185,8 +184,10 @@ class Connection:
 
     def close(self) -> None:
         """End what this connection has made, and let go; outputs stay as they are."""
-        for key in list(self._tasks):
-            self._end(key)
+        for task in self._tasks.values():
+            with suppress(Exception):  # a server that is gone has no tasks
+                task.close()
+        self._tasks.clear()
         self._writers, self._readers, self._samples = {}, {}, None
         self.hang_up()
 
@@ -219,14 +220,11 @@ class Connection:
 
     # -- tasks ----------------------------------------------------------------------------------------------------
 
-    def _task_name(self, key: str) -> str:
-        return f"pmabench {socket.gethostname()} {self._options.device} {key}"
-
     def _task(self, key: str, *, attach: bool = False) -> Any:
         """A task of this device; a new one unless `attach`: what a program left on the server when it died is ended."""
         from nidaqmx import Task
 
-        name = self._task_name(key)
+        name = f"pmabench {socket.gethostname()} {self._options.device} {key}"
         task = Task(name, grpc_options=self._session(name, attach=attach))
         if self._options.server and not attach and task.number_of_channels:
             task.close()
@@ -234,12 +232,6 @@ class Connection:
         if not attach:
             self._tasks[key] = task
         return task
-
-    def _end(self, key: str) -> None:
-        task = self._tasks.pop(key, None)
-        if task is not None:
-            with suppress(Exception):  # a server that is gone has no tasks
-                task.close()
 
     def _prepare_output(self, output: str, limits: tuple[float, float] | None) -> None:
         """A task for one output; `limits` None: it is there already."""
@@ -302,8 +294,7 @@ class Connection:
         for item in options.inputs.values():
             if not any(abs(span - item.span) < 1e-6 for span in spans):
                 shown = ", ".join(f"{span:g} V" for span in spans)
-                message = f"a {model} has no range of {item.span:g} V; it has {shown}"
-                raise DeviceError(self._name, message, item.name)
+                raise DeviceError(self._name, f"a {model} has no range of {item.span:g} V; it has {shown}", item.name)
 
     def _range(self, device: Any, output: str) -> tuple[float, float]:
         """The narrowest range of the outputs that holds all that is ever commanded [V]."""
@@ -366,8 +357,7 @@ class Connection:
         """Sample no more; harmless when repeated."""
         from nidaqmx.constants import TaskMode
 
-        task = self._tasks.get("ai")
-        if task is not None:
+        if (task := self._tasks.get("ai")) is not None:
             task.stop()
             task.control(TaskMode.TASK_UNRESERVE)
 
@@ -379,8 +369,7 @@ class Connection:
         """What waits, `MOST` samples at most, an array [V] for each input."""
         import numpy as np
 
-        waiting = min(int(self._tasks["ai"].in_stream.avail_samp_per_chan), MOST)
-        if waiting <= 0:
+        if (waiting := min(int(self._tasks["ai"].in_stream.avail_samp_per_chan), MOST)) <= 0:
             return []
         data = np.full((len(self._options.inputs), waiting), np.nan)
         got = int(self._samples.read_many_sample(data, waiting, timeout=self.left()))

@@ -10,18 +10,7 @@ from typing import Any
 
 from pmabench.base.errors import UsageError
 from pmabench.bench.interface import DeviceRecord
-from pmabench_drivers.emulator.faults import (
-    EXCEPTION,
-    IGNORE,
-    LINK,
-    RESTART,
-    SETPOINT,
-    STUCK,
-    CommandLog,
-    Fault,
-    Faults,
-    damaged,
-)
+from pmabench_drivers.emulator import faults as f
 from pmabench_drivers.emulator.plant import RealPlant
 from pmabench_drivers.emulator.ports import refuse_others
 from pmabench_drivers.ni_daq.emulated_tasks import AI, AO, BITS, DI, DO, FASTEST, SPANS, Board, Refused, Task
@@ -29,7 +18,7 @@ from pmabench_drivers.ni_daq.options import read_options
 from pmabench_drivers.shared.options import options_of
 
 SERVICE = "nidaqmx_grpc.NiDAQmx"
-LINKS = {name: LINK[name] for name in LINK if name not in {"late", "stale", "double"}}
+LINKS = {name: f.LINK[name] for name in f.LINK if name not in {"late", "stale", "double"}}
 """An answer of gRPC belongs to its question: none comes twice, or to another one."""
 ATTACH, INITIALIZE = 2, 1
 VERSION = {0x1272: 24, 0x1923: 5, 0x2F22: 0}
@@ -46,7 +35,7 @@ KINDS = {"ai": 10100, "ao": 10102, "di": 10151, "do": 10153}
 VOLTAGE = 10322
 
 
-def serve(device: DeviceRecord, plant: RealPlant, log: CommandLog) -> EmulatedServer:
+def serve(device: DeviceRecord, plant: RealPlant, log: f.CommandLog) -> EmulatedServer:
     """The server that a device of the driver `ni-daqmx` is reached through."""
     options = options_of(device, read_options)
     if not options.server:
@@ -63,10 +52,10 @@ def serve(device: DeviceRecord, plant: RealPlant, log: CommandLog) -> EmulatedSe
 class EmulatedServer:
     """Listens on `address`; port 0 takes a free one."""
 
-    def __init__(self, board: Board, address: str, log: CommandLog) -> None:
+    def __init__(self, board: Board, address: str, log: f.CommandLog) -> None:
         from nidaqmx._stubs import nidaqmx_pb2  # noqa: PLC2701  (the messages of the wire; there is no other source)
 
-        self.board, self.faults = board, Faults(LINKS, STUCK, IGNORE, EXCEPTION, RESTART, SETPOINT)
+        self.board, self.faults = board, f.Faults(LINKS, f.STUCK, f.IGNORE, f.EXCEPTION, f.RESTART, f.SETPOINT)
         self._messages: Any = nidaqmx_pb2
         self._tap = log.tap(board.device.name)
         self._peers: dict[str, int] = {}
@@ -159,7 +148,7 @@ class EmulatedServer:
             return _wait(context)
         if fault.kind == "delay":
             time.sleep(fault.value)
-        data = damaged(data, fault)
+        data = f.damaged(data, fault)
         self._tap("sent", data)
         return data
 
@@ -185,14 +174,14 @@ class EmulatedServer:
             self.board.tasks[name] = Task()
         return {"task": {"name": name}, "new_session_initialized": not there}
 
-    def write(self, request: Any, context: Any, fault: Fault) -> Answer:
+    def write(self, request: Any, context: Any, fault: f.Fault) -> Answer:
         """Set the one output of a task."""
         task = self.board.task(request.task.name)
         if fault.kind != "ignore":
             self.board.set_outputs(task, [[request.value]], self.connection(context), start=request.auto_start)
         return {}
 
-    def write_many(self, request: Any, context: Any, fault: Fault) -> Answer:
+    def write_many(self, request: Any, context: Any, fault: f.Fault) -> Answer:
         """Set the outputs of a task; the values of one after those of another."""
         task, size = self.board.task(request.task.name), request.num_samps_per_chan
         rows = [request.write_array[first : first + size] for first in range(0, len(request.write_array), size)]
@@ -200,7 +189,7 @@ class EmulatedServer:
             self.board.set_outputs(task, rows, self.connection(context), start=request.auto_start)
         return {"samps_per_chan_written": size}
 
-    def write_lines(self, request: Any, context: Any, fault: Fault) -> Answer:
+    def write_lines(self, request: Any, context: Any, fault: f.Fault) -> Answer:
         """Set the lines of a task; of several samples the last one stays."""
         task, size = self.board.task(request.task.name), request.num_samps_per_chan
         place, values = 0, []
@@ -214,7 +203,7 @@ class EmulatedServer:
             self.board.set_lines(task, values, self.connection(context), start=request.auto_start)
         return {"samps_per_chan_written": size}
 
-    def write_ports(self, request: Any, context: Any, fault: Fault) -> Answer:
+    def write_ports(self, request: Any, context: Any, fault: f.Fault) -> Answer:
         """Set the lines of a task by whole ports; of several samples the last one stays."""
         task, size = self.board.task(request.task.name), request.num_samps_per_chan
         if fault.kind != "ignore":
@@ -265,7 +254,7 @@ class EmulatedServer:
 def _attribute(name: str) -> Callable[..., Answer]:
     """The call that asks for an attribute."""
 
-    def call(server: EmulatedServer, request: Any, _context: Any, _fault: Fault) -> Answer:
+    def call(server: EmulatedServer, request: Any, _context: Any, _fault: f.Fault) -> Answer:
         if name.startswith("GetDevice") and request.device_name != server.board.device.address:
             raise Refused(-200220, "Device identifier is invalid.")
         get = ATTRIBUTES.get((name.removeprefix("Get").replace("Attribute", " "), request.attribute_raw))
@@ -294,7 +283,7 @@ def _wait(context: Any) -> bytes:
 def _of_task(act: Callable[[Board, Task, Any], object]) -> Callable[..., Answer]:
     """A call that acts on a task and answers nothing."""
 
-    def call(server: EmulatedServer, request: Any, _context: Any, _fault: Fault) -> Answer:
+    def call(server: EmulatedServer, request: Any, _context: Any, _fault: f.Fault) -> Answer:
         act(server.board, server.board.task(request.task.name), request)
         return {}
 
@@ -320,15 +309,8 @@ def _not_done(_board: Board, task: Task, _request: Any) -> None:
         raise Refused(-200560, "Wait Until Done did not indicate that the task was done within the specified timeout.")
 
 
-def _clear(board: Board, _task: Task, request: Any) -> None:
-    del board.tasks[request.task.name]
-
-
-def _set_state(state: str) -> Callable[[Board, Task, Any], None]:
-    def act(_board: Board, task: Task, _request: Any) -> None:
-        task.state = state if task.state == "running" else task.state
-
-    return act
+def _stop(_board: Board, task: Task, _request: Any) -> None:
+    task.state = "committed" if task.state == "running" else task.state
 
 
 def _task(act: Callable[[Task], Any]) -> Callable[[Board, Any], Any]:
@@ -355,8 +337,7 @@ def _names(task: Task) -> str:
 
 def _terminals(_board: Board, request: Any) -> int:
     """How an input can be measured, as bits: against ground, against AI SENSE, against the one eight higher."""
-    name = request.physical_channel.partition("/")[2]
-    if name not in AI:
+    if (name := request.physical_channel.partition("/")[2]) not in AI:
         raise Refused(-200170, "Physical channel specified does not exist on this device.")
     return 7 if name in AI[:8] else 3
 
@@ -393,9 +374,9 @@ ATTRIBUTES: dict[tuple[str, int], Callable[[Board, Any], Any]] = {
 CALLS: dict[str, Callable[..., Answer]] = {
     **{name: _attribute(name) for name in {"Get" + of.replace(" ", "Attribute") for of, _ in ATTRIBUTES}},
     "CreateTask": lambda server, request, context, _fault: server.create_task(request, context),
-    "ClearTask": _of_task(_clear),
+    "ClearTask": _of_task(lambda board, _task, request: board.tasks.pop(request.task.name)),
     "StartTask": _of_task(lambda board, task, _request: board.start(task)),
-    "StopTask": _of_task(_set_state("committed")),
+    "StopTask": _of_task(_stop),
     "TaskControl": _of_task(lambda board, task, request: board.control(task, request.action_raw)),
     "CreateAIVoltageChan": _of_task(
         lambda b, t, r: b.add_input(

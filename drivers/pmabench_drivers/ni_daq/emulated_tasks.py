@@ -42,8 +42,7 @@ def listed(text: str) -> list[str]:
     """Each physical channel of a list such as `Dev1/ai0:3, Dev1/ai7`."""
     found = []
     for part in text.split(","):
-        span = re.fullmatch(r"(.*?)(\d+):(\d+)", part.strip())
-        if span is None:
+        if (span := re.fullmatch(r"(.*?)(\d+):(\d+)", part.strip())) is None:
             found.append(part.strip())
             continue
         first, last = int(span[2]), int(span[3])
@@ -201,16 +200,17 @@ class Board:
     def restart(self) -> None:
         """Outputs at 0 V and lines low as after power-on; tasks under way are aborted."""
         for name in AO:
-            self._give(name, 0.0)
+            self._wiring.give(name, self._reached(name, 0.0))
         for name in DO:
-            self._drive(name, high=False)
+            self._levels[name] = False
+            self._wiring.drive(name, on=False)
         for task in self.tasks.values():
             task.aborted, task.state = task.state == "running", "verified"
 
     def change_set_point(self, value: float) -> bool:
         """Another program sets the first output that the bench uses [V]; whether there is one."""
         for name in list(self._wiring.outputs)[:1]:
-            self._give(name, value)
+            self._wiring.give(name, self._reached(name, value))
         return bool(self._wiring.outputs)
 
     # -- samples ----------------------------------------------------------------------------------------------------
@@ -284,7 +284,7 @@ class Board:
                 raise Refused(-200561, "Attempted writing analog data that is too large or too small.")
         for moment in zip(*rows, strict=True):
             for name, volts in zip(task.names, moment, strict=True):
-                self._set_output(name, volts, connection)
+                self._wiring.set(name, volts, reached=self._reached(name, volts), connection=connection)
 
     def _begin_writing(self, task: Task, rows: int, *, start: bool) -> None:
         self.reserve(task)
@@ -292,12 +292,6 @@ class Board:
             raise Refused(-200524, "Write cannot be performed: the number of channels in the data is another.")
         if not start and task.state != "running":
             raise Refused(-200846, "Write cannot be performed when auto start is false and the task is not running.")
-
-    def _set_output(self, name: str, volts: float, connection: int) -> None:
-        self._wiring.set(name, volts, reached=self._reached(name, volts), connection=connection)
-
-    def _give(self, name: str, volts: float) -> None:
-        self._wiring.give(name, self._reached(name, volts))
 
     def _reached(self, name: str, volts: float) -> float:
         """The nearest voltage that an output can give, which it gives from now on."""
@@ -310,16 +304,8 @@ class Board:
         self._begin_writing(task, len(values), start=start)
         for channel, value in zip(task.channels, values, strict=True):
             for name in channel.terminals:
-                self._set_line(name, connection, high=bool(value >> int(name.rpartition("line")[2]) & 1))
-
-    def _set_line(self, name: str, connection: int, *, high: bool) -> None:
-        self._levels[name] = high
-        self._wiring.switch(name, on=high, connection=connection)
-
-    def _drive(self, name: str, *, high: bool) -> None:
-        """Drive a line high or low, and the valve at it."""
-        self._levels[name] = high
-        self._wiring.drive(name, on=high)
+                high = self._levels[name] = bool(value >> int(name.rpartition("line")[2]) & 1)
+                self._wiring.switch(name, on=high, connection=connection)
 
     def level(self, name: str) -> bool:
         """The level of a line; an input that nobody wired is low."""

@@ -20,19 +20,10 @@ from time import monotonic
 from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import COMPUTER, EMULATED, Block, ChannelRecord, DeviceRecord, Identity
+from pmabench_drivers.shared import serial_port as sp
 from pmabench_drivers.shared.device import Polled
 from pmabench_drivers.shared.link import JOIN, opened
 from pmabench_drivers.shared.options import BAUDS, PARITIES, Reader
-from pmabench_drivers.shared.serial_port import (
-    LONGEST_LINE,
-    PIECE,
-    SerialPort,
-    Splitter,
-    Unreadable,
-    Wrong,
-    readable,
-    text_of,
-)
 
 LONGEST_PATTERN = 300
 MOST_SHARED = 3
@@ -62,15 +53,13 @@ def pattern_problem(pattern: str) -> str:
     variable: list[frozenset[str]] = []
     position = 0
     while position < len(pattern):
-        token = _TOKEN.match(pattern, position)
-        if token is None:
+        if (token := _TOKEN.match(pattern, position)) is None:
             return (
                 f'cannot be used from "{pattern[position : position + 12]}" on; characters, [classes], \\d \\w \\s, '
                 "groups, | and repetitions are understood, references and looks around are not"
             )
         position = token.end()
-        times = _QUANTIFIER.match(pattern, position)
-        if times is None:
+        if (times := _QUANTIFIER.match(pattern, position)) is None:
             continue
         position = times.end()
         if token["atom"] is None:
@@ -158,8 +147,7 @@ def read_options(device: DeviceRecord, reader: Reader) -> Options:
     if not isinstance(errors, Mapping) or not all(isinstance(v, str) for v in errors.values()):
         reader.fault((*place, "errors"), "texts and what they mean are expected")
         errors = {}
-    terminator = _bytes(given, "terminator", reader, "\r")
-    if not terminator:
+    if not (terminator := _bytes(given, "terminator", reader, "\r")):
         reader.fault((*place, "terminator"), "what ends a line is expected")
     line = reader.text(given, "emulate", place, base.emulate)
     if not _EMULATED.fullmatch(line):
@@ -217,8 +205,6 @@ class LineReader:
         self._options, self._channels = options, channels
         raw = channels[0].raw_unit if channels else ""
         self._unit = options.unit or raw
-        groups = options.pattern.groupindex
-        self._checks_unit, self._has_sign, self._has_status = "unit" in groups, "sign" in groups, "status" in groups
         self._names = [channel.input for channel in channels] or inputs_of(options.pattern)
 
     def values(self, line: bytes) -> list[float]:
@@ -226,30 +212,25 @@ class LineReader:
 
         Raises `Wrong` or `Unreadable`.
         """
-        options, text = self._options, text_of(line)
-        bare = text.strip()
-        if bare in options.errors:
-            raise Wrong(f'says "{readable(line)}": {options.errors[bare]}')
-        found = options.pattern.fullmatch(text)
-        if found is None:
+        options, text = self._options, sp.text_of(line)
+        if (bare := text.strip()) in options.errors:
+            raise sp.Wrong(f'says "{sp.readable(line)}": {options.errors[bare]}')
+        if (found := options.pattern.fullmatch(text)) is None:
             if bare and any(mark in bare for mark in options.over_range):
                 return self._over_range()
-            raise Unreadable(f'"{readable(line)}"')
-        if self._checks_unit:
-            unit = (found["unit"] or "").strip()
-            if unit != self._unit:
-                raise Wrong(f'gives "{unit}" and the bench expects "{self._unit}": set the indicator back')
-        if self._has_status and options.good_status:
-            status = (found["status"] or "").strip()
-            if status not in options.good_status:
-                raise Wrong(f'says status "{status}"; good ones are {", ".join(options.good_status)}')
+            raise sp.Unreadable(f'"{sp.readable(line)}"')
+        groups = found.groupdict("")
+        if "unit" in groups and (unit := groups["unit"].strip()) != self._unit:
+            raise sp.Wrong(f'gives "{unit}" and the bench expects "{self._unit}": set the indicator back')
+        status = groups.get("status", "").strip()
+        if "status" in groups and options.good_status and status not in options.good_status:
+            raise sp.Wrong(f'says status "{status}"; good ones are {", ".join(options.good_status)}')
         try:
-            sign = (found["sign"] or "") if self._has_sign else ""
-            return [number(found[name] or "", sign) for name in self._names]
+            return [number(groups[name], groups.get("sign", "")) for name in self._names]
         except ValueError:
             if any(mark in bare for mark in options.over_range):
                 return self._over_range()
-            raise Unreadable(f'"{readable(line)}"') from None
+            raise sp.Unreadable(f'"{sp.readable(line)}"') from None
 
     def _over_range(self) -> list[float]:
         return [
@@ -277,8 +258,8 @@ class SerialIndicator(Polled):
     def __init__(self, device: DeviceRecord, clock: Clock) -> None:
         super().__init__(device, clock)
         self._reader = LineReader(self._options, device.channels)
-        self._port: SerialPort | None = None
-        self._splitter = Splitter(self._options.terminator)
+        self._port: sp.SerialPort | None = None
+        self._splitter = sp.Splitter(self._options.terminator)
         self._heard = 0.0
         self._late_until = 0.0
         self._rate = self._options.rate
@@ -290,7 +271,7 @@ class SerialIndicator(Polled):
         self.close()
         options = self._options
         settings = {"bytesize": options.data_bits, "parity": options.parity, "stopbits": options.stop_bits}
-        self._port = SerialPort(self._device.name, self._device.address, options.baud, self._clock, **settings)
+        self._port = sp.SerialPort(self._device.name, self._device.address, options.baud, self._clock, **settings)
         with self._closed_on_error():
             model = self._ask_identity()
             self._first_line()
@@ -315,7 +296,7 @@ class SerialIndicator(Polled):
             self._rate = min(rate, self._options.rate)
             self._cycle.start(self._rate)
         else:
-            self._rate, self._splitter = self._options.rate, Splitter(self._options.terminator)
+            self._rate, self._splitter = self._options.rate, sp.Splitter(self._options.terminator)
             port.listen(self._listen)
         return self._rate
 
@@ -356,9 +337,9 @@ class SerialIndicator(Polled):
         answered = self._clock.now()
         if not lines:
             self._late_until = monotonic() + self._options.slowest
-            self._problem = f'"{readable(rest)}" without its end' if rest else "silence"
+            self._problem = f'"{sp.readable(rest)}" without its end' if rest else "silence"
         elif len(lines) > 1 or rest:
-            self._problem = f'more than one answer at a time, from "{readable(lines[0])}" on'
+            self._problem = f'more than one answer at a time, from "{sp.readable(lines[0])}" on'
         else:
             self._take(lines[0], (asked + answered) / 2, answered)
 
@@ -366,7 +347,7 @@ class SerialIndicator(Polled):
         """Send, and collect until a line is whole: the lines, and what is behind them."""
         port, terminator = self._opened(), self._options.terminator
         port.send(question)
-        data = port.receive(lambda got: terminator in got or len(got) > LONGEST_LINE, timeout)
+        data = port.receive(lambda got: terminator in got or len(got) > sp.LONGEST_LINE, timeout)
         *lines, rest = data.split(terminator)
         return lines, rest
 
@@ -386,10 +367,10 @@ class SerialIndicator(Polled):
     def _take(self, line: bytes, time: float, host: float) -> None:
         try:
             values = self._reader.values(line)
-        except Wrong as error:
+        except sp.Wrong as error:
             self._failure = self._error(str(error))
             return
-        except Unreadable as error:
+        except sp.Unreadable as error:
             self._problem = str(error)
             return
         self._heard = monotonic()
@@ -402,30 +383,30 @@ class SerialIndicator(Polled):
         lines, _rest = self._exchange(self._options.ask_identity, OPEN / 3)
         if not lines:
             raise self._error("did not answer who it is")
-        return readable(lines[0]).strip()
+        return sp.readable(lines[0]).strip()
 
     def _first_line(self) -> None:
         """Prove that a line can be read; its sample is dropped."""
         options, port, deadline, last = self._options, self._opened(), monotonic() + OPEN, ""
-        splitter = Splitter(options.terminator)
+        splitter = sp.Splitter(options.terminator)
         try:
             while monotonic() < deadline:
                 if options.poll:
                     port.drain()
                     lines, rest = self._exchange(options.poll, options.timeout)
                 else:
-                    rest = port.receive(bool, PIECE)
+                    rest = port.receive(bool, sp.PIECE)
                     lines = splitter.feed(rest)
-                last = f'; it sent "{readable(rest)}"' if rest and not lines else last
+                last = f'; it sent "{sp.readable(rest)}"' if rest and not lines else last
                 for line in lines:
                     try:
                         self._reader.values(line)
                         return
-                    except Unreadable:
-                        last = f'; it sent "{readable(line)}", which is not what the pattern says'
-        except Wrong as error:
+                    except sp.Unreadable:
+                        last = f'; it sent "{sp.readable(line)}", which is not what the pattern says'
+        except sp.Wrong as error:
             raise self._error(str(error)) from None
         raise self._error(f"sent no line that can be read within {OPEN:g} s{last}")
 
-    def _opened(self) -> SerialPort:
+    def _opened(self) -> sp.SerialPort:
         return opened(self._port, self._device.name)

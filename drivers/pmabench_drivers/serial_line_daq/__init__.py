@@ -1,7 +1,7 @@
 """A microcontroller board with an open line protocol: samples by its own clock, set-points, valves, its own watchdog.
 
-The protocol is in docs/devices/serial-line-daq.md, the program of the board in `sketch`. `wire`: lines as bytes, times,
-options; here: the device interface; `emulator`: a board on a pseudo-terminal.
+The protocol is in docs/devices/serial-line-daq.md, the program of the board in `sketch`. Here: lines
+as bytes, times of numbered samples, options, the device interface; `emulator`: a board on a pseudo-terminal.
 
 One thread reads every line and gives answers to whoever asked by their number. A question is sent once. It has a number
 that no other has for a long time, so a late answer never belongs to another.
@@ -12,17 +12,169 @@ from __future__ import annotations
 import contextlib
 import math
 import random
+import re
 import threading
+from binascii import crc_hqx
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from time import monotonic
 
 from pmabench.base.clock import Clock
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import EMULATED, Block, DeviceRecord, Identity
-from pmabench_drivers.serial_line_daq import wire as w
 from pmabench_drivers.shared.device import Led
 from pmabench_drivers.shared.link import JOIN, Samples, Still, Unanswered, always, opened, turn
+from pmabench_drivers.shared.options import BAUDS, Reader
 from pmabench_drivers.shared.serial_port import SerialPort, Splitter, readable
+
+END = b"\n"
+PROTOCOL = "line-daq"
+VERSION = "1"
+MOST = {"a": 6, "d": 6, "o": 4, "v": 4}
+"""How many inputs, levels, outputs and valves a board has at most, by the letter of their names (`a0`, `d0` ...)."""
+NAMES = {"a": "count input", "d": "digital input", "o": "output", "v": "valve"}
+ARMED, VENTED, LEVELS = 1, 2, 2
+"""Bits of the state: watchdog armed, vented by the watchdog; the levels follow from bit 2 on."""
+REASONS = {
+    "unknown": "does not know the command",
+    "range": "says that the value is out of its range",
+    "unarmed": "refuses, because its watchdog is not armed",
+    "vented": "has vented by itself, because its watchdog heard nothing; it takes nothing until it is armed again",
+}
+"""The words with which a board refuses."""
+_WHOLE = re.compile(rb"([ -)+-~]{1,114})\*([0-9A-F]{4})")
+_COUNT = re.compile(r"-?\d{1,10}")
+WRAP = 1 << 32
+LONGEST = 10_000_000
+"""A jump over more than this is no loss but nonsense [us]."""
+DRIFT = 2e-3
+"""How far number and clock may drift apart over a gap [1]."""
+KNOWN_BAUDS = tuple(sorted({*BAUDS, 250_000, 500_000, 1_000_000, 2_000_000}))
+BAUD = 500_000
+WATCHDOG = (0.05, 1.0)
+"""Shortest and longest time of the board's watchdog [s]."""
+
+
+class NoLine(ValueError):
+    """Bytes that are no line of the protocol: cut, disturbed, something else."""
+
+
+@dataclass(frozen=True)
+class Sample:
+    """One numbered row of counts."""
+
+    number: int
+    """Counts the periods since sampling began, those too in which nothing was sent [1], modulo 2^32."""
+    micros: int
+    """When it was taken by the board's clock [us], modulo 2^32."""
+    state: int
+    counts: tuple[int, ...]
+
+
+def encode(*fields: object) -> bytes:
+    """Fields as a line with checksum and end: the CRC-16/IBM-3740 (0x1021 from 0xFFFF) of all before the star."""
+    text = ",".join(map(str, fields)).encode("ascii")
+    return b"%s*%04X" % (text, crc_hqx(text, 0xFFFF)) + END
+
+
+def decode(line: bytes) -> list[str]:
+    """The fields of a line without its end; raises NoLine."""
+    if (found := _WHOLE.fullmatch(line)) is None:
+        raise NoLine("a line that is none of the protocol")
+    if crc_hqx(found[1], 0xFFFF) != int(found[2], 16):
+        raise NoLine("a line whose checksum is wrong")
+    return found[1].decode("ascii").split(",")
+
+
+def read_sample(fields: list[str], inputs: int) -> Sample:
+    """The fields of an `S` line; raises NoLine."""
+    if len(fields) != 4 + inputs or not all(_COUNT.fullmatch(text) for text in fields[1:]):
+        raise NoLine(f"a sample that has not {inputs} counts")
+    number, micros, state, *counts = map(int, fields[1:])
+    if not (0 <= number < 1 << 32 and 0 <= micros < 1 << 32 and 0 <= state < 256):
+        raise NoLine("a sample with a number out of its range")
+    if not all(-(1 << 31) <= count < 1 << 31 for count in counts):
+        raise NoLine("a sample with a count of more than 32 bits")
+    return Sample(number, micros, state, tuple(counts))
+
+
+def index_of(name: str, letter: str) -> int | None:
+    """The number in a name like `a0`; None where it is no such name."""
+    found = re.fullmatch(rf"{letter}(\d)", name)
+    return int(found[1]) if found and int(found[1]) < MOST[letter] else None
+
+
+class Timeline:
+    """Gives the time of each sample; counts what was lost by the numbers.
+
+    Number and clock say the same twice: a sample whose two do not fit is not believed.
+    """
+
+    def __init__(self, period: int, before: Timeline | None = None) -> None:
+        self._period = period
+        self._last: Sample | None = None
+        self._time = 0
+        self.ahead: float | None = before.ahead if before is not None else None
+        """What the board's clock is ahead of bench time by, wraps counted [us]; times go on where `before` ended."""
+        self.lost = 0
+        """Samples whose numbers never came."""
+        self.misfits = 0
+        """Samples in a row that were not believed."""
+
+    def place(self, sample: Sample, host: float) -> int | None:
+        """Time of a sample that came at `host` [s, bench time] by the board's clock [us]; None: it is not believed."""
+        if (last := self._last) is None:
+            if self.ahead is None:
+                self.ahead = sample.micros - host * 1e6
+            self._time = sample.micros + WRAP * round((host * 1e6 + self.ahead - sample.micros) / WRAP)
+        else:
+            ahead, passed = (sample.number - last.number) % WRAP, (sample.micros - last.micros) % WRAP
+            expected = ahead * self._period
+            if not 0 < expected <= LONGEST or abs(passed - expected) >= self._period + DRIFT * expected:
+                self.misfits += 1
+                return None
+            self.lost += ahead - 1
+            self._time += passed
+        self._last, self.misfits = sample, 0
+        return self._time
+
+
+def read_options(device: DeviceRecord, reader: Reader) -> int:
+    """The baud rate; `reader` gets a fault for everything in the device's record that the board cannot do."""
+    given = reader.keys(device.options, ("options",), ("baud",))
+    reader.port(device, "/dev/ttyACM0")
+    baud = reader.one_of(given, "baud", ("options",), KNOWN_BAUDS, BAUD)
+    for channel in device.channels:
+        _named(reader, ("channels", channel.name, "input"), channel.input, "a")
+    for interlock in device.interlocks:
+        _named(reader, ("interlocks", interlock.name, "input"), interlock.input, "d")
+    for output in device.outputs:
+        place = "outputs", output.name
+        _named(reader, (*place, "output"), output.output, "o")
+        if output.resolution < 1 or output.resolution != round(output.resolution):
+            reader.fault(place, 'the board takes whole counts: "resolution: 1 count" is expected')
+        if abs(float(output.scale.to_raw(output.safe))) > 1e-6:
+            reader.fault(place, "the board vents to 0 counts: the scale must have the safe value there")
+    for valve in device.valves:
+        _named(reader, ("outputs", valve.name, "output"), valve.output, "v")
+        if valve.energised == valve.safe:
+            message = f'the board vents with its valves off: "{valve.name}" must be {valve.safe} without power'
+            reader.fault(("outputs", valve.name, "energised"), message)
+    shortest, longest = WATCHDOG
+    if (device.outputs or device.valves) and not device.watchdog:
+        reader.fault(
+            (), f'outputs work only under the watchdog of the board: add "watchdog: 500 ms" (at most {longest:g} s)'
+        )
+    elif device.watchdog and not shortest <= device.watchdog <= longest:
+        reader.fault(("watchdog",), f"the board's watchdog takes {shortest * 1e3:g} ms to {longest:g} s")
+    return baud
+
+
+def _named(reader: Reader, place: tuple[str, ...], name: str, letter: str) -> None:
+    if index_of(name, letter) is None:
+        last = MOST[letter] - 1
+        reader.fault(place, f'a {NAMES[letter]} of the board is expected, {letter}0 to {letter}{last}, not "{name}"')
+
 
 CALL = 0.17
 """Longest time that a call takes [s]."""
@@ -48,7 +200,7 @@ class Link(SerialPort):
         self._turn, self._sending = threading.Lock(), threading.Lock()
         self._waiting: dict[int, tuple[threading.Event, list[list[str]]]] = {}
         self._number = random.randrange(1 << 20)
-        self._splitter = Splitter(w.END, whole=True)  # what is not whole has a wrong checksum
+        self._splitter = Splitter(END, whole=True)  # what is not whole has a wrong checksum
         self.invalid = 0
         """Lines that could not be read."""
         self.last = ""
@@ -72,7 +224,7 @@ class Link(SerialPort):
                     raise DeviceError(self._device, self.gone)
                 self._number = number = self._number % 999_999_999 + 1
                 self._waiting[number] = event, answer
-                self.send(w.encode(letter, number, *values))
+                self.send(encode(letter, number, *values))
             event.wait(max(0.0, deadline - monotonic()))
             self._waiting.pop(number, None)
         if not answer:
@@ -80,14 +232,14 @@ class Link(SerialPort):
         kind, *fields = answer[0]
         if kind == "E":
             word = fields[0] if fields else ""
-            raise DeviceError(self._device, w.REASONS.get(word, f'refuses with "{word}"'))
+            raise DeviceError(self._device, REASONS.get(word, f'refuses with "{word}"'))
         return fields
 
     def _read(self, data: bytes, now: float) -> None:
         for line in self._splitter.feed(data):
             try:
-                self._take(w.decode(line.rstrip(b"\r")), now)
-            except w.NoLine as error:
+                self._take(decode(line.rstrip(b"\r")), now)
+            except NoLine as error:
                 self.invalid += 1
                 self.last = f'{error}: "{readable(line)}"'
 
@@ -96,7 +248,7 @@ class Link(SerialPort):
             self._on_sample(fields, now)
             return
         if fields[0] not in {"A", "E"} or len(fields) < 2 or not fields[1].isdecimal():
-            raise w.NoLine("a line of no known kind")
+            raise NoLine("a line of no known kind")
         waiting = self._waiting.get(int(fields[1]))
         if waiting is not None and not waiting[0].is_set():
             waiting[1].append([fields[0], *fields[2:]])
@@ -112,19 +264,19 @@ class SerialLineDaq(Led):
 
     verified = "emulator and compiled sketch, no board"
     emulator = "pmabench_drivers.serial_line_daq.emulator"
-    read_options = staticmethod(w.read_options)
+    read_options = staticmethod(read_options)
     _options: int
     """Its baud rate."""
 
     def __init__(self, device: DeviceRecord, clock: Clock) -> None:
         super().__init__(device, clock)
-        self._columns = [w.index_of(channel.input, "a") or 0 for channel in device.channels]
+        self._columns = [index_of(channel.input, "a") or 0 for channel in device.channels]
         self._samples = Samples([channel.name for channel in device.channels])
         self._link: Link | None = None
-        self._has = dict.fromkeys(w.NAMES, 0)
+        self._has = dict.fromkeys(NAMES, 0)
         self._full_scale, self._shortest = 0, 1
-        self._timeline: w.Timeline | None = None
-        self._before: w.Timeline | None = None
+        self._timeline: Timeline | None = None
+        self._before: Timeline | None = None
         self._period = self._armed = 0.0
         self._heard = 0.0
         self._reported_vent = False
@@ -162,11 +314,11 @@ class SerialLineDaq(Led):
                     heard = f"; the last thing heard was {link.last}" if link.last else ""
                     message = f"did not say who it is within {OPEN:g} s at {self._options} baud{heard}"
                     raise self._error(message) from None
-        if answer[:2] != [w.PROTOCOL, w.VERSION] or len(answer) != 10 or not all(map(str.isdecimal, answer[4:])):
-            raise self._error(f'is no "{w.PROTOCOL}" of version {w.VERSION}: "{",".join(answer)[:60]}"')
+        if answer[:2] != [PROTOCOL, VERSION] or len(answer) != 10 or not all(map(str.isdecimal, answer[4:])):
+            raise self._error(f'is no "{PROTOCOL}" of version {VERSION}: "{",".join(answer)[:60]}"')
         _protocol, version, model, serial, *numbers = answer
         *counts, self._full_scale, self._shortest = map(int, numbers)
-        self._has = dict(zip(w.NAMES, counts, strict=True))
+        self._has = dict(zip(NAMES, counts, strict=True))
         record = self._device
         wanted = [("a", channel.input) for channel in record.channels]
         wanted += [("d", lock.input) for lock in record.interlocks] + [("v", valve.output) for valve in record.valves]
@@ -174,7 +326,7 @@ class SerialLineDaq(Led):
             self._index(name, letter)
         if not 0 < self._shortest <= 10_000_000:
             raise DeviceError(record.name, f"says that its shortest period is {self._shortest} us")
-        return Identity("", model, serial, f"{w.PROTOCOL} {version}", simulated=model.startswith(EMULATED))
+        return Identity("", model, serial, f"{PROTOCOL} {version}", simulated=model.startswith(EMULATED))
 
     # -- samples --------------------------------------------------------------------------------------------------
 
@@ -185,11 +337,10 @@ class SerialLineDaq(Led):
         self.stop()
         self._samples.take()
         self._failure = None
-        used = self._ask("G", period)
-        if used != period:
+        if (used := self._ask("G", period)) != period:
             raise self._error(f"samples each {used} us where {period} us were asked for")
         self._period, self._heard = period * 1e-6, monotonic()
-        self._before = self._timeline = w.Timeline(period, self._before)
+        self._before = self._timeline = Timeline(period, self._before)
         return 1e6 / period
 
     def collect(self) -> Block:
@@ -223,11 +374,10 @@ class SerialLineDaq(Led):
     def _take(self, fields: list[str], now: float) -> None:
         """One `S` line that came at `now` [s, bench time], in the reading thread."""
         timeline = self._timeline
-        sample = w.read_sample(fields, self._has["a"])
+        sample = read_sample(fields, self._has["a"])
         if timeline is None:
             return  # sampling has not begun here: another program left it on
-        micros = timeline.place(sample, now)
-        if micros is None:
+        if (micros := timeline.place(sample, now)) is None:
             if timeline.misfits == MISFITS:
                 message = (
                     "the number of its samples and its clock do not fit: it has started again, or is no such board"
@@ -236,7 +386,7 @@ class SerialLineDaq(Led):
             return
         self._heard = monotonic()
         self._samples.append(micros * 1000, [float(sample.counts[i]) for i in self._columns], round(now * 1e9))
-        if sample.state & w.VENTED and self._armed and not self._reported_vent:
+        if sample.state & VENTED and self._armed and not self._reported_vent:
             self._reported_vent = True
             message = f"has vented by itself: its watchdog heard nothing for {self._armed:g} s"
             self._failure = self._error(message)
@@ -265,7 +415,7 @@ class SerialLineDaq(Led):
     def level(self, name: str) -> bool:
         """Whether a digital input is high."""
         index = self._index(name, "d")
-        return bool(self._ask("D") >> w.LEVELS + index & 1)
+        return bool(self._ask("D") >> LEVELS + index & 1)
 
     def rescue(self, output: str, value: float) -> None:
         """Send on the same wire without waiting for a turn; the answer is known by its number."""
@@ -291,15 +441,14 @@ class SerialLineDaq(Led):
             raise self._error(f"a watchdog of {seconds} s cannot be set", "watchdog")
         until = monotonic() + CALL
         self._ask("T", math.floor(seconds * 1e3 + 1e-6), until=until)
-        held = self._ask("T", until=until)
-        if held <= 0:
+        if (held := self._ask("T", until=until)) <= 0:
             raise self._error("holds a watchdog time of 0, which is none", "watchdog")
         self._armed, self._reported_vent = held * 1e-3, False
         return self._armed
 
     def feed_watchdog(self) -> None:
         """A sign of life; an error where the board is not armed any more."""
-        if not self._ask("F") & w.ARMED:
+        if not self._ask("F") & ARMED:
             raise self._error("took a sign of life and is not armed", "watchdog")
 
     def disarm_watchdog(self) -> None:
@@ -340,15 +489,14 @@ class SerialLineDaq(Led):
             except Unanswered:
                 message = f"did not answer within {CALL:g} s; whether it took {value} is not known"
                 raise Unanswered(self._device.name, message, f"{'o' if letter == 'W' else 'v'}{index}") from None
-        held = self._number(answer)
-        if held != value:
+        if (held := self._number(answer)) != value:
             name = f"{'o' if letter == 'W' else 'v'}{index}"
             raise self._error(f"{lost or 'was commanded'} {value} and holds {held}", name)
 
     def _index(self, name: str, letter: str) -> int:
-        index, count = w.index_of(name, letter), self._has[letter]
+        index, count = index_of(name, letter), self._has[letter]
         if index is None or (self._link is not None and index >= count):
-            raise self._error(f'the board has {count} {w.NAMES[letter]}(s), and "{name}" is none', name)
+            raise self._error(f'the board has {count} {NAMES[letter]}(s), and "{name}" is none', name)
         return index
 
     def _whole(self, output: str, value: float) -> int:

@@ -11,11 +11,11 @@ from time import monotonic
 
 from pmabench.base.errors import UsageError
 from pmabench.bench.interface import DeviceRecord
+from pmabench_drivers import serial_line_daq as w
 from pmabench_drivers.emulator import faults as f
 from pmabench_drivers.emulator.faults import CommandLog
 from pmabench_drivers.emulator.plant import RealPlant, Wiring
 from pmabench_drivers.emulator.ports import OnTerminal
-from pmabench_drivers.serial_line_daq import wire as w
 from pmabench_drivers.shared.options import options_of
 
 INPUTS, DIGITAL, OUTPUTS, VALVES = 6, 2, 1, 1

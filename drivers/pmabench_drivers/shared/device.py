@@ -40,13 +40,11 @@ def stepped(segment: Segment, now: float, resolution: float = 0.0) -> tuple[floa
     On the device's steps where it has any, and never outside the segment: between origin and target of a ramp, between
     the crests of a sine.
     """
-    since = now - segment.start
-    if since < 0:
+    if (since := now - segment.start) < 0:
         return None, False
     if segment.kind == "ramp":
         low, high = sorted((segment.origin, segment.target))
-        way = abs(segment.rate) * since
-        if way >= high - low:
+        if (way := abs(segment.rate) * since) >= high - low:
             return segment.target, True
         return _on_step(
             segment.origin + math.copysign(way, segment.target - segment.origin), resolution, low, high

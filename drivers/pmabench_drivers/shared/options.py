@@ -95,9 +95,7 @@ class Reader:
         self, given: Mapping[str, Any], key: str, place: Place, low: int, high: int, default: int | None = None
     ) -> int:
         """A whole number from `low` to `high`; also as `"0x1F"`."""
-        value = given.get(key, default)
-        if isinstance(value, str) and re.fullmatch(r"0[xX][0-9A-Fa-f]{1,16}", value):
-            value = int(value, 16)
+        value = _unhexed(given.get(key, default))
         if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
             if key in given or default is None:
                 self.fault((*place, key), f"a whole number from {low} to {high} is expected, not {_shown(value)}")
@@ -106,8 +104,7 @@ class Reader:
 
     def one_of(self, given: Mapping[str, Any], key: str, place: Place, known: Sequence[int], default: int) -> int:
         """One of the known whole numbers, which are in rising order."""
-        value = self.whole(given, key, place, known[0], known[-1], default)
-        if value not in known:
+        if (value := self.whole(given, key, place, known[0], known[-1], default)) not in known:
             self.fault((*place, key), f"{value} is not possible here; known: {', '.join(map(str, known))}")
         return value
 
@@ -145,9 +142,7 @@ class Reader:
 
     def number(self, given: Mapping[str, Any], key: str, place: Place) -> float | None:
         """A finite number, also as `"0x1F"`; None where none is given."""
-        value = given.get(key)
-        if isinstance(value, str) and re.fullmatch(r"0[xX][0-9A-Fa-f]{1,16}", value):
-            value = int(value, 16)
+        value = _unhexed(given.get(key))
         if value is None or (isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)):
             return None if value is None else float(value)
         self.fault((*place, key), f"a number is expected, not {_shown(value)}")
@@ -179,6 +174,12 @@ def options_of(device: DeviceRecord, read: Callable[[DeviceRecord, Reader], T]) 
     for place, message in reader.problems:
         raise DeviceError(device.name, f"{'.'.join(map(str, place))}: {message}")
     return options
+
+
+def _unhexed(value: Any) -> Any:
+    """A number that is written as `"0x1F"`; anything else as it is."""
+    hexadecimal = isinstance(value, str) and re.fullmatch(r"0[xX][0-9A-Fa-f]{1,16}", value)
+    return int(value, 16) if hexadecimal else value
 
 
 def _shown(value: Any) -> str:

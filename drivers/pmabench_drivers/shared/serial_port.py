@@ -186,8 +186,7 @@ class SerialStream(Driver):
 
     def close(self) -> None:
         """Quiet it and let go of the port."""
-        port = self._port
-        if port is not None:
+        if (port := self._port) is not None:
             self.stop()
             self._port = None
             port.close()

@@ -8,33 +8,9 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Discriminator, Field, Tag, WithJsonSchema, model_validator
 
 from pmabench.base.quantities import MUSCLES, without_number
-from pmabench.bench.files.specimen import (
-    ConductanceAbove0,
-    Name,
-    Place,
-    PressureAbove0,
-    PressureNotBelow0,
-    RateAbove0,
-    RatioAbove0,
-    Reading,
-    SpecimenLimits,
-    Text,
-    TimeAbove0,
-)
+from pmabench.bench.files import specimen as s
+from pmabench.files import quantity as q
 from pmabench.files.document import Strict, among, schema_of
-from pmabench.files.quantity import (
-    Acceleration,
-    Angle,
-    AngularSpeed,
-    Force,
-    Length,
-    Load,
-    Mass,
-    Plates,
-    Pressure,
-    Speed,
-    Time,
-)
 
 Action = Literal["warn", "hold", "stop", "vent"]
 """What follows a crossed limit: a line in the record, no new command until it is over, a controlled stop, a vent."""
@@ -69,11 +45,11 @@ SAFE_OPTIONAL = {("ramp_down", "to")}
 class LimitFile(Strict):
     """Limits on one quantity: `command` is what may be set, `trip` what may be measured."""
 
-    command: Reading | None = None
-    command_low: Reading | None = None
-    trip: Reading | None = None
-    trip_low: Reading | None = None
-    delay: Time = 0.0
+    command: s.Reading | None = None
+    command_low: s.Reading | None = None
+    trip: s.Reading | None = None
+    trip_low: s.Reading | None = None
+    delay: q.Time = 0.0
     action: Action = "vent"
 
 
@@ -88,8 +64,7 @@ def one_of(model: Strict, kinds: dict[str, tuple[str, ...]], optional: set[tuple
     missing = [key for key in kinds[kind] if key not in given and (kind, key) not in optional]
     if missing:
         raise ValueError(f'"{kind}" needs "{missing[0]}"')
-    extra = sorted(given - {kind, "action", *kinds[kind]})
-    if extra:
+    if extra := sorted(given - {kind, "action", *kinds[kind]}):
         belongs = ", ".join(f'"{key}"' for key in kinds[kind]) or "nothing else"
         raise ValueError(f'"{extra[0]}" does not belong to "{kind}", which takes {belongs}')
     return kind
@@ -98,19 +73,19 @@ def one_of(model: Strict, kinds: dict[str, tuple[str, ...]], optional: set[tuple
 class WatchFile(Strict):
     """One thing to watch in addition to the limits; which of the kinds is given says what."""
 
-    rate: Name | None = None
-    stale: Name | None = None
-    frozen: Name | None = None
-    off_range: Name | None = None
-    following: Name | None = None
-    burst: Name | None = None
-    slack: Name | None = None
-    faster_than: Reading | None = None
-    more_than: Reading | None = None
-    falls: Reading | None = None
-    below: Reading | None = None
-    within: TimeAbove0 | None = None
-    for_: Annotated[Time | None, Field(alias="for")] = None
+    rate: s.Name | None = None
+    stale: s.Name | None = None
+    frozen: s.Name | None = None
+    off_range: s.Name | None = None
+    following: s.Name | None = None
+    burst: s.Name | None = None
+    slack: s.Name | None = None
+    faster_than: s.Reading | None = None
+    more_than: s.Reading | None = None
+    falls: s.Reading | None = None
+    below: s.Reading | None = None
+    within: s.TimeAbove0 | None = None
+    for_: Annotated[q.Time | None, Field(alias="for")] = None
     action: Action
 
     @property
@@ -132,17 +107,17 @@ class WatchFile(Strict):
 class SafeActionFile(Strict):
     """One ordered action of the safe state; which of the verbs is given says what."""
 
-    set: Name | None = None
-    ramp_down: Name | None = None
-    drive_quick_stop: Name | None = None
-    hold: Time | None = None
-    open: Name | None = None
-    close: Name | None = None
-    confirm: Name | None = None
-    to: Reading | None = None
-    at: Reading | None = None
-    below: Reading | None = None
-    within: TimeAbove0 | None = None
+    set: s.Name | None = None
+    ramp_down: s.Name | None = None
+    drive_quick_stop: s.Name | None = None
+    hold: q.Time | None = None
+    open: s.Name | None = None
+    close: s.Name | None = None
+    confirm: s.Name | None = None
+    to: s.Reading | None = None
+    at: s.Reading | None = None
+    below: s.Reading | None = None
+    within: s.TimeAbove0 | None = None
     """Deadline; the next action follows then at the latest."""
 
     @property
@@ -166,7 +141,7 @@ class InputFile(Strict):
 class InterlockFile(Strict):
     """A digital input that must stay at its safe level, else the guard vents and latches."""
 
-    name: Name
+    name: s.Name
     input: InputFile
     safe: Literal["high", "low"] = "high"
 
@@ -174,16 +149,16 @@ class InterlockFile(Strict):
 class StopFile(Strict):
     """A controlled stop: the pressure goes down at a rate, then the safe state follows."""
 
-    ramp: RateAbove0
+    ramp: s.RateAbove0
 
 
 class ProofFile(Strict):
     """The vent path tried before each use: filled to `pressure`, it must be `below` after `within`."""
 
-    pressure: PressureAbove0
-    below: PressureAbove0
-    within: TimeAbove0
-    fill: TimeAbove0 = 5.0
+    pressure: s.PressureAbove0
+    below: s.PressureAbove0
+    within: s.TimeAbove0
+    fill: s.TimeAbove0 = 5.0
     """Longest time to fill."""
 
     @model_validator(mode="after")
@@ -204,16 +179,16 @@ class NoWatchdogFile(Strict):
 class HandsFile(Strict):
     """When hands may go in."""
 
-    below: PressureAbove0
-    at_pressure: PressureNotBelow0 = 0.0
+    below: s.PressureAbove0
+    at_pressure: s.PressureNotBelow0 = 0.0
     """Highest pressure for protocols that need hands at pressure; 0: none are allowed."""
 
 
 class ReviewFile(Strict):
     """Who read the bench file over, and when."""
 
-    by: Text
-    date: datetime.date | Text
+    by: s.Text
+    date: datetime.date | s.Text
 
 
 PLACED = ("displacement", "angle")
@@ -228,38 +203,38 @@ Zeroed = Annotated[str, BeforeValidator(among(ZEROED, ZEROED_EACH)), WithJsonSch
 class WarmUpFile(Strict):
     """Cycles between no pressure and `pressure` before the zeros are taken."""
 
-    duration: Time = 600.0
-    pressure: PressureAbove0
-    period: TimeAbove0 = 10.0
+    duration: q.Time = 600.0
+    pressure: s.PressureAbove0
+    period: s.TimeAbove0 = 10.0
 
 
 class ZeroFile(Strict):
     """The zero of one channel: at most `most` away from where its calibration has it."""
 
-    most: Reading
-    at: Text = ""
+    most: s.Reading
+    at: s.Text = ""
     """Where a displacement or an angle is zero, in words for the operator."""
-    load: Load | None = None
+    load: q.Load | None = None
     """The load that brings the free end there."""
 
 
 class SelfTestFile(Strict):
     """The start check: pressure goes up in steps of `step` to `pressure`, and every channel is looked at."""
 
-    step: PressureAbove0 = 25e3
-    pressure: PressureAbove0 | None = None
+    step: s.PressureAbove0 = 25e3
+    pressure: s.PressureAbove0 | None = None
     """Highest pressure; the bench's set-up pressure if not given."""
-    settle: TimeAbove0 = 3.0
+    settle: s.TimeAbove0 = 3.0
     """Time at each pressure."""
-    load: Load | None = None
+    load: q.Load | None = None
     """A load that is on its support meanwhile."""
-    noise: dict[Name, Reading] = {}
+    noise: dict[s.Name, s.Reading] = {}
     """Most rms noise per channel; 0.5 % of the range if not given."""
-    linearity: RatioAbove0 = 0.05
+    linearity: s.RatioAbove0 = 0.05
     """Most by which the regulator may leave its straight line, of the highest pressure."""
-    alignment: TimeAbove0 = 0.02
+    alignment: s.TimeAbove0 = 0.02
     """Most time between force and pressure."""
-    leak: RateAbove0 = 5e3 / 60
+    leak: s.RateAbove0 = 5e3 / 60
     """Most that the pressure may fall with the isolation valve shut."""
 
 
@@ -269,7 +244,7 @@ class SessionFile(Strict):
     self_test: SelfTestFile | None = None
     warm_up: WarmUpFile | None = None
     zeros: dict[Zeroed, ZeroFile] = {}
-    valid: TimeAbove0 = 12 * 3600.0
+    valid: s.TimeAbove0 = 12 * 3600.0
 
     @model_validator(mode="after")
     def _references(self) -> SessionFile:
@@ -287,17 +262,17 @@ class SessionFile(Strict):
 class Weights(Strict):
     """A stack of weights on the free end."""
 
-    hanger: Mass
-    plates: list[Plates] = []
-    g: Acceleration = 9.81
-    carriage: Mass = 0.0
+    hanger: q.Mass
+    plates: list[q.Plates] = []
+    g: q.Acceleration = 9.81
+    carriage: q.Mass = 0.0
     """What moves with the stack: table, cable, rod."""
     act_as: Literal["mass", "force"] = "mass"
     """`mass`: the stack moves with the muscle; `force`: a constant-force device without inertia."""
     pulley: bool = False
-    support: Length = 0.0
-    catch_height: Length | None = None
-    load_tolerance: RatioAbove0 = 0.1
+    support: q.Length = 0.0
+    catch_height: q.Length | None = None
+    load_tolerance: s.RatioAbove0 = 0.1
     """How far the measured force of a load at rest may be from its weight, in addition to the cell's uncertainty."""
     load_action: Literal["warn", "stop"] = "warn"
     """What follows when it is further: a line in the record, or a controlled stop."""
@@ -306,29 +281,29 @@ class Weights(Strict):
 class Joint(Strict):
     """A joint that the muscles turn: how far its angle may go, and how fast a drive turns it where there is one."""
 
-    stroke: tuple[Angle, Angle]
-    speed: AngularSpeed = 0.0
-    pulley: Annotated[Length, Field(gt=0)] | None = None
+    stroke: tuple[q.Angle, q.Angle]
+    speed: q.AngularSpeed = 0.0
+    pulley: Annotated[q.Length, Field(gt=0)] | None = None
     """Radius on which the muscles pull; `check --simulate` needs it on a real bench, as it does the next one."""
-    contraction: RatioAbove0 | None = None
+    contraction: s.RatioAbove0 | None = None
     """Of both muscles at angle 0."""
 
 
 class PlatformFile(Strict):
     """A platform that three muscles tilt about two axes: how far it may tilt, and what its control must know of it."""
 
-    tilt: Annotated[Angle, Field(gt=0)]
+    tilt: Annotated[q.Angle, Field(gt=0)]
     """The furthest that may be asked for."""
-    stops: Annotated[Angle, Field(gt=0)]
+    stops: Annotated[q.Angle, Field(gt=0)]
     """Angle of either axis at which a stop holds it."""
-    circle: Annotated[Length, Field(gt=0)]
+    circle: Annotated[q.Length, Field(gt=0)]
     """Radius of the circle on which the muscles pull."""
-    contraction: RatioAbove0
+    contraction: s.RatioAbove0
     """Of each muscle while it is level."""
-    mass: Mass
-    height: Length
+    mass: q.Mass
+    height: q.Length
     """Of its centre of mass above the joint."""
-    accelerometer: Length = 0.0
+    accelerometer: q.Length = 0.0
     """Height of the accelerometer above the joint."""
 
     @model_validator(mode="after")
@@ -341,9 +316,9 @@ class PlatformFile(Strict):
 class MuscleFile(Strict):
     """One of several muscles on a bench: which it is, and what it bears."""
 
-    type: Text
-    serial: Text
-    limits: SpecimenLimits
+    type: s.Text
+    serial: s.Text
+    limits: s.SpecimenLimits
 
 
 LIMITED = ("pressure", "force", "contraction", "displacement", "angle", "torque", "supply")
@@ -359,28 +334,28 @@ MuscleNumber = Annotated[str, Field(pattern=f"^[1-{MUSCLES}]$")]
 class Actuator(Strict):
     """A displacement actuator that drives the free end."""
 
-    stroke: tuple[Length, Length]
-    speed: Speed
-    force: Force
+    stroke: tuple[q.Length, q.Length]
+    speed: q.Speed
+    force: q.Force
 
 
 class AirConductance(Strict):
     """How fast air goes through the regulator and its line: mass flow by difference of pressure."""
 
-    fill: ConductanceAbove0
-    vent: ConductanceAbove0
+    fill: s.ConductanceAbove0
+    vent: s.ConductanceAbove0
 
 
 class Air(Strict):
     """The supply and what protects against it."""
 
-    supply: PressureAbove0
-    relief_valve: PressureAbove0 | Literal["none"] = "none"
+    supply: s.PressureAbove0
+    relief_valve: s.PressureAbove0 | Literal["none"] = "none"
     isolation_valve: str = "none"
     dump_valve: Literal["normally open", "normally closed", "none"] | None = None
     """A dump valve that the program does not switch; one that it switches is among the outputs."""
-    atmosphere: Pressure = 101325.0
-    overshoot: PressureNotBelow0 = 0.0
+    atmosphere: q.Pressure = 101325.0
+    overshoot: s.PressureNotBelow0 = 0.0
     """Most that the regulator overshoots a step."""
     conductance: AirConductance | None = None
     """For `check` to predict the pressure that a driven end makes; without it a fast motion counts as closed."""
@@ -401,7 +376,7 @@ class DeviceFile(Strict):
     driver: str
     address: str = ""
     options: dict[str, Any] = {}
-    watchdog: TimeAbove0 | None = None
+    watchdog: s.TimeAbove0 | None = None
     """After so long without a word from the program the device vents by itself."""
     verified: VerifiedFile | None = None
     """That this driver was tried on this device itself, not on an emulator only."""
@@ -412,11 +387,11 @@ class ChannelFile(Strict):
 
     device: str
     input: str
-    range: tuple[Reading, Reading]
+    range: tuple[s.Reading, s.Reading]
     calibration: str | None = None
     unit: str | None = None
     reference: Literal["gauge", "absolute"] = "gauge"
-    at: Text = ""
+    at: s.Text = ""
 
     @model_validator(mode="after")
     def _one_scale(self) -> ChannelFile:
@@ -430,9 +405,9 @@ class OutputFile(Strict):
 
     device: str
     output: str
-    scale: tuple[tuple[Reading, Reading], tuple[Reading, Reading]]
-    resolution: Reading | None = None
-    safe: Reading | None = None
+    scale: tuple[tuple[s.Reading, s.Reading], tuple[s.Reading, s.Reading]]
+    resolution: s.Reading | None = None
+    safe: s.Reading | None = None
     without_power: Literal["holds", "vents"] = "holds"
     """What a regulator does when its power fails; many hold the pressure."""
 
@@ -444,7 +419,7 @@ class ValveFile(Strict):
     output: str
     energised: Literal["closed", "open"]
     """Its position while the output is on; without power it is the other one."""
-    pulse: TimeAbove0 | None = None
+    pulse: s.TimeAbove0 | None = None
     """It opens in pulses of at most so long, and is shut between them."""
 
 
@@ -462,7 +437,7 @@ class BenchFile(Strict):
     """The station: devices, channels, outputs, limits, safe state."""
 
     schema_: Annotated[Literal["pmabench.bench/1"], Field(alias="schema")]
-    name: Text
+    name: s.Text
     free_end: Literal["weights", "actuator", "fixed", "free", "joint", "platform"]
     time: Literal["real", "virtual"] = "real"
     weights: Weights | None = None
@@ -471,26 +446,26 @@ class BenchFile(Strict):
     platform: PlatformFile | None = None
     muscles: dict[MuscleNumber, MuscleFile] = {}
     """Where there are several, by number from 1 on; their channels carry it: `pressure_1`, `pressure_2` ..."""
-    vents: Literal["together"] | Annotated[list[Name], Field(min_length=2, max_length=20)] | None = None
+    vents: Literal["together"] | Annotated[list[s.Name], Field(min_length=2, max_length=20)] | None = None
     """In what order the safe state takes several muscles down: all at once, or the outputs and valves in order."""
     air: Air
-    devices: dict[Name, DeviceFile]
-    channels: dict[Name, ChannelFile]
-    outputs: dict[Name, AnyOutput]
+    devices: dict[s.Name, DeviceFile]
+    channels: dict[s.Name, ChannelFile]
+    outputs: dict[s.Name, AnyOutput]
     interlocks: list[InterlockFile] = []
     limits: dict[Limited, LimitFile]
     watch: Annotated[list[WatchFile], Field(max_length=100)] = []
     safe_state: Annotated[list[SafeActionFile], Field(min_length=1, max_length=50)]
     stop: StopFile | None = None
     proof: ProofFile | None = None
-    setup_pressure: PressureAbove0 | None = None
+    setup_pressure: s.PressureAbove0 | None = None
     """Highest pressure that may be commanded before the bench is proven."""
     no_watchdog: NoWatchdogFile | None = None
     hands: HandsFile
-    slack_below: Force = 0.0
+    slack_below: q.Force = 0.0
     session: SessionFile | None = None
     reviewed: ReviewFile | None = None
-    to_confirm: list[Place] | None = None
+    to_confirm: list[s.Place] | None = None
     """Keys whose values a program derived and nobody has confirmed; an empty list where all are, by `reviewed`."""
     web_vent: bool = False
     """Whether `watch --web --vent` shows a button that vents this bench."""

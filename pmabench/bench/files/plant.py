@@ -9,21 +9,8 @@ from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 
 from pmabench.base.quantities import show
 from pmabench.bench.files.specimen import Reading, Text
+from pmabench.files import quantity as q
 from pmabench.files.document import Strict
-from pmabench.files.quantity import (
-    Angle,
-    Conductance,
-    Force,
-    ForcePerPressure,
-    Frequency,
-    Length,
-    Pressure,
-    Rate,
-    Ratio,
-    Speed,
-    Temperature,
-    Time,
-)
 
 NEUTRAL = acos(1 / sqrt(3)) - 1e-3
 """Braid angle from which on a muscle does not contract [rad]."""
@@ -95,9 +82,9 @@ Coefficient = Annotated[
 class FrictionFile(Strict):
     """Coulomb friction inside the muscle: F_s at rest, falling on a straight line to F_c at `speed`."""
 
-    F_s: Annotated[Force, _within(0, 1e4, "force")]
-    F_c: Annotated[Force, _within(0, 1e4, "force")]
-    speed: Annotated[Speed, _within(1e-5, 1.0, "speed")] = 1e-3
+    F_s: Annotated[q.Force, _within(0, 1e4, "force")]
+    F_c: Annotated[q.Force, _within(0, 1e4, "force")]
+    speed: Annotated[q.Speed, _within(1e-5, 1.0, "speed")] = 1e-3
 
     @model_validator(mode="after")
     def _in_order(self) -> FrictionFile:
@@ -109,16 +96,16 @@ class FrictionFile(Strict):
 class RegulatorFile(Strict):
     """How the pressure follows its command."""
 
-    dead_time: Annotated[Time, _within(0, 10, "time")] = 0.0
-    lag: Annotated[Time, _within(0, 60, "time")] = 0.0
+    dead_time: Annotated[q.Time, _within(0, 10, "time")] = 0.0
+    lag: Annotated[q.Time, _within(0, 60, "time")] = 0.0
     """First-order, while filling."""
     vent_ratio: Annotated[float, Field(ge=0.01, le=100)] = 1.0
     """Lag while venting by lag while filling."""
-    dead_band: Annotated[Pressure, _within(0, 1e6, "pressure")] = 0.0
+    dead_band: Annotated[q.Pressure, _within(0, 1e6, "pressure")] = 0.0
     """Pressure error that it does not act on."""
-    leak: Annotated[Rate, _within(0, 10, "rate")] = 0.0
+    leak: Annotated[q.Rate, _within(0, 10, "rate")] = 0.0
     """Share of the pressure that is lost in a second, for instance `2 %/s`."""
-    natural_frequency: Annotated[Frequency, _within(0, 1e3, "frequency")] = 0.0
+    natural_frequency: Annotated[q.Frequency, _within(0, 1e3, "frequency")] = 0.0
     """Of second order, in place of a `lag`."""
     damping_ratio: Annotated[float, Field(ge=0.05, le=20)] = 1.0
     """Of second order; 1 is critical, below it overshoots."""
@@ -137,21 +124,21 @@ class RegulatorFile(Strict):
 class NoiseFile(Strict):
     """Standard deviation of the noise of each sensor."""
 
-    pressure: Annotated[Pressure, _within(0, 1e5, "pressure")] = 0.0
-    displacement: Annotated[Length, _within(0, 0.01, "length")] = 0.0
-    force: Annotated[Force, _within(0, 1e3, "force")] = 0.0
+    pressure: Annotated[q.Pressure, _within(0, 1e5, "pressure")] = 0.0
+    displacement: Annotated[q.Length, _within(0, 0.01, "length")] = 0.0
+    force: Annotated[q.Force, _within(0, 1e3, "force")] = 0.0
 
 
 class FlowFile(Strict):
     """A regulator that has to move air in and out, so that the pressure depends on the motion."""
 
-    fill: Annotated[Conductance, _within(0, 1e-5, "conductance")]
+    fill: Annotated[q.Conductance, _within(0, 1e-5, "conductance")]
     """Flow per pressure between its own and the muscle's."""
-    vent: Annotated[Conductance, _within(0, 1e-5, "conductance")]
+    vent: Annotated[q.Conductance, _within(0, 1e-5, "conductance")]
     polytropic: Annotated[float, Field(ge=1, le=1.4)] = 1.2
     """1: the air keeps its temperature, 1.4: it takes no heat."""
-    temperature: Annotated[Temperature, _within(230, 370, "temperature")] = 293.0
-    atmosphere: Annotated[Pressure, _within(5e4, 1.1e5, "pressure")] = 101325.0
+    temperature: Annotated[q.Temperature, _within(230, 370, "temperature")] = 293.0
+    atmosphere: Annotated[q.Pressure, _within(5e4, 1.1e5, "pressure")] = 101325.0
 
     @model_validator(mode="after")
     def _flows(self) -> FlowFile:
@@ -163,8 +150,8 @@ class FlowFile(Strict):
 class HysteresisFile(Strict):
     """A hysteresis loop, the same at all rates: half its gap, and the contraction in which a turn fades to 1/e."""
 
-    height: Annotated[Force, _within(0, 1e4, "force")]
-    width: Annotated[Ratio, _within(1e-5, 0.5, "ratio")]
+    height: Annotated[q.Force, _within(0, 1e4, "force")]
+    width: Annotated[q.Ratio, _within(1e-5, 0.5, "ratio")]
 
 
 class PlantFile(Strict):
@@ -174,13 +161,13 @@ class PlantFile(Strict):
     name: Annotated[str, Field(min_length=1, max_length=80)]
     source: Text
     """Where the numbers come from."""
-    length: Annotated[Length, _within(1e-3, 10, "length")]
+    length: Annotated[q.Length, _within(1e-3, 10, "length")]
     """Nominal, without pressure."""
-    highest_pressure: Annotated[Pressure, _within(1e3, 1e6, "pressure")]
+    highest_pressure: Annotated[q.Pressure, _within(1e3, 1e6, "pressure")]
     """Up to which the law holds; the simulated regulator goes no higher."""
     regulator: RegulatorFile = RegulatorFile()
     noise: NoiseFile = NoiseFile()
-    follow_lag: Annotated[Time, _within(0, 10, "time")] = 0.0
+    follow_lag: Annotated[q.Time, _within(0, 10, "time")] = 0.0
     """First-order lag of an actuator that drives the free end behind its command."""
 
 
@@ -188,7 +175,7 @@ class ThreeElementFile(PlantFile):
     """A muscle F = F_ce(P) - K(P) x - B(P) x' - friction, x the contraction."""
 
     law: Literal["three-element"]
-    stop: Annotated[Length, _within(1e-4, 10, "length")]
+    stop: Annotated[q.Length, _within(1e-4, 10, "length")]
     """Contraction at which it cannot go further."""
     F_ce: Coefficient
     K: Coefficient
@@ -199,9 +186,9 @@ class ThreeElementFile(PlantFile):
     tau_r: Coefficient | None = None
     """With a free end it relaxes with this time constant of the pressure before the release, not by `B_r` (paper 1)."""
     friction: FrictionFile | None = None
-    diameter: Annotated[Length, _within(1e-4, 1, "length")] | None = None
+    diameter: Annotated[q.Length, _within(1e-4, 1, "length")] | None = None
     """Free diameter of the braid."""
-    braid_angle: Annotated[Angle, _within(0.01, NEUTRAL, "angle")] | None = None
+    braid_angle: Annotated[q.Angle, _within(0.01, NEUTRAL, "angle")] | None = None
     """Of the braid to the muscle's axis, without contraction."""
     flow: FlowFile | None = None
     """Where the pressure depends on the motion; needs `diameter` and `braid_angle`."""
@@ -219,19 +206,19 @@ class DaerdenFile(PlantFile):
     """A muscle F = S(eps) P + A eps (eps - B1) / (eps + B2) for a driven end, eps = x / length (paper 3)."""
 
     law: Literal["daerden"]
-    diameter: Annotated[Length, _within(1e-4, 1, "length")]
+    diameter: Annotated[q.Length, _within(1e-4, 1, "length")]
     """Free diameter."""
-    braid_angle: Annotated[Angle, _within(0.01, NEUTRAL, "angle")]
+    braid_angle: Annotated[q.Angle, _within(0.01, NEUTRAL, "angle")]
     """Of the braid to the muscle's axis, at eps = 0."""
     alpha: Annotated[float, Field(ge=1, le=5)] = 2.0
     """Exponent; 2 is that of Tondu and Lopez."""
-    A: Annotated[Force, _within(0, 1e6, "force")]
+    A: Annotated[q.Force, _within(0, 1e6, "force")]
     """Size of the rubber term."""
-    B1: Annotated[Ratio, _within(0, 1, "ratio")]
+    B1: Annotated[q.Ratio, _within(0, 1, "ratio")]
     """Contraction at which the rubber term is 0 again."""
-    B2: Annotated[Ratio, _within(1e-3, 1, "ratio")]
+    B2: Annotated[q.Ratio, _within(1e-3, 1, "ratio")]
     """The rubber term has its pole at eps = -B2."""
-    reach: tuple[Annotated[Ratio, _within(-0.5, 0, "ratio")], Annotated[Ratio, _within(0.001, 0.5, "ratio")]]
+    reach: tuple[Annotated[q.Ratio, _within(-0.5, 0, "ratio")], Annotated[q.Ratio, _within(0.001, 0.5, "ratio")]]
     """From where to where it may be driven, as share of the length; below 0 stretched."""
     hysteresis: HysteresisFile | None = None
     flow: FlowFile | None = None
@@ -242,13 +229,13 @@ class ContractorFile(PlantFile):
     """A home-made contractor of paper 2: its force at a driven end, its length without load at a free one."""
 
     law: Literal["contractor"]
-    radius: Annotated[Length, _within(1e-4, 0.5, "length")]
+    radius: Annotated[q.Length, _within(1e-4, 0.5, "length")]
     """At eps = 0."""
-    braid_angle: Annotated[Angle, _within(0.01, NEUTRAL, "angle")]
+    braid_angle: Annotated[q.Angle, _within(0.01, NEUTRAL, "angle")]
     """Of the braid to the muscle's axis, at eps = 0."""
-    threshold: Annotated[Pressure, _within(0, 2e5, "pressure")] = 45e3
+    threshold: Annotated[q.Pressure, _within(0, 2e5, "pressure")] = 45e3
     """Below it there is no force."""
-    reach: tuple[Annotated[Ratio, _within(0, 0.3, "ratio")], Annotated[Ratio, _within(0.001, 0.5, "ratio")]]
+    reach: tuple[Annotated[q.Ratio, _within(0, 0.3, "ratio")], Annotated[q.Ratio, _within(0.001, 0.5, "ratio")]]
     """From where to where it may be driven, as share of the length."""
 
 
@@ -266,30 +253,30 @@ def _whole(widths: list[float], weights: list[float]) -> None:
 class SurfaceFile(Strict):
     """F_s = (A + A_P P) exp(-s eps) + (C eps + D) P + E, eps = x / length: the force without any history."""
 
-    A: Force
-    A_P: ForcePerPressure
+    A: q.Force
+    A_P: q.ForcePerPressure
     s: Annotated[float, Field(gt=0, le=1000)]
     """How steeply it falls at small contraction, for instance 33.4."""
-    C: ForcePerPressure
-    D: ForcePerPressure
-    E: Force
+    C: q.ForcePerPressure
+    D: q.ForcePerPressure
+    E: q.Force
     bend: Annotated[float, Field(ge=0, le=2)] = 1.0
     """1 as written; 0 puts a straight line over eps in place of exp(-s eps)."""
-    span: Annotated[Ratio, _within(0.001, 0.5, "ratio")] = 0.16
+    span: Annotated[q.Ratio, _within(0.001, 0.5, "ratio")] = 0.16
     """Contraction at which that line meets the exponential again."""
 
 
 class StopsOverLengthFile(Strict):
     """Hysteresis over contraction, at most `height` + `per_pressure` P to each side."""
 
-    height: Annotated[Force, _within(0, 1e4, "force")]
-    per_pressure: ForcePerPressure = 0.0
-    widths: Annotated[list[Annotated[Length, _within(1e-7, 1, "length")]], Field(min_length=1, max_length=20)]
+    height: Annotated[q.Force, _within(0, 1e4, "force")]
+    per_pressure: q.ForcePerPressure = 0.0
+    widths: Annotated[list[Annotated[q.Length, _within(1e-7, 1, "length")]], Field(min_length=1, max_length=20)]
     """Contraction after a turn at which each stop slides again is twice its width."""
     weights: Weights
-    first_cycle: Annotated[Ratio, _within(0, 10, "ratio")] = 0.0
+    first_cycle: Annotated[q.Ratio, _within(0, 10, "ratio")] = 0.0
     """Share by which it is higher after a rest."""
-    way: Annotated[Length, _within(1e-4, 10, "length")] = 0.08
+    way: Annotated[q.Length, _within(1e-4, 10, "length")] = 0.08
     """Way gone after which 1/e of that share is left: there and back."""
 
     @model_validator(mode="after")
@@ -303,8 +290,8 @@ class StopsOverLengthFile(Strict):
 class StopsOverPressureFile(Strict):
     """Hysteresis over pressure, at most `height` to each side."""
 
-    height: Annotated[Force, _within(0, 1e4, "force")]
-    widths: Annotated[list[Annotated[Pressure, _within(1, 1e6, "pressure")]], Field(min_length=1, max_length=20)]
+    height: Annotated[q.Force, _within(0, 1e4, "force")]
+    widths: Annotated[list[Annotated[q.Pressure, _within(1, 1e6, "pressure")]], Field(min_length=1, max_length=20)]
     weights: Weights
 
     @model_validator(mode="after")
@@ -316,8 +303,8 @@ class StopsOverPressureFile(Strict):
 class CreepFile(Strict):
     """A length that creeps after the contraction, `share` of it with each time constant."""
 
-    share: Annotated[Ratio, _within(0, 0.2, "ratio")]
-    times: Annotated[list[Annotated[Time, _within(1e-3, 1e6, "time")]], Field(min_length=1, max_length=20)]
+    share: Annotated[q.Ratio, _within(0, 0.2, "ratio")]
+    times: Annotated[list[Annotated[q.Time, _within(1e-3, 1e6, "time")]], Field(min_length=1, max_length=20)]
 
     @model_validator(mode="after")
     def _less_than_all(self) -> CreepFile:
@@ -332,7 +319,7 @@ class RealFile(PlantFile):
     """A muscle with bent force, hysteresis over contraction and pressure, and creep; what is not given is not there."""
 
     law: Literal["real"]
-    reach: tuple[Annotated[Ratio, _within(-0.1, 0, "ratio")], Annotated[Ratio, _within(0.001, 0.5, "ratio")]]
+    reach: tuple[Annotated[q.Ratio, _within(-0.1, 0, "ratio")], Annotated[q.Ratio, _within(0.001, 0.5, "ratio")]]
     """From where to where it may be driven, as share of the length; a free end goes from 0 to the second."""
     surface: SurfaceFile
     B_c: Coefficient

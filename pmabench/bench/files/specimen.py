@@ -12,25 +12,12 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, WithJsonSchema, model_validator
 
+from pmabench.files import quantity as q
 from pmabench.files.document import Strict
-from pmabench.files.quantity import (
-    Angle,
-    Conductance,
-    Damping,
-    Force,
-    Length,
-    Mass,
-    Pressure,
-    PressureRate,
-    Ratio,
-    Stiffness,
-    Time,
-    raw_quantity,
-)
 
 Reading = Annotated[
     tuple[float, str],
-    BeforeValidator(raw_quantity),
+    BeforeValidator(q.raw_quantity),
     WithJsonSchema({"type": "string", "description": "a number with its unit", "examples": ["5.003 V", "600 kPa"]}),
 ]
 """A number with the device's or the quantity's unit, kept apart."""
@@ -55,16 +42,16 @@ def not_below_zero(value: float) -> float:
     return value
 
 
-PressureAbove0 = Annotated[Pressure, AfterValidator(above_zero)]
-PressureNotBelow0 = Annotated[Pressure, AfterValidator(not_below_zero)]
-RateAbove0 = Annotated[PressureRate, AfterValidator(above_zero)]
-LengthAbove0 = Annotated[Length, AfterValidator(above_zero)]
-TimeAbove0 = Annotated[Time, AfterValidator(above_zero)]
-RatioAbove0 = Annotated[Ratio, AfterValidator(above_zero)]
-AngleAbove0 = Annotated[Angle, AfterValidator(above_zero)]
-MassAbove0 = Annotated[Mass, AfterValidator(above_zero)]
-ConductanceAbove0 = Annotated[Conductance, AfterValidator(above_zero)]
-RatioNotBelow0 = Annotated[Ratio, AfterValidator(not_below_zero)]
+PressureAbove0 = Annotated[q.Pressure, AfterValidator(above_zero)]
+PressureNotBelow0 = Annotated[q.Pressure, AfterValidator(not_below_zero)]
+RateAbove0 = Annotated[q.PressureRate, AfterValidator(above_zero)]
+LengthAbove0 = Annotated[q.Length, AfterValidator(above_zero)]
+TimeAbove0 = Annotated[q.Time, AfterValidator(above_zero)]
+RatioAbove0 = Annotated[q.Ratio, AfterValidator(above_zero)]
+AngleAbove0 = Annotated[q.Angle, AfterValidator(above_zero)]
+MassAbove0 = Annotated[q.Mass, AfterValidator(above_zero)]
+ConductanceAbove0 = Annotated[q.Conductance, AfterValidator(above_zero)]
+RatioNotBelow0 = Annotated[q.Ratio, AfterValidator(not_below_zero)]
 
 
 class CalibrationFile(Strict):
@@ -79,7 +66,7 @@ class CalibrationFile(Strict):
     points: Annotated[list[tuple[Reading, Reading]], Field(min_length=2, max_length=200)]
     expanded_uncertainty: Reading
     gain_uncertainty: RatioNotBelow0 = 0.0
-    sensor_lag: Time = 0.0
+    sensor_lag: q.Time = 0.0
 
 
 class MountedFile(Strict):
@@ -114,18 +101,18 @@ class SpecimenLimits(Strict):
 class ExpectedPoint(Strict):
     """Expected coefficients of the specimen at one pressure; straight lines between the points."""
 
-    pressure: Pressure
-    F_ce: Force
-    K: Stiffness
-    B_c: Damping
-    B_r: Damping
+    pressure: q.Pressure
+    F_ce: q.Force
+    K: q.Stiffness
+    B_c: q.Damping
+    B_r: q.Damping
 
 
 class ExpectedFile(Strict):
     """Earlier coefficients: `check` predicts forces by them, `accept` may ask for agreement; no fit knows them."""
 
     source: Text
-    F_c: Force = 0.0
+    F_c: q.Force = 0.0
     points: Annotated[list[ExpectedPoint], Field(min_length=1)]
 
 
@@ -138,7 +125,7 @@ class AssemblyFile(Strict):
     """End to end: their lengths add up."""
     section: LengthAbove0
     """Nominal length of one muscle."""
-    connector: Annotated[Length, AfterValidator(not_below_zero)] = 0.0
+    connector: Annotated[q.Length, AfterValidator(not_below_zero)] = 0.0
     """Length of all that connects muscles end to end; it does not contract."""
 
 

@@ -1,4 +1,5 @@
-"""A lab's files from its answers: `questions` with `reading` of what is typed, `answers` with limits, the files' text.
+"""A lab's files from its answers. Knows no terminal.
 
-Files: `bench_text`, and `files` for the others (specimen, simulated muscle, protocols). Knows no terminal.
+`questions` with the answers and limits, `reading` of what is typed, `files`: bench, specimen, simulated muscle,
+calibrations, protocol.
 """

@@ -1,25 +1,29 @@
-"""The questions that `init` asks about a bench and its muscle, at most 20 of them, with what an answer looks like.
+"""The questions that `init` asks about a bench and its muscle, at most 20 of them, and the answers of a lab.
 
 An answer that follows from others (from the type's data sheet, the size of the muscle, the device: `default`) is a
 guess that a person has to confirm. What protects people and muscle is never derived: such a question is `needed`, and
 an answer offered for it is only shown.
+
+Here too: the file that keeps the answers, and the limits of a bench from what the muscle bears, the relief valve, the
+supply and the sensors; each to be confirmed.
 """
 
 from __future__ import annotations
 
+import datetime
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
+from pmabench.base.errors import InvalidFile, UsageError, did_you_mean
 from pmabench.base.quantities import show
 from pmabench.bench.lab import reading
-from pmabench.bench.lab.reading import GRAVITY
+from pmabench.bench.lab.reading import GRAVITY, Scale
+from pmabench.files.document import Document, read_document
 from pmabench.model.published_muscles import MuscleType, braid_surface, find_type, length_on_label
 from pmabench.model.real.muscle import Surface
-
-if TYPE_CHECKING:
-    from pmabench.bench.lab.answers import Answers
 
 
 @dataclass(frozen=True)
@@ -196,14 +200,6 @@ MOST = 20
 """Questions that anybody is asked."""
 
 
-def _nothing(_answers: Answers) -> str | None:
-    return None
-
-
-def _always(_answers: Answers) -> bool:
-    return True
-
-
 def _has_daq(answers: Answers) -> bool:
     return answers.text("daq") != NONE_YET
 
@@ -216,11 +212,11 @@ class Question:
     text: str
     explain: str
     read: Callable[[str, Answers], Any]
-    default: Callable[[Answers], str | None] = _nothing
+    default: Callable[[Answers], str | None] = field(default=lambda _answers: None)
     """The derived answer; None where there is none."""
     choices: Callable[[Answers], Mapping[str, str]] = field(default=lambda _answers: {})
     """Answer -> words, for a numbered menu."""
-    asked: Callable[[Answers], bool] = _always
+    asked: Callable[[Answers], bool] = field(default=lambda _answers: True)
     needed: bool = False
     """Only a person may answer it."""
     hint: Callable[[Answers], str] = field(default=lambda _answers: "")
@@ -250,8 +246,7 @@ def _supply(value: str, answers: Answers) -> tuple[float, float | None]:
 
 
 def _contraction(value: str, _answers: Answers) -> float:
-    ratio = reading.above_zero("ratio")(value)
-    if ratio >= 0.6:
+    if (ratio := reading.above_zero("ratio")(value)) >= 0.6:
         raise ValueError("a share of the nominal length below 60 % is expected")
     return ratio
 
@@ -336,3 +331,157 @@ def _table() -> tuple[Question, ...]:
 
 QUESTIONS = {question.key: question for question in _table()}
 """Key -> question, in the order in which they are asked."""
+
+
+ASKED = "asked"
+"""Key of the day on which the questions were asked."""
+
+
+class Answers:
+    """Answers to `QUESTIONS` by key, as typed; None for "not known yet". Gives parsed values, derived where missing."""
+
+    def __init__(self, given: Mapping[str, str | None], asked: datetime.date) -> None:
+        self.given = dict(given)
+        self.asked = asked
+
+    def said(self, key: str) -> bool:
+        """Whether a person gave this answer."""
+        return self.given.get(key) is not None
+
+    def text(self, key: str) -> str:
+        """The answer as typed, or the derived one; KeyError where there is neither."""
+        found = self.given.get(key)
+        found = QUESTIONS[key].default(self) if found is None else found
+        if found is None:
+            raise KeyError(key)
+        return found
+
+    def value(self, key: str) -> Any:
+        """The parsed answer, given or derived; ValueError where it cannot be read."""
+        return QUESTIONS[key].read(self.text(key), self)
+
+    def questions(self) -> list[Question]:
+        """Those that belong to the answers so far, in their order."""
+        return [question for question in QUESTIONS.values() if question.asked(self)]
+
+    def missing(self) -> list[str]:
+        """Keys of answers that only a person can give, and nobody has."""
+        open_ones = [question for question in self.questions() if not self.said(question.key)]
+        return [question.key for question in open_ones if question.needed or not self._derivable(question)]
+
+    def _derivable(self, question: Question) -> bool:
+        """Whether an answer can be derived, once the others are there."""
+        try:
+            return question.default(self) is not None
+        except KeyError:
+            return True
+
+    def text_of_file(self) -> str:
+        """The answers as a file that `init --answers` takes."""
+        head = "# Answers to the questions of `pmabench init`; `init DIR --answers FILE` writes the same files again."
+        given = [f"{key}: {'null' if value is None else quoted(value)}" for key, value in self.given.items()]
+        return "\n".join([head, f"{ASKED}: {self.asked.isoformat()}", *given]) + "\n"
+
+
+def read_answers(path: Path) -> tuple[dict[str, str | None], datetime.date | None]:
+    """Answers in a file, and the day on which they were given; `InvalidFile` with every unknown key."""
+    document = read_document(path)
+    known = [ASKED, *QUESTIONS]
+    problems = [
+        document.problem((key,), f'unknown key "{key}"{did_you_mean(key, known)}', key=True)
+        for key in document.data
+        if key not in known
+    ]
+    day = None
+    try:
+        day = datetime.date.fromisoformat(str(document.data[ASKED])) if ASKED in document.data else None
+    except ValueError:
+        problems.append(document.problem((ASKED,), "a day such as 2026-11-23 is expected"))
+    if problems:
+        raise InvalidFile(problems)
+    given = {key: None if value is None else str(value) for key, value in document.data.items() if key != ASKED}
+    check_answers(Answers(given, day or datetime.date.today()), document)
+    return given, day
+
+
+def check_answers(answers: Answers, document: Document | None = None) -> None:
+    """Raise what cannot be read of the given answers: `InvalidFile` at its place, or `UsageError` without a file."""
+    problems = []
+    for key, typed in answers.given.items():
+        try:
+            if typed is not None:
+                QUESTIONS[key].read(typed, answers)
+        except KeyError:
+            continue  # reported as missing
+        except ValueError as error:
+            if document is None:
+                raise UsageError(f"--answer {key}={typed}: {error}") from error
+            problems.append(document.problem((key,), str(error)))
+    if problems:
+        raise InvalidFile(problems)
+
+
+def quoted(value: str) -> str:
+    """A text as YAML between double quotes."""
+    return '"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"'
+
+
+OVERSHOOT = 0.02
+"""Of the regulator, as a share of the highest pressure."""
+UNCERTAINTY = 0.005
+"""Of a sensor without calibration, as a share of its range."""
+SUPPLY_MARGIN = 50e3
+"""What a regulator needs above its set-point [Pa]."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """All in SI."""
+
+    command: float
+    trip: float
+    overshoot: float
+    specimen: float
+    """Command limit of the muscle itself."""
+    force: float
+    contraction: float
+    scales: dict[str, Scale]
+    """Channel -> range of its sensor."""
+
+    @property
+    def setup(self) -> float:
+        """Pressure of the proof of the vent path [Pa]."""
+        return min(50e3, 0.2 * self.command)
+
+
+def limits_of(answers: Answers) -> Limits:
+    """Limits that are consistent with the answers: below the relief valve and `never_above`, the trip in between."""
+    never = answers.value("never_above")
+    pressure, relief = answers.value("supply")
+    ceiling = min(never, relief if relief is not None else never)
+    scales = scales_of(answers)
+    overshoot = _down(OVERSHOOT * ceiling)
+    margin = overshoot + UNCERTAINTY * scales["pressure"].span
+    command = min(0.88 * ceiling, ceiling - 2.5 * margin, pressure - SUPPLY_MARGIN)
+    if answers.text("daq") != NONE_YET:
+        command = min(command, answers.value("regulator")[1].values[1])
+    command = _down(command)
+    trip = _down(min((command + ceiling) / 2, 0.98 * scales["pressure"].values[1]))
+    return Limits(
+        command, trip, overshoot, _down(0.95 * never), 0.95 * scales["force"].values[1], answers.value("contraction"),
+        scales,
+    )  # fmt: skip
+
+
+def scales_of(answers: Answers) -> dict[str, Scale]:
+    """Ranges of the sensors; of a simulated bench those that would be proposed."""
+    if answers.text("daq") != NONE_YET:
+        found: dict[str, Scale] = answers.value("sensors")
+        return found
+    simulated = Answers({**answers.given, "daq": "labjack", "sensors": None}, answers.asked)
+    return reading.sensors(simulated.text("sensors"))
+
+
+def _down(pressure: float) -> float:
+    """The next whole kPa below."""
+    return math.floor(pressure / 1e3 + 1e-9) * 1e3

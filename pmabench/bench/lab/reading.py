@@ -54,15 +54,6 @@ class Stack:
     plates: list[tuple[int, float]] = field(default_factory=list)
     pulley: bool = False
 
-    def totals(self) -> list[float]:
-        """Every load that hanger and plates make [kg], ascending, at most some thousands."""
-        sums = {0.0}
-        for count, mass in self.plates:
-            sums = {round(one + n * mass, 6) for one in sums for n in range(count + 1)}
-            if len(sums) > 5000:
-                break
-        return [round(self.hanger + one, 6) for one in sorted(sums)]
-
 
 def stack(value: str) -> Stack:
     """`hanger 1 kg, plates 10 x 5 kg + 1 x 2 kg, carriage 2 kg, pulley`; all but the hanger may be left out."""
@@ -168,8 +159,7 @@ def dump_valve(value: str) -> tuple[str, str] | None:
 
 def supply(value: str) -> tuple[float, float | None]:
     """`700 kPa, relief 650 kPa` or `700 kPa, relief none`: supply and relief valve [Pa]."""
-    found = re.fullmatch(r"(.+?),\s*relief\s+(.+)", value)
-    if found is None:
+    if (found := re.fullmatch(r"(.+?),\s*relief\s+(.+)", value)) is None:
         raise ValueError('supply and relief valve are expected: "700 kPa, relief 650 kPa", or "relief none"')
     relief = None if found[2] == "none" else above_zero("pressure")(found[2])
     return above_zero("pressure")(found[1]), relief

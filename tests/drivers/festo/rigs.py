@@ -37,7 +37,7 @@ class Rig:
 
     def __init__(self, emulator, server, device):
         self.emulator, self.server, self.device = emulator, server, device
-        self.inside = server.terminal
+        self.inside = server.registers
 
     def log(self, kind):
         return self.emulator.log.of(kind, "terminal")

@@ -32,7 +32,7 @@ class Rig:
 
     def __init__(self, emulator, server, device):
         self.emulator, self.server, self.device = emulator, server, device
-        self.inside = server.drive
+        self.inside = server.registers
 
     def log(self, kind):
         return self.emulator.log.of(kind, "drive")

@@ -15,8 +15,8 @@ import pmabench_drivers.serial_line_daq as package
 import pytest
 from pmabench_drivers.emulator.faults import CommandLog
 from pmabench_drivers.emulator.plant import RealPlant
+from pmabench_drivers.serial_line_daq import encode
 from pmabench_drivers.serial_line_daq.emulator import EmulatedBoard
-from pmabench_drivers.serial_line_daq.wire import encode
 
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import ChannelRecord, DeviceRecord, InterlockRecord, OutputRecord, Scale, ValveRecord

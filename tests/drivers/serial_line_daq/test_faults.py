@@ -5,8 +5,7 @@ import time
 from itertools import pairwise
 
 import pytest
-from pmabench_drivers.serial_line_daq import SerialLineDaq
-from pmabench_drivers.serial_line_daq.wire import encode
+from pmabench_drivers.serial_line_daq import SerialLineDaq, encode
 
 from pmabench.base.clock import RealClock
 from pmabench.base.errors import DeviceError

@@ -6,7 +6,7 @@ import time
 from pathlib import Path
 
 import pytest
-from pmabench_drivers.serial_line_daq.wire import NoLine, Sample, Timeline, decode, encode, index_of, read_sample
+from pmabench_drivers.serial_line_daq import NoLine, Sample, Timeline, decode, encode, index_of, read_sample
 
 from tests.reliability.cases import cases
 
