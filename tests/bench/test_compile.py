@@ -30,6 +30,10 @@ def bench_with(tmp_path: Path, changes: str) -> Path:
 def test_every_shipped_bench_compiles_and_survives_json(path):
     mounted = mount(path, SPECIMEN)
     assert CompiledBench.from_json(mounted.bench.to_json()) == mounted.bench
+    for name in ("devices", "trips", "safe_state"):
+        cut = {key: value for key, value in json.loads(mounted.bench.to_json()).items() if key != name}
+        with pytest.raises(KeyError, match=name):
+            CompiledBench.from_json(json.dumps(cut))
     assert mounted.bench.safe_state[-1].do == "confirm"
 
 
