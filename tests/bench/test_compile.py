@@ -1,5 +1,6 @@
 """Limits are nested, the binding one is named with its place, and a bench that cannot be safe is refused (S1)."""
 
+import json
 from pathlib import Path
 
 import pytest
