@@ -18,8 +18,7 @@ from pmabench.kinds.contraction_relaxation.diagnosis.corrections import Explanat
 from pmabench.kinds.contraction_relaxation.diagnosis.hiding import causes
 from pmabench.kinds.contraction_relaxation.intervals import Pooled
 from pmabench.kinds.contraction_relaxation.reduction import pool, reduce, segments_like
-from pmabench.kinds.contraction_relaxation.segments import Segments
-from pmabench.kinds.contraction_relaxation.trials import Campaign, gather
+from pmabench.kinds.contraction_relaxation.segments import Campaign, Segments, gather
 from pmabench.kinds.contraction_relaxation.view import findings
 from pmabench.store.analyses.results import Analysis
 from pmabench.store.records import RunData, TrialData

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from pmabench.kinds.contraction_relaxation.reduction import estimates_of, pool
-from pmabench.kinds.contraction_relaxation.trials import Campaign, gather, strokes
+from pmabench.kinds.contraction_relaxation.segments import Campaign, gather, strokes
 from pmabench.kinds.contraction_relaxation.view import resampled
 from pmabench.store.records import RunData, TrialData
 from tests.analysis.simulate import contraction_run, rig

@@ -28,8 +28,7 @@ from pmabench.analysis.shared import skew
 from pmabench.analysis.shared.calibration import sentences
 from pmabench.analysis.shared.student import half_width
 from pmabench.base.quantities import show
-from pmabench.kinds.contraction_relaxation.segments import Gate
-from pmabench.kinds.contraction_relaxation.trials import Campaign
+from pmabench.kinds.contraction_relaxation.segments import Campaign, Gate
 from pmabench.store.analyses.results import Estimate, Finding, Parts
 from pmabench.store.records import Array, TrialData
 

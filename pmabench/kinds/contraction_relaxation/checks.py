@@ -24,8 +24,7 @@ from pmabench.analysis.verdict.checks import Check
 from pmabench.base.quantities import show
 from pmabench.kinds.contraction_relaxation.intervals import NORMAL, Pooled
 from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, place, prior_of, spread
-from pmabench.kinds.contraction_relaxation.segments import Gate, Segments, velocity
-from pmabench.kinds.contraction_relaxation.trials import Campaign, strokes
+from pmabench.kinds.contraction_relaxation.segments import Campaign, Gate, Segments, strokes, velocity
 from pmabench.store.analyses.results import Estimate
 from pmabench.store.records import Array, TrialData
 

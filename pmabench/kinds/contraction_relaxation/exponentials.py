@@ -20,11 +20,9 @@ from pmabench.analysis.shared.student import half_width, mean_over
 from pmabench.base.quantities import show
 from pmabench.kinds.contraction_relaxation import bandwidth
 from pmabench.kinds.contraction_relaxation.bandwidth import responses
-from pmabench.kinds.contraction_relaxation.curves import curve
 from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, Fit
-from pmabench.kinds.contraction_relaxation.segments import Gate
-from pmabench.kinds.contraction_relaxation.trials import Campaign
-from pmabench.kinds.contraction_relaxation.values import Further
+from pmabench.kinds.contraction_relaxation.segments import Campaign, Gate
+from pmabench.kinds.contraction_relaxation.values import Further, curve
 from pmabench.store.analyses.results import Estimate, Finding, Parts
 from pmabench.store.records import Array, TrialData
 

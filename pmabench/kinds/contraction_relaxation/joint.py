@@ -37,8 +37,7 @@ from pmabench.kinds.contraction_relaxation.pooled import (
     sizes_of,
     spread,
 )
-from pmabench.kinds.contraction_relaxation.segments import Segments
-from pmabench.kinds.contraction_relaxation.trials import Campaign
+from pmabench.kinds.contraction_relaxation.segments import Campaign, Segments
 from pmabench.kinds.contraction_relaxation.values import QUANTITY, Further, Solution, values
 from pmabench.store.analyses.results import Curve, Estimate, Finding
 from pmabench.store.records import Array

@@ -24,8 +24,7 @@ from pmabench.kinds.contraction_relaxation.predicted import (
     simulated_trials,
 )
 from pmabench.kinds.contraction_relaxation.reduction import estimates_of, pool, withheld
-from pmabench.kinds.contraction_relaxation.segments import Gate, Segments, cut
-from pmabench.kinds.contraction_relaxation.trials import Campaign, gather
+from pmabench.kinds.contraction_relaxation.segments import Campaign, Gate, Segments, cut, gather
 from pmabench.store.analyses.results import Estimate
 from pmabench.store.records import Array, RunData, TrialData
 

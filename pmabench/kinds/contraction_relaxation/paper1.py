@@ -21,11 +21,9 @@ from pmabench.analysis.shared.student import mean_over, mean_with_half
 from pmabench.base.errors import invalid
 from pmabench.base.quantities import show
 from pmabench.kinds.contraction_relaxation import PAPER_1_RESULTS
-from pmabench.kinds.contraction_relaxation import paper1_view as view
-from pmabench.kinds.contraction_relaxation.curves import compare_orders, curve, least
-from pmabench.kinds.contraction_relaxation.paper1_steps import STILL, Braid, Step, fit_known_force, read
-from pmabench.kinds.contraction_relaxation.segments import moved
-from pmabench.kinds.contraction_relaxation.trials import Campaign, gather
+from pmabench.kinds.contraction_relaxation.paper1_steps import STILL, Braid, Step, compare, fit_known_force, read
+from pmabench.kinds.contraction_relaxation.segments import Campaign, gather, moved
+from pmabench.kinds.contraction_relaxation.values import compare_orders, curve, least
 from pmabench.store.analyses.results import Analysis, Curve, Dropped, Estimate, Finding, Parts
 from pmabench.store.records import Array, RunData
 
@@ -81,7 +79,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         estimates += _by_paper(campaign, up, down, braid, at, driven if at == "x0" else None)
     curves, findings, compared_orders = _curves([*estimates, *driven], orders)
     stiff = [e for e in estimates if (e.symbol, e.method) == ("K", METHODS[chosen]) and e.value is not None]
-    compared = view.compare(campaign, steps, curves, stiff, braid, chosen)
+    compared = compare(campaign, steps, curves, stiff, braid, chosen)
     return Analysis.of(
         KIND,
         runs,

@@ -18,16 +18,15 @@ from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.samples import NotUsable, Samples
 from pmabench.analysis.shared.trials import reference_findings
 from pmabench.base.quantities import show
-from pmabench.kinds.contraction_relaxation import RESULTS, drift, exponentials, output_error, view
+from pmabench.kinds.contraction_relaxation import RESULTS, exponentials, output_error, view
 from pmabench.kinds.contraction_relaxation.bandwidth import regulator
 from pmabench.kinds.contraction_relaxation.checks import free_runs
-from pmabench.kinds.contraction_relaxation.curves import curve
 from pmabench.kinds.contraction_relaxation.diagnosis.columns import sensor_known
 from pmabench.kinds.contraction_relaxation.diagnosis.examination import examined
 from pmabench.kinds.contraction_relaxation.diagnosis.held_out import Test
 from pmabench.kinds.contraction_relaxation.diagnosis.hiding import hidden, of_the_cell, of_the_sensor
 from pmabench.kinds.contraction_relaxation.diagnosis.verdict import Diagnosis
-from pmabench.kinds.contraction_relaxation.intervals import Pooled, Trust, assess, replay_fits
+from pmabench.kinds.contraction_relaxation.intervals import Pooled, Trust, assess, at_rest, drifts_of, replay_fits
 from pmabench.kinds.contraction_relaxation.joint import METHOD as JOINT
 from pmabench.kinds.contraction_relaxation.joint import compare
 from pmabench.kinds.contraction_relaxation.pooled import (
@@ -39,9 +38,8 @@ from pmabench.kinds.contraction_relaxation.pooled import (
     fit,
     rms_of,
 )
-from pmabench.kinds.contraction_relaxation.segments import Cutter, Gate, Segments, moved
-from pmabench.kinds.contraction_relaxation.trials import Campaign, gather, strokes
-from pmabench.kinds.contraction_relaxation.values import FEWEST, METHOD, Solution, values
+from pmabench.kinds.contraction_relaxation.segments import Campaign, Cutter, Gate, Segments, gather, moved, strokes
+from pmabench.kinds.contraction_relaxation.values import FEWEST, METHOD, Solution, curve, values
 from pmabench.store.analyses.results import Analysis, Curve, Dropped, Estimate, Finding, withhold
 from pmabench.store.records import Array, RunData
 
@@ -187,8 +185,7 @@ def pool(recorded: Campaign, options: Mapping[str, Any]) -> Pooled | None:
     rested = ["pressure"] if slipped else ["pressure", "displacement"]
     offsets = Scales.of(campaign.runs).offsets
     rests = {
-        channel: drift.at_rest(campaign.trials, campaign.samples, channel, offsets.get(channel, 0.0))
-        for channel in rested
+        channel: at_rest(campaign.trials, campaign.samples, channel, offsets.get(channel, 0.0)) for channel in rested
     }
     work = simulated.stretches(_moving(campaign, segments), 1 / campaign.rate, round(0.1 * campaign.rate))
 
@@ -215,7 +212,7 @@ def pool(recorded: Campaign, options: Mapping[str, Any]) -> Pooled | None:
         mine = segments.where(rows)
         replays = replay_fits(replays_of(other), other, rms_of(seen), int(options.get("replays", REPLAYS)))
         skews = _skews(campaign, lambda late: found.corrected(segments_of(late)), again, other)
-        drifts = drift.causes(campaign.runs, campaign.trials, campaign.channels, mine, other, rms_of(seen), rests)
+        drifts = drifts_of(campaign.runs, campaign.trials, campaign.channels, mine, other, rms_of(seen), rests)
         scales = Scales.of(campaign.runs)
         return assess(mine, other, seen, campaign.cells, replays, scales, skews, campaign.noise, campaign.steps, drifts)
 

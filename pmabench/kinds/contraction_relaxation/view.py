@@ -14,8 +14,7 @@ from pmabench.kinds.contraction_relaxation import checks
 from pmabench.kinds.contraction_relaxation.checks import FreeRun
 from pmabench.kinds.contraction_relaxation.diagnosis.hiding import GAIN, ZERO
 from pmabench.kinds.contraction_relaxation.intervals import Pooled, bootstrap
-from pmabench.kinds.contraction_relaxation.segments import ASSUMED_MASS
-from pmabench.kinds.contraction_relaxation.trials import Campaign
+from pmabench.kinds.contraction_relaxation.segments import ASSUMED_MASS, Campaign
 from pmabench.store.analyses.results import Estimate, Finding, Trace
 
 MISFIT = 3.0

@@ -1,7 +1,7 @@
 """Positions held in closed loop: error, overshoot, settling, limit cycle.
 
 - `reduction`; of trials along a path `tracking`
-- protocol files: `protocol` and `controller`; figures and one trial on the display: `figures`
+- protocol files: `protocol`; figures and one trial on the display: `figures`
 """
 
 from pmabench.base.imported import Imported

@@ -1,6 +1,6 @@
 """Reduction of ultimate-gain runs: K_u and T_u of each set-point, refused where the loop does not oscillate as a sine.
 
-Trials of steps without a loop are reduced in `open_loop`, those with a relay in `relay_gain`; here are those with
+Trials of steps without a loop are reduced in `open_loop`, those with a relay in `relay`; here are those with
 a rising gain, and what all say together.
 
 Per level of gain the mean ln of the ratio of successive swings; a line through the last levels, K_u where it is 0.
@@ -23,12 +23,12 @@ from pmabench.analysis.shared import skew
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
-from pmabench.kinds.ultimate_gain import RESULTS, open_loop, relay_gain
+from pmabench.kinds.ultimate_gain import RESULTS, open_loop, relay
 from pmabench.kinds.ultimate_gain import ways as gain_ways
 from pmabench.kinds.ultimate_gain.levels import TrialFound, examine
 from pmabench.kinds.ultimate_gain.open_loop import steps_of
-from pmabench.kinds.ultimate_gain.relay_levels import RelayFound, search_of
-from pmabench.kinds.ultimate_gain.relay_levels import examine as examine_relay
+from pmabench.kinds.ultimate_gain.relay import RelayFound, search_of
+from pmabench.kinds.ultimate_gain.relay import examine as examine_relay
 from pmabench.kinds.ultimate_gain.ways import SYMBOLS, GainCell, repeats, scaled
 from pmabench.model.loop import Loop, ultimate
 from pmabench.store.analyses.results import Analysis, Dropped, Estimate, Finding, Parts, Trace
@@ -177,7 +177,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
 
 def _cells(
     runs: Sequence[RunData],
-) -> tuple[list[_Cell], list[relay_gain.RelayCell], list[open_loop.StepsCell], list[Dropped]]:
+) -> tuple[list[_Cell], list[relay.RelayCell], list[open_loop.StepsCell], list[Dropped]]:
     dropped: list[Dropped] = []
     stepped: list[tuple[RunData, TrialData]] = []
     relays: list[tuple[RunData, TrialData]] = []
@@ -199,7 +199,7 @@ def _cells(
             else:
                 rising.append((run, trial))
     cells = _Cell.all_of(rising, lambda run, trial: examine(run, trial, _search(trial) or {}))
-    return cells, relay_gain.cells(relays), open_loop.cells(stepped), dropped
+    return cells, relay.cells(relays), open_loop.cells(stepped), dropped
 
 
 def _search(trial: TrialData) -> Mapping[str, Any] | None:

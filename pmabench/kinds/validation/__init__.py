@@ -1,6 +1,6 @@
 """Steps of pressure without load, against the contraction that a model gives.
 
-- `reduction`; protocol files: `protocol`; figures and one trial on the display: `figures`
+- `reduction`, with the figure and one trial on the display; protocol files: `protocol`
 """
 
 from pmabench.base.imported import Imported
@@ -33,17 +33,17 @@ KIND = Kind(
     reduction="pmabench.kinds.validation.reduction:reduce",
     papers=("paper 0, validation",),
     protocol="pmabench.kinds.validation.protocol:Validation",
-    live="pmabench.kinds.validation.figures:measure",
+    live="pmabench.kinds.validation.reduction:measure",
     moves="displacement",
     compares="displacement",
     repeated="pmabench.kinds.validation.reduction:mean_in_window",
     repeated_is="contraction",
     methods=METHODS,
     figures={
-        "validation": "pmabench.kinds.validation.figures:validations",
+        "validation": "pmabench.kinds.validation.reduction:validations",
     },
     front={
-        "validation": "pmabench.kinds.validation.figures:validations",
+        "validation": "pmabench.kinds.validation.reduction:validations",
     },
     imported=Imported(),
 )

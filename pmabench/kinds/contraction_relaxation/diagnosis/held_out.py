@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from pmabench.kinds.contraction_relaxation.diagnosis.columns import allowed
 from pmabench.kinds.contraction_relaxation.pooled import FLOOR, Fit, noise_covariance, prior_of, rms_of
-from pmabench.kinds.contraction_relaxation.segments import Segments
-from pmabench.kinds.contraction_relaxation.trials import Campaign
+from pmabench.kinds.contraction_relaxation.segments import Campaign, Segments
 from pmabench.store.records import Array
 
 MOST_RATIO = 1.2

@@ -1,6 +1,6 @@
 """The diagnosis of a contraction test: what was found and corrected, and what may be reported of it.
 
-First the force cell against the weights (`cell`), then competing explanations of what the fit leaves (`rounds`), then
+First the force cell against the weights (`cell`), then competing explanations of what the fit leaves (`search`), then
 what is too small to be seen (`hiding`). docs/uncertainty.md has the rules in words.
 """
 
@@ -16,10 +16,9 @@ import numpy as np
 from pmabench.base.quantities import show
 from pmabench.kinds.contraction_relaxation.diagnosis.cell import Weighed
 from pmabench.kinds.contraction_relaxation.diagnosis.columns import Span, bent
+from pmabench.kinds.contraction_relaxation.diagnosis.corrections import TITLES, Named, named, shown
 from pmabench.kinds.contraction_relaxation.diagnosis.hiding import HARDLY, MOST_HIDDEN, Hidden, Size
-from pmabench.kinds.contraction_relaxation.diagnosis.rounds import EXPLAINS, STILL_TOLD, Rounds
-from pmabench.kinds.contraction_relaxation.diagnosis.search import State
-from pmabench.kinds.contraction_relaxation.diagnosis.words import TITLES, Named, named, shown
+from pmabench.kinds.contraction_relaxation.diagnosis.search import EXPLAINS, STILL_TOLD, Rounds, State
 from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, Solved
 from pmabench.store.analyses.results import Estimate
 from pmabench.store.records import Array
@@ -311,7 +310,7 @@ def _title(state: State) -> str:
 
 
 def name(state: State, off: Sequence[Array], names: Sequence[str]) -> tuple[Named, ...]:
-    """The explanations of a state in words; `off` as in `words.named` of each, `names` those of the trials."""
+    """The explanations of a state in words; `off` as in `corrections.named` of each, `names` those of the trials."""
     highest = max(state.test.campaign.tested)
     return tuple(
         named(one, each, state.test.fit, highest, names[int(one.which)] if one.kind == "slip" else "")
