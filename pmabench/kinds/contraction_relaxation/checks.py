@@ -23,7 +23,7 @@ from pmabench.analysis.shared.samples import Samples
 from pmabench.analysis.verdict.checks import Check
 from pmabench.base.quantities import show
 from pmabench.kinds.contraction_relaxation.intervals import NORMAL, Pooled
-from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, place, prior_of, spread
+from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, inverse_of, place, prior_of, spread
 from pmabench.kinds.contraction_relaxation.segments import Campaign, Gate, Segments, strokes, velocity
 from pmabench.store.analyses.results import Estimate
 from pmabench.store.records import Array, TrialData
@@ -248,7 +248,7 @@ def _held_out(campaign: Campaign, pooled: Pooled, size: float) -> Check | None:
     errors: dict[float, float] = {}
     for load in np.unique(loads) if len(np.unique(loads)) >= FEWEST else ():
         design, force = fit.design[loads == load], segments.force[loads == load]
-        inverse = _inverse(normal - design.T @ design)
+        inverse = inverse_of(normal - design.T @ design)
         theta = inverse @ (right - design.T @ force)
         sure = _variance(design, inverse) <= 1.0
         if sure.sum() >= ENOUGH:
@@ -281,7 +281,7 @@ def _other_direction(pooled: Pooled, size: float) -> Check | None:
         return None
     prior = prior_of(segments, fit.design, fit.knots, pooled.expected)
     design = fit.design[up, theirs]
-    inverse = _inverse(design.T @ design + prior[:, theirs].T @ prior[:, theirs])
+    inverse = inverse_of(design.T @ design + prior[:, theirs].T @ prior[:, theirs])
     alone = inverse @ (design.T @ segments.force[up])
     rows = np.flatnonzero(down)
     rows = rows[_variance(fit.design[rows, both], inverse[both, both]) <= 1.0]
@@ -300,12 +300,6 @@ def _other_direction(pooled: Pooled, size: float) -> Check | None:
     if level == "doubt":
         text += ": the two directions do not have one K and F_ce, as with hysteresis they have not"
     return Check("other_direction", error / size, "ratio", level, text)
-
-
-def _inverse(normal: Array) -> Array:
-    """Inverse of a normal matrix, scaled to its diagonal first."""
-    scale = np.sqrt(np.diag(normal))
-    return np.asarray(np.linalg.inv(normal / np.outer(scale, scale)) / np.outer(scale, scale))
 
 
 def _variance(design: Array, inverse: Array) -> Array:

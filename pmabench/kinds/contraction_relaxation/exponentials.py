@@ -22,7 +22,7 @@ from pmabench.kinds.contraction_relaxation import bandwidth
 from pmabench.kinds.contraction_relaxation.bandwidth import responses
 from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, Fit
 from pmabench.kinds.contraction_relaxation.segments import Campaign, Gate
-from pmabench.kinds.contraction_relaxation.values import Further, curve
+from pmabench.kinds.contraction_relaxation.values import QUANTITY, Further, curve
 from pmabench.store.analyses.results import Estimate, Finding, Parts
 from pmabench.store.records import Array, TrialData
 
@@ -166,7 +166,6 @@ def stiffness(load: Array, x: Array, F_ce: float) -> Regression:
 METHOD = "step-exponential"
 KNOWN_F_CE = "step-exponential, F_ce known"
 ONSET = "onset"
-UNITS = {"F_ce": ("N", "force"), "K": ("N/m", "stiffness"), "B_c": ("N.s/m", "damping"), "B_r": ("N.s/m", "damping")}
 ONCE = "no repeats part: each load and pressure was tested once"
 SINGLE = "no repeats part: too few points for scatter about their line"
 
@@ -251,7 +250,7 @@ def _at(
         symbol: str, value: float, parts: Parts, among: Sequence[Step], gains: Mapping[str, float],
         offsets: Mapping[str, float], note: str = "", method: str = METHOD,
     ) -> None:  # fmt: skip
-        unit, quantity = UNITS.get(symbol, ("s", "time"))
+        unit, quantity = QUANTITY.get(symbol, ("s", "time"))
         names = tuple(dict.fromkeys(campaign.name(step.trial) for step in among))
         found = Estimate(symbol, value, unit, quantity, method, {"pressure": P}, parts, len(names), trials=names)
         result.append(_Raw(replace(found, note=note), gains, offsets))

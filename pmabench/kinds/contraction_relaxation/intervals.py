@@ -14,7 +14,7 @@ drawn and weigh n / (n - 1), or a draw from two would scatter by a half too litt
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import hypot, sqrt
 from typing import TYPE_CHECKING
@@ -80,35 +80,38 @@ def drifts_of(
     what channels read `at_rest`.
     """
 
-    def change(other: Segments, channel: str = "", by: Array | None = None) -> Array:
-        begun = fit if by is None or channel != "pressure" else fit.followed(0.0, float(np.mean(by)))
+    def change(other: Segments, begun: Solved = fit) -> Array:
         return np.asarray(begun.again(other, noise).theta - fit.theta)
 
-    found = []
+    def zeros(channel: str, each: Iterable[Array]) -> Array:
+        """Change by a zero that is off by each of these [SI], (n,)."""
+        moved = [
+            change(
+                segments.shifted(channel, 0.0, by),
+                fit.followed(0.0, float(np.mean(by))) if channel == "pressure" else fit,
+            )
+            for by in each
+        ]
+        return np.array(moved).reshape(-1, len(fit.theta))
+
     off = _specimen(runs, trials)
     if off is None:
-        found.append(Cause(SPECIMEN, None, NO_REFERENCE))
+        found = [Cause(SPECIMEN, None, NO_REFERENCE)]
     else:
         each = off[segments.trial]
         shrunk = replace(segments, x=segments.x / (1 + each)[:, None], v=segments.v / (1 + each)[:, None])
         pull = fit.values("F_ce", segments.pressure)
         # a stroke is (F_ce - F_L) / K: by a share of it F_ce went by that share of what is above the load
         weaker = segments.pulled(-each * np.maximum(0.0, pull - segments.force))
-        found.append(Cause(SPECIMEN, np.array([change(shrunk), change(weaker)])))
+        found = [Cause(SPECIMEN, np.array([change(shrunk), change(weaker)]))]
     for channel, rest in rests.items():
-        ways = [change(_offset(segments, channel, by), channel, by) for by in -rest[:, segments.trial] if by.any()]
-        found.append(Cause(f"zero of {channel} from trial to trial", np.array(ways).reshape(-1, len(fit.theta))))
+        ways = zeros(channel, (by for by in -rest[:, segments.trial] if by.any()))
+        found.append(Cause(f"zero of {channel} from trial to trial", ways))
     for channel in channels:
-        if channel == "displacement":
-            continue  # nobody knows of its zero: the specimen keeps it
-        name = f"drift of the zero of {channel}"
-        ends = _zero_ends(runs, trials, channel)
-        if ends is None:
-            found.append(Cause(name, None, NO_CHECK))
-            continue
-        whole, growing = (-by[segments.trial] for by in ends)
-        ways = [change(_offset(segments, channel, by), channel, by) for by in (whole, growing)]
-        found.append(Cause(name, np.array(ways)))
+        if channel != "displacement":  # nobody knows of its zero: the specimen keeps it
+            ends = _zero_ends(runs, trials, channel)
+            ways_of = None if ends is None else zeros(channel, (-by[segments.trial] for by in ends))
+            found.append(Cause(f"drift of the zero of {channel}", ways_of, NO_CHECK if ends is None else ""))
     return tuple(found)
 
 
@@ -118,16 +121,16 @@ def _specimen(runs: Sequence[RunData], trials: Sequence[TrialData]) -> Array | N
     if not known:
         return None
     order = {run.id: place for place, run in enumerate(in_time(runs))}
-    begun = {(order.get(t.run, 0), float(t.t[0])) for t in trials} | {
-        (order.get(one.trial.run, 0), float(one.trial.t[0])) for one in known
-    }
-    place = {key: number for number, key in enumerate(sorted(begun))}
+
+    def begun(trial: TrialData) -> tuple[int, float]:
+        return order.get(trial.run, 0), float(trial.t[0])
+
+    place = {key: number for number, key in enumerate(sorted({*map(begun, trials), *(begun(o.trial) for o in known)}))}
     at: dict[int, list[float]] = {0: [0.0]}
     for one in known:
-        at.setdefault(place[order.get(one.trial.run, 0), float(one.trial.t[0])], []).append(one.off)
+        at.setdefault(place[begun(one.trial)], []).append(one.off)
     places = sorted(at)
-    values = [float(np.mean(at[p])) for p in places]
-    return np.interp([place[order.get(t.run, 0), float(t.t[0])] for t in trials], places, values)
+    return np.interp([place[begun(t)] for t in trials], places, [float(np.mean(at[p])) for p in places])
 
 
 def _zero_ends(runs: Sequence[RunData], trials: Sequence[TrialData], channel: str) -> tuple[Array, Array] | None:
@@ -156,19 +159,9 @@ def zero_drifts(run: RunData, channel: str) -> Iterator[float]:
                 yield float(drift)
 
 
-def _offset(segments: Segments, channel: str, by: Array) -> Segments:
-    """The segments with `by` (n,) [SI] added to what a channel read."""
-    if channel == "pressure":
-        return replace(segments, P=segments.P + by[:, None], P_mid=segments.P_mid + by[:, None])
-    if channel == "displacement":
-        return replace(segments, x=segments.x + by[:, None])
-    return segments.pulled(np.where(segments.mass > 0, 0.0, by))
-
-
 NORMAL = 1.96
 """Half width of a 95 % interval by its standard deviation."""
 CHANNELS = ("pressure", "displacement", "force")
-NO_NOISE = Noise()
 SCATTER = "noise, and scatter between trials"
 NO_UNCERTAINTY = "the record tells no uncertainty"
 FEW = 10
@@ -337,53 +330,37 @@ class Pooled:
 
 
 def assess(
-    segments: Segments,
-    fit: Solved,
-    noise: Array,
-    cells: NDArray[np.intp],
-    replays: Sequence[Array],
-    scales: Scales,
-    skews: Array,
-    shaken: Noise = NO_NOISE,
-    steps: Noise = NO_NOISE,
-    drifts: tuple[Cause, ...] = (),
-) -> Trust:
-    """All parts for a fit.
+    campaign: Campaign, segments: Segments, fit: Solved, noise: Array, replays: Sequence[Array], skews: Array,
+    drifts: tuple[Cause, ...],
+) -> Trust:  # fmt: skip
+    """All parts for a fit to segments of a campaign.
 
     Parameters
     ----------
     noise
         Standard deviation of each segment [N] that the channels explain, shape (n,).
-    cells
-        Cell number of each trial number in `segments.trial`.
     replays
         Theta of fits to replays of `fit`.
-    scales
-        How well the channels are known.
     skews, drifts
         As in `Trust`.
-    shaken
-        Noise of the channels, for what neighbouring segments share of it.
-    steps
-        The part of the channels' noise that the steps of their values make.
     """
     bias, spread = _replayed(fit, replays)
-    expected = rms_of(noise)
+    expected, scales = rms_of(noise), Scales.of(campaign.runs)
     channels = [name for name in CHANNELS if name != "force" or not (segments.mass > 0).all()]
     more = max(1.0, fit.rms / expected)
-    covariance = more**2 * _covariance(fit, noise) + fit.shared(segments, shaken)
+    covariance = more**2 * _covariance(fit, noise) + fit.shared(segments, campaign.noise)
     analytic = np.diag(covariance)
     seen = analytic
     if len(replays) > 1:
         seen = 0.5 * (analytic + (more * spread) ** 2)
-    between, freedom, within = _between(segments, fit, cells)
+    between, freedom, within = _between(segments, fit, campaign.cells)
     excess, widen = _widened(segments, fit, between / np.maximum(seen, 1e-300))
     stretch = student.ppf(0.975, freedom) / NORMAL
     scale = np.sqrt(seen / analytic * (1.0 + stretch**2 * (widen - 1.0)))
     return Trust(
         bias=bias,
         covariance=covariance * np.outer(scale, scale),
-        steps={n: fit.scatter(segments, replace(NO_NOISE, **{n: size})) for n, size in vars(steps).items() if size > 0},
+        steps={n: fit.scatter(segments, Noise(**{n: size})) for n, size in vars(campaign.steps).items() if size > 0},
         mean_error=2.0 * spread / np.sqrt(max(1, len(replays))),
         form=fit.bends(segments, expected),
         shifts=_calibration(segments, fit, expected, scales),
@@ -407,13 +384,8 @@ def _widened(segments: Segments, fit: Solved, ratio: Array) -> tuple[dict[str, f
 def _covariance(fit: Solved, noise: Array) -> Array:
     """Covariance of theta for independent segments of unlike `noise` (n,) [N]; the prior counts as rows of its rms."""
     even = rms_of(noise) ** 2
-    uneven = _scores(fit, noise) - even * (fit.design.T @ fit.design)
-    return even * fit.inverse + fit.inverse @ uneven @ fit.inverse
-
-
-def _scores(fit: Solved, noise: Array) -> Array:
-    """A' diag(noise^2) A, shape (p, p)."""
-    return np.asarray((fit.design * noise[:, None] ** 2).T @ fit.design)
+    uneven = (fit.design * noise[:, None] ** 2).T @ fit.design - even * (fit.design.T @ fit.design)
+    return np.asarray(even * fit.inverse + fit.inverse @ uneven @ fit.inverse)
 
 
 def _replayed(fit: Solved, replays: Sequence[Array]) -> tuple[Array, Array]:
@@ -481,18 +453,11 @@ def _off(segments: Segments, fit: Solved, channel: str, gain: float, offset: flo
     return begun.again(segments.shifted(channel, gain, offset), expected).theta
 
 
-def replay_fits(replay: Callable[[int], Segments], fit: Solved, expected: float, count: int) -> list[Array]:
-    """Theta of the same fit to `count` replays; `replay(seed)` gives the segments of one."""
-    return [fit.again(replay(seed), expected).theta for seed in range(count)]
-
-
 @dataclass(frozen=True, eq=False)
 class Draws:
     """Theta of each draw, shape (count, p)."""
 
     theta: Array
-    within: bool
-    """Drawn within cells; else among all trials, for hardly a cell is repeated."""
 
     def half(self, combination: Array) -> float:
         """Half the width between the percentiles 2.5 and 97.5 of a linear combination (p,)."""
@@ -526,4 +491,4 @@ def bootstrap(segments: Segments, fit: Solved, cells: NDArray[np.intp], count: i
         total = np.tensordot(weight, normal, 1) + prior
         scale = np.sqrt(np.diag(total))
         drawn[draw] = np.linalg.solve(total / np.outer(scale, scale), (weight @ right) / scale) / scale
-    return Draws(drawn, within)
+    return Draws(drawn)

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from math import log, sqrt
 from typing import Any
 
@@ -239,12 +239,9 @@ def _sums(P: Array, by: Array, form: Form) -> Array:
     return np.column_stack(columns)
 
 
-@dataclass(frozen=True)
-class Score:
-    """How well an order does: corrected Akaike criterion, and what trials that were left out are missed by, rms [N]."""
-
-    aicc: float
-    held_out: float
+Score = dict[str, float]
+"""How well an order does: `aicc`, corrected Akaike criterion, and `held_out`, what trials are missed by that were left
+out, rms [N]."""
 
 
 def choose(
@@ -266,7 +263,7 @@ def choose(
             best = 0
             for order, score in scores[symbol].items():
                 than = scores[symbol][best]
-                if score.aicc < than.aicc - FALL and score.held_out < than.held_out:
+                if score["aicc"] < than["aicc"] - FALL and score["held_out"] < than["held_out"]:
                     best = order
             now[symbol] = best
         if now == before:
@@ -297,7 +294,7 @@ def _scores(
             _, without = _solved(normal - mine.T @ mine, right - mine.T @ force)
             missed += float(np.sum((force - mine @ without) ** 2))
         aicc = n * log(max(power, 1e-300) / n) + 2 * p + 2 * p * (p + 1) / max(1, n - p - 1)
-        found[order] = Score(aicc, sqrt(missed / n))
+        found[order] = {"aicc": aicc, "held_out": sqrt(missed / n)}
     return found
 
 
@@ -339,8 +336,7 @@ def compare(campaign: Campaign, pooled: Pooled, options: Mapping[str, Any]) -> F
         {
             "forms": {symbol: form.name for symbol, form in solved.forms.items()},
             "orders": {
-                symbol: {str(order): asdict(score) for order, score in found.items()}
-                for symbol, found in scores.items()
+                symbol: {str(order): score for order, score in found.items()} for symbol, found in scores.items()
             },
             "residual_rms": solved.rms,
             "correlation": _correlation(solved, trust, known),
@@ -356,7 +352,7 @@ def _forms(forms: Mapping[str, Form]) -> str:
 
 def _curve(solved: Joint, trust: Trust, symbol: str, known: Sequence[Estimate]) -> Curve:
     """The form of one symbol with its terms; it is the fit itself, and nothing scatters about it: r2 1, residual 0."""
-    form, (unit, quantity) = solved.forms[symbol], QUANTITY[symbol]
+    form = solved.forms[symbol]
     mine = [e for e in known if e.symbol == symbol]
     trials = tuple(dict.fromkeys(trial for e in mine for trial in e.trials))
     first = solved.columns(symbol).start
@@ -367,8 +363,8 @@ def _curve(solved: Joint, trust: Trust, symbol: str, known: Sequence[Estimate]) 
         parts, bias, budget = trust.budget(combination)
         terms.append(
             Estimate(
-                symbol, float(solved.theta[first + power]) - bias, unit, quantity, METHOD, {}, parts, len(trials), bias,
-                True, "", trials, f"z^{power}", budget,
+                symbol, float(solved.theta[first + power]) - bias, *QUANTITY[symbol], METHOD, {}, parts, len(trials),
+                bias, True, "", trials, f"z^{power}", budget,
             )
         )  # fmt: skip
     ends = [e.at["pressure"] for e in mine]

@@ -24,7 +24,7 @@ from pmabench.kinds.contraction_relaxation.predicted import (
     simulated_trials,
 )
 from pmabench.kinds.contraction_relaxation.reduction import estimates_of, pool, withheld
-from pmabench.kinds.contraction_relaxation.segments import Campaign, Gate, Segments, cut, gather
+from pmabench.kinds.contraction_relaxation.segments import Gate, cut, gather
 from pmabench.store.analyses.results import Estimate
 from pmabench.store.records import Array, RunData, TrialData
 
@@ -212,7 +212,7 @@ def missed_by(before: Known, fitted: Sequence[TrialData], runs: Sequence[RunData
     campaign, _ = gather(runs)
     if campaign is None or before.pooled is None or before.pooled.diagnosis.state != "sound":
         return 1.0
-    segments = _segments(campaign, before.pooled)
+    segments = cut(campaign.samples, campaign.rate, Gate()).within(before.pooled.fit.knots)
     if not len(segments):
         return 1.0
     fit, design = before.pooled.fit, before.outlook.design
@@ -220,10 +220,3 @@ def missed_by(before: Known, fitted: Sequence[TrialData], runs: Sequence[RunData
     spread = design.covariance(before.counts(fitted)) + design.between
     residual = segments.force - rows @ fit.theta
     return float(residual @ residual / (len(segments) * design.noise**2 + np.sum((rows @ spread) * rows)))
-
-
-def _segments(campaign: Campaign, pooled: Pooled) -> Segments:
-    """Segments within the reach of a fit."""
-    found, knots = cut(campaign.samples, campaign.rate, Gate()), pooled.fit.knots
-    low, high = knots[0] - 1e3, knots[-1] + (knots[-1] - knots[-2])
-    return found.where((found.P.min(axis=1) >= low) & (found.P.max(axis=1) <= high))

@@ -35,6 +35,7 @@ from pmabench.kinds.contraction_relaxation.pooled import (
     SYMBOLS,
     Fit,
     design_of,
+    inverse_of,
     place,
     prior_of,
     rms_of,
@@ -364,9 +365,7 @@ def linear(segments: Segments, fit: Polished) -> Polished:
     if not fit.friction:
         design[:, -1] = 0.0
     prior = _prior(segments, design, fit)
-    normal = design.T @ design + prior.T @ prior
-    scale = np.sqrt(np.diag(normal))
-    inverse = np.linalg.inv(normal / np.outer(scale, scale)) / np.outer(scale, scale)
+    inverse = inverse_of(design.T @ design + prior.T @ prior)
     return replace(
         fit, design=design, residual=residual, inverse=inverse, starts=starts, misses=misses, expected=expected
     )

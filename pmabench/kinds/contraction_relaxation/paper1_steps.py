@@ -20,15 +20,12 @@ from pmabench.analysis.shared.samples import LEAST, Samples, onset
 from pmabench.base.quantities import show
 from pmabench.kinds.contraction_relaxation.pooled import FLOOR, SYMBOLS, design_of, first_knots, prior_of
 from pmabench.kinds.contraction_relaxation.segments import Campaign, Gate, cut
-from pmabench.kinds.contraction_relaxation.values import curve
+from pmabench.kinds.contraction_relaxation.values import FEWEST, curve, near
 from pmabench.model.library.braid import braid_force
 from pmabench.plotting.motion import overlays
 from pmabench.plotting.pictures import Picture
 from pmabench.store.analyses.results import Analysis, Curve, Estimate, Finding, Trace
 from pmabench.store.records import Array, TrialData
-
-FEWEST = 3
-"""Fewest segments near a pressure for a coefficient there."""
 
 
 def fit_known_force(
@@ -39,10 +36,8 @@ def fit_known_force(
     `force` gives F_ce [N] at pressures [Pa]. Friction, which always points one way here, is held for less F_ce.
     """
     knots = first_knots(tested, np.empty(0))
-    gate = Gate()
-    segments = cut(samples, rate, gate)
-    low, high = knots[0] - 1e3, knots[-1] + (knots[-1] - knots[-2])
-    segments = segments.where((segments.way > 0) & (segments.P.min(axis=1) >= low) & (segments.P.max(axis=1) <= high))
+    segments = cut(samples, rate, Gate()).within(knots)
+    segments = segments.where(segments.way > 0)
     if len(segments) < FEWEST:
         return {}
     design = design_of(segments, knots)
@@ -58,8 +53,7 @@ def fit_known_force(
     found = {}
     for P in tested:
         knot = int(np.argmin(np.abs(knots - P)))
-        near = np.abs(segments.pressure - P) <= 0.5 * float(np.min(np.abs(np.delete(knots, knot) - P)))
-        if near.sum() >= FEWEST:
+        if near(segments, knots, "K", float(P)).sum() >= FEWEST:
             found[float(P)] = float(theta[knot]), float(theta[k + knot])
     return found
 

@@ -26,7 +26,7 @@ from pmabench.kinds.contraction_relaxation.diagnosis.examination import examined
 from pmabench.kinds.contraction_relaxation.diagnosis.held_out import Test
 from pmabench.kinds.contraction_relaxation.diagnosis.hiding import hidden, of_the_cell, of_the_sensor
 from pmabench.kinds.contraction_relaxation.diagnosis.verdict import Diagnosis
-from pmabench.kinds.contraction_relaxation.intervals import Pooled, Trust, assess, at_rest, drifts_of, replay_fits
+from pmabench.kinds.contraction_relaxation.intervals import Pooled, Trust, assess, at_rest, drifts_of
 from pmabench.kinds.contraction_relaxation.joint import METHOD as JOINT
 from pmabench.kinds.contraction_relaxation.joint import compare
 from pmabench.kinds.contraction_relaxation.pooled import (
@@ -159,14 +159,7 @@ def segments_like(
     cutter = Cutter(campaign.rate, Gate(speed=float(options.get("speed", Gate.speed))))
     commanded = np.unique([c.value for trial in campaign.trials for c in trial.commands if c.output == "pressure"])
     knots = first_knots(np.array(campaign.tested), commanded)
-    low, high = knots[0] - 1e3, knots[-1] + (knots[-1] - knots[-2])
-
-    def segments_of(samples: Sequence[Samples]) -> Segments:
-        found = cutter.cut(samples)
-        within = (found.P.min(axis=1) >= low) & (found.P.max(axis=1) <= high)
-        return found if within.all() else found.where(within)
-
-    return knots, segments_of
+    return knots, lambda samples: cutter.cut(samples).within(knots)
 
 
 def pool(recorded: Campaign, options: Mapping[str, Any]) -> Pooled | None:
@@ -210,11 +203,11 @@ def pool(recorded: Campaign, options: Mapping[str, Any]) -> Pooled | None:
     def trusted(other: Solved, rows: NDArray[np.bool_], seen: Array, again: Callable[[Segments], Array]) -> Trust:
         """How far a fit to these rows of the segments can be trusted; `seen` [N] is the noise of each."""
         mine = segments.where(rows)
-        replays = replay_fits(replays_of(other), other, rms_of(seen), int(options.get("replays", REPLAYS)))
+        replay, count = replays_of(other), int(options.get("replays", REPLAYS))
+        replays = [other.again(replay(seed), rms_of(seen)).theta for seed in range(count)]
         skews = _skews(campaign, lambda late: found.corrected(segments_of(late)), again, other)
         drifts = drifts_of(campaign.runs, campaign.trials, campaign.channels, mine, other, rms_of(seen), rests)
-        scales = Scales.of(campaign.runs)
-        return assess(mine, other, seen, campaign.cells, replays, scales, skews, campaign.noise, campaign.steps, drifts)
+        return assess(campaign, mine, other, seen, replays, skews, drifts)
 
     every = np.ones(len(segments), bool)
     alone = trusted(solved, every, noise, first)

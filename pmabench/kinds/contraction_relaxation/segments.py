@@ -82,32 +82,25 @@ class Segments:
 
     def where(self, rows: NDArray[np.bool_]) -> Segments:
         """Only some of the rows."""
-        return replace(
-            self,
-            trial=self.trial[rows],
-            t=self.t[rows],
-            way=self.way[rows],
-            P=self.P[rows],
-            x=self.x[rows],
-            P_mid=self.P_mid[rows],
-            v=self.v[rows],
-            F_mid=self.F_mid[rows],
-            force=self.force[rows],
-            mass=self.mass[rows],
-        )
+        by_row = {name: values for name, values in vars(self).items() if name not in ("weights", "dt")}
+        return replace(self, **{name: values[rows] for name, values in by_row.items()})
 
-    def shifted(self, channel: str, gain: float, offset: float) -> Segments:
-        """The same segments had `channel` read (1 + gain) times as much, plus `offset` [SI]."""
+    def within(self, knots: Array) -> Segments:
+        """Those within the reach of a fit with these knots [Pa]."""
+        low, high = knots[0] - 1e3, knots[-1] + (knots[-1] - knots[-2])
+        rows = (self.P.min(axis=1) >= low) & (self.P.max(axis=1) <= high)
+        return self if rows.all() else self.where(rows)
+
+    def shifted(self, channel: str, gain: float, offset: float | Array) -> Segments:
+        """The same segments had `channel` read (1 + gain) times as much, plus `offset` [SI], one or (n,)."""
+        each = np.asarray(offset)[..., None]
         if channel == "pressure":
-            return replace(self, P=self.P * (1 + gain) + offset, P_mid=self.P_mid * (1 + gain) + offset)
+            return replace(self, P=self.P * (1 + gain) + each, P_mid=self.P_mid * (1 + gain) + each)
         if channel == "displacement":
-            return replace(self, x=self.x * (1 + gain) + offset, v=self.v * (1 + gain))
+            return replace(self, x=self.x * (1 + gain) + each, v=self.v * (1 + gain))
         cell = self.mass <= 0
-        return replace(
-            self,
-            force=np.where(cell, self.force * (1 + gain) + offset, self.force),
-            F_mid=np.where(cell[:, None], self.F_mid * (1 + gain) + offset, self.F_mid),
-        )
+        force = np.where(cell, self.force * (1 + gain) + offset, self.force)
+        return replace(self, force=force, F_mid=np.where(cell[:, None], self.F_mid * (1 + gain) + each, self.F_mid))
 
     def pulled(self, by: Array) -> Segments:
         """The same segments with `by` (n,) [N] added to F_L, by a cell or a weight."""
@@ -310,9 +303,7 @@ def noise_of_means(stretches: Sequence[Samples], still: Sequence[slice], over: i
                 values.append(np.sqrt(over) * noise_of(means))
         return float(np.median(values)) if values else 0.0
 
-    return Noise(
-        max(least.pressure, typical("P")), max(least.displacement, typical("x")), max(least.force, typical("force"))
-    )
+    return Noise(*map(max, vars(least).values(), map(typical, ("P", "x", "force"))))
 
 
 def _unbroken(ok: NDArray[np.bool_], rows: slice) -> slice:
@@ -403,7 +394,7 @@ class Campaign:
         They are late by the time of an answer, which scatters by as much as it is on the mean, or more.
         """
         found = {}
-        for channel in ("pressure", "displacement", *(("force",) if self.cell else ())):
+        for channel in self.channels:
             streams = [(run, run.channels[channel].stream) for run in self.runs if channel in run.channels]
             clocks = [run.clocks[stream] for run, stream in streams if stream in run.clocks]
             found[channel] = max((clock.uncertainty for clock in clocks if clock.how == STAMPED), default=0.0)

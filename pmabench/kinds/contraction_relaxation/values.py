@@ -11,6 +11,7 @@ from math import hypot, log, sqrt
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pmabench.analysis.shared import skew, student
 from pmabench.analysis.shared.calibration import sentences
@@ -29,7 +30,15 @@ FEWEST = 3
 """Fewest segments near a pressure for a coefficient there."""
 NUMERICS = 2e-4
 """The method part is no smaller than this share of a coefficient: replays are integrated, too."""
-QUANTITY = {"F_ce": ("N", "force"), "K": ("N/m", "stiffness"), "B_c": ("N.s/m", "damping"), "B_r": ("N.s/m", "damping")}
+QUANTITY = {
+    "F_ce": ("N", "force"),
+    "K": ("N/m", "stiffness"),
+    "B_c": ("N.s/m", "damping"),
+    "B_r": ("N.s/m", "damping"),
+    "F_c": ("N", "force"),
+}
+"""Symbol -> unit and quantity."""
+NOWHERE: Mapping[str, float] = {}
 
 
 @dataclass(frozen=True)
@@ -60,17 +69,16 @@ class Solution:
 
 def values(solution: Solution) -> list[Estimate]:
     """F_ce [N], K [N/m], B_c, B_r [N.s/m] at every tested pressure and F_c [N], or why there is none."""
-    estimates: list[Estimate] = []
-    tested = solution.campaign.tested
-    stiff = {P: _estimate(solution, "K", P) for P in tested}
-    for symbol in SYMBOLS:
-        found = [_estimate(solution, symbol, P) for P in tested]
-        if symbol == "F_ce":
-            found = [_open(e, OPEN_FORCE) if stiff[e.at["pressure"]].value is None else e for e in found]
-        estimates += found
-    friction = _friction(solution)
-    estimates.append(friction if any(e.value is not None for e in stiff.values()) else _open(friction, OPEN_FRICTION))
-    return estimates
+    found = [_at(solution, symbol, P) for symbol in SYMBOLS for P in solution.campaign.tested]
+    stiff = {e.at["pressure"] for e in found if e.symbol == "K" and e.value is not None}
+    found = [_open(e, OPEN_FORCE) if e.symbol == "F_ce" and e.at["pressure"] not in stiff else e for e in found]
+    friction = _blank(solution, "F_c", np.ones(len(solution.segments), bool))
+    if solution.fit.friction:
+        friction = _given(solution, friction, solution.fit.row("F_c", 0.0), 0.0)
+    else:
+        note = "not identifiable: the samples move one way only, and F_ce carries the friction"
+        friction = replace(friction, note=note)
+    return [*found, friction if stiff else _open(friction, OPEN_FRICTION)]
 
 
 def _open(estimate: Estimate, note: str) -> Estimate:
@@ -80,64 +88,43 @@ def _open(estimate: Estimate, note: str) -> Estimate:
     return replace(estimate, value=None, parts=Parts(), bias=None, corrected=False, budget=(), note=note)
 
 
-def _estimate(solution: Solution, symbol: str, P: float) -> Estimate:
+def near(segments: Segments, knots: Array, symbol: str, P: float) -> NDArray[np.bool_]:
+    """Which segments tell of a coefficient at P [Pa], shape (n,): half way to the next of the knots, B of its way."""
+    others = knots[np.abs(knots - P) > 1e-6 * P]
+    found = np.abs(segments.pressure - P) <= 0.5 * float(np.min(np.abs(others - P)))
+    return np.asarray(found & ((segments.way > 0) == (symbol == "B_c")) if symbol in ("B_c", "B_r") else found)
+
+
+def _blank(solution: Solution, symbol: str, rows: NDArray[np.bool_], at: Mapping[str, float] = NOWHERE) -> Estimate:
+    """No value yet of a coefficient that some rows of the segments tell."""
+    names = tuple(solution.campaign.name(int(number)) for number in np.unique(solution.segments.trial[rows]))
+    note = sentences(solution.note, solution.stiffness_is(at["pressure"]) if symbol == "K" else "")
+    return Estimate(symbol, None, *QUANTITY[symbol], solution.method, at, n=len(names), note=note, trials=names)
+
+
+def _given(solution: Solution, blank: Estimate, row: Array, extra_method: float) -> Estimate:
+    """A combination of the unknowns with its interval; without a value where the clocks do not allow one."""
+    parts, bias, budget = solution.trust.budget(row, extra_method)
+    value = float(row @ solution.fit.theta) - bias
+    found = replace(blank, value=value, parts=parts, bias=bias, corrected=True, budget=budget)
+    return skew.settled(found, "the channels", solution.campaign.skew)
+
+
+def _at(solution: Solution, symbol: str, P: float) -> Estimate:
     """One coefficient at one pressure [Pa], or why there is none."""
-    solved, segments, campaign = solution.fit, solution.segments, solution.campaign
-    others = solution.knots[np.abs(solution.knots - P) > 1e-6 * P]
-    near = np.abs(segments.pressure - P) <= 0.5 * float(np.min(np.abs(others - P)))
-    if symbol in ("B_c", "B_r"):
-        near &= (segments.way > 0) == (symbol == "B_c")
-    numbers = np.unique(segments.trial[near])
-    unit, quantity = QUANTITY[symbol]
-    base: dict[str, Any] = {
-        "symbol": symbol,
-        "unit": unit,
-        "quantity": quantity,
-        "method": solution.method,
-        "note": sentences(solution.note, solution.stiffness_is(P) if symbol == "K" else ""),
-        "at": {"pressure": P},
-        "n": len(numbers),
-        "trials": tuple(campaign.name(int(number)) for number in numbers),
-    }
+    solved = solution.fit
+    rows = near(solution.segments, solution.knots, symbol, P)
+    blank = _blank(solution, symbol, rows, {"pressure": P})
     moving = {"B_c": "contracting", "B_r": "relaxing"}.get(symbol, "moving")
-    if near.sum() < FEWEST:
-        return Estimate(value=None, **base | {"note": f"not identifiable: no {moving} samples near this pressure"})
-    combination = solved.row(symbol, P)
-    value = float(combination @ solved.theta)
-    parts, bias, budget = solution.trust.budget(combination, NUMERICS * abs(value))
+    if rows.sum() < FEWEST:
+        return replace(blank, note=f"not identifiable: no {moving} samples near this pressure")
+    row = solved.row(symbol, P)
+    value = float(row @ solved.theta)
+    parts, _, _ = solution.trust.budget(row, NUMERICS * abs(value))
     size = float(np.median(np.abs(solved.values(symbol, solution.knots))))
     if (parts.repeats or 0.0) > WIDE * max(abs(value), size):
-        note = f"not identifiable: the {moving} samples near this pressure leave it open"
-        return Estimate(value=None, **base | {"note": note})
-    found = Estimate(value=value - bias, parts=parts, bias=bias, corrected=True, budget=budget, **base)
-    return _settled(campaign, found)
-
-
-def _settled(campaign: Campaign, estimate: Estimate) -> Estimate:
-    """The estimate, without a value where the clocks do not allow one."""
-    return skew.settled(estimate, "the channels", campaign.skew)
-
-
-def _friction(solution: Solution) -> Estimate:
-    """F_c over the whole campaign."""
-    campaign, numbers = solution.campaign, np.unique(solution.segments.trial)
-    base: dict[str, Any] = {
-        "symbol": "F_c",
-        "unit": "N",
-        "quantity": "force",
-        "method": solution.method,
-        "note": solution.note,
-        "n": len(numbers),
-        "trials": tuple(campaign.name(int(number)) for number in numbers),
-    }
-    if not solution.fit.friction:
-        note = "not identifiable: the samples move one way only, and F_ce carries the friction"
-        return Estimate(value=None, **base | {"note": note})
-    combination = np.zeros(len(solution.fit.theta))
-    combination[solution.fit.columns("F_c")] = 1.0
-    parts, bias, budget = solution.trust.budget(combination)
-    value = solution.fit.coulomb - bias
-    return _settled(campaign, Estimate(value=value, parts=parts, bias=bias, corrected=True, budget=budget, **base))
+        return replace(blank, note=f"not identifiable: the {moving} samples near this pressure leave it open")
+    return _given(solution, blank, row, NUMERICS * abs(value))
 
 
 ASKED = {METHOD: "", "joint": "joint fit", "output-error": "output-error fit"}
@@ -194,13 +181,8 @@ EXACT = 1e-9
 FORMS = {1: "line", 2: "quadratic"}
 FLOOR = 5e-3
 """Least weight-giving error of a point, as a share of the largest value: no point of a curve counts for all."""
-QUANTITIES_OF = {
-    "force": ("N", ("force", "force per pressure", "force per pressure squared")),
-    "stiffness": ("N/m", ("stiffness", "stiffness per pressure", "stiffness per pressure squared")),
-    "damping": ("N.s/m", ("damping", "damping per pressure", "damping per pressure squared")),
-}
-"""Quantity of a coefficient -> its unit, and the quantities of the powers of a curve of it over pressure."""
-UNITS = ("", "/Pa", "/Pa2")
+POWERS = (("", ""), ("/Pa", " per pressure"), ("/Pa2", " per pressure squared"))
+"""What the powers of a curve over pressure add to the unit and to the quantity of a coefficient."""
 
 
 @dataclass(frozen=True)
@@ -268,10 +250,8 @@ def compare_orders(P: Array, y: Array) -> dict[int, tuple[float, float]]:
 
 def least(terms: Array, ends: tuple[float, float]) -> float:
     """Least value of a polynomial between `ends`; `terms` from the constant up."""
-    turns = (
-        np.roots(np.trim_zeros((terms[1:] * np.arange(1, len(terms)))[::-1], "f")) if len(terms) > 1 else np.empty(0)
-    )
-    inside = [float(t.real) for t in np.atleast_1d(turns) if abs(t.imag) < 1e-9 and ends[0] < t.real < ends[1]]
+    turns = np.roots((terms[1:] * np.arange(1, len(terms)))[::-1])
+    inside = [float(t.real) for t in turns if abs(t.imag) < 1e-9 and ends[0] < t.real < ends[1]]
     return float(np.min(np.polyval(terms[::-1], [*ends, *inside])))
 
 
@@ -299,38 +279,23 @@ def curve(
     half = np.array([widest if one is None else one for one in known_half])
     normal = normal_of(P) if normalised else None
     found = polynomial(P, y, half, order, normal)
-    unit, quantities = QUANTITIES_OF[known.quantity]
     trials = tuple(dict.fromkeys(trial for e in estimates for trial in e.trials))
     terms = []
     for power, value in enumerate(found.terms):
         parts, bias = _parts_of(found, power, estimates, trust, places)
+        unit, quantity = ("", "") if normalised else POWERS[power]
+        note = "" if parts.repeats is not None else "no repeats part: points of the curve have none"
+        coordinate = f"z^{power}" if normalised else TERMS[power]
         terms.append(
             Estimate(
-                symbol=known.symbol,
-                value=float(value),
-                unit=unit if normalised else unit + UNITS[power],
-                quantity=known.quantity if normalised else quantities[power],
-                method=known.method,
-                parts=parts,
-                n=len(trials),
-                bias=bias,
-                corrected=bias is not None,
-                note="" if parts.repeats is not None else "no repeats part: points of the curve have none",
-                trials=trials,
-                coordinate=f"z^{power}" if normalised else TERMS[power],
+                known.symbol, float(value), known.unit + unit, known.quantity + quantity, known.method, {}, parts,
+                len(trials), bias, bias is not None, note, trials, coordinate,
             )
-        )
+        )  # fmt: skip
+    form = f"order {order} in z" if normalised else FORMS[order]
+    ends = float(P.min()), float(P.max())
     return Curve(
-        symbol=known.symbol,
-        form=f"order {order} in z" if normalised else FORMS[order],
-        terms=tuple(terms),
-        against="pressure",
-        domain=(float(P.min()), float(P.max())),
-        r2=found.r2,
-        residual_rms=found.rms,
-        method=known.method,
-        centre=normal[0] if normal else 0.0,
-        scale=normal[1] if normal else 1.0,
+        known.symbol, form, tuple(terms), "pressure", ends, found.r2, found.rms, known.method, *(normal or (0.0, 1.0))
     )
 
 

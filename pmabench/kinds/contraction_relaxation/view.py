@@ -37,11 +37,7 @@ def facts(campaign: Campaign, pooled: Pooled, runs: Sequence[FreeRun]) -> dict[s
         "residual_rms": pooled.fit.rms,
         "expected_rms": pooled.expected,
         "knots": [float(P) for P in pooled.fit.knots],
-        "noise": {
-            "pressure": campaign.noise.pressure,
-            "displacement": campaign.noise.displacement,
-            "force": campaign.noise.force,
-        },
+        "noise": asdict(campaign.noise),
         "scatter_between_trials": {symbol: float(value) for symbol, value in pooled.trust.excess.items()},
         "load_cell": campaign.cell,
         "form": pooled.diagnosis.facts,
@@ -156,7 +152,7 @@ def resampled(campaign: Campaign, pooled: Pooled, estimates: Sequence[Estimate],
     known = [e for e in estimates if e.value is not None and "pressure" in e.at]
     return {
         "draws": count,
-        "within_cells": draws.within,
+        "within_cells": pooled.trust.within,
         "half_widths": [
             {
                 "symbol": e.symbol,
