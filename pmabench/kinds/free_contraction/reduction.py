@@ -45,7 +45,7 @@ FREE, SIGMOID = "free-length", "sigmoid"
 FORM, PAPER = "sigmoid-length-coefficients", "sigmoid-length"
 """Models of the library: with fitted coefficients, and with those that paper 2 derives from the length."""
 UNKNOWN = ("a", "b", "c", "d", "e")
-UNITS = {"length": "m", "pressure": "Pa", "count": "1"}
+UNITS = {"length": "m", "pressure": "Pa", "count": "1", "ratio": "1"}
 RESIDUALS = "repeats part: residuals of the fit; no method part: that of L is not carried into the coefficients"
 LAST = 0.2
 """Share of each rest at its end whose mean counts."""
@@ -252,15 +252,20 @@ def _points(runs: Sequence[RunData]) -> tuple[list[Point], list[Dropped]]:
     return points, dropped
 
 
+def _curve(points: Sequence[Point]) -> tuple[Array, Array]:
+    """Measured pressure [Pa] and mean contraction [m] of each point."""
+    return np.array([point.pressure for point in points]), np.array([point.x for point in points])
+
+
 def _rises(points: Sequence[Point]) -> Array:
     """dx/dP at each measured pressure [m/Pa]."""
-    P, x = np.array([point.pressure for point in points]), np.array([point.x for point in points])
+    P, x = _curve(points)
     return np.gradient(x, P) if len(points) > 1 and bool((np.diff(P) > 0).all()) else np.zeros(len(points))
 
 
 def _carried(points: Sequence[Point]) -> list[float]:
     """How much further than measured it contracts at each commanded pressure [m]: a regulator rests beside it."""
-    P, x = np.array([point.pressure for point in points]), np.array([point.x for point in points])
+    P, x = _curve(points)
     wanted = np.array([point.set for point in points])
     further = _rises(points) * (wanted - P)
     if len(points) > 2 and bool((np.diff(P) > 0).all()):
@@ -273,38 +278,38 @@ def _lengths(points: Sequence[Point], length: float, scales: Scales) -> list[Est
     """L, and the difference of both sides, at each pressure."""
     found, gaps = [], []
     for point, slope, carried in zip(points, _rises(points), _carried(points), strict=True):
-        at, names = {"pressure": point.set}, tuple(rest.trial.name for rest in point.rests)
+        at = {"pressure": point.set}
         rises = {"displacement": point.x, "pressure": float(slope) * point.pressure}
         scale = scales.part(rises, {"displacement": 1.0, "pressure": float(slope)})
-        half, n = spread(point.repeats), len(point.repeats)
-        note = "" if half is not None else "no repeats part: one repeat only"
-        parts = Parts(repeats=half, method=CARRIED * abs(carried), calibration=scale)
-        L = length - point.x - carried
-        found.append(Estimate("L", L, "m", "length", FREE, at, parts, n, note=note, trials=names))
+        parts = Parts(spread(point.repeats), CARRIED * abs(carried), scale)
+        found.append(_free("L", length - point.x - carried, "length", at, parts, len(point.repeats), [point]))
         if len(point.gaps):
-            value, half = float(point.gaps.mean()), spread(point.gaps)
-            note = "" if half is not None else "no repeats part: one repeat only"
-            parts = Parts(repeats=half, method=0.0, calibration=scales.part({"displacement": value}))
-            n = len(point.gaps)
-            gaps.append(Estimate("x_H", value, "m", "length", FREE, at, parts, n, note=note, trials=names))
+            value = float(point.gaps.mean())
+            parts = Parts(spread(point.gaps), 0.0, scales.part({"displacement": value}))
+            gaps.append(_free("x_H", value, "length", at, parts, len(point.gaps), [point]))
     return found + gaps
+
+
+def _free(
+    symbol: str, value: float, quantity: str, at: Mapping[str, float], parts: Parts, n: int, points: Sequence[Point]
+) -> Estimate:
+    """A result of the lengths themselves at these points."""
+    names = tuple(rest.trial.name for point in points for rest in point.rests)
+    note = "" if parts.repeats is not None else "no repeats part: one repeat only"
+    return Estimate(symbol, value, UNITS[quantity], quantity, FREE, at, parts, n, note=note, trials=names)
 
 
 def _half(points: Sequence[Point], scales: Scales) -> Estimate:
     """The pressure at which half of the contraction at the highest pressure is reached."""
-    P = np.array([point.pressure for point in points])
-    names = tuple(rest.trial.name for point in points for rest in point.rests)
-    value = half_pressure(P, np.array([point.x for point in points]))
-    n = min(len(point.repeats) for point in points)
+    P, x = _curve(points)
+    value, n = half_pressure(P, x), min(len(point.repeats) for point in points)
     if value is None:
         note = "the contraction does not rise through half of its largest value once"
-        return Estimate("P_half", None, "Pa", "pressure", FREE, n=n, note=note, trials=names)
+        return replace(_free("P_half", 0.0, "pressure", {}, Parts(), n, points), value=None, note=note)
     each = [half_pressure(P, np.array([point.repeats[i] for point in points])) for i in range(n)]
-    half = spread([one for one in each if one is not None])
-    coarse = float(np.diff(P).max()) / 2
-    note = sentences("" if half is not None else "no repeats part: one repeat only", "")
-    parts = Parts(half, method=0.1 * coarse, calibration=scales.part({"pressure": value}, {"pressure": 1.0}))
-    return Estimate("P_half", value, "Pa", "pressure", FREE, {}, parts, n, note=note, trials=names)
+    half, coarse = spread([one for one in each if one is not None]), float(np.diff(P).max()) / 2
+    parts = Parts(half, 0.1 * coarse, scales.part({"pressure": value}, {"pressure": 1.0}))
+    return _free("P_half", value, "pressure", {}, parts, n, points)
 
 
 def _largest(points: Sequence[Point], length: float, scales: Scales) -> list[Estimate]:
@@ -312,19 +317,15 @@ def _largest(points: Sequence[Point], length: float, scales: Scales) -> list[Est
     top = max(points, key=lambda point: point.x, default=None)
     if top is None or not length > 0 or not np.isfinite(length):
         return []
-    half, names = spread(top.repeats), tuple(rest.trial.name for rest in top.rests)
-    place = next(i for i, point in enumerate(points) if point is top)
+    half, place = spread(top.repeats), next(i for i, point in enumerate(points) if point is top)
     carried, rise = _carried(points)[place], float(_rises(points)[place])
     scale = scales.part(
         {"displacement": top.x / length, "pressure": rise * top.pressure / length},
         {"displacement": 1 / length, "pressure": rise / length},
     )
-    method = CARRIED * abs(carried) / length
-    parts = Parts(None if half is None else half / length, method=method, calibration=scale)
-    note = "" if half is not None else "no repeats part: one repeat only"
-    at = {"pressure": top.set}
-    n = len(top.repeats)
-    return [Estimate("eps_max", (top.x + carried) / length, "1", "ratio", FREE, at, parts, n, note=note, trials=names)]
+    parts = Parts(None if half is None else half / length, CARRIED * abs(carried) / length, scale)
+    n, at = len(top.repeats), {"pressure": top.set}
+    return [_free("eps_max", (top.x + carried) / length, "ratio", at, parts, n, [top])]
 
 
 def _fit(points: Sequence[Point], length: float, off: Array | float = 0.0) -> tuple[ModelFit | None, str]:
@@ -383,7 +384,7 @@ def _weighed(estimates: Sequence[Estimate], points: Sequence[Point], length: flo
 
 def _pressure_over_x(points: Sequence[Point]) -> float:
     """Change of pressure over that of contraction where half of the largest contraction is reached [Pa/m]."""
-    P, x = np.array([point.pressure for point in points]), np.array([point.x for point in points])
+    P, x = _curve(points)
     after = int(np.clip(np.argmax(x >= 0.5 * x[-1]), 1, len(x) - 1))
     return abs(float((P[after] - P[after - 1]) / max(abs(x[after] - x[after - 1]), 1e-9)))
 
@@ -462,14 +463,13 @@ def _coefficients(
         n = 0 if fit is None else len(fit.measured)
         note = sentences(note, RESIDUALS if half is not None else "")
         e = Estimate("L", value, UNITS[quantity], quantity, SIGMOID, {}, parts, n, note=note, coordinate=name)
-        changes = {way: abs(_of(one, name) - (value or 0.0)) for way, one in shifted.items()}
-        doubts = [Doubt(way, "drift" if way == ZERO else "method", half, seen=True) for way, half in changes.items()]
+        others = {way: next(u.value for u in one.unknowns if u.name == name) for way, one in shifted.items()}
+        doubts = [
+            Doubt(way, "drift" if way == ZERO else "method", abs(other - (value or 0.0)), seen=True)
+            for way, other in others.items()
+        ]
         found.append(withhold(e, other) if other and value is not None else weighed(e, doubts))
     return found
-
-
-def _of(fit: ModelFit, name: str) -> float:
-    return next(unknown.value for unknown in fit.unknowns if unknown.name == name)
 
 
 def offers(analysis: Analysis) -> Iterator[Offer]:
@@ -482,7 +482,15 @@ def offers(analysis: Analysis) -> Iterator[Offer]:
     length, widths = analysis.facts.get("nominal_length"), [abs(e.value or 0.0) for e in by["x_H"]]
     widest = max(widths, default=0.0)
     known = [
-        (P, replace(e, symbol="x", value=length - e.value, parts=_wider(e.parts, UNEQUAL * widest / 2)))
+        (
+            P,
+            replace(
+                e,
+                symbol="x",
+                value=length - e.value,
+                parts=replace(e.parts, method=hypot(e.parts.method or 0.0, UNEQUAL * widest / 2)),
+            ),
+        )
         for e in by["L"]
         for P in [e.at["pressure"]]
         if length and e.value is not None and length - e.value > 1.5 * widest
@@ -495,10 +503,6 @@ def offers(analysis: Analysis) -> Iterator[Offer]:
 
     why = "" if widths else "it was reached from one side only, and friction keeps it short of its rest"
     yield Offer("x", {(P, None): e for P, e in known}, at, side=0 if widths else -1, why=why)
-
-
-def _wider(parts: Parts, by: float) -> Parts:
-    return replace(parts, method=hypot(parts.method or 0.0, by))
 
 
 def contraction_of(run: RunData, trial: TrialData) -> float:

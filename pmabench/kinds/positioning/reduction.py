@@ -18,6 +18,7 @@ from pmabench.analysis.shared.form import Doubt, weighed
 from pmabench.analysis.shared.response import SMALLEST, Response, respond
 from pmabench.analysis.shared.samples import count_of
 from pmabench.analysis.shared.simulated import closed_loop, model_of
+from pmabench.analysis.shared.trials import by_point
 from pmabench.base.quantities import show
 from pmabench.kinds.positioning import RESULTS, tracking
 from pmabench.model.presets import Described
@@ -29,20 +30,23 @@ METHOD = "closed-loop"
 SIMULATION = "closed-loop, simulated"
 ALONE = "one run: no repeats part"
 LONGEST_TRACE = 4000
+LENGTHS = dict.fromkeys(("setpoint", "displacement", "model"), "length")
+QUANTITIES = {"t": "time", **LENGTHS, "pressure_command": "pressure"}
+"""Column of a trace -> its quantity."""
 EARLY = 4.0
 """Up to here [s] a trace is kept denser: half of its points."""
 BAND = 0.02
 """Band that counts as settled where the plan gives none."""
 MEASURES = {
-    "e_ss": ("1", "ratio"),
-    "OS": ("1", "ratio"),
-    "t_r": ("s", "time"),
-    "t_s": ("s", "time"),
-    "IAE": ("m.s", ""),
-    "x_pp": ("m", "length"),
-    "T_c": ("s", "time"),
+    "e_ss": ("1", "ratio", ""),
+    "OS": ("1", "ratio", "overshoot"),
+    "t_r": ("s", "time", "rise"),
+    "t_s": ("s", "time", "settling"),
+    "IAE": ("m.s", "", "IAE"),
+    "x_pp": ("m", "length", "size"),
+    "T_c": ("s", "time", "period"),
 }
-"""Symbol -> unit and quantity."""
+"""Symbol -> unit, quantity, and field of `Response`, or of its cycle, and of what is unsure of both."""
 CYCLE = ("x_pp", "T_c")
 """Measures that only a limit cycle has."""
 
@@ -75,7 +79,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     the rms difference of the two contractions [m]. Trials along a path are in `tracking`.
     """
     dropped: list[Dropped] = []
-    cells: dict[tuple[tuple[str, float], ...], list[Hold]] = {}
+    found: dict[str, Hold] = {}
     paths: list[tuple[RunData, TrialData, Mapping[str, Any]]] = []
     for run in runs:
         model = model_of(run)
@@ -87,12 +91,11 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
             if isinstance(hold, str):
                 dropped.append(Dropped(trial.name, trial.point, hold))
                 continue
-            key = tuple(sorted((name, round(value, 9)) for name, value in trial.point.items()))
-            cells.setdefault(key, []).append(hold)
-    order = sorted(cells, key=lambda key: (dict(key).get("load", 0.0), dict(key).get("setpoint", 0.0)))
-    holds = [cells[key] for key in order]
+            found[trial.name] = hold
+    cells = by_point([(hold.run, hold.trial) for hold in found.values()])
+    holds = [[found[trial.name] for _, trial in members] for _, members in cells]
     along, notes, ways, unused = tracking.reduced(paths)
-    estimates = [e for key, members in zip(order, holds, strict=True) for e in _estimates(dict(key), members)]
+    estimates = [e for (at, _), members in zip(cells, holds, strict=True) for e in _estimates(at, members)]
     return Analysis.of(
         KIND,
         runs,
@@ -158,31 +161,11 @@ def hold_of(run: RunData, trial: TrialData, model: Described | None = None) -> H
 
 
 def _value(symbol: str, response: Response, setpoint: float) -> float | None:
-    """One measure of a response."""
-    cycle = response.cycle
-    return {
-        "e_ss": response.error / setpoint,
-        "OS": response.overshoot,
-        "t_r": response.rise,
-        "t_s": response.settling,
-        "IAE": response.IAE,
-        "x_pp": None if cycle is None else cycle.size,
-        "T_c": None if cycle is None else cycle.period,
-    }[symbol]
-
-
-def _method(symbol: str, response: Response) -> float:
-    """What sampling, noise and the choice of a band leave open of a measure; of e_ss nothing but what moves."""
-    unsure = response.unsure
-    return {
-        "e_ss": 0.0,
-        "OS": unsure.overshoot,
-        "t_r": unsure.rise,
-        "t_s": unsure.settling,
-        "IAE": unsure.IAE,
-        "x_pp": unsure.size,
-        "T_c": unsure.period,
-    }[symbol]
+    """One measure of a response; None for those of a cycle where there is none."""
+    if symbol == "e_ss":
+        return response.error / setpoint
+    value: float | None = getattr(response.cycle if symbol in CYCLE else response, MEASURES[symbol][2], None)
+    return value
 
 
 def _moves(members: Sequence[Hold], setpoint: float) -> Doubt:
@@ -224,34 +207,27 @@ def _estimates(at: dict[str, float], members: Sequence[Hold]) -> list[Estimate]:
     setpoint = at["setpoint"]
     names = tuple(hold.trial.name for hold in members)
     found = []
-    for symbol, (unit, quantity) in MEASURES.items():
+    for symbol, (unit, quantity, name) in MEASURES.items():
         known = [(v, h.calibration[symbol]) for h in members if (v := _value(symbol, h.response, setpoint)) is not None]
         if not known and symbol in CYCLE:
             continue
         values = np.array([value for value, _ in known])
-        methods = [_method(symbol, h.response) for h in members]
+        # what sampling, noise and the choice of a band leave open; of e_ss nothing but what moves
+        methods = [getattr(h.response.unsure, name) if name else 0.0 for h in members]
         several = len(values) > 1
         spread = student.ppf(0.975, len(values) - 1) * values.std(ddof=1) / sqrt(len(values)) if several else None
         scales = [half for _, half in known if half is not None]
         lacking = Scales.of([hold.run for hold in members]).lack(("displacement",), ("displacement",))
-        e = Estimate(
-            symbol,
-            float(values.mean()) if len(values) else None,
-            unit,
-            quantity,
-            METHOD,
-            at,
-            parts=Parts(None if spread is None else float(spread), max(methods), max(scales, default=None)),
-            n=len(values),
-            note=sentences(ALONE, lacking) if len(values) == 1 else lacking if len(values) else _why_not(symbol),
-            trials=names,
-        )
+        parts = Parts(None if spread is None else float(spread), max(methods), max(scales, default=None))
+        note = sentences("" if several else ALONE, lacking) if len(values) else _why_not(symbol)
+        mean = float(values.mean()) if len(values) else None
+        e = Estimate(symbol, mean, unit, quantity, METHOD, at, parts, len(values), note=note, trials=names)
         found.append(_steady(e, _moves(members, setpoint)) if symbol == "e_ss" else e)
     rms = [float(np.sqrt(np.mean((h.x - h.simulated) ** 2))) for h in members if h.simulated is not None]
     if rms:
         found.append(Estimate("e_sim", float(np.mean(rms)), "m", "length", SIMULATION, at, n=len(rms), trials=names))
     simulated = next((h.simulated_response for h in members if h.simulated_response is not None), None)
-    for symbol, (unit, quantity) in MEASURES.items():
+    for symbol, (unit, quantity, _) in MEASURES.items():
         value = None if simulated is None else _value(symbol, simulated, setpoint)
         if value is not None:
             found.append(Estimate(symbol, value, unit, quantity, SIMULATION, at, n=1, note="a simulation"))
@@ -278,15 +254,12 @@ def _findings(runs: Sequence[RunData], cells: Sequence[Sequence[Hold]]) -> list[
     window_text = (
         f"mean from {window[0]:g} s to {window[1]:g} s after the step" if window else "mean of the second half"
     )
-    setpoint = float(worst.law["setpoint"])
-    lines.append(
-        Finding(
-            "note",
-            f"the steady-state error is at most {_relative_error(worst):.3g} % of the set-point at "
-            f"{show(setpoint, 'length')} ({show(worst.response.error, 'length', 3)} is the {window_text}, "
-            "and what moves in it is added)",
-        )
+    text = (
+        f"the steady-state error is at most {_relative_error(worst):.3g} % of the set-point at "
+        f"{show(float(worst.law['setpoint']), 'length')} ({show(worst.response.error, 'length', 3)} is the "
+        f"{window_text}, and what moves in it is added)"
     )
+    lines.append(Finding("note", text))
     lines += _cycles([hold for members in cells for hold in members])
     unsettled = [hold for members in cells for hold in members if hold.response.settling is None]
     if unsettled:
@@ -327,13 +300,8 @@ def _cycles(holds: Sequence[Hold]) -> list[Finding]:
     quiet = [hold for hold in still if hold not in slow]
     if slow:
         most = show(max(hold.response.wander for hold in slow), "length", 3)
-        lines.append(
-            Finding(
-                "doubt",
-                f"at {_places(slow)} it moves by up to {most} in the window without two whole cycles: a slow limit "
-                "cycle, a creep or a drift; a longer hold tells",
-            )
-        )
+        text = f"at {_places(slow)} it moves by up to {most} in the window without two whole cycles: a slow limit"
+        lines.append(Finding("doubt", f"{text} cycle, a creep or a drift; a longer hold tells"))
     if quiet:
         least = show(max(hold.response.smallest for hold in quiet), "length", 2)
         lines.append(Finding("note", f"no limit cycle at {_places(quiet)}: one of {least} peak to peak would be seen"))
@@ -392,12 +360,6 @@ def _trace(hold: Hold) -> Trace:
         "position",
         f"{where}: position in closed loop",
         {name: column[rows] for name, column in columns.items()},
-        {
-            "t": "time",
-            "setpoint": "length",
-            "displacement": "length",
-            "model": "length",
-            "pressure_command": "pressure",
-        },
+        QUANTITIES,
         marks,
     )

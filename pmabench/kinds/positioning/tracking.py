@@ -83,10 +83,8 @@ def estimates(members: Sequence[Tracked]) -> list[Estimate]:
     scales = Scales.of([one.run for one in members])
     gain, offset = scales.gains.get("displacement", 0.0), scales.offsets.get("displacement", 0.0)
     each = [one.values() for one in members]
-    shifted = [
-        (members[0].values(more, share), members[0].values(-more, -share))
-        for more, share in ((offset, 0.0), (0.0, gain))
-    ]
+    ways = ((offset, 0.0), (0.0, gain))
+    shifted = [(members[0].values(more, share), members[0].values(-more, -share)) for more, share in ways]
     lacking = scales.lack(("displacement",), ("displacement",))
     several = len(members) > 1
     found = []
@@ -96,20 +94,10 @@ def estimates(members: Sequence[Tracked]) -> list[Estimate]:
         scale = hypot(*(0.5 * (up[symbol] - down[symbol]) for up, down in shifted))
         known = offset > 0 or gain > 0
         parts = Parts(None if spread is None else float(spread), calibration=scale if known else None)
-        found.append(
-            Estimate(
-                symbol,
-                float(values.mean()),
-                unit,
-                quantity,
-                members[0].method,
-                dict(members[0].trial.point),
-                parts,
-                len(values),
-                note=sentences("" if several else ALONE, lacking),
-                trials=tuple(one.trial.name for one in members),
-            )
-        )
+        mean, method, at = float(values.mean()), members[0].method, dict(members[0].trial.point)
+        note = sentences("" if several else ALONE, lacking)
+        names = tuple(one.trial.name for one in members)
+        found.append(Estimate(symbol, mean, unit, quantity, method, at, parts, len(values), note=note, trials=names))
     return found
 
 

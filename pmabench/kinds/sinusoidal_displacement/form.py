@@ -204,12 +204,17 @@ def judged(found: Sequence[Estimate], form: Form) -> list[Estimate]:
     return kept
 
 
+def cycle_of(sine: Sine) -> NDArray[np.intp]:
+    """Number of the cycle of each sample."""
+    return np.asarray(np.floor((sine.t - sine.t[0]) * sine.frequency + 1e-6), dtype=np.intp)
+
+
 def _harmonics(sine: Sine) -> list[tuple[float, ...]]:
     """Frequency [Hz], speed [m/s], |h1|, h2, h3, q3 [N] of each cycle.
 
     A displacement that is no pure sine has harmonics, too: K times them is taken off.
     """
-    cycle = np.floor((sine.t - sine.t[0]) * sine.frequency + 1e-6).astype(int)
+    cycle = cycle_of(sine)
     orders = np.array([1, 2, 3])
     angles = np.outer(sine.omega * sine.t, orders)
     design = np.column_stack([np.ones(len(sine.t)), np.cos(angles), np.sin(angles)])

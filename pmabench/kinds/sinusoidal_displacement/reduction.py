@@ -120,7 +120,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     estimates = _with_centres(estimates, centres)
     muscles = {member.name: fitted.muscle for fitted in fits.values() for member in fitted.group}
     pressed = pressure_and_force(members, muscles, scales)
-    estimates, findings, traces = estimates + pressed.estimates, findings + pressed.findings, traces + pressed.traces
+    estimates, findings, traces = estimates + pressed[0], findings + pressed[1], traces + pressed[2]
     findings += skew.findings(runs, CHANNELS, max((fitted.skew for fitted in fits.values()), default=0.0), estimates)
     if estimates and (lack := scales.lack(("force", "displacement", "pressure")[: 3 if len(fits) > 1 else 2])):
         findings.append(Finding("note", lack))
@@ -253,13 +253,10 @@ def _even_pressure(members: Sequence[Member], options: Mapping[str, Any]) -> tup
                 continue
             even.append(member)
             if share > UNEVEN:
-                findings.append(
-                    Finding(
-                        "doubt",
-                        f"trial {member.name}: the pressure swings by {show(abs(sine.ripple), 'pressure', 3)} with the "
-                        f"sine, worth about {share:.1%} of the force; give force_per_pressure, or run at two pressures",
-                    )
-                )
+                swing = f"the pressure swings by {show(abs(sine.ripple), 'pressure', 3)} with the sine, worth about"
+                remedy = "give force_per_pressure, or run at two pressures"
+                text = f"trial {member.name}: {swing} {share:.1%} of the force; {remedy}"
+                findings.append(Finding("doubt", text))
     return even, findings
 
 

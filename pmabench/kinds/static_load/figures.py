@@ -45,13 +45,8 @@ def line_findings(line: Line) -> list[Finding]:
     left = f"residual {show(line.rms, 'force', 2)} rms" if line.factor else "through two points"
     found = [Finding("note", f"{text}, {left}")]
     if line.lack > 3.0 and line.rms > 0.5:
-        found.append(
-            Finding(
-                "doubt",
-                f"the loads lie off the line {line.lack:.2g} times as far as their repeats scatter: F_ce(P) is no line"
-                " over these pressures",
-            )
-        )
+        text = f"the loads lie off the line {line.lack:.2g} times as far as their repeats scatter: F_ce(P) is no line"
+        found.append(Finding("doubt", f"{text} over these pressures"))
     return found
 
 
@@ -193,23 +188,22 @@ def points(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
 def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
     """Pressures at which the load lifts and sets down, their mean, and half the difference."""
     doubts: list[str] = []
-    found: dict[str, float | None] = {}
-    for phase in ("lift", "set-down"):
+    found: list[float | None] = []
+    for phase in PHASES:
         result = trial.found.get(phase)
-        value = result.get("pressure") if result and result.get("found", True) else None
-        found[phase] = float(value) if isinstance(value, int | float) else None
-        if result is not None and found[phase] is None:
-            doubts.append(f"{phase}: {result.get('reason') or 'nothing found'}")
-        elif result is None:
+        value = pressure_of(result or {})
+        found.append(value if np.isfinite(value) else None)
+        if result is None:
             doubts.append(f"{phase} was not looked for")
-    lift, down = found["lift"], found["set-down"]
-    load = trial.point.get("load")
+        elif found[-1] is None:
+            doubts.append(f"{phase}: {result.get('reason') or 'nothing found'}")
+    lift, down = found
+    load, middle, half = trial.point.get("load"), None, None
     predicted = expected.lifts(load) if expected is not None and load is not None else None
-    both = lift is not None and down is not None
-    middle = 0.5 * (lift + down) if lift is not None and down is not None else None
-    half = 0.5 * (lift - down) if lift is not None and down is not None else None
-    if both and half is not None and half < 0:
-        doubts.append("it sets down at a higher pressure than it lifts")
+    if lift is not None and down is not None:
+        middle, half = 0.5 * (lift + down), 0.5 * (lift - down)
+        if half < 0:
+            doubts.append("it sets down at a higher pressure than it lifts")
     return [
         Measured("lift", "pressure", lift, noise=1e3),
         Measured("set-down", "pressure", down, noise=1e3),

@@ -18,6 +18,7 @@ from pmabench.analysis.shared import student
 from pmabench.analysis.shared.oscillation import SKIPPED, Swinging, describe, mode_amplitudes
 from pmabench.analysis.shared.samples import noise_of
 from pmabench.base.quantities import show
+from pmabench.kinds.ultimate_gain.ways import Examined, lags_of, oscillating
 from pmabench.model.loop import ComplexArray, Loop, mode, ultimate
 from pmabench.store.records import Array, RunData, TrialData
 
@@ -84,7 +85,7 @@ class Level:
 
 
 @dataclass(frozen=True, eq=False)
-class TrialFound:
+class TrialFound(Examined):
     """What one trial says."""
 
     levels: tuple[Level, ...]
@@ -106,8 +107,6 @@ class TrialFound:
     friction: float = 0.0
     """Relative shift of K_u by growth that depends on the swing [1]."""
     loop: Loop | None = None
-    refused: tuple[str, ...] = ()
-    doubts: tuple[str, ...] = ()
 
 
 def examine(run: RunData, trial: TrialData, search: Mapping[str, Any]) -> TrialFound:
@@ -333,12 +332,8 @@ def _identify(used: Sequence[Level], lag: Mapping[str, float]) -> Loop | None:
         return None
     gain, lags = muscle
     sensor = lag.get("displacement", 0.0)
-    loop = Loop(gain, float(fitted[1]), (float(np.exp(fitted[0])), *lags, *((sensor,) if sensor > 0 else ())))
-    try:
-        ultimate(loop)
-    except ValueError:
-        return None
-    return loop
+    every = (float(np.exp(fitted[0])), *lags, *((sensor,) if sensor > 0 else ()))
+    return oscillating(gain, float(fitted[1]), every)
 
 
 def _muscle(s: ComplexArray, G: ComplexArray, means: Array) -> tuple[float, tuple[complex, ...]] | None:
@@ -354,9 +349,7 @@ def _muscle(s: ComplexArray, G: ComplexArray, means: Array) -> tuple[float, tupl
         design = np.column_stack([np.concatenate([s.real, s.imag]), np.concatenate([(s**2).real, (s**2).imag])])
         tau, beta = np.linalg.lstsq(design, np.concatenate([left.real, left.imag]), rcond=None)[0]
         if tau > 0 and beta > 0:
-            root = complex(tau * tau - 4 * beta) ** 0.5
-            pair = ((tau + root) / 2, (tau - root) / 2)
-            return gain, pair if root.imag else tuple(complex(lag).real for lag in pair)
+            return gain, lags_of(tau, beta)
     slope = np.imag(1 / G) / np.real(1 / G)
     tau = float(np.median(slope / (s.imag - slope * s.real)))
     return (float(np.median(np.abs(G * (1 + tau * s)))), (tau,)) if tau > 0 else None

@@ -21,7 +21,7 @@ from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.form import Doubt, weighed
 from pmabench.base.quantities import show
 from pmabench.kinds.ultimate_gain.open_loop_fit import Friction, Moved, Regulator, Step, fit
-from pmabench.kinds.ultimate_gain.ways import SYMBOLS, GainCell, repeats, scaled
+from pmabench.kinds.ultimate_gain.ways import SYMBOLS, Examined, GainCell, lags_of, oscillating, repeats, scaled
 from pmabench.model.loop import Loop, Ultimate, ultimate
 from pmabench.store.analyses.results import Estimate, Finding, Parts, Trace
 from pmabench.store.records import Array, RunData, TrialData
@@ -38,7 +38,7 @@ loops of known gain is at most that."""
 
 
 @dataclass(frozen=True, eq=False)
-class StepsFound:
+class StepsFound(Examined):
     """What one trial says."""
 
     loop: Loop | None = None
@@ -51,8 +51,6 @@ class StepsFound:
     """Relative distance of K_u and of T_u with the lags of one direction alone, the larger of both."""
     amplitude: float = 0.0
     """[Pa]."""
-    refused: tuple[str, ...] = ()
-    doubts: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data; what is not known as None."""
@@ -193,17 +191,9 @@ def _loop(found: StepsFound, period: float, off: float) -> Loop | None:
         return None
     regulator, moved = found.regulator, found.moved
     gain = regulator.gain * (moved.gain + 2 * moved.curvature * off)
-    tau = sum(moved.tau) / 2
-    root = complex(tau * tau - 4 * moved.beta) ** 0.5
-    pair = [(tau + root) / 2, (tau - root) / 2] if moved.beta > 0 else [complex(tau)]
-    lags = [complex((regulator.fill + regulator.vent) / 2), complex(regulator.second), *pair]
+    lags = ((regulator.fill + regulator.vent) / 2, regulator.second, *lags_of(sum(moved.tau) / 2, moved.beta))
     dead_time = max(0.0, regulator.dead_time + moved.late) + period / 2
-    try:
-        loop = Loop(gain, dead_time, tuple(lag if lag.imag else lag.real for lag in lags if lag))
-        ultimate(loop)
-    except ValueError:
-        return None
-    return loop
+    return oscillating(gain, dead_time, [lag for lag in lags if lag])
 
 
 METHOD = "open-loop"
@@ -261,11 +251,6 @@ class StepsCell(GainCell[StepsFound]):
         return [self.trace("open-loop", "Open-loop steps", columns, {"setpoint": self.at.get("setpoint", 0.0)})]
 
 
-def cells(members: Sequence[tuple[RunData, TrialData]]) -> list[StepsCell]:
-    """The trials by operating point, each examined."""
-    return StepsCell.all_of(members, examine)
-
-
 def _estimate(cell: StepsCell, symbol: str, unit: str, quantity: str) -> Estimate:
     good = [cell.found[i] for i in cell.good]
     truths = [ultimate(found.loop) for found in good if found.loop is not None]
@@ -290,7 +275,7 @@ def _estimate(cell: StepsCell, symbol: str, unit: str, quantity: str) -> Estimat
             repeats=repeats(values, np.array(halves)),
             method=value * sqrt(damping**2 + bent**2),
             calibration=scales.part(dict.fromkeys(used, value)),
-            skew=_skew(cell, name),
+            skew=cell.by_clocks(name),
         ),
         n=len(good),
         note=sentences(
@@ -310,11 +295,3 @@ def _half(each: Array) -> float:
     if len(each) < 2:
         return nan
     return float(student.ppf(0.975, len(each) - 1)) * float(each.std(ddof=1)) / sqrt(len(each))
-
-
-def _skew(cell: StepsCell, name: str) -> float:
-    """Half width by clocks: pressure and displacement may be so far apart, and the dead time holds all of it."""
-    if cell.apart <= 0 or cell.loop is None:
-        return 0.0
-    later = ultimate(replace(cell.loop, dead_time=cell.loop.dead_time + cell.apart))
-    return abs(float(getattr(later, name)) - float(getattr(ultimate(cell.loop), name)))

@@ -26,7 +26,7 @@ from pmabench.analysis.shared.oscillation import SEEN, extremes
 from pmabench.analysis.shared.samples import noise_of
 from pmabench.base.quantities import show
 from pmabench.kinds.ultimate_gain.open_loop_fit import balance
-from pmabench.kinds.ultimate_gain.ways import DESCRIBED, SYMBOLS, GainCell, repeats
+from pmabench.kinds.ultimate_gain.ways import DESCRIBED, SYMBOLS, Examined, GainCell, lags_of, oscillating, repeats
 from pmabench.model.loop import ComplexArray, Loop, ultimate
 from pmabench.store.analyses.results import Estimate, Finding, Parts, Trace
 from pmabench.store.records import Array, RunData, TrialData
@@ -99,12 +99,10 @@ class RelayLevel:
 
 
 @dataclass(frozen=True, eq=False)
-class RelayFound:
+class RelayFound(Examined):
     """What one trial says; its numbers are those of the largest oscillation, in which friction weighs least."""
 
     levels: tuple[RelayLevel, ...]
-    refused: tuple[str, ...] = ()
-    doubts: tuple[str, ...] = ()
 
     @property
     def best(self) -> RelayLevel | None:
@@ -127,14 +125,11 @@ def examine(run: RunData, trial: TrialData, search: Mapping[str, Any]) -> RelayF
     levels = [_measure(trial, level, search, lag, hold) for level in search["relay"]]
     known = tuple(level for level in levels if level is not None)
     if not search.get("found", False):
-        return RelayFound(known, (str(search.get("reason") or "the relay test did not end by itself"),))
+        return RelayFound(known, refused=(str(search.get("reason") or "the relay test did not end by itself"),))
     if not known or len(known) < len(levels):
-        return RelayFound(known, (f"fewer than {FEWEST_PERIODS} whole periods at an amplitude",))
+        return RelayFound(known, refused=(f"fewer than {FEWEST_PERIODS} whole periods at an amplitude",))
     refused, doubts = _friction(known)
-    found = RelayFound(known, tuple(refused), tuple(doubts))
-    best = found.best
-    if best is None:
-        return found
+    best = max(known, key=lambda level: level.amplitude)
     if best.variation > PERIOD_VARIATION:
         refused.append(f"the periods vary by {best.variation:.0%}, at most {PERIOD_VARIATION:.0%} are allowed")
     if not isfinite(best.K_df):
@@ -144,7 +139,7 @@ def examine(run: RunData, trial: TrialData, search: Mapping[str, Any]) -> RelayF
     noise = noise_of(trial.channels["displacement"][trial.usable])
     if min(level.hysteresis for level in known) < 3 * noise:
         doubts.append("the hysteresis is below three times the noise: noise may have switched the relay")
-    return RelayFound(known, tuple(refused), tuple(doubts))
+    return RelayFound(known, refused=tuple(refused), doubts=tuple(doubts))
 
 
 def _friction(levels: tuple[RelayLevel, ...]) -> tuple[list[str], list[str]]:
@@ -298,12 +293,7 @@ def _fit(
     gain, muscle_lags = muscle
     sensor = lag.get("displacement", 0.0)
     lags = (float(np.exp(T_r)), *muscle_lags, *((sensor,) if sensor > 0 else ()))
-    try:
-        loop = Loop(gain, float(max(0.0, L) + hold), lags)
-        ultimate(loop)
-    except ValueError:
-        return None
-    return loop
+    return oscillating(gain, float(max(0.0, L) + hold), lags)
 
 
 def _muscle(s: ComplexArray, X: ComplexArray, Q: ComplexArray) -> tuple[float, tuple[complex, ...]] | None:
@@ -318,9 +308,7 @@ def _muscle(s: ComplexArray, X: ComplexArray, Q: ComplexArray) -> tuple[float, t
         found = np.linalg.lstsq(design, np.concatenate([Q.real, Q.imag]), rcond=None)[0] / size
         if np.all(found > 0):
             tau, beta = float(found[1] / found[0]), float(found[2] / found[0]) if len(found) > 2 else 0.0
-            root = complex(tau * tau - 4 * beta) ** 0.5
-            pair = [(tau + root) / 2, (tau - root) / 2] if beta > 0 else [complex(tau)]
-            return float(1 / found[0]), tuple(lag if lag.imag else lag.real for lag in pair)
+            return float(1 / found[0]), lags_of(tau, beta)
     return None
 
 
@@ -390,20 +378,10 @@ class RelayCell(GainCell[RelayFound]):
         return [self.trace("relay", f"Relay oscillation, {show(best.amplitude, 'pressure')}", columns, marks)]
 
 
-def cells(members: Sequence[tuple[RunData, TrialData]]) -> list[RelayCell]:
-    """The trials by operating point, each examined."""
-    return RelayCell.all_of(members, lambda run, trial: examine(run, trial, search_of(trial) or {}))
-
-
 def _values(level: RelayLevel, symbol: str, method: str) -> tuple[float, float]:
     """Value and half width from the scatter between periods, of one level."""
-    names = {
-        ("K_u", FITTED): ("K_u", "half_K_u"),
-        ("T_u", FITTED): ("T_u", "half_T_u"),
-        ("K_u", DESCRIBED): ("K_df", "half_K_df"),
-        ("T_u", DESCRIBED): ("period", "half_period"),
-    }[symbol, method]
-    return getattr(level, names[0]), getattr(level, names[1])
+    name = symbol if method == FITTED else {"K_u": "K_df", "T_u": "period"}[symbol]
+    return getattr(level, name), getattr(level, f"half_{name}")
 
 
 def _estimates(cell: RelayCell, method: str) -> list[Estimate]:
@@ -484,9 +462,5 @@ def _method_part(cell: RelayCell, best: Sequence[tuple[int, RelayLevel]], symbol
         * _values(level, symbol, method)[0]
         for _, level in best
     )
-    late, shift = cell.apart, 0.0
-    if late > 0 and cell.loop is not None:
-        name = "gain" if symbol == "K_u" else "period"
-        later = ultimate(replace(cell.loop, dead_time=cell.loop.dead_time + late))
-        shift = abs(getattr(later, name) - getattr(ultimate(cell.loop), name))
+    shift = cell.by_clocks("gain" if symbol == "K_u" else "period")
     return sqrt((OF_SIZES * max(apart)) ** 2 + shift**2 + form**2)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from pmabench.analysis.shared import student
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.simulated import from_commanded_pressure, from_measured_pressure, model_of
+from pmabench.analysis.shared.trials import by_point
 from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
 from pmabench.kinds.validation import RESULTS
@@ -81,18 +82,18 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     runs; e_sim is the rms difference over the whole hold [m], rise included. Windows come from the plan.
     """
     dropped: list[Dropped] = []
-    cells: dict[tuple[tuple[str, float], ...], list[_Step]] = {}
+    found: list[_Step] = []
     for run in runs:
         model = model_of(run)
         reasons = [unusable(run, trial) or ("" if model else NO_MODEL) for trial in run.trials]
         dropped += [Dropped(t.name, t.point, why) for t, why in zip(run.trials, reasons, strict=True) if why]
         usable = [trial for trial, why in zip(run.trials, reasons, strict=True) if not why]
-        for step in _steps(run, usable, model) if model is not None else []:
-            trial = step.trial
-            key = tuple(sorted((name, round(value, 9)) for name, value in trial.point.items()))
-            cells.setdefault(key, []).append(step)
-    order = sorted(cells, key=lambda key: (dict(key).get("load", 0.0), dict(key).get("pressure", 0.0)))
-    steps = [step for key in order for step in cells[key]]
+        found += _steps(run, usable, model) if model is not None else []
+    of = {step.trial.name: step for step in found}
+    cells = [
+        (at, [of[trial.name] for _, trial in members]) for at, members in by_point([(s.run, s.trial) for s in found])
+    ]
+    steps = [step for _, members in cells for step in members]
     full = max((step.measured for step in steps), default=0.0)
     return Analysis.of(
         KIND,
@@ -101,17 +102,17 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         estimates=[
             e
             for method in METHODS
-            for key in order
-            if method in cells[key][0].window
-            for e in _estimates(dict(key), cells[key], method, full)
+            for at, members in cells
+            if method in members[0].window
+            for e in _estimates(at, members, method, full)
         ],
         dropped=dropped,
         findings=_findings(runs, steps, full),
-        traces=[_trace(cells[key][0]) for key in order],
+        traces=[_trace(members[0]) for _, members in cells],
         facts={
             "options": dict(options or {}),
             "trials": len(steps),
-            "cells": len(order),
+            "cells": len(cells),
             "full_scale": full,
             "window": list(_window(runs[0])) if runs else [],
             "model": next((model.source for run in runs if (model := model_of(run)) is not None), None),
@@ -212,18 +213,10 @@ def _estimates(at: dict[str, float], members: Sequence[_Step], method: str, full
         part = scales.part({"displacement": 1.0}, {"displacement": by}) if symbol != "e_sim" else None
         if part is not None and method != COMMANDED:
             part = hypot(part, *(by * max(step.by_pressure[n] for step in members) for n in (0, 1)))
-        return Estimate(
-            symbol,
-            float(np.mean(values)),
-            unit,
-            quantity,
-            method,
-            at,
-            parts=Parts(repeats=None if spread is None else float(spread), calibration=part),
-            n=len(values),
-            note=sentences("" if several else ALONE, scales.lack(channels, channels)),
-            trials=names,
-        )
+        parts = Parts(repeats=None if spread is None else float(spread), calibration=part)
+        note = sentences("" if several else ALONE, scales.lack(channels, channels))
+        mean = float(np.mean(values))
+        return Estimate(symbol, mean, unit, quantity, method, at, parts, len(values), note=note, trials=names)
 
     x = float(np.mean([step.measured for step in members]))
     return [
