@@ -23,7 +23,7 @@ from pmabench.analysis.shared.samples import Samples
 from pmabench.analysis.verdict.checks import Check
 from pmabench.base.quantities import show
 from pmabench.kinds.contraction_relaxation.intervals import NORMAL, Pooled
-from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, inverse_of, place, prior_of, spread
+from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, inverse_of, place, prior_of, rms_of, spread
 from pmabench.kinds.contraction_relaxation.segments import Campaign, Gate, Segments, strokes, velocity
 from pmabench.store.analyses.results import Estimate
 from pmabench.store.records import Array, TrialData
@@ -227,10 +227,6 @@ def checks(campaign: Campaign, pooled: Pooled) -> list[dict[str, Any]]:
     return [asdict(check) for check in found if check is not None]
 
 
-def _rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(values**2)))
-
-
 def _level(error: float, residual: float, size: float) -> str:
     return "doubt" if error > WORSE * residual and error > NOTABLE * size else "note"
 
@@ -252,7 +248,7 @@ def _held_out(campaign: Campaign, pooled: Pooled, size: float) -> Check | None:
         theta = inverse @ (right - design.T @ force)
         sure = _variance(design, inverse) <= 1.0
         if sure.sum() >= ENOUGH:
-            errors[float(load)] = _rms(force[sure] - design[sure] @ theta)
+            errors[float(load)] = rms_of(force[sure] - design[sure] @ theta)
     if not errors:
         return None
     worst = max(errors, key=lambda load: errors[load])
@@ -290,7 +286,7 @@ def _other_direction(pooled: Pooled, size: float) -> Check | None:
     target = segments.force[rows] - fit.design[rows, both] @ alone[both]
     design = fit.design[np.ix_(rows, own)]
     free = _solved(design, target, prior[:, own])
-    error = _rms(target - design @ free)
+    error = rms_of(target - design @ free)
     level = _level(error, fit.rms, size)
     text = (
         f"relaxation with K and F_ce of contraction alone: missed by {show(error, 'force', 2)} rms, "
@@ -320,7 +316,7 @@ def _friction(pooled: Pooled, size: float) -> Check | None:
     design = fit.design[:, :-1]
     prior = prior_of(segments, fit.design, fit.knots, pooled.expected)[:, :-1]
     theta = _solved(design, segments.force, prior)
-    without = _rms(segments.force - design @ theta)
+    without = rms_of(segments.force - design @ theta)
     left = max(abs(float(fit.residual[rows].mean())) for rows in _groups(segments))
     needed = without > WORSE * fit.rms
     doubt = left > max(WORSE * fit.rms, NOTABLE * size)

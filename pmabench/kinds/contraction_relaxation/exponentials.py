@@ -184,11 +184,7 @@ def compare(
 ) -> Further:
     """The papers' estimates and the dead times; `found` are the primary method's, `moved` the trials in its fit."""
     scales = Scales.of(campaign.runs)
-    steps = [
-        step
-        for number in sorted(moved)
-        for step in steps_of(campaign.samples[number], campaign.trials[number], Gate.lift)
-    ]
+    steps = [one for n in sorted(moved) for one in steps_of(campaign.samples[n], campaign.trials[n], Gate.lift)]
     at_each = {(e.symbol, e.at["pressure"]): e for e in found if "pressure" in e.at}
     reference = {key: e.value for key, e in at_each.items()}
 
@@ -208,12 +204,8 @@ def compare(
         for entry in _at(campaign, P, [step for step in steps if abs(step.pressure - P) < 1.0], options, force_at(P))
     ]
     estimates = [_with_bias(e, reference) for e in _calibrated(raw, scales)]
-    curves = []
-    for symbol in SYMBOLS:
-        members = [e for e in estimates if e.symbol == symbol and e.method == METHOD and e.value is not None]
-        through = curve(members, 1) if members else None
-        if through is not None:
-            curves.append(through)
+    known = [e for e in estimates if e.method == METHOD and e.value is not None]
+    curves = [curve([e for e in known if e.symbol == symbol], 1) for symbol in SYMBOLS]
     table = [
         {
             "trial": campaign.name(step.trial),
@@ -227,12 +219,12 @@ def compare(
         }
         for step in steps
     ]
-    ordered = sorted(estimates, key=lambda e: (e.method, ("F_ce", "K", "B_c", "B_r", "tau_c", "tau_r").index(e.symbol)))
+    ordered = sorted(estimates, key=lambda e: (e.method, (*SYMBOLS, "tau_c", "tau_r").index(e.symbol)))
     regulator = {P: fitted for P, (fitted, _) in responses(campaign).items()}
     widths = bandwidth.estimates(campaign, found, regulator)
     return Further(
         (*ordered, *_dead_times(campaign, moved), *widths),
-        tuple(curves),
+        tuple(through for through in curves if through is not None),
         (*_findings(estimates), *bandwidth.findings(widths)),
         {"steps": table},
     )
@@ -385,8 +377,7 @@ def _dead_times(campaign: Campaign, moved: set[int]) -> list[Estimate]:
         ]
         if len(tested) > 1:
             groups.append(({}, members))
-        for at, group in groups:
-            estimates.append(_dead_time(campaign, kind, at, group))
+        estimates += [_dead_time(campaign, kind, at, group) for at, group in groups]
     return estimates
 
 
@@ -400,19 +391,9 @@ def _dead_time(campaign: Campaign, kind: str, at: dict[str, float], group: Seque
     note = _spread(over, ends) if len(set(conditions)) > 1 else ""
     reach = max(ends[1] - mean, mean - ends[0])
     between, skewed = _between(campaign, kind)
-    found = Estimate(
-        symbol="t_d",
-        value=mean,
-        unit="s",
-        quantity="time",
-        method=ONSET,
-        at=at,
-        parts=Parts(half, hypot(0.5 / campaign.rate, reach), 0.0, skewed),
-        n=len(group),
-        note=sentences(ONCE if half is None else "", note),
-        trials=tuple(campaign.name(number) for number in numbers),
-        coordinate=kind,
-    )
+    parts = Parts(half, hypot(0.5 / campaign.rate, reach), 0.0, skewed)
+    note, names = sentences(ONCE if half is None else "", note), tuple(map(campaign.name, numbers))
+    found = Estimate("t_d", mean, "s", "time", ONSET, at, parts, len(group), note=note, trials=names, coordinate=kind)
     return skew.settled(found, between, skewed)
 
 

@@ -38,7 +38,7 @@ from pmabench.kinds.contraction_relaxation.pooled import (
     spread,
 )
 from pmabench.kinds.contraction_relaxation.segments import Campaign, Segments
-from pmabench.kinds.contraction_relaxation.values import QUANTITY, Further, Solution, values
+from pmabench.kinds.contraction_relaxation.values import QUANTITY, Further, Solution, name_of, values
 from pmabench.store.analyses.results import Curve, Estimate, Finding
 from pmabench.store.records import Array
 
@@ -324,9 +324,8 @@ def compare(campaign: Campaign, pooled: Pooled, options: Mapping[str, Any]) -> F
     solved = solve(segments, forms_of(orders, knots), noise, least, pooled.fit.added)
     trust = pooled.trust_of(solved, rows, pooled.noise[rows])
     note = sentences(_forms(solved.forms), "" if _enough(solved, pooled) else SIMPLE)
-    estimates = values(
-        Solution(campaign, segments, solved, pooled.fit.knots, trust, METHOD, note, pooled.diagnosis.stiffness_is)
-    )
+    stiffness_is = pooled.diagnosis.stiffness_is
+    estimates = values(Solution(campaign, segments, solved, pooled.fit.knots, trust, METHOD, note, stiffness_is))
     known = [e for e in estimates if e.value is not None]
     curved = [s for s in SYMBOLS if solved.forms[s].knots is None and sum(e.symbol == s for e in known) > 1]
     return Further(
@@ -394,12 +393,10 @@ def _correlation(solved: Joint, trust: Trust, known: Sequence[Estimate]) -> dict
     covariance = rows @ trust.covariance @ rows.T
     width = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     matrix: Array = covariance / np.outer(width, width)
-    return {"of": [_name(e) for e in known], "matrix": [[round(float(v), 4) for v in row] for row in matrix]}
-
-
-def _name(estimate: Estimate) -> str:
-    at = estimate.at.get("pressure")
-    return estimate.symbol if at is None else f"{estimate.symbol} at {show(at, 'pressure', 4)}"
+    return {
+        "of": [name_of(e.symbol, e.at.get("pressure")) for e in known],
+        "matrix": [[round(float(v), 4) for v in row] for row in matrix],
+    }
 
 
 def _together(solved: Joint, trust: Trust, known: Sequence[Estimate]) -> list[Finding]:
@@ -414,11 +411,8 @@ def _together(solved: Joint, trust: Trust, known: Sequence[Estimate]) -> list[Fi
             pair = (other.symbol, one.symbol)
             if abs(r) > max(TOGETHER, abs(worst.get(pair, (0.0, "", ""))[0])):
                 worst[pair] = (r, correlation["of"][j], correlation["of"][i])
+    text = "their sum is known better than each; loads or speeds that differ more part them"
     return [
-        Finding(
-            "note",
-            f"{first} and {second} hang together (correlation {r:+.3f}): their sum is known better than each;"
-            " loads or speeds that differ more part them",
-        )
+        Finding("note", f"{first} and {second} hang together (correlation {r:+.3f}): {text}")
         for r, first, second in worst.values()
     ]

@@ -180,7 +180,11 @@ def _with_goals(
         halves = [half for goal in goals if (half := goal.of(name, float(value), whole)) is not None]
         if halves:
             wanted[number] = min(halves)
-    aim = Aim(np.array([wanted.get(n, np.inf) for n in range(len(seen.names))]), *_no_more(len(seen.names)))
+    aim = Aim(
+        np.array([wanted.get(n, np.inf) for n in range(len(seen.names))]),
+        np.full(len(seen.names), NORMAL),
+        np.zeros(len(seen.names)),
+    )
     as_reported = not any(goal.symbol == SWEEP for goal in goals)
     found = Known(seen, aim, 0, "", pooled, reported, as_reported).narrowed(list(wanted))
     if pooled is None or not wanted or not as_reported:
@@ -196,11 +200,6 @@ def _with_goals(
         rest[number] = sqrt(min(fixed, one.parts.combined**2))
         factor[number] = sqrt(one.parts.combined**2 - rest[number] ** 2) / spread[number]
     return found
-
-
-def _no_more(count: int) -> tuple[Array, Array]:
-    """Factor and rest of an `Aim` where nothing was measured."""
-    return np.full(count, NORMAL), np.zeros(count)
 
 
 def missed_by(before: Known, fitted: Sequence[TrialData], runs: Sequence[RunData]) -> float:

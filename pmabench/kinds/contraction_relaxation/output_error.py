@@ -42,7 +42,7 @@ from pmabench.kinds.contraction_relaxation.pooled import (
     sizes_of,
 )
 from pmabench.kinds.contraction_relaxation.segments import Campaign, Segments
-from pmabench.kinds.contraction_relaxation.values import Further, Solution, values
+from pmabench.kinds.contraction_relaxation.values import Further, Solution, name_of, values
 from pmabench.store.analyses.results import Estimate, Finding
 from pmabench.store.records import Array
 
@@ -313,7 +313,7 @@ class Polished(Fit):
 
     def newton(self, segments: Segments) -> Array:
         """The step of Gauss and Newton from here, shape (p,)."""
-        prior = _prior(segments, self.design, self)
+        prior = prior_of(segments, self.design, self.knots, self.unit)
         return np.asarray(self.inverse @ (self.design.T @ self.residual - prior.T @ (prior @ self.theta)))
 
     def moved(self, by: Array) -> Polished:
@@ -364,7 +364,7 @@ def linear(segments: Segments, fit: Polished) -> Polished:
         starts += one.start.shape[1]
     if not fit.friction:
         design[:, -1] = 0.0
-    prior = _prior(segments, design, fit)
+    prior = prior_of(segments, design, fit.knots, fit.unit)
     inverse = inverse_of(design.T @ design + prior.T @ prior)
     return replace(
         fit, design=design, residual=residual, inverse=inverse, starts=starts, misses=misses, expected=expected
@@ -375,11 +375,6 @@ def _middle(segments: Segments) -> slice:
     """Samples of `x` that are those of the segment itself."""
     reach = (segments.x.shape[1] - segments.v.shape[1]) // 2
     return slice(reach, segments.x.shape[1] - reach)
-
-
-def _prior(segments: Segments, design: Array, fit: Polished) -> Array:
-    """The weak prior of the pooled fit."""
-    return prior_of(segments, design, fit.knots, fit.unit)
 
 
 def _root(one: Stretch, fit: Polished, segments: Segments) -> Array:
@@ -449,17 +444,8 @@ def compare(campaign: Campaign, pooled: Pooled, estimates: Sequence[Estimate], o
         return Further(findings=(Finding("doubt", text),), facts=facts)
     every = np.ones(len(pooled.segments), bool)
     trust = pooled.trust_of(polished, every, np.full(len(every), polished.unit))
-    found = values(
-        Solution(
-            campaign,
-            pooled.segments,
-            polished,
-            polished.knots,
-            trust,
-            METHOD,
-            stiffness_is=pooled.diagnosis.stiffness_is,
-        )
-    )
+    stiffness_is = pooled.diagnosis.stiffness_is
+    found = values(Solution(campaign, pooled.segments, polished, polished.knots, trust, METHOD, "", stiffness_is))
     return Further(
         estimates=tuple(found),
         findings=(_residual(polished, facts), *_moved(estimates, found), *_open(estimates, found)),
@@ -491,42 +477,41 @@ def _pairs(ours: Sequence[Estimate], theirs: Sequence[Estimate]) -> Iterator[tup
 
 def _moved(before: Sequence[Estimate], after: Sequence[Estimate]) -> Iterator[Finding]:
     """Coefficients that the polish moves by more than their interval, the worst first; or that it moves none."""
-    known = [(a, b) for a, b in _pairs(before, after) if a.value is not None and b.value is not None]
-    moved = []
-    for a, b in known:
-        half = a.parts.combined
-        if half is not None and a.value is not None and b.value is not None and abs(b.value - a.value) > half:
-            moved.append((abs(b.value - a.value) / max(half, 1e-300), a, b, half))
+    known, moved = 0, []
+    for a, b in _pairs(before, after):
+        if a.value is not None and b.value is not None:
+            known, half, by = known + 1, a.parts.combined, abs(b.value - a.value)
+            if half is not None and by > half:
+                moved.append((by / max(half, 1e-300), a, b, half))
     if not known:
         return
     if not moved:
-        yield Finding("note", f"output error moves none of {len(known)} coefficients by more than its interval")
+        yield Finding("note", f"output error moves none of {known} coefficients by more than its interval")
         return
     moved.sort(key=lambda one: -one[0])
     changes = [
-        f"{_name(a)} from {show(a.value or 0.0, a.quantity, 5)} to {show(b.value or 0.0, b.quantity, 5)}"
-        f" (± {show(half, a.quantity, 2)})"
+        f"{name_of(a.symbol, a.at.get('pressure'))} from {show(a.value or 0.0, a.quantity, 5)} to"
+        f" {show(b.value or 0.0, b.quantity, 5)} (± {show(half, a.quantity, 2)})"
         for _, a, b, half in moved[:MOST_NAMED]
     ]
     more = f" and {len(moved) - MOST_NAMED} more" if len(moved) > MOST_NAMED else ""
-    few = len(moved) <= FEW * len(known)
+    few = len(moved) <= FEW * known
     why = "" if few else "; methods that agree on a muscle of the model's form part on another: look at the residuals"
     yield Finding(
         "note" if few else "doubt",
-        f"output error moves {len(moved)} of {len(known)} coefficients by more than the interval of measured-pressure:"
+        f"output error moves {len(moved)} of {known} coefficients by more than the interval of measured-pressure:"
         f" {', '.join(changes)}{more}{why}",
     )
 
 
 def _open(before: Sequence[Estimate], after: Sequence[Estimate]) -> Iterator[Finding]:
     """What is identifiable by one of the two alone."""
-    lost = [_name(b) for a, b in _pairs(before, after) if a.value is not None and b.value is None]
+    lost = [
+        name_of(b.symbol, b.at.get("pressure"))
+        for a, b in _pairs(before, after)
+        if a.value is not None and b.value is None
+    ]
     if lost:
         more = f" and {len(lost) - MOST_NAMED} more" if len(lost) > MOST_NAMED else ""
         names = ", ".join(lost[:MOST_NAMED])
         yield Finding("note", f"output error leaves open what measured-pressure tells: {names}{more}")
-
-
-def _name(e: Estimate) -> str:
-    at = e.at.get("pressure")
-    return e.symbol if at is None else f"{e.symbol} at {show(at, 'pressure', 4)}"

@@ -9,7 +9,7 @@ And paper 1's closed form against the test it was fitted to: accuracy at rest, r
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from math import exp, sqrt
 from typing import Any
 
@@ -141,32 +141,14 @@ def read(samples: Samples, trial: TrialData) -> Step | str:
     middle = len(half) // 2
     creep = 2 * way * float(np.mean(samples.x[half[middle:]]) - np.mean(samples.x[half[:middle]]))
     held = float(np.mean(samples.P[last if way > 0 else before]))
-    return Step(
-        trial=samples.trial,
-        way=way,
-        pressure=max(high, start),
-        held=held,
-        load=samples.load,
-        stroke=stroke,
-        t_d=begun - command.t,
-        tau=reached - begun,
-        creeps=creep / stroke,
-    )
+    t_d, tau = begun - command.t, reached - begun
+    return Step(samples.trial, way, max(high, start), held, samples.load, stroke, t_d, tau, creep / stroke)
 
 
 MODEL = "closed form of paper 1"
 METRIC = "100 (1 - |x_s - x_e| / x_e)"
 LONGEST_TRACE = 1500
 WORDS = {1: "contracting", -1: "relaxing"}
-
-
-@dataclass
-class Compared:
-    """What the model says of each step."""
-
-    estimates: list[Estimate] = field(default_factory=list)
-    findings: list[Finding] = field(default_factory=list)
-    traces: list[Trace] = field(default_factory=list)
 
 
 def at_rest(braid: Braid, P: float, S: float, load: float, at: str) -> float:
@@ -180,16 +162,16 @@ def at_rest(braid: Braid, P: float, S: float, load: float, at: str) -> float:
 
 def compare(
     campaign: Campaign, steps: Sequence[Step], curves: Sequence[Curve], stiff: Sequence[Estimate], braid: Braid, at: str
-) -> Compared:
+) -> tuple[list[Estimate], list[Finding], list[Trace]]:
     """Model x_max (1 - e^(-t/tau)) and x_max e^(-t/tau_r) with the polynomials of one method, compared with each step.
 
     `stiff` are that method's K; accuracies are of contractions alone, since a relaxation ends at 0.
     """
-    found = Compared()
+    found, traces = list[Estimate](), list[Trace]()
     method = stiff[0].method if stiff else ""
     of = {c.symbol: c for c in curves if c.method == method}  # the last of each symbol is its polynomial
     if "K" not in of:
-        return found
+        return [], [], []
     rms: dict[int, list[float]] = {1: [], -1: []}
     for way, symbol in ((1, "B_c"), (-1, "B_r")):
         members = [step for step in steps if step.way == way]
@@ -203,20 +185,16 @@ def compare(
             misfits = []
             for step in group:
                 trace = _overlay(campaign, step, at_rest(braid, P, S, step.load, at), D / S, dead)
-                found.traces.append(_thinned(trace))
+                traces.append(_thinned(trace))
                 ok = campaign.samples[step.trial].ok
                 gap = (trace.columns["model"] - trace.columns["displacement"])[ok]
                 misfits.append(sqrt(float(np.mean(gap**2))))
             rms[way] += misfits
-            measure = "rms over the whole trial, rest before the step included"
-            found.estimates.append(
-                _estimate(campaign, "misfit", group, float(np.mean(misfits)), measure, ("m", "length"), WORDS[way])
-            )
+            measure, mean = "rms over the whole trial, rest before the step included", float(np.mean(misfits))
+            found.append(_estimate(campaign, "misfit", group, mean, measure, ("m", "length"), WORDS[way]))
     ups = [step for step in steps if step.way > 0]
     fitted, left_out = _accuracies(campaign, ups, of["K"], stiff, braid, at)
-    found.estimates += [*fitted, *left_out]
-    found.findings += _findings(rms, fitted, left_out, method)
-    return found
+    return [*found, *fitted, *left_out], _findings(rms, fitted, left_out, method), traces
 
 
 def _accuracies(
@@ -245,25 +223,10 @@ def _accuracies(
 
 
 def _estimate(
-    campaign: Campaign,
-    symbol: str,
-    group: Sequence[Step],
-    value: float,
-    note: str,
-    unit: tuple[str, str],
-    coordinate: str,
+    campaign: Campaign, symbol: str, group: Sequence[Step], value: float, note: str, unit: tuple[str, str], way: str
 ) -> Estimate:
-    return Estimate(
-        symbol,
-        value,
-        *unit,
-        MODEL,
-        {"pressure": group[0].pressure},
-        n=len(group),
-        note=note,
-        trials=tuple(campaign.name(step.trial) for step in group),
-        coordinate=coordinate,
-    )
+    names, at = tuple(campaign.name(step.trial) for step in group), {"pressure": group[0].pressure}
+    return Estimate(symbol, value, *unit, MODEL, at, n=len(group), note=note, trials=names, coordinate=way)
 
 
 def _overlay(campaign: Campaign, step: Step, x_s: float, tau: float, dead: float) -> Trace:
@@ -272,13 +235,11 @@ def _overlay(campaign: Campaign, step: Step, x_s: float, tau: float, dead: float
     command = next(c.t for c in trial.commands if c.output == "pressure" and c.t >= samples.t[0] - 1e-9)
     fade = np.exp(-np.maximum(samples.t - command - dead, 0.0) / tau)
     model = x_s * (1 - fade) if step.way > 0 else x_s * fade
-    change = (
-        f"to {show(step.pressure, 'pressure', 4)}" if step.way > 0 else f"from {show(step.pressure, 'pressure', 4)}"
-    )
+    way = "to" if step.way > 0 else "from"
     return Trace(
-        name=f"step-{'to' if step.way > 0 else 'from'}-{step.pressure / 1e3:.0f}kPa-{step.trial}",
+        name=f"step-{way}-{step.pressure / 1e3:.0f}kPa-{step.trial}",
         figure="step-overlay",
-        title=f"{change}: measured and closed form",
+        title=f"{way} {show(step.pressure, 'pressure', 4)}: measured and closed form",
         columns={"t": samples.t - samples.t[0], "pressure": samples.P, "displacement": samples.x, "model": model},
         quantities={"t": "time", "pressure": "pressure", "displacement": "length", "model": "length"},
         marks={"pressure": step.pressure, "load": step.load},
@@ -287,8 +248,7 @@ def _overlay(campaign: Campaign, step: Step, x_s: float, tau: float, dead: float
 
 def _thinned(trace: Trace) -> Trace:
     stride = -(-len(trace.columns["t"]) // LONGEST_TRACE)
-    columns: dict[str, Array] = {name: values[::stride] for name, values in trace.columns.items()}
-    return Trace(trace.name, trace.figure, trace.title, columns, trace.quantities, trace.marks)
+    return replace(trace, columns={name: values[::stride] for name, values in trace.columns.items()})
 
 
 def _findings(

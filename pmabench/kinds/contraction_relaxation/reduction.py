@@ -134,21 +134,16 @@ def withheld(estimates: Sequence[Estimate], diagnosis: Diagnosis) -> list[Estima
     uncorrected = next((one for one in diagnosis.of_fit if one.of_muscle), None)
     result = []
     for place, e in enumerate(estimates):
-        key = (e.symbol, e.at.get("pressure"))
+        key, corrected = (e.symbol, e.at.get("pressure")), e.method in (METHOD, JOINT)
         why = diagnosis.reason or reasons.get(key) or hidden.get(place, "")
-        if e.symbol not in OF_THE_FORM or e.value is None:
-            result.append(e)
-            continue
-        if not why and uncorrected is not None and e.method not in (METHOD, JOINT):
-            why = f"not given: {uncorrected.text}, and this method has no correction for it"
-            result.append(replace(withhold(e, why), withheld=False))
-            continue
-        if not why:
-            result.append(e)
-            continue
-        if e.method in (METHOD, JOINT):
-            reasons[key] = why
-        result.append(withhold(e, why))
+        if e.symbol in OF_THE_FORM and e.value is not None:
+            if why:
+                e = withhold(e, why)
+                reasons |= {key: why} if corrected else {}
+            elif uncorrected is not None and not corrected:
+                why = f"not given: {uncorrected.text}, and this method has no correction for it"
+                e = replace(withhold(e, why), withheld=False)
+        result.append(e)
     return result
 
 
@@ -273,15 +268,12 @@ def estimates_of(campaign: Campaign, pooled: Pooled) -> tuple[list[Estimate], li
         campaign, pooled.segments, pooled.fit, pooled.fit.knots, pooled.trust, METHOD, found.note, found.stiffness_is
     )
     estimates = values(solution)
-    curves: list[Curve] = []
-    for symbol in SYMBOLS:
+    curves = []
+    for symbol, orders in ORDERS.items():
         known = [e for e in estimates if e.symbol == symbol and e.value is not None]
         places = [pooled.fit.index(symbol, pooled.fit.at(e.at["pressure"])) for e in known]
-        for order in ORDERS[symbol]:
-            through = curve(known, order, pooled.trust, places)
-            if through is not None:
-                curves.append(through)
-    return estimates, curves
+        curves += [curve(known, order, pooled.trust, places) for order in orders]
+    return estimates, [through for through in curves if through is not None]
 
 
 def _unmoved(campaign: Campaign, pooled: Pooled) -> list[Dropped]:

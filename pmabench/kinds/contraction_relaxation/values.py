@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from pmabench.analysis.shared import skew, student
 from pmabench.analysis.shared.calibration import sentences
 from pmabench.analysis.verdict.agreement import Offer, anywhere, at_pressures, everywhere, exactly, straight, weighted
+from pmabench.base.quantities import show
 from pmabench.kinds.contraction_relaxation.checks import WIDE
 from pmabench.kinds.contraction_relaxation.intervals import Trust
 from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, Solved
@@ -86,6 +87,11 @@ def _open(estimate: Estimate, note: str) -> Estimate:
     if estimate.value is None:
         return estimate
     return replace(estimate, value=None, parts=Parts(), bias=None, corrected=False, budget=(), note=note)
+
+
+def name_of(symbol: str, P: float | None) -> str:
+    """`K at 300 kPa`."""
+    return f"{symbol} at {show(P, 'pressure', 4)}" if P else symbol
 
 
 def near(segments: Segments, knots: Array, symbol: str, P: float) -> NDArray[np.bool_]:

@@ -104,9 +104,9 @@ def _of_the_form(campaign: Campaign, pooled: Pooled) -> list[Finding]:
         )
     text = (
         f"form: {found.missed} {found.ratio:.3g} times what the noise allows, residuals of neighbouring segments agree "
-        f"by {found.alike:.2g} of the noise"
+        f"by {found.rounds.after.test.alike:.2g} of the noise"
     )
-    if found.found:
+    if found.hidden.found:
         more = f"but it fits that {found.fits}. {found.hidden.moved}; it is a line of each interval"
         return [*lines, Finding("doubt", f"{text}; {more}")]
     count = len(found.hidden.sizes)

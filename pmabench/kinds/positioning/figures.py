@@ -15,20 +15,7 @@ from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
 from pmabench.kinds.positioning.reduction import hold_of
 from pmabench.kinds.positioning.tracking import tracked
-from pmabench.plotting import time_plots
-from pmabench.plotting.pictures import (
-    Picture,
-    bound,
-    has,
-    head,
-    how_many,
-    label,
-    numbers,
-    panel,
-    picture,
-    spread,
-    unit_of,
-)
+from pmabench.plotting import pictures, time_plots
 from pmabench.plotting.plots import (
     BLUE,
     BROWN,
@@ -58,53 +45,65 @@ APPROACH = 2.0
 """Time of the approach that is shown above [s]."""
 
 
-def positions(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
+def positions(traces: Sequence[Trace], analysis: Analysis) -> list[pictures.Picture]:
     """Reference, measured and simulated position of every set-point."""
-    able = [t for t in traces if has(t, "t", "displacement", "setpoint") and "setpoint" in t.marks]
+    able = [t for t in traces if pictures.has(t, "t", "displacement", "setpoint") and "setpoint" in t.marks]
     if not able:
         return []
-    chosen = spread(able, MOST)
-    modelled = all(has(t, "model") for t in chosen)
+    chosen = pictures.spread(able, MOST)
+    modelled = all(pictures.has(t, "model") for t in chosen)
     names = {"t": "t", "setpoint": "setpoint", "measured": "displacement"} | ({"model": "model"} if modelled else {})
     panels = []
     for trace in chosen:
-        scale = unit_of(trace, "displacement").scale
-        base = panel(trace, names, head(trace))
+        scale = pictures.unit_of(trace, "displacement").scale
+        base = pictures.panel(trace, names, pictures.head(trace))
         panels.append(Panel(base.title, base.columns, {**base.marks, "setpoint": trace.marks["setpoint"] / scale}))
-    unit = unit_of(chosen[0], "displacement").unit
-    labels = {"t": label(chosen[0], "t"), "measured": f"contraction [{unit}]", "error": f"x − set-point [{unit}]"}
+    unit = pictures.unit_of(chosen[0], "displacement").unit
+    labels = {
+        "t": pictures.label(chosen[0], "t"),
+        "measured": f"contraction [{unit}]",
+        "error": f"x − set-point [{unit}]",
+    }
     caption = (
         "Above: the approach from rest; dashed: reference, grey: measured"
         + ("; red: the same loop simulated around the model" if modelled else "")
         + ". Below: distance from the set-point over the whole hold, on one scale; blue: measured"
         + ("; red: simulated" if modelled else "")
         + ". The dotted line begins the window of steady-state error and limit cycle."
-        + how_many(chosen, able)
+        + pictures.how_many(chosen, able)
     )
     alt = (
         f"Position over time in closed loop, reference, measured{' and simulated' if modelled else ''}, and the "
         f"distance from the set-point, at {'; '.join(p.title for p in panels)}."
     )
-    table = numbers([(head(t), t) for t in chosen], ("t", "setpoint", "displacement", "model", "pressure_command"))
-    draw = bound(held, panels, APPROACH, labels)
-    return [picture(draw, "Positions in closed loop", caption, alt, table, wide=True, simulated=analysis.simulated)]
+    table = pictures.numbers(
+        [(pictures.head(t), t) for t in chosen], ("t", "setpoint", "displacement", "model", "pressure_command")
+    )
+    draw = pictures.bound(held, panels, APPROACH, labels)
+    return [
+        pictures.picture(draw, "Positions in closed loop", caption, alt, table, wide=True, simulated=analysis.simulated)
+    ]
 
 
-def paths(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
+def paths(traces: Sequence[Trace], analysis: Analysis) -> list[pictures.Picture]:
     """Wanted and measured place along each path."""
-    able = [t for t in traces if has(t, "t", "displacement", "model") and t.figure == "path"]
+    able = [t for t in traces if pictures.has(t, "t", "displacement", "model") and t.figure == "path"]
     if not able:
         return []
-    chosen = spread(able, MOST)
-    panels = [panel(t, {"t": "t", "measured": "displacement", "model": "model"}, head(t)) for t in chosen]
-    unit = unit_of(chosen[0], "displacement").unit
-    labels = {"t": label(chosen[0], "t"), "measured": f"contraction [{unit}]", "residual": f"error [{unit}]"}
-    caption = f"Grey: measured; red: the place that was wanted. Below: their difference.{how_many(chosen, able)}"
+    chosen = pictures.spread(able, MOST)
+    panels = [
+        pictures.panel(t, {"t": "t", "measured": "displacement", "model": "model"}, pictures.head(t)) for t in chosen
+    ]
+    unit = pictures.unit_of(chosen[0], "displacement").unit
+    labels = {"t": pictures.label(chosen[0], "t"), "measured": f"contraction [{unit}]", "residual": f"error [{unit}]"}
+    caption = (
+        f"Grey: measured; red: the place that was wanted. Below: their difference.{pictures.how_many(chosen, able)}"
+    )
     alt = f"Contraction over time along a path, measured and wanted, at {'; '.join(p.title for p in panels)}."
-    draw = bound(time_plots.overlay, panels, labels)
-    table = numbers([(head(t), t) for t in chosen])
+    draw = pictures.bound(time_plots.overlay, panels, labels)
+    table = pictures.numbers([(pictures.head(t), t) for t in chosen])
     wide = len(chosen) > 1
-    return [picture(draw, "Along a path", caption, alt, table, wide=wide, simulated=analysis.simulated)]
+    return [pictures.picture(draw, "Along a path", caption, alt, table, wide=wide, simulated=analysis.simulated)]
 
 
 def held(panels: Sequence[Panel], approach: float, labels: dict[str, str]) -> Figure:

@@ -21,21 +21,7 @@ from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
 from pmabench.kinds.validation import RESULTS
 from pmabench.model.presets import Described
-from pmabench.plotting import time_plots
-from pmabench.plotting.pictures import (
-    Picture,
-    bound,
-    has,
-    head,
-    how_many,
-    label,
-    numbers,
-    panel,
-    picture,
-    reach,
-    spread,
-    unit_of,
-)
+from pmabench.plotting import pictures, time_plots
 from pmabench.store.analyses.results import Analysis, Dropped, Estimate, Finding, Parts, Trace
 from pmabench.store.records import Array, RunData, TrialData
 
@@ -239,15 +225,13 @@ def _findings(runs: Sequence[RunData], steps: Sequence[_Step], full: float) -> l
     for method in steps[0].window:
         worst = max(steps, key=lambda step: abs(step.error(method) / step.measured))
         off = 100 * abs(worst.error(method)) / worst.measured
-        lines.append(
-            Finding(
-                "note",
-                f"{method}: the simulated contraction is off by at most {off:.2g} % of the measured one "
-                f"({show(worst.error(method), 'length', 3)} at {show(worst.trial.point['pressure'], 'pressure')}; mean "
-                f"from {window[0]:g} s to {window[1]:g} s after the step, over the measured contraction; full scale is "
-                f"{show(full, 'length', 4)})",
-            )
+        text = (
+            f"{method}: the simulated contraction is off by at most {off:.2g} % of the measured one "
+            f"({show(worst.error(method), 'length', 3)} at {show(worst.trial.point['pressure'], 'pressure')}; mean "
+            f"from {window[0]:g} s to {window[1]:g} s after the step, over the measured contraction; full scale is "
+            f"{show(full, 'length', 4)})"
         )
+        lines.append(Finding("note", text))
     model = next(model for run in runs if (model := model_of(run)) is not None)
     low, high = model.domain
     outside = sorted({p for step in steps if not low <= (p := step.trial.point.get("pressure", low)) <= high})
@@ -272,10 +256,8 @@ def _next_to_straight(steps: Sequence[_Step], model: Described) -> list[Finding]
     beyond = sorted({step.trial.point.get("pressure", 0.0) for step in steps if step.simulated[MEASURED].max() > high})
     if beyond:
         places = ", ".join(show(P, "pressure") for P in beyond)
-        text = (
-            f"the model was tested from {show(low, 'length')} to {show(high, 'length')}; it goes on beyond at {places}"
-        )
-        found.append(Finding("doubt", text))
+        reach = f"from {show(low, 'length')} to {show(high, 'length')}"
+        found.append(Finding("doubt", f"the model was tested {reach}; it goes on beyond at {places}"))
     return found
 
 
@@ -308,26 +290,29 @@ MOST = 12
 """Most steps."""
 
 
-def validations(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
+def validations(traces: Sequence[Trace], analysis: Analysis) -> list[pictures.Picture]:
     """Measured and simulated contraction after each step of pressure."""
-    able = [t for t in traces if has(t, "t", "displacement", "model")]
+    able = [t for t in traces if pictures.has(t, "t", "displacement", "model")]
     if not able:
         return []
-    chosen = spread(able, MOST)
-    panels = [panel(t, {"t": "t", "measured": "displacement", "model": "model"}, head(t)) for t in chosen]
-    unit = unit_of(chosen[0], "displacement").unit
-    labels = {"t": label(chosen[0], "t"), "measured": f"contraction [{unit}]", "residual": f"diff. [{unit}]"}
+    chosen = pictures.spread(able, MOST)
+    panels = [
+        pictures.panel(t, {"t": "t", "measured": "displacement", "model": "model"}, pictures.head(t)) for t in chosen
+    ]
+    unit = pictures.unit_of(chosen[0], "displacement").unit
+    labels = {"t": pictures.label(chosen[0], "t"), "measured": f"contraction [{unit}]", "residual": f"diff. [{unit}]"}
     misfits = [float(np.sqrt(np.nanmean((p.columns["measured"] - p.columns["model"]) ** 2))) for p in panels]
     caption = (
         "Grey: measured; red: the model that the protocol names, driven by the measured pressure. Below: their "
-        f"difference, rms {reach(misfits)} {unit}. It was fitted to nothing in this run.{how_many(chosen, able)}"
+        f"difference, rms {pictures.reach(misfits)} {unit}. It was fitted to nothing in this run."
+        f"{pictures.how_many(chosen, able)}"
     )
     steps = "; ".join(p.title for p in panels)
     alt = f"Contraction over time after steps of pressure, measured and simulated, at {steps}."
-    table = numbers([(head(t), t) for t in chosen])
-    draw = bound(time_plots.overlay, panels, labels)
+    table = pictures.numbers([(pictures.head(t), t) for t in chosen])
+    draw = pictures.bound(time_plots.overlay, panels, labels)
     title = "Measured and simulated steps"
-    return [picture(draw, title, caption, alt, table, wide=len(chosen) > 1, simulated=analysis.simulated)]
+    return [pictures.picture(draw, title, caption, alt, table, wide=len(chosen) > 1, simulated=analysis.simulated)]
 
 
 def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:

@@ -68,16 +68,6 @@ class Diagnosis:
         return self._last.test.ratio
 
     @property
-    def alike(self) -> float:
-        """See `Test.alike`."""
-        return self._last.test.alike
-
-    @property
-    def found(self) -> tuple[Size, ...]:
-        """See `Hidden.found`."""
-        return self.hidden.found
-
-    @property
     def missed(self) -> str:
         """What the ratio is of, in words."""
         return "trials that are left out of the fit are missed by" if self._last.test.held_out else "the residual is"
@@ -125,7 +115,7 @@ class Diagnosis:
     @property
     def fits(self) -> str:
         """Significant departures that are not corrected, in words, the clearest first; empty without."""
-        return "; or that ".join(one.text for one in self.found[:MOST_NAMED])
+        return "; or that ".join(one.text for one in self.hidden.found[:MOST_NAMED])
 
     @property
     def misses(self) -> str:
@@ -251,7 +241,7 @@ class Diagnosis:
         found: dict[int, tuple[Size, float]] = {}
         for place, estimate in enumerate(estimates):
             lines = {s.name: s.half or 0.0 for s in estimate.budget}
-            mine = [(one, lines.get(one.cause.name, 0.0)) for one in self.found]
+            mine = [(one, lines.get(one.cause.name, 0.0)) for one in self.hidden.found]
             one, half = max(mine, key=lambda pair: pair[1], default=(None, 0.0))
             if one is not None and estimate.value is not None and half > MOST_HIDDEN * abs(estimate.value):
                 found[place] = (one, half / abs(estimate.value))
@@ -267,7 +257,7 @@ class Diagnosis:
             "ratio": self.ratio,
             "ratio_before": self.rounds.before.test.ratio,
             "held_out": self._last.test.held_out,
-            "alike": self.alike,
+            "alike": self._last.test.alike,
             "explanations": [
                 {"cause": one.key, "title": TITLES[one.key], "of": "muscle" if one.of_muscle else "bench",
                  "kind": one.explanation.kind, "which": one.explanation.which, "text": one.text, "size": one.size,
