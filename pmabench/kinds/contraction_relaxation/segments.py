@@ -210,21 +210,16 @@ def cut(stretches: Sequence[Samples], rate: float, gate: Gate) -> Segments:
 
 def _joined(found: Sequence[tuple[Array, ...]], n: int, m: int, weights: Array, dt: float) -> Segments:
     """Segments of columns as `_taken` gives them."""
-    if not found:
-        none = np.empty(0)
-        wide, narrow = np.empty((0, n + 2 * m)), np.empty((0, n))
-        first = np.empty(0, np.intp)
-        return Segments(first, none, none, wide, wide, narrow, narrow, narrow, none, none, weights, dt)
-    trial, t, way, P, x, P_mid, v, F_mid, force, mass = (np.concatenate(column) for column in zip(*found, strict=True))
-    return Segments(trial.astype(np.intp), t, way, P, x, P_mid, v, F_mid, force, mass, weights, dt)
+    none, wide, narrow = np.empty(0), np.empty((0, n + 2 * m)), np.empty((0, n))
+    empty = (np.empty(0, np.intp), none, none, wide, wide, narrow, narrow, narrow, none, none)
+    return Segments(*(np.concatenate(column) for column in zip(empty, *found, strict=True)), weights, dt)
 
 
 def _places(samples: Samples, n: int, m: int, gate: Gate) -> _Places:
     """Segments of `n` samples that a velocity over `m` samples to both sides allows."""
     v = velocity(samples.t, samples.x, m)
     usable = samples.ok & (samples.x > gate.lift)
-    starts: list[Array] = []
-    ways: list[Array] = []
+    starts, ways = [np.empty(0, np.intp)], [np.empty(0)]
     for way in (1.0, -1.0):
         inside = np.concatenate(([False], usable & (way * v > gate.speed), [False]))
         edges = np.flatnonzero(inside[1:] != inside[:-1]).reshape(-1, 2)
@@ -234,8 +229,7 @@ def _places(samples: Samples, n: int, m: int, gate: Gate) -> _Places:
             if count > 0:
                 starts.append(begin + n * np.arange(count))
                 ways.append(np.full(count, way))
-    none = np.empty(0, np.intp)
-    return _Places(samples.x, samples.ok, v, np.concatenate((none, *starts)), np.concatenate((none, *ways)))
+    return _Places(samples.x, samples.ok, v, np.concatenate(starts), np.concatenate(ways))
 
 
 def _taken(samples: Samples, places: _Places, n: int, m: int, weights: Array) -> tuple[Array, ...] | None:

@@ -291,26 +291,14 @@ def path_of(c: Compilation, file: PathFile, setpoint: float, at: Location) -> Re
     if any(not 0 <= share <= 1 for share in file.shares) or max(file.shares) < 1:
         c.fault((*at, "shares"), "shares of the set-point lie between 0 % and 100 %, and one of them is 100 %")
         return None
-    return (
-        ReferencePath([0.0, *(share * setpoint for share in file.shares)], file.speed, file.rest)
-        if file.speed > 0
-        else None
-    )
-
-
-def as_parameters(path: ReferencePath, file: PathFile) -> dict[str, Any]:
-    """The path as plain data for the law."""
-    return {"places": list(path.places), "speed": file.speed, "rest": file.rest}
+    places = [0.0, *(share * setpoint for share in file.shares)]
+    return ReferencePath(places, file.speed, file.rest) if file.speed > 0 else None
 
 
 def feedforward(
-    c: Compilation,
-    model: dict[str, Any] | None,
-    path: ReferencePath,
-    load: float,
-    ends: tuple[float, float],
+    c: Compilation, model: dict[str, Any] | None, path: ReferencePath, load: float, ends: tuple[float, float],
     at: Location,
-) -> dict[str, Any] | None:
+) -> dict[str, Any] | None:  # fmt: skip
     """The command over time by the inverse of the protocol's model, as plain data; None with a problem noted."""
     from pmabench.model.identified.inverse import led, pressures
     from pmabench.model.presets import Described
@@ -447,7 +435,7 @@ class Positioning(ProtocolHead):
         path = path_of(c, file, point["setpoint"], ("trial", "path"))
         if path is None:
             return None
-        extra: dict[str, Any] = {"path": as_parameters(path, file)}
+        extra: dict[str, Any] = {"path": {"places": list(path.places), "speed": file.speed, "rest": file.rest}}
         if self.controller.feedforward:
             values = feedforward(c, model, path, point["load"], self.controller.output, ahead)
             if values is None:

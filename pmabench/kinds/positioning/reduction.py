@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from pmabench.analysis.shared import student
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.form import Doubt, weighed
+from pmabench.analysis.shared.isometric_lines import spread
 from pmabench.analysis.shared.response import SMALLEST, Response, respond
 from pmabench.analysis.shared.samples import count_of
 from pmabench.analysis.shared.simulated import closed_loop, model_of
@@ -214,12 +214,10 @@ def _estimates(at: dict[str, float], members: Sequence[Hold]) -> list[Estimate]:
         values = np.array([value for value, _ in known])
         # what sampling, noise and the choice of a band leave open; of e_ss nothing but what moves
         methods = [getattr(h.response.unsure, name) if name else 0.0 for h in members]
-        several = len(values) > 1
-        spread = student.ppf(0.975, len(values) - 1) * values.std(ddof=1) / sqrt(len(values)) if several else None
         scales = [half for _, half in known if half is not None]
         lacking = Scales.of([hold.run for hold in members]).lack(("displacement",), ("displacement",))
-        parts = Parts(None if spread is None else float(spread), max(methods), max(scales, default=None))
-        note = sentences("" if several else ALONE, lacking) if len(values) else _why_not(symbol)
+        parts = Parts(spread(values), max(methods), max(scales, default=None))
+        note = sentences("" if len(values) > 1 else ALONE, lacking) if len(values) else _why_not(symbol)
         mean = float(values.mean()) if len(values) else None
         e = Estimate(symbol, mean, unit, quantity, METHOD, at, parts, len(values), note=note, trials=names)
         found.append(_steady(e, _moves(members, setpoint)) if symbol == "e_ss" else e)

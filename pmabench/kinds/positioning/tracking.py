@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from math import hypot, sqrt
+from math import hypot
 from typing import Any
 
 import numpy as np
 
-from pmabench.analysis.shared import student
 from pmabench.analysis.shared.calibration import Scales, sentences
+from pmabench.analysis.shared.isometric_lines import spread
 from pmabench.base.quantities import show
 from pmabench.model.reference_path import ReferencePath
 from pmabench.store.analyses.results import Dropped, Estimate, Finding, Parts, Trace
@@ -90,10 +90,8 @@ def estimates(members: Sequence[Tracked]) -> list[Estimate]:
     found = []
     for symbol, (unit, quantity) in MEASURES.items():
         values = np.array([one[symbol] for one in each])
-        spread = student.ppf(0.975, len(values) - 1) * values.std(ddof=1) / sqrt(len(values)) if several else None
         scale = hypot(*(0.5 * (up[symbol] - down[symbol]) for up, down in shifted))
-        known = offset > 0 or gain > 0
-        parts = Parts(None if spread is None else float(spread), calibration=scale if known else None)
+        parts = Parts(spread(values), calibration=scale if offset > 0 or gain > 0 else None)
         mean, method, at = float(values.mean()), members[0].method, dict(members[0].trial.point)
         note = sentences("" if several else ALONE, lacking)
         names = tuple(one.trial.name for one in members)

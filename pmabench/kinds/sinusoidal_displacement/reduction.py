@@ -116,7 +116,10 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         lines.append({"at": dict(key), **fitted.facts(), "h2/h1": form.h2 / form.h1, "h3/h1": form.h3 / form.h1})
         symbols = {e.symbol for e in found if e.method == HARMONIC and e.at == dict(key) and e.value is not None}
         traces += traces_of(dict(key), fitted.by_frequency, fitted.muscle if symbols >= {"K", "B", "F_c"} else None)
-        findings += _one_pressure(key) if slopes is None else []
+        if slopes is None:
+            where = show(dict(key)["pressure"], "pressure") if "pressure" in dict(key) else "this pressure"
+            text = "is not in the calibration parts: one pressure does not tell how K, B and F_c change over it"
+            findings.append(Finding("note", f"at {where}: what an error of the pressure adds {text}"))
     estimates = _with_centres(estimates, centres)
     muscles = {member.name: fitted.muscle for fitted in fits.values() for member in fitted.group}
     pressed = pressure_and_force(members, muscles, scales)
@@ -171,13 +174,6 @@ def _over_pressure(key: Key, fits: Mapping[Key, Fitted]) -> Muscle | None:
     values = np.array([(like[p].K, like[p].B, like[p].F_c) for p in P])
     K, B, F_c = np.gradient(values, np.array(P), axis=0)[P.index(at["pressure"])]
     return Muscle(float(K), float(B), float(F_c))
-
-
-def _one_pressure(key: Key) -> list[Finding]:
-    """That the calibration parts of a cell lack those of the pressure."""
-    where = show(dict(key)["pressure"], "pressure") if "pressure" in dict(key) else "this pressure"
-    text = "is not in the calibration parts: one pressure does not tell how K, B and F_c change over it"
-    return [Finding("note", f"at {where}: what an error of the pressure adds {text}")]
 
 
 def _setting(run: RunData, options: Mapping[str, Any], name: str, default: float) -> float:

@@ -7,14 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from math import sqrt
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pmabench.analysis.shared import student
 from pmabench.analysis.shared.calibration import Scales, sentences
+from pmabench.analysis.shared.isometric_lines import spread
 from pmabench.analysis.verdict.agreement import SAME, Offer, Place, anywhere, at_pressures, between
 from pmabench.base.quantities import show
 from pmabench.kinds.static_load import RESULTS, figures
@@ -167,9 +166,8 @@ def _half_differences(points: Points, lines: Mapping[str, Line]) -> list[Estimat
         load = points.load[rows]
         values = half[rows] if at else np.array([half[rows][load == one].mean() for one in np.unique(load)])
         few = len(values) < 2
-        spread = None if few else float(student.ppf(0.975, len(values) - 1) * values.std(ddof=1) / sqrt(len(values)))
         mean, names = float(np.mean(values)), tuple(name for name, use in zip(points.names, rows, strict=True) if use)
-        parts = Parts(spread, abs(mean), 0.0)
+        parts = Parts(spread(values), abs(mean), 0.0)
         note = sentences(
             f"no repeats part: {'one trial at this load' if at else 'one load'}" if few else "",
             "half the difference of lift and set-down: between sliding and static friction, and what damping "

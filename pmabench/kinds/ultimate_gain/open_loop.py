@@ -11,14 +11,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
-from math import isfinite, nan, sqrt
+from math import isfinite, sqrt
 from typing import Any
 
 import numpy as np
 
-from pmabench.analysis.shared import student
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.form import Doubt, weighed
+from pmabench.analysis.shared.isometric_lines import spread
 from pmabench.base.quantities import show
 from pmabench.kinds.ultimate_gain.open_loop_fit import Friction, Moved, Regulator, Step, fit
 from pmabench.kinds.ultimate_gain.ways import SYMBOLS, Examined, GainCell, lags_of, oscillating, repeats, scaled
@@ -106,7 +106,7 @@ def examine(run: RunData, trial: TrialData) -> StepsFound:
         return StepsFound(refused=(found,))
     regulator, moved, friction = found
     known = StepsFound(None, regulator, moved, friction, amplitude=amplitude)
-    refused, doubts = _against(known, x, P)
+    refused, doubts = _against(known)
     off = _pressure_at(moved, trial.point.get("setpoint", moved.x0))
     if off is None or abs(off) > amplitude:
         refused.append(_elsewhere(moved, trial.point, amplitude))
@@ -163,12 +163,10 @@ def _elsewhere(moved: Moved, point: Mapping[str, float], amplitude: float) -> st
     return f"{text}; try a bias of {show(wanted, 'pressure', 3)}" if wanted > 0 else text
 
 
-def _against(found: StepsFound, x: Array, P: Array) -> tuple[list[str], list[str]]:
+def _against(found: StepsFound) -> tuple[list[str], list[str]]:
     """What forbids the result, and what weakens it."""
-    refused: list[str] = []
-    doubts: list[str] = []
-    friction, moved, regulator = found.friction, found.moved, found.regulator
-    if friction is None or moved is None or regulator is None:
+    friction = found.friction
+    if friction is None:
         return ["the steps were not fitted"], []
     gap = abs(friction.gap)
     text = f"rests reached from above and from below lie {gap:.1%} of the swing apart"
@@ -176,10 +174,8 @@ def _against(found: StepsFound, x: Array, P: Array) -> tuple[list[str], list[str
         text += f", dry friction takes {show(friction.balance.coulomb, 'pressure', 2)} of the steps' "
         text += show(found.amplitude, "pressure", 2)
     if not gap <= GAP["fault"]:
-        refused.append(f"stiction: {text}")
-    elif gap > GAP["doubt"]:
-        doubts.append(f"as with friction, {text}")
-    return refused, doubts
+        return [f"stiction: {text}"], []
+    return [], [f"as with friction, {text}"] if gap > GAP["doubt"] else []
 
 
 def _loop(found: StepsFound, period: float, off: float) -> Loop | None:
@@ -259,7 +255,7 @@ def _estimate(cell: StepsCell, symbol: str, unit: str, quantity: str) -> Estimat
     name, place = ("gain", 0) if symbol == "K_u" else ("period", 1)
     values = np.array([getattr(truth, name) for truth in truths])
     value = float(values.mean())
-    halves = [_half(np.array([getattr(cycle, name) for cycle in found.cycles])) for found in good]
+    halves = [spread([getattr(cycle, name) for cycle in found.cycles]) for found in good]
     damping = DAMPING * max(found.spans[place] for found in good)
     bent = max(found.bent for found in good) ** 2 / 2 if symbol == "K_u" else 0.0
     scales = Scales.of(cell.runs)
@@ -272,7 +268,7 @@ def _estimate(cell: StepsCell, symbol: str, unit: str, quantity: str) -> Estimat
         METHOD,
         cell.at,
         parts=Parts(
-            repeats=repeats(values, np.array(halves)),
+            repeats=repeats(values, np.array(halves, dtype=np.float64)),
             method=value * sqrt(damping**2 + bent**2),
             calibration=scales.part(dict.fromkeys(used, value)),
             skew=cell.by_clocks(name),
@@ -288,10 +284,3 @@ def _estimate(cell: StepsCell, symbol: str, unit: str, quantity: str) -> Estimat
     )
     worst = max((found.sided for found in good), key=lambda one: one.half)
     return weighed(estimate, [replace(worst, half=worst.half * value)])
-
-
-def _half(each: Array) -> float:
-    """Half width of the mean of cycles; NaN for one."""
-    if len(each) < 2:
-        return nan
-    return float(student.ppf(0.975, len(each) - 1)) * float(each.std(ddof=1)) / sqrt(len(each))

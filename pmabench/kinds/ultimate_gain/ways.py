@@ -11,8 +11,9 @@ from typing import Any, ClassVar, Generic, Self, TypeVar
 import numpy as np
 
 from pmabench.analysis import tuning
-from pmabench.analysis.shared import skew, student
+from pmabench.analysis.shared import skew
 from pmabench.analysis.shared.calibration import Scales
+from pmabench.analysis.shared.isometric_lines import spread
 from pmabench.analysis.shared.trials import by_point
 from pmabench.base.quantities import show
 from pmabench.model.loop import Loop, ultimate
@@ -190,10 +191,8 @@ def repeats(values: Array, halves: Array) -> float | None:
     """Half width of the mean of trials: by that of each, NaN where it is unknown, and by their scatter."""
     within = sqrt(float(np.mean(halves**2)) / len(values))
     known = within if isfinite(within) else None
-    if len(values) < 2:
-        return known
-    between = float(student.ppf(0.975, len(values) - 1)) * float(values.std(ddof=1)) / sqrt(len(values))
-    return max(between, known or 0.0)
+    between = spread(values)
+    return known if between is None else max(between, known or 0.0)
 
 
 APART = {"K_u": 0.25, "T_u": 0.1}

@@ -7,14 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import hypot, sqrt
+from math import hypot
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pmabench.analysis.shared import student
 from pmabench.analysis.shared.calibration import Scales, sentences
+from pmabench.analysis.shared.isometric_lines import spread
 from pmabench.analysis.shared.simulated import from_commanded_pressure, from_measured_pressure, model_of
 from pmabench.analysis.shared.trials import by_point
 from pmabench.analysis.trial import Expected, Found, Measured, Quick
@@ -193,14 +193,12 @@ def _estimates(at: dict[str, float], members: Sequence[_Step], method: str, full
 
     def estimate(symbol: str, values: list[float], unit: str, quantity: str, by: float) -> Estimate:
         """`by`: change of the value per offset of the displacement [SI]."""
-        several = len(values) > 1
-        spread = student.ppf(0.975, len(values) - 1) * np.std(values, ddof=1) / sqrt(len(values)) if several else None
         channels = ("displacement",) if method == COMMANDED else ("displacement", "pressure")
         part = scales.part({"displacement": 1.0}, {"displacement": by}) if symbol != "e_sim" else None
         if part is not None and method != COMMANDED:
             part = hypot(part, *(by * max(step.by_pressure[n] for step in members) for n in (0, 1)))
-        parts = Parts(repeats=None if spread is None else float(spread), calibration=part)
-        note = sentences("" if several else ALONE, scales.lack(channels, channels))
+        parts = Parts(repeats=spread(values), calibration=part)
+        note = sentences("" if len(values) > 1 else ALONE, scales.lack(channels, channels))
         mean = float(np.mean(values))
         return Estimate(symbol, mean, unit, quantity, method, at, parts, len(values), note=note, trials=names)
 
@@ -305,8 +303,8 @@ def validations(traces: Sequence[Trace], analysis: Analysis) -> list[pictures.Pi
     caption = (
         "Grey: measured; red: the model that the protocol names, driven by the measured pressure. Below: their "
         f"difference, rms {pictures.reach(misfits)} {unit}. It was fitted to nothing in this run."
-        f"{pictures.how_many(chosen, able)}"
     )
+    caption += pictures.how_many(chosen, able)
     steps = "; ".join(p.title for p in panels)
     alt = f"Contraction over time after steps of pressure, measured and simulated, at {steps}."
     table = pictures.numbers([(pictures.head(t), t) for t in chosen])
