@@ -2,8 +2,9 @@
 
 - `reduction`, made of `segments` (trials and their segments), `pooled`, `intervals`, `values` (and regressions on
   pressure)
-- whether the data have the form of the fit, why not, and what could hide in it: `diagnosis`; other `checks`
-- the way of the papers, dead times: `exponentials`; the regulator: `bandwidth`; words and overlays: `view`
+- whether the data have the form of the fit, why not, and what could hide in it: `diagnosis`; other checks of the fit,
+  its words and overlays: `checks`
+- the way of the papers, dead times: `exponentials`; the regulator: `bandwidth`
 - where asked for: chosen forms over pressure in `joint`; output error in `output_error`
 - by paper 1: `paper1`, made of `paper1_steps`
 - further trials: what they will tell in `predicted`, what is known so far in `known`, the choice in `next_trial`

@@ -22,7 +22,7 @@ from pmabench.kinds.contraction_relaxation import bandwidth
 from pmabench.kinds.contraction_relaxation.bandwidth import responses
 from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, Fit
 from pmabench.kinds.contraction_relaxation.segments import Campaign, Gate
-from pmabench.kinds.contraction_relaxation.values import QUANTITY, Further, curve
+from pmabench.kinds.contraction_relaxation.values import QUANTITY, Further, biases, curve, with_bias
 from pmabench.store.analyses.results import Estimate, Finding, Parts
 from pmabench.store.records import Array, TrialData
 
@@ -320,24 +320,14 @@ def _with_bias(estimate: Estimate, reference: Mapping[tuple[str, float], float |
     if known is None or estimate.value is None:
         note = "the pressure is taken for a step, and measured-pressure gives no value to hold that against"
         return replace(estimate, value=None, parts=Parts(), note=note)
-    bias = estimate.value - known
-    note = sentences(estimate.note, "bias: against measured-pressure")
-    parts = replace(estimate.parts, method=hypot(bias, estimate.parts.method or 0.0))
-    return replace(estimate, bias=bias, parts=parts, note=note)
+    return with_bias(estimate, known)
 
 
 def _findings(estimates: Sequence[Estimate]) -> tuple[Finding, ...]:
     """How far the papers' way lies from the primary method."""
-    parts = []
-    for symbol in ("B_c", "B_r", "K"):
-        off = [
-            100 * e.bias / (e.value - e.bias)
-            for e in estimates
-            if e.symbol == symbol and e.method == METHOD and e.bias is not None and e.value is not None
-        ]
-        if off:
-            parts.append(f"{symbol} {min(off):+.2g} to {max(off):+.2g} %")
-    forces = [e.bias for e in estimates if e.symbol == "F_ce" and e.method == METHOD and e.bias is not None]
+    mine = [e for e in estimates if e.method == METHOD]
+    parts = biases(mine, ("B_c", "B_r", "K"))
+    forces = [e.bias for e in mine if e.symbol == "F_ce" and e.bias is not None]
     if forces:
         parts.append(f"F_ce {min(forces):+.2g} to {max(forces):+.2g} N")
     if not parts:

@@ -23,7 +23,7 @@ from pmabench.base.quantities import show
 from pmabench.kinds.contraction_relaxation import PAPER_1_RESULTS
 from pmabench.kinds.contraction_relaxation.paper1_steps import STILL, Braid, Step, compare, fit_known_force, read
 from pmabench.kinds.contraction_relaxation.segments import Campaign, gather, moved
-from pmabench.kinds.contraction_relaxation.values import compare_orders, curve, least
+from pmabench.kinds.contraction_relaxation.values import biases, compare_orders, curve, least, with_bias
 from pmabench.store.analyses.results import Analysis, Curve, Dropped, Estimate, Finding, Parts
 from pmabench.store.records import Array, RunData
 
@@ -215,11 +215,7 @@ def _sampled(campaign: Campaign, e: Estimate, tau: float) -> Estimate:
 def _against(e: Estimate, driven: Sequence[Estimate]) -> Estimate:
     """With the distance to the fit with the measured pressure as bias, not taken off, and in the method part."""
     other = next((d for d in driven if d.symbol == e.symbol and d.at == e.at and d.value is not None), None)
-    if other is None or other.value is None or e.value is None:
-        return e
-    bias = e.value - other.value
-    parts = replace(e.parts, method=hypot(bias, e.parts.method or 0.0))
-    return replace(e, bias=bias, parts=parts, note=sentences(e.note, "bias: against measured-pressure"))
+    return e if other is None or other.value is None or e.value is None else with_bias(e, other.value)
 
 
 def _driven(campaign: Campaign, up: Sequence[Sequence[Step]], braid: Braid) -> list[Estimate]:
@@ -330,15 +326,7 @@ def _convention(chosen: str) -> list[Finding]:
 
 def _biased(estimates: Sequence[Estimate]) -> list[Finding]:
     """How far paper 1's way lies from the fit with the measured pressure, in the one convention both have."""
-    parts = []
-    for symbol in ("K", "B_c"):
-        off = [
-            100 * e.bias / (e.value - e.bias)
-            for e in estimates
-            if e.symbol == symbol and e.bias is not None and e.value is not None
-        ]
-        if off:
-            parts.append(f"{symbol} {min(off):+.2g} to {max(off):+.2g} %")
+    parts = biases(estimates, ("K", "B_c"))
     if not parts:
         return []
     text = f"{METHODS['x0']} against {DRIVEN}: {', '.join(parts)}; it takes the pressure for a step"

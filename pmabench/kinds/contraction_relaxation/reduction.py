@@ -18,7 +18,7 @@ from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.samples import NotUsable, Samples
 from pmabench.analysis.shared.trials import reference_findings
 from pmabench.base.quantities import show
-from pmabench.kinds.contraction_relaxation import RESULTS, exponentials, output_error, view
+from pmabench.kinds.contraction_relaxation import RESULTS, checks, exponentials, output_error
 from pmabench.kinds.contraction_relaxation.bandwidth import regulator
 from pmabench.kinds.contraction_relaxation.checks import free_runs
 from pmabench.kinds.contraction_relaxation.diagnosis.columns import sensor_known
@@ -79,7 +79,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     polished = output_error.compare(campaign, pooled, estimates, options)
     stepwise = exponentials.compare(campaign, pooled.fit, estimates, options, set(pooled.segments.trial.tolist()))
     dropped += _unmoved(campaign, pooled)
-    resampled = view.resampled(campaign, pooled, estimates, int(options.get("bootstrap", 0)))
+    resampled = checks.resampled(campaign, pooled, estimates, int(options.get("bootstrap", 0)))
     response, described = regulator(campaign) if options.get("regulator") else ([], [])
     simulated = free_runs(campaign, pooled, estimates)
     every = (*estimates, *joint.estimates, *polished.estimates, *stepwise.estimates)
@@ -93,19 +93,19 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         curves=[curve for curve in (*curves, *joint.curves, *stepwise.curves) if curve.symbol not in gone],
         dropped=dropped,
         findings=(
-            *view.findings(campaign, pooled, estimates),
+            *checks.findings(campaign, pooled, estimates),
             *skew.findings(runs, campaign.channels, campaign.skew, every),
-            *([view.resampled_finding(resampled)] if resampled.get("half_widths") else ()),
+            *([checks.resampled_finding(resampled)] if resampled.get("half_widths") else ()),
             *joint.findings,
             *polished.findings,
             *stepwise.findings,
             *described,
             *reference_findings(runs),
         ),
-        traces=view.overlays(campaign, simulated),
+        traces=checks.overlays(campaign, simulated),
         facts={
             **facts,
-            **view.facts(campaign, pooled, simulated),
+            **checks.facts(campaign, pooled, simulated),
             **stepwise.facts,
             **({"joint": joint.facts} if joint.facts else {}),
             **({"output_error": polished.facts} if polished.facts else {}),

@@ -94,6 +94,26 @@ def name_of(symbol: str, P: float | None) -> str:
     return f"{symbol} at {show(P, 'pressure', 4)}" if P else symbol
 
 
+def with_bias(e: Estimate, known: float) -> Estimate:
+    """With the distance to the value by measured pressure as bias, which is not taken off, and in the method part."""
+    bias = (e.value or 0.0) - known
+    parts = replace(e.parts, method=hypot(bias, e.parts.method or 0.0))
+    return replace(e, bias=bias, parts=parts, note=sentences(e.note, "bias: against measured-pressure"))
+
+
+def biases(estimates: Sequence[Estimate], symbols: Sequence[str]) -> list[str]:
+    """The bias of each symbol, as a share of the value without it, in words."""
+    shares = {
+        symbol: [
+            100 * e.bias / (e.value - e.bias)
+            for e in estimates
+            if e.symbol == symbol and e.bias is not None and e.value is not None
+        ]
+        for symbol in symbols
+    }
+    return [f"{symbol} {min(off):+.2g} to {max(off):+.2g} %" for symbol, off in shares.items() if off]
+
+
 def near(segments: Segments, knots: Array, symbol: str, P: float) -> NDArray[np.bool_]:
     """Which segments tell of a coefficient at P [Pa], shape (n,): half way to the next of the knots, B of its way."""
     others = knots[np.abs(knots - P) > 1e-6 * P]

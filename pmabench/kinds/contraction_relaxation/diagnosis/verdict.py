@@ -54,10 +54,6 @@ class Diagnosis:
     hidden: Hidden = field(default_factory=lambda: Hidden((), (), ""))
 
     @property
-    def _last(self) -> State:
-        return self.rounds.after
-
-    @property
     def reported(self) -> State:
         """The state that values and figures come from: nothing that is withheld is corrected."""
         return self.rounds.before if self.state == "withheld" else self.rounds.after
@@ -65,20 +61,24 @@ class Diagnosis:
     @property
     def ratio(self) -> float:
         """See `Test.ratio`, of what is reported."""
-        return self._last.test.ratio
+        return self.rounds.after.test.ratio
 
     @property
     def missed(self) -> str:
         """What the ratio is of, in words."""
-        return "trials that are left out of the fit are missed by" if self._last.test.held_out else "the residual is"
+        return (
+            "trials that are left out of the fit are missed by"
+            if self.rounds.after.test.held_out
+            else "the residual is"
+        )
 
     @cached_property
     def state(self) -> str:
         """`sound`, `corrected`, `undecided`, `doubtful` (printed, not accepted) or `withheld`."""
-        test, before = self._last.test, self.rounds.before
+        test, before = self.rounds.after.test, self.rounds.before
         if not before.test.doubted:
             return "corrected" if self.of_cell else "sound"
-        explained = self._last.excess <= (1 - (NEARLY if test.doubted else EXPLAINS)) * before.excess
+        explained = self.rounds.after.excess <= (1 - (NEARLY if test.doubted else EXPLAINS)) * before.excess
         sure = all(abs(one.size) > SURE * one.error for one in self.of_fit)
         if not self.of_fit or not explained or not sure or test.ratio >= STILL_TOLD * test.most_ratio:
             return "withheld"
@@ -136,7 +136,7 @@ class Diagnosis:
             return ""
         fits = "no explanation that is looked for fits it: the cause is unknown"
         if len(self.of_fit) == 1 and self.suspect:
-            rest = f", which leaves {self.ratio:.3g} times the noise" if self._last.test.doubted else ""
+            rest = f", which leaves {self.ratio:.3g} times the noise" if self.rounds.after.test.doubted else ""
             fits = f"{self.of_fit[0].text}: these data do not tell the two apart{rest}"
         elif self.suspect:
             titles = ", ".join(TITLES[one.key] for one in self.of_fit)
@@ -153,7 +153,7 @@ class Diagnosis:
         """Why values are reported, but not accepted; empty where they may be."""
         if self.state == "undecided":
             return f"the misfit is explained, but {self.between}: intervals reach over both"
-        if self.state == "doubtful" and not self._last.test.doubted:
+        if self.state == "doubtful" and not self.rounds.after.test.doubted:
             return f"the straight form does not hold; it is corrected for {self.titles}, which are not sure all at once"
         if self.state == "doubtful":
             return (
@@ -256,8 +256,8 @@ class Diagnosis:
             "state": self.state,
             "ratio": self.ratio,
             "ratio_before": self.rounds.before.test.ratio,
-            "held_out": self._last.test.held_out,
-            "alike": self._last.test.alike,
+            "held_out": self.rounds.after.test.held_out,
+            "alike": self.rounds.after.test.alike,
             "explanations": [
                 {"cause": one.key, "title": TITLES[one.key], "of": "muscle" if one.of_muscle else "bench",
                  "kind": one.explanation.kind, "which": one.explanation.which, "text": one.text, "size": one.size,
