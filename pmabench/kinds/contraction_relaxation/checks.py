@@ -28,11 +28,10 @@ from pmabench.kinds.contraction_relaxation.diagnosis.hiding import GAIN, ZERO
 from pmabench.kinds.contraction_relaxation.intervals import NORMAL, Pooled, bootstrap
 from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, inverse_of, place, prior_of, rms_of, spread
 from pmabench.kinds.contraction_relaxation.segments import ASSUMED_MASS, Campaign, Gate, Segments, strokes, velocity
+from pmabench.kinds.contraction_relaxation.values import WIDE
 from pmabench.store.analyses.results import Estimate, Finding, Trace
 from pmabench.store.records import Array, TrialData
 
-WIDE = 0.25
-"""A coefficient whose repeats part is wider than this share of its size is not identifiable."""
 BLIND = 0.15
 """Share of the largest contraction that a free run may move where a coefficient is open."""
 COARSE = 4

@@ -15,7 +15,6 @@ import numpy as np
 from pmabench.analysis.design import NORMAL, SCATTER, Design
 from pmabench.analysis.shared import simulated
 from pmabench.analysis.shared.samples import Noise, Samples
-from pmabench.kinds.contraction_relaxation.checks import WIDE
 from pmabench.kinds.contraction_relaxation.pooled import (
     SYMBOLS,
     Fit,
@@ -26,7 +25,7 @@ from pmabench.kinds.contraction_relaxation.pooled import (
     rms_of,
 )
 from pmabench.kinds.contraction_relaxation.segments import ASSUMED_MASS, Gate, Segments, cut
-from pmabench.kinds.contraction_relaxation.values import FEWEST, near
+from pmabench.kinds.contraction_relaxation.values import FEWEST, WIDE, near
 from pmabench.store.records import Array
 
 RATE = 250.0

@@ -22,10 +22,9 @@ from pmabench.kinds.contraction_relaxation import RESULTS, checks, exponentials,
 from pmabench.kinds.contraction_relaxation.bandwidth import regulator
 from pmabench.kinds.contraction_relaxation.checks import free_runs
 from pmabench.kinds.contraction_relaxation.diagnosis.columns import sensor_known
-from pmabench.kinds.contraction_relaxation.diagnosis.examination import examined
 from pmabench.kinds.contraction_relaxation.diagnosis.held_out import Test
 from pmabench.kinds.contraction_relaxation.diagnosis.hiding import hidden, of_the_cell, of_the_sensor
-from pmabench.kinds.contraction_relaxation.diagnosis.verdict import Diagnosis
+from pmabench.kinds.contraction_relaxation.diagnosis.verdict import Diagnosis, examined
 from pmabench.kinds.contraction_relaxation.intervals import Pooled, Trust, assess, at_rest, drifts_of
 from pmabench.kinds.contraction_relaxation.joint import METHOD as JOINT
 from pmabench.kinds.contraction_relaxation.joint import compare

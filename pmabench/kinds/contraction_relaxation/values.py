@@ -17,7 +17,6 @@ from pmabench.analysis.shared import skew, student
 from pmabench.analysis.shared.calibration import sentences
 from pmabench.analysis.verdict.agreement import Offer, anywhere, at_pressures, everywhere, exactly, straight, weighted
 from pmabench.base.quantities import show
-from pmabench.kinds.contraction_relaxation.checks import WIDE
 from pmabench.kinds.contraction_relaxation.intervals import Trust
 from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, Solved
 from pmabench.kinds.contraction_relaxation.segments import Campaign, Segments
@@ -29,6 +28,8 @@ OPEN_FORCE = "not identifiable: K is not at this pressure, and F_ce and K x stan
 OPEN_FRICTION = "not identifiable: K is at no pressure"
 FEWEST = 3
 """Fewest segments near a pressure for a coefficient there."""
+WIDE = 0.25
+"""A coefficient whose repeats part is wider than this share of its size is not identifiable."""
 NUMERICS = 2e-4
 """The method part is no smaller than this share of a coefficient: replays are integrated, too."""
 QUANTITY = {

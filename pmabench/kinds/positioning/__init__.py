@@ -1,6 +1,6 @@
 """Positions held in closed loop: error, overshoot, settling, limit cycle.
 
-- `reduction`; of trials along a path `tracking`
+- `reduction`
 - protocol files: `protocol`; figures and one trial on the display: `figures`
 """
 

@@ -13,8 +13,7 @@ import numpy as np
 
 from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
-from pmabench.kinds.positioning.reduction import hold_of
-from pmabench.kinds.positioning.tracking import tracked
+from pmabench.kinds.positioning.reduction import hold_of, tracked
 from pmabench.plotting import pictures, time_plots
 from pmabench.plotting.plots import (
     BLUE,

@@ -17,7 +17,7 @@ from pmabench.analysis.shared.lines import Line, mean_half, weighted_line
 from pmabench.analysis.shared.sine_loop import Sine, replay
 from pmabench.analysis.shared.skew import courses, settled
 from pmabench.base.quantities import show
-from pmabench.kinds.sinusoidal_displacement.form import lost
+from pmabench.kinds.sinusoidal_displacement.form import Point, lost
 from pmabench.store.analyses.results import Estimate, Finding, Parts
 from pmabench.store.records import Array, RunData, TrialData
 
@@ -30,18 +30,6 @@ CYCLES = "one trial: the repeats part is the scatter of its cycles, and repeated
 CYCLES_OF_EACH = CYCLES.replace("one trial", "one trial a frequency")
 NO_REPEATS = "no repeats part: one trial of one cycle"
 ALONE = "one frequency only: damping and friction cannot be separated"
-
-
-@dataclass(frozen=True)
-class Point:
-    """One trial, or one cycle of it, as the lines want it."""
-
-    frequency: float
-    speed: float
-    stiffness: float
-    ratio: complex
-    loss: float
-    width: float
 
 
 def turned(sine: Sine, by: float) -> Point:
