@@ -212,7 +212,9 @@ def _joined(found: Sequence[tuple[Array, ...]], n: int, m: int, weights: Array, 
     """Segments of columns as `_taken` gives them."""
     none, wide, narrow = np.empty(0), np.empty((0, n + 2 * m)), np.empty((0, n))
     empty = (np.empty(0, np.intp), none, none, wide, wide, narrow, narrow, narrow, none, none)
-    return Segments(*(np.concatenate(column) for column in zip(empty, *found, strict=True)), weights, dt)
+    columns = (np.concatenate(column) for column in zip(empty, *found, strict=True))
+    trial, t, way, P, x, P_mid, v, F_mid, force, mass = columns
+    return Segments(trial.astype(np.intp), t, way, P, x, P_mid, v, F_mid, force, mass, weights, dt)
 
 
 def _places(samples: Samples, n: int, m: int, gate: Gate) -> _Places:
