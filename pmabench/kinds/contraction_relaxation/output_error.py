@@ -141,21 +141,12 @@ def _together(segments: Segments, fit: Coefficients, pieces: list[slice]) -> Ite
     slope = _slope(fit, P, x, way, v_step)
     means = x.reshape(most, s, m).mean(axis=1)
     for column, piece in enumerate(pieces):
-        n = piece.stop - piece.start
-        w = n * s
+        n, w = piece.stop - piece.start, (piece.stop - piece.start) * s
+        along = (of[: w - 1, column] for of in (P_step, x_step, v_step))
         yield Stretch(
-            rows=piece,
-            way=float(way[column]),
-            mean=means[:n, column],
-            answer=answer[: w - 1, :n, column].T,
-            start=start[:, :n, column].T,
-            P=P_step[: w - 1, column],
-            x=x_step[: w - 1, column],
-            v=v_step[: w - 1, column],
-            slope=slope[:w, column],
-            cell=mass[column] <= 0,
-            samples=s,
-        )
+            piece, float(way[column]), means[:n, column], answer[: w - 1, :n, column].T, start[:, :n, column].T, *along,
+            slope[:w, column], mass[column] <= 0, s,
+        )  # fmt: skip
 
 
 def _coefficients(fit: Coefficients, P: Array, way: Array) -> tuple[Array, Array, Array]:

@@ -75,16 +75,11 @@ def cells_of(plan: Mapping[str, Any]) -> list[Cell]:
     found: dict[tuple[float, float], Cell] = {}
     for trial in plan["trials"]:
         point, key = trial["point"], cell_key(trial["point"])
-        before = found.get(key)
-        held = _held(done.get(trial["index"], ()))
-        found[key] = Cell(
-            load=point.get("load", 0.0),
-            mass=point.get("mass", ASSUMED_MASS) or ASSUMED_MASS,
-            pressure=point["pressure"],
-            steps=before.steps if before is not None else tuple(held[1:]),
-            trials=(*(before.trials if before is not None else ()), trial["index"]),
-            seconds=sum(seconds for _, seconds in held),
-        )
+        before, held = found.get(key), _held(done.get(trial["index"], ()))
+        steps, earlier = (tuple(held[1:]), ()) if before is None else (before.steps, before.trials)
+        mass, seconds = point.get("mass", ASSUMED_MASS) or ASSUMED_MASS, sum(seconds for _, seconds in held)
+        index = trial["index"]
+        found[key] = Cell(point.get("load", 0.0), mass, point["pressure"], steps, (*earlier, index), seconds)
     return list(found.values())
 
 

@@ -265,7 +265,7 @@ def noise_seen(
     rows is then one of n / k samples, so their noise counts as white noise of root k times the size.
     """
 
-    def typical(name: str) -> tuple[float, float]:
+    def typical(name: str) -> tuple[float, ...]:
         values, widths, k = [], [], (every or {}).get(name, 1)
         for samples, rows in zip(stretches, still, strict=True):
             column, rows = getattr(samples, name), _unbroken(samples.ok, rows)
@@ -275,11 +275,10 @@ def noise_seen(
             if rows.stop - rows.start >= FEWEST_STILL * k:
                 seen = max(noise_of(column[rows][first::k]) for first in range(k))
                 values.append(max(np.sqrt(k) * seen, widths[-1]))
-        noise, steps = (float(np.median(found)) if found else 0.0 for found in (values, widths))
-        return noise, steps
+        return tuple(float(np.median(found)) if found else 0.0 for found in (values, widths))
 
-    found = [typical(name) for name in ("P", "x", "force")]
-    return Noise(*(noise for noise, _ in found)), Noise(*(steps for _, steps in found))
+    noise, steps = zip(*map(typical, ("P", "x", "force")), strict=True)
+    return Noise(*noise), Noise(*steps)
 
 
 def noise_of_means(stretches: Sequence[Samples], still: Sequence[slice], over: int, least: Noise) -> Noise:
@@ -422,8 +421,7 @@ def gather(runs: Sequence[RunData]) -> tuple[Campaign | None, list[Dropped]]:
     members: list[tuple[RunData, TrialData]] = []
     for run in runs:
         for trial in run.trials:
-            reason = _unusable(run, trial, runs[0].rate)
-            if reason:
+            if reason := _unusable(run, trial, runs[0].rate):
                 dropped.append(Dropped(trial.name, trial.point, reason))
             else:
                 members.append((run, trial))
@@ -434,20 +432,10 @@ def gather(runs: Sequence[RunData]) -> tuple[Campaign | None, list[Dropped]]:
     noise, steps = noise_seen(samples, still, _every(runs))
     keys = [(round(trial.point.get("load", 0.0), 3), round(trial.point["pressure"])) for _, trial in members]
     numbers = {key: number for number, key in enumerate(sorted(set(keys)))}
-    return (
-        Campaign(
-            runs=tuple(runs),
-            trials=tuple(trial for _, trial in members),
-            samples=samples,
-            cells=np.array([numbers[key] for key in keys], dtype=np.intp),
-            rate=runs[0].rate,
-            cell=all(s.force is not None for s in samples),
-            noise=noise,
-            steps=steps,
-            noise_of_means=noise_of_means(samples, still, Gate().samples(runs[0].rate)[0], noise),
-        ),
-        dropped,
-    )
+    rate, cells = runs[0].rate, np.array([numbers[key] for key in keys], dtype=np.intp)
+    of_means = noise_of_means(samples, still, Gate().samples(rate)[0], noise)
+    trials, cell = tuple(trial for _, trial in members), all(s.force is not None for s in samples)
+    return Campaign(tuple(runs), trials, samples, cells, rate, cell, noise, steps, of_means), dropped
 
 
 def _every(runs: Sequence[RunData]) -> dict[str, int]:

@@ -195,23 +195,16 @@ def measure(run: RunData, trial: TrialData) -> Rest:
     end = min((c.t for c in ramps if c.phase == "vent" and c.t >= t[0]), default=float(t[-1]))
     moved = [c for c in ramps if c.phase != "vent" and t[0] - 1e-9 <= c.t <= end]
     begin = moved[0].t if moved else end
-    there = max(
-        (c.t + abs(c.value - c.before) / c.data["rate"] for c in moved if c.data.get("rate", 0.0) > 0), default=t[0]
-    )
+    paced = [c for c in moved if c.data.get("rate", 0.0) > 0]
+    there = max((c.t + abs(c.value - c.before) / c.data["rate"] for c in paced), default=t[0])
     first = good & (t >= begin - LAST * (begin - t[0])) & (t < begin - 1e-9)
     last = good & (t >= end - LAST * (end - there)) & (t <= end)
     if min(first.sum(), last.sum()) < FEWEST or end <= there:
         raise NotUsable(f"fewer than {FEWEST} samples at the end of a rest")
     half = good & (t >= 0.5 * (there + end)) & (t <= end)
-    return Rest(
-        run=run,
-        trial=trial,
-        pressure=float(P[last].mean()),
-        x=float(x[last].mean()),
-        start=float(x[first].mean()),
-        hold=Held.of(t[half], x[half], end - LAST * (end - there)),
-        noise=noise_of(x[last]) / np.sqrt(min(first.sum(), last.sum())),
-    )
+    noise = noise_of(x[last]) / np.sqrt(min(first.sum(), last.sum()))
+    hold = Held.of(t[half], x[half], end - LAST * (end - there))
+    return Rest(run, trial, float(P[last].mean()), float(x[last].mean()), float(x[first].mean()), hold, noise)
 
 
 def _points(runs: Sequence[RunData]) -> tuple[list[Point], list[Dropped]]:
@@ -228,27 +221,21 @@ def _points(runs: Sequence[RunData]) -> tuple[list[Point], list[Dropped]]:
                 groups.setdefault(round(trial.point["pressure"]), []).append(rest)
     points = []
     for pressure, rests in sorted(groups.items()):
-        by: dict[object, dict[float, list[float]]] = {}
-        order = Counter[object]()
-        of = list[object]()
+        by: dict[object, dict[float, Rest]] = {}
+        order, sides = Counter[object](), {rest.side for rest in rests}
         for rest in rests:  # trials of one file are repeats too, where nothing else tells them apart
             side = rest.run.id, rest.trial.repeat, rest.side
-            of.append((rest.run.id, rest.trial.repeat, order[side]))
+            by.setdefault((rest.run.id, rest.trial.repeat, order[side]), {})[rest.side] = rest
             order[side] += 1
-            by.setdefault(of[-1], {}).setdefault(rest.side, []).append(rest.x)
-        sides = {rest.side for rest in rests}
-        means = [{side: float(np.mean(values)) for side, values in repeat.items()} for repeat in by.values()]
-        whole = [one for one in means if set(one) == sides]
-        for key, one in zip(by, means, strict=True):
-            if set(one) != sides:
-                lost = [rest for rest, mine in zip(rests, of, strict=True) if mine == key]
-                dropped += [Dropped(r.trial.name, r.trial.point, "the other side of its repeat is lost") for r in lost]
-        rests = [rest for rest, mine in zip(rests, of, strict=True) if set(by[mine]) == sides]
+        lost = [rest for repeat in by.values() if set(repeat) != sides for rest in repeat.values()]
+        dropped += [Dropped(r.trial.name, r.trial.point, "the other side of its repeat is lost") for r in lost]
+        kept = [rest for rest in rests if rest not in lost]
+        whole = [{side: r.x for side, r in repeat.items()} for repeat in by.values() if set(repeat) == sides]
         if whole:
             gaps = [one[1.0] - one[-1.0] for one in whole if {1.0, -1.0} <= set(one)]
             repeats = np.array([np.mean(list(one.values())) for one in whole])
-            measured = float(np.mean([rest.pressure for rest in rests]))
-            points.append(Point(float(pressure), tuple(rests), measured, repeats, np.array(gaps)))
+            measured = float(np.mean([rest.pressure for rest in kept]))
+            points.append(Point(float(pressure), tuple(kept), measured, repeats, np.array(gaps)))
     return points, dropped
 
 
@@ -354,14 +341,12 @@ def _weighed(estimates: Sequence[Estimate], points: Sequence[Point], length: flo
         return []
     largest = max(abs(point.x) for point in points)
     moving, leaving = max(abs(point.left.size) for point in points), max(point.off for point in points)
-    rests = (
-        f"the length is not at rest: it would still change by {show(moving, 'length', 2)} after the hold "
-        f"(it contracts by {show(largest, 'length', 3)}). Hold longer"
-    )
+    rests = f"the length is not at rest: it would still change by {show(moving, 'length', 2)} after the hold"
+    rests += f" (it contracts by {show(largest, 'length', 3)}). Hold longer"
     zero = (
-        f"{show(leaving, 'length', 2)} of contraction are left without pressure, and L counts from the nominal length: "
-        "a zero or a mount that moved, or creep. Look for the cause, rest longer, and measure again"
+        f"{show(leaving, 'length', 2)} of contraction are left without pressure, and L counts from the nominal length:"
     )
+    zero += " a zero or a mount that moved, or creep. Look for the cause, rest longer, and measure again"
     by_set = {point.set: point for point in points}
     friction = max((float(np.max(np.abs(point.gaps))) for point in points if len(point.gaps)), default=0.0)
     # what friction holds back at 0 kPa is half the gap there, and the mean of both directions is free of it

@@ -12,6 +12,7 @@ from math import hypot, sqrt
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.form import Doubt, weighed
@@ -43,16 +44,11 @@ class Tracked:
     run: RunData
     trial: TrialData
     path: ReferencePath
-    ahead: bool
-    """Whether a feed-forward was added."""
+    method: str
+    """How it was controlled: `AHEAD` where a feed-forward was added."""
     t: Array
     wanted: Array
     x: Array
-
-    @property
-    def method(self) -> str:
-        """How it was controlled."""
-        return AHEAD if self.ahead else ALONE_METHOD
 
     def values(self, more: float = 0.0, gain: float = 0.0) -> dict[str, float]:
         """Each measure, of a displacement that is `more` [m] and a share `gain` larger."""
@@ -79,14 +75,19 @@ class Tracked:
 
 def tracked(run: RunData, trial: TrialData, law: Mapping[str, Any]) -> Tracked | str:
     """A trial along a path, or why it is not used."""
-    begin, x = float(law["t0"]), trial.channels["displacement"]
-    ok = trial.usable & np.isfinite(x) & (trial.t >= begin - 1e-6) & (trial.t <= float(law["t1"]) + 1e-6)
+    ok = _looped(trial, law)
     if ok.sum() < FEWEST_ON_PATH:
         return f"fewer than {FEWEST_ON_PATH} samples of the path can be used"
-    path = ReferencePath(**law["path"])
-    t = trial.t[ok] - begin
+    path, t = ReferencePath(**law["path"]), trial.t[ok] - float(law["t0"])
     wanted = np.array([path.place(float(now)) for now in t])
-    return Tracked(run, trial, path, bool(law.get("feedforward")), t, wanted, x[ok])
+    method = AHEAD if law.get("feedforward") else ALONE_METHOD
+    return Tracked(run, trial, path, method, t, wanted, trial.channels["displacement"][ok])
+
+
+def _looped(trial: TrialData, law: Mapping[str, Any]) -> NDArray[np.bool_]:
+    """The usable samples of the loop."""
+    during = (trial.t >= float(law["t0"]) - 1e-6) & (trial.t <= float(law["t1"]) + 1e-6)
+    return np.asarray(trial.usable & np.isfinite(trial.channels["displacement"]) & during)
 
 
 def _of_paths(members: Sequence[Tracked]) -> list[Estimate]:
@@ -97,16 +98,15 @@ def _of_paths(members: Sequence[Tracked]) -> list[Estimate]:
     ways = ((offset, 0.0), (0.0, gain))
     shifted = [(members[0].values(more, share), members[0].values(-more, -share)) for more, share in ways]
     lacking = scales.lack(("displacement",), ("displacement",))
-    several = len(members) > 1
+    method, at, names = members[0].method, dict(members[0].trial.point), tuple(one.trial.name for one in members)
+    note = sentences("" if len(members) > 1 else ALONE, lacking)
     found = []
     for symbol, (unit, quantity) in OF_PATHS.items():
         values = np.array([one[symbol] for one in each])
         scale = hypot(*(0.5 * (up[symbol] - down[symbol]) for up, down in shifted))
         parts = Parts(spread(values), calibration=scale if offset > 0 or gain > 0 else None)
-        mean, method, at = float(values.mean()), members[0].method, dict(members[0].trial.point)
-        note = sentences("" if several else ALONE, lacking)
-        names = tuple(one.trial.name for one in members)
-        found.append(Estimate(symbol, mean, unit, quantity, method, at, parts, len(values), note=note, trials=names))
+        mean, n = float(values.mean()), len(values)
+        found.append(Estimate(symbol, mean, unit, quantity, method, at, parts, n, note=note, trials=names))
     return found
 
 
@@ -117,10 +117,8 @@ def _off_paths(cells: Sequence[Sequence[Tracked]]) -> list[Finding]:
         mine = [one.values() for members in cells if members[0].method == method for one in members]
         rms, most = (max(one[name] for one in mine) for name in ("e_rms", "e_max"))
         over = 100 * max(one["OS"] for one in mine)
-        text = (
-            f"{method}: off by at most {show(most, 'length', 3)}, {show(rms, 'length', 3)} rms; overshoot {over:.2g} %"
-        )
-        lines.append(Finding("note", f"{text} of the move"))
+        text = f"{method}: off by at most {show(most, 'length', 3)}, {show(rms, 'length', 3)} rms"
+        lines.append(Finding("note", f"{text}; overshoot {over:.2g} % of the move"))
     return lines
 
 
@@ -133,7 +131,7 @@ def _path_trace(one: Tracked) -> Trace:
         begin = float(one.trial.found["position"]["t0"])
         columns["pressure_command"] = np.interp(one.t + begin, one.trial.t, one.trial.channels["pressure_command"])
     return Trace(
-        f"path-{setpoint * 1e3:g}-{load:g}{'-ahead' if one.ahead else ''}",
+        f"path-{setpoint * 1e3:g}-{load:g}{'-ahead' if one.method == AHEAD else ''}",
         "path",
         f"{show(setpoint, 'length')}, {show(load, 'force')}: {one.method}",
         {name: column[rows] for name, column in columns.items()},
@@ -143,13 +141,13 @@ def _path_trace(one: Tracked) -> Trace:
 
 
 def along_paths(
-    pairs: Sequence[tuple[RunData, TrialData, Mapping[str, Any]]],
+    pairs: Sequence[tuple[RunData, TrialData]],
 ) -> tuple[list[Estimate], list[Finding], list[Trace], list[Dropped]]:
-    """All trials along paths, given with what their law wrote down."""
+    """All trials along paths."""
     dropped: list[Dropped] = []
     cells: dict[tuple[object, ...], list[Tracked]] = {}
-    for run, trial, law in pairs:
-        one = tracked(run, trial, law)
+    for run, trial in pairs:
+        one = tracked(run, trial, trial.found["position"])
         if isinstance(one, str):
             dropped.append(Dropped(trial.name, trial.point, one))
             continue
@@ -180,6 +178,9 @@ MEASURES = {
     "T_c": ("s", "time", "period"),
 }
 """Symbol -> unit, quantity, and field of `Response`, or of its cycle, and of what is unsure of both."""
+NOT_RISEN = "it does not come to 90 % of the set-point"
+NONE = {"t_s": "it does not stay in the band"}
+"""Why there is no value of a measure."""
 CYCLE = ("x_pp", "T_c")
 """Measures that only a limit cycle has."""
 
@@ -213,12 +214,12 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     """
     dropped: list[Dropped] = []
     found: dict[str, Hold] = {}
-    paths: list[tuple[RunData, TrialData, Mapping[str, Any]]] = []
+    paths: list[tuple[RunData, TrialData]] = []
     for run in runs:
         model = model_of(run)
         for trial in run.trials:
             if _followed(trial):
-                paths.append((run, trial, trial.found["position"]))
+                paths.append((run, trial))
                 continue
             hold = hold_of(run, trial, model)
             if isinstance(hold, str):
@@ -263,18 +264,18 @@ def hold_of(run: RunData, trial: TrialData, model: Described | None = None) -> H
         return str((law or {}).get("reason") or "no closed loop is recorded to its end")
     settings = run.plan.get("settings") or {}
     begin, setpoint = float(law["t0"]), float(law["setpoint"])
-    x = trial.channels["displacement"]
-    ok = trial.usable & np.isfinite(x) & (trial.t >= begin - 1e-6) & (trial.t <= float(law["t1"]) + 1e-6)
-    t, x = trial.t[ok] - begin, x[ok]
+    ok = _looped(trial, law)
+    t, x = trial.t[ok] - begin, trial.channels["displacement"][ok]
     low, high = settings.get("window") or (0.5 * (float(law["t1"]) - begin), float(law["t1"]) - begin)
-    band = float(settings.get("band", BAND))
-    resolution = count_of(run, "displacement")
-
-    rest = trial.usable & (trial.t < begin - 1e-6) & np.isfinite(trial.channels["displacement"])
+    window, band, resolution = (
+        (float(low), float(high)),
+        float(settings.get("band", BAND)),
+        count_of(run, "displacement"),
+    )
+    rest = _at_rest(trial, law)
     origin = float(trial.channels["displacement"][rest].mean()) if rest.any() else 0.0
 
     def measured(values: Array) -> Response:
-        window = float(low), float(high)
         return respond(t, values, setpoint, window, band, origin=origin, resolution=resolution)
 
     try:
@@ -291,6 +292,12 @@ def hold_of(run: RunData, trial: TrialData, model: Described | None = None) -> H
         simulated = closed_loop(model, trial, law, 1.0 / run.rate, origin).x[ok]
         simulated_response = measured(simulated)
     return Hold(run, trial, law, response, calibration, origin, t, x, simulated, simulated_response)
+
+
+def _at_rest(trial: TrialData, law: Mapping[str, Any]) -> NDArray[np.bool_]:
+    """The usable samples before the loop began."""
+    known = trial.usable & np.isfinite(trial.channels["displacement"])
+    return np.asarray(known & (trial.t < float(law["t0"]) - 1e-6))
 
 
 def _value(symbol: str, response: Response, setpoint: float) -> float | None:
@@ -350,7 +357,7 @@ def _estimates(at: dict[str, float], members: Sequence[Hold]) -> list[Estimate]:
         scales = [half for _, half in known if half is not None]
         lacking = Scales.of([hold.run for hold in members]).lack(("displacement",), ("displacement",))
         parts = Parts(spread(values), max(methods), max(scales, default=None))
-        note = sentences("" if len(values) > 1 else ALONE, lacking) if len(values) else _why_not(symbol)
+        note = sentences("" if len(values) > 1 else ALONE, lacking) if len(values) else NONE.get(symbol, NOT_RISEN)
         mean = float(values.mean()) if len(values) else None
         e = Estimate(symbol, mean, unit, quantity, METHOD, at, parts, len(values), note=note, trials=names)
         found.append(_steady(e, _moves(members, setpoint)) if symbol == "e_ss" else e)
@@ -363,10 +370,6 @@ def _estimates(at: dict[str, float], members: Sequence[Hold]) -> list[Estimate]:
         if value is not None:
             found.append(Estimate(symbol, value, unit, quantity, SIMULATION, at, n=1, note="a simulation"))
     return found
-
-
-def _why_not(symbol: str) -> str:
-    return "it does not stay in the band" if symbol == "t_s" else "it does not come to 90 % of the set-point"
 
 
 def _controller(hold: Hold) -> dict[str, Any]:
@@ -452,22 +455,21 @@ def _in_words(responses: Iterable[Response]) -> str:
     cycles = [response.cycle for response in responses if response.cycle is not None]
     if not cycles:
         return "none"
-    sizes, periods = sorted(c.size for c in cycles), sorted(c.period for c in cycles)
+    sizes, periods = sorted(c.size * 1e3 for c in cycles), sorted(c.period for c in cycles)
     rest = sorted(100 * c.at_rest for c in cycles)
-    size = _range([f"{x * 1e3:.3g}" for x in (sizes[0], sizes[-1])], "mm peak to peak")
-    period = _range([f"{x:.3g}" for x in (periods[0], periods[-1])], "s")
-    return f"{size}, period {period}, {_range([f'{x:.0f}' for x in (rest[0], rest[-1])], '%')} of the time at rest"
+    size, period = _range(sizes, ".3g", "mm peak to peak"), _range(periods, ".3g", "s")
+    return f"{size}, period {period}, {_range(rest, '.0f', '%')} of the time at rest"
 
 
-def _range(ends: Sequence[str], unit: str) -> str:
-    return f"{ends[0]} {unit}" if ends[0] == ends[-1] else f"{ends[0]} to {ends[-1]} {unit}"
+def _range(values: Sequence[float], form: str, unit: str) -> str:
+    """From the least to the largest of rising values; one where they read alike."""
+    return f"{' to '.join(dict.fromkeys(format(value, form) for value in (values[0], values[-1])))} {unit}"
 
 
 def _trace(hold: Hold) -> Trace:
     """Set-point, measured and simulated contraction, and the command, of one hold."""
-    setpoint = float(hold.law["setpoint"])
-    begin = float(hold.law["t0"])
-    rest = hold.trial.usable & (hold.trial.t < begin - 1e-6) & np.isfinite(hold.trial.channels["displacement"])
+    setpoint, begin = float(hold.law["setpoint"]), float(hold.law["t0"])
+    rest = _at_rest(hold.trial, hold.law)
     before = hold.trial.t[rest] - begin
     t = np.concatenate((before, hold.t))
     columns = {

@@ -118,8 +118,7 @@ def examine(run: RunData, trial: TrialData, search: Mapping[str, Any]) -> TrialF
     nearest = min(seen, key=lambda level: abs(level.log_ratio)) if seen else None
     ended = str(search.get("ended", ""))
     if nearest is None or len(seen) < FEWEST_LEVELS:
-        reason = _too_few(levels, seen, nearest, ended)
-        return TrialFound(levels, tuple(seen), nearest, bias, refused=(reason,))
+        return TrialFound(levels, tuple(seen), nearest, bias, refused=(_too_few(levels, seen, nearest, ended),))
     used = seen[-MOST_LEVELS:]
     gains = np.array([level.gain for level in used])
     ratios = np.array([level.log_ratio for level in used])
@@ -134,22 +133,11 @@ def examine(run: RunData, trial: TrialData, search: Mapping[str, Any]) -> TrialF
         return TrialFound(levels, tuple(used), nearest, bias, zero.line, friction=friction, refused=tuple(refused))
     loop = _identify(used, lag)
     bias_K, bias_T = _replay(loop, gains, off) if loop is not None else (None, None)
+    K_u, T_u = zero.K_u - (bias_K or 0.0), zero.T_u - (bias_T or 0.0)
     return TrialFound(
-        levels=levels,
-        used=tuple(used),
-        nearest=nearest,
-        bias=bias,
-        line=zero.line,
-        K_u=zero.K_u - (bias_K or 0.0),
-        half_K_u=zero.half_K_u,
-        bias_K_u=bias_K,
-        T_u=zero.T_u - (bias_T or 0.0),
-        half_T_u=zero.half_T_u,
-        bias_T_u=bias_T,
-        friction=abs(friction),
-        loop=loop,
-        doubts=tuple(_doubts(nearest, ratios, friction)),
-    )
+        levels, tuple(used), nearest, bias, zero.line, K_u, zero.half_K_u, bias_K, T_u, zero.half_T_u, bias_T,
+        abs(friction), loop, doubts=tuple(_doubts(nearest, ratios, friction)),
+    )  # fmt: skip
 
 
 def _measure(trial: TrialData, level: Mapping[str, Any], search: Mapping[str, Any]) -> Level:
