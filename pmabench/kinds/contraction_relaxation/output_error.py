@@ -142,10 +142,10 @@ def _together(segments: Segments, fit: Coefficients, pieces: list[slice]) -> Ite
     means = x.reshape(most, s, m).mean(axis=1)
     for column, piece in enumerate(pieces):
         n, w = piece.stop - piece.start, (piece.stop - piece.start) * s
-        along = (of[: w - 1, column] for of in (P_step, x_step, v_step))
+        P_own, x_own, v_own = (of[: w - 1, column] for of in (P_step, x_step, v_step))
         yield Stretch(
-            piece, float(way[column]), means[:n, column], answer[: w - 1, :n, column].T, start[:, :n, column].T, *along,
-            slope[:w, column], mass[column] <= 0, s,
+            piece, float(way[column]), means[:n, column], answer[: w - 1, :n, column].T, start[:, :n, column].T, P_own,
+            x_own, v_own, slope[:w, column], mass[column] <= 0, s,
         )  # fmt: skip
 
 

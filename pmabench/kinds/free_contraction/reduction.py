@@ -25,17 +25,7 @@ from pmabench.analysis.shared.samples import Held, Left, NotUsable, left, noise_
 from pmabench.analysis.trial import DRIFT, Expected, Found, Measured, Quick
 from pmabench.analysis.verdict.agreement import Offer, Place, between
 from pmabench.base.quantities import show
-from pmabench.kinds.free_contraction import RESULTS
-from pmabench.kinds.free_contraction.figures import (
-    BARELY,
-    CLEAR,
-    curves,
-    half_pressure,
-    of_fit,
-    of_paper,
-    of_points,
-    trace,
-)
+from pmabench.kinds.free_contraction import RESULTS, figures
 from pmabench.model.library import MODELS
 from pmabench.store.analyses.results import Analysis, Dropped, Estimate, Finding, Parts, withhold
 from pmabench.store.records import Array, RunData, TrialData
@@ -150,11 +140,11 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     other = "" if fit is None else _other_form(points, fit)
     shifted = {} if fit is None or other else _shifted(points, length)
     estimates += _coefficients(fit, why, other, shifted, {} if fit is None else _scaled(fit, length), scales)
-    curve = curves(points, fit, length, compare=compare) if points else None
+    curve = figures.curves(points, fit, length, compare=compare) if points else None
     findings = [
-        *of_points(points),
-        *(of_fit(fit, why, other) if points else []),
-        *(of_paper(curve, length) if curve is not None and compare else []),
+        *figures.of_points(points),
+        *(figures.of_fit(fit, why, other) if points else []),
+        *(figures.of_paper(curve, length) if curve is not None and compare else []),
     ]
     if estimates and (missing := scales.lack(CHANNELS)):
         findings.append(Finding("note", missing))
@@ -165,7 +155,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         estimates=estimates,
         dropped=dropped,
         findings=findings,
-        traces=[] if curve is None else [trace(curve, length)],
+        traces=[] if curve is None else [figures.trace(curve, length)],
         facts={
             "options": dict(options or {}),
             "nominal_length": length,
@@ -289,11 +279,11 @@ def _free(
 def _half(points: Sequence[Point], scales: Scales) -> Estimate:
     """The pressure at which half of the contraction at the highest pressure is reached."""
     P, x = _curve(points)
-    value, n = half_pressure(P, x), min(len(point.repeats) for point in points)
+    value, n = figures.half_pressure(P, x), min(len(point.repeats) for point in points)
     if value is None:
         note = "the contraction does not rise through half of its largest value once"
         return replace(_free("P_half", 0.0, "pressure", {}, Parts(), n, points), value=None, note=note)
-    each = [half_pressure(P, np.array([point.repeats[i] for point in points])) for i in range(n)]
+    each = [figures.half_pressure(P, np.array([point.repeats[i] for point in points])) for i in range(n)]
     half, coarse = spread([one for one in each if one is not None]), float(np.diff(P).max()) / 2
     parts = Parts(half, 0.1 * coarse, scales.part({"pressure": value}, {"pressure": 1.0}))
     return _free("P_half", value, "pressure", {}, parts, n, points)
@@ -324,7 +314,7 @@ def _fit(points: Sequence[Point], length: float, off: Array | float = 0.0) -> tu
     if not np.isfinite(L).all() or not 0 < length <= 2:
         return None, "no fit: the plan tells no nominal length"
     most = next(p.high for p in model.parameters if p.name == "pressure")
-    if P.max() > BARELY * most:
+    if P.max() > figures.BARELY * most:
         return None, f"no fit: the sigmoid holds up to {show(most, 'pressure')}"
     fixed = {p.name: p.value for p in model.parameters if p.name not in ("pressure", *UNKNOWN)}
     fixed["nominal_length"] = length
@@ -361,7 +351,7 @@ def _weighed(estimates: Sequence[Estimate], points: Sequence[Point], length: flo
         noise = max(rest.noise for rest in point.rests)
         doubts = (
             Doubt(MOTION, "method", share * still.most, still.seen, rests),
-            Doubt(ZERO, "drift", share * off, off > max(CLEAR * noise, friction), zero),
+            Doubt(ZERO, "drift", share * off, off > max(figures.CLEAR * noise, friction), zero),
         )
         found.append(weighed(e, doubts, None if e.symbol == "P_half" else largest * share))
     return found
@@ -399,7 +389,7 @@ def _shifted(points: Sequence[Point], length: float) -> dict[str, ModelFit]:
     """The sigmoid through the lengths less what is left without pressure, and to which they would come; where seen."""
     starts = np.array([np.mean([rest.start for rest in point.rests]) for point in points])
     noise = max(rest.noise for point in points for rest in point.rests)
-    ways = {ZERO: -starts} if np.abs(starts).max() > CLEAR * noise else {}
+    ways = {ZERO: -starts} if np.abs(starts).max() > figures.CLEAR * noise else {}
     if any(point.left.seen for point in points):
         ways[MOTION] = np.array([point.left.size for point in points])
     fits = {name: _fit(points, length, off)[0] for name, off in ways.items()}

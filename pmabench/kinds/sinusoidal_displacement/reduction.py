@@ -23,20 +23,10 @@ from pmabench.analysis.shared.samples import NotUsable, lag_open
 from pmabench.analysis.shared.sine_loop import measure
 from pmabench.analysis.verdict.agreement import Offer, exactly, values_of
 from pmabench.base.quantities import show
-from pmabench.kinds.sinusoidal_displacement import RESULTS
+from pmabench.kinds.sinusoidal_displacement import RESULTS, mean_force
 from pmabench.kinds.sinusoidal_displacement.figures import traces_of
 from pmabench.kinds.sinusoidal_displacement.fit import HARMONIC, Fitted, Member, Muscle
 from pmabench.kinds.sinusoidal_displacement.form import Form, judged
-from pmabench.kinds.sinusoidal_displacement.mean_force import (
-    SINE_CENTRES,
-    SINE_MEAN,
-    Centre,
-    centre_of,
-    force_slopes,
-    mean_force_estimates,
-    through_centres,
-    work_estimates,
-)
 from pmabench.kinds.sinusoidal_displacement.pressure import pressure_and_force
 from pmabench.store.analyses.results import Analysis, Dropped, Estimate, Finding, Trace
 from pmabench.store.records import RunData
@@ -101,16 +91,16 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     traces: list[Trace] = []
     lines: list[dict[str, Any]] = []
     fits, stated = _fits(members, options)
-    rising = force_slopes(fits)
-    centres: dict[float, list[Centre]] = {}
+    rising = mean_force.force_slopes(fits)
+    centres: dict[float, list[mean_force.Centre]] = {}
     for key, fitted in fits.items():
         slopes = _over_pressure(key, fits)
         form = Form.of([member.sine for member in fitted.group], fitted.replayed.B)
         found = judged(fitted.estimates(dict(key), scales, slopes), form)
-        found += mean_force_estimates(dict(key), fitted, form, scales, rising.get(key))
-        found += work_estimates(dict(key), fitted.group, scales, fitted.skew)
+        found += mean_force.mean_force_estimates(dict(key), fitted, form, scales, rising.get(key))
+        found += mean_force.work_estimates(dict(key), fitted.group, scales, fitted.skew)
         estimates += with_late_force(found, fitted) if stated[key] == 0 else found
-        if (centre := centre_of(found, form)) is not None and "pressure" in dict(key):
+        if (centre := mean_force.centre_of(found, form)) is not None and "pressure" in dict(key):
             centres.setdefault(dict(key)["pressure"], []).append(centre)
         findings += [*fitted.findings(dict(key)), *form.findings(dict(key))]
         lines.append({"at": dict(key), **fitted.facts(), "h2/h1": form.h2 / form.h1, "h3/h1": form.h3 / form.h1})
@@ -152,9 +142,11 @@ def _fits(members: Sequence[Member], options: Mapping[str, Any]) -> tuple[dict[K
     return {key: Fitted.of(group, stated[key] + clocks[key]) for key, group in cells}, stated
 
 
-def _with_centres(estimates: Sequence[Estimate], centres: Mapping[float, Sequence[Centre]]) -> list[Estimate]:
+def _with_centres(
+    estimates: Sequence[Estimate], centres: Mapping[float, Sequence[mean_force.Centre]]
+) -> list[Estimate]:
     """With F_ce from sines about several means, in place of the empty ones of single means."""
-    of_all = {P: through_centres({"pressure": P}, of) for P, of in sorted(centres.items())}
+    of_all = {P: mean_force.through_centres({"pressure": P}, of) for P, of in sorted(centres.items())}
     given = {P: F_ce for P, F_ce in of_all.items() if F_ce is not None}
     empty = [e for e in estimates if e.symbol == "F_ce" and e.value is None and e.at.get("pressure") in given]
     return [*(e for e in estimates if e not in empty), *given.values()]
@@ -262,7 +254,7 @@ def offers(analysis: Analysis) -> Iterator[Offer]:
         for e in values_of(analysis, symbol, HARMONIC):
             yield exactly(symbol, {(e.at["pressure"], e.at.get("mean") if symbol == "K" else None): e})
     for symbol in ("F_ce", "F"):
-        for e in values_of(analysis, symbol, SINE_MEAN):
+        for e in values_of(analysis, symbol, mean_force.SINE_MEAN):
             yield exactly("F", {(e.at["pressure"], 0.0 if symbol == "F_ce" else e.at.get("mean")): e})
-    for e in values_of(analysis, "F_ce", SINE_CENTRES):
+    for e in values_of(analysis, "F_ce", mean_force.SINE_CENTRES):
         yield exactly("F", {(e.at["pressure"], 0.0): e})
