@@ -136,7 +136,11 @@ def regulator(campaign: Campaign) -> tuple[list[Estimate], list[Finding]]:
     found = responses(campaign)
     if not found:
         return [], [Finding("note", "the regulator's dead time and lag are not identifiable: no step of the pressure")]
-    estimates = [e for P, (one, trials) in found.items() for e in _at(campaign, P, one, trials)]
+    estimates = [  # intervals at one pressure from the residual
+        _estimate(campaign, place, {"pressure": P}, value, Parts(1.96 * error, 0.0), trials)
+        for P, (one, trials) in found.items()
+        for place, (value, error) in enumerate(zip(one.times, one.errors, strict=True))
+    ]
     whole = [e for place, name in enumerate(NAMES) for e in _over_all(campaign, place, name, found)]
     worst, (one, _) = max(found.items(), key=lambda item: item[1][0].rms)
     lags = " and ".join(show(lag, "time", 3) for lag in one.times[1:])
@@ -176,14 +180,6 @@ def _rise(campaign: Campaign, number: int, P: float) -> tuple[str, Array, Array]
     P_read = np.interp(at, samples.t[ok], samples.P[ok])
     begin = float(np.mean(P_read[grid < 0]))
     return trial.name, grid, (P_read - begin) / (steps[0].value - begin)
-
-
-def _at(campaign: Campaign, P: float, one: Response, trials: tuple[str, ...]) -> list[Estimate]:
-    """Dead time and lags at one pressure [Pa]; intervals from the residual."""
-    return [
-        _estimate(campaign, place, {"pressure": P}, value, Parts(1.96 * error, 0.0), trials)
-        for place, (value, error) in enumerate(zip(one.times, one.errors, strict=True))
-    ]
 
 
 def _over_all(

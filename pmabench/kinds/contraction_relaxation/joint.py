@@ -139,12 +139,10 @@ class Joint(Solved):
 
     def columns(self, symbol: str) -> slice:
         """See `Solved`."""
-        start = 0
-        for name in SYMBOLS:
-            if name == symbol:
-                return slice(start, start + self.forms[name].size)
-            start += self.forms[name].size
-        return slice(start, start + 1)
+        sizes = [*(self.forms[name].size for name in SYMBOLS), 1]
+        place = (*SYMBOLS, symbol).index(symbol)
+        start = sum(sizes[:place])
+        return slice(start, start + sizes[place])
 
     def row(self, symbol: str, P: float) -> Array:
         """See `Solved`."""

@@ -38,6 +38,10 @@ METHODS = {
         "and creep included, and led by the dead time and the lag of the regulator."
     ),
 }
+FIGURES = {
+    "position": "pmabench.kinds.positioning.figures:positions",
+    "path": "pmabench.kinds.positioning.figures:paths",
+}
 KIND = Kind(
     name="positioning",
     title="Positioning in closed loop",
@@ -50,14 +54,8 @@ KIND = Kind(
     moves="displacement",
     compares="displacement",
     methods=METHODS,
-    figures={
-        "position": "pmabench.kinds.positioning.figures:positions",
-        "path": "pmabench.kinds.positioning.figures:paths",
-    },
-    front={
-        "position": "pmabench.kinds.positioning.figures:positions",
-        "path": "pmabench.kinds.positioning.figures:paths",
-    },
+    figures=FIGURES,
+    front=FIGURES,
     imported=Imported(),
     loop=True,
 )

@@ -25,6 +25,7 @@ METHODS = {
         "surface, and driven by the measured pressure, for comparison."
     ),
 }
+FIGURES = {"validation": "pmabench.kinds.validation.reduction:validations"}
 KIND = Kind(
     name="validation",
     title="Validation of a model",
@@ -39,11 +40,7 @@ KIND = Kind(
     repeated="pmabench.kinds.validation.reduction:mean_in_window",
     repeated_is="contraction",
     methods=METHODS,
-    figures={
-        "validation": "pmabench.kinds.validation.reduction:validations",
-    },
-    front={
-        "validation": "pmabench.kinds.validation.reduction:validations",
-    },
+    figures=FIGURES,
+    front=FIGURES,
     imported=Imported(),
 )

@@ -382,8 +382,9 @@ class Spread:
         """What a fit to some `rows` of the corrected segments, whose residual should be `noise` [N], owes to it."""
         others = [fit.again(state.test.segments, noise).theta - fit.theta for state in self.others]
         # loads left out show where a form is not exact; without an explanation by the fit nothing is sized anew
+        loads = np.array([round(samples.load, 2) for samples in self.state.test.campaign.samples])
         groups = [self._trials[rows]] if self.state.explanations else []
-        groups += [self._loads[rows]] if self._of_muscle else []
+        groups += [loads[self.state.test.segments.trial][rows]] if self._of_muscle else []
         spreads = [self._spread(fit, rows, group, noise) for group in groups if len(np.unique(group)) >= FEWEST]
         others_of = np.array(others).reshape(-1, len(fit.theta))
         return Correction(self._unsure(fit, rows, noise), tuple(spreads), others_of, self.factor)
@@ -411,11 +412,6 @@ class Spread:
     @property
     def _of_muscle(self) -> bool:
         return any(one.of_muscle for one in self.state.explanations)
-
-    @property
-    def _loads(self) -> Array:
-        test = self.state.test
-        return np.array([round(samples.load, 2) for samples in test.campaign.samples])[test.segments.trial]
 
     @property
     def _trials(self) -> Array:
