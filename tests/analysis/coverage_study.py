@@ -15,7 +15,7 @@ import numpy as np
 from scipy.stats import beta
 
 from pmabench.kinds.contraction_relaxation.reduction import estimates_of, pool, reduce
-from pmabench.kinds.contraction_relaxation.trials import gather
+from pmabench.kinds.contraction_relaxation.segments import gather
 from pmabench.model.plant import Plant
 from pmabench.model.regulator import constant
 from pmabench.store.analyses.results import Estimate

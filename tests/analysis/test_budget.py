@@ -14,8 +14,7 @@ import pytest
 from pmabench.kinds.contraction_relaxation.intervals import bootstrap
 from pmabench.kinds.contraction_relaxation.pooled import Fit
 from pmabench.kinds.contraction_relaxation.reduction import estimates_of, pool
-from pmabench.kinds.contraction_relaxation.segments import Segments
-from pmabench.kinds.contraction_relaxation.trials import gather
+from pmabench.kinds.contraction_relaxation.segments import Segments, gather
 from pmabench.store.analyses.results import Estimate
 from pmabench.store.records import Event, RunData, TrialData
 from tests.analysis.coverage_study import WATCHED, campaign, clopper_pearson, hits, judged, study

@@ -14,7 +14,7 @@ from pmabench.analysis.verdict.comparison import Side, compare, named, not_accep
 from pmabench.base.errors import UsageError
 from pmabench.cli.report_overlays import read_overlays
 from pmabench.kinds.contraction_relaxation import reduction as contraction
-from pmabench.kinds.contraction_relaxation.trials import gather
+from pmabench.kinds.contraction_relaxation.segments import gather
 from pmabench.report.figures.overlays import with_published
 from pmabench.store.analyses.results import PUBLISHED, Analysis, Curve, Estimate, Parts, Source
 from tests.analysis.coverage_study import CHANNELS, campaign

@@ -12,15 +12,14 @@ from functools import cache
 import numpy as np
 import pytest
 
+from pmabench.kinds.contraction_relaxation.checks import findings
 from pmabench.kinds.contraction_relaxation.diagnosis.cell import Readings, readings, weighed
 from pmabench.kinds.contraction_relaxation.diagnosis.columns import LOADED, STEEP, Followed, bend, creep_by_load
 from pmabench.kinds.contraction_relaxation.diagnosis.corrections import Explanation, plausible
 from pmabench.kinds.contraction_relaxation.diagnosis.hiding import causes
 from pmabench.kinds.contraction_relaxation.intervals import Pooled
 from pmabench.kinds.contraction_relaxation.reduction import pool, reduce, segments_like
-from pmabench.kinds.contraction_relaxation.segments import Segments
-from pmabench.kinds.contraction_relaxation.trials import Campaign, gather
-from pmabench.kinds.contraction_relaxation.view import findings
+from pmabench.kinds.contraction_relaxation.segments import Campaign, Segments, gather
 from pmabench.store.analyses.results import Analysis
 from pmabench.store.records import RunData, TrialData
 from tests.analysis.judged import as_run

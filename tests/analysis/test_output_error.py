@@ -20,12 +20,10 @@ import pmabench
 from pmabench.analysis.shared.samples import Noise, Samples
 from pmabench.cli.main import main
 from pmabench.kinds.contraction_relaxation import output_error
-from pmabench.kinds.contraction_relaxation.output_error import linear, polish
+from pmabench.kinds.contraction_relaxation.output_error import answers, linear, polish
 from pmabench.kinds.contraction_relaxation.pooled import Fit
 from pmabench.kinds.contraction_relaxation.reduction import pool, reduce
-from pmabench.kinds.contraction_relaxation.segments import Gate, cut
-from pmabench.kinds.contraction_relaxation.stretch import answers
-from pmabench.kinds.contraction_relaxation.trials import gather
+from pmabench.kinds.contraction_relaxation.segments import Gate, cut, gather
 from pmabench.store.analyses.results import Analysis
 from pmabench.store.records import RunData, TrialData
 from tests.analysis.coverage_study import hits, judged_by, table

@@ -15,8 +15,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pmabench.base.errors import InvalidFile, UsageError
-from pmabench.kinds.contraction_relaxation.curves import compare_orders, curve, least, normal_of
 from pmabench.kinds.contraction_relaxation.paper1 import DRIVEN, KIND, METHODS, reduce
+from pmabench.kinds.contraction_relaxation.values import compare_orders, curve, least, normal_of
 from pmabench.kinds.reduce import reduce_runs
 from pmabench.store.analyses.results import Analysis, Curve, Estimate
 from pmabench.store.records import Array, ChannelInfo, ClockInfo, Command, Flag, RunData, TrialData

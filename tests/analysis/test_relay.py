@@ -11,7 +11,7 @@ import pytest
 
 from pmabench.engine.laws.relay import Relay
 from pmabench.kinds.ultimate_gain.reduction import reduce
-from pmabench.kinds.ultimate_gain.relay_levels import examine
+from pmabench.kinds.ultimate_gain.relay import examine
 from pmabench.kinds.ultimate_gain.ways import findings as ways
 from pmabench.store.analyses.results import Analysis
 from pmabench.store.records import TrialData

@@ -16,7 +16,7 @@ import pytest
 
 from pmabench.kinds.contraction_relaxation.intervals import NORMAL, Pooled
 from pmabench.kinds.contraction_relaxation.reduction import estimates_of, pool
-from pmabench.kinds.contraction_relaxation.trials import gather
+from pmabench.kinds.contraction_relaxation.segments import gather
 from pmabench.store.analyses.results import Estimate
 from pmabench.store.records import Event, RunData, TrialData
 from tests.analysis.coverage_study import CHANNELS, WATCHED, campaign

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from pmabench.analysis.shared.samples import dead_times, onset
-from pmabench.kinds.contraction_relaxation.curves import curve, polynomial
 from pmabench.kinds.contraction_relaxation.exponentials import exponential, regress, stiffness
+from pmabench.kinds.contraction_relaxation.values import curve, polynomial
 from pmabench.store.analyses.results import Estimate, Parts
 
 T = np.arange(0, 10, 0.002)

@@ -25,7 +25,7 @@ from pmabench.analysis.surface.record import Rows as Joined
 from pmabench.analysis.surface.spread import Spread
 from pmabench.kinds.contraction_relaxation.pooled import Fit
 from pmabench.kinds.contraction_relaxation.reduction import pool
-from pmabench.kinds.contraction_relaxation.trials import gather
+from pmabench.kinds.contraction_relaxation.segments import gather
 from pmabench.kinds.reduce import reduce_runs
 from tests.analysis.judged import as_run
 from tests.benchmarks import peers

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from pmabench.kinds.contraction_relaxation.checks import resampled
 from pmabench.kinds.contraction_relaxation.reduction import estimates_of, pool
-from pmabench.kinds.contraction_relaxation.trials import Campaign, gather, strokes
-from pmabench.kinds.contraction_relaxation.view import resampled
+from pmabench.kinds.contraction_relaxation.segments import Campaign, gather, strokes
 from pmabench.store.records import RunData, TrialData
 from tests.analysis.simulate import contraction_run, rig
 from tests.analysis.test_contraction import SERRES, SMALL

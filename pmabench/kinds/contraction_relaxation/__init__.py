@@ -1,11 +1,12 @@
 """Contraction and relaxation under load: K(P), B_c(P), B_r(P), F_ce(P), dead times.
 
-- `reduction`, made of `trials`, `segments`, `pooled`, `intervals`, `drift`, `values`, `curves`
-  (regressions on pressure)
-- whether the data have the form of the fit, why not, and what could hide in it: `diagnosis`; other `checks`
-- the way of the papers, dead times: `exponentials`; the regulator: `bandwidth`; words and overlays: `view`
-- where asked for: chosen forms over pressure in `joint`; output error in `output_error`, `stretch`
-- by paper 1: `paper1`, made of `paper1_steps`; model against test in `paper1_view`
+- `reduction`, made of `segments` (trials and their segments), `pooled`, `intervals`, `values` (and regressions on
+  pressure)
+- whether the data have the form of the fit, why not, and what could hide in it: `diagnosis`; other checks of the fit,
+  its words and overlays: `checks`
+- the way of the papers, dead times: `exponentials`; the regulator: `bandwidth`
+- where asked for: chosen forms over pressure in `joint`; output error in `output_error`
+- by paper 1: `paper1`, made of `paper1_steps`
 - further trials: what they will tell in `predicted`, what is known so far in `known`, the choice in `next_trial`
 - protocol files: `protocol`; one trial on the display: `live`
 """
@@ -102,7 +103,7 @@ PAPER_1 = Kind(
     compares="displacement",
     word="contraction",
     offers="pmabench.kinds.contraction_relaxation.values:by_paper_1",
-    figures={"step-overlay": "pmabench.kinds.contraction_relaxation.paper1_view:step_overlays"},
+    figures={"step-overlay": "pmabench.kinds.contraction_relaxation.paper1_steps:step_overlays"},
 )
 KIND = Kind(
     name="contraction-relaxation",

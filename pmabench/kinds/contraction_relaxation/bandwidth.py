@@ -28,8 +28,7 @@ from pmabench.analysis.shared import skew
 from pmabench.analysis.shared.calibration import sentences
 from pmabench.analysis.shared.student import half_width
 from pmabench.base.quantities import show
-from pmabench.kinds.contraction_relaxation.segments import Gate
-from pmabench.kinds.contraction_relaxation.trials import Campaign
+from pmabench.kinds.contraction_relaxation.segments import Campaign, Gate
 from pmabench.store.analyses.results import Estimate, Finding, Parts
 from pmabench.store.records import Array, TrialData
 
@@ -137,7 +136,11 @@ def regulator(campaign: Campaign) -> tuple[list[Estimate], list[Finding]]:
     found = responses(campaign)
     if not found:
         return [], [Finding("note", "the regulator's dead time and lag are not identifiable: no step of the pressure")]
-    estimates = [e for P, (one, trials) in found.items() for e in _at(campaign, P, one, trials)]
+    estimates = [  # intervals at one pressure from the residual
+        _estimate(campaign, place, {"pressure": P}, value, Parts(1.96 * error, 0.0), trials)
+        for P, (one, trials) in found.items()
+        for place, (value, error) in enumerate(zip(one.times, one.errors, strict=True))
+    ]
     whole = [e for place, name in enumerate(NAMES) for e in _over_all(campaign, place, name, found)]
     worst, (one, _) = max(found.items(), key=lambda item: item[1][0].rms)
     lags = " and ".join(show(lag, "time", 3) for lag in one.times[1:])
@@ -177,14 +180,6 @@ def _rise(campaign: Campaign, number: int, P: float) -> tuple[str, Array, Array]
     P_read = np.interp(at, samples.t[ok], samples.P[ok])
     begin = float(np.mean(P_read[grid < 0]))
     return trial.name, grid, (P_read - begin) / (steps[0].value - begin)
-
-
-def _at(campaign: Campaign, P: float, one: Response, trials: tuple[str, ...]) -> list[Estimate]:
-    """Dead time and lags at one pressure [Pa]; intervals from the residual."""
-    return [
-        _estimate(campaign, place, {"pressure": P}, value, Parts(1.96 * error, 0.0), trials)
-        for place, (value, error) in enumerate(zip(one.times, one.errors, strict=True))
-    ]
 
 
 def _over_all(
@@ -296,35 +291,27 @@ def estimates(campaign: Campaign, found: Sequence[Estimate], responses: dict[flo
     loads = sorted({sample.load for sample in campaign.samples})
     chosen = list(dict.fromkeys((loads[0], loads[-1])))
     by = {(e.symbol, e.at["pressure"]): e for e in found if set(e.at) == {"pressure"} and e.value is not None}
-    made = []
-    for P in campaign.tested:
-        for load in chosen:
-            one = _by_coefficients(campaign, P, load, by, responses.get(P))
-            made += [one] if one is not None else []
-    for load in chosen:
-        made += _by_steps(campaign, load)
-    return made
+    made = (_by_coefficients(campaign, P, load, by, responses.get(P)) for P in campaign.tested for load in chosen)
+    return [*(e for e in made if e is not None), *(e for load in chosen for e in _by_steps(campaign, load))]
 
 
 def _by_coefficients(
     campaign: Campaign, P: float, load: float, by: dict[tuple[str, float], Estimate], response: Response | None
 ) -> Estimate | None:
     """At one pressure [Pa] with one load [N]; None where a coefficient or the regulator is not known."""
-    needed = [by.get((symbol, P)) for symbol in ("K", "B_c", "B_r")]
-    if response is None or any(e is None for e in needed):
+    known = [by[symbol, P] for symbol in ("K", "B_c", "B_r") if (symbol, P) in by]
+    if response is None or len(known) < 3:
         return None
-    known = [e for e in needed if e is not None]
     K, B_c, B_r = (float(e.value or 0.0) for e in known)
-    M = next(_mass(campaign, i) for i, sample in enumerate(campaign.samples) if sample.load == load)
-    lags = response.times[1:]
-    value = of_model(K, 0.5 * (B_c + B_r), M, lags)
+    trial, sample = next((t, s) for t, s in zip(campaign.trials, campaign.samples, strict=True) if s.load == load)
+    M, B, lags = float(trial.point.get("mass", sample.mass)), 0.5 * (B_c + B_r), response.times[1:]
+    value = of_model(K, B, M, lags)
     if value is None:
         return None
 
     def change(K: float, B: float, lags: Sequence[float]) -> float:
         return (of_model(K, B, M, lags) or value) - value
 
-    B = 0.5 * (B_c + B_r)
     by_K = change(K * (1 + SHIFT), B, lags) / (SHIFT * K)
     by_B = 0.5 * change(K, B * (1 + SHIFT), lags) / (SHIFT * B)
     by_lag = [
@@ -355,10 +342,6 @@ def _by_coefficients(
     return Estimate("f_b", value, "Hz", "frequency", MODEL, at, parts, len(names), note=note, trials=names)
 
 
-def _mass(campaign: Campaign, number: int) -> float:
-    return float(campaign.trials[number].point.get("mass", campaign.samples[number].mass))
-
-
 def _by_steps(campaign: Campaign, load: float) -> list[Estimate]:
     """At the pressures that partial steps lead to, all trials with a load [N]."""
     groups: dict[float, list[tuple[str, float, float, float]]] = {}
@@ -383,11 +366,8 @@ def _by_steps(campaign: Campaign, load: float) -> list[Estimate]:
         parts = Parts(half, float(np.mean([row[3] for row in rows])), 0.0)
         names = tuple(dict.fromkeys(row[0] for row in rows))
         at = {"pressure": target, "load": load}
-        made.append(
-            Estimate(
-                "f_b", float(values.mean()), "Hz", "frequency", STEP, at, parts, len(rows), note=note, trials=names
-            )
-        )
+        mean = float(values.mean())
+        made.append(Estimate("f_b", mean, "Hz", "frequency", STEP, at, parts, len(rows), note=note, trials=names))
     return made
 
 
@@ -441,9 +421,8 @@ def findings(estimates: Sequence[Estimate]) -> list[Finding]:
     )
     both = [(_value(steps[key]) / _value(model[key])) for key in model if key in steps]
     if both:
-        text += f"; recorded steps give {min(both):.2f} to {max(both):.2f} times that" if len(both) > 1 else (
-            f"; recorded steps give {both[0]:.2f} times that"
-        )  # fmt: skip
+        ends = [min(both), max(both)] if len(both) > 1 else both
+        text += f"; recorded steps give {' to '.join(f'{one:.2f}' for one in ends)} times that"
     return [Finding("note", text)]
 
 

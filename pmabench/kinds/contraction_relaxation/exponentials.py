@@ -20,11 +20,9 @@ from pmabench.analysis.shared.student import half_width, mean_over
 from pmabench.base.quantities import show
 from pmabench.kinds.contraction_relaxation import bandwidth
 from pmabench.kinds.contraction_relaxation.bandwidth import responses
-from pmabench.kinds.contraction_relaxation.curves import curve
 from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, Fit
-from pmabench.kinds.contraction_relaxation.segments import Gate
-from pmabench.kinds.contraction_relaxation.trials import Campaign
-from pmabench.kinds.contraction_relaxation.values import Further
+from pmabench.kinds.contraction_relaxation.segments import Campaign, Gate
+from pmabench.kinds.contraction_relaxation.values import QUANTITY, Further, biases, curve, with_bias
 from pmabench.store.analyses.results import Estimate, Finding, Parts
 from pmabench.store.records import Array, TrialData
 
@@ -168,7 +166,6 @@ def stiffness(load: Array, x: Array, F_ce: float) -> Regression:
 METHOD = "step-exponential"
 KNOWN_F_CE = "step-exponential, F_ce known"
 ONSET = "onset"
-UNITS = {"F_ce": ("N", "force"), "K": ("N/m", "stiffness"), "B_c": ("N.s/m", "damping"), "B_r": ("N.s/m", "damping")}
 ONCE = "no repeats part: each load and pressure was tested once"
 SINGLE = "no repeats part: too few points for scatter about their line"
 
@@ -187,11 +184,7 @@ def compare(
 ) -> Further:
     """The papers' estimates and the dead times; `found` are the primary method's, `moved` the trials in its fit."""
     scales = Scales.of(campaign.runs)
-    steps = [
-        step
-        for number in sorted(moved)
-        for step in steps_of(campaign.samples[number], campaign.trials[number], Gate.lift)
-    ]
+    steps = [one for n in sorted(moved) for one in steps_of(campaign.samples[n], campaign.trials[n], Gate.lift)]
     at_each = {(e.symbol, e.at["pressure"]): e for e in found if "pressure" in e.at}
     reference = {key: e.value for key, e in at_each.items()}
 
@@ -211,12 +204,8 @@ def compare(
         for entry in _at(campaign, P, [step for step in steps if abs(step.pressure - P) < 1.0], options, force_at(P))
     ]
     estimates = [_with_bias(e, reference) for e in _calibrated(raw, scales)]
-    curves = []
-    for symbol in SYMBOLS:
-        members = [e for e in estimates if e.symbol == symbol and e.method == METHOD and e.value is not None]
-        through = curve(members, 1) if members else None
-        if through is not None:
-            curves.append(through)
+    known = [e for e in estimates if e.method == METHOD and e.value is not None]
+    curves = [curve([e for e in known if e.symbol == symbol], 1) for symbol in SYMBOLS]
     table = [
         {
             "trial": campaign.name(step.trial),
@@ -230,12 +219,12 @@ def compare(
         }
         for step in steps
     ]
-    ordered = sorted(estimates, key=lambda e: (e.method, ("F_ce", "K", "B_c", "B_r", "tau_c", "tau_r").index(e.symbol)))
+    ordered = sorted(estimates, key=lambda e: (e.method, (*SYMBOLS, "tau_c", "tau_r").index(e.symbol)))
     regulator = {P: fitted for P, (fitted, _) in responses(campaign).items()}
     widths = bandwidth.estimates(campaign, found, regulator)
     return Further(
         (*ordered, *_dead_times(campaign, moved), *widths),
-        tuple(curves),
+        tuple(through for through in curves if through is not None),
         (*_findings(estimates), *bandwidth.findings(widths)),
         {"steps": table},
     )
@@ -253,7 +242,7 @@ def _at(
         symbol: str, value: float, parts: Parts, among: Sequence[Step], gains: Mapping[str, float],
         offsets: Mapping[str, float], note: str = "", method: str = METHOD,
     ) -> None:  # fmt: skip
-        unit, quantity = UNITS.get(symbol, ("s", "time"))
+        unit, quantity = QUANTITY.get(symbol, ("s", "time"))
         names = tuple(dict.fromkeys(campaign.name(step.trial) for step in among))
         found = Estimate(symbol, value, unit, quantity, method, {"pressure": P}, parts, len(names), trials=names)
         result.append(_Raw(replace(found, note=note), gains, offsets))
@@ -331,24 +320,14 @@ def _with_bias(estimate: Estimate, reference: Mapping[tuple[str, float], float |
     if known is None or estimate.value is None:
         note = "the pressure is taken for a step, and measured-pressure gives no value to hold that against"
         return replace(estimate, value=None, parts=Parts(), note=note)
-    bias = estimate.value - known
-    note = sentences(estimate.note, "bias: against measured-pressure")
-    parts = replace(estimate.parts, method=hypot(bias, estimate.parts.method or 0.0))
-    return replace(estimate, bias=bias, parts=parts, note=note)
+    return with_bias(estimate, known)
 
 
 def _findings(estimates: Sequence[Estimate]) -> tuple[Finding, ...]:
     """How far the papers' way lies from the primary method."""
-    parts = []
-    for symbol in ("B_c", "B_r", "K"):
-        off = [
-            100 * e.bias / (e.value - e.bias)
-            for e in estimates
-            if e.symbol == symbol and e.method == METHOD and e.bias is not None and e.value is not None
-        ]
-        if off:
-            parts.append(f"{symbol} {min(off):+.2g} to {max(off):+.2g} %")
-    forces = [e.bias for e in estimates if e.symbol == "F_ce" and e.method == METHOD and e.bias is not None]
+    mine = [e for e in estimates if e.method == METHOD]
+    parts = biases(mine, ("B_c", "B_r", "K"))
+    forces = [e.bias for e in mine if e.symbol == "F_ce" and e.bias is not None]
     if forces:
         parts.append(f"F_ce {min(forces):+.2g} to {max(forces):+.2g} N")
     if not parts:
@@ -388,8 +367,7 @@ def _dead_times(campaign: Campaign, moved: set[int]) -> list[Estimate]:
         ]
         if len(tested) > 1:
             groups.append(({}, members))
-        for at, group in groups:
-            estimates.append(_dead_time(campaign, kind, at, group))
+        estimates += [_dead_time(campaign, kind, at, group) for at, group in groups]
     return estimates
 
 
@@ -403,19 +381,9 @@ def _dead_time(campaign: Campaign, kind: str, at: dict[str, float], group: Seque
     note = _spread(over, ends) if len(set(conditions)) > 1 else ""
     reach = max(ends[1] - mean, mean - ends[0])
     between, skewed = _between(campaign, kind)
-    found = Estimate(
-        symbol="t_d",
-        value=mean,
-        unit="s",
-        quantity="time",
-        method=ONSET,
-        at=at,
-        parts=Parts(half, hypot(0.5 / campaign.rate, reach), 0.0, skewed),
-        n=len(group),
-        note=sentences(ONCE if half is None else "", note),
-        trials=tuple(campaign.name(number) for number in numbers),
-        coordinate=kind,
-    )
+    parts = Parts(half, hypot(0.5 / campaign.rate, reach), 0.0, skewed)
+    note, names = sentences(ONCE if half is None else "", note), tuple(map(campaign.name, numbers))
+    found = Estimate("t_d", mean, "s", "time", ONSET, at, parts, len(group), note=note, trials=names, coordinate=kind)
     return skew.settled(found, between, skewed)
 
 

@@ -2,8 +2,10 @@
 
 *Repeats*: covariance of least squares with the noise that was seen, checked by replays and widened
 where trials scatter more than that. *Method*: what replays of the fitted muscle come back with. *Calibration*: the fit
-once more with each channel off by its uncertainty. *Skew*: the same with the clock of each stream off. *Drift*: see
-`drift`. A `Source` each, which add up to the parts.
+once more with each channel off by its uncertainty. *Skew*: the same with the clock of each stream off. *Drift*: of the
+specimen by its reference trials, of a zero by the check at the end of a run, and by what is read at rest before each
+trial. Nobody knows what drifted in a specimen whose stroke did: its compliance or its force; nor when a zero went. Each
+cause is fitted both ways, the larger counts. A `Source` each, which add up to the parts.
 
 A check of the repeats part, which is the limit of many draws, by what the draws themselves say. Of n trials n - 1 are
 drawn and weigh n / (n - 1), or a draw from two would scatter by a half too little (Rao and Wu 1988, J. Am. Stat. Assoc.
@@ -12,7 +14,7 @@ drawn and weigh n / (n - 1), or a draw from two would scatter by a half too litt
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import hypot, sqrt
 from typing import TYPE_CHECKING
@@ -20,24 +22,146 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from pmabench.analysis.imported import in_time
 from pmabench.analysis.shared import student
 from pmabench.analysis.shared.calibration import Scales
-from pmabench.analysis.shared.samples import Noise
+from pmabench.analysis.shared.samples import Noise, Samples
 from pmabench.analysis.shared.simulated import Stretches
-from pmabench.kinds.contraction_relaxation.drift import Cause
+from pmabench.analysis.shared.trials import compared
 from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, Fit, Solved, rms_of
-from pmabench.kinds.contraction_relaxation.segments import Segments
-from pmabench.kinds.contraction_relaxation.trials import Campaign
+from pmabench.kinds.contraction_relaxation.segments import Campaign, Segments
 from pmabench.store.analyses.results import Parts, Source
-from pmabench.store.records import Array
+from pmabench.store.records import Array, RunData, TrialData
 
 if TYPE_CHECKING:
     from pmabench.kinds.contraction_relaxation.diagnosis.verdict import Diagnosis
 
+SPECIMEN = "drift of the specimen"
+NO_REFERENCE = "no reference trial was done again"
+NO_CHECK = "the record tells no zero at the end"
+
+
+@dataclass(frozen=True, eq=False)
+class Cause:
+    """One cause of drift: change of theta when it is taken away, shape (ways, p), or why that is not known."""
+
+    name: str
+    ways: Array | None
+    note: str = ""
+
+
+def at_rest(trials: Sequence[TrialData], samples: Sequence[Samples], channel: str, known: float) -> Array:
+    """What a channel reads before the first command of each trial, less the first, and less the median [SI], as far as
+    noise and a zero that its calibration leaves open, `known` [SI], do not make it; shape (2, trials), 0 where nothing
+    was recorded then.
+    """
+    found, noise = np.full(len(trials), np.nan), np.full(len(trials), np.nan)
+    for i, (trial, one) in enumerate(zip(trials, samples, strict=True)):
+        times = [c.t for c in trial.commands if c.output == "pressure"]
+        rest = one.ok & (one.t < min(times, default=-np.inf))
+        if rest.sum() > 1:
+            values = (one.P if channel == "pressure" else one.x)[rest]
+            found[i], noise[i] = float(np.mean(values)), float(np.var(values, ddof=1)) / len(values)
+    read = np.flatnonzero(np.isfinite(found))
+    if len(read) < 2:
+        return np.zeros((2, len(trials)))
+    seen = float(np.var(found[read], ddof=1))
+    share = np.sqrt(max(0.0, 1.0 - float(np.mean(noise[read])) / max(seen, 1e-300)))
+    first = read[np.argmin([float(samples[i].t[0]) for i in read.tolist()])]
+    off = share * np.nan_to_num(found - np.array([[found[first]], [np.median(found[read])]]))
+    return np.asarray(off - np.clip(off, -known, known))
+
+
+def drifts_of(
+    runs: Sequence[RunData], trials: Sequence[TrialData], channels: Sequence[str], segments: Segments, fit: Solved,
+    noise: float, rests: Mapping[str, Array],
+) -> tuple[Cause, ...]:  # fmt: skip
+    """All causes of drift of a fit to `segments`, whose trials are `trials`; `noise` [N] as in `again`, and `rests`
+    what channels read `at_rest`.
+    """
+
+    def change(other: Segments, begun: Solved = fit) -> Array:
+        return np.asarray(begun.again(other, noise).theta - fit.theta)
+
+    def zeros(channel: str, each: Iterable[Array]) -> Array:
+        """Change by a zero that is off by each of these [SI], (n,)."""
+        moved = [
+            change(
+                segments.shifted(channel, 0.0, by),
+                fit.followed(0.0, float(np.mean(by))) if channel == "pressure" else fit,
+            )
+            for by in each
+        ]
+        return np.array(moved).reshape(-1, len(fit.theta))
+
+    off = _specimen(runs, trials)
+    if off is None:
+        found = [Cause(SPECIMEN, None, NO_REFERENCE)]
+    else:
+        each = off[segments.trial]
+        shrunk = replace(segments, x=segments.x / (1 + each)[:, None], v=segments.v / (1 + each)[:, None])
+        pull = fit.values("F_ce", segments.pressure)
+        # a stroke is (F_ce - F_L) / K: by a share of it F_ce went by that share of what is above the load
+        weaker = segments.pulled(-each * np.maximum(0.0, pull - segments.force))
+        found = [Cause(SPECIMEN, np.array([change(shrunk), change(weaker)]))]
+    for channel, rest in rests.items():
+        ways = zeros(channel, (by for by in -rest[:, segments.trial] if by.any()))
+        found.append(Cause(f"zero of {channel} from trial to trial", ways))
+    for channel in channels:
+        if channel != "displacement":  # nobody knows of its zero: the specimen keeps it
+            ends = _zero_ends(runs, trials, channel)
+            ways_of = None if ends is None else zeros(channel, (-by[segments.trial] for by in ends))
+            found.append(Cause(f"drift of the zero of {channel}", ways_of, NO_CHECK if ends is None else ""))
+    return tuple(found)
+
+
+def _specimen(runs: Sequence[RunData], trials: Sequence[TrialData]) -> Array | None:
+    """Relative change of the stroke at each trial, straight lines between reference trials; shape (trials,)."""
+    known = compared(runs)
+    if not known:
+        return None
+    order = {run.id: place for place, run in enumerate(in_time(runs))}
+
+    def begun(trial: TrialData) -> tuple[int, float]:
+        return order.get(trial.run, 0), float(trial.t[0])
+
+    place = {key: number for number, key in enumerate(sorted({*map(begun, trials), *(begun(o.trial) for o in known)}))}
+    at: dict[int, list[float]] = {0: [0.0]}
+    for one in known:
+        at.setdefault(place[begun(one.trial)], []).append(one.off)
+    places = sorted(at)
+    return np.interp([place[begun(t)] for t in trials], places, [float(np.mean(at[p])) for p in places])
+
+
+def _zero_ends(runs: Sequence[RunData], trials: Sequence[TrialData], channel: str) -> tuple[Array, Array] | None:
+    """What a zero was off by at the end of each trial's run [SI], all the time, and growing evenly; (trials,) each."""
+    whole, growing = np.zeros(len(trials)), np.zeros(len(trials))
+    referenced = False
+    for run in runs:
+        end = next(zero_drifts(run, channel), None)
+        mine = np.array([trial.run == run.id for trial in trials])
+        if end is None or not mine.any():
+            continue
+        referenced = True
+        begins = np.array([float(trial.t[0]) for trial in trials])[mine]
+        whole[mine] = end
+        growing[mine] = end * (begins - begins.min()) / max(float(np.ptp(begins)), 1e-9)
+    return (whole, growing) if referenced else None
+
+
+def zero_drifts(run: RunData, channel: str) -> Iterator[float]:
+    """What the zero of a channel read at each check at the end of a run, less that at the begin [SI]."""
+    for event in run.events:
+        if event.kind == "zero-check":
+            zero = (event.data.get("channels") or {}).get(channel)
+            drift = zero.get("drift") if isinstance(zero, dict) else None
+            if isinstance(drift, int | float) and np.isfinite(drift):
+                yield float(drift)
+
+
 NORMAL = 1.96
 """Half width of a 95 % interval by its standard deviation."""
 CHANNELS = ("pressure", "displacement", "force")
-NO_NOISE = Noise()
 SCATTER = "noise, and scatter between trials"
 NO_UNCERTAINTY = "the record tells no uncertainty"
 FEW = 10
@@ -206,53 +330,37 @@ class Pooled:
 
 
 def assess(
-    segments: Segments,
-    fit: Solved,
-    noise: Array,
-    cells: NDArray[np.intp],
-    replays: Sequence[Array],
-    scales: Scales,
-    skews: Array,
-    shaken: Noise = NO_NOISE,
-    steps: Noise = NO_NOISE,
-    drifts: tuple[Cause, ...] = (),
-) -> Trust:
-    """All parts for a fit.
+    campaign: Campaign, segments: Segments, fit: Solved, noise: Array, replays: Sequence[Array], skews: Array,
+    drifts: tuple[Cause, ...],
+) -> Trust:  # fmt: skip
+    """All parts for a fit to segments of a campaign.
 
     Parameters
     ----------
     noise
         Standard deviation of each segment [N] that the channels explain, shape (n,).
-    cells
-        Cell number of each trial number in `segments.trial`.
     replays
         Theta of fits to replays of `fit`.
-    scales
-        How well the channels are known.
     skews, drifts
         As in `Trust`.
-    shaken
-        Noise of the channels, for what neighbouring segments share of it.
-    steps
-        The part of the channels' noise that the steps of their values make.
     """
     bias, spread = _replayed(fit, replays)
-    expected = rms_of(noise)
+    expected, scales = rms_of(noise), Scales.of(campaign.runs)
     channels = [name for name in CHANNELS if name != "force" or not (segments.mass > 0).all()]
     more = max(1.0, fit.rms / expected)
-    covariance = more**2 * _covariance(fit, noise) + fit.shared(segments, shaken)
+    covariance = more**2 * _covariance(fit, noise) + fit.shared(segments, campaign.noise)
     analytic = np.diag(covariance)
     seen = analytic
     if len(replays) > 1:
         seen = 0.5 * (analytic + (more * spread) ** 2)
-    between, freedom, within = _between(segments, fit, cells)
+    between, freedom, within = _between(segments, fit, campaign.cells)
     excess, widen = _widened(segments, fit, between / np.maximum(seen, 1e-300))
     stretch = student.ppf(0.975, freedom) / NORMAL
     scale = np.sqrt(seen / analytic * (1.0 + stretch**2 * (widen - 1.0)))
     return Trust(
         bias=bias,
         covariance=covariance * np.outer(scale, scale),
-        steps={n: fit.scatter(segments, replace(NO_NOISE, **{n: size})) for n, size in vars(steps).items() if size > 0},
+        steps={n: fit.scatter(segments, Noise(**{n: size})) for n, size in vars(campaign.steps).items() if size > 0},
         mean_error=2.0 * spread / np.sqrt(max(1, len(replays))),
         form=fit.bends(segments, expected),
         shifts=_calibration(segments, fit, expected, scales),
@@ -276,13 +384,8 @@ def _widened(segments: Segments, fit: Solved, ratio: Array) -> tuple[dict[str, f
 def _covariance(fit: Solved, noise: Array) -> Array:
     """Covariance of theta for independent segments of unlike `noise` (n,) [N]; the prior counts as rows of its rms."""
     even = rms_of(noise) ** 2
-    uneven = _scores(fit, noise) - even * (fit.design.T @ fit.design)
-    return even * fit.inverse + fit.inverse @ uneven @ fit.inverse
-
-
-def _scores(fit: Solved, noise: Array) -> Array:
-    """A' diag(noise^2) A, shape (p, p)."""
-    return np.asarray((fit.design * noise[:, None] ** 2).T @ fit.design)
+    uneven = (fit.design * noise[:, None] ** 2).T @ fit.design - even * (fit.design.T @ fit.design)
+    return np.asarray(even * fit.inverse + fit.inverse @ uneven @ fit.inverse)
 
 
 def _replayed(fit: Solved, replays: Sequence[Array]) -> tuple[Array, Array]:
@@ -350,18 +453,11 @@ def _off(segments: Segments, fit: Solved, channel: str, gain: float, offset: flo
     return begun.again(segments.shifted(channel, gain, offset), expected).theta
 
 
-def replay_fits(replay: Callable[[int], Segments], fit: Solved, expected: float, count: int) -> list[Array]:
-    """Theta of the same fit to `count` replays; `replay(seed)` gives the segments of one."""
-    return [fit.again(replay(seed), expected).theta for seed in range(count)]
-
-
 @dataclass(frozen=True, eq=False)
 class Draws:
     """Theta of each draw, shape (count, p)."""
 
     theta: Array
-    within: bool
-    """Drawn within cells; else among all trials, for hardly a cell is repeated."""
 
     def half(self, combination: Array) -> float:
         """Half the width between the percentiles 2.5 and 97.5 of a linear combination (p,)."""
@@ -395,4 +491,4 @@ def bootstrap(segments: Segments, fit: Solved, cells: NDArray[np.intp], count: i
         total = np.tensordot(weight, normal, 1) + prior
         scale = np.sqrt(np.diag(total))
         drawn[draw] = np.linalg.solve(total / np.outer(scale, scale), (weight @ right) / scale) / scale
-    return Draws(drawn, within)
+    return Draws(drawn)

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from math import log, sqrt
 from typing import Any
 
@@ -37,9 +37,8 @@ from pmabench.kinds.contraction_relaxation.pooled import (
     sizes_of,
     spread,
 )
-from pmabench.kinds.contraction_relaxation.segments import Segments
-from pmabench.kinds.contraction_relaxation.trials import Campaign
-from pmabench.kinds.contraction_relaxation.values import QUANTITY, Further, Solution, values
+from pmabench.kinds.contraction_relaxation.segments import Campaign, Segments
+from pmabench.kinds.contraction_relaxation.values import QUANTITY, Further, Solution, name_of, values
 from pmabench.store.analyses.results import Curve, Estimate, Finding
 from pmabench.store.records import Array
 
@@ -140,12 +139,10 @@ class Joint(Solved):
 
     def columns(self, symbol: str) -> slice:
         """See `Solved`."""
-        start = 0
-        for name in SYMBOLS:
-            if name == symbol:
-                return slice(start, start + self.forms[name].size)
-            start += self.forms[name].size
-        return slice(start, start + 1)
+        sizes = [*(self.forms[name].size for name in SYMBOLS), 1]
+        place = (*SYMBOLS, symbol).index(symbol)
+        start = sum(sizes[:place])
+        return slice(start, start + sizes[place])
 
     def row(self, symbol: str, P: float) -> Array:
         """See `Solved`."""
@@ -240,12 +237,9 @@ def _sums(P: Array, by: Array, form: Form) -> Array:
     return np.column_stack(columns)
 
 
-@dataclass(frozen=True)
-class Score:
-    """How well an order does: corrected Akaike criterion, and what trials that were left out are missed by, rms [N]."""
-
-    aicc: float
-    held_out: float
+Score = dict[str, float]
+"""How well an order does: `aicc`, corrected Akaike criterion, and `held_out`, what trials are missed by that were left
+out, rms [N]."""
 
 
 def choose(
@@ -267,7 +261,7 @@ def choose(
             best = 0
             for order, score in scores[symbol].items():
                 than = scores[symbol][best]
-                if score.aicc < than.aicc - FALL and score.held_out < than.held_out:
+                if score["aicc"] < than["aicc"] - FALL and score["held_out"] < than["held_out"]:
                     best = order
             now[symbol] = best
         if now == before:
@@ -298,7 +292,7 @@ def _scores(
             _, without = _solved(normal - mine.T @ mine, right - mine.T @ force)
             missed += float(np.sum((force - mine @ without) ** 2))
         aicc = n * log(max(power, 1e-300) / n) + 2 * p + 2 * p * (p + 1) / max(1, n - p - 1)
-        found[order] = Score(aicc, sqrt(missed / n))
+        found[order] = {"aicc": aicc, "held_out": sqrt(missed / n)}
     return found
 
 
@@ -328,9 +322,8 @@ def compare(campaign: Campaign, pooled: Pooled, options: Mapping[str, Any]) -> F
     solved = solve(segments, forms_of(orders, knots), noise, least, pooled.fit.added)
     trust = pooled.trust_of(solved, rows, pooled.noise[rows])
     note = sentences(_forms(solved.forms), "" if _enough(solved, pooled) else SIMPLE)
-    estimates = values(
-        Solution(campaign, segments, solved, pooled.fit.knots, trust, METHOD, note, pooled.diagnosis.stiffness_is)
-    )
+    stiffness_is = pooled.diagnosis.stiffness_is
+    estimates = values(Solution(campaign, segments, solved, pooled.fit.knots, trust, METHOD, note, stiffness_is))
     known = [e for e in estimates if e.value is not None]
     curved = [s for s in SYMBOLS if solved.forms[s].knots is None and sum(e.symbol == s for e in known) > 1]
     return Further(
@@ -340,8 +333,7 @@ def compare(campaign: Campaign, pooled: Pooled, options: Mapping[str, Any]) -> F
         {
             "forms": {symbol: form.name for symbol, form in solved.forms.items()},
             "orders": {
-                symbol: {str(order): asdict(score) for order, score in found.items()}
-                for symbol, found in scores.items()
+                symbol: {str(order): score for order, score in found.items()} for symbol, found in scores.items()
             },
             "residual_rms": solved.rms,
             "correlation": _correlation(solved, trust, known),
@@ -357,7 +349,7 @@ def _forms(forms: Mapping[str, Form]) -> str:
 
 def _curve(solved: Joint, trust: Trust, symbol: str, known: Sequence[Estimate]) -> Curve:
     """The form of one symbol with its terms; it is the fit itself, and nothing scatters about it: r2 1, residual 0."""
-    form, (unit, quantity) = solved.forms[symbol], QUANTITY[symbol]
+    form = solved.forms[symbol]
     mine = [e for e in known if e.symbol == symbol]
     trials = tuple(dict.fromkeys(trial for e in mine for trial in e.trials))
     first = solved.columns(symbol).start
@@ -368,8 +360,8 @@ def _curve(solved: Joint, trust: Trust, symbol: str, known: Sequence[Estimate]) 
         parts, bias, budget = trust.budget(combination)
         terms.append(
             Estimate(
-                symbol, float(solved.theta[first + power]) - bias, unit, quantity, METHOD, {}, parts, len(trials), bias,
-                True, "", trials, f"z^{power}", budget,
+                symbol, float(solved.theta[first + power]) - bias, *QUANTITY[symbol], METHOD, {}, parts, len(trials),
+                bias, True, "", trials, f"z^{power}", budget,
             )
         )  # fmt: skip
     ends = [e.at["pressure"] for e in mine]
@@ -399,12 +391,10 @@ def _correlation(solved: Joint, trust: Trust, known: Sequence[Estimate]) -> dict
     covariance = rows @ trust.covariance @ rows.T
     width = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     matrix: Array = covariance / np.outer(width, width)
-    return {"of": [_name(e) for e in known], "matrix": [[round(float(v), 4) for v in row] for row in matrix]}
-
-
-def _name(estimate: Estimate) -> str:
-    at = estimate.at.get("pressure")
-    return estimate.symbol if at is None else f"{estimate.symbol} at {show(at, 'pressure', 4)}"
+    return {
+        "of": [name_of(e.symbol, e.at.get("pressure")) for e in known],
+        "matrix": [[round(float(v), 4) for v in row] for row in matrix],
+    }
 
 
 def _together(solved: Joint, trust: Trust, known: Sequence[Estimate]) -> list[Finding]:
@@ -419,11 +409,8 @@ def _together(solved: Joint, trust: Trust, known: Sequence[Estimate]) -> list[Fi
             pair = (other.symbol, one.symbol)
             if abs(r) > max(TOGETHER, abs(worst.get(pair, (0.0, "", ""))[0])):
                 worst[pair] = (r, correlation["of"][j], correlation["of"][i])
+    text = "their sum is known better than each; loads or speeds that differ more part them"
     return [
-        Finding(
-            "note",
-            f"{first} and {second} hang together (correlation {r:+.3f}): their sum is known better than each;"
-            " loads or speeds that differ more part them",
-        )
+        Finding("note", f"{first} and {second} hang together (correlation {r:+.3f}): {text}")
         for r, first, second in worst.values()
     ]

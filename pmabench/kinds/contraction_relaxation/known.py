@@ -12,20 +12,11 @@ import numpy as np
 from pmabench.analysis.design import FEWEST, NORMAL, SCATTER, scatter_like
 from pmabench.analysis.next_trial import SWEEP, Aim, Goal
 from pmabench.analysis.shared.samples import NotUsable
+from pmabench.kinds.contraction_relaxation import predicted
 from pmabench.kinds.contraction_relaxation.intervals import Pooled
 from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, design_of, rms_of
-from pmabench.kinds.contraction_relaxation.predicted import (
-    Cell,
-    Outlook,
-    as_expected,
-    cell_key,
-    outlook,
-    scattered,
-    simulated_trials,
-)
 from pmabench.kinds.contraction_relaxation.reduction import estimates_of, pool, withheld
-from pmabench.kinds.contraction_relaxation.segments import Gate, Segments, cut
-from pmabench.kinds.contraction_relaxation.trials import Campaign, gather
+from pmabench.kinds.contraction_relaxation.segments import Gate, cut, gather
 from pmabench.store.analyses.results import Estimate
 from pmabench.store.records import Array, RunData, TrialData
 
@@ -40,7 +31,7 @@ BY_CHANCE = 2.326
 class Known:
     """What is known after some trials."""
 
-    outlook: Outlook
+    outlook: predicted.Outlook
     """Its wanted values are those with a goal."""
     aim: Aim
     freedom: int
@@ -59,7 +50,7 @@ class Known:
         place = {cell.key: number for number, cell in enumerate(self.outlook.cells)}
         counts = np.zeros(len(place))
         for trial in trials:
-            if (number := place.get(cell_key(trial.point))) is not None:
+            if (number := place.get(predicted.cell_key(trial.point))) is not None:
                 counts[number] += 1
         return counts
 
@@ -107,7 +98,7 @@ def of_trials(runs: Sequence[RunData], trials: Sequence[TrialData]) -> list[RunD
 
 
 def known_after(
-    cells: Sequence[Cell], goals: Sequence[Goal], runs: Sequence[RunData], expected: Mapping[str, Any] | None
+    cells: Sequence[predicted.Cell], goals: Sequence[Goal], runs: Sequence[RunData], expected: Mapping[str, Any] | None
 ) -> Known | None:
     """What the runs know of the coefficients with a goal; from what is `expected` where nothing can be fitted yet.
 
@@ -124,12 +115,12 @@ def known_after(
         return _measured(cells, goals, pooled)
     if expected is None:
         return None
-    fit = as_expected(expected, cells)
-    noise = NOISE * rms_of(simulated_trials(fit, cells).force)
-    return _with_goals(outlook(fit, cells, noise), goals, {}, None)
+    fit = predicted.as_expected(expected, cells)
+    noise = NOISE * rms_of(predicted.simulated_trials(fit, cells).force)
+    return _with_goals(predicted.outlook(fit, cells, noise), goals, {}, None)
 
 
-def _measured(cells: Sequence[Cell], goals: Sequence[Goal], pooled: Pooled) -> Known:
+def _measured(cells: Sequence[predicted.Cell], goals: Sequence[Goal], pooled: Pooled) -> Known:
     """What is known by a fit."""
     campaign = pooled.campaign
     estimates, _ = estimates_of(campaign, pooled)
@@ -138,12 +129,14 @@ def _measured(cells: Sequence[Cell], goals: Sequence[Goal], pooled: Pooled) -> K
     used = np.unique(pooled.segments.trial)
     trials = [campaign.trials[number] for number in used]
     freedom = len(used) - len(np.unique(campaign.cells[used]))
-    seen = outlook(pooled.fit, cells, pooled.expected)
-    still = {cell_key(t.point) for t in campaign.trials} - {cell_key(campaign.trials[number].point) for number in used}
+    seen = predicted.outlook(pooled.fit, cells, pooled.expected)
+    still = {predicted.cell_key(t.point) for t in campaign.trials} - {
+        predicted.cell_key(campaign.trials[number].point) for number in used
+    }
     seen = _without(seen, still)
     every = _with_goals(seen, [Goal(symbol, 1.0, True) for symbol in (*SYMBOLS, "F_c")], reported, None)
     rows = [n for n, name in enumerate(every.outlook.names) if _repeats(reported.get(name)) > 0]
-    whole = scattered(pooled.fit, 1.0)
+    whole = predicted.scattered(pooled.fit, 1.0)
     alike = replace(seen.design, wanted=every.outlook.design.wanted[rows], between=whole)
     halves = np.array([_repeats(reported[every.outlook.names[n]]) for n in rows])
     share = scatter_like(alike, every.counts(trials), halves, SCATTER) if freedom >= FEWEST else SCATTER
@@ -159,7 +152,7 @@ def _repeats(estimate: Estimate | None) -> float:
     return 0.0 if estimate is None or estimate.value is None else estimate.parts.repeats or 0.0
 
 
-def _without(seen: Outlook, still: set[tuple[float, float]]) -> Outlook:
+def _without(seen: predicted.Outlook, still: set[tuple[float, float]]) -> predicted.Outlook:
     """The outlook without cells in which nothing moved."""
     kept = [number for number, cell in enumerate(seen.cells) if cell.key not in still]
     if len(kept) == len(seen.cells):
@@ -170,7 +163,10 @@ def _without(seen: Outlook, still: set[tuple[float, float]]) -> Outlook:
 
 
 def _with_goals(
-    seen: Outlook, goals: Sequence[Goal], reported: Mapping[tuple[str, float], Estimate], pooled: Pooled | None
+    seen: predicted.Outlook,
+    goals: Sequence[Goal],
+    reported: Mapping[tuple[str, float], Estimate],
+    pooled: Pooled | None,
 ) -> Known:
     """The outlook on the values that have a goal, and how their intervals follow from the design."""
     wanted: dict[int, float] = {}
@@ -181,7 +177,11 @@ def _with_goals(
         halves = [half for goal in goals if (half := goal.of(name, float(value), whole)) is not None]
         if halves:
             wanted[number] = min(halves)
-    aim = Aim(np.array([wanted.get(n, np.inf) for n in range(len(seen.names))]), *_no_more(len(seen.names)))
+    aim = Aim(
+        np.array([wanted.get(n, np.inf) for n in range(len(seen.names))]),
+        np.full(len(seen.names), NORMAL),
+        np.zeros(len(seen.names)),
+    )
     as_reported = not any(goal.symbol == SWEEP for goal in goals)
     found = Known(seen, aim, 0, "", pooled, reported, as_reported).narrowed(list(wanted))
     if pooled is None or not wanted or not as_reported:
@@ -199,11 +199,6 @@ def _with_goals(
     return found
 
 
-def _no_more(count: int) -> tuple[Array, Array]:
-    """Factor and rest of an `Aim` where nothing was measured."""
-    return np.full(count, NORMAL), np.zeros(count)
-
-
 def missed_by(before: Known, fitted: Sequence[TrialData], runs: Sequence[RunData]) -> float:
     """Mean square of what a fit misses trials by that had no part in it, over what noise and scatter explain.
 
@@ -213,7 +208,7 @@ def missed_by(before: Known, fitted: Sequence[TrialData], runs: Sequence[RunData
     campaign, _ = gather(runs)
     if campaign is None or before.pooled is None or before.pooled.diagnosis.state != "sound":
         return 1.0
-    segments = _segments(campaign, before.pooled)
+    segments = cut(campaign.samples, campaign.rate, Gate()).within(before.pooled.fit.knots)
     if not len(segments):
         return 1.0
     fit, design = before.pooled.fit, before.outlook.design
@@ -221,10 +216,3 @@ def missed_by(before: Known, fitted: Sequence[TrialData], runs: Sequence[RunData
     spread = design.covariance(before.counts(fitted)) + design.between
     residual = segments.force - rows @ fit.theta
     return float(residual @ residual / (len(segments) * design.noise**2 + np.sum((rows @ spread) * rows)))
-
-
-def _segments(campaign: Campaign, pooled: Pooled) -> Segments:
-    """Segments within the reach of a fit."""
-    found, knots = cut(campaign.samples, campaign.rate, Gate()), pooled.fit.knots
-    low, high = knots[0] - 1e3, knots[-1] + (knots[-1] - knots[-2])
-    return found.where((found.P.min(axis=1) >= low) & (found.P.max(axis=1) <= high))

@@ -39,15 +39,9 @@ def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Qu
         quick.ends.setdefault(round(P), {})[trial.index] = load, x
     ends = np.array(list(quick.ends.get(round(P), {}).values()))
     line = regress(ends[:, 0], ends[:, 1]) if len(ends) else None
-    found: list[Measured] = [
-        Measured(
-            "x_inf",
-            "length",
-            x,
-            expected=pull / K_e if pull is not None and K_e else None,
-            tolerance=slip / K_e if K_e else 0.0,
-            noise=20e-6,
-        ),
+    x_e, tolerance = pull / K_e if pull is not None and K_e else None, slip / K_e if K_e else 0.0
+    found = [
+        Measured("x_inf", "length", x, expected=x_e, tolerance=tolerance, noise=20e-6),
         Measured("tau", "time", step.fit.tau, noise=0.01),
     ]
     rest = F_e - slip if F_e is not None else None

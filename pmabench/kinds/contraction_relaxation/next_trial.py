@@ -31,6 +31,7 @@ from pmabench.analysis.next_trial import (
 from pmabench.base.quantities import show
 from pmabench.kinds.contraction_relaxation.known import Known, finished, known_after, missed_by, of_trials
 from pmabench.kinds.contraction_relaxation.predicted import Cell, cell_key, cells_of
+from pmabench.kinds.contraction_relaxation.values import name_of
 from pmabench.store.records import Array, RunData, TrialData
 
 FIRST_FIT = 8
@@ -216,7 +217,7 @@ class Chooser:
             return None
         if len(course.changes) >= len(self.plan["trials"]):
             return Stop(False, f"as many trials are done as the plan has; {self._far(known, counts)}")
-        if self.seconds is not None and course.spent + self._shortest(known) > self.seconds:
+        if self.seconds is not None and course.spent + min(cell.seconds for cell in known.outlook.cells) > self.seconds:
             return Stop(False, f"the time is over; {self._far(known, counts)}")
         if known.freedom < FEWEST_FREEDOM or course.held:
             return None
@@ -234,18 +235,13 @@ class Chooser:
         beyond = set(out_of_reach(known.outlook.design, known.aim, known.counts(course.done)))
         return known.narrowed([n for n in range(len(known.outlook.names)) if n not in beyond])
 
-    def _shortest(self, known: Known) -> float:
-        return min(cell.seconds for cell in known.outlook.cells)
-
     def _of(self, known: Known, number: int, counts: Array) -> str:
         """A value, its interval and its goal, in words."""
+        goal, rest = float(known.aim.goal[number]), float(known.aim.rest[number])
         half = float(known.aim.halves(known.outlook.design.variances(counts))[number])
-        size, wanted = _size(half, known.outlook.values[number]), _wanted(known, number)
-        rest = float(known.aim.rest[number])
-        fixed = ""
-        if rest > known.aim.goal[number]:
-            fixed = f", {_size(rest, known.outlook.values[number])} of it by calibration or skew"
-        return f"{name_of(known.outlook.names[number])} has {size} where {wanted} is wanted{fixed}"
+        size, wanted, by_rest = (_size(one, float(known.outlook.values[number])) for one in (half, goal, rest))
+        fixed = f", {by_rest} of it by calibration or skew" if rest > goal else ""
+        return f"{name_of(*known.outlook.names[number])} has {size} where {wanted} is wanted{fixed}"
 
     def _far(self, known: Known, counts: Array) -> str:
         """The value that is farthest from its goal, in words."""
@@ -257,11 +253,8 @@ class Chooser:
         fitted = self._fitted(course)
         missed = missed_by(before, fitted, of_trials(runs, course.held))
         if missed > MISSED:
-            return Stop(
-                False,
-                f"nothing is promised: trials that had no part in the fit are missed by {missed**0.5:.1f} times what"
-                " noise and scatter explain",
-            )
+            text = f"trials that had no part in the fit are missed by {missed**0.5:.1f} times what noise and scatter"
+            return Stop(False, f"nothing is promised: {text} explain")
         known = self._known(runs, course.done)
         if isinstance(known, Stop):
             return known
@@ -371,7 +364,7 @@ class Course:
         return cls(
             tuple(through),
             done,
-            _again(waiting[-1]) if waiting else None,
+            Next(**{name: waiting[-1][name] for name in FIELDS}) if waiting else None,
             [trial for trial in done if trial.index in held],
             frozenset(t.index for run in runs for t in run.trials),
             load,
@@ -390,10 +383,6 @@ def _last_fit(done: int) -> int:
 FIELDS = ("trial", "like", "role", "why", "predicted", "point", "repeat", "reference")
 
 
-def _again(change: Mapping[str, Any]) -> Next:
-    return Next(**{name: change[name] for name in FIELDS})
-
-
 ROLES = {
     REFERENCE: "reference trial, for drift",
     RANDOM: "drawn by lot, to show a misfit",
@@ -406,20 +395,10 @@ def described(known: Known, choice: Choice) -> tuple[str, Mapping[str, Any]]:
     """Why a trial is done, in words and as data."""
     name, value = known.outlook.names[choice.worst], float(known.outlook.values[choice.worst])
     cell = known.outlook.cells[choice.cell]
-    change = f"{name_of(name)}, {_size(choice.before, value)} to {_size(choice.after, value)}"
+    change = f"{name_of(*name)}, {_size(choice.before, value)} to {_size(choice.after, value)}"
     where = f"{show(cell.load, 'force', 3)}, {show(cell.pressure, 'pressure', 4)}"
     data = {"symbol": name[0], "pressure": name[1], "before": choice.before, "after": choice.after, "value": value}
     return f"{where}: {ROLES.get(choice.role, change)}", data
-
-
-def name_of(name: tuple[str, float]) -> str:
-    """`K at 300 kPa`."""
-    symbol, P = name
-    return f"{symbol} at {show(P, 'pressure', 4)}" if P else symbol
-
-
-def _wanted(known: Known, number: int) -> str:
-    return _size(float(known.aim.goal[number]), float(known.outlook.values[number]))
 
 
 def _size(half: float, value: float) -> str:

@@ -8,7 +8,7 @@ does not take the pressure for a step. D of relaxation carries the pressure *bef
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import hypot
 from typing import Any
 
@@ -21,11 +21,9 @@ from pmabench.analysis.shared.student import mean_over, mean_with_half
 from pmabench.base.errors import invalid
 from pmabench.base.quantities import show
 from pmabench.kinds.contraction_relaxation import PAPER_1_RESULTS
-from pmabench.kinds.contraction_relaxation import paper1_view as view
-from pmabench.kinds.contraction_relaxation.curves import compare_orders, curve, least
-from pmabench.kinds.contraction_relaxation.paper1_steps import STILL, Braid, Step, fit_known_force, read
-from pmabench.kinds.contraction_relaxation.segments import moved
-from pmabench.kinds.contraction_relaxation.trials import Campaign, gather
+from pmabench.kinds.contraction_relaxation.paper1_steps import STILL, Braid, Step, compare, fit_known_force, read
+from pmabench.kinds.contraction_relaxation.segments import Campaign, gather, moved
+from pmabench.kinds.contraction_relaxation.values import biases, compare_orders, curve, least, with_bias
 from pmabench.store.analyses.results import Analysis, Curve, Dropped, Estimate, Finding, Parts
 from pmabench.store.records import Array, RunData
 
@@ -42,14 +40,6 @@ ONCE = "no repeats part: each step was made once"
 VENTED = (
     "not identifiable: the step to 0 leaves this pressure at once; relax in steps (`relax.by`) for B_r over pressure"
 )
-
-
-@dataclass(frozen=True)
-class _Group:
-    """The steps of one direction at one pressure."""
-
-    pressure: float
-    steps: tuple[Step, ...]
 
 
 def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) -> Analysis:
@@ -78,15 +68,15 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     driven = _driven(campaign, up, braid)
     estimates: list[Estimate] = []
     for at in sorted(METHODS, key=lambda name: name != chosen):
-        estimates += _by_paper(campaign, up, down, braid, at, driven if at == "x0" else None)
+        estimates += _by_paper(campaign, up, down, braid, at, driven if at == "x0" else ())
     curves, findings, compared_orders = _curves([*estimates, *driven], orders)
     stiff = [e for e in estimates if (e.symbol, e.method) == ("K", METHODS[chosen]) and e.value is not None]
-    compared = view.compare(campaign, steps, curves, stiff, braid, chosen)
+    of_model, said, traces = compare(campaign, steps, curves, stiff, braid, chosen)
     return Analysis.of(
         KIND,
         runs,
         results=PAPER_1_RESULTS,
-        estimates=(*estimates, *driven, *_vented(driven, down), *compared.estimates),
+        estimates=(*estimates, *driven, *_vented(driven, down), *of_model),
         curves=curves,
         dropped=dropped,
         findings=(
@@ -94,10 +84,10 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
             *_biased(estimates),
             *_creep(campaign, steps),
             *findings,
-            *compared.findings,
+            *said,
             *skew.findings(alike, campaign.channels, campaign.skew, driven),
         ),
-        traces=compared.traces,
+        traces=traces,
         facts={
             "options": settings,
             "trials": sum(len(run.trials) for run in runs),
@@ -149,44 +139,40 @@ def _asked(run: RunData, settings: Mapping[str, Any]) -> tuple[Braid, str, dict[
     return braid, chosen, orders
 
 
-def _grouped(steps: Sequence[Step]) -> list[_Group]:
-    pressures = sorted({step.pressure for step in steps})
-    return [_Group(P, tuple(s for s in steps if s.pressure == P)) for P in pressures]
+def _grouped(steps: Sequence[Step]) -> list[list[Step]]:
+    """The steps at each pressure, which rises."""
+    return [[s for s in steps if s.pressure == P] for P in sorted({step.pressure for step in steps})]
 
 
 def _by_paper(
-    campaign: Campaign,
-    up: Sequence[_Group],
-    down: Sequence[_Group],
-    braid: Braid,
-    at: str,
-    driven: Sequence[Estimate] | None,
-) -> list[Estimate]:
+    campaign: Campaign, up: Sequence[Sequence[Step]], down: Sequence[Sequence[Step]], braid: Braid, at: str,
+    driven: Sequence[Estimate],
+) -> list[Estimate]:  # fmt: skip
     """K, B_c, B_r at every pressure in one convention; with `driven` the distance to it as bias and method part."""
     scales = Scales.of(campaign.runs)
     estimates: list[Estimate] = []
     stiff: dict[float, Estimate] = {}
     for group in up:
-        values = [braid.stiffness(s.held, s.stroke, s.load, at) for s in group.steps]
+        values = [braid.stiffness(s.held, s.stroke, s.load, at) for s in group]
         K = _estimate(campaign, "K", group, values, at)
-        B = _estimate(campaign, "B_c", group, [s.tau * S for s, S in zip(group.steps, values, strict=True)], at)
+        B = _estimate(campaign, "B_c", group, [s.tau * S for s, S in zip(group, values, strict=True)], at)
         if min(values) <= 0:
             note = "not identifiable: by its geometry the muscle has no pull above the load left at x_max"
             K, B = (replace(e, value=None, parts=Parts(), note=note) for e in (K, B))
         else:
-            tau = float(np.mean([s.tau for s in group.steps]))
+            tau = float(np.mean([s.tau for s in group]))
             K, B = _calibrated(K, group, braid, at, scales, 1.0), _calibrated(B, group, braid, at, scales, tau)
             B = _sampled(campaign, B, tau)
-            stiff[group.pressure] = K
+            stiff[group[0].pressure] = K
         estimates += [_against(K, driven), _against(B, driven)]
     for group in down:
-        S = stiff.get(group.pressure)
+        S = stiff.get(group[0].pressure)
         if S is None or S.value is None:
-            blank = _estimate(campaign, "B_r", group, [0.0] * len(group.steps), at)
+            blank = _estimate(campaign, "B_r", group, [0.0] * len(group), at)
             note = "not identifiable: there is no S of a contraction to this pressure"
             estimates.append(replace(blank, value=None, parts=Parts(), note=note))
             continue
-        taus = [s.tau for s in group.steps]
+        taus = [s.tau for s in group]
         mean = float(np.mean(taus))
         B = _estimate(campaign, "B_r", group, [tau * S.value for tau in taus], at, START)
         halves = (B.parts.repeats, S.parts.repeats)
@@ -198,28 +184,20 @@ def _by_paper(
 
 
 def _estimate(
-    campaign: Campaign, symbol: str, group: _Group, values: Sequence[float], at: str, note: str = ""
+    campaign: Campaign, symbol: str, group: Sequence[Step], values: Sequence[float], at: str, note: str = ""
 ) -> Estimate:
     """Mean over the repeats and loads of a group, with what these say of its interval."""
-    mean, half, _ = mean_over(values, [s.load for s in group.steps])
-    unit, quantity = SYMBOLS[symbol]
+    mean, half, _ = mean_over(values, [s.load for s in group])
+    note = sentences(note, GIVEN, OTHER if at == "xmax" else "", ONCE if half is None else "")
+    where, names = {"pressure": group[0].pressure}, tuple(campaign.name(s.trial) for s in group)
     return Estimate(
-        symbol,
-        mean,
-        unit,
-        quantity,
-        METHODS[at],
-        {"pressure": group.pressure},
-        Parts(repeats=half),
-        len(values),
-        note=sentences(note, GIVEN, OTHER if at == "xmax" else "", ONCE if half is None else ""),
-        trials=tuple(campaign.name(s.trial) for s in group.steps),
+        symbol, mean, *SYMBOLS[symbol], METHODS[at], where, Parts(half), len(values), note=note, trials=names
     )
 
 
-def _calibrated(e: Estimate, group: _Group, braid: Braid, at: str, scales: Scales, factor: float) -> Estimate:
+def _calibrated(e: Estimate, group: Sequence[Step], braid: Braid, at: str, scales: Scales, factor: float) -> Estimate:
     """The estimate with the part of the channels' calibrations: d S / d P and d S / d x, times `factor`."""
-    P, x, load = (float(np.mean([getattr(s, name) for s in group.steps])) for name in ("held", "stroke", "load"))
+    P, x, load = (float(np.mean([getattr(s, name) for s in group])) for name in ("held", "stroke", "load"))
     by_P = factor * (braid.stiffness(P * 1.001, x, load, at) - braid.stiffness(P * 0.999, x, load, at)) / (0.002 * P)
     by_x = factor * (braid.stiffness(P, x * 1.001, load, at) - braid.stiffness(P, x * 0.999, load, at)) / 0.002
     gains, offsets = {"displacement": by_x, "pressure": by_P * P}, {"pressure": by_P}
@@ -234,20 +212,16 @@ def _sampled(campaign: Campaign, e: Estimate, tau: float) -> Estimate:
     return replace(e, parts=replace(e.parts, method=part))
 
 
-def _against(e: Estimate, driven: Sequence[Estimate] | None) -> Estimate:
+def _against(e: Estimate, driven: Sequence[Estimate]) -> Estimate:
     """With the distance to the fit with the measured pressure as bias, not taken off, and in the method part."""
-    other = next((d for d in driven or () if d.symbol == e.symbol and d.at == e.at and d.value is not None), None)
-    if other is None or other.value is None or e.value is None:
-        return e
-    bias = e.value - other.value
-    parts = replace(e.parts, method=hypot(bias, e.parts.method or 0.0))
-    return replace(e, bias=bias, parts=parts, note=sentences(e.note, "bias: against measured-pressure"))
+    other = next((d for d in driven if d.symbol == e.symbol and d.at == e.at and d.value is not None), None)
+    return e if other is None or other.value is None or e.value is None else with_bias(e, other.value)
 
 
-def _driven(campaign: Campaign, up: Sequence[_Group], braid: Braid) -> list[Estimate]:
+def _driven(campaign: Campaign, up: Sequence[Sequence[Step]], braid: Braid) -> list[Estimate]:
     """K and B_c with the measured pressure, F_ce at x = 0; repeats are fitted apart, their scatter is the interval."""
-    tested = np.array([group.pressure for group in up])
-    members = sorted({s.trial for group in up for s in group.steps})
+    tested = np.array([group[0].pressure for group in up])
+    members = sorted({s.trial for group in up for s in group})
     samples = {n: campaign.samples[n] for n in members}
     found = _fitted(campaign, samples, tested, braid)
     late = dict.fromkeys(found, 0.0)
@@ -262,18 +236,10 @@ def _driven(campaign: Campaign, up: Sequence[_Group], braid: Braid) -> list[Esti
     estimates = []
     for (symbol, P), fitted in sorted(found.items(), key=lambda item: (list(SYMBOLS).index(item[0][0]), item[0][1])):
         mean, half = mean_with_half(fitted)
-        names = tuple(campaign.name(s.trial) for group in up if group.pressure == P for s in group.steps)
-        e = Estimate(
-            symbol,
-            mean,
-            *SYMBOLS[symbol],
-            DRIVEN,
-            {"pressure": P},
-            Parts(half, skew=late[symbol, P]),
-            len(names),
-            note=sentences(GIVEN, ONCE if half is None else ""),
-            trials=names,
-        )
+        names = tuple(campaign.name(s.trial) for group in up if group[0].pressure == P for s in group)
+        parts, note = Parts(half, skew=late[symbol, P]), sentences(GIVEN, ONCE if half is None else "")
+        at = {"pressure": P}
+        e = Estimate(symbol, mean, *SYMBOLS[symbol], DRIVEN, at, parts, len(names), note=note, trials=names)
         estimates.append(skew.settled(e, "pressure and displacement", campaign.skew))
     return estimates
 
@@ -291,12 +257,13 @@ def _fitted(
     return found
 
 
-def _vented(driven: Sequence[Estimate], down: Sequence[_Group]) -> list[Estimate]:
+def _vented(driven: Sequence[Estimate], down: Sequence[Sequence[Step]]) -> list[Estimate]:
     """B_r by the measured pressure: none, and why."""
     if not driven:
         return []
     return [
-        Estimate("B_r", None, "N.s/m", "damping", DRIVEN, {"pressure": group.pressure}, note=VENTED) for group in down
+        Estimate("B_r", None, "N.s/m", "damping", DRIVEN, {"pressure": group[0].pressure}, note=VENTED)
+        for group in down
     ]
 
 
@@ -325,7 +292,7 @@ def _curves(
             text = f"no polynomial through {what}: it would fall below 0 between the tested pressures"
             findings.append(Finding("doubt", text))
         line = _sound(known, 1, False)
-        curves += [c for c in (line, fitted[0] if fitted else None) if c is not None]
+        curves += [c for c in (line, *fitted[:1]) if c is not None]
         compared.append(
             {
                 "symbol": symbol,
@@ -359,15 +326,7 @@ def _convention(chosen: str) -> list[Finding]:
 
 def _biased(estimates: Sequence[Estimate]) -> list[Finding]:
     """How far paper 1's way lies from the fit with the measured pressure, in the one convention both have."""
-    parts = []
-    for symbol in ("K", "B_c"):
-        off = [
-            100 * e.bias / (e.value - e.bias)
-            for e in estimates
-            if e.symbol == symbol and e.bias is not None and e.value is not None
-        ]
-        if off:
-            parts.append(f"{symbol} {min(off):+.2g} to {max(off):+.2g} %")
+    parts = biases(estimates, ("K", "B_c"))
     if not parts:
         return []
     text = f"{METHODS['x0']} against {DRIVEN}: {', '.join(parts)}; it takes the pressure for a step"

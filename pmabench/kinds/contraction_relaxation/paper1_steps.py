@@ -2,25 +2,30 @@
 
 One load cannot tell F_ce from K x: every solution of F_L = F_ce - K x - B x' can be scaled. F_ce from elsewhere settles
 it; K and B are then fitted to all contractions at once as in `pooled`. Knows samples and geometry; no interval.
+
+And paper 1's closed form against the test it was fitted to: accuracy at rest, residual over time, overlays, figure.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from math import exp
+from dataclasses import dataclass, replace
+from math import exp, sqrt
 from typing import Any
 
 import numpy as np
+from scipy.optimize import brentq
 
 from pmabench.analysis.shared.samples import LEAST, Samples, onset
+from pmabench.base.quantities import show
 from pmabench.kinds.contraction_relaxation.pooled import FLOOR, SYMBOLS, design_of, first_knots, prior_of
-from pmabench.kinds.contraction_relaxation.segments import Gate, cut
+from pmabench.kinds.contraction_relaxation.segments import Campaign, Gate, cut
+from pmabench.kinds.contraction_relaxation.values import FEWEST, curve, near
 from pmabench.model.library.braid import braid_force
+from pmabench.plotting.motion import overlays
+from pmabench.plotting.pictures import Picture
+from pmabench.store.analyses.results import Analysis, Curve, Estimate, Finding, Trace
 from pmabench.store.records import Array, TrialData
-
-FEWEST = 3
-"""Fewest segments near a pressure for a coefficient there."""
 
 
 def fit_known_force(
@@ -31,10 +36,8 @@ def fit_known_force(
     `force` gives F_ce [N] at pressures [Pa]. Friction, which always points one way here, is held for less F_ce.
     """
     knots = first_knots(tested, np.empty(0))
-    gate = Gate()
-    segments = cut(samples, rate, gate)
-    low, high = knots[0] - 1e3, knots[-1] + (knots[-1] - knots[-2])
-    segments = segments.where((segments.way > 0) & (segments.P.min(axis=1) >= low) & (segments.P.max(axis=1) <= high))
+    segments = cut(samples, rate, Gate()).within(knots)
+    segments = segments.where(segments.way > 0)
     if len(segments) < FEWEST:
         return {}
     design = design_of(segments, knots)
@@ -50,8 +53,7 @@ def fit_known_force(
     found = {}
     for P in tested:
         knot = int(np.argmin(np.abs(knots - P)))
-        near = np.abs(segments.pressure - P) <= 0.5 * float(np.min(np.abs(np.delete(knots, knot) - P)))
-        if near.sum() >= FEWEST:
+        if near(segments, knots, "K", float(P)).sum() >= FEWEST:
             found[float(P)] = float(theta[knot]), float(theta[k + knot])
     return found
 
@@ -139,14 +141,143 @@ def read(samples: Samples, trial: TrialData) -> Step | str:
     middle = len(half) // 2
     creep = 2 * way * float(np.mean(samples.x[half[middle:]]) - np.mean(samples.x[half[:middle]]))
     held = float(np.mean(samples.P[last if way > 0 else before]))
-    return Step(
-        trial=samples.trial,
-        way=way,
-        pressure=max(high, start),
-        held=held,
-        load=samples.load,
-        stroke=stroke,
-        t_d=begun - command.t,
-        tau=reached - begun,
-        creeps=creep / stroke,
+    t_d, tau = begun - command.t, reached - begun
+    return Step(samples.trial, way, max(high, start), held, samples.load, stroke, t_d, tau, creep / stroke)
+
+
+MODEL = "closed form of paper 1"
+METRIC = "100 (1 - |x_s - x_e| / x_e)"
+LONGEST_TRACE = 1500
+WORDS = {1: "contracting", -1: "relaxing"}
+
+
+def at_rest(braid: Braid, P: float, S: float, load: float, at: str) -> float:
+    """x_max [m] where F_ce = L + S x: F_ce at x = 0 (`x0`) or at that x (`xmax`), not below 0."""
+    if float(braid.force(P, 0.0)) <= load:
+        return 0.0
+    if at == "x0":
+        return (float(braid.force(P, 0.0)) - load) / S
+    return float(brentq(lambda x: float(braid.force(P, x)) - load - S * x, 0.0, braid.nominal_length, xtol=1e-12))
+
+
+def compare(
+    campaign: Campaign, steps: Sequence[Step], curves: Sequence[Curve], stiff: Sequence[Estimate], braid: Braid, at: str
+) -> tuple[list[Estimate], list[Finding], list[Trace]]:
+    """Model x_max (1 - e^(-t/tau)) and x_max e^(-t/tau_r) with the polynomials of one method, compared with each step.
+
+    `stiff` are that method's K; accuracies are of contractions alone, since a relaxation ends at 0.
+    """
+    found, traces = list[Estimate](), list[Trace]()
+    method = stiff[0].method if stiff else ""
+    of = {c.symbol: c for c in curves if c.method == method}  # the last of each symbol is its polynomial
+    if "K" not in of:
+        return [], [], []
+    rms: dict[int, list[float]] = {1: [], -1: []}
+    for way, symbol in ((1, "B_c"), (-1, "B_r")):
+        members = [step for step in steps if step.way == way]
+        if symbol not in of or not members:
+            continue
+        dead = float(np.mean([step.t_d for step in members]))
+        low, high = (pick(of["K"].domain[i], of[symbol].domain[i]) for i, pick in enumerate((max, min)))
+        for P in sorted({step.pressure for step in members if low <= step.pressure <= high}):
+            group = [step for step in members if step.pressure == P]
+            S, D = (float(of[name].values(np.array(P))) for name in ("K", symbol))
+            misfits = []
+            for step in group:
+                trace = _overlay(campaign, step, at_rest(braid, P, S, step.load, at), D / S, dead)
+                traces.append(_thinned(trace))
+                ok = campaign.samples[step.trial].ok
+                gap = (trace.columns["model"] - trace.columns["displacement"])[ok]
+                misfits.append(sqrt(float(np.mean(gap**2))))
+            rms[way] += misfits
+            measure, mean = "rms over the whole trial, rest before the step included", float(np.mean(misfits))
+            found.append(_estimate(campaign, "misfit", group, mean, measure, ("m", "length"), WORDS[way]))
+    ups = [step for step in steps if step.way > 0]
+    fitted, left_out = _accuracies(campaign, ups, of["K"], stiff, braid, at)
+    return [*found, *fitted, *left_out], _findings(rms, fitted, left_out, method), traces
+
+
+def _accuracies(
+    campaign: Campaign, steps: Sequence[Step], K: Curve, stiff: Sequence[Estimate], braid: Braid, at: str
+) -> tuple[list[Estimate], list[Estimate]]:
+    """Accuracy at rest as paper 1, 1 - |x_s - x_e| / x_e: of the fit, and with each inner pressure left out of it."""
+    fitted: list[Estimate] = []
+    left_out: list[Estimate] = []
+    for e in stiff:
+        P = e.at["pressure"]
+        group = [step for step in steps if step.pressure == P]
+        rest = [other for other in stiff if other.at["pressure"] != P]
+        without = curve(rest, len(K.terms) - 1, normalised=K.normalised)
+        for through, found, coordinate, note in (
+            (K, fitted, "", f"{METRIC}; the model was fitted to these trials"),
+            (without, left_out, "left out", f"{METRIC}; the model was fitted without this pressure"),
+        ):
+            if through is None or not through.domain[0] <= P <= through.domain[1]:
+                continue
+            S = float(through.values(np.array(P)))
+            if S > 0:
+                shares = [1 - abs(at_rest(braid, P, S, s.load, at) - s.stroke) / s.stroke for s in group]
+                value = float(np.mean(shares))
+                found.append(_estimate(campaign, "accuracy", group, value, note, ("1", "ratio"), coordinate))
+    return fitted, left_out
+
+
+def _estimate(
+    campaign: Campaign, symbol: str, group: Sequence[Step], value: float, note: str, unit: tuple[str, str], way: str
+) -> Estimate:
+    names, at = tuple(campaign.name(step.trial) for step in group), {"pressure": group[0].pressure}
+    return Estimate(symbol, value, *unit, MODEL, at, n=len(group), note=note, trials=names, coordinate=way)
+
+
+def _overlay(campaign: Campaign, step: Step, x_s: float, tau: float, dead: float) -> Trace:
+    """Measured and modelled contraction of a trial, all samples."""
+    samples, trial = campaign.samples[step.trial], campaign.trials[step.trial]
+    command = next(c.t for c in trial.commands if c.output == "pressure" and c.t >= samples.t[0] - 1e-9)
+    fade = np.exp(-np.maximum(samples.t - command - dead, 0.0) / tau)
+    model = x_s * (1 - fade) if step.way > 0 else x_s * fade
+    way = "to" if step.way > 0 else "from"
+    return Trace(
+        name=f"step-{way}-{step.pressure / 1e3:.0f}kPa-{step.trial}",
+        figure="step-overlay",
+        title=f"{way} {show(step.pressure, 'pressure', 4)}: measured and closed form",
+        columns={"t": samples.t - samples.t[0], "pressure": samples.P, "displacement": samples.x, "model": model},
+        quantities={"t": "time", "pressure": "pressure", "displacement": "length", "model": "length"},
+        marks={"pressure": step.pressure, "load": step.load},
     )
+
+
+def _thinned(trace: Trace) -> Trace:
+    stride = -(-len(trace.columns["t"]) // LONGEST_TRACE)
+    return replace(trace, columns={name: values[::stride] for name, values in trace.columns.items()})
+
+
+def _findings(
+    rms: dict[int, list[float]], fitted: Sequence[Estimate], left_out: Sequence[Estimate], method: str
+) -> list[Finding]:
+    lines = []
+    if fitted:
+        text = f"closed form with the polynomials by {method} against the test at rest: accuracy {_ends(fitted)}"
+        if left_out:
+            text += f"; with each inner pressure left out of the fit {_ends(left_out)}"
+        lines.append(Finding("note", text))
+    for way, values in rms.items():
+        if values:
+            low, high = (show(end, "length", 3) for end in (min(values), max(values)))
+            lines.append(Finding("note", f"residual of the closed form over time, {WORDS[way]}: {low} to {high} rms"))
+    return lines
+
+
+def _ends(accuracies: Sequence[Estimate]) -> str:
+    worst = min(accuracies, key=lambda e: e.value or 0.0)
+    best = max(e.value or 0.0 for e in accuracies)
+    return f"{100 * (worst.value or 0.0):.2f} ({show(worst.at['pressure'], 'pressure', 4)}) to {100 * best:.2f} %"
+
+
+CLOSED_FORM = "closed form of single steps with the polynomials of the first method, from the mean dead time on"
+
+
+def step_overlays(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
+    """Steps up and steps down apart: each has its own damping."""
+    ways = [[t for t in traces if t.name.startswith(f"step-{way}-")] for way in ("to", "from")]
+    titles = ("Contraction, measured and closed form", "Relaxation, measured and closed form")
+    return [p for mine, title in zip(ways, titles, strict=True) for p in overlays(mine, analysis, CLOSED_FORM, title)]

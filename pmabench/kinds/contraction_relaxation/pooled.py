@@ -246,11 +246,15 @@ def solve_design(
     if not friction:
         design[:, -1] = 0.0
     prior = prior_of(segments, design, knots, noise)
-    normal = design.T @ design + prior.T @ prior
-    scale = np.sqrt(np.diag(normal))
-    inverse = np.linalg.inv(normal / np.outer(scale, scale)) / np.outer(scale, scale)
+    inverse = inverse_of(design.T @ design + prior.T @ prior)
     theta = inverse @ (design.T @ segments.force)
     return Fit(theta, inverse, design, segments.force - design @ theta, friction, knots, halves, added)
+
+
+def inverse_of(normal: Array) -> Array:
+    """Inverse of a normal matrix, scaled to its diagonal first."""
+    scale = np.sqrt(np.diag(normal))
+    return np.asarray(np.linalg.inv(normal / np.outer(scale, scale)) / np.outer(scale, scale))
 
 
 def prior_of(segments: Segments, design: Array, knots: Array, noise: float) -> Array:
@@ -302,8 +306,7 @@ def force_by_pressure(segments: Segments, fit: Solved) -> Array:
     P, step = segments.pressure, 1e3
     x = segments.x @ segments.weights
     slope = fit.values("F_ce", P + step) - fit.values("F_ce", P - step)
-    slope = (slope - (fit.values("K", P + step) - fit.values("K", P - step)) * x) / (2 * step)
-    return np.asarray(slope)
+    return np.asarray((slope - (fit.values("K", P + step) - fit.values("K", P - step)) * x) / (2 * step))
 
 
 def first_knots(tested: Array, commanded: Array) -> Array:

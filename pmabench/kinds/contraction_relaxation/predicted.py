@@ -15,7 +15,6 @@ import numpy as np
 from pmabench.analysis.design import NORMAL, SCATTER, Design
 from pmabench.analysis.shared import simulated
 from pmabench.analysis.shared.samples import Noise, Samples
-from pmabench.kinds.contraction_relaxation.checks import WIDE
 from pmabench.kinds.contraction_relaxation.pooled import (
     SYMBOLS,
     Fit,
@@ -26,7 +25,7 @@ from pmabench.kinds.contraction_relaxation.pooled import (
     rms_of,
 )
 from pmabench.kinds.contraction_relaxation.segments import ASSUMED_MASS, Gate, Segments, cut
-from pmabench.kinds.contraction_relaxation.values import FEWEST
+from pmabench.kinds.contraction_relaxation.values import FEWEST, WIDE, near
 from pmabench.store.records import Array
 
 RATE = 250.0
@@ -76,16 +75,11 @@ def cells_of(plan: Mapping[str, Any]) -> list[Cell]:
     found: dict[tuple[float, float], Cell] = {}
     for trial in plan["trials"]:
         point, key = trial["point"], cell_key(trial["point"])
-        before = found.get(key)
-        held = _held(done.get(trial["index"], ()))
-        found[key] = Cell(
-            load=point.get("load", 0.0),
-            mass=point.get("mass", ASSUMED_MASS) or ASSUMED_MASS,
-            pressure=point["pressure"],
-            steps=before.steps if before is not None else tuple(held[1:]),
-            trials=(*(before.trials if before is not None else ()), trial["index"]),
-            seconds=sum(seconds for _, seconds in held),
-        )
+        before, held = found.get(key), _held(done.get(trial["index"], ()))
+        steps, earlier = (tuple(held[1:]), ()) if before is None else (before.steps, before.trials)
+        mass, seconds = point.get("mass", ASSUMED_MASS) or ASSUMED_MASS, sum(seconds for _, seconds in held)
+        index = trial["index"]
+        found[key] = Cell(point.get("load", 0.0), mass, point["pressure"], steps, (*earlier, index), seconds)
     return list(found.values())
 
 
@@ -140,9 +134,7 @@ def simulated_trials(fit: Fit, cells: Sequence[Cell]) -> Segments:
         Samples(n, t, P[:, n], moved.x[:, n], moved.force[:, n], good, cell.load, cell.mass)
         for n, cell in enumerate(cells)
     ]
-    found = cut(samples, RATE, Gate())
-    low, high = fit.knots[0] - 1e3, fit.knots[-1] + (fit.knots[-1] - fit.knots[-2])
-    return found.where((found.P.min(axis=1) >= low) & (found.P.max(axis=1) <= high))
+    return cut(samples, RATE, Gate()).within(fit.knots)
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,14 +208,7 @@ def scattered(fit: Fit, share: float) -> Array:
 
 def _near(segments: Segments, fit: Fit, name: tuple[str, float]) -> bool:
     """Whether there are segments near a pressure, as the reduction wants them for a value there."""
-    symbol, P = name
-    if symbol == "F_c":
-        return True
-    others = fit.knots[np.abs(fit.knots - P) > 1e-6 * P]
-    near = np.abs(segments.pressure - P) <= 0.5 * float(np.min(np.abs(others - P)))
-    if symbol in ("B_c", "B_r"):
-        near &= (segments.way > 0) == (symbol == "B_c")
-    return bool(near.sum() >= FEWEST)
+    return name[0] == "F_c" or bool(near(segments, fit.knots, *name).sum() >= FEWEST)
 
 
 def _size(names: Sequence[tuple[str, float]], values: Array) -> Array:

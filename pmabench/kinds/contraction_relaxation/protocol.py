@@ -160,9 +160,8 @@ class ContractionRelaxation(ProtocolHead):
             c.within("pressure", pressure, place)
             if pressure < LOWEST * (1 - 1e-9):
                 message = f"{show(pressure, 'pressure')} is below {show(LOWEST, 'pressure')}"
-                c.fault(
-                    place, f"{message}: paper 1's S and D do not hold there, and its damping would come out negative"
-                )
+                why = "paper 1's S and D do not hold there, and its damping would come out negative"
+                c.fault(place, f"{message}: {why}")
             values = self._loaded(c, point)
             if not c.trials:
                 c.precondition()
@@ -196,10 +195,8 @@ class ContractionRelaxation(ProtocolHead):
         """What the reduction needs to know besides the samples [SI]; faults where the specimen file lacks it."""
         specimen = c.mounted.specimen_file
         if specimen.braid_angle is None:
-            message = (
-                'needs "braid_angle" in the specimen file: F_ce is computed from it, for instance "braid_angle: 25 deg"'
-            )
-            c.fault(("reduction",), message)
+            message = 'needs "braid_angle" in the specimen file: F_ce is computed from it, for instance "braid_angle:'
+            c.fault(("reduction",), f'{message} 25 deg"')
         elif specimen.braid_angle >= NEUTRAL:
             c.fault(("reduction",), 'the "braid_angle" of the specimen file is 54.74 deg or more: it does not contract')
         return {
@@ -229,9 +226,7 @@ class ContractionRelaxation(ProtocolHead):
     def _down(self, c: Compilation, pressure: float) -> list[float]:
         """The pressures of the relaxation between the first and the last [Pa]."""
         relax = self.trial.relax
-        if relax.by is None or relax.by <= 0:
-            return []
-        if relax.then >= pressure:
+        if relax.by is None or relax.by <= 0 or relax.then >= pressure:
             return []
         count = (pressure - relax.then) / relax.by
         if count > MOST_RELAXATIONS:

@@ -18,16 +18,14 @@ from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.samples import NotUsable, Samples
 from pmabench.analysis.shared.trials import reference_findings
 from pmabench.base.quantities import show
-from pmabench.kinds.contraction_relaxation import RESULTS, drift, exponentials, output_error, view
+from pmabench.kinds.contraction_relaxation import RESULTS, checks, exponentials, output_error
 from pmabench.kinds.contraction_relaxation.bandwidth import regulator
 from pmabench.kinds.contraction_relaxation.checks import free_runs
-from pmabench.kinds.contraction_relaxation.curves import curve
 from pmabench.kinds.contraction_relaxation.diagnosis.columns import sensor_known
-from pmabench.kinds.contraction_relaxation.diagnosis.examination import examined
 from pmabench.kinds.contraction_relaxation.diagnosis.held_out import Test
 from pmabench.kinds.contraction_relaxation.diagnosis.hiding import hidden, of_the_cell, of_the_sensor
-from pmabench.kinds.contraction_relaxation.diagnosis.verdict import Diagnosis
-from pmabench.kinds.contraction_relaxation.intervals import Pooled, Trust, assess, replay_fits
+from pmabench.kinds.contraction_relaxation.diagnosis.verdict import Diagnosis, examined
+from pmabench.kinds.contraction_relaxation.intervals import Pooled, Trust, assess, at_rest, drifts_of
 from pmabench.kinds.contraction_relaxation.joint import METHOD as JOINT
 from pmabench.kinds.contraction_relaxation.joint import compare
 from pmabench.kinds.contraction_relaxation.pooled import (
@@ -39,9 +37,8 @@ from pmabench.kinds.contraction_relaxation.pooled import (
     fit,
     rms_of,
 )
-from pmabench.kinds.contraction_relaxation.segments import Cutter, Gate, Segments, moved
-from pmabench.kinds.contraction_relaxation.trials import Campaign, gather, strokes
-from pmabench.kinds.contraction_relaxation.values import FEWEST, METHOD, Solution, values
+from pmabench.kinds.contraction_relaxation.segments import Campaign, Cutter, Gate, Segments, gather, moved, strokes
+from pmabench.kinds.contraction_relaxation.values import FEWEST, METHOD, Solution, curve, values
 from pmabench.store.analyses.results import Analysis, Curve, Dropped, Estimate, Finding, withhold
 from pmabench.store.records import Array, RunData
 
@@ -81,7 +78,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     polished = output_error.compare(campaign, pooled, estimates, options)
     stepwise = exponentials.compare(campaign, pooled.fit, estimates, options, set(pooled.segments.trial.tolist()))
     dropped += _unmoved(campaign, pooled)
-    resampled = view.resampled(campaign, pooled, estimates, int(options.get("bootstrap", 0)))
+    resampled = checks.resampled(campaign, pooled, estimates, int(options.get("bootstrap", 0)))
     response, described = regulator(campaign) if options.get("regulator") else ([], [])
     simulated = free_runs(campaign, pooled, estimates)
     every = (*estimates, *joint.estimates, *polished.estimates, *stepwise.estimates)
@@ -95,19 +92,19 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         curves=[curve for curve in (*curves, *joint.curves, *stepwise.curves) if curve.symbol not in gone],
         dropped=dropped,
         findings=(
-            *view.findings(campaign, pooled, estimates),
+            *checks.findings(campaign, pooled, estimates),
             *skew.findings(runs, campaign.channels, campaign.skew, every),
-            *([view.resampled_finding(resampled)] if resampled.get("half_widths") else ()),
+            *([checks.resampled_finding(resampled)] if resampled.get("half_widths") else ()),
             *joint.findings,
             *polished.findings,
             *stepwise.findings,
             *described,
             *reference_findings(runs),
         ),
-        traces=view.overlays(campaign, simulated),
+        traces=checks.overlays(campaign, simulated),
         facts={
             **facts,
-            **view.facts(campaign, pooled, simulated),
+            **checks.facts(campaign, pooled, simulated),
             **stepwise.facts,
             **({"joint": joint.facts} if joint.facts else {}),
             **({"output_error": polished.facts} if polished.facts else {}),
@@ -136,21 +133,16 @@ def withheld(estimates: Sequence[Estimate], diagnosis: Diagnosis) -> list[Estima
     uncorrected = next((one for one in diagnosis.of_fit if one.of_muscle), None)
     result = []
     for place, e in enumerate(estimates):
-        key = (e.symbol, e.at.get("pressure"))
+        key, corrected = (e.symbol, e.at.get("pressure")), e.method in (METHOD, JOINT)
         why = diagnosis.reason or reasons.get(key) or hidden.get(place, "")
-        if e.symbol not in OF_THE_FORM or e.value is None:
-            result.append(e)
-            continue
-        if not why and uncorrected is not None and e.method not in (METHOD, JOINT):
-            why = f"not given: {uncorrected.text}, and this method has no correction for it"
-            result.append(replace(withhold(e, why), withheld=False))
-            continue
-        if not why:
-            result.append(e)
-            continue
-        if e.method in (METHOD, JOINT):
-            reasons[key] = why
-        result.append(withhold(e, why))
+        if e.symbol in OF_THE_FORM and e.value is not None:
+            if why:
+                e = withhold(e, why)
+                reasons |= {key: why} if corrected else {}
+            elif uncorrected is not None and not corrected:
+                why = f"not given: {uncorrected.text}, and this method has no correction for it"
+                e = replace(withhold(e, why), withheld=False)
+        result.append(e)
     return result
 
 
@@ -161,14 +153,7 @@ def segments_like(
     cutter = Cutter(campaign.rate, Gate(speed=float(options.get("speed", Gate.speed))))
     commanded = np.unique([c.value for trial in campaign.trials for c in trial.commands if c.output == "pressure"])
     knots = first_knots(np.array(campaign.tested), commanded)
-    low, high = knots[0] - 1e3, knots[-1] + (knots[-1] - knots[-2])
-
-    def segments_of(samples: Sequence[Samples]) -> Segments:
-        found = cutter.cut(samples)
-        within = (found.P.min(axis=1) >= low) & (found.P.max(axis=1) <= high)
-        return found if within.all() else found.where(within)
-
-    return knots, segments_of
+    return knots, lambda samples: cutter.cut(samples).within(knots)
 
 
 def pool(recorded: Campaign, options: Mapping[str, Any]) -> Pooled | None:
@@ -187,8 +172,7 @@ def pool(recorded: Campaign, options: Mapping[str, Any]) -> Pooled | None:
     rested = ["pressure"] if slipped else ["pressure", "displacement"]
     offsets = Scales.of(campaign.runs).offsets
     rests = {
-        channel: drift.at_rest(campaign.trials, campaign.samples, channel, offsets.get(channel, 0.0))
-        for channel in rested
+        channel: at_rest(campaign.trials, campaign.samples, channel, offsets.get(channel, 0.0)) for channel in rested
     }
     work = simulated.stretches(_moving(campaign, segments), 1 / campaign.rate, round(0.1 * campaign.rate))
 
@@ -213,11 +197,11 @@ def pool(recorded: Campaign, options: Mapping[str, Any]) -> Pooled | None:
     def trusted(other: Solved, rows: NDArray[np.bool_], seen: Array, again: Callable[[Segments], Array]) -> Trust:
         """How far a fit to these rows of the segments can be trusted; `seen` [N] is the noise of each."""
         mine = segments.where(rows)
-        replays = replay_fits(replays_of(other), other, rms_of(seen), int(options.get("replays", REPLAYS)))
+        replay, count = replays_of(other), int(options.get("replays", REPLAYS))
+        replays = [other.again(replay(seed), rms_of(seen)).theta for seed in range(count)]
         skews = _skews(campaign, lambda late: found.corrected(segments_of(late)), again, other)
-        drifts = drift.causes(campaign.runs, campaign.trials, campaign.channels, mine, other, rms_of(seen), rests)
-        scales = Scales.of(campaign.runs)
-        return assess(mine, other, seen, campaign.cells, replays, scales, skews, campaign.noise, campaign.steps, drifts)
+        drifts = drifts_of(campaign.runs, campaign.trials, campaign.channels, mine, other, rms_of(seen), rests)
+        return assess(campaign, mine, other, seen, replays, skews, drifts)
 
     every = np.ones(len(segments), bool)
     alone = trusted(solved, every, noise, first)
@@ -283,15 +267,12 @@ def estimates_of(campaign: Campaign, pooled: Pooled) -> tuple[list[Estimate], li
         campaign, pooled.segments, pooled.fit, pooled.fit.knots, pooled.trust, METHOD, found.note, found.stiffness_is
     )
     estimates = values(solution)
-    curves: list[Curve] = []
-    for symbol in SYMBOLS:
+    curves = []
+    for symbol, orders in ORDERS.items():
         known = [e for e in estimates if e.symbol == symbol and e.value is not None]
         places = [pooled.fit.index(symbol, pooled.fit.at(e.at["pressure"])) for e in known]
-        for order in ORDERS[symbol]:
-            through = curve(known, order, pooled.trust, places)
-            if through is not None:
-                curves.append(through)
-    return estimates, curves
+        curves += [curve(known, order, pooled.trust, places) for order in orders]
+    return estimates, [through for through in curves if through is not None]
 
 
 def _unmoved(campaign: Campaign, pooled: Pooled) -> list[Dropped]:

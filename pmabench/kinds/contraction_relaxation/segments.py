@@ -5,6 +5,8 @@ flagged sample. Averages over it stand for the equation of motion in weak form.
 
 Neighbours share samples: the displacement at the end of one segment is that at the begin of the next, with the other
 sign in the velocity, so that much of its noise cancels in a stretch; means that overlap go the same way.
+
+A `Campaign` holds the trials of all runs that can be reduced together, with their noise. Fits nothing.
 """
 
 from __future__ import annotations
@@ -16,6 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.analysis.shared.samples import Noise, Samples, noise_of
+from pmabench.analysis.shared.skew import STAMPED, apart
+from pmabench.store.analyses.results import Dropped
 from pmabench.store.records import Array, RunData, TrialData
 
 ASSUMED_MASS = 0.5
@@ -78,32 +82,25 @@ class Segments:
 
     def where(self, rows: NDArray[np.bool_]) -> Segments:
         """Only some of the rows."""
-        return replace(
-            self,
-            trial=self.trial[rows],
-            t=self.t[rows],
-            way=self.way[rows],
-            P=self.P[rows],
-            x=self.x[rows],
-            P_mid=self.P_mid[rows],
-            v=self.v[rows],
-            F_mid=self.F_mid[rows],
-            force=self.force[rows],
-            mass=self.mass[rows],
-        )
+        by_row = {name: values for name, values in vars(self).items() if name not in ("weights", "dt")}
+        return replace(self, **{name: values[rows] for name, values in by_row.items()})
 
-    def shifted(self, channel: str, gain: float, offset: float) -> Segments:
-        """The same segments had `channel` read (1 + gain) times as much, plus `offset` [SI]."""
+    def within(self, knots: Array) -> Segments:
+        """Those within the reach of a fit with these knots [Pa]."""
+        low, high = knots[0] - 1e3, knots[-1] + (knots[-1] - knots[-2])
+        rows = (self.P.min(axis=1) >= low) & (self.P.max(axis=1) <= high)
+        return self if rows.all() else self.where(rows)
+
+    def shifted(self, channel: str, gain: float, offset: float | Array) -> Segments:
+        """The same segments had `channel` read (1 + gain) times as much, plus `offset` [SI], one or (n,)."""
+        each = np.asarray(offset)[..., None]
         if channel == "pressure":
-            return replace(self, P=self.P * (1 + gain) + offset, P_mid=self.P_mid * (1 + gain) + offset)
+            return replace(self, P=self.P * (1 + gain) + each, P_mid=self.P_mid * (1 + gain) + each)
         if channel == "displacement":
-            return replace(self, x=self.x * (1 + gain) + offset, v=self.v * (1 + gain))
+            return replace(self, x=self.x * (1 + gain) + each, v=self.v * (1 + gain))
         cell = self.mass <= 0
-        return replace(
-            self,
-            force=np.where(cell, self.force * (1 + gain) + offset, self.force),
-            F_mid=np.where(cell[:, None], self.F_mid * (1 + gain) + offset, self.F_mid),
-        )
+        force = np.where(cell, self.force * (1 + gain) + offset, self.force)
+        return replace(self, force=force, F_mid=np.where(cell[:, None], self.F_mid * (1 + gain) + each, self.F_mid))
 
     def pulled(self, by: Array) -> Segments:
         """The same segments with `by` (n,) [N] added to F_L, by a cell or a weight."""
@@ -213,12 +210,10 @@ def cut(stretches: Sequence[Samples], rate: float, gate: Gate) -> Segments:
 
 def _joined(found: Sequence[tuple[Array, ...]], n: int, m: int, weights: Array, dt: float) -> Segments:
     """Segments of columns as `_taken` gives them."""
-    if not found:
-        none = np.empty(0)
-        wide, narrow = np.empty((0, n + 2 * m)), np.empty((0, n))
-        first = np.empty(0, np.intp)
-        return Segments(first, none, none, wide, wide, narrow, narrow, narrow, none, none, weights, dt)
-    trial, t, way, P, x, P_mid, v, F_mid, force, mass = (np.concatenate(column) for column in zip(*found, strict=True))
+    none, wide, narrow = np.empty(0), np.empty((0, n + 2 * m)), np.empty((0, n))
+    empty = (np.empty(0, np.intp), none, none, wide, wide, narrow, narrow, narrow, none, none)
+    columns = (np.concatenate(column) for column in zip(empty, *found, strict=True))
+    trial, t, way, P, x, P_mid, v, F_mid, force, mass = columns
     return Segments(trial.astype(np.intp), t, way, P, x, P_mid, v, F_mid, force, mass, weights, dt)
 
 
@@ -226,8 +221,7 @@ def _places(samples: Samples, n: int, m: int, gate: Gate) -> _Places:
     """Segments of `n` samples that a velocity over `m` samples to both sides allows."""
     v = velocity(samples.t, samples.x, m)
     usable = samples.ok & (samples.x > gate.lift)
-    starts: list[Array] = []
-    ways: list[Array] = []
+    starts, ways = [np.empty(0, np.intp)], [np.empty(0)]
     for way in (1.0, -1.0):
         inside = np.concatenate(([False], usable & (way * v > gate.speed), [False]))
         edges = np.flatnonzero(inside[1:] != inside[:-1]).reshape(-1, 2)
@@ -237,8 +231,7 @@ def _places(samples: Samples, n: int, m: int, gate: Gate) -> _Places:
             if count > 0:
                 starts.append(begin + n * np.arange(count))
                 ways.append(np.full(count, way))
-    none = np.empty(0, np.intp)
-    return _Places(samples.x, samples.ok, v, np.concatenate((none, *starts)), np.concatenate((none, *ways)))
+    return _Places(samples.x, samples.ok, v, np.concatenate(starts), np.concatenate(ways))
 
 
 def _taken(samples: Samples, places: _Places, n: int, m: int, weights: Array) -> tuple[Array, ...] | None:
@@ -272,7 +265,7 @@ def noise_seen(
     rows is then one of n / k samples, so their noise counts as white noise of root k times the size.
     """
 
-    def typical(name: str) -> tuple[float, float]:
+    def typical(name: str) -> tuple[float, ...]:
         values, widths, k = [], [], (every or {}).get(name, 1)
         for samples, rows in zip(stretches, still, strict=True):
             column, rows = getattr(samples, name), _unbroken(samples.ok, rows)
@@ -282,11 +275,10 @@ def noise_seen(
             if rows.stop - rows.start >= FEWEST_STILL * k:
                 seen = max(noise_of(column[rows][first::k]) for first in range(k))
                 values.append(max(np.sqrt(k) * seen, widths[-1]))
-        noise, steps = (float(np.median(found)) if found else 0.0 for found in (values, widths))
-        return noise, steps
+        return tuple(float(np.median(found)) if found else 0.0 for found in (values, widths))
 
-    found = [typical(name) for name in ("P", "x", "force")]
-    return Noise(*(noise for noise, _ in found)), Noise(*(steps for _, steps in found))
+    noise, steps = zip(*map(typical, ("P", "x", "force")), strict=True)
+    return Noise(*noise), Noise(*steps)
 
 
 def noise_of_means(stretches: Sequence[Samples], still: Sequence[slice], over: int, least: Noise) -> Noise:
@@ -306,9 +298,7 @@ def noise_of_means(stretches: Sequence[Samples], still: Sequence[slice], over: i
                 values.append(np.sqrt(over) * noise_of(means))
         return float(np.median(values)) if values else 0.0
 
-    return Noise(
-        max(least.pressure, typical("P")), max(least.displacement, typical("x")), max(least.force, typical("force"))
-    )
+    return Noise(*map(max, vars(least).values(), map(typical, ("P", "x", "force"))))
 
 
 def _unbroken(ok: NDArray[np.bool_], rows: slice) -> slice:
@@ -373,3 +363,120 @@ def covariance(
 def _rate(values: Array, dt: float) -> Array:
     """Change of a channel over each segment per second, shape (n,), of `values` (n, w)."""
     return np.asarray((values[:, -1] - values[:, 0]) / (max(1, values.shape[1] - 1) * dt))
+
+
+@dataclass(frozen=True, eq=False)
+class Campaign:
+    """The usable trials of all runs, numbered through; `cells` holds each trial's cell (load, pressure)."""
+
+    runs: tuple[RunData, ...]
+    trials: tuple[TrialData, ...]
+    samples: tuple[Samples, ...]
+    cells: NDArray[np.intp]
+    rate: float
+    cell: bool
+    """A load cell was recorded."""
+    noise: Noise
+    steps: Noise
+    """The part of the noise that the steps of the channels' values make."""
+    noise_of_means: Noise
+    """The noise that means over a segment show, where that is larger: smooth noise, as of filters."""
+
+    @property
+    def late(self) -> Noise:
+        """How much the times of single samples scatter [s]: those of devices that are polled, by the computer's stamps.
+
+        They are late by the time of an answer, which scatters by as much as it is on the mean, or more.
+        """
+        found = {}
+        for channel in self.channels:
+            streams = [(run, run.channels[channel].stream) for run in self.runs if channel in run.channels]
+            clocks = [run.clocks[stream] for run, stream in streams if stream in run.clocks]
+            found[channel] = max((clock.uncertainty for clock in clocks if clock.how == STAMPED), default=0.0)
+        return Noise(**found)
+
+    def name(self, number: int) -> str:
+        """`run/number` of a trial."""
+        return self.trials[number].name
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Channels that the fit uses."""
+        return ("pressure", "displacement", *(("force",) if self.cell else ()))
+
+    @property
+    def skew(self) -> float:
+        """Bound of the time between any two of these channels [s]."""
+        return apart(self.runs, self.channels)
+
+    @property
+    def tested(self) -> tuple[float, ...]:
+        """Pressures of the trials [Pa], rising."""
+        return tuple(sorted({trial.point["pressure"] for trial in self.trials}))
+
+
+def gather(runs: Sequence[RunData]) -> tuple[Campaign | None, list[Dropped]]:
+    """The usable trials of the runs, None without one, and the others with the reason."""
+    dropped: list[Dropped] = []
+    members: list[tuple[RunData, TrialData]] = []
+    for run in runs:
+        for trial in run.trials:
+            if reason := _unusable(run, trial, runs[0].rate):
+                dropped.append(Dropped(trial.name, trial.point, reason))
+            else:
+                members.append((run, trial))
+    if not members:
+        return None, dropped
+    samples = tuple(samples_of(run, trial, number) for number, (run, trial) in enumerate(members))
+    still = [settled(trial) for _, trial in members]
+    noise, steps = noise_seen(samples, still, _every(runs))
+    keys = [(round(trial.point.get("load", 0.0), 3), round(trial.point["pressure"])) for _, trial in members]
+    numbers = {key: number for number, key in enumerate(sorted(set(keys)))}
+    rate, cells = runs[0].rate, np.array([numbers[key] for key in keys], dtype=np.intp)
+    of_means = noise_of_means(samples, still, Gate().samples(rate)[0], noise)
+    trials, cell = tuple(trial for _, trial in members), all(s.force is not None for s in samples)
+    return Campaign(tuple(runs), trials, samples, cells, rate, cell, noise, steps, of_means), dropped
+
+
+def _every(runs: Sequence[RunData]) -> dict[str, int]:
+    """Field of `Samples` -> how many rows lie between two samples of a slower stream that it comes from."""
+    found: dict[str, int] = {}
+    for name, channel in (("P", "pressure"), ("x", "displacement"), ("force", "force")):
+        infos = [(run.rate, run.channels[channel].rate) for run in runs if channel in run.channels]
+        found[name] = max((round(rate / own) for rate, own in infos if own > 0), default=1) or 1
+    return found
+
+
+def _unusable(run: RunData, trial: TrialData, rate: float) -> str:
+    """Why a trial cannot be used; empty where it can."""
+    if trial.status != "finished":
+        return f"the trial is {trial.status}"
+    if trial.again:
+        return "reference trial, done again when the run went on: compared with the first, in no fit"
+    for channel in ("pressure", "displacement"):
+        if channel not in trial.channels:
+            return f"the {channel} is not recorded"
+    if "pressure" not in trial.point:
+        return "the trial names no pressure: a column of the commanded pressure gives it"
+    if "force" not in trial.channels and "load" not in trial.point:
+        return "neither the force nor the load is known: a column `is: force` or `point: {load: ...}` gives it"
+    if abs(run.rate - rate) > 1e-6 * rate:
+        return f"sampled at {run.rate:g} Hz, the first run at {rate:g} Hz: reduce them apart"
+    if len(trial.t) < 2 or not trial.usable.any():
+        return "no sample is usable"
+    if not strokes(trial):
+        return "no pressure command lies within its samples"
+    return ""
+
+
+def strokes(trial: TrialData) -> list[slice]:
+    """Rows between one pressure command and the next; the whole trial where commands are not recorded."""
+    times = [c.t for c in trial.commands if c.output == "pressure" and c.t >= trial.t[0] - 1e-9]
+    edges = [int(np.searchsorted(trial.t, t - 1e-9)) for t in times] or [0]
+    return [slice(first, last) for first, last in zip(edges, [*edges[1:], len(trial.t)], strict=True) if last > first]
+
+
+def settled(trial: TrialData, number: int = 0) -> slice:
+    """The last fifth of the hold at pressure, or of that after a later command; empty where there is none."""
+    rows = strokes(trial)[number : number + 1]
+    return slice(rows[0].stop - max(8, (rows[0].stop - rows[0].start) // 5), rows[0].stop) if rows else slice(0, 0)

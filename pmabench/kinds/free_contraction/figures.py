@@ -108,12 +108,9 @@ def of_points(points: Sequence[Point]) -> list[Finding]:
     left = max(rests, key=lambda rest: abs(rest.start))
     text = f"at rest without pressure it comes back to the nominal length within {show(abs(left.start), 'length', 2)}"
     if abs(left.start) > max(LEFT * largest, CLEAR * left.noise):
-        text = (
-            f"{show(left.start, 'length', 2)} of contraction are left without pressure before trial {left.trial.name}"
-        )
-        found.append(
-            Finding("doubt", f"{text}: creep, friction, or a zero that is off; L counts from the nominal length")
-        )
+        start = show(left.start, "length", 2)
+        text = f"{start} of contraction are left without pressure before trial {left.trial.name}: creep, friction,"
+        found.append(Finding("doubt", f"{text} or a zero that is off; L counts from the nominal length"))
     else:
         found.append(Finding("note", text))
     worst = max(points, key=lambda point: abs(point.left.size) if point.left.seen else 0.0)
@@ -152,11 +149,8 @@ def of_paper(curve: Curves, length: float) -> list[Finding]:
     at = int(np.argmax(np.abs(off)))
     where = show(float(curve.P[at]), "pressure", 3)
     text = f"measured less paper 2's formula: up to {show(float(off[at]), 'length', 2)} at {where}"
-    found = [
-        Finding(
-            "note", f"{text}; rounding of its printed coefficients alone is worth {show(rounding(length), 'length', 2)}"
-        )
-    ]
+    rounded = f"rounding of its printed coefficients alone is worth {show(rounding(length), 'length', 2)}"
+    found = [Finding("note", f"{text}; {rounded}")]
     mine = half_pressure(curve.P, length - curve.L)
     theirs = half_pressure(curve.grid, length - curve.paper)
     if mine is not None and theirs is not None:
@@ -176,15 +170,13 @@ def rounding(length: float) -> float:
 
 def trace(curve: Curves, length: float) -> Trace:
     """Points first, then the curves."""
-    n, blank = len(curve.P), np.full(CURVE, np.nan)
-    none = np.full(n, np.nan)
+    none, blank = np.full(len(curve.P), np.nan), np.full(CURVE, np.nan)
+    at_points = {"length": curve.L, "below": curve.below, "above": curve.above}
+    along = {"fit": curve.fit, "model": curve.paper}
     columns = {
         "pressure": np.concatenate([curve.P, curve.grid]),
-        "length": np.concatenate([curve.L, blank]),
-        "below": np.concatenate([curve.below, blank]),
-        "above": np.concatenate([curve.above, blank]),
-        "fit": np.concatenate([none, blank if curve.fit is None else curve.fit]),
-        "model": np.concatenate([none, blank if curve.paper is None else curve.paper]),
+        **{name: np.concatenate([values, blank]) for name, values in at_points.items()},
+        **{name: np.concatenate([none, blank if values is None else values]) for name, values in along.items()},
     }
     return Trace(
         name="free-contraction",
@@ -210,9 +202,8 @@ def _lengths(trace: Trace, simulated: bool) -> Picture:
     data = panel(trace, {new: old for new, old in NAMES.items() if old == "pressure" or has(trace, old)}, "")
     labels = {"x": label(trace, "pressure"), "y": label(trace, "length")}
     sides = "below" in data.columns and "above" in data.columns
-    caption = "Length at rest without load: the nominal length less the contraction" + (
-        ", at each pressure reached from 0 and from the highest pressure." if sides else "."
-    )
+    more = ", at each pressure reached from 0 and from the highest pressure" if sides else ""
+    caption = f"Length at rest without load: the nominal length less the contraction{more}."
     if "fit" in data.columns:
         caption += " Red: L = a + b / [1 + (p/c)^d]^e − 0.009 L0 √p (paper 2, eq. 1) through the means of both."
     if "model" in data.columns:

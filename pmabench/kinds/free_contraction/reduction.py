@@ -25,17 +25,7 @@ from pmabench.analysis.shared.samples import Held, Left, NotUsable, left, noise_
 from pmabench.analysis.trial import DRIFT, Expected, Found, Measured, Quick
 from pmabench.analysis.verdict.agreement import Offer, Place, between
 from pmabench.base.quantities import show
-from pmabench.kinds.free_contraction import RESULTS
-from pmabench.kinds.free_contraction.figures import (
-    BARELY,
-    CLEAR,
-    curves,
-    half_pressure,
-    of_fit,
-    of_paper,
-    of_points,
-    trace,
-)
+from pmabench.kinds.free_contraction import RESULTS, figures
 from pmabench.model.library import MODELS
 from pmabench.store.analyses.results import Analysis, Dropped, Estimate, Finding, Parts, withhold
 from pmabench.store.records import Array, RunData, TrialData
@@ -45,7 +35,7 @@ FREE, SIGMOID = "free-length", "sigmoid"
 FORM, PAPER = "sigmoid-length-coefficients", "sigmoid-length"
 """Models of the library: with fitted coefficients, and with those that paper 2 derives from the length."""
 UNKNOWN = ("a", "b", "c", "d", "e")
-UNITS = {"length": "m", "pressure": "Pa", "count": "1"}
+UNITS = {"length": "m", "pressure": "Pa", "count": "1", "ratio": "1"}
 RESIDUALS = "repeats part: residuals of the fit; no method part: that of L is not carried into the coefficients"
 LAST = 0.2
 """Share of each rest at its end whose mean counts."""
@@ -150,11 +140,11 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     other = "" if fit is None else _other_form(points, fit)
     shifted = {} if fit is None or other else _shifted(points, length)
     estimates += _coefficients(fit, why, other, shifted, {} if fit is None else _scaled(fit, length), scales)
-    curve = curves(points, fit, length, compare=compare) if points else None
+    curve = figures.curves(points, fit, length, compare=compare) if points else None
     findings = [
-        *of_points(points),
-        *(of_fit(fit, why, other) if points else []),
-        *(of_paper(curve, length) if curve is not None and compare else []),
+        *figures.of_points(points),
+        *(figures.of_fit(fit, why, other) if points else []),
+        *(figures.of_paper(curve, length) if curve is not None and compare else []),
     ]
     if estimates and (missing := scales.lack(CHANNELS)):
         findings.append(Finding("note", missing))
@@ -165,7 +155,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         estimates=estimates,
         dropped=dropped,
         findings=findings,
-        traces=[] if curve is None else [trace(curve, length)],
+        traces=[] if curve is None else [figures.trace(curve, length)],
         facts={
             "options": dict(options or {}),
             "nominal_length": length,
@@ -195,23 +185,16 @@ def measure(run: RunData, trial: TrialData) -> Rest:
     end = min((c.t for c in ramps if c.phase == "vent" and c.t >= t[0]), default=float(t[-1]))
     moved = [c for c in ramps if c.phase != "vent" and t[0] - 1e-9 <= c.t <= end]
     begin = moved[0].t if moved else end
-    there = max(
-        (c.t + abs(c.value - c.before) / c.data["rate"] for c in moved if c.data.get("rate", 0.0) > 0), default=t[0]
-    )
+    paced = [c for c in moved if c.data.get("rate", 0.0) > 0]
+    there = max((c.t + abs(c.value - c.before) / c.data["rate"] for c in paced), default=t[0])
     first = good & (t >= begin - LAST * (begin - t[0])) & (t < begin - 1e-9)
     last = good & (t >= end - LAST * (end - there)) & (t <= end)
     if min(first.sum(), last.sum()) < FEWEST or end <= there:
         raise NotUsable(f"fewer than {FEWEST} samples at the end of a rest")
     half = good & (t >= 0.5 * (there + end)) & (t <= end)
-    return Rest(
-        run=run,
-        trial=trial,
-        pressure=float(P[last].mean()),
-        x=float(x[last].mean()),
-        start=float(x[first].mean()),
-        hold=Held.of(t[half], x[half], end - LAST * (end - there)),
-        noise=noise_of(x[last]) / np.sqrt(min(first.sum(), last.sum())),
-    )
+    noise = noise_of(x[last]) / np.sqrt(min(first.sum(), last.sum()))
+    hold = Held.of(t[half], x[half], end - LAST * (end - there))
+    return Rest(run, trial, float(P[last].mean()), float(x[last].mean()), float(x[first].mean()), hold, noise)
 
 
 def _points(runs: Sequence[RunData]) -> tuple[list[Point], list[Dropped]]:
@@ -228,39 +211,38 @@ def _points(runs: Sequence[RunData]) -> tuple[list[Point], list[Dropped]]:
                 groups.setdefault(round(trial.point["pressure"]), []).append(rest)
     points = []
     for pressure, rests in sorted(groups.items()):
-        by: dict[object, dict[float, list[float]]] = {}
-        order = Counter[object]()
-        of = list[object]()
+        by: dict[object, dict[float, Rest]] = {}
+        order, sides = Counter[object](), {rest.side for rest in rests}
         for rest in rests:  # trials of one file are repeats too, where nothing else tells them apart
             side = rest.run.id, rest.trial.repeat, rest.side
-            of.append((rest.run.id, rest.trial.repeat, order[side]))
+            by.setdefault((rest.run.id, rest.trial.repeat, order[side]), {})[rest.side] = rest
             order[side] += 1
-            by.setdefault(of[-1], {}).setdefault(rest.side, []).append(rest.x)
-        sides = {rest.side for rest in rests}
-        means = [{side: float(np.mean(values)) for side, values in repeat.items()} for repeat in by.values()]
-        whole = [one for one in means if set(one) == sides]
-        for key, one in zip(by, means, strict=True):
-            if set(one) != sides:
-                lost = [rest for rest, mine in zip(rests, of, strict=True) if mine == key]
-                dropped += [Dropped(r.trial.name, r.trial.point, "the other side of its repeat is lost") for r in lost]
-        rests = [rest for rest, mine in zip(rests, of, strict=True) if set(by[mine]) == sides]
+        lost = [rest for repeat in by.values() if set(repeat) != sides for rest in repeat.values()]
+        dropped += [Dropped(r.trial.name, r.trial.point, "the other side of its repeat is lost") for r in lost]
+        kept = [rest for rest in rests if rest not in lost]
+        whole = [{side: r.x for side, r in repeat.items()} for repeat in by.values() if set(repeat) == sides]
         if whole:
             gaps = [one[1.0] - one[-1.0] for one in whole if {1.0, -1.0} <= set(one)]
             repeats = np.array([np.mean(list(one.values())) for one in whole])
-            measured = float(np.mean([rest.pressure for rest in rests]))
-            points.append(Point(float(pressure), tuple(rests), measured, repeats, np.array(gaps)))
+            measured = float(np.mean([rest.pressure for rest in kept]))
+            points.append(Point(float(pressure), tuple(kept), measured, repeats, np.array(gaps)))
     return points, dropped
+
+
+def _curve(points: Sequence[Point]) -> tuple[Array, Array]:
+    """Measured pressure [Pa] and mean contraction [m] of each point."""
+    return np.array([point.pressure for point in points]), np.array([point.x for point in points])
 
 
 def _rises(points: Sequence[Point]) -> Array:
     """dx/dP at each measured pressure [m/Pa]."""
-    P, x = np.array([point.pressure for point in points]), np.array([point.x for point in points])
+    P, x = _curve(points)
     return np.gradient(x, P) if len(points) > 1 and bool((np.diff(P) > 0).all()) else np.zeros(len(points))
 
 
 def _carried(points: Sequence[Point]) -> list[float]:
     """How much further than measured it contracts at each commanded pressure [m]: a regulator rests beside it."""
-    P, x = np.array([point.pressure for point in points]), np.array([point.x for point in points])
+    P, x = _curve(points)
     wanted = np.array([point.set for point in points])
     further = _rises(points) * (wanted - P)
     if len(points) > 2 and bool((np.diff(P) > 0).all()):
@@ -273,38 +255,38 @@ def _lengths(points: Sequence[Point], length: float, scales: Scales) -> list[Est
     """L, and the difference of both sides, at each pressure."""
     found, gaps = [], []
     for point, slope, carried in zip(points, _rises(points), _carried(points), strict=True):
-        at, names = {"pressure": point.set}, tuple(rest.trial.name for rest in point.rests)
+        at = {"pressure": point.set}
         rises = {"displacement": point.x, "pressure": float(slope) * point.pressure}
         scale = scales.part(rises, {"displacement": 1.0, "pressure": float(slope)})
-        half, n = spread(point.repeats), len(point.repeats)
-        note = "" if half is not None else "no repeats part: one repeat only"
-        parts = Parts(repeats=half, method=CARRIED * abs(carried), calibration=scale)
-        L = length - point.x - carried
-        found.append(Estimate("L", L, "m", "length", FREE, at, parts, n, note=note, trials=names))
+        parts = Parts(spread(point.repeats), CARRIED * abs(carried), scale)
+        found.append(_free("L", length - point.x - carried, "length", at, parts, len(point.repeats), [point]))
         if len(point.gaps):
-            value, half = float(point.gaps.mean()), spread(point.gaps)
-            note = "" if half is not None else "no repeats part: one repeat only"
-            parts = Parts(repeats=half, method=0.0, calibration=scales.part({"displacement": value}))
-            n = len(point.gaps)
-            gaps.append(Estimate("x_H", value, "m", "length", FREE, at, parts, n, note=note, trials=names))
+            value = float(point.gaps.mean())
+            parts = Parts(spread(point.gaps), 0.0, scales.part({"displacement": value}))
+            gaps.append(_free("x_H", value, "length", at, parts, len(point.gaps), [point]))
     return found + gaps
+
+
+def _free(
+    symbol: str, value: float, quantity: str, at: Mapping[str, float], parts: Parts, n: int, points: Sequence[Point]
+) -> Estimate:
+    """A result of the lengths themselves at these points."""
+    names = tuple(rest.trial.name for point in points for rest in point.rests)
+    note = "" if parts.repeats is not None else "no repeats part: one repeat only"
+    return Estimate(symbol, value, UNITS[quantity], quantity, FREE, at, parts, n, note=note, trials=names)
 
 
 def _half(points: Sequence[Point], scales: Scales) -> Estimate:
     """The pressure at which half of the contraction at the highest pressure is reached."""
-    P = np.array([point.pressure for point in points])
-    names = tuple(rest.trial.name for point in points for rest in point.rests)
-    value = half_pressure(P, np.array([point.x for point in points]))
-    n = min(len(point.repeats) for point in points)
+    P, x = _curve(points)
+    value, n = figures.half_pressure(P, x), min(len(point.repeats) for point in points)
     if value is None:
         note = "the contraction does not rise through half of its largest value once"
-        return Estimate("P_half", None, "Pa", "pressure", FREE, n=n, note=note, trials=names)
-    each = [half_pressure(P, np.array([point.repeats[i] for point in points])) for i in range(n)]
-    half = spread([one for one in each if one is not None])
-    coarse = float(np.diff(P).max()) / 2
-    note = sentences("" if half is not None else "no repeats part: one repeat only", "")
-    parts = Parts(half, method=0.1 * coarse, calibration=scales.part({"pressure": value}, {"pressure": 1.0}))
-    return Estimate("P_half", value, "Pa", "pressure", FREE, {}, parts, n, note=note, trials=names)
+        return replace(_free("P_half", 0.0, "pressure", {}, Parts(), n, points), value=None, note=note)
+    each = [figures.half_pressure(P, np.array([point.repeats[i] for point in points])) for i in range(n)]
+    half, coarse = spread([one for one in each if one is not None]), float(np.diff(P).max()) / 2
+    parts = Parts(half, 0.1 * coarse, scales.part({"pressure": value}, {"pressure": 1.0}))
+    return _free("P_half", value, "pressure", {}, parts, n, points)
 
 
 def _largest(points: Sequence[Point], length: float, scales: Scales) -> list[Estimate]:
@@ -312,19 +294,15 @@ def _largest(points: Sequence[Point], length: float, scales: Scales) -> list[Est
     top = max(points, key=lambda point: point.x, default=None)
     if top is None or not length > 0 or not np.isfinite(length):
         return []
-    half, names = spread(top.repeats), tuple(rest.trial.name for rest in top.rests)
-    place = next(i for i, point in enumerate(points) if point is top)
+    half, place = spread(top.repeats), next(i for i, point in enumerate(points) if point is top)
     carried, rise = _carried(points)[place], float(_rises(points)[place])
     scale = scales.part(
         {"displacement": top.x / length, "pressure": rise * top.pressure / length},
         {"displacement": 1 / length, "pressure": rise / length},
     )
-    method = CARRIED * abs(carried) / length
-    parts = Parts(None if half is None else half / length, method=method, calibration=scale)
-    note = "" if half is not None else "no repeats part: one repeat only"
-    at = {"pressure": top.set}
-    n = len(top.repeats)
-    return [Estimate("eps_max", (top.x + carried) / length, "1", "ratio", FREE, at, parts, n, note=note, trials=names)]
+    parts = Parts(None if half is None else half / length, CARRIED * abs(carried) / length, scale)
+    n, at = len(top.repeats), {"pressure": top.set}
+    return [_free("eps_max", (top.x + carried) / length, "ratio", at, parts, n, [top])]
 
 
 def _fit(points: Sequence[Point], length: float, off: Array | float = 0.0) -> tuple[ModelFit | None, str]:
@@ -336,7 +314,7 @@ def _fit(points: Sequence[Point], length: float, off: Array | float = 0.0) -> tu
     if not np.isfinite(L).all() or not 0 < length <= 2:
         return None, "no fit: the plan tells no nominal length"
     most = next(p.high for p in model.parameters if p.name == "pressure")
-    if P.max() > BARELY * most:
+    if P.max() > figures.BARELY * most:
         return None, f"no fit: the sigmoid holds up to {show(most, 'pressure')}"
     fixed = {p.name: p.value for p in model.parameters if p.name not in ("pressure", *UNKNOWN)}
     fixed["nominal_length"] = length
@@ -353,14 +331,12 @@ def _weighed(estimates: Sequence[Estimate], points: Sequence[Point], length: flo
         return []
     largest = max(abs(point.x) for point in points)
     moving, leaving = max(abs(point.left.size) for point in points), max(point.off for point in points)
-    rests = (
-        f"the length is not at rest: it would still change by {show(moving, 'length', 2)} after the hold "
-        f"(it contracts by {show(largest, 'length', 3)}). Hold longer"
-    )
+    rests = f"the length is not at rest: it would still change by {show(moving, 'length', 2)} after the hold"
+    rests += f" (it contracts by {show(largest, 'length', 3)}). Hold longer"
     zero = (
-        f"{show(leaving, 'length', 2)} of contraction are left without pressure, and L counts from the nominal length: "
-        "a zero or a mount that moved, or creep. Look for the cause, rest longer, and measure again"
+        f"{show(leaving, 'length', 2)} of contraction are left without pressure, and L counts from the nominal length:"
     )
+    zero += " a zero or a mount that moved, or creep. Look for the cause, rest longer, and measure again"
     by_set = {point.set: point for point in points}
     friction = max((float(np.max(np.abs(point.gaps))) for point in points if len(point.gaps)), default=0.0)
     # what friction holds back at 0 kPa is half the gap there, and the mean of both directions is free of it
@@ -375,7 +351,7 @@ def _weighed(estimates: Sequence[Estimate], points: Sequence[Point], length: flo
         noise = max(rest.noise for rest in point.rests)
         doubts = (
             Doubt(MOTION, "method", share * still.most, still.seen, rests),
-            Doubt(ZERO, "drift", share * off, off > max(CLEAR * noise, friction), zero),
+            Doubt(ZERO, "drift", share * off, off > max(figures.CLEAR * noise, friction), zero),
         )
         found.append(weighed(e, doubts, None if e.symbol == "P_half" else largest * share))
     return found
@@ -383,7 +359,7 @@ def _weighed(estimates: Sequence[Estimate], points: Sequence[Point], length: flo
 
 def _pressure_over_x(points: Sequence[Point]) -> float:
     """Change of pressure over that of contraction where half of the largest contraction is reached [Pa/m]."""
-    P, x = np.array([point.pressure for point in points]), np.array([point.x for point in points])
+    P, x = _curve(points)
     after = int(np.clip(np.argmax(x >= 0.5 * x[-1]), 1, len(x) - 1))
     return abs(float((P[after] - P[after - 1]) / max(abs(x[after] - x[after - 1]), 1e-9)))
 
@@ -413,7 +389,7 @@ def _shifted(points: Sequence[Point], length: float) -> dict[str, ModelFit]:
     """The sigmoid through the lengths less what is left without pressure, and to which they would come; where seen."""
     starts = np.array([np.mean([rest.start for rest in point.rests]) for point in points])
     noise = max(rest.noise for point in points for rest in point.rests)
-    ways = {ZERO: -starts} if np.abs(starts).max() > CLEAR * noise else {}
+    ways = {ZERO: -starts} if np.abs(starts).max() > figures.CLEAR * noise else {}
     if any(point.left.seen for point in points):
         ways[MOTION] = np.array([point.left.size for point in points])
     fits = {name: _fit(points, length, off)[0] for name, off in ways.items()}
@@ -462,14 +438,13 @@ def _coefficients(
         n = 0 if fit is None else len(fit.measured)
         note = sentences(note, RESIDUALS if half is not None else "")
         e = Estimate("L", value, UNITS[quantity], quantity, SIGMOID, {}, parts, n, note=note, coordinate=name)
-        changes = {way: abs(_of(one, name) - (value or 0.0)) for way, one in shifted.items()}
-        doubts = [Doubt(way, "drift" if way == ZERO else "method", half, seen=True) for way, half in changes.items()]
+        others = {way: next(u.value for u in one.unknowns if u.name == name) for way, one in shifted.items()}
+        doubts = [
+            Doubt(way, "drift" if way == ZERO else "method", abs(other - (value or 0.0)), seen=True)
+            for way, other in others.items()
+        ]
         found.append(withhold(e, other) if other and value is not None else weighed(e, doubts))
     return found
-
-
-def _of(fit: ModelFit, name: str) -> float:
-    return next(unknown.value for unknown in fit.unknowns if unknown.name == name)
 
 
 def offers(analysis: Analysis) -> Iterator[Offer]:
@@ -482,7 +457,15 @@ def offers(analysis: Analysis) -> Iterator[Offer]:
     length, widths = analysis.facts.get("nominal_length"), [abs(e.value or 0.0) for e in by["x_H"]]
     widest = max(widths, default=0.0)
     known = [
-        (P, replace(e, symbol="x", value=length - e.value, parts=_wider(e.parts, UNEQUAL * widest / 2)))
+        (
+            P,
+            replace(
+                e,
+                symbol="x",
+                value=length - e.value,
+                parts=replace(e.parts, method=hypot(e.parts.method or 0.0, UNEQUAL * widest / 2)),
+            ),
+        )
         for e in by["L"]
         for P in [e.at["pressure"]]
         if length and e.value is not None and length - e.value > 1.5 * widest
@@ -495,10 +478,6 @@ def offers(analysis: Analysis) -> Iterator[Offer]:
 
     why = "" if widths else "it was reached from one side only, and friction keeps it short of its rest"
     yield Offer("x", {(P, None): e for P, e in known}, at, side=0 if widths else -1, why=why)
-
-
-def _wider(parts: Parts, by: float) -> Parts:
-    return replace(parts, method=hypot(parts.method or 0.0, by))
 
 
 def contraction_of(run: RunData, trial: TrialData) -> float:

@@ -1,7 +1,7 @@
 """Positions held in closed loop: error, overshoot, settling, limit cycle.
 
-- `reduction`; of trials along a path `tracking`
-- protocol files: `protocol` and `controller`; figures and one trial on the display: `figures`
+- `reduction`
+- protocol files: `protocol`; figures and one trial on the display: `figures`
 """
 
 from pmabench.base.imported import Imported
@@ -38,6 +38,10 @@ METHODS = {
         "and creep included, and led by the dead time and the lag of the regulator."
     ),
 }
+FIGURES = {
+    "position": "pmabench.kinds.positioning.figures:positions",
+    "path": "pmabench.kinds.positioning.figures:paths",
+}
 KIND = Kind(
     name="positioning",
     title="Positioning in closed loop",
@@ -50,14 +54,8 @@ KIND = Kind(
     moves="displacement",
     compares="displacement",
     methods=METHODS,
-    figures={
-        "position": "pmabench.kinds.positioning.figures:positions",
-        "path": "pmabench.kinds.positioning.figures:paths",
-    },
-    front={
-        "position": "pmabench.kinds.positioning.figures:positions",
-        "path": "pmabench.kinds.positioning.figures:paths",
-    },
+    figures=FIGURES,
+    front=FIGURES,
     imported=Imported(),
     loop=True,
 )

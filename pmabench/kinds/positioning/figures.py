@@ -13,36 +13,8 @@ import numpy as np
 
 from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
-from pmabench.kinds.positioning.reduction import hold_of
-from pmabench.kinds.positioning.tracking import tracked
-from pmabench.plotting import time_plots
-from pmabench.plotting.pictures import (
-    Picture,
-    bound,
-    has,
-    head,
-    how_many,
-    label,
-    numbers,
-    panel,
-    picture,
-    spread,
-    unit_of,
-)
-from pmabench.plotting.plots import (
-    BLUE,
-    BROWN,
-    FAINT,
-    FULL,
-    INK,
-    QUIET,
-    Array,
-    Panel,
-    blank,
-    few_ticks,
-    grid,
-    legend_above,
-)
+from pmabench.kinds.positioning.reduction import hold_of, tracked
+from pmabench.plotting import pictures, plots, time_plots
 from pmabench.store.analyses.results import Analysis, Trace
 from pmabench.store.records import RunData, TrialData
 
@@ -58,56 +30,70 @@ APPROACH = 2.0
 """Time of the approach that is shown above [s]."""
 
 
-def positions(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
+def positions(traces: Sequence[Trace], analysis: Analysis) -> list[pictures.Picture]:
     """Reference, measured and simulated position of every set-point."""
-    able = [t for t in traces if has(t, "t", "displacement", "setpoint") and "setpoint" in t.marks]
+    able = [t for t in traces if pictures.has(t, "t", "displacement", "setpoint") and "setpoint" in t.marks]
     if not able:
         return []
-    chosen = spread(able, MOST)
-    modelled = all(has(t, "model") for t in chosen)
+    chosen = pictures.spread(able, MOST)
+    modelled = all(pictures.has(t, "model") for t in chosen)
     names = {"t": "t", "setpoint": "setpoint", "measured": "displacement"} | ({"model": "model"} if modelled else {})
     panels = []
     for trace in chosen:
-        scale = unit_of(trace, "displacement").scale
-        base = panel(trace, names, head(trace))
-        panels.append(Panel(base.title, base.columns, {**base.marks, "setpoint": trace.marks["setpoint"] / scale}))
-    unit = unit_of(chosen[0], "displacement").unit
-    labels = {"t": label(chosen[0], "t"), "measured": f"contraction [{unit}]", "error": f"x − set-point [{unit}]"}
+        scale = pictures.unit_of(trace, "displacement").scale
+        base = pictures.panel(trace, names, pictures.head(trace))
+        panels.append(
+            plots.Panel(base.title, base.columns, {**base.marks, "setpoint": trace.marks["setpoint"] / scale})
+        )
+    unit = pictures.unit_of(chosen[0], "displacement").unit
+    labels = {
+        "t": pictures.label(chosen[0], "t"),
+        "measured": f"contraction [{unit}]",
+        "error": f"x − set-point [{unit}]",
+    }
     caption = (
         "Above: the approach from rest; dashed: reference, grey: measured"
         + ("; red: the same loop simulated around the model" if modelled else "")
         + ". Below: distance from the set-point over the whole hold, on one scale; blue: measured"
         + ("; red: simulated" if modelled else "")
         + ". The dotted line begins the window of steady-state error and limit cycle."
-        + how_many(chosen, able)
+        + pictures.how_many(chosen, able)
     )
     alt = (
         f"Position over time in closed loop, reference, measured{' and simulated' if modelled else ''}, and the "
         f"distance from the set-point, at {'; '.join(p.title for p in panels)}."
     )
-    table = numbers([(head(t), t) for t in chosen], ("t", "setpoint", "displacement", "model", "pressure_command"))
-    draw = bound(held, panels, APPROACH, labels)
-    return [picture(draw, "Positions in closed loop", caption, alt, table, wide=True, simulated=analysis.simulated)]
+    table = pictures.numbers(
+        [(pictures.head(t), t) for t in chosen], ("t", "setpoint", "displacement", "model", "pressure_command")
+    )
+    draw = pictures.bound(held, panels, APPROACH, labels)
+    return [
+        pictures.picture(draw, "Positions in closed loop", caption, alt, table, wide=True, simulated=analysis.simulated)
+    ]
 
 
-def paths(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
+def paths(traces: Sequence[Trace], analysis: Analysis) -> list[pictures.Picture]:
     """Wanted and measured place along each path."""
-    able = [t for t in traces if has(t, "t", "displacement", "model") and t.figure == "path"]
+    able = [t for t in traces if pictures.has(t, "t", "displacement", "model") and t.figure == "path"]
     if not able:
         return []
-    chosen = spread(able, MOST)
-    panels = [panel(t, {"t": "t", "measured": "displacement", "model": "model"}, head(t)) for t in chosen]
-    unit = unit_of(chosen[0], "displacement").unit
-    labels = {"t": label(chosen[0], "t"), "measured": f"contraction [{unit}]", "residual": f"error [{unit}]"}
-    caption = f"Grey: measured; red: the place that was wanted. Below: their difference.{how_many(chosen, able)}"
+    chosen = pictures.spread(able, MOST)
+    panels = [
+        pictures.panel(t, {"t": "t", "measured": "displacement", "model": "model"}, pictures.head(t)) for t in chosen
+    ]
+    unit = pictures.unit_of(chosen[0], "displacement").unit
+    labels = {"t": pictures.label(chosen[0], "t"), "measured": f"contraction [{unit}]", "residual": f"error [{unit}]"}
+    caption = (
+        f"Grey: measured; red: the place that was wanted. Below: their difference.{pictures.how_many(chosen, able)}"
+    )
     alt = f"Contraction over time along a path, measured and wanted, at {'; '.join(p.title for p in panels)}."
-    draw = bound(time_plots.overlay, panels, labels)
-    table = numbers([(head(t), t) for t in chosen])
+    draw = pictures.bound(time_plots.overlay, panels, labels)
+    table = pictures.numbers([(pictures.head(t), t) for t in chosen])
     wide = len(chosen) > 1
-    return [picture(draw, "Along a path", caption, alt, table, wide=wide, simulated=analysis.simulated)]
+    return [pictures.picture(draw, "Along a path", caption, alt, table, wide=wide, simulated=analysis.simulated)]
 
 
-def held(panels: Sequence[Panel], approach: float, labels: dict[str, str]) -> Figure:
+def held(panels: Sequence[plots.Panel], approach: float, labels: dict[str, str]) -> Figure:
     """Above: reference, measured and simulated position up to `approach` [s]; below: measured and simulated distance
     from the set-point over the whole hold, on one scale for all panels.
 
@@ -115,8 +101,8 @@ def held(panels: Sequence[Panel], approach: float, labels: dict[str, str]) -> Fi
     """
     columns = min(COLUMNS, len(panels))
     rows = ceil(len(panels) / columns)
-    figure = blank(FULL, 0.5 + 2.75 * rows)
-    outer = grid(figure, rows, columns, top=0.5, left=0.58, across=0.5, down=0.6)
+    figure = plots.blank(plots.FULL, 0.5 + 2.75 * rows)
+    outer = plots.grid(figure, rows, columns, top=0.5, left=0.58, across=0.5, down=0.6)
     reach = max(_reach(one) for one in panels)
     for i, one in enumerate(panels):
         inner = outer[i].subgridspec(2, 1, height_ratios=(1.5, 1), hspace=0.42)
@@ -129,42 +115,48 @@ def held(panels: Sequence[Panel], approach: float, labels: dict[str, str]) -> Fi
             lower.set_ylabel(labels["error"])
             figure.align_ylabels([upper, lower])
         lower.set_xlabel(labels["t"])
-    legend_above(figure, 3)
+    plots.legend_above(figure, 3)
     return figure
 
 
-def _approach(axes: Axes, panel: Panel, until: float) -> None:
+def _approach(axes: Axes, panel: plots.Panel, until: float) -> None:
     early = panel.columns["t"] <= until
     t = panel.columns["t"][early]
-    axes.plot(t, panel.columns["measured"][early], color=FAINT, linewidth=2.6, label="measured")
+    axes.plot(t, panel.columns["measured"][early], color=plots.FAINT, linewidth=2.6, label="measured")
     if "model" in panel.columns:
-        axes.plot(t, panel.columns["model"][early], color=BROWN, linewidth=1.0, label="simulated")
+        axes.plot(t, panel.columns["model"][early], color=plots.BROWN, linewidth=1.0, label="simulated")
     axes.step(
-        t, panel.columns["setpoint"][early], where="post", color=INK, linewidth=0.8, linestyle=DASHED, label="reference"
+        t,
+        panel.columns["setpoint"][early],
+        where="post",
+        color=plots.INK,
+        linewidth=0.8,
+        linestyle=DASHED,
+        label="reference",
     )
     axes.set_xlim(min(0.0, float(t[0])) if len(t) else 0.0, until)
-    few_ticks(axes, y=5)
+    plots.few_ticks(axes, y=5)
 
 
-def _distance(axes: Axes, panel: Panel, reach: float) -> None:
+def _distance(axes: Axes, panel: plots.Panel, reach: float) -> None:
     """Distance from the set-point; the approach leaves the frame."""
     after = panel.columns["t"] >= 0
     t, aim = panel.columns["t"][after], panel.marks["setpoint"]
-    axes.axhline(0, color=INK, linewidth=0.8, linestyle=DASHED)
-    axes.plot(t, panel.columns["measured"][after] - aim, color=BLUE, linewidth=0.8)
+    axes.axhline(0, color=plots.INK, linewidth=0.8, linestyle=DASHED)
+    axes.plot(t, panel.columns["measured"][after] - aim, color=plots.BLUE, linewidth=0.8)
     if "model" in panel.columns:
-        axes.plot(t, panel.columns["model"][after] - aim, color=BROWN, linewidth=0.7, alpha=0.8)
+        axes.plot(t, panel.columns["model"][after] - aim, color=plots.BROWN, linewidth=0.7, alpha=0.8)
     if panel.marks.get("window", 0.0) > 0:
-        axes.axvline(panel.marks["window"], color=QUIET, linewidth=0.7, linestyle=(0, (1, 2)))
+        axes.axvline(panel.marks["window"], color=plots.QUIET, linewidth=0.7, linestyle=(0, (1, 2)))
     axes.set_ylim(-reach, reach)
     axes.set_xlim(0, float(t[-1]) if len(t) else 1.0)
-    few_ticks(axes, y=4)
+    plots.few_ticks(axes, y=4)
 
 
-def _reach(panel: Panel) -> float:
+def _reach(panel: plots.Panel) -> float:
     """What the error reaches inside the window, with room, in display units."""
     late = panel.columns["t"] >= panel.marks.get("window", 0.0)
-    away: Array = np.abs(panel.columns["measured"][late] - panel.marks["setpoint"])
+    away: plots.Array = np.abs(panel.columns["measured"][late] - panel.marks["setpoint"])
     known = away[np.isfinite(away)]
     least = 1e-3 * abs(panel.marks["setpoint"])
     return 1.5 * max(float(known.max()) if len(known) else 0.0, least)

@@ -1,6 +1,7 @@
 """Reduction of positioning runs: each set-point's response, steady-state error and limit cycle; the same simulated.
 
-Measures of one hold are in `response`, the simulated loop in `analysis.shared.simulated`.
+Measures of one hold are in `response`, the simulated loop in `analysis.shared.simulated`. And how well a controller
+followed a path: the error over the whole path, and what it goes beyond each place.
 """
 
 from __future__ import annotations
@@ -11,38 +12,175 @@ from math import hypot, sqrt
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from pmabench.analysis.shared import student
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.form import Doubt, weighed
+from pmabench.analysis.shared.isometric_lines import spread
 from pmabench.analysis.shared.response import SMALLEST, Response, respond
 from pmabench.analysis.shared.samples import count_of
 from pmabench.analysis.shared.simulated import closed_loop, model_of
+from pmabench.analysis.shared.trials import by_point
 from pmabench.base.quantities import show
-from pmabench.kinds.positioning import RESULTS, tracking
+from pmabench.kinds.positioning import RESULTS
 from pmabench.model.presets import Described
+from pmabench.model.reference_path import ReferencePath
 from pmabench.store.analyses.results import Analysis, Dropped, Estimate, Finding, Parts, Trace
 from pmabench.store.records import Array, RunData, TrialData
+
+ALONE_METHOD, AHEAD = "along a path", "along a path, with feed-forward"
+ALONE = "one run: no repeats part"
+FEWEST_ON_PATH = 50
+"""Samples of a path."""
+LONGEST_TRACE = 4000
+OF_PATHS = {"e_rms": ("m", "length"), "e_max": ("m", "length"), "OS": ("1", "ratio")}
+"""Symbol -> unit and quantity."""
+
+
+@dataclass(frozen=True, eq=False)
+class Tracked:
+    """One trial along a path; arrays of shape (n,) over `t` [s from the first sample of the loop]."""
+
+    run: RunData
+    trial: TrialData
+    path: ReferencePath
+    method: str
+    """How it was controlled: `AHEAD` where a feed-forward was added."""
+    t: Array
+    wanted: Array
+    x: Array
+
+    def values(self, more: float = 0.0, gain: float = 0.0) -> dict[str, float]:
+        """Each measure, of a displacement that is `more` [m] and a share `gain` larger."""
+        x = self.x * (1 + gain) + more
+        error = x - self.wanted
+        return {
+            "e_rms": float(np.sqrt(np.mean(error**2))),
+            "e_max": float(np.abs(error).max()),
+            "OS": max(self._overshoots(x), default=0.0),
+        }
+
+    def _overshoots(self, x: Array) -> list[float]:
+        """What each move goes beyond its place until the next one begins, over the move; none is 0."""
+        found = []
+        ends = [*self.path.starts[1:], np.inf]
+        moves = zip(self.path.places, self.path.places[1:], self.path.starts, ends, strict=False)
+        for before, place, start, end in moves:
+            inside = (self.t >= start) & (self.t < end)
+            way = place - before
+            if inside.any() and way:
+                found.append(max(0.0, float(((x[inside] - place) / way).max())))
+        return found
+
+
+def tracked(run: RunData, trial: TrialData, law: Mapping[str, Any]) -> Tracked | str:
+    """A trial along a path, or why it is not used."""
+    ok = _looped(trial, law)
+    if ok.sum() < FEWEST_ON_PATH:
+        return f"fewer than {FEWEST_ON_PATH} samples of the path can be used"
+    path, t = ReferencePath(**law["path"]), trial.t[ok] - float(law["t0"])
+    wanted = np.array([path.place(float(now)) for now in t])
+    method = AHEAD if law.get("feedforward") else ALONE_METHOD
+    return Tracked(run, trial, path, method, t, wanted, trial.channels["displacement"][ok])
+
+
+def _looped(trial: TrialData, law: Mapping[str, Any]) -> NDArray[np.bool_]:
+    """The usable samples of the loop."""
+    during = (trial.t >= float(law["t0"]) - 1e-6) & (trial.t <= float(law["t1"]) + 1e-6)
+    return np.asarray(trial.usable & np.isfinite(trial.channels["displacement"]) & during)
+
+
+def _of_paths(members: Sequence[Tracked]) -> list[Estimate]:
+    """Root mean square and largest error [m], and the largest overshoot over its move [1], of one operating point."""
+    scales = Scales.of([one.run for one in members])
+    gain, offset = scales.gains.get("displacement", 0.0), scales.offsets.get("displacement", 0.0)
+    each = [one.values() for one in members]
+    ways = ((offset, 0.0), (0.0, gain))
+    shifted = [(members[0].values(more, share), members[0].values(-more, -share)) for more, share in ways]
+    lacking = scales.lack(("displacement",), ("displacement",))
+    method, at, names = members[0].method, dict(members[0].trial.point), tuple(one.trial.name for one in members)
+    note = sentences("" if len(members) > 1 else ALONE, lacking)
+    found = []
+    for symbol, (unit, quantity) in OF_PATHS.items():
+        values = np.array([one[symbol] for one in each])
+        scale = hypot(*(0.5 * (up[symbol] - down[symbol]) for up, down in shifted))
+        parts = Parts(spread(values), calibration=scale if offset > 0 or gain > 0 else None)
+        mean, n = float(values.mean()), len(values)
+        found.append(Estimate(symbol, mean, unit, quantity, method, at, parts, n, note=note, trials=names))
+    return found
+
+
+def _off_paths(cells: Sequence[Sequence[Tracked]]) -> list[Finding]:
+    """How far it was off, each way of controlling in one sentence."""
+    lines = []
+    for method in dict.fromkeys(members[0].method for members in cells):
+        mine = [one.values() for members in cells if members[0].method == method for one in members]
+        rms, most = (max(one[name] for one in mine) for name in ("e_rms", "e_max"))
+        over = 100 * max(one["OS"] for one in mine)
+        text = f"{method}: off by at most {show(most, 'length', 3)}, {show(rms, 'length', 3)} rms"
+        lines.append(Finding("note", f"{text}; overshoot {over:.2g} % of the move"))
+    return lines
+
+
+def _path_trace(one: Tracked) -> Trace:
+    """The path and where the muscle was."""
+    rows = slice(None, None, max(1, -(-len(one.t) // LONGEST_TRACE)))
+    setpoint, load = one.trial.point.get("setpoint", 0.0), one.trial.point.get("load", 0.0)
+    columns = {"t": one.t, "displacement": one.x, "model": one.wanted}
+    if "pressure_command" in one.trial.channels:
+        begin = float(one.trial.found["position"]["t0"])
+        columns["pressure_command"] = np.interp(one.t + begin, one.trial.t, one.trial.channels["pressure_command"])
+    return Trace(
+        f"path-{setpoint * 1e3:g}-{load:g}{'-ahead' if one.method == AHEAD else ''}",
+        "path",
+        f"{show(setpoint, 'length')}, {show(load, 'force')}: {one.method}",
+        {name: column[rows] for name, column in columns.items()},
+        {"t": "time", "displacement": "length", "model": "length", "pressure_command": "pressure"},
+        {"setpoint": setpoint},
+    )
+
+
+def along_paths(
+    pairs: Sequence[tuple[RunData, TrialData]],
+) -> tuple[list[Estimate], list[Finding], list[Trace], list[Dropped]]:
+    """All trials along paths."""
+    dropped: list[Dropped] = []
+    cells: dict[tuple[object, ...], list[Tracked]] = {}
+    for run, trial in pairs:
+        one = tracked(run, trial, trial.found["position"])
+        if isinstance(one, str):
+            dropped.append(Dropped(trial.name, trial.point, one))
+            continue
+        point = tuple(sorted((name, round(value, 9)) for name, value in trial.point.items()))
+        cells.setdefault((one.method, one.path.places, tuple(one.path.times), point), []).append(one)
+    every = list(cells.values())
+    found = [estimate for members in every for estimate in _of_paths(members)]
+    return found, _off_paths(every), [_path_trace(members[0]) for members in every], dropped
+
 
 KIND = "positioning"
 METHOD = "closed-loop"
 SIMULATION = "closed-loop, simulated"
-ALONE = "one run: no repeats part"
-LONGEST_TRACE = 4000
+LENGTHS = dict.fromkeys(("setpoint", "displacement", "model"), "length")
+QUANTITIES = {"t": "time", **LENGTHS, "pressure_command": "pressure"}
+"""Column of a trace -> its quantity."""
 EARLY = 4.0
 """Up to here [s] a trace is kept denser: half of its points."""
 BAND = 0.02
 """Band that counts as settled where the plan gives none."""
 MEASURES = {
-    "e_ss": ("1", "ratio"),
-    "OS": ("1", "ratio"),
-    "t_r": ("s", "time"),
-    "t_s": ("s", "time"),
-    "IAE": ("m.s", ""),
-    "x_pp": ("m", "length"),
-    "T_c": ("s", "time"),
+    "e_ss": ("1", "ratio", ""),
+    "OS": ("1", "ratio", "overshoot"),
+    "t_r": ("s", "time", "rise"),
+    "t_s": ("s", "time", "settling"),
+    "IAE": ("m.s", "", "IAE"),
+    "x_pp": ("m", "length", "size"),
+    "T_c": ("s", "time", "period"),
 }
-"""Symbol -> unit and quantity."""
+"""Symbol -> unit, quantity, and field of `Response`, or of its cycle, and of what is unsure of both."""
+NOT_RISEN = "it does not come to 90 % of the set-point"
+NONE = {"t_s": "it does not stay in the band"}
+"""Why there is no value of a measure."""
 CYCLE = ("x_pp", "T_c")
 """Measures that only a limit cycle has."""
 
@@ -72,27 +210,26 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     the limit cycle of every set-point (paper 0, control).
 
     Where the plan carries a model, the same loop is simulated around it (method `closed-loop, simulated`), and e_sim is
-    the rms difference of the two contractions [m]. Trials along a path are in `tracking`.
+    the rms difference of the two contractions [m]. Trials along a path are reduced by `along_paths`.
     """
     dropped: list[Dropped] = []
-    cells: dict[tuple[tuple[str, float], ...], list[Hold]] = {}
-    paths: list[tuple[RunData, TrialData, Mapping[str, Any]]] = []
+    found: dict[str, Hold] = {}
+    paths: list[tuple[RunData, TrialData]] = []
     for run in runs:
         model = model_of(run)
         for trial in run.trials:
             if _followed(trial):
-                paths.append((run, trial, trial.found["position"]))
+                paths.append((run, trial))
                 continue
             hold = hold_of(run, trial, model)
             if isinstance(hold, str):
                 dropped.append(Dropped(trial.name, trial.point, hold))
                 continue
-            key = tuple(sorted((name, round(value, 9)) for name, value in trial.point.items()))
-            cells.setdefault(key, []).append(hold)
-    order = sorted(cells, key=lambda key: (dict(key).get("load", 0.0), dict(key).get("setpoint", 0.0)))
-    holds = [cells[key] for key in order]
-    along, notes, ways, unused = tracking.reduced(paths)
-    estimates = [e for key, members in zip(order, holds, strict=True) for e in _estimates(dict(key), members)]
+            found[trial.name] = hold
+    cells = by_point([(hold.run, hold.trial) for hold in found.values()])
+    holds = [[found[trial.name] for _, trial in members] for _, members in cells]
+    along, notes, ways, unused = along_paths(paths)
+    estimates = [e for (at, _), members in zip(cells, holds, strict=True) for e in _estimates(at, members)]
     return Analysis.of(
         KIND,
         runs,
@@ -127,18 +264,18 @@ def hold_of(run: RunData, trial: TrialData, model: Described | None = None) -> H
         return str((law or {}).get("reason") or "no closed loop is recorded to its end")
     settings = run.plan.get("settings") or {}
     begin, setpoint = float(law["t0"]), float(law["setpoint"])
-    x = trial.channels["displacement"]
-    ok = trial.usable & np.isfinite(x) & (trial.t >= begin - 1e-6) & (trial.t <= float(law["t1"]) + 1e-6)
-    t, x = trial.t[ok] - begin, x[ok]
+    ok = _looped(trial, law)
+    t, x = trial.t[ok] - begin, trial.channels["displacement"][ok]
     low, high = settings.get("window") or (0.5 * (float(law["t1"]) - begin), float(law["t1"]) - begin)
-    band = float(settings.get("band", BAND))
-    resolution = count_of(run, "displacement")
-
-    rest = trial.usable & (trial.t < begin - 1e-6) & np.isfinite(trial.channels["displacement"])
+    window, band, resolution = (
+        (float(low), float(high)),
+        float(settings.get("band", BAND)),
+        count_of(run, "displacement"),
+    )
+    rest = _at_rest(trial, law)
     origin = float(trial.channels["displacement"][rest].mean()) if rest.any() else 0.0
 
     def measured(values: Array) -> Response:
-        window = float(low), float(high)
         return respond(t, values, setpoint, window, band, origin=origin, resolution=resolution)
 
     try:
@@ -157,32 +294,18 @@ def hold_of(run: RunData, trial: TrialData, model: Described | None = None) -> H
     return Hold(run, trial, law, response, calibration, origin, t, x, simulated, simulated_response)
 
 
+def _at_rest(trial: TrialData, law: Mapping[str, Any]) -> NDArray[np.bool_]:
+    """The usable samples before the loop began."""
+    known = trial.usable & np.isfinite(trial.channels["displacement"])
+    return np.asarray(known & (trial.t < float(law["t0"]) - 1e-6))
+
+
 def _value(symbol: str, response: Response, setpoint: float) -> float | None:
-    """One measure of a response."""
-    cycle = response.cycle
-    return {
-        "e_ss": response.error / setpoint,
-        "OS": response.overshoot,
-        "t_r": response.rise,
-        "t_s": response.settling,
-        "IAE": response.IAE,
-        "x_pp": None if cycle is None else cycle.size,
-        "T_c": None if cycle is None else cycle.period,
-    }[symbol]
-
-
-def _method(symbol: str, response: Response) -> float:
-    """What sampling, noise and the choice of a band leave open of a measure; of e_ss nothing but what moves."""
-    unsure = response.unsure
-    return {
-        "e_ss": 0.0,
-        "OS": unsure.overshoot,
-        "t_r": unsure.rise,
-        "t_s": unsure.settling,
-        "IAE": unsure.IAE,
-        "x_pp": unsure.size,
-        "T_c": unsure.period,
-    }[symbol]
+    """One measure of a response; None for those of a cycle where there is none."""
+    if symbol == "e_ss":
+        return response.error / setpoint
+    value: float | None = getattr(response.cycle if symbol in CYCLE else response, MEASURES[symbol][2], None)
+    return value
 
 
 def _moves(members: Sequence[Hold], setpoint: float) -> Doubt:
@@ -224,42 +347,29 @@ def _estimates(at: dict[str, float], members: Sequence[Hold]) -> list[Estimate]:
     setpoint = at["setpoint"]
     names = tuple(hold.trial.name for hold in members)
     found = []
-    for symbol, (unit, quantity) in MEASURES.items():
+    for symbol, (unit, quantity, name) in MEASURES.items():
         known = [(v, h.calibration[symbol]) for h in members if (v := _value(symbol, h.response, setpoint)) is not None]
         if not known and symbol in CYCLE:
             continue
         values = np.array([value for value, _ in known])
-        methods = [_method(symbol, h.response) for h in members]
-        several = len(values) > 1
-        spread = student.ppf(0.975, len(values) - 1) * values.std(ddof=1) / sqrt(len(values)) if several else None
+        # what sampling, noise and the choice of a band leave open; of e_ss nothing but what moves
+        methods = [getattr(h.response.unsure, name) if name else 0.0 for h in members]
         scales = [half for _, half in known if half is not None]
         lacking = Scales.of([hold.run for hold in members]).lack(("displacement",), ("displacement",))
-        e = Estimate(
-            symbol,
-            float(values.mean()) if len(values) else None,
-            unit,
-            quantity,
-            METHOD,
-            at,
-            parts=Parts(None if spread is None else float(spread), max(methods), max(scales, default=None)),
-            n=len(values),
-            note=sentences(ALONE, lacking) if len(values) == 1 else lacking if len(values) else _why_not(symbol),
-            trials=names,
-        )
+        parts = Parts(spread(values), max(methods), max(scales, default=None))
+        note = sentences("" if len(values) > 1 else ALONE, lacking) if len(values) else NONE.get(symbol, NOT_RISEN)
+        mean = float(values.mean()) if len(values) else None
+        e = Estimate(symbol, mean, unit, quantity, METHOD, at, parts, len(values), note=note, trials=names)
         found.append(_steady(e, _moves(members, setpoint)) if symbol == "e_ss" else e)
     rms = [float(np.sqrt(np.mean((h.x - h.simulated) ** 2))) for h in members if h.simulated is not None]
     if rms:
         found.append(Estimate("e_sim", float(np.mean(rms)), "m", "length", SIMULATION, at, n=len(rms), trials=names))
     simulated = next((h.simulated_response for h in members if h.simulated_response is not None), None)
-    for symbol, (unit, quantity) in MEASURES.items():
+    for symbol, (unit, quantity, _) in MEASURES.items():
         value = None if simulated is None else _value(symbol, simulated, setpoint)
         if value is not None:
             found.append(Estimate(symbol, value, unit, quantity, SIMULATION, at, n=1, note="a simulation"))
     return found
-
-
-def _why_not(symbol: str) -> str:
-    return "it does not stay in the band" if symbol == "t_s" else "it does not come to 90 % of the set-point"
 
 
 def _controller(hold: Hold) -> dict[str, Any]:
@@ -278,15 +388,12 @@ def _findings(runs: Sequence[RunData], cells: Sequence[Sequence[Hold]]) -> list[
     window_text = (
         f"mean from {window[0]:g} s to {window[1]:g} s after the step" if window else "mean of the second half"
     )
-    setpoint = float(worst.law["setpoint"])
-    lines.append(
-        Finding(
-            "note",
-            f"the steady-state error is at most {_relative_error(worst):.3g} % of the set-point at "
-            f"{show(setpoint, 'length')} ({show(worst.response.error, 'length', 3)} is the {window_text}, "
-            "and what moves in it is added)",
-        )
+    text = (
+        f"the steady-state error is at most {_relative_error(worst):.3g} % of the set-point at "
+        f"{show(float(worst.law['setpoint']), 'length')} ({show(worst.response.error, 'length', 3)} is the "
+        f"{window_text}, and what moves in it is added)"
     )
+    lines.append(Finding("note", text))
     lines += _cycles([hold for members in cells for hold in members])
     unsettled = [hold for members in cells for hold in members if hold.response.settling is None]
     if unsettled:
@@ -327,13 +434,8 @@ def _cycles(holds: Sequence[Hold]) -> list[Finding]:
     quiet = [hold for hold in still if hold not in slow]
     if slow:
         most = show(max(hold.response.wander for hold in slow), "length", 3)
-        lines.append(
-            Finding(
-                "doubt",
-                f"at {_places(slow)} it moves by up to {most} in the window without two whole cycles: a slow limit "
-                "cycle, a creep or a drift; a longer hold tells",
-            )
-        )
+        text = f"at {_places(slow)} it moves by up to {most} in the window without two whole cycles: a slow limit"
+        lines.append(Finding("doubt", f"{text} cycle, a creep or a drift; a longer hold tells"))
     if quiet:
         least = show(max(hold.response.smallest for hold in quiet), "length", 2)
         lines.append(Finding("note", f"no limit cycle at {_places(quiet)}: one of {least} peak to peak would be seen"))
@@ -353,22 +455,21 @@ def _in_words(responses: Iterable[Response]) -> str:
     cycles = [response.cycle for response in responses if response.cycle is not None]
     if not cycles:
         return "none"
-    sizes, periods = sorted(c.size for c in cycles), sorted(c.period for c in cycles)
+    sizes, periods = sorted(c.size * 1e3 for c in cycles), sorted(c.period for c in cycles)
     rest = sorted(100 * c.at_rest for c in cycles)
-    size = _range([f"{x * 1e3:.3g}" for x in (sizes[0], sizes[-1])], "mm peak to peak")
-    period = _range([f"{x:.3g}" for x in (periods[0], periods[-1])], "s")
-    return f"{size}, period {period}, {_range([f'{x:.0f}' for x in (rest[0], rest[-1])], '%')} of the time at rest"
+    size, period = _range(sizes, ".3g", "mm peak to peak"), _range(periods, ".3g", "s")
+    return f"{size}, period {period}, {_range(rest, '.0f', '%')} of the time at rest"
 
 
-def _range(ends: Sequence[str], unit: str) -> str:
-    return f"{ends[0]} {unit}" if ends[0] == ends[-1] else f"{ends[0]} to {ends[-1]} {unit}"
+def _range(values: Sequence[float], form: str, unit: str) -> str:
+    """From the least to the largest of rising values; one where they read alike."""
+    return f"{' to '.join(dict.fromkeys(format(value, form) for value in (values[0], values[-1])))} {unit}"
 
 
 def _trace(hold: Hold) -> Trace:
     """Set-point, measured and simulated contraction, and the command, of one hold."""
-    setpoint = float(hold.law["setpoint"])
-    begin = float(hold.law["t0"])
-    rest = hold.trial.usable & (hold.trial.t < begin - 1e-6) & np.isfinite(hold.trial.channels["displacement"])
+    setpoint, begin = float(hold.law["setpoint"]), float(hold.law["t0"])
+    rest = _at_rest(hold.trial, hold.law)
     before = hold.trial.t[rest] - begin
     t = np.concatenate((before, hold.t))
     columns = {
@@ -392,12 +493,6 @@ def _trace(hold: Hold) -> Trace:
         "position",
         f"{where}: position in closed loop",
         {name: column[rows] for name, column in columns.items()},
-        {
-            "t": "time",
-            "setpoint": "length",
-            "displacement": "length",
-            "model": "length",
-            "pressure_command": "pressure",
-        },
+        QUANTITIES,
         marks,
     )

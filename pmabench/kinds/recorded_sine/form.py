@@ -171,22 +171,16 @@ def bandwidth(groups: Mapping[float, Sequence[Sine]]) -> list[Estimate]:
         return [Estimate("f_b", None, "Hz", "frequency", method, {}, n=len(names), note=note, trials=names)]
     value, apart = found
     half = None
-    if all(one is not None for one in halves):
-        off = np.array(
-            [hypot((one or 0.0) / g, (halves[0] or 0.0) / gain[0]) for one, g in zip(halves, gain, strict=True)]
-        )
+    shares = [one / g for one, g in zip(halves, gain, strict=True) if one is not None]
+    if len(shares) == len(halves):
+        off = np.array([hypot(share, shares[0]) for share in shares])
         ends = [gain * np.maximum(LEAST, 1 + way * off) for way in (-1, 1)]
         moved = [crossing(at, np.concatenate([gain[:1], end[1:]])) for end in ends]
         half = max(abs(one[0] - value) for one in moved if one is not None) if any(moved) else None
     apart = hypot(apart, *_slow([groups[f][0] for f in frequencies], driven, at, gain, value))
-    note = sentences(
-        f"against the gain at {frequencies[0]:g} Hz", "" if half is not None else "no repeats part: single cycles"
-    )
-    return [
-        Estimate(
-            "f_b", value, "Hz", "frequency", method, {}, Parts(half, apart, 0.0), len(names), note=note, trials=names
-        )
-    ]
+    few = "" if half is not None else "no repeats part: single cycles"
+    note, parts = sentences(f"against the gain at {frequencies[0]:g} Hz", few), Parts(half, apart, 0.0)
+    return [Estimate("f_b", value, "Hz", "frequency", method, {}, parts, len(names), note=note, trials=names)]
 
 
 def _slow(sines: Sequence[Sine], driven: str, at: Array, gain: Array, value: float) -> list[float]:

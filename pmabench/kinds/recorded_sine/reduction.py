@@ -127,7 +127,15 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     usual = float(np.median([sine.drive for _, sine in sines])) if sines else 0.0
     swept = {f: min(alike, key=lambda group: abs(group[0][1].drive - usual)) for f, alike in groups.items()}
     estimates += bandwidth({f: [sine for _, sine in group] for f, group in swept.items()})
-    findings = [finding for _, sine in sines for finding in _sentences(sine)]
+    findings = [
+        Finding(
+            "doubt",
+            f"{show(sine.frequency, 'frequency', 3)} ({sine.name}): it runs {sine.off:+.1%} off the frequency that the"
+            " name tells; the real one is fitted",
+        )
+        for _, sine in sines
+        if abs(sine.off) > OFF
+    ]
     if sines and not read_off:
         findings.append(Finding("doubt", f"{UNTOLD_TIME}: phases assume at most {show(UNTOLD, 'time')}"))
     first = [group[0][1] for _, group in sorted(swept.items())]
@@ -136,10 +144,8 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         findings.append(Finding("note", text))
     findings += _over_frequency(first)
     if estimates:
-        text = (
-            "no method part but for lateness and lag of the channels; how far these differ from sines is stated above"
-        )
-        findings.append(Finding("note", text))
+        text = "no method part but for lateness and lag of the channels; how far these differ from sines is stated"
+        findings.append(Finding("note", f"{text} above"))
     return Analysis.of(
         KIND,
         runs,
@@ -162,9 +168,10 @@ def measure(run: RunData, trial: TrialData, late: tuple[float, float]) -> Sine |
     """One trial from its samples, or the reason why it cannot be measured."""
     frequency = trial.point.get("frequency", 0.0)
     missing = [name for name in ("pressure", "displacement") if name not in trial.channels]
-    if missing or frequency <= 0:
-        no_frequency = "nothing says its frequency: give `point: {frequency: 0.5 Hz}` under `trials` of the map"
-        return f"{' and '.join(missing)} not recorded" if missing else no_frequency
+    if missing:
+        return f"{' and '.join(missing)} not recorded"
+    if frequency <= 0:
+        return "nothing says its frequency: give `point: {frequency: 0.5 Hz}` under `trials` of the map"
     if trial.status != "finished":
         return f"the trial is {trial.status}"
     start, end = _moving(trial, frequency)
@@ -344,15 +351,6 @@ def _phases(sines: Sequence[Sine], upper: str, lower: str) -> tuple[list[float],
         whole.append(middle)
         by_cycle.append(middle + np.angle(sine.cycles[upper] / sine.cycles[lower] * turn / ratio))
     return whole, by_cycle
-
-
-def _sentences(sine: Sine) -> list[Finding]:
-    where = f"{show(sine.frequency, 'frequency', 3)} ({sine.name})"
-    lines = []
-    if abs(sine.off) > OFF:
-        text = f"{where}: it runs {sine.off:+.1%} off the frequency that the name tells; the real one is fitted"
-        lines.append(Finding("doubt", text))
-    return lines
 
 
 def _over_frequency(sines: Sequence[Sine]) -> list[Finding]:

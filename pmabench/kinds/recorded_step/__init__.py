@@ -1,6 +1,6 @@
 """Steps of pressure that other programs recorded: dead time, rise, stroke, what its ringing says of K and B.
 
-- `reduction` of what `step` measures, with `motion`: `ringing` (K and B of a known mass, B/K, dead time), `loads` (K of
+- `reduction` of what `motion` measures of a step: `ringing` (K and B of a known mass, B/K, dead time), `loads` (K of
   two loads, or of a column of force)
 """
 
@@ -47,12 +47,8 @@ KIND = Kind(
     word="recorded step",
     offers="pmabench.kinds.recorded_step.reduction:offers",
     methods=METHODS,
-    figures={
-        "overlay": "pmabench.plotting.motion:motions",
-    },
-    front={
-        "overlay": "pmabench.plotting.motion:overlays",
-    },
+    figures={"overlay": "pmabench.plotting.motion:motions"},
+    front={"overlay": "pmabench.plotting.motion:overlays"},
     parts={"slow rows": "pmabench.analysis.surface.trials:hanging"},
     imported=Imported(recording=True, follows="displacement", timed=True, shown="steps"),
 )

@@ -21,7 +21,7 @@ from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.samples import lags_of, noise_of
 from pmabench.analysis.shared.student import mean_with_half
 from pmabench.base.quantities import show
-from pmabench.kinds.recorded_step.step import AFTER, SEEN, Step
+from pmabench.kinds.recorded_step.motion import AFTER, SEEN, Step
 from pmabench.store.analyses.results import Estimate, Finding, Parts
 from pmabench.store.records import Array, RunData
 
@@ -102,17 +102,16 @@ def of_loads(groups: Mapping[Pair, Sequence[tuple[RunData, Step]]], estimates: S
     F_ce and dF_ce/dP are not given: steps come to rest with friction in them, to one side at one pressure.
     """
     found: list[Estimate] = []
+    secants = {
+        pair: secant(pair, rests_of([step for _, step in group]), Scales.of([run for run, _ in group]))
+        for pair, group in groups.items()
+    }
     for pair in sorted(groups):
-        K = _secant_of(pair, groups)
+        K = secants[pair]
         if K is not None:
-            K = _by_friction(K, [_secant_of(other, groups) for other in groups if _opposite(pair, other)])
+            K = _by_friction(K, [other for at, other in secants.items() if _opposite(pair, at)])
             found += [K, *_damping(K, estimates)]
     return found
-
-
-def _secant_of(pair: Pair, groups: Mapping[Pair, Sequence[tuple[RunData, Step]]]) -> Estimate | None:
-    group = groups[pair]
-    return secant(pair, rests_of([step for _, step in group]), Scales.of([run for run, _ in group]))
 
 
 def _opposite(pair: Pair, other: Pair) -> bool:
@@ -183,23 +182,16 @@ def by_cell(steps: Sequence[tuple[RunData, Step]], late: Sequence[float]) -> tup
     if any(lag for run, step in mine for lag in lags_of(run, step.trial).values()):
         return [], [Finding("note", f"the sensors have lags, which K by the cell does not take off; {INSTEAD}")]
     middle = 0.5 * (late[0] + late[-1])
-    rows = [_rows(step, middle) for _, step in mine]
-    F, design = np.concatenate([row[0] for row in rows]), np.concatenate([row[1] for row in rows])
+    F, design, lengths = _rows(mine, middle)
     noise = float(np.median([noise_of(_good(step, "force")) for _, step in mine]))
     if why := _why_not(F, design, noise):
         return [], [Finding("note", f"the force cell tells nothing of K here: {why}; {INSTEAD}")]
-    terms, halves, left = _fit(F, design, [len(row[0]) for row in rows])
+    terms, halves, left = _fit(F, design, lengths)
     expected = _noise_of_rows(mine[0][1], terms, noise)
     if left > MISFIT * expected:
-        text = (
-            f"{show(left, 'force', 2)} are left where noise makes {show(expected, 'force', 2)}: K changes with pressure"
-        )
-        return [], [Finding("note", f"K is not one number in these steps: {text} or contraction; {INSTEAD}")]
-    ends = []
-    for shift in (late[0], late[-1]):
-        moved = [_rows(step, shift) for _, step in mine]
-        stacked = np.concatenate([row[0] for row in moved]), np.concatenate([row[1] for row in moved])
-        ends.append(_fit(*stacked, [len(row[0]) for row in moved])[0])
+        text = f"{show(left, 'force', 2)} are left where noise makes {show(expected, 'force', 2)}: K changes with"
+        return [], [Finding("note", f"K is not one number in these steps: {text} pressure or contraction; {INSTEAD}")]
+    ends = [_fit(*_rows(mine, shift))[0] for shift in (late[0], late[-1])]
     scales = Scales.of([run for run, _ in mine])
     names = tuple(step.name for _, step in mine)
     found, findings = [], []
@@ -222,7 +214,13 @@ def _width(t: Array) -> int:
     return max(1, round(SMOOTH / float(np.median(np.diff(t)))))
 
 
-def _rows(step: Step, late: float) -> tuple[Array, Array]:
+def _rows(steps: Sequence[tuple[RunData, Step]], late: float) -> tuple[Array, Array, list[int]]:
+    """Rows of all steps, one after another, and how many each has."""
+    rows = [_of_step(step, late) for _, step in steps]
+    return np.concatenate([F for F, _ in rows]), np.concatenate([one for _, one in rows]), [len(F) for F, _ in rows]
+
+
+def _of_step(step: Step, late: float) -> tuple[Array, Array]:
     """Force [N], shape (n,), and columns 1, x, x', P, shape (n, 4), as means that do not overlap."""
     width = _width(step.t)
     whole = len(step.t) // width
@@ -255,10 +253,8 @@ def _why_not(F: Array, design: Array, noise: float) -> str:
     scaled = (design[:, 1:] - design[:, 1:].mean(axis=0)) / design[:, 1:].std(axis=0)
     condition = float(np.linalg.cond(np.column_stack([design[:, 0], scaled])))
     if condition >= CONDITION:
-        text = (
-            f"contraction, its rate and pressure go together (condition {condition:.0f}, below {CONDITION:g} is needed)"
-        )
-        return f"{text}: other loads or other steps separate them"
+        text = f"condition {condition:.0f}, below {CONDITION:g} is needed"
+        return f"contraction, its rate and pressure go together ({text}): other loads or other steps separate them"
     return ""
 
 

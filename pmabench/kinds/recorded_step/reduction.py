@@ -20,8 +20,8 @@ from pmabench.analysis.verdict.agreement import Offer, everywhere, values_of
 from pmabench.base.quantities import show
 from pmabench.kinds.recorded_step import RESULTS
 from pmabench.kinds.recorded_step.loads import SECANT, Pair, by_cell, of_loads, rests_of, secant
+from pmabench.kinds.recorded_step.motion import AFTER, SEEN, Step, measure
 from pmabench.kinds.recorded_step.ringing import ONCE, RINGING, TO_MOTION, check, ringing, times
-from pmabench.kinds.recorded_step.step import AFTER, SEEN, Step, measure
 from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace
 from pmabench.store.records import RunData
 
@@ -111,8 +111,7 @@ def _of_all(steps: Sequence[tuple[RunData, Step]], estimates: Sequence[Estimate]
 
 def _lateness(runs: Sequence[RunData], options: Mapping[str, Any]) -> tuple[float, float]:
     """How late the pressure may be [s], least and most."""
-    stated = [late_by(run, "pressure") or (0.0, 0.0) for run in runs]
-    known = [tuple(options["late_by"])] if "late_by" in options else stated
+    known = [options["late_by"]] if "late_by" in options else [late_by(run, "pressure") or (0.0, 0.0) for run in runs]
     return min(low for low, _ in known), max(high for _, high in known)
 
 
@@ -207,13 +206,8 @@ def _sentences(at: Mapping[str, float], steps: Sequence[Step]) -> list[Finding]:
         text = f"{where}: the pressure overshoots by {float(np.mean(overshoot)):.0%}: no first-order lag describes it"
         lines.append(Finding("note", text))
     if max(best) > 0:
-        lines.append(
-            Finding(
-                "note",
-                f"{where}: the motion fits best with the pressure {show(float(np.mean(best)), 'time', 2)} late: "
-                "position seems to move before the pressure that drives it",
-            )
-        )
+        text = f"{where}: the motion fits best with the pressure {show(float(np.mean(best)), 'time', 2)} late: position"
+        lines.append(Finding("note", f"{text} seems to move before the pressure that drives it"))
     return lines
 
 

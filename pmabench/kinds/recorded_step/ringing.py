@@ -16,25 +16,8 @@ from pmabench.analysis.shared.calibration import sentences
 from pmabench.analysis.shared.form import Doubt, weighed
 from pmabench.analysis.shared.student import mean_with_half
 from pmabench.base.quantities import show
-from pmabench.kinds.recorded_step.motion import (
-    CLEAR,
-    DAMPING,
-    FREE,
-    FREQUENCY,
-    LAGS,
-    SHOWN,
-    Delayed,
-    Motion,
-    Swing,
-    alike,
-    behind,
-    extremes,
-    fit_delayed,
-    fit_swings,
-    free_swings,
-    place_of,
-)
-from pmabench.kinds.recorded_step.step import SEEN, Step
+from pmabench.kinds.recorded_step import motion
+from pmabench.kinds.recorded_step.motion import SEEN, Step
 from pmabench.store.analyses.results import Estimate, Finding, Parts, withhold
 from pmabench.store.records import Array
 
@@ -97,21 +80,21 @@ def ringing(at: Mapping[str, float], steps: Sequence[Step], options: Mapping[str
 
 
 def possible_motions(
-    driven: tuple[Array, Array, Array], best: Motion, others: Sequence[tuple[Array, Array]] = ()
-) -> list[Delayed]:
+    driven: tuple[Array, Array, Array], best: motion.Motion, others: Sequence[tuple[Array, Array]] = ()
+) -> list[motion.Delayed]:
     """The motions of a step that fit alike: with more and less lag of its sensors, and with one not declared.
 
     `driven`: time [s], pressure [Pa], contraction [m], shapes (n,); `others`: the last two, were the lags other ones.
     """
     t, P, x = driven
-    nominal = fit_swings(t, P, x, place_of(best))
+    nominal = motion.fit_swings(t, P, x, motion.place_of(best))
     first = nominal[0].place
-    found = alike(nominal)
+    found = motion.alike(nominal)
     for pressure, contraction in others:
-        found += alike(fit_swings(t, pressure, contraction, first))
+        found += motion.alike(motion.fit_swings(t, pressure, contraction, first))
     least = min(one.rms for one in found)
-    for lag in LAGS:
-        lagging = fit_swings(t, behind(t, P, lag), x, first, nominal[0].rms)
+    for lag in motion.LAGS:
+        lagging = motion.fit_swings(t, motion.behind(t, P, lag), x, first, nominal[0].rms)
         found += [one for one in lagging if one.rms <= least and one.bounded]
     return found
 
@@ -125,11 +108,11 @@ def _free_doubts(symbol: str, value: float, wide: float, steps: Sequence[Step], 
     """What the free swinging after the step says against K or B, beyond the range `wide`: it knows no times."""
     others, stopped = [], False
     for step, mass in zip(steps, masses, strict=True):
-        swings = free_swings(step.t, step.P, step.x, step.best, step.noise)[:2]
-        sizes = [(one.size, one.expected) for one in swings if one.expected > CLEAR * step.noise]
+        swings = motion.free_swings(step.t, step.P, step.x, step.best, step.noise)[:2]
+        sizes = [(one.size, one.expected) for one in swings if one.expected > motion.CLEAR * step.noise]
         stopped = stopped or any(size < STOPPED * more for size, more in sizes)
         if symbol == "K":
-            others += [mass * one.w**2 for one in swings[:1] if one.size > CLEAR * step.noise]
+            others += [mass * one.w**2 for one in swings[:1] if one.size > motion.CLEAR * step.noise]
         elif len(sizes) > 1:
             others.append(_without_friction(swings[0], swings[1], mass))
     unit = "stiffness" if symbol == "K" else "damping"
@@ -144,7 +127,7 @@ def _free_doubts(symbol: str, value: float, wide: float, steps: Sequence[Step], 
     return [Doubt("free swinging", "method", apart, seen=True, reason=f"{text}: {why}; {INSTEAD}")] if apart > 0 else []
 
 
-def _without_friction(first: Swing, second: Swing, mass: float) -> float:
+def _without_friction(first: motion.Swing, second: motion.Swing, mass: float) -> float:
     """B [N s/m] of two stretches of free swinging: dry friction adds c/size, so a line over 1/size is B without it."""
     big, small = first.size, second.size
     one, other = (2 * mass * swing.D * swing.w for swing in (first, second))
@@ -160,22 +143,23 @@ def _why_not(step: Step) -> str:
         return "a spring pulls, too, and swings with the mass"
     if step.best.D >= RINGS:
         return _damped(step.best.D)
-    if not 1.02 * FREQUENCY[0] < step.best.w < FREQUENCY[1] / 1.02:
-        low, high = FREQUENCY
+    if not 1.02 * motion.FREQUENCY[0] < step.best.w < motion.FREQUENCY[1] / 1.02:
+        low, high = motion.FREQUENCY
         return f"the motion does not ring (no natural frequency from {low:g} to {high:g} rad/s fits it): {HIDDEN}"
     end = float(np.median(step.x[step.t > step.t[-1] - 1.0]))
-    seen = extremes(step.x[step.t > 0], end, step.noise)
+    seen = motion.extremes(step.x[step.t > 0], end, step.noise)
     if seen < 2:
-        return f"the motion does not ring ({seen} extremes beyond {SHOWN:g} times its noise, 2 are needed): {HIDDEN}"
+        few = f"{seen} extremes beyond {motion.SHOWN:g} times its noise, 2 are needed"
+        return f"the motion does not ring ({few}): {HIDDEN}"
     return ""
 
 
 def _damped(ratio: float) -> str:
-    most = f"{ratio:.1f}" if ratio < DAMPING[1] / 1.02 else f"{DAMPING[1]:g} or more"
+    most = f"{ratio:.1f}" if ratio < motion.DAMPING[1] / 1.02 else f"{motion.DAMPING[1]:g} or more"
     return f"the motion does not ring (damping ratio {most}, less than {RINGS:g} is needed): {HIDDEN}"
 
 
-def _unlike(step: Step, possible: Sequence[Delayed]) -> str:
+def _unlike(step: Step, possible: Sequence[motion.Delayed]) -> str:
     """The reason why the motions that fit alike say nothing of K; empty where they do."""
     damped = max(one.B / (2 * sqrt(one.K)) for one in possible)
     if damped >= RINGS:
@@ -184,7 +168,7 @@ def _unlike(step: Step, possible: Sequence[Delayed]) -> str:
     if share > ILL_FITTED:
         return f"the misfit is {share:.0%} of the stroke (trial {step.name})"
     if not all(one.bounded for one in possible):
-        return f"the motion is more than {show(FREE, 'time')} off the pressure (trial {step.name})"
+        return f"the motion is more than {show(motion.FREE, 'time')} off the pressure (trial {step.name})"
     return ""
 
 
@@ -198,11 +182,6 @@ WIDEST = 0.5
 """B/K is given where it lies within so much of its value for all motions that fit alike."""
 LONGEST = 0.02
 """A dead time whose interval is wider than this [s] either way says nothing of a delay."""
-
-
-def delayed(step: Step, w: float | None = None) -> Delayed:
-    """The motion of a step with its delay behind the pressure; `w` sqrt(K/M) [rad/s], where both are known."""
-    return fit_delayed(*step.driven, step.best, w)
 
 
 def times(at: Mapping[str, float], steps: Sequence[Step], stiffness: float | None, late: float) -> list[Estimate]:
@@ -220,7 +199,7 @@ def times(at: Mapping[str, float], steps: Sequence[Step], stiffness: float | Non
         return [replace(B_K, note=why)]
     mass = float(np.mean([step.trial.point.get("mass", 0.0) for step in steps]))
     w = sqrt(stiffness / mass) if stiffness is not None and mass > 0 else None
-    found = [delayed(step, w) for step in steps]
+    found = [motion.fit_delayed(*step.driven, step.best, w) for step in steps]
     if why := _no_time(steps, found):
         return [replace(B_K, note=why)]
     tau, of_tau = mean_with_half([one.tau for one in found])
@@ -236,7 +215,7 @@ def times(at: Mapping[str, float], steps: Sequence[Step], stiffness: float | Non
 
 
 def _to_motion(
-    at: Mapping[str, float], steps: Sequence[Step], found: Sequence[Delayed], late: float
+    at: Mapping[str, float], steps: Sequence[Step], found: Sequence[motion.Delayed], late: float
 ) -> Estimate | None:
     """The time from command to motion [s]; None where no step has a command."""
     commanded = [(step, one) for step, one in zip(steps, found, strict=True) if not step.found]
@@ -244,16 +223,17 @@ def _to_motion(
         return None
     dead, of_dead = mean_with_half([step.stamped + one.delay for step, one in commanded])
     half = hypot(max(one.half_delay for _, one in commanded), max(step.onset_half for step, _ in commanded)) + late
-    names, note = tuple(step.name for step, _ in commanded), "" if of_dead is not None else ONCE
-    note = sentences("the time that the pressure takes to overcome friction is in it", note)
-    parts = Parts(of_dead, half, 0.0)
-    t_d = Estimate("t_d", dead, "s", "time", DRIVEN, at, parts, len(names), note=note, trials=names)
-    t_d = replace(t_d, coordinate=TO_MOTION)
+    names, parts = tuple(step.name for step, _ in commanded), Parts(of_dead, half, 0.0)
+    note = sentences(
+        "the time that the pressure takes to overcome friction is in it", "" if of_dead is not None else ONCE
+    )
+    value: float | None = dead
     if half > LONGEST:
-        text = f"a delay of {show(dead, 'time', 2)} and the lag of the mass cannot be distinguished"
-        text = f"{text} (+- {show(half, 'time', 2)}): steps at two known loads give K, and with it that lag"
-        t_d = replace(t_d, value=None, parts=Parts(), note=text)
-    return t_d
+        note = f"a delay of {show(dead, 'time', 2)} and the lag of the mass cannot be distinguished"
+        note = f"{note} (+- {show(half, 'time', 2)}): steps at two known loads give K, and with it that lag"
+        value, parts = None, Parts()
+    n = len(names)
+    return Estimate("t_d", value, "s", "time", DRIVEN, at, parts, n, note=note, trials=names, coordinate=TO_MOTION)
 
 
 def _of_another_kind(steps: Sequence[Step]) -> str:
@@ -265,7 +245,7 @@ def _of_another_kind(steps: Sequence[Step]) -> str:
     return ""
 
 
-def _no_time(steps: Sequence[Step], found: Sequence[Delayed]) -> str:
+def _no_time(steps: Sequence[Step], found: Sequence[motion.Delayed]) -> str:
     """The reason why the driven motion gives no B/K; empty where it does."""
     for step, one in zip(steps, found, strict=True):
         if one.rms > ILL_FITTED * abs(step.stroke):
@@ -303,11 +283,8 @@ def check(at: Mapping[str, float], steps: Sequence[Step], t_d: Estimate) -> list
     """The root rule next to the time from command to motion of the driven motion."""
     if t_d.value is None:
         return []
-    by_root = [
-        begun
-        for step in steps
-        if (begun := root_rule(step.t, step.x - np.median(step.x[step.t < 0]), step.stroke, step.noise)) is not None
-    ]
+    begun = [root_rule(step.t, step.x - np.median(step.x[step.t < 0]), step.stroke, step.noise) for step in steps]
+    by_root = [one for one in begun if one is not None]
     if not by_root:
         return []
     mean, value = float(np.mean(by_root)), t_d.value

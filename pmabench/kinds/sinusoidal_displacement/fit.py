@@ -6,7 +6,7 @@ Knows measured trials and what is known of the channels; not which runs they com
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import hypot, pi
 from typing import Any
 
@@ -17,7 +17,7 @@ from pmabench.analysis.shared.lines import Line, mean_half, weighted_line
 from pmabench.analysis.shared.sine_loop import Sine, replay
 from pmabench.analysis.shared.skew import courses, settled
 from pmabench.base.quantities import show
-from pmabench.kinds.sinusoidal_displacement.form import lost
+from pmabench.kinds.sinusoidal_displacement.form import Point, lost
 from pmabench.store.analyses.results import Estimate, Finding, Parts
 from pmabench.store.records import Array, RunData, TrialData
 
@@ -32,18 +32,6 @@ NO_REPEATS = "no repeats part: one trial of one cycle"
 ALONE = "one frequency only: damping and friction cannot be separated"
 
 
-@dataclass(frozen=True)
-class Point:
-    """One trial, or one cycle of it, as the lines want it."""
-
-    frequency: float
-    speed: float
-    stiffness: float
-    ratio: complex
-    loss: float
-    width: float
-
-
 def turned(sine: Sine, by: float) -> Point:
     """The trial had the force come `by` [s] earlier; the width at mid stroke grows by twice what the loss does."""
     ratio = sine.ratio * complex(np.exp(1j * sine.omega * by))
@@ -54,18 +42,9 @@ def turned(sine: Sine, by: float) -> Point:
 
 def each_cycle(sine: Sine) -> list[Point]:
     """Each cycle of a trial as a point of the lines."""
-    rows = zip(sine.cycles.ratio, sine.cycles.size, sine.cycles.width, strict=True)
-    return [
-        Point(
-            sine.frequency,
-            sine.omega * float(size),
-            -float(ratio.real),
-            complex(ratio),
-            -float(ratio.imag) * float(size),
-            float(width),
-        )
-        for ratio, size, width in rows
-    ]
+    f, omega, cycles = sine.frequency, sine.omega, sine.cycles
+    rows = zip(cycles.ratio.tolist(), cycles.size.tolist(), cycles.width.tolist(), strict=True)
+    return [Point(f, omega * size, -one.real, one, -one.imag * size, width) for one, size, width in rows]
 
 
 def lines(points: Sequence[Sine] | Sequence[Point]) -> tuple[Line, Line, Line]:
@@ -159,7 +138,7 @@ class Fitted:
     @property
     def half_stiffness(self) -> float | None:
         """Half width of K by its scatter [N/m]."""
-        return self._halves()[0]
+        return self._halves()["K"]
 
     @property
     def skewed_stiffness(self) -> float:
@@ -176,61 +155,44 @@ class Fitted:
 
     def _pooled(self, at: Mapping[str, float], scales: Scales, slopes: Muscle | None) -> list[Estimate]:
         parents = tuple(member.name for member in self.group)
-        P = at.get("pressure", 0.0)
-
-        skewed, crept = self._skewed(), self._crept()
-
-        def estimate(
-            symbol: str, kind: tuple[str, str], method: str, value: float, half: float | None, bias: float, *,
-            per_length: float, skew: float, creep: float, slope: float | None = None, note: str = "",
-            where: Mapping[str, float] = at,
-        ) -> Estimate:  # fmt: skip
-            if np.isnan(value):
-                return Estimate(symbol, None, *kind, method, where, note=ALONE, n=len(parents), trials=parents)
-            doubt = hypot(bias, apart.get(symbol, 0.0), creep)
-            part = _calibration(scales, {"force": value, "displacement": per_length * value}, slope, P)
-            found = Estimate(
-                symbol, value - bias, *kind, method, where, Parts(half, doubt, part, skew), len(parents),
-                bias, True, sentences(note, self._repeats_note(half)), parents,
-            )  # fmt: skip
-            return settled(found, BETWEEN, self.skew)
-
-        K, B, w = self.K.start, self.loss.slope, self.width
-        stiffness, damping, newton = ("N/m", "stiffness"), ("N.s/m", "damping"), ("N", "force")
-        mean = "(B_c + B_r)/2"
+        skewed, crept, halves, w = self._skewed(), self._crept(), self._halves(), self.width
+        values = {
+            "K": self.K.start,
+            "B": self.loss.slope,
+            "F_c": pi / 4 * self.loss.start,
+            "B width": w.slope / 2,
+            "F_c width": w.start / 2,
+        }
         # The two readings of the same loops differ by what neither model holds, friction at low speed for instance.
-        apart = {"B": self.loss.slope - w.slope / 2, "F_c": pi / 4 * self.loss.start - w.start / 2}
-        dK, dB, dF = (slopes.K, slopes.B, slopes.F_c) if slopes is not None else (None, None, None)
-        H = {**at, "frequency": 0.0}
-        half_stiffness, loss_start, loss_slope, width_start, width_slope = self._halves()
-        return [
-            estimate(
-                "K", stiffness, HARMONIC, K, half_stiffness, self.bias["K"], per_length=-1, skew=skewed["K"],
-                creep=crept["K"], slope=dK,
-            ),
-            estimate(
-                "B", damping, HARMONIC, B, loss_slope, self.bias["B"], per_length=-1, skew=skewed["B"],
-                creep=crept["B"], slope=dB,
-                note=mean,
-            ),
-            estimate(
-                "F_c", newton, HARMONIC, pi / 4 * self.loss.start, _times(loss_start, pi / 4), self.bias["F_c"],
-                per_length=0, skew=skewed["F_c"], creep=crept["F_c"], slope=dF,
-            ),
-            estimate(
-                "B", damping, WIDTH, w.slope / 2, _times(width_slope, 0.5), self.bias["B width"], per_length=-1,
-                skew=skewed["B width"], creep=crept["B width"], slope=dB, note=mean,
-            ),
-            estimate(
-                "F_c", newton, WIDTH, w.start / 2, _times(width_start, 0.5), self.bias["F_c width"], per_length=0,
-                skew=skewed["F_c width"], creep=crept["F_c width"], slope=dF,
-            ),
-            estimate(
-                "H", newton, WIDTH, w.start, width_start, 2 * self.bias["F_c width"], per_length=0,
-                skew=2 * skewed["F_c width"], creep=2 * crept["F_c width"], slope=None if dF is None else 2 * dF,
-                note="loop width at 0 Hz: true hysteresis", where=H,
-            ),
-        ]  # fmt: skip
+        apart = {"B": values["B"] - values["B width"], "F_c": values["F_c"] - values["F_c width"]}
+        true = "loop width at 0 Hz: true hysteresis"
+        found = []
+        for symbol, name, factor, note in (
+            ("K", "K", 1, ""),
+            ("B", "B", 1, "(B_c + B_r)/2"),
+            ("F_c", "F_c", 1, ""),
+            ("B", "B width", 1, "(B_c + B_r)/2"),
+            ("F_c", "F_c width", 1, ""),
+            ("H", "F_c width", 2, true),
+        ):
+            unit, quantity = {"K": ("N/m", "stiffness"), "B": ("N.s/m", "damping")}.get(symbol, ("N", "force"))
+            method = WIDTH if "width" in name else HARMONIC
+            where = at if factor == 1 else {**at, "frequency": 0.0}
+            e = Estimate(symbol, None, unit, quantity, method, where, n=len(parents), note=ALONE, trials=parents)
+            value, bias, half = factor * values[name], factor * self.bias[name], halves[name]
+            if np.isnan(value):
+                found.append(e)
+                continue
+            half = None if half is None else factor * half
+            doubt = hypot(bias, apart.get(symbol, 0.0), factor * crept[name])
+            slope = None if slopes is None else factor * getattr(slopes, name.removesuffix(" width"))
+            gains = {"force": value, "displacement": -value if symbol in ("K", "B") else 0.0}
+            part = _calibration(scales, gains, slope, at.get("pressure", 0.0))
+            parts = Parts(half, doubt, part, factor * skewed[name])
+            said = sentences(note, self._repeats_note(half))
+            e = replace(e, value=value - bias, parts=parts, bias=bias, corrected=True, note=said)
+            found.append(settled(e, BETWEEN, self.skew))
+        return found
 
     def _crept(self) -> dict[str, float]:
         """What creep may do to K, B and F_c (both ways): half of what it does to K, the lines without its loss."""
@@ -265,23 +227,25 @@ class Fitted:
             most = {name: max(most[name], abs(change)) for name, change in changes.items()}
         return most
 
-    def _halves(self) -> tuple[float | None, ...]:
-        """Of K, then of start and slope of loss and width: by the scatter of trials or by that of cycles, if wider.
+    def _halves(self) -> dict[str, float | None]:
+        """Of K, B and F_c (both ways): by the scatter of trials or by that of cycles, if wider.
 
         Cycles of one trial are no independent tests; `mean_half` widens for that where there is a single trial.
         """
         cycles = lines([cycle for member in self.group for cycle in each_cycle(member.sine)])
-        pairs = [
-            (one, two)
-            for by_trial, by_cycle in zip((self.K, self.loss, self.width), cycles, strict=True)
-            for one, two in ((by_trial.half_start, by_cycle.half_start), (by_trial.half_slope, by_cycle.half_slope))
-        ]
+        (of_K, each_K), loss, width = zip((self.K, self.loss, self.width), cycles, strict=True)
         first = self.group[0].sine
+        both = {
+            "K": (of_K.half_start, each_K.half_start),
+            "B": tuple(line.half_slope for line in loss),
+            "F_c": tuple(_times(line.half_start, pi / 4) for line in loss),
+            "B width": tuple(_times(line.half_slope, 0.5) for line in width),
+            "F_c width": tuple(_times(line.half_start, 0.5) for line in width),
+        }
         if len(self.group) == 1:
-            pairs[0] = (None, mean_half(np.array([first.stiffness]), [-first.cycles.ratio.real]))
-        known = [[half for half in pair if half is not None] for pair in pairs]
-        wider = [max(halves) if halves else None for halves in known]
-        return (wider[0], *wider[2:])
+            both["K"] = (None, mean_half(np.array([first.stiffness]), [-first.cycles.ratio.real]))
+        known = {name: [half for half in pair if half is not None] for name, pair in both.items()}
+        return {name: max(halves) if halves else None for name, halves in known.items()}
 
     def _repeats_note(self, half: float | None) -> str:
         if half is None:
@@ -320,19 +284,12 @@ class Fitted:
                 half = mean_half(values, [by_cycle(sine) for sine in sines])
                 bias = float(np.mean([whole(self.again[i]) for i in places])) - truth[symbol]
                 part = _calibration(scales, gains, slope.get(symbol), P)
+                method = WIDTH if symbol in ("H", "W") else HARMONIC
+                note = NO_REPEATS if half is None else CYCLES if len(sines) == 1 else ""
                 one = Estimate(
-                    symbol=symbol,
-                    value=float(values.mean()),
-                    unit=unit,
-                    quantity=quantity,
-                    method=WIDTH if symbol in ("H", "W") else HARMONIC,
-                    at={**at, "frequency": frequency},
-                    parts=Parts(half, abs(bias), part, skewed),
-                    n=len(sines),
-                    bias=bias,
-                    note=NO_REPEATS if half is None else CYCLES if len(sines) == 1 else "",
-                    trials=names,
-                )
+                    symbol, float(values.mean()), unit, quantity, method, {**at, "frequency": frequency},
+                    Parts(half, abs(bias), part, skewed), len(sines), bias, note=note, trials=names,
+                )  # fmt: skip
                 found.append(settled(one, BETWEEN, self.skew))
         return found
 
@@ -353,38 +310,23 @@ class Fitted:
         where = show(at["pressure"], "pressure") if "pressure" in at else "this pressure"
         lines = []
         if self.K.start <= 0:
-            lines.append(
-                Finding(
-                    "fault", f"at {where} the force rises with contraction: a sign is wrong in displacement or force"
-                )
-            )
+            text = f"at {where} the force rises with contraction: a sign is wrong in displacement or force"
+            lines.append(Finding("fault", text))
         for member in self.group:
             if member.sine.distortion > DISTORTED:
-                lines.append(
-                    Finding(
-                        "doubt",
-                        f"trial {member.name}: {member.sine.distortion:.0%} of the measured displacement is no sine",
-                    )
-                )
+                share = f"{member.sine.distortion:.0%} of the measured displacement is no sine"
+                lines.append(Finding("doubt", f"trial {member.name}: {share}"))
         if self.alone:
             lines.append(Finding("note", f"at {where}, {ALONE}"))
         stiffness = {f: float(np.mean([sine.stiffness for sine in sines])) for f, sines in self.by_frequency.items()}
         spread = (max(stiffness.values()) - min(stiffness.values())) / abs(self.K.start)
         if spread > CHANGES:
-            lines.append(
-                Finding(
-                    "note", f"at {where} K changes by {spread:.0%} over frequency: one K is a mean of unlike values"
-                )
-            )
+            text = f"at {where} K changes by {spread:.0%} over frequency: one K is a mean of unlike values"
+            lines.append(Finding("note", text))
         if self.skew > 0 and self.loss.slope > 0:
-            share = self.skew * abs(self.K.start) / self.loss.slope
-            lines.append(
-                Finding(
-                    "doubt" if share > 0.05 else "note",
-                    f"at {where} displacement and force may be {self.skew * 1e3:.3g} ms apart: B is uncertain by "
-                    f"{share:.1%} for that alone",
-                )
-            )
+            part = self.skew * abs(self.K.start) / self.loss.slope
+            text = f"at {where} displacement and force may be {self.skew * 1e3:.3g} ms apart: B is uncertain by "
+            lines.append(Finding("doubt" if part > 0.05 else "note", f"{text}{part:.1%} for that alone"))
         return lines
 
     def facts(self) -> dict[str, Any]:

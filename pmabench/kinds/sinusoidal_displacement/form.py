@@ -18,7 +18,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import hypot, inf, pi
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -204,12 +203,17 @@ def judged(found: Sequence[Estimate], form: Form) -> list[Estimate]:
     return kept
 
 
+def cycle_of(sine: Sine) -> NDArray[np.intp]:
+    """Number of the cycle of each sample."""
+    return np.asarray(np.floor((sine.t - sine.t[0]) * sine.frequency + 1e-6), dtype=np.intp)
+
+
 def _harmonics(sine: Sine) -> list[tuple[float, ...]]:
     """Frequency [Hz], speed [m/s], |h1|, h2, h3, q3 [N] of each cycle.
 
     A displacement that is no pure sine has harmonics, too: K times them is taken off.
     """
-    cycle = np.floor((sine.t - sine.t[0]) * sine.frequency + 1e-6).astype(int)
+    cycle = cycle_of(sine)
     orders = np.array([1, 2, 3])
     angles = np.outer(sine.omega * sine.t, orders)
     design = np.column_stack([np.ones(len(sine.t)), np.cos(angles), np.sin(angles)])
@@ -242,23 +246,19 @@ MOST = 0.02
 """Share of a contraction that no part of creep exceeds: 4 % in a decade."""
 
 
-class Measured(Protocol):
-    """A sine as far as creep needs it."""
+@dataclass(frozen=True)
+class Point:
+    """One trial, or one cycle of it, as the lines want it."""
 
-    @property
-    def frequency(self) -> float:
-        """[Hz]."""
-
-    @property
-    def stiffness(self) -> float:
-        """K [N/m]."""
-
-    @property
-    def ratio(self) -> complex:
-        """Force over contraction [N/m]."""
+    frequency: float
+    speed: float
+    stiffness: float
+    ratio: complex
+    loss: float
+    width: float
 
 
-def lost(sines: Sequence[Measured], cycles: Sequence[Measured]) -> list[tuple[Array, Array]]:
+def lost(sines: Sequence[Sine], cycles: Sequence[Point]) -> list[tuple[Array, Array]]:
     """For each shortest time constant: what creep may have added to the loss, and taken from K, of each sine.
 
     Loss by the amplitude, and stiffness [N/m], shape (n,) each. `cycles` are those of all sines: where no sine is
@@ -283,7 +283,7 @@ def lost(sines: Sequence[Measured], cycles: Sequence[Measured]) -> list[tuple[Ar
     return [one for one, half in zip(found, unsure, strict=True) if half <= WORSE * min(unsure)]
 
 
-def _columns(points: Sequence[Measured]) -> tuple[Array, Array, Array]:
+def _columns(points: Sequence[Sine] | Sequence[Point]) -> tuple[Array, Array, Array]:
     """Frequency [Hz], stiffness and the size of the whole ratio [N/m]."""
     rows = [(point.frequency, point.stiffness, abs(point.ratio)) for point in points]
     frequency, K, size = np.array(rows, dtype=np.float64).T

@@ -20,7 +20,6 @@ from dataclasses import dataclass, replace
 from math import hypot, isfinite, nan, pi
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.form import Doubt, force_from_cycle_to_cycle, weighed
@@ -29,7 +28,7 @@ from pmabench.analysis.shared.sine_loop import RECOVERED, Sine, moving
 from pmabench.analysis.shared.skew import settled
 from pmabench.base.quantities import show
 from pmabench.kinds.sinusoidal_displacement.fit import BETWEEN, CYCLES, CYCLES_OF_EACH, NO_REPEATS, Fitted, Member
-from pmabench.kinds.sinusoidal_displacement.form import BETTER, REMAINS, Form
+from pmabench.kinds.sinusoidal_displacement.form import BETTER, REMAINS, Form, cycle_of
 from pmabench.store.analyses.results import Estimate, Parts, withhold
 from pmabench.store.records import Array
 
@@ -117,7 +116,7 @@ def drift_of(members: Sequence[Member], share: float = 1.0) -> list[Doubt]:
 
 def _by_cycle(sine: Sine, values: Array) -> Array:
     """Means of each cycle."""
-    number = _cycle_of(sine)
+    number = cycle_of(sine)
     count = np.bincount(number)
     return np.asarray((np.bincount(number, values) / np.maximum(1, count))[count > 0])
 
@@ -129,7 +128,8 @@ def _line(fitted: Fitted, slope: float, wanted: float) -> Line:
     rest = np.array([_at_rest(member, K, slope, wanted) for member in members])
     frequency = np.array([member.sine.frequency for member in members])
     speed = None if fitted.alone else np.array([member.sine.speed for member in members])
-    return weighted_line(frequency, speed, rest, _sizes(members))
+    # an error of the mean force is a share of it
+    return weighted_line(frequency, speed, rest, np.array([abs(member.sine.force) for member in members]))
 
 
 def _half_by_cycles(fitted: Fitted) -> float | None:
@@ -151,11 +151,6 @@ def _at_rest(member: Member, K: float, slope: float, wanted: float) -> float:
     return member.sine.force + K * member.sine.mean + off
 
 
-def _sizes(members: Sequence[Member]) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-    """What an error of the mean force is a share of [N]."""
-    return np.array([abs(member.sine.force) for member in members])
-
-
 LOOP_WORK = "loop-work"
 
 
@@ -165,17 +160,12 @@ def work(sine: Sine) -> tuple[Array, Array]:
     The rate is that of the displacement's first five harmonics, so that noise is not counted as motion.
     """
     _, v = moving(sine)
-    cycle = _cycle_of(sine)
+    cycle = cycle_of(sine)
     rows = [cycle == c for c in range(int(cycle.max()) + 1)]
     period = 1 / sine.frequency
     given = [float(np.mean(sine.F[one] * np.maximum(v[one], 0.0))) * period for one in rows if one.any()]
     taken = [float(np.mean(sine.F[one] * np.maximum(-v[one], 0.0))) * period for one in rows if one.any()]
     return np.array(given), np.array(taken)
-
-
-def _cycle_of(sine: Sine) -> NDArray[np.intp]:
-    """Number of the cycle of each sample."""
-    return np.asarray(np.floor((sine.t - sine.t[0]) * sine.frequency + 1e-6), dtype=np.intp)
 
 
 def work_estimates(at: Mapping[str, float], members: Sequence[Member], scales: Scales, skew: float) -> list[Estimate]:
@@ -198,33 +188,21 @@ def work_estimates(at: Mapping[str, float], members: Sequence[Member], scales: S
         late = pi * sine.amplitude**2 * abs(sine.stiffness) * sine.omega * skew
         eta = W_c / taken
         one_each = CYCLES if len(mine) == 1 else ""
-        for symbol, unit, quantity, values, parts, note in (
-            (
-                "W_c", "J", "work", given,
-                Parts(None, off, scales.part({"force": W_c, "displacement": W_c}, {"force": stroke}), late / 2), "",
-            ),
-            (
-                "eta", "1", "ratio", share,
-                Parts(None, off / taken, scales.part({}, {"force": stroke * (1 - eta) / taken}), late / taken),
-                RECOVERED,
-            ),
-        ):  # fmt: skip
+        names = tuple(member.name for member in mine)
+        for symbol, unit, quantity, values, scale, gains, by_force, note in (
+            ("W_c", "J", "work", given, 1.0, {"force": W_c, "displacement": W_c}, stroke, ""),
+            ("eta", "1", "ratio", share, taken, {}, stroke * (1 - eta) / taken, RECOVERED),
+        ):
             means = np.array([float(one.mean()) for one in values])
             half = mean_half(means, values)
+            clocks = late / (2 if symbol == "W_c" else taken)
+            parts = Parts(half, off / scale, scales.part(gains, {"force": by_force}), clocks)
+            said = sentences(NO_REPEATS if half is None else one_each, note)
+            where = {**at, "frequency": frequency}
             one = Estimate(
-                symbol,
-                float(means.mean()),
-                unit,
-                quantity,
-                LOOP_WORK,
-                {**at, "frequency": frequency},
-                Parts(half, parts.method, parts.calibration, parts.skew),
-                len(mine),
-                note=sentences(NO_REPEATS if half is None else one_each, note),
-                trials=tuple(member.name for member in mine),
+                symbol, float(means.mean()), unit, quantity, LOOP_WORK, where, parts, len(mine), note=said, trials=names
             )
-            drifted = drift_of(mine, stroke if symbol == "W_c" else stroke * (1 - eta) / taken)
-            found.append(settled(weighed(one, drifted), BETWEEN, skew))
+            found.append(settled(weighed(one, drift_of(mine, by_force)), BETWEEN, skew))
     return found
 
 

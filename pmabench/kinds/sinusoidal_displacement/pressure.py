@@ -20,6 +20,7 @@ from pmabench.analysis.shared.samples import noise_of
 from pmabench.analysis.shared.sine_loop import lagless, moving
 from pmabench.base.quantities import show
 from pmabench.kinds.sinusoidal_displacement.fit import CYCLES, NO_REPEATS, Member, Muscle
+from pmabench.kinds.sinusoidal_displacement.form import cycle_of
 from pmabench.store.analyses.results import Estimate, Finding, Parts, Trace
 from pmabench.store.records import Array
 
@@ -71,7 +72,7 @@ class Along:
 
     def by_cycle(self, values: Array, rows: Array) -> list[Array]:
         """`values` of these rows, cycle by cycle."""
-        cycle = np.floor((self.t - self.t[0]) * self.member.sine.frequency + 1e-6).astype(int)
+        cycle = cycle_of(self.member.sine)
         return [values[rows & (cycle == c)] for c in range(int(cycle.max()) + 1) if (rows & (cycle == c)).any()]
 
 
@@ -126,22 +127,15 @@ class Static:
         return np.asarray(f + s * P - muscle.B * along.v - muscle.F_c * np.sign(along.v))
 
 
-@dataclass(frozen=True)
-class Found:
-    """What came out."""
-
-    estimates: list[Estimate]
-    findings: list[Finding]
-    traces: list[Trace]
-
-
-def pressure_and_force(members: Sequence[Member], muscles: Mapping[str, Muscle | None], scales: Scales) -> Found:
+def pressure_and_force(
+    members: Sequence[Member], muscles: Mapping[str, Muscle | None], scales: Scales
+) -> tuple[list[Estimate], list[Finding], list[Trace]]:
     """Pressure error and rms error of the modelled force of each cell, by direction.
 
     `muscles`: by name of a trial, K, B and F_c that its harmonics gave; None where they do not tell all.
     """
     alongs = [along for member in members if (along := Along.of(member)) is not None]
-    found = Found([], [], [])
+    estimates, traces = list[Estimate](), list[Trace]()
     cells: dict[tuple[tuple[str, float], ...], list[Along]] = {}
     for along in alongs:
         at = along.member.trial.point
@@ -154,7 +148,7 @@ def pressure_and_force(members: Sequence[Member], muscles: Mapping[str, Muscle |
     for key, group in sorted(cells.items()):
         at = dict(key)
         for side in SIDES:
-            found.estimates.append(_error(at, group, side, scales))
+            estimates.append(_error(at, group, side, scales))
         static = statics[_mean(group[0])]
         if static is None:
             continue
@@ -164,28 +158,22 @@ def pressure_and_force(members: Sequence[Member], muscles: Mapping[str, Muscle |
             models = [static.force(along, along.P if measured else along.wanted, known) for along in group]
             for side in SIDES:
                 one = _rms(at, group, models, side, method, static.trials)
-                found.estimates.append(one)
+                estimates.append(one)
                 off[method, side] = one.value or 0.0
         where = f"{at.get('frequency', 0.0):g} Hz and {show(at['pressure'], 'pressure')}"
         ratios += [(where, off[SET, side], off[MEASURED, side], side) for side in SIDES]
-        found.traces.append(_trace(at, group[0], static, known))
-    found.findings.extend(_sentences(ratios, any(statics.values()), found.estimates))
-    return found
+        traces.append(_trace(at, group[0], static, known))
+    return estimates, _sentences(ratios, any(statics.values()), estimates), traces
 
 
 def _mean(along: Along) -> float:
     return round(along.member.trial.point.get("mean", along.member.sine.mean), 6)
 
 
-def _extreme(errors: Array) -> float:
-    return float(errors[np.argmax(np.abs(errors))])
-
-
 def _error(at: Mapping[str, float], group: Sequence[Along], side: str, scales: Scales) -> Estimate:
     """The largest error of the pressure while moving in a direction, the mean over cycles; noise makes it larger."""
-    cycles = [
-        np.array([_extreme(one) for one in along.by_cycle(along.P - along.wanted, along.side(side))]) for along in group
-    ]
+    errors = [along.by_cycle(along.P - along.wanted, along.side(side)) for along in group]
+    cycles = [np.array([float(one[np.argmax(np.abs(one))]) for one in of_trial]) for of_trial in errors]
     means = np.array([float(values.mean()) for values in cycles])
     half = mean_half(means, cycles)
     coordinates = {"pressure": at["pressure"]}, {"pressure": 1.0}

@@ -23,20 +23,10 @@ from pmabench.analysis.shared.samples import NotUsable, lag_open
 from pmabench.analysis.shared.sine_loop import measure
 from pmabench.analysis.verdict.agreement import Offer, exactly, values_of
 from pmabench.base.quantities import show
-from pmabench.kinds.sinusoidal_displacement import RESULTS
+from pmabench.kinds.sinusoidal_displacement import RESULTS, mean_force
 from pmabench.kinds.sinusoidal_displacement.figures import traces_of
 from pmabench.kinds.sinusoidal_displacement.fit import HARMONIC, Fitted, Member, Muscle
 from pmabench.kinds.sinusoidal_displacement.form import Form, judged
-from pmabench.kinds.sinusoidal_displacement.mean_force import (
-    SINE_CENTRES,
-    SINE_MEAN,
-    Centre,
-    centre_of,
-    force_slopes,
-    mean_force_estimates,
-    through_centres,
-    work_estimates,
-)
 from pmabench.kinds.sinusoidal_displacement.pressure import pressure_and_force
 from pmabench.store.analyses.results import Analysis, Dropped, Estimate, Finding, Trace
 from pmabench.store.records import RunData
@@ -101,26 +91,29 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     traces: list[Trace] = []
     lines: list[dict[str, Any]] = []
     fits, stated = _fits(members, options)
-    rising = force_slopes(fits)
-    centres: dict[float, list[Centre]] = {}
+    rising = mean_force.force_slopes(fits)
+    centres: dict[float, list[mean_force.Centre]] = {}
     for key, fitted in fits.items():
         slopes = _over_pressure(key, fits)
         form = Form.of([member.sine for member in fitted.group], fitted.replayed.B)
         found = judged(fitted.estimates(dict(key), scales, slopes), form)
-        found += mean_force_estimates(dict(key), fitted, form, scales, rising.get(key))
-        found += work_estimates(dict(key), fitted.group, scales, fitted.skew)
+        found += mean_force.mean_force_estimates(dict(key), fitted, form, scales, rising.get(key))
+        found += mean_force.work_estimates(dict(key), fitted.group, scales, fitted.skew)
         estimates += with_late_force(found, fitted) if stated[key] == 0 else found
-        if (centre := centre_of(found, form)) is not None and "pressure" in dict(key):
+        if (centre := mean_force.centre_of(found, form)) is not None and "pressure" in dict(key):
             centres.setdefault(dict(key)["pressure"], []).append(centre)
         findings += [*fitted.findings(dict(key)), *form.findings(dict(key))]
         lines.append({"at": dict(key), **fitted.facts(), "h2/h1": form.h2 / form.h1, "h3/h1": form.h3 / form.h1})
         symbols = {e.symbol for e in found if e.method == HARMONIC and e.at == dict(key) and e.value is not None}
         traces += traces_of(dict(key), fitted.by_frequency, fitted.muscle if symbols >= {"K", "B", "F_c"} else None)
-        findings += _one_pressure(key) if slopes is None else []
+        if slopes is None:
+            where = show(dict(key)["pressure"], "pressure") if "pressure" in dict(key) else "this pressure"
+            text = "is not in the calibration parts: one pressure does not tell how K, B and F_c change over it"
+            findings.append(Finding("note", f"at {where}: what an error of the pressure adds {text}"))
     estimates = _with_centres(estimates, centres)
     muscles = {member.name: fitted.muscle for fitted in fits.values() for member in fitted.group}
     pressed = pressure_and_force(members, muscles, scales)
-    estimates, findings, traces = estimates + pressed.estimates, findings + pressed.findings, traces + pressed.traces
+    estimates, findings, traces = estimates + pressed[0], findings + pressed[1], traces + pressed[2]
     findings += skew.findings(runs, CHANNELS, max((fitted.skew for fitted in fits.values()), default=0.0), estimates)
     if estimates and (lack := scales.lack(("force", "displacement", "pressure")[: 3 if len(fits) > 1 else 2])):
         findings.append(Finding("note", lack))
@@ -149,9 +142,11 @@ def _fits(members: Sequence[Member], options: Mapping[str, Any]) -> tuple[dict[K
     return {key: Fitted.of(group, stated[key] + clocks[key]) for key, group in cells}, stated
 
 
-def _with_centres(estimates: Sequence[Estimate], centres: Mapping[float, Sequence[Centre]]) -> list[Estimate]:
+def _with_centres(
+    estimates: Sequence[Estimate], centres: Mapping[float, Sequence[mean_force.Centre]]
+) -> list[Estimate]:
     """With F_ce from sines about several means, in place of the empty ones of single means."""
-    of_all = {P: through_centres({"pressure": P}, of) for P, of in sorted(centres.items())}
+    of_all = {P: mean_force.through_centres({"pressure": P}, of) for P, of in sorted(centres.items())}
     given = {P: F_ce for P, F_ce in of_all.items() if F_ce is not None}
     empty = [e for e in estimates if e.symbol == "F_ce" and e.value is None and e.at.get("pressure") in given]
     return [*(e for e in estimates if e not in empty), *given.values()]
@@ -171,13 +166,6 @@ def _over_pressure(key: Key, fits: Mapping[Key, Fitted]) -> Muscle | None:
     values = np.array([(like[p].K, like[p].B, like[p].F_c) for p in P])
     K, B, F_c = np.gradient(values, np.array(P), axis=0)[P.index(at["pressure"])]
     return Muscle(float(K), float(B), float(F_c))
-
-
-def _one_pressure(key: Key) -> list[Finding]:
-    """That the calibration parts of a cell lack those of the pressure."""
-    where = show(dict(key)["pressure"], "pressure") if "pressure" in dict(key) else "this pressure"
-    text = "is not in the calibration parts: one pressure does not tell how K, B and F_c change over it"
-    return [Finding("note", f"at {where}: what an error of the pressure adds {text}")]
 
 
 def _setting(run: RunData, options: Mapping[str, Any], name: str, default: float) -> float:
@@ -253,13 +241,10 @@ def _even_pressure(members: Sequence[Member], options: Mapping[str, Any]) -> tup
                 continue
             even.append(member)
             if share > UNEVEN:
-                findings.append(
-                    Finding(
-                        "doubt",
-                        f"trial {member.name}: the pressure swings by {show(abs(sine.ripple), 'pressure', 3)} with the "
-                        f"sine, worth about {share:.1%} of the force; give force_per_pressure, or run at two pressures",
-                    )
-                )
+                swing = f"the pressure swings by {show(abs(sine.ripple), 'pressure', 3)} with the sine, worth about"
+                remedy = "give force_per_pressure, or run at two pressures"
+                text = f"trial {member.name}: {swing} {share:.1%} of the force; {remedy}"
+                findings.append(Finding("doubt", text))
     return even, findings
 
 
@@ -269,7 +254,7 @@ def offers(analysis: Analysis) -> Iterator[Offer]:
         for e in values_of(analysis, symbol, HARMONIC):
             yield exactly(symbol, {(e.at["pressure"], e.at.get("mean") if symbol == "K" else None): e})
     for symbol in ("F_ce", "F"):
-        for e in values_of(analysis, symbol, SINE_MEAN):
+        for e in values_of(analysis, symbol, mean_force.SINE_MEAN):
             yield exactly("F", {(e.at["pressure"], 0.0 if symbol == "F_ce" else e.at.get("mean")): e})
-    for e in values_of(analysis, "F_ce", SINE_CENTRES):
+    for e in values_of(analysis, "F_ce", mean_force.SINE_CENTRES):
         yield exactly("F", {(e.at["pressure"], 0.0): e})

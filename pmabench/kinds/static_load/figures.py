@@ -13,20 +13,7 @@ import numpy as np
 from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
 from pmabench.kinds.static_load.points import PHASES, Points, pressure_of
-from pmabench.plotting import plots, time_plots
-from pmabench.plotting.pictures import (
-    Picture,
-    bound,
-    has,
-    head,
-    how_many,
-    label,
-    numbers,
-    panel,
-    picture,
-    spread,
-    unit_of,
-)
+from pmabench.plotting import pictures, plots, time_plots
 from pmabench.plotting.plots import Panel
 from pmabench.plotting.wording import clean, shown
 from pmabench.store.analyses.results import Analysis, Finding, Trace
@@ -45,13 +32,8 @@ def line_findings(line: Line) -> list[Finding]:
     left = f"residual {show(line.rms, 'force', 2)} rms" if line.factor else "through two points"
     found = [Finding("note", f"{text}, {left}")]
     if line.lack > 3.0 and line.rms > 0.5:
-        found.append(
-            Finding(
-                "doubt",
-                f"the loads lie off the line {line.lack:.2g} times as far as their repeats scatter: F_ce(P) is no line"
-                " over these pressures",
-            )
-        )
+        text = f"the loads lie off the line {line.lack:.2g} times as far as their repeats scatter: F_ce(P) is no line"
+        found.append(Finding("doubt", f"{text} over these pressures"))
     return found
 
 
@@ -144,36 +126,38 @@ PANELS = 6
 """Most panels."""
 
 
-def lifts(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
+def lifts(traces: Sequence[Trace], analysis: Analysis) -> list[pictures.Picture]:
     """Pressure and contraction over time, with the pressures found."""
-    able = [t for t in traces if has(t, "t", "pressure", "displacement")]
+    able = [t for t in traces if pictures.has(t, "t", "pressure", "displacement")]
     if not able:
         return []
-    chosen = spread(able, PANELS)
+    chosen = pictures.spread(able, PANELS)
     names = {name: name for name in ("t", "pressure", "displacement")}
     panels = []
     for trace in chosen:
-        base = panel(trace, names, head(trace))
-        scale = unit_of(trace, "pressure").scale
+        base = pictures.panel(trace, names, pictures.head(trace))
+        scale = pictures.unit_of(trace, "pressure").scale
         panels.append(Panel(base.title, base.columns, {k: v / scale for k, v in trace.marks.items() if k != "load"}))
-    labels = {name: label(chosen[0], name) for name in names}
+    labels = {name: pictures.label(chosen[0], name) for name in names}
     caption = (
         "Above: pressure, rising until the load lifts off its support and falling until it sets down; dashed, the "
-        f"pressures found. Below: contraction.{how_many(chosen, able)}"
+        f"pressures found. Below: contraction.{pictures.how_many(chosen, able)}"
     )
     alt = f"Pressure and contraction over time while loads lift off and set down: {'; '.join(p.title for p in panels)}."
-    table = numbers([(head(t), t) for t in chosen], ("t", "pressure", "displacement"))
-    draw = bound(time_plots.lifts, panels, labels)
+    table = pictures.numbers([(pictures.head(t), t) for t in chosen], ("t", "pressure", "displacement"))
+    draw = pictures.bound(time_plots.lifts, panels, labels)
     return [
-        picture(draw, "Lift-off and set-down", caption, alt, table, wide=len(chosen) > 1, simulated=analysis.simulated)
+        pictures.picture(
+            draw, "Lift-off and set-down", caption, alt, table, wide=len(chosen) > 1, simulated=analysis.simulated
+        )
     ]
 
 
-def points(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
+def points(traces: Sequence[Trace], analysis: Analysis) -> list[pictures.Picture]:
     """Lift-off and set-down of every trial, with the lines of the analysis through them."""
     found = []
-    for trace in (t for t in traces if has(t, "load", "lift", "set_down")):
-        points = panel(trace, {"load": "load", "lift": "lift", "set_down": "set_down"}, "")
+    for trace in (t for t in traces if pictures.has(t, "load", "lift", "set_down")):
+        points = pictures.panel(trace, {"load": "load", "lift": "lift", "set_down": "set_down"}, "")
         curves = []
         for c in (c for c in analysis.curves if c.against == "pressure" and all(e.value is not None for e in c.terms)):
             x = np.linspace(*c.domain, 2)
@@ -183,33 +167,32 @@ def points(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
         count = len(np.unique(trace.columns["load"]))
         caption = "Each mark is one trial: friction holds the load down at lift-off and up at set-down."
         alt = f"{count} loads over the pressures at which they lift off and set down, with straight lines through them."
-        draw = bound(plots.load_points, points, curves, labels)
+        draw = pictures.bound(plots.load_points, points, curves, labels)
         title = clean(trace.title, 90)
-        table = numbers([("", trace)])
-        found.append(picture(draw, title, caption, alt, table, wide=False, simulated=analysis.simulated))
+        table = pictures.numbers([("", trace)])
+        found.append(pictures.picture(draw, title, caption, alt, table, wide=False, simulated=analysis.simulated))
     return found
 
 
 def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
     """Pressures at which the load lifts and sets down, their mean, and half the difference."""
     doubts: list[str] = []
-    found: dict[str, float | None] = {}
-    for phase in ("lift", "set-down"):
+    found: list[float | None] = []
+    for phase in PHASES:
         result = trial.found.get(phase)
-        value = result.get("pressure") if result and result.get("found", True) else None
-        found[phase] = float(value) if isinstance(value, int | float) else None
-        if result is not None and found[phase] is None:
-            doubts.append(f"{phase}: {result.get('reason') or 'nothing found'}")
-        elif result is None:
+        value = pressure_of(result or {})
+        found.append(value if np.isfinite(value) else None)
+        if result is None:
             doubts.append(f"{phase} was not looked for")
-    lift, down = found["lift"], found["set-down"]
-    load = trial.point.get("load")
+        elif found[-1] is None:
+            doubts.append(f"{phase}: {result.get('reason') or 'nothing found'}")
+    lift, down = found
+    load, middle, half = trial.point.get("load"), None, None
     predicted = expected.lifts(load) if expected is not None and load is not None else None
-    both = lift is not None and down is not None
-    middle = 0.5 * (lift + down) if lift is not None and down is not None else None
-    half = 0.5 * (lift - down) if lift is not None and down is not None else None
-    if both and half is not None and half < 0:
-        doubts.append("it sets down at a higher pressure than it lifts")
+    if lift is not None and down is not None:
+        middle, half = 0.5 * (lift + down), 0.5 * (lift - down)
+        if half < 0:
+            doubts.append("it sets down at a higher pressure than it lifts")
     return [
         Measured("lift", "pressure", lift, noise=1e3),
         Measured("set-down", "pressure", down, noise=1e3),

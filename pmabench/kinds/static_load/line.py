@@ -27,7 +27,7 @@ from pmabench.kinds.static_load.points import (
     Stiffness,
     along_ways,
     by_stiffness,
-    raised,
+    smoothed,
     times_of,
 )
 from pmabench.store.records import Array, RunData, TrialData
@@ -89,15 +89,9 @@ def _fit(load: Array, P: Array) -> Line | None:
             chosen, factor = covariance, t
     turn = np.array([[-1 / m, c / m**2], [0.0, -1 / m**2]])
     total = float(np.sum((P - P.mean()) ** 2))
-    return Line(
-        a=float(-c / m),
-        s=float(1 / m),
-        covariance=turn @ chosen @ turn.T,
-        factor=factor,
-        r2=1.0 - float(residual @ residual) / total,
-        rms=float(np.sqrt(np.mean(residual**2)) / m),
-        lack=_lack(residual, group, means, count),
-    )
+    rms, lack = float(np.sqrt(np.mean(residual**2)) / m), _lack(residual, group, means, count)
+    r2 = 1.0 - float(residual @ residual) / total
+    return Line(float(-c / m), float(1 / m), turn @ chosen @ turn.T, factor, r2, rms, lack)
 
 
 def _lack(residual: Array, group: NDArray[np.intp], means: Array, count: NDArray[np.intp]) -> float:
@@ -110,8 +104,6 @@ def _lack(residual: Array, group: NDArray[np.intp], means: Array, count: NDArray
     return sqrt(between / pure) if pure > 0 else 0.0
 
 
-SMOOTH = 0.1
-"""Pressure and displacement are means over this time [s]."""
 LEAST = 2e-3
 """A stroke below it shows no loop [m]."""
 LATE = (0.7, 0.95)
@@ -255,13 +247,7 @@ def _ways(trial: TrialData, times: Mapping[str, float]) -> tuple[Array, Array] |
     rows = trial.usable & (trial.t >= times["lift"]) & (trial.t <= times["set-down"])
     if np.count_nonzero(rows) < 3:
         return None
-    width = max(1, round(SMOOTH / float(np.median(np.diff(trial.t[rows])))))
-    if np.count_nonzero(rows) < 2 * width:
-        return None
-    window = np.ones(width) / width
-    both = trial.channels["pressure"], raised(trial, times)
-    P, x = (np.convolve(values[rows], window, mode="valid") for values in both)
-    return P, x
+    return smoothed(trial, times, rows, float(np.median(np.diff(trial.t[rows]))))
 
 
 UNEQUAL = 0.35

@@ -136,6 +136,21 @@ def raised(trial: TrialData, times: Mapping[str, float]) -> Array:
     return x - float(np.median(x[resting])) if np.count_nonzero(resting) >= FEWEST else x
 
 
+def smoothed(
+    trial: TrialData, times: Mapping[str, float], rows: NDArray[np.bool_], dt: float
+) -> tuple[Array, Array] | None:
+    """Pressure and displacement above the support in these rows, smoothed over `SMOOTH`; None where they are too few.
+
+    `dt` [s] is the time from sample to sample; 0 where it is not known.
+    """
+    width = max(1, round(SMOOTH / dt)) if dt > 0 else 1
+    if np.count_nonzero(rows) < 2 * width:
+        return None
+    window, both = np.ones(width) / width, (trial.channels["pressure"], raised(trial, times))
+    P, x = (np.convolve(values[rows], window, mode="valid") for values in both)
+    return P, x
+
+
 def mean_pressure(run: RunData, trial: TrialData) -> float | None:
     """Mean of the pressures at which a load lifts and sets down [Pa]; None where one was not found."""
     known = [pressure_of(trial.found.get(phase) or {}) for phase in PHASES]
@@ -292,10 +307,5 @@ def _way(trial: TrialData, phase: str, times: Mapping[str, float]) -> tuple[Arra
     ramps = [c.t for c in trial.commands if c.kind == "ramp" and c.phase == phase and c.t < times[phase]]
     begin = max(ramps, default=float(trial.t[0]) if phase == "lift" else times["lift"])
     use = (trial.t >= begin) & (trial.t <= times[phase]) & trial.usable
-    width = max(1, round(SMOOTH / float(np.median(np.diff(trial.t))))) if len(trial.t) > 1 else 1
-    if not np.isfinite(begin) or np.count_nonzero(use) < 2 * width:
-        return None
-    window = np.ones(width) / width
-    both = trial.channels["pressure"], raised(trial, times)
-    P, x = (np.convolve(values[use], window, mode="valid") for values in both)
-    return P, x
+    dt = float(np.median(np.diff(trial.t))) if len(trial.t) > 1 else 0.0
+    return smoothed(trial, times, use, dt) if np.isfinite(begin) else None

@@ -127,9 +127,8 @@ class StaticLoad(ProtocolHead):
         search = self.trial.search
         for index, point in enumerate(points):
             if "pressure" in point.values:
-                c.fault(
-                    point.places["pressure"], 'only "order: hands-at-pressure" sets pressures; here they are searched'
-                )
+                message = 'only "order: hands-at-pressure" sets pressures; here they are searched'
+                c.fault(point.places["pressure"], message)
             values = c.load(point.values["load"], point.places["load"])
             c.put_on(values)
             if index == 0:
@@ -150,9 +149,8 @@ class StaticLoad(ProtocolHead):
     def _at_pressure(self, c: Compilation, points: list[Point]) -> None:
         most = c.mounted.bench.hands_at_pressure
         c.positive(self.trial.hold, ("trial", "hold"))
-        c.hazards.append(
-            "hands are at the muscle while it is under pressure: load on and support away at the set pressure"
-        )
+        text = "hands are at the muscle while it is under pressure: load on and support away at the set pressure"
+        c.hazards.append(text)
         none = (0.0, 0.5)
         for index, point in enumerate(points):
             if "pressure" not in point.values:

@@ -7,14 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from math import sqrt
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pmabench.analysis.shared import student
 from pmabench.analysis.shared.calibration import Scales, sentences
+from pmabench.analysis.shared.isometric_lines import spread
 from pmabench.analysis.verdict.agreement import SAME, Offer, Place, anywhere, at_pressures, between
 from pmabench.base.quantities import show
 from pmabench.kinds.static_load import RESULTS, figures
@@ -103,11 +102,7 @@ def _of_both_ways(lines: Mapping[str, Line], mean: Mean | None) -> list[Finding]
 
 
 def _of_line(
-    points: Points,
-    method: str,
-    line: Line,
-    mean: Mean | None,
-    scales: Scales,
+    points: Points, method: str, line: Line, mean: Mean | None, scales: Scales
 ) -> tuple[list[Estimate], Curve]:
     """F_ce on the grid inside the domain, and the line itself; one-sided lines carry their distance to the mean.
 
@@ -131,22 +126,13 @@ def _of_line(
         elif mean is not None:
             bias = value - float(row @ (mean.line.a, mean.line.s))
             off = abs(bias)
-        slope = coordinate == "slope"
+        unit, quantity = ("N/Pa", "force per pressure") if coordinate == "slope" else ("N", "force")
+        parts = Parts(line.half(row) if line.factor else None, off, calibration)
+        note = sentences(few, "" if bias is None else of_mean if two_sided else OF_ONE_SIDE)
         found = Estimate(
-            symbol="F_ce",
-            value=value,
-            unit="N/Pa" if slope else "N",
-            quantity="force per pressure" if slope else "force",
-            method=method,
-            at={} if at is None else {"pressure": at},
-            parts=Parts(repeats=line.half(row) if line.factor else None, method=off, calibration=calibration),
-            n=len(names),
-            bias=bias,
-            corrected=two_sided and bias is not None,
-            note=sentences(few, "" if bias is None else of_mean if two_sided else OF_ONE_SIDE),
-            trials=names,
-            coordinate=coordinate,
-        )
+            "F_ce", value, unit, quantity, method, {} if at is None else {"pressure": at}, parts, len(names), bias,
+            two_sided and bias is not None, note, names, coordinate,
+        )  # fmt: skip
         return withhold(found, mean.why) if mean is not None and mean.why else found
 
     first, last = int(np.ceil(low / GRID - 0.05)), int(np.floor(high / GRID + 0.05))
@@ -177,34 +163,19 @@ def _half_differences(points: Points, lines: Mapping[str, Line]) -> list[Estimat
         n = int(rows.sum())
         if not n:
             continue
-        values = half[rows] if at else _means(points.load[rows], half[rows])
+        load = points.load[rows]
+        values = half[rows] if at else np.array([half[rows][load == one].mean() for one in np.unique(load)])
         few = len(values) < 2
-        spread = None if few else float(student.ppf(0.975, len(values) - 1) * values.std(ddof=1) / sqrt(len(values)))
-        estimates.append(
-            Estimate(
-                symbol="F_f",
-                value=float(np.mean(values)),
-                unit="N",
-                quantity="force",
-                method=HALF,
-                at=at,
-                parts=Parts(repeats=spread, method=abs(float(np.mean(values))), calibration=0.0),
-                n=n,
-                note=sentences(
-                    f"no repeats part: {'one trial at this load' if at else 'one load'}" if few else "",
-                    "half the difference of lift and set-down: between sliding and static friction, and what damping "
-                    "and the search add at this rate of the ramp",
-                    "method part: all of it, for what they add is not known",
-                ),
-                trials=tuple(name for name, use in zip(points.names, rows, strict=True) if use),
-            )
+        mean, names = float(np.mean(values)), tuple(name for name, use in zip(points.names, rows, strict=True) if use)
+        parts = Parts(spread(values), abs(mean), 0.0)
+        note = sentences(
+            f"no repeats part: {'one trial at this load' if at else 'one load'}" if few else "",
+            "half the difference of lift and set-down: between sliding and static friction, and what damping "
+            "and the search add at this rate of the ramp",
+            "method part: all of it, for what they add is not known",
         )
+        estimates.append(Estimate("F_f", mean, "N", "force", HALF, at, parts, n, note=note, trials=names))
     return estimates
-
-
-def _means(group: Array, values: Array) -> Array:
-    """Mean of the values of each group."""
-    return np.array([values[group == name].mean() for name in np.unique(group)])
 
 
 def offers(analysis: Analysis) -> Iterator[Offer]:

@@ -18,6 +18,7 @@ from pmabench.analysis.shared import student
 from pmabench.analysis.shared.oscillation import SKIPPED, Swinging, describe, mode_amplitudes
 from pmabench.analysis.shared.samples import noise_of
 from pmabench.base.quantities import show
+from pmabench.kinds.ultimate_gain.ways import Examined, lags_of, oscillating
 from pmabench.model.loop import ComplexArray, Loop, mode, ultimate
 from pmabench.store.records import Array, RunData, TrialData
 
@@ -84,7 +85,7 @@ class Level:
 
 
 @dataclass(frozen=True, eq=False)
-class TrialFound:
+class TrialFound(Examined):
     """What one trial says."""
 
     levels: tuple[Level, ...]
@@ -106,8 +107,6 @@ class TrialFound:
     friction: float = 0.0
     """Relative shift of K_u by growth that depends on the swing [1]."""
     loop: Loop | None = None
-    refused: tuple[str, ...] = ()
-    doubts: tuple[str, ...] = ()
 
 
 def examine(run: RunData, trial: TrialData, search: Mapping[str, Any]) -> TrialFound:
@@ -119,8 +118,7 @@ def examine(run: RunData, trial: TrialData, search: Mapping[str, Any]) -> TrialF
     nearest = min(seen, key=lambda level: abs(level.log_ratio)) if seen else None
     ended = str(search.get("ended", ""))
     if nearest is None or len(seen) < FEWEST_LEVELS:
-        reason = _too_few(levels, seen, nearest, ended)
-        return TrialFound(levels, tuple(seen), nearest, bias, refused=(reason,))
+        return TrialFound(levels, tuple(seen), nearest, bias, refused=(_too_few(levels, seen, nearest, ended),))
     used = seen[-MOST_LEVELS:]
     gains = np.array([level.gain for level in used])
     ratios = np.array([level.log_ratio for level in used])
@@ -135,22 +133,11 @@ def examine(run: RunData, trial: TrialData, search: Mapping[str, Any]) -> TrialF
         return TrialFound(levels, tuple(used), nearest, bias, zero.line, friction=friction, refused=tuple(refused))
     loop = _identify(used, lag)
     bias_K, bias_T = _replay(loop, gains, off) if loop is not None else (None, None)
+    K_u, T_u = zero.K_u - (bias_K or 0.0), zero.T_u - (bias_T or 0.0)
     return TrialFound(
-        levels=levels,
-        used=tuple(used),
-        nearest=nearest,
-        bias=bias,
-        line=zero.line,
-        K_u=zero.K_u - (bias_K or 0.0),
-        half_K_u=zero.half_K_u,
-        bias_K_u=bias_K,
-        T_u=zero.T_u - (bias_T or 0.0),
-        half_T_u=zero.half_T_u,
-        bias_T_u=bias_T,
-        friction=abs(friction),
-        loop=loop,
-        doubts=tuple(_doubts(nearest, ratios, friction)),
-    )
+        levels, tuple(used), nearest, bias, zero.line, K_u, zero.half_K_u, bias_K, T_u, zero.half_T_u, bias_T,
+        abs(friction), loop, doubts=tuple(_doubts(nearest, ratios, friction)),
+    )  # fmt: skip
 
 
 def _measure(trial: TrialData, level: Mapping[str, Any], search: Mapping[str, Any]) -> Level:
@@ -333,12 +320,8 @@ def _identify(used: Sequence[Level], lag: Mapping[str, float]) -> Loop | None:
         return None
     gain, lags = muscle
     sensor = lag.get("displacement", 0.0)
-    loop = Loop(gain, float(fitted[1]), (float(np.exp(fitted[0])), *lags, *((sensor,) if sensor > 0 else ())))
-    try:
-        ultimate(loop)
-    except ValueError:
-        return None
-    return loop
+    every = (float(np.exp(fitted[0])), *lags, *((sensor,) if sensor > 0 else ()))
+    return oscillating(gain, float(fitted[1]), every)
 
 
 def _muscle(s: ComplexArray, G: ComplexArray, means: Array) -> tuple[float, tuple[complex, ...]] | None:
@@ -354,9 +337,7 @@ def _muscle(s: ComplexArray, G: ComplexArray, means: Array) -> tuple[float, tupl
         design = np.column_stack([np.concatenate([s.real, s.imag]), np.concatenate([(s**2).real, (s**2).imag])])
         tau, beta = np.linalg.lstsq(design, np.concatenate([left.real, left.imag]), rcond=None)[0]
         if tau > 0 and beta > 0:
-            root = complex(tau * tau - 4 * beta) ** 0.5
-            pair = ((tau + root) / 2, (tau - root) / 2)
-            return gain, pair if root.imag else tuple(complex(lag).real for lag in pair)
+            return gain, lags_of(tau, beta)
     slope = np.imag(1 / G) / np.real(1 / G)
     tau = float(np.median(slope / (s.imag - slope * s.real)))
     return (float(np.median(np.abs(G * (1 + tau * s)))), (tau,)) if tau > 0 else None

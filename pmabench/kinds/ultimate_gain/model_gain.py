@@ -8,13 +8,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import hypot, sqrt
-from typing import Any
 
 import numpy as np
 
 from pmabench.base.quantities import show
 from pmabench.kinds.ultimate_gain import RESULTS
 from pmabench.kinds.ultimate_gain.open_loop import DAMPING
+from pmabench.kinds.ultimate_gain.ways import plain_lags
 from pmabench.model.curve import Curve
 from pmabench.model.loop import SPAN, Loop, loop_at, ultimate
 from pmabench.model.muscle import Muscle
@@ -155,7 +155,7 @@ def by_model(analysis: Analysis, setpoints: Sequence[float], load: float, mass: 
             where = f"about {show(P, 'pressure', 3)}, at {show(x, 'length', 3)}"
             text = f"F_ce or K has a kink {where}: K_u may be off by {bend:.0%}; test more pressures there"
             findings.append(Finding("doubt", text))
-        loops.append({"at": at, "gain": loop.gain, "dead_time": loop.dead_time, "lags": _plain(loop)})
+        loops.append({"at": at, "gain": loop.gain, "dead_time": loop.dead_time, "lags": plain_lags(loop)})
     if not loops:
         raise ValueError("; ".join(wrong) or f"nothing rests above 0 mm under {show(load, 'force', 3)}")
     findings += [Finding("doubt", f"{reason}: left out") for reason in wrong]
@@ -173,11 +173,6 @@ def _rests(fitted: Fitted, load: float) -> list[float]:
     shared = sorted(P for symbol, P in known if symbol == "F_ce" and ("K", P) in known and low < P < high)
     rests = [(known["F_ce", P] - load) / known["K", P] for P in shared]
     return [round(x, 6) for x in rests if x > 0]
-
-
-def _plain(loop: Loop) -> list[Any]:
-    lags = [complex(lag) for lag in loop.lags]
-    return [[lag.real, lag.imag] if lag.imag else lag.real for lag in lags]
 
 
 def _estimates(

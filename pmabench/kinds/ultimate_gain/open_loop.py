@@ -11,17 +11,17 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
-from math import isfinite, nan, sqrt
+from math import isfinite, sqrt
 from typing import Any
 
 import numpy as np
 
-from pmabench.analysis.shared import student
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.form import Doubt, weighed
+from pmabench.analysis.shared.isometric_lines import spread
 from pmabench.base.quantities import show
 from pmabench.kinds.ultimate_gain.open_loop_fit import Friction, Moved, Regulator, Step, fit
-from pmabench.kinds.ultimate_gain.ways import SYMBOLS, GainCell, repeats, scaled
+from pmabench.kinds.ultimate_gain.ways import SYMBOLS, Examined, GainCell, lags_of, oscillating, repeats, scaled
 from pmabench.model.loop import Loop, Ultimate, ultimate
 from pmabench.store.analyses.results import Estimate, Finding, Parts, Trace
 from pmabench.store.records import Array, RunData, TrialData
@@ -38,7 +38,7 @@ loops of known gain is at most that."""
 
 
 @dataclass(frozen=True, eq=False)
-class StepsFound:
+class StepsFound(Examined):
     """What one trial says."""
 
     loop: Loop | None = None
@@ -51,8 +51,6 @@ class StepsFound:
     """Relative distance of K_u and of T_u with the lags of one direction alone, the larger of both."""
     amplitude: float = 0.0
     """[Pa]."""
-    refused: tuple[str, ...] = ()
-    doubts: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data; what is not known as None."""
@@ -108,7 +106,7 @@ def examine(run: RunData, trial: TrialData) -> StepsFound:
         return StepsFound(refused=(found,))
     regulator, moved, friction = found
     known = StepsFound(None, regulator, moved, friction, amplitude=amplitude)
-    refused, doubts = _against(known, x, P)
+    refused, doubts = _against(known)
     off = _pressure_at(moved, trial.point.get("setpoint", moved.x0))
     if off is None or abs(off) > amplitude:
         refused.append(_elsewhere(moved, trial.point, amplitude))
@@ -165,12 +163,10 @@ def _elsewhere(moved: Moved, point: Mapping[str, float], amplitude: float) -> st
     return f"{text}; try a bias of {show(wanted, 'pressure', 3)}" if wanted > 0 else text
 
 
-def _against(found: StepsFound, x: Array, P: Array) -> tuple[list[str], list[str]]:
+def _against(found: StepsFound) -> tuple[list[str], list[str]]:
     """What forbids the result, and what weakens it."""
-    refused: list[str] = []
-    doubts: list[str] = []
-    friction, moved, regulator = found.friction, found.moved, found.regulator
-    if friction is None or moved is None or regulator is None:
+    friction = found.friction
+    if friction is None:
         return ["the steps were not fitted"], []
     gap = abs(friction.gap)
     text = f"rests reached from above and from below lie {gap:.1%} of the swing apart"
@@ -178,10 +174,8 @@ def _against(found: StepsFound, x: Array, P: Array) -> tuple[list[str], list[str
         text += f", dry friction takes {show(friction.balance.coulomb, 'pressure', 2)} of the steps' "
         text += show(found.amplitude, "pressure", 2)
     if not gap <= GAP["fault"]:
-        refused.append(f"stiction: {text}")
-    elif gap > GAP["doubt"]:
-        doubts.append(f"as with friction, {text}")
-    return refused, doubts
+        return [f"stiction: {text}"], []
+    return [], [f"as with friction, {text}"] if gap > GAP["doubt"] else []
 
 
 def _loop(found: StepsFound, period: float, off: float) -> Loop | None:
@@ -193,17 +187,9 @@ def _loop(found: StepsFound, period: float, off: float) -> Loop | None:
         return None
     regulator, moved = found.regulator, found.moved
     gain = regulator.gain * (moved.gain + 2 * moved.curvature * off)
-    tau = sum(moved.tau) / 2
-    root = complex(tau * tau - 4 * moved.beta) ** 0.5
-    pair = [(tau + root) / 2, (tau - root) / 2] if moved.beta > 0 else [complex(tau)]
-    lags = [complex((regulator.fill + regulator.vent) / 2), complex(regulator.second), *pair]
+    lags = ((regulator.fill + regulator.vent) / 2, regulator.second, *lags_of(sum(moved.tau) / 2, moved.beta))
     dead_time = max(0.0, regulator.dead_time + moved.late) + period / 2
-    try:
-        loop = Loop(gain, dead_time, tuple(lag if lag.imag else lag.real for lag in lags if lag))
-        ultimate(loop)
-    except ValueError:
-        return None
-    return loop
+    return oscillating(gain, dead_time, [lag for lag in lags if lag])
 
 
 METHOD = "open-loop"
@@ -261,11 +247,6 @@ class StepsCell(GainCell[StepsFound]):
         return [self.trace("open-loop", "Open-loop steps", columns, {"setpoint": self.at.get("setpoint", 0.0)})]
 
 
-def cells(members: Sequence[tuple[RunData, TrialData]]) -> list[StepsCell]:
-    """The trials by operating point, each examined."""
-    return StepsCell.all_of(members, examine)
-
-
 def _estimate(cell: StepsCell, symbol: str, unit: str, quantity: str) -> Estimate:
     good = [cell.found[i] for i in cell.good]
     truths = [ultimate(found.loop) for found in good if found.loop is not None]
@@ -274,7 +255,7 @@ def _estimate(cell: StepsCell, symbol: str, unit: str, quantity: str) -> Estimat
     name, place = ("gain", 0) if symbol == "K_u" else ("period", 1)
     values = np.array([getattr(truth, name) for truth in truths])
     value = float(values.mean())
-    halves = [_half(np.array([getattr(cycle, name) for cycle in found.cycles])) for found in good]
+    halves = [spread([getattr(cycle, name) for cycle in found.cycles]) for found in good]
     damping = DAMPING * max(found.spans[place] for found in good)
     bent = max(found.bent for found in good) ** 2 / 2 if symbol == "K_u" else 0.0
     scales = Scales.of(cell.runs)
@@ -287,10 +268,10 @@ def _estimate(cell: StepsCell, symbol: str, unit: str, quantity: str) -> Estimat
         METHOD,
         cell.at,
         parts=Parts(
-            repeats=repeats(values, np.array(halves)),
+            repeats=repeats(values, np.array(halves, dtype=np.float64)),
             method=value * sqrt(damping**2 + bent**2),
             calibration=scales.part(dict.fromkeys(used, value)),
-            skew=_skew(cell, name),
+            skew=cell.by_clocks(name),
         ),
         n=len(good),
         note=sentences(
@@ -303,18 +284,3 @@ def _estimate(cell: StepsCell, symbol: str, unit: str, quantity: str) -> Estimat
     )
     worst = max((found.sided for found in good), key=lambda one: one.half)
     return weighed(estimate, [replace(worst, half=worst.half * value)])
-
-
-def _half(each: Array) -> float:
-    """Half width of the mean of cycles; NaN for one."""
-    if len(each) < 2:
-        return nan
-    return float(student.ppf(0.975, len(each) - 1)) * float(each.std(ddof=1)) / sqrt(len(each))
-
-
-def _skew(cell: StepsCell, name: str) -> float:
-    """Half width by clocks: pressure and displacement may be so far apart, and the dead time holds all of it."""
-    if cell.apart <= 0 or cell.loop is None:
-        return 0.0
-    later = ultimate(replace(cell.loop, dead_time=cell.loop.dead_time + cell.apart))
-    return abs(float(getattr(later, name)) - float(getattr(ultimate(cell.loop), name)))

@@ -262,15 +262,8 @@ def _moved(t: Array, x: Array, P: Array, steps: Sequence[Step], start: Balance) 
         late, beta = float(late / gain), 0.0
         up, down = (float(value) for value in found.x)
     rms = float(np.std(residual)) * float(np.ptp(x))
-    return Moved(
-        float(x0),
-        float(gain) / swing,
-        float(curvature) / swing**2,
-        (up, down),
-        beta if beta > SLIGHT else 0.0,
-        rms,
-        late,
-    )
+    beta = beta if beta > SLIGHT else 0.0
+    return Moved(float(x0), float(gain) / swing, float(curvature) / swing**2, (up, down), beta, rms, late)
 
 
 def _driven(t: Array, P: Array, steps: Sequence[Step]) -> tuple[Array, list[tuple[int, int, int]]]:

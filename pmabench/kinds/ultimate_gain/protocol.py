@@ -205,31 +205,12 @@ def _inside(c: Compilation, relay: RelayTest, span: tuple[float, float], bias: f
 
 def _steps(law: GainSteps) -> tuple[str, dict[str, Any], float]:
     """Law, its parameters, and its longest time [s]."""
-    parameters = {
-        "start": law.start,
-        "factor": 1.0 + law.step,
-        "half_periods": law.half_periods,
-        "kick": law.kick,
-        "noise": law.noise,
-        "settle": law.settle,
-        "level_time": law.level_time,
-        "levels": law.levels,
-        "window": law.window,
-    }
+    parameters = {"factor": 1.0 + law.step, **law.model_dump(exclude={"step"})}
     return "gain-steps", parameters, law.settle + law.levels * law.level_time + 5.0
 
 
 def _relay(law: RelayTest) -> tuple[str, dict[str, Any], float]:
     """Law, its parameters, and its longest time [s]."""
     watched = {"pressure": list(law.measured)} | ({} if law.force is None else {"force": list(law.force)})
-    parameters = {
-        "amplitudes": list(law.amplitudes),
-        "hysteresis": list(law.hysteresis),
-        "asymmetry": law.asymmetry,
-        "periods": law.periods,
-        "level_time": law.level_time,
-        "settle": law.settle,
-        "window": law.window,
-        "watched": watched,
-    }
+    parameters = {**law.model_dump(exclude={"measured", "force"}), "watched": watched}
     return "relay", parameters, law.settle + len(law.amplitudes) * law.level_time + 5.0

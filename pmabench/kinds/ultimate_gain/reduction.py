@@ -1,6 +1,6 @@
 """Reduction of ultimate-gain runs: K_u and T_u of each set-point, refused where the loop does not oscillate as a sine.
 
-Trials of steps without a loop are reduced in `open_loop`, those with a relay in `relay_gain`; here are those with
+Trials of steps without a loop are reduced in `open_loop`, those with a relay in `relay`; here are those with
 a rising gain, and what all say together.
 
 Per level of gain the mean ln of the ratio of successive swings; a line through the last levels, K_u where it is 0.
@@ -23,12 +23,14 @@ from pmabench.analysis.shared import skew
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
-from pmabench.kinds.ultimate_gain import RESULTS, open_loop, relay_gain
+from pmabench.kinds.ultimate_gain import RESULTS
 from pmabench.kinds.ultimate_gain import ways as gain_ways
 from pmabench.kinds.ultimate_gain.levels import TrialFound, examine
-from pmabench.kinds.ultimate_gain.open_loop import steps_of
-from pmabench.kinds.ultimate_gain.relay_levels import RelayFound, search_of
-from pmabench.kinds.ultimate_gain.relay_levels import examine as examine_relay
+from pmabench.kinds.ultimate_gain.open_loop import METHOD as OPEN_LOOP
+from pmabench.kinds.ultimate_gain.open_loop import StepsCell, StepsFound, steps_of
+from pmabench.kinds.ultimate_gain.open_loop import examine as examine_steps
+from pmabench.kinds.ultimate_gain.relay import RelayCell, RelayFound, search_of
+from pmabench.kinds.ultimate_gain.relay import examine as examine_relay
 from pmabench.kinds.ultimate_gain.ways import SYMBOLS, GainCell, repeats, scaled
 from pmabench.model.loop import Loop, ultimate
 from pmabench.store.analyses.results import Analysis, Dropped, Estimate, Finding, Parts, Trace
@@ -137,8 +139,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         if K_u.value is None or T_u.value is None or any(entry["at"] == dict(K_u.at) for entry in settings):
             return
         if loop is not None:
-            lags = [lag.real if not lag.imag else [lag.real, lag.imag] for lag in map(complex, loop.lags)]
-            fact = {"gain": loop.gain, "dead_time": loop.dead_time, "lags": lags, "skew": apart}
+            fact = {"gain": loop.gain, "dead_time": loop.dead_time, "lags": gain_ways.plain_lags(loop), "skew": apart}
             loops.append({"at": dict(K_u.at), **fact})
         settings.extend(tuning.facts(tuning.tune(K_u, T_u, loop=loop), K_u.at))
         if "loop" in options:
@@ -175,31 +176,27 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     )
 
 
-def _cells(
-    runs: Sequence[RunData],
-) -> tuple[list[_Cell], list[relay_gain.RelayCell], list[open_loop.StepsCell], list[Dropped]]:
+def _cells(runs: Sequence[RunData]) -> tuple[list[_Cell], list[RelayCell], list[StepsCell], list[Dropped]]:
+    """The cells of each way, and the trials that are not looked at."""
     dropped: list[Dropped] = []
-    stepped: list[tuple[RunData, TrialData]] = []
-    relays: list[tuple[RunData, TrialData]] = []
-    rising: list[tuple[RunData, TrialData]] = []
-    for run in runs:
-        for trial in run.trials:
-            if trial.status not in USED:
-                dropped.append(Dropped(trial.name, trial.point, f"the trial is {trial.status}"))
-            elif _search(trial) is None and search_of(trial) is None and not steps_of(trial):
-                dropped.append(Dropped(trial.name, trial.point, NO_LEVELS))
-            elif "displacement" not in trial.channels:
-                dropped.append(Dropped(trial.name, trial.point, "the displacement is not recorded"))
-            elif steps_of(trial) and "pressure" not in trial.channels:
-                dropped.append(Dropped(trial.name, trial.point, "the pressure is not recorded"))
-            elif steps_of(trial):
-                stepped.append((run, trial))
-            elif search_of(trial) is not None:
-                relays.append((run, trial))
-            else:
-                rising.append((run, trial))
-    cells = _Cell.all_of(rising, lambda run, trial: examine(run, trial, _search(trial) or {}))
-    return cells, relay_gain.cells(relays), open_loop.cells(stepped), dropped
+    ways: dict[str, list[tuple[RunData, TrialData]]] = {"steps": [], "relay": [], "rising": []}
+    for run, trial in [(one, trial) for one in runs for trial in one.trials]:
+        why, way = "", "steps" if steps_of(trial) else "rising" if search_of(trial) is None else "relay"
+        if trial.status not in USED:
+            why = f"the trial is {trial.status}"
+        elif way == "rising" and _search(trial) is None:
+            why = NO_LEVELS
+        elif "displacement" not in trial.channels:
+            why = "the displacement is not recorded"
+        elif way == "steps" and "pressure" not in trial.channels:
+            why = "the pressure is not recorded"
+        if why:
+            dropped.append(Dropped(trial.name, trial.point, why))
+        else:
+            ways[way].append((run, trial))
+    cells = _Cell.all_of(ways["rising"], lambda run, trial: examine(run, trial, _search(trial) or {}))
+    relays = RelayCell.all_of(ways["relay"], lambda run, trial: examine_relay(run, trial, search_of(trial) or {}))
+    return cells, relays, StepsCell.all_of(ways["steps"], examine_steps), dropped
 
 
 def _search(trial: TrialData) -> Mapping[str, Any] | None:
@@ -254,15 +251,15 @@ def _command(trial: TrialData, found: TrialFound, mask: NDArray[np.bool_]) -> Ar
 def of_open_loops(runs: Sequence[RunData]) -> Analysis:
     """What steps without a loop give alone; what other trials of the runs say is in the findings."""
     reduced = reduce(runs)
-    return replace(reduced, estimates=tuple(e for e in reduced.estimates if e.method == open_loop.METHOD))
+    return replace(reduced, estimates=tuple(e for e in reduced.estimates if e.method == OPEN_LOOP))
 
 
 def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
     """Ultimate gain and period of one search, for the display."""
     relay, rising = search_of(trial), _search(trial)
-    found: TrialFound | RelayFound | open_loop.StepsFound
+    found: TrialFound | RelayFound | StepsFound
     if steps_of(trial) and {"pressure", "displacement"} <= set(trial.channels):
-        found = open_loop.examine(run, trial)
+        found = examine_steps(run, trial)
         truth = None if found.loop is None else ultimate(found.loop)
         values = (nan, nan) if truth is None else (truth.gain, truth.period)
     elif relay is not None and "displacement" in trial.channels:

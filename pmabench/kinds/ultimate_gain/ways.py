@@ -6,16 +6,17 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import isfinite, sqrt
-from typing import Any, ClassVar, Generic, Protocol, Self, TypeVar
+from typing import Any, ClassVar, Generic, Self, TypeVar
 
 import numpy as np
 
 from pmabench.analysis import tuning
-from pmabench.analysis.shared import skew, student
+from pmabench.analysis.shared import skew
 from pmabench.analysis.shared.calibration import Scales
+from pmabench.analysis.shared.isometric_lines import spread
 from pmabench.analysis.shared.trials import by_point
 from pmabench.base.quantities import show
-from pmabench.model.loop import Loop
+from pmabench.model.loop import Loop, ultimate
 from pmabench.store.analyses.results import Dropped, Estimate, Finding, Trace
 from pmabench.store.records import Array, RunData, TrialData
 
@@ -29,23 +30,14 @@ COLUMNS = {"t": "time", "displacement": "length", "model": "length", "pressure":
 """Column of a trace -> its quantity."""
 
 
-class Examined(Protocol):
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Examined:
     """What was found in one trial."""
 
-    @property
-    def refused(self) -> Sequence[str]:
-        """Why it gives no value; empty where it does."""
-
-    @property
-    def doubts(self) -> Sequence[str]:
-        """What weakens its value."""
-
-
-class Level(Protocol):
-    """What is written down of a trial."""
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain data."""
+    refused: tuple[str, ...] = ()
+    """Why it gives no value; empty where it does."""
+    doubts: tuple[str, ...] = ()
+    """What weakens its value."""
 
 
 Found = TypeVar("Found", bound=Examined)
@@ -152,10 +144,41 @@ class GainCell(ABC, Generic[Found]):
             marks,
         )
 
-    def facts(self, levels: Callable[[Found], Iterable[Level]]) -> list[dict[str, Any]]:
+    def facts(self, levels: Callable[[Found], Iterable[Any]]) -> list[dict[str, Any]]:
         """What is written down of every trial, as plain data."""
         trials = zip(self.trials, self.found, strict=True)
         return [{"trial": trial.name, **level.to_dict()} for trial, found in trials for level in levels(found)]
+
+    def by_clocks(self, name: str) -> float:
+        """Change of the ultimate `gain` or `period` by clocks: pressure and displacement may be so far apart, and the
+        dead time holds all of it.
+        """
+        if self.apart <= 0 or self.loop is None:
+            return 0.0
+        later = ultimate(replace(self.loop, dead_time=self.loop.dead_time + self.apart))
+        return abs(float(getattr(later, name)) - float(getattr(ultimate(self.loop), name)))
+
+
+def lags_of(tau: float, beta: float) -> tuple[complex, ...]:
+    """Lags [s] of beta s^2 + tau s + 1: one where beta is 0, a complex pair where it swings by itself."""
+    root = complex(tau * tau - 4 * beta) ** 0.5
+    pair = [(tau + root) / 2, (tau - root) / 2] if beta > 0 else [complex(tau)]
+    return tuple(lag if lag.imag else lag.real for lag in pair)
+
+
+def oscillating(gain: float, dead_time: float, lags: Sequence[complex]) -> Loop | None:
+    """The loop with that gain, dead time and lags [SI]; None where it could not oscillate."""
+    try:
+        loop = Loop(gain, dead_time, tuple(lags))
+        ultimate(loop)
+    except ValueError:
+        return None
+    return loop
+
+
+def plain_lags(loop: Loop) -> list[Any]:
+    """The lags of a loop as plain data [s]: a number, or real and imaginary part."""
+    return [[lag.real, lag.imag] if lag.imag else lag.real for lag in map(complex, loop.lags)]
 
 
 def scaled(symbol: str, scales: Scales) -> tuple[str, ...]:
@@ -168,10 +191,8 @@ def repeats(values: Array, halves: Array) -> float | None:
     """Half width of the mean of trials: by that of each, NaN where it is unknown, and by their scatter."""
     within = sqrt(float(np.mean(halves**2)) / len(values))
     known = within if isfinite(within) else None
-    if len(values) < 2:
-        return known
-    between = float(student.ppf(0.975, len(values) - 1)) * float(values.std(ddof=1)) / sqrt(len(values))
-    return max(between, known or 0.0)
+    between = spread(values)
+    return known if between is None else max(between, known or 0.0)
 
 
 APART = {"K_u": 0.25, "T_u": 0.1}
@@ -244,10 +265,5 @@ def _schedule(estimates: Sequence[Estimate]) -> list[Finding]:
     ratio = (high.value or 0.0) / (low.value or 1.0)
     if ratio < SCHEDULE:
         return []
-    return [
-        Finding(
-            "note",
-            f"K_u changes {ratio:.2g}-fold between {show(low.at['setpoint'], 'length')} and "
-            f"{show(high.at['setpoint'], 'length')}: settings hold for their own set-point only",
-        )
-    ]
+    ends = f"{show(low.at['setpoint'], 'length')} and {show(high.at['setpoint'], 'length')}"
+    return [Finding("note", f"K_u changes {ratio:.2g}-fold between {ends}: settings hold for their own set-point only")]

@@ -1,6 +1,6 @@
 """Steps of pressure without load, against the contraction that a model gives.
 
-- `reduction`; protocol files: `protocol`; figures and one trial on the display: `figures`
+- `reduction`, with the figure and one trial on the display; protocol files: `protocol`
 """
 
 from pmabench.base.imported import Imported
@@ -25,6 +25,7 @@ METHODS = {
         "surface, and driven by the measured pressure, for comparison."
     ),
 }
+FIGURES = {"validation": "pmabench.kinds.validation.reduction:validations"}
 KIND = Kind(
     name="validation",
     title="Validation of a model",
@@ -33,17 +34,13 @@ KIND = Kind(
     reduction="pmabench.kinds.validation.reduction:reduce",
     papers=("paper 0, validation",),
     protocol="pmabench.kinds.validation.protocol:Validation",
-    live="pmabench.kinds.validation.figures:measure",
+    live="pmabench.kinds.validation.reduction:measure",
     moves="displacement",
     compares="displacement",
     repeated="pmabench.kinds.validation.reduction:mean_in_window",
     repeated_is="contraction",
     methods=METHODS,
-    figures={
-        "validation": "pmabench.kinds.validation.figures:validations",
-    },
-    front={
-        "validation": "pmabench.kinds.validation.figures:validations",
-    },
+    figures=FIGURES,
+    front=FIGURES,
     imported=Imported(),
 )

@@ -1,21 +1,27 @@
-"""Reduction of validation runs: measured contraction after a step of pressure against the one that a model gives."""
+"""Reduction of validation runs: measured contraction after a step of pressure against the one that a model gives.
+
+Its figure, and with `measure` what one trial says by itself, for the display.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import hypot, sqrt
+from math import hypot
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pmabench.analysis.shared import student
 from pmabench.analysis.shared.calibration import Scales, sentences
+from pmabench.analysis.shared.isometric_lines import spread
 from pmabench.analysis.shared.simulated import from_commanded_pressure, from_measured_pressure, model_of
+from pmabench.analysis.shared.trials import by_point
+from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
 from pmabench.kinds.validation import RESULTS
 from pmabench.model.presets import Described
+from pmabench.plotting import pictures, time_plots
 from pmabench.store.analyses.results import Analysis, Dropped, Estimate, Finding, Parts, Trace
 from pmabench.store.records import Array, RunData, TrialData
 
@@ -62,18 +68,18 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     runs; e_sim is the rms difference over the whole hold [m], rise included. Windows come from the plan.
     """
     dropped: list[Dropped] = []
-    cells: dict[tuple[tuple[str, float], ...], list[_Step]] = {}
+    found: list[_Step] = []
     for run in runs:
         model = model_of(run)
         reasons = [unusable(run, trial) or ("" if model else NO_MODEL) for trial in run.trials]
         dropped += [Dropped(t.name, t.point, why) for t, why in zip(run.trials, reasons, strict=True) if why]
         usable = [trial for trial, why in zip(run.trials, reasons, strict=True) if not why]
-        for step in _steps(run, usable, model) if model is not None else []:
-            trial = step.trial
-            key = tuple(sorted((name, round(value, 9)) for name, value in trial.point.items()))
-            cells.setdefault(key, []).append(step)
-    order = sorted(cells, key=lambda key: (dict(key).get("load", 0.0), dict(key).get("pressure", 0.0)))
-    steps = [step for key in order for step in cells[key]]
+        found += _steps(run, usable, model) if model is not None else []
+    of = {step.trial.name: step for step in found}
+    cells = [
+        (at, [of[trial.name] for _, trial in members]) for at, members in by_point([(s.run, s.trial) for s in found])
+    ]
+    steps = [step for _, members in cells for step in members]
     full = max((step.measured for step in steps), default=0.0)
     return Analysis.of(
         KIND,
@@ -82,17 +88,17 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         estimates=[
             e
             for method in METHODS
-            for key in order
-            if method in cells[key][0].window
-            for e in _estimates(dict(key), cells[key], method, full)
+            for at, members in cells
+            if method in members[0].window
+            for e in _estimates(at, members, method, full)
         ],
         dropped=dropped,
         findings=_findings(runs, steps, full),
-        traces=[_trace(cells[key][0]) for key in order],
+        traces=[_trace(members[0]) for _, members in cells],
         facts={
             "options": dict(options or {}),
             "trials": len(steps),
-            "cells": len(order),
+            "cells": len(cells),
             "full_scale": full,
             "window": list(_window(runs[0])) if runs else [],
             "model": next((model.source for run in runs if (model := model_of(run)) is not None), None),
@@ -187,24 +193,14 @@ def _estimates(at: dict[str, float], members: Sequence[_Step], method: str, full
 
     def estimate(symbol: str, values: list[float], unit: str, quantity: str, by: float) -> Estimate:
         """`by`: change of the value per offset of the displacement [SI]."""
-        several = len(values) > 1
-        spread = student.ppf(0.975, len(values) - 1) * np.std(values, ddof=1) / sqrt(len(values)) if several else None
         channels = ("displacement",) if method == COMMANDED else ("displacement", "pressure")
         part = scales.part({"displacement": 1.0}, {"displacement": by}) if symbol != "e_sim" else None
         if part is not None and method != COMMANDED:
             part = hypot(part, *(by * max(step.by_pressure[n] for step in members) for n in (0, 1)))
-        return Estimate(
-            symbol,
-            float(np.mean(values)),
-            unit,
-            quantity,
-            method,
-            at,
-            parts=Parts(repeats=None if spread is None else float(spread), calibration=part),
-            n=len(values),
-            note=sentences("" if several else ALONE, scales.lack(channels, channels)),
-            trials=names,
-        )
+        parts = Parts(repeats=spread(values), calibration=part)
+        note = sentences("" if len(values) > 1 else ALONE, scales.lack(channels, channels))
+        mean = float(np.mean(values))
+        return Estimate(symbol, mean, unit, quantity, method, at, parts, len(values), note=note, trials=names)
 
     x = float(np.mean([step.measured for step in members]))
     return [
@@ -227,15 +223,13 @@ def _findings(runs: Sequence[RunData], steps: Sequence[_Step], full: float) -> l
     for method in steps[0].window:
         worst = max(steps, key=lambda step: abs(step.error(method) / step.measured))
         off = 100 * abs(worst.error(method)) / worst.measured
-        lines.append(
-            Finding(
-                "note",
-                f"{method}: the simulated contraction is off by at most {off:.2g} % of the measured one "
-                f"({show(worst.error(method), 'length', 3)} at {show(worst.trial.point['pressure'], 'pressure')}; mean "
-                f"from {window[0]:g} s to {window[1]:g} s after the step, over the measured contraction; full scale is "
-                f"{show(full, 'length', 4)})",
-            )
+        text = (
+            f"{method}: the simulated contraction is off by at most {off:.2g} % of the measured one "
+            f"({show(worst.error(method), 'length', 3)} at {show(worst.trial.point['pressure'], 'pressure')}; mean "
+            f"from {window[0]:g} s to {window[1]:g} s after the step, over the measured contraction; full scale is "
+            f"{show(full, 'length', 4)})"
         )
+        lines.append(Finding("note", text))
     model = next(model for run in runs if (model := model_of(run)) is not None)
     low, high = model.domain
     outside = sorted({p for step in steps if not low <= (p := step.trial.point.get("pressure", low)) <= high})
@@ -260,10 +254,8 @@ def _next_to_straight(steps: Sequence[_Step], model: Described) -> list[Finding]
     beyond = sorted({step.trial.point.get("pressure", 0.0) for step in steps if step.simulated[MEASURED].max() > high})
     if beyond:
         places = ", ".join(show(P, "pressure") for P in beyond)
-        text = (
-            f"the model was tested from {show(low, 'length')} to {show(high, 'length')}; it goes on beyond at {places}"
-        )
-        found.append(Finding("doubt", text))
+        reach = f"from {show(low, 'length')} to {show(high, 'length')}"
+        found.append(Finding("doubt", f"the model was tested {reach}; it goes on beyond at {places}"))
     return found
 
 
@@ -290,3 +282,45 @@ def _trace(step: _Step) -> Trace:
 def mean_in_window(run: RunData, trial: TrialData) -> float | None:
     """Mean contraction in the window [m]; None where the trial cannot be used."""
     return None if unusable(run, trial) else float(trial.channels["displacement"][inside_window(run, trial)].mean())
+
+
+MOST = 12
+"""Most steps."""
+
+
+def validations(traces: Sequence[Trace], analysis: Analysis) -> list[pictures.Picture]:
+    """Measured and simulated contraction after each step of pressure."""
+    able = [t for t in traces if pictures.has(t, "t", "displacement", "model")]
+    if not able:
+        return []
+    chosen = pictures.spread(able, MOST)
+    panels = [
+        pictures.panel(t, {"t": "t", "measured": "displacement", "model": "model"}, pictures.head(t)) for t in chosen
+    ]
+    unit = pictures.unit_of(chosen[0], "displacement").unit
+    labels = {"t": pictures.label(chosen[0], "t"), "measured": f"contraction [{unit}]", "residual": f"diff. [{unit}]"}
+    misfits = [float(np.sqrt(np.nanmean((p.columns["measured"] - p.columns["model"]) ** 2))) for p in panels]
+    caption = (
+        "Grey: measured; red: the model that the protocol names, driven by the measured pressure. Below: their "
+        f"difference, rms {pictures.reach(misfits)} {unit}. It was fitted to nothing in this run."
+    )
+    caption += pictures.how_many(chosen, able)
+    steps = "; ".join(p.title for p in panels)
+    alt = f"Contraction over time after steps of pressure, measured and simulated, at {steps}."
+    table = pictures.numbers([(pictures.head(t), t) for t in chosen])
+    draw = pictures.bound(time_plots.overlay, panels, labels)
+    title = "Measured and simulated steps"
+    return [pictures.picture(draw, title, caption, alt, table, wide=len(chosen) > 1, simulated=analysis.simulated)]
+
+
+def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
+    """The contraction in the window and the one that the specimen's file expects."""
+    reason = unusable(run, trial)
+    if reason:
+        return [Measured("x", "length", None)], [reason]
+    x = float(trial.channels["displacement"][inside_window(run, trial)].mean())
+    P, load = trial.point.get("pressure", 0.0), trial.point.get("load", 0.0)
+    K_e, F_e = (expected.at(name, P) if expected else None for name in ("K", "F_ce"))
+    slip = expected.F_c if expected else 0.0
+    predicted = (F_e - slip - load) / K_e if F_e is not None and K_e else None
+    return [Measured("x", "length", x, predicted, tolerance=slip / K_e if K_e else 0.0, noise=20e-6)], []

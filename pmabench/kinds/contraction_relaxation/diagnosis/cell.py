@@ -16,8 +16,7 @@ import numpy as np
 from pmabench.analysis.shared import student
 from pmabench.kinds.contraction_relaxation.diagnosis.columns import course
 from pmabench.kinds.contraction_relaxation.diagnosis.corrections import Explanation
-from pmabench.kinds.contraction_relaxation.segments import Gate
-from pmabench.kinds.contraction_relaxation.trials import Campaign, settled, strokes
+from pmabench.kinds.contraction_relaxation.segments import Campaign, Gate, settled, strokes
 from pmabench.store.records import Array
 
 G = 9.80665

@@ -16,10 +16,9 @@ from numpy.typing import NDArray
 
 from pmabench.analysis.shared import skew
 from pmabench.analysis.shared.calibration import Scales
-from pmabench.kinds.contraction_relaxation.drift import zero_drifts
+from pmabench.kinds.contraction_relaxation.intervals import zero_drifts
 from pmabench.kinds.contraction_relaxation.pooled import Solved, force_by_pressure
-from pmabench.kinds.contraction_relaxation.segments import Gate, Segments
-from pmabench.kinds.contraction_relaxation.trials import Campaign
+from pmabench.kinds.contraction_relaxation.segments import Campaign, Gate, Segments
 from pmabench.store.records import Array
 
 MOST_PLACES = 40

@@ -5,7 +5,7 @@ Both are compared with what noise allows. Knows no cause of a misfit: columns of
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from math import inf, sqrt
@@ -15,9 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.kinds.contraction_relaxation.diagnosis.columns import allowed
-from pmabench.kinds.contraction_relaxation.pooled import FLOOR, Fit, noise_covariance, prior_of, rms_of
-from pmabench.kinds.contraction_relaxation.segments import Segments
-from pmabench.kinds.contraction_relaxation.trials import Campaign
+from pmabench.kinds.contraction_relaxation.pooled import FLOOR, Fit, inverse_of, noise_covariance, prior_of, rms_of
+from pmabench.kinds.contraction_relaxation.segments import Campaign, Segments
 from pmabench.store.records import Array
 
 MOST_RATIO = 1.2
@@ -106,7 +105,10 @@ class Test:
 
     @cached_property
     def _pairs(self) -> NDArray[np.intp]:
-        return np.flatnonzero(_neighbours(self.segments))
+        """Segments that are followed at once by the next."""
+        segments = self.segments
+        late = np.abs(np.diff(segments.t) - segments.v.shape[1] * segments.dt)
+        return np.flatnonzero((np.diff(segments.trial) == 0) & (late < 0.5 * segments.dt))
 
     @cached_property
     def alike(self) -> float:
@@ -132,10 +134,9 @@ class Test:
         return max(0.0, self.ratio**2 - 1)
 
     @cached_property
-    def _folds(self) -> tuple[_Fold, ...]:
-        return tuple(self._each_fold())
-
-    def _each_fold(self) -> Iterator[_Fold]:
+    def _folds(self) -> list[_Fold]:
+        """Each sixth of the trials, left out."""
+        found = []
         segments, fit = self.segments, self.fit
         prior = prior_of(segments, fit.design, fit.knots, self.expected)
         normal, right = fit.design.T @ fit.design + prior.T @ prior, fit.design.T @ segments.force
@@ -148,7 +149,8 @@ class Test:
             lever = np.sum(design @ inverse * design, axis=1)
             sure = (lever >= 0) & (lever <= 1)
             variance = self.whole[rows] + self.own[rows] * np.maximum(lever, 0.0)
-            yield _Fold(rows, inverse, theta, force - design @ theta, variance, sure)
+            found.append(_Fold(rows, inverse, theta, force - design @ theta, variance, sure))
+        return found
 
     def with_columns(self, groups: Sequence[Array]) -> list[float]:
         """The ratio with forces of free size in the fit, for each group of them, shape (n, k) each [N]."""
@@ -183,12 +185,6 @@ class _Fold:
     variance: Array
     sure: NDArray[np.bool_]
     """Rows that the others predict as well as one row is known."""
-
-
-def inverse_of(normal: Array) -> Array:
-    """Inverse of a normal matrix, scaled to its diagonal first."""
-    scale = np.sqrt(np.diag(normal))
-    return np.asarray(np.linalg.inv(normal / np.outer(scale, scale)) / np.outer(scale, scale))
 
 
 def _noise(campaign: Campaign, segments: Segments, fit: Fit) -> tuple[Array, Array]:
@@ -238,9 +234,3 @@ def _mean_without(squares: Array, share: float) -> float:
     normal = NormalDist()
     end = normal.inv_cdf(1 - share / 2)
     return float(kept.mean()) / (1 - 2 * end * normal.pdf(end) / (1 - share))
-
-
-def _neighbours(segments: Segments) -> Array:
-    """Whether a segment is followed at once by the next, shape (n - 1,)."""
-    apart = segments.v.shape[1] * segments.dt
-    return np.asarray((np.diff(segments.trial) == 0) & (np.abs(np.diff(segments.t) - apart) < 0.5 * segments.dt))

@@ -19,8 +19,8 @@ from pmabench.base.quantities import show
 from pmabench.kinds.contraction_relaxation.diagnosis import columns
 from pmabench.kinds.contraction_relaxation.diagnosis.cell import Weighed
 from pmabench.kinds.contraction_relaxation.diagnosis.columns import RADII, TIMES, Followed
+from pmabench.kinds.contraction_relaxation.diagnosis.corrections import shown
 from pmabench.kinds.contraction_relaxation.diagnosis.held_out import SURE, Test
-from pmabench.kinds.contraction_relaxation.diagnosis.words import shown
 from pmabench.kinds.contraction_relaxation.intervals import Hiding, Trust
 from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, Fit, Solved, force_by_pressure
 from pmabench.kinds.contraction_relaxation.segments import Segments

@@ -1,27 +1,34 @@
-"""One relay trial: each size of oscillation measured, the loop fitted to it, and what speaks against it.
+"""K_u and T_u of relay tests, by set-point: the fitted loop first, then the describing function.
 
-Two ways stand side by side: the describing function of the relay, and a loop of dead time, lags and gain fitted to the
-harmonics of command, pressure and displacement. Where period and gain change with the size it is no linear loop; dry
-friction in the balance of pressures, and a shape that the fitted loop has not, tell stiction from a bent muscle.
+Of one trial each size of oscillation is measured, with the describing function of the relay, and a loop of dead time,
+lags and gain fitted to the harmonics of command, pressure and displacement. Where period and gain change with the size
+it is no linear loop; dry friction in the balance of pressures, and a shape that the fitted loop has not, tell stiction
+from a bent muscle. Neither way is reported where friction shows. Knows the trials' samples and what the relay wrote
+down.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
-from math import isfinite, log, pi, sqrt
+from math import hypot, isfinite, log, pi, sqrt
 from typing import Any
 
 import numpy as np
 from scipy.optimize import least_squares
 
 from pmabench.analysis.shared import student
+from pmabench.analysis.shared.calibration import Scales, sentences
+from pmabench.analysis.shared.form import Doubt, weighed
 from pmabench.analysis.shared.oscillation import SEEN, extremes
 from pmabench.analysis.shared.samples import noise_of
 from pmabench.base.quantities import show
 from pmabench.kinds.ultimate_gain.open_loop_fit import balance
+from pmabench.kinds.ultimate_gain.ways import DESCRIBED, SYMBOLS, Examined, GainCell, lags_of, oscillating, repeats
 from pmabench.model.loop import ComplexArray, Loop, ultimate
+from pmabench.store.analyses.results import Estimate, Finding, Parts, Trace
 from pmabench.store.records import Array, RunData, TrialData
 
 SKIPPED = 3
@@ -38,7 +45,7 @@ ALIKE = 0.01
 SPREAD = {"period": {"doubt": 0.008, "fault": 0.02}, "gain": {"doubt": 0.025, "fault": 0.045}}
 """Relative change of period and of K_u (describing function) from the largest oscillation to the smallest.
 
-Without friction or a kink at most 0.016 and 0.029 were seen in 200 simulated tests (as those of `relay_gain.FORM`)."""
+Without friction or a kink at most 0.016 and 0.029 were seen in 200 simulated tests (as those of `FORM`)."""
 RUBS = 0.015
 """Dry friction in the balance, over the smallest amplitude: 0 without; at most 0.011 was seen, noise made it."""
 SHAPE = 0.02
@@ -92,12 +99,10 @@ class RelayLevel:
 
 
 @dataclass(frozen=True, eq=False)
-class RelayFound:
+class RelayFound(Examined):
     """What one trial says; its numbers are those of the largest oscillation, in which friction weighs least."""
 
     levels: tuple[RelayLevel, ...]
-    refused: tuple[str, ...] = ()
-    doubts: tuple[str, ...] = ()
 
     @property
     def best(self) -> RelayLevel | None:
@@ -120,14 +125,11 @@ def examine(run: RunData, trial: TrialData, search: Mapping[str, Any]) -> RelayF
     levels = [_measure(trial, level, search, lag, hold) for level in search["relay"]]
     known = tuple(level for level in levels if level is not None)
     if not search.get("found", False):
-        return RelayFound(known, (str(search.get("reason") or "the relay test did not end by itself"),))
+        return RelayFound(known, refused=(str(search.get("reason") or "the relay test did not end by itself"),))
     if not known or len(known) < len(levels):
-        return RelayFound(known, (f"fewer than {FEWEST_PERIODS} whole periods at an amplitude",))
+        return RelayFound(known, refused=(f"fewer than {FEWEST_PERIODS} whole periods at an amplitude",))
     refused, doubts = _friction(known)
-    found = RelayFound(known, tuple(refused), tuple(doubts))
-    best = found.best
-    if best is None:
-        return found
+    best = max(known, key=lambda level: level.amplitude)
     if best.variation > PERIOD_VARIATION:
         refused.append(f"the periods vary by {best.variation:.0%}, at most {PERIOD_VARIATION:.0%} are allowed")
     if not isfinite(best.K_df):
@@ -137,7 +139,7 @@ def examine(run: RunData, trial: TrialData, search: Mapping[str, Any]) -> RelayF
     noise = noise_of(trial.channels["displacement"][trial.usable])
     if min(level.hysteresis for level in known) < 3 * noise:
         doubts.append("the hysteresis is below three times the noise: noise may have switched the relay")
-    return RelayFound(known, tuple(refused), tuple(doubts))
+    return RelayFound(known, refused=tuple(refused), doubts=tuple(doubts))
 
 
 def _friction(levels: tuple[RelayLevel, ...]) -> tuple[list[str], list[str]]:
@@ -291,12 +293,7 @@ def _fit(
     gain, muscle_lags = muscle
     sensor = lag.get("displacement", 0.0)
     lags = (float(np.exp(T_r)), *muscle_lags, *((sensor,) if sensor > 0 else ()))
-    try:
-        loop = Loop(gain, float(max(0.0, L) + hold), lags)
-        ultimate(loop)
-    except ValueError:
-        return None
-    return loop
+    return oscillating(gain, float(max(0.0, L) + hold), lags)
 
 
 def _muscle(s: ComplexArray, X: ComplexArray, Q: ComplexArray) -> tuple[float, tuple[complex, ...]] | None:
@@ -311,7 +308,159 @@ def _muscle(s: ComplexArray, X: ComplexArray, Q: ComplexArray) -> tuple[float, t
         found = np.linalg.lstsq(design, np.concatenate([Q.real, Q.imag]), rcond=None)[0] / size
         if np.all(found > 0):
             tau, beta = float(found[1] / found[0]), float(found[2] / found[0]) if len(found) > 2 else 0.0
-            root = complex(tau * tau - 4 * beta) ** 0.5
-            pair = [(tau + root) / 2, (tau - root) / 2] if beta > 0 else [complex(tau)]
-            return float(1 / found[0]), tuple(lag if lag.imag else lag.real for lag in pair)
+            return float(1 / found[0]), lags_of(tau, beta)
     return None
+
+
+FITTED = "relay-fit"
+OF_FRICTION, OF_SHAPE, OF_SIZES = 2.0, 0.5, 1.3
+"""What K_u and T_u may be off, over friction as a share of the amplitude, over the distance of the third harmonic, and
+over their change between the amplitudes: play, a second lag and a slew of the regulator make less of known loops."""
+FORM = {"K_u": 0.012, "T_u": 0.0045}
+"""Half width, over the value, of what the form of the fitted loop is worth with damping alike in both directions."""
+UNLIKE = {"K_u": 0.08, "T_u": 0.035}
+"""The same by damping that is not, per difference of the two lags over their sum.
+
+Both so that 95 % of 200 simulated tests hold, without friction: two muscles at 12 to 50 mm, masses of 2 to 13 kg, dead
+times of 20 to 60 ms, lags of 50 to 250 ms, amplitudes of 10 to 60 kPa. The largest errors are 2.5 % and 1.0 %.
+"""
+
+
+@dataclass(frozen=True)
+class RelayCell(GainCell[RelayFound]):
+    """All relay trials at one operating point."""
+
+    called = "relay trials"
+
+    @property
+    def loop(self) -> Loop | None:
+        """The loop fitted to the largest oscillation of the first trial that has one."""
+        best = [self.found[i].best for i in self.good]
+        return next((level.loop for level in best if level is not None and level.loop is not None), None)
+
+    @cached_property
+    def estimates(self) -> list[Estimate]:
+        """K_u and T_u by the fit, then by the describing function."""
+        return [*_estimates(self, FITTED), *_estimates(self, DESCRIBED)]
+
+    def findings(self) -> list[Finding]:
+        """What speaks against the trials, and what the fitted loop is."""
+        lines, loop = self.said(), self.loop
+        if loop is None:
+            return lines
+        lags = " and ".join(f"{complex(lag).real:.3g} s" for lag in loop.lags)
+        truth = ultimate(loop)
+        text = (
+            f"at {self.where} the loop fitted to the relay oscillation has {loop.gain * 1e6:.4g} mm/kPa, dead time "
+            f"{loop.dead_time * 1e3:.3g} ms (half a sample period in it) and lags {lags}: it would oscillate at "
+            f"K_u = {show(truth.gain, 'gain', 4)}, T_u = {truth.period:.4g} s"
+        )
+        lines.append(Finding("note", text))
+        best = [level for i in self.good if (level := self.found[i].best) is not None]
+        if static := [level.static for level in best if isfinite(level.static)]:
+            text = (
+                f"at {self.where} the means of the asymmetric oscillation give a static gain of "
+                f"{np.mean(static) * 1e6:.4g} mm/kPa; damping that changes with the pressure shifts it"
+            )
+            lines.append(Finding("note", text))
+        return lines
+
+    def traces(self) -> list[Trace]:
+        """Displacement and command over the last periods of the largest oscillation."""
+        trial, best = self.trials[self.shown], self.found[self.shown].best
+        if best is None:
+            return []
+        begin = max(best.t0, best.t1 - 4 * best.period)
+        mask = (trial.t >= begin) & (trial.t <= best.t1)
+        names = [name for name in ("displacement", "pressure", "pressure_command") if name in trial.channels]
+        columns = {"t": trial.t[mask] - begin, **{name: trial.channels[name][mask] for name in names}}
+        marks = {"centre": float((search_of(trial) or {}).get("centre", 0.0)), "hysteresis": best.hysteresis}
+        return [self.trace("relay", f"Relay oscillation, {show(best.amplitude, 'pressure')}", columns, marks)]
+
+
+def _values(level: RelayLevel, symbol: str, method: str) -> tuple[float, float]:
+    """Value and half width from the scatter between periods, of one level."""
+    name = symbol if method == FITTED else {"K_u": "K_df", "T_u": "period"}[symbol]
+    return getattr(level, name), getattr(level, f"half_{name}")
+
+
+def _estimates(cell: RelayCell, method: str) -> list[Estimate]:
+    scales = Scales.of(cell.runs)
+    pressure = "pressure_command" if method == DESCRIBED and "pressure_command" in scales.gains else "pressure"
+    found = []
+    for symbol, unit, quantity in SYMBOLS:
+        best = [(i, level) for i in cell.good if (level := cell.found[i].best) is not None]
+        best = [(i, level) for i, level in best if isfinite(_values(level, symbol, method)[0])]
+        if not best:
+            reasons = dict.fromkeys(reason for trial in cell.found for reason in (*trial.refused, *trial.doubts))
+            found.append(replace(cell.empty(symbol, unit, quantity, method), note="; ".join(reasons)))
+            continue
+        values, halves = np.array([_values(level, symbol, method) for _, level in best]).T
+        value = float(values.mean())
+        scaled = (pressure, "displacement") if symbol == "K_u" else ()
+        estimate = replace(
+            cell.empty(symbol, unit, quantity, method),
+            value=value,
+            parts=Parts(
+                repeats=repeats(values, halves),
+                method=_method_part(cell, best, symbol, method),
+                calibration=scales.part(dict.fromkeys(scaled, value)),
+            ),
+            n=len(best),
+            note=sentences(
+                *(doubt for i, _ in best for doubt in cell.found[i].doubts),
+                "one trial: the repeats part is the scatter between its periods" if len(best) == 1 else "",
+                "the relay's harmonics and its hysteresis are left out; the method part is the distance to the fit"
+                if method == DESCRIBED
+                else "the method part is the difference between the amplitudes, and what the loop's form is worth",
+                scales.lack(scaled),
+            ),
+            trials=tuple(cell.trials[i].name for i, _ in best),
+        )
+        found.append(
+            weighed(estimate, _doubts([cell.found[i] for i, _ in best], value)) if method == FITTED else estimate
+        )
+    return found
+
+
+def _doubts(trials: Sequence[RelayFound], value: float) -> list[Doubt]:
+    """What friction or play in the balance of pressures, and another form of the loop, are worth of a value.
+
+    Friction is alike at all amplitudes: what a bend makes of it at the largest one alone does not count.
+    """
+    rubs, shape = 0.0, 0.0
+    for trial in trials:
+        known = [level for level in trial.levels if isfinite(level.coulomb)]
+        least = min((level.coulomb for level in known), default=0.0)
+        rubs = max(rubs, least / max((level.amplitude for level in known), default=1.0))
+        if trial.best is not None and isfinite(trial.best.shape):
+            shape = max(shape, trial.best.shape)
+    reason = (
+        f"dry friction or play takes {rubs:.1%} of the relay's amplitude, at most {RUBS:.1%} is accepted: the loop is "
+        "not linear. Take a larger amplitude"
+    )
+    return [
+        Doubt("friction in the balance", "method", OF_FRICTION * rubs * value, rubs > RUBS, reason),
+        Doubt("form of the loop", "method", OF_SHAPE * shape * value, seen=False),
+    ]
+
+
+def _method_part(cell: RelayCell, best: Sequence[tuple[int, RelayLevel]], symbol: str, method: str) -> float | None:
+    """Half width by the method: the other amplitudes for the fit, the fit for the describing function; clocks added."""
+    apart = []
+    for i, level in best:
+        value = _values(level, symbol, method)[0]
+        if method == DESCRIBED:
+            others = [_values(level, symbol, FITTED)[0]]
+        else:
+            others = [_values(other, symbol, method)[0] for other in cell.found[i].levels if other is not level]
+        apart += [abs(value - other) for other in others if isfinite(other)]
+    if not apart:
+        return None
+    form = max(
+        hypot(FORM[symbol], UNLIKE[symbol] * min(1.0, level.unlike if isfinite(level.unlike) else 0.0))
+        * _values(level, symbol, method)[0]
+        for _, level in best
+    )
+    shift = cell.by_clocks("gain" if symbol == "K_u" else "period")
+    return sqrt((OF_SIZES * max(apart)) ** 2 + shift**2 + form**2)
