@@ -143,7 +143,7 @@ def _lab(answers: Answers) -> dict[str, str]:
 
 
 def _schemas(files: dict[str, str]) -> dict[str, str]:
-    from pmabench.cli.schema import schema_text
+    from pmabench.cli.files import schema_text
 
     kinds = ["protocol", "bench", "specimen", "calibration", *(["plant"] if "plant.yaml" in files else [])]
     return {f"schemas/{kind}.schema.json": schema_text(kind) for kind in kinds}

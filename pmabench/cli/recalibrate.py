@@ -60,7 +60,7 @@ def command(
     from pmabench.analysis.verdict.comparison import changes
     from pmabench.cli.process import analyse, campaign_folder, load_runs, without_analyses, write
     from pmabench.kinds.registry import loops
-    from pmabench.report.pages.change_tables import print_changes, write_changes
+    from pmabench.report.pages.comparison_page import print_changes, write_changes
     from pmabench.store.chain import open_chains
     from pmabench.store.reader import refuse_loops
 

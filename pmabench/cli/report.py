@@ -14,8 +14,8 @@ from pmabench.cli.common import Ui, common
 from pmabench.cli.names import FILE, RunFolder
 
 if TYPE_CHECKING:
-    from pmabench.report.document.kept_page import Page
     from pmabench.report.figures.overlays import Published
+    from pmabench.report.writing import KeptPage
     from pmabench.store.analyses.results import Analysis
     from pmabench.store.records import RunData
 
@@ -56,8 +56,7 @@ def command(
     Runs are processed now, unless `process` did that and nothing has changed since.
     """
     from pmabench.cli.process import apart, chains, stored, without_analyses
-    from pmabench.report.document import kept_page
-    from pmabench.report.writing import write_file
+    from pmabench.report.writing import keep, kept, page_key, write_file
     from pmabench.store.analyses.folder import runs_of
     from pmabench.store.since import as_sealed
 
@@ -75,8 +74,8 @@ def command(
     if used and not (published or (folders and given)):
         behind = chains(given or [run for folder in folders for run in runs_of(folder)])
         about = {"sources": [str(path) for path in sources], "title": title, "long": long, **issuer}
-        key = kept_page.page_key(used, behind, about) if all(as_sealed(run) for run in behind) else ""
-    page = None if fresh or pdf or xlsx or not key else kept_page.kept(used[0].parent, key)
+        key = page_key(used, behind, about) if all(as_sealed(run) for run in behind) else ""
+    page = None if fresh or pdf or xlsx or not key else kept(used[0].parent, key)
     if page is not None:
         for line in page.remarks:
             ui.note(line)
@@ -86,7 +85,7 @@ def command(
         analyses, runs = analysed(ui, folders, used, given)
         written, page = _written(ui, analyses, runs, published, title, issuer, output, pdf, xlsx, long=long)
         if key:
-            kept_page.keep(used[0].parent, key, page)
+            keep(used[0].parent, key, page)
     data: dict[str, Any] = {"schema": "pmabench.report/1", **written, "since": dict(page.since)}
     ui.result(data, lambda: click.echo("\n".join(written.values())))
 
@@ -125,17 +124,16 @@ def _written(
     xlsx: Path | None,
     *,
     long: bool,
-) -> tuple[dict[str, str], Page]:
+) -> tuple[dict[str, str], KeptPage]:
     """Write the report in each format that is wanted; what was written, and the page."""
     from pmabench.cli.process import since_lines
     from pmabench.plotting.svg import import_without_3d
-    from pmabench.report.document.checklist import Issuer
     from pmabench.report.document.content import content_of, page_of
-    from pmabench.report.document.kept_page import Page
+    from pmabench.report.document.deviations import Issuer
     from pmabench.report.writing import write_file
 
     import_without_3d()
-    page = Page("", {run.id: run.since.as_data() for run in runs if run.since.sentences}, since_lines(runs))
+    page = KeptPage("", {run.id: run.since.as_data() for run in runs if run.since.sentences}, since_lines(runs))
     for line in page.remarks:
         ui.note(line)
     content = content_of(analyses, runs, title=title, published=published, issuer=Issuer(**issuer))

@@ -15,7 +15,6 @@ import numpy as np
 
 from pmabench.plotting.pictures import Picture, drawable
 from pmabench.plotting.wording import brief, clean, number
-from pmabench.report.certificate import limits as not_for
 from pmabench.report.certificate import quality
 from pmabench.report.certificate.coefficient_charts import coefficient_picture, surface_picture
 from pmabench.report.certificate.force_chart import force_picture, stroke_picture
@@ -100,7 +99,7 @@ def sheet_of(
         table=table,
         table_title=title,
         also=[(tile.symbol, f"{tile.value} {tile.unit}".strip()) for tile in tiles][:MOST_ALSO] if members else [],
-        limits=not_for.limits(main, tests, runs),
+        limits=quality.limits(main, tests, runs),
         first=pictures[:2],
         second=pictures[2:FIGURES],
         coverage=covered if covered and (covered.used or covered.left) else None,

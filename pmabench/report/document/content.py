@@ -26,8 +26,7 @@ from pmabench.plotting.wording import printed
 from pmabench.report.certificate.interactive import assets, chart_data
 from pmabench.report.certificate.sheet import Sheet, sheet_of
 from pmabench.report.document import provenance, tables
-from pmabench.report.document.checklist import Issuer, Item, checklist
-from pmabench.report.document.deviations import Said, deviations, notes_of
+from pmabench.report.document.deviations import Issuer, Item, Said, checklist, deviations, notes_of
 from pmabench.report.document.front import Tile, Verdict, tiles_of, verdict_of
 from pmabench.report.document.grids import Grid, grid
 from pmabench.report.document.provenance import citation, methods_paragraph
