@@ -130,7 +130,7 @@ def _written(
     from pmabench.plotting.svg import import_without_3d
     from pmabench.report.document.content import content_of, page_of
     from pmabench.report.document.deviations import Issuer
-    from pmabench.report.writing import write_file
+    from pmabench.report.writing import KeptPage, write_file
 
     import_without_3d()
     page = KeptPage("", {run.id: run.since.as_data() for run in runs if run.since.sentences}, since_lines(runs))
