@@ -14,7 +14,7 @@ from pmabench.base.errors import InvalidFile, RecordError, UsageError
 from pmabench.base.quantities import in_words, show
 from pmabench.base.text import clean
 from pmabench.bench.compile import Mounted
-from pmabench.cli.common import Ui, common, fields, plan_options
+from pmabench.cli.common import Ui, common, fields, plan_options, write_text
 from pmabench.cli.history import ANALYSES
 from pmabench.cli.names import FILE, PATH, short, typed
 from pmabench.cli.outcome import next_lines, progress_line
@@ -140,8 +140,6 @@ def plan_summary(plan: Plan, mounted: Mounted) -> dict[str, Any]:
         session = {**vars(length), "parts": list(length.parts), "due": bool(why), "because": why}
         if why:
             shortest, longest = shortest + length.shortest, longest + length.longest
-    outputs = mounted.bench.commanded
-    rows = plan.rows()
     return {
         "schema": "pmabench.check/1",
         **fields(plan, "kind", "name", "source", "hazards"),
@@ -151,15 +149,13 @@ def plan_summary(plan: Plan, mounted: Mounted) -> dict[str, Any]:
         "steps": len(plan.steps),
         "duration": {"shortest": shortest, "longest": longest, "unit": "s"},
         "session": session,
-        "rows": rows,
+        "rows": plan.rows(),
         "bytes": needed(plan),
         "commands": {
-            name: {
-                **{"lowest": low, "highest": high, "quantity": outputs[name].quantity},
-                "limits": [outputs[name].low, outputs[name].high],
-                "limits_from": [outputs[name].low_from, outputs[name].high_from],
-            }
+            name: {"lowest": low, "highest": high, "quantity": out.quantity, "limits": [out.low, out.high]}
+            | {"limits_from": [out.low_from, out.high_from]}
             for name, (low, high) in plan.commands().items()
+            for out in [mounted.bench.commanded[name]]
         },
         "lacks": list(mounted.lacks),
         "unconfirmed": [str(problem) for problem in mounted.unconfirmed],
@@ -216,9 +212,7 @@ def _idle_lines(plan: Plan, idle: Idle | None, written: Path | None) -> list[str
     doubtful = f", {len(idle.doubtful)} more may not" if idle.doubtful else ""
     count = f"{len(idle.idle)} of {len(plan.trials)} trials are not expected to lift their load{doubtful}"
     first = [idle.first] if idle.first else []
-    if written is not None:
-        return [count, *first, f"{written} has the sweep without them"]
-    return [count, *first]
+    return [count, *first, *([f"{written} has the sweep without them"] if written is not None else [])]
 
 
 def _then(prepared: Prepared, idle: Idle | None, written: Path | None, *, refused: bool, done: bool) -> list[str]:
@@ -243,10 +237,7 @@ def _write_without(prepared: Prepared, idle: Idle | None, path: Path) -> None:
         raise UsageError(f"{path} is there already; give the name of a new file")
     document, model = read_protocol(Path(prepared.sources["protocol"]), prepared.sources["set"])
     text = without(document, model.sweep, prepared.protocol_text, idle.all)
-    try:
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise RecordError(f"{path} cannot be written: {error.strerror}") from error
+    write_text(path, text)
 
 
 def _print_steps(plan: Plan) -> None:
@@ -254,13 +245,10 @@ def _print_steps(plan: Plan) -> None:
     for number, step in enumerate(plan.steps):
         counts[step.kind] += 1
         fields = {key: value for key, value in vars(step).items() if key != "phase" and value is not None}
-        text = "  ".join(f"{key}={_plain(value)}" for key, value in fields.items())
+        shown = {key: f"{value:g}" if isinstance(value, float) else str(value) for key, value in fields.items()}
+        text = "  ".join(f"{key}={value}" for key, value in shown.items())
         click.echo(f"{number:5d}  {step.kind:10} {step.phase:12} {text}")
     click.echo("      " + ", ".join(f"{count} {kind}" for kind, count in counts.items()) + "; values in SI")
-
-
-def _plain(value: Any) -> str:
-    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 MOST = 3

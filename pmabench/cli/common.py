@@ -261,6 +261,21 @@ def read_quantity(option: str, text: str, quantity: str) -> float:
         raise UsageError(f"{option}: {error}") from error
 
 
+def write_text(path: Path, text: str) -> None:
+    """Write a file; RecordError where it cannot be written."""
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise RecordError(f"{path} cannot be written: {error.strerror}") from error
+
+
+def no_pipes(*paths: Path | None) -> None:
+    """UsageError for a name of an output that is that of a pipe."""
+    for path in paths:
+        if path is not None and path.is_fifo():
+            raise UsageError(f"{path} is a pipe; give the name of a file")
+
+
 def fields(thing: object, *names: str) -> dict[str, Any]:
     """These attributes by name, for JSON."""
     return {name: getattr(thing, name) for name in names}

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pmabench.base.errors import InvalidFile, UsageError, invalid
-from pmabench.cli.common import Ui, common, fields, read_quantity
+from pmabench.cli.common import Ui, common, fields, no_pipes, read_quantity
 from pmabench.cli.names import FILE, RunFolder
 from pmabench.report.terminal import print_grid
 
@@ -54,8 +54,7 @@ def command(
 
     limits = [_limit(text) for text in accepted]
     pressures = [read_quantity("--at", text, "pressure") for text in places]
-    if output is not None and output.is_fifo():
-        raise UsageError(f"{output} is a pipe; give the name of a file")
+    no_pipes(output)
     if len(methods) > 2 or (b is None and len(methods) != 2):
         raise UsageError("give B, or --method twice to compare two methods of A")
     left, runs = _side(ui, "A", a, fresh=fresh)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pmabench.base.errors import InvalidFile, UsageError, invalid
-from pmabench.cli.common import Ui, common, fields
+from pmabench.cli.common import Ui, common, fields, no_pipes
 from pmabench.cli.names import FILE, PATH
 from pmabench.files.shipped import find_file
 from pmabench.report.terminal import print_grid
@@ -40,8 +40,7 @@ def command(ui: Ui, specimen: str, folder: Path, output: Path | None) -> None:
 
     if not folder.is_dir():
         raise invalid(folder, "there is no such folder; give the folder that holds the runs")
-    if output is not None and output.is_fifo():
-        raise UsageError(f"{output} is a pipe; give the name of a file")
+    no_pipes(output)
     rows, notes = _of_specimen(specimen, folder)
     life, referring, leaks = _life(ui, folder, rows)
     analyses = list(_analyses(ui, folder, {past.run for past in life}))

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pmabench.base.errors import UsageError
-from pmabench.cli.common import Ui, common
+from pmabench.cli.common import Ui, common, no_pipes
 from pmabench.cli.names import FILE, RunFolder
 
 if TYPE_CHECKING:
@@ -60,8 +60,7 @@ def command(
     from pmabench.store.analyses.folder import runs_of
     from pmabench.store.since import as_sealed
 
-    for path in (path for path in (output, pdf, xlsx) if path is not None and path.is_fifo()):
-        raise UsageError(f"{path} is a pipe; give the name of a file")
+    no_pipes(output, pdf, xlsx)
     published: list[Published] = []
     if overlays:
         from pmabench.cli.report_overlays import read_overlays

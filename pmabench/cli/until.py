@@ -23,10 +23,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from pmabench.base.errors import PmaError, RecordError, UsageError, did_you_mean
+from pmabench.base.errors import PmaError, UsageError, did_you_mean
 from pmabench.base.kind import Kind, load
 from pmabench.base.quantities import in_words, show
-from pmabench.cli.common import Ui, common, read_quantity
+from pmabench.cli.common import Ui, common, read_quantity, write_text
 from pmabench.cli.names import FILE, RunFolder
 from pmabench.engine.choosing import CHANGED, Chosen, NoMore
 from pmabench.protocol.plan import TrialRecord
@@ -282,10 +282,7 @@ def _write(run: RunData, trials: Sequence[int], path: Path) -> None:
     swept = [trial["index"] for trial in run.plan["trials"] if not trial["reference"]]
     text = (Path(run.path) / "protocol.yaml").read_text(encoding="utf-8")
     made = chosen(document, getattr(model, "sweep", None), text, [swept.index(index) for index in trials])
-    try:
-        path.write_text(made, encoding="utf-8")
-    except OSError as error:
-        raise RecordError(f"{path} cannot be written: {error.strerror}") from error
+    write_text(path, made)
 
 
 def _lines(runs: Sequence[RunData], found: Any, goal: str, written: str) -> list[str]:

@@ -216,14 +216,9 @@ def _write_parquet(rows: Sequence[Mapping[str, Any]], numbers: Mapping[str, tupl
     from pmabench.store.arrow import pa, pq
 
     types = {str: pa.string(), bool: pa.bool_(), int: pa.int64()}
-    fields = [pa.field(name, types[type(kind)]) for name, kind in FIRST.items()]
-    fields += [
-        pa.field(name, pa.float64(), metadata={"quantity": quantity, "unit": unit})
-        for name, (quantity, unit) in numbers.items()
-    ]
-    fields += [pa.field(name, types[type(kind)]) for name, kind in LAST.items()]
-    arrays = [pa.array([row[field.name] for row in rows], type=field.type) for field in fields]
-    table = pa.Table.from_arrays(arrays, schema=pa.schema(fields))
+    first, last = ([pa.field(name, types[type(one)]) for name, one in part.items()] for part in (FIRST, LAST))
+    middle = [pa.field(name, pa.float64(), metadata={"quantity": q, "unit": u}) for name, (q, u) in numbers.items()]
+    table = pa.Table.from_pylist([dict(row) for row in rows], schema=pa.schema([*first, *middle, *last]))
     pq.write_table(table, path, compression="zstd", compression_level=3)
 
 

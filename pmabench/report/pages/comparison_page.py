@@ -20,7 +20,7 @@ from pmabench.plotting.wording import Shown, clean, in_order, plain_unit, point_
 from pmabench.report.document.special_tables import SAME
 from pmabench.report.figures.coefficient_figures import over_pressure
 from pmabench.report.figures.overlays import Comparison, comparison_table
-from pmabench.report.files.csv_files import csv_text
+from pmabench.report.files.csv_files import csv_text, value_cells
 from pmabench.report.terminal import print_grid
 from pmabench.report.words import declared
 from pmabench.report.writing import Page, TextTable, write_file, write_page
@@ -204,9 +204,11 @@ def write_changes(
         row: dict[str, Any] = {"kind": change.kind, "symbol": e.symbol, "coordinate": e.coordinate}
         row |= {"at": point_text(e.at), "unit": plain_unit(unit.unit)}
         for name, side in (("before", change.before), ("after", change.after)):
-            ends = (side.ci95 if side is not None else None) or (None, None)
-            row[name] = unit.of(side.value if side is not None else None)
-            row |= {f"{name} low95": unit.of(ends[0]), f"{name} high95": unit.of(ends[1])}
+            cells = value_cells(side) if side is not None else {}
+            row |= {
+                f"{name}{more}": cells.get(key)
+                for key, more in (("value", ""), ("low95", " low95"), ("high95", " high95"))
+            }
         row |= {"difference": unit.of(change.difference), "half width 95 %": unit.of(change.half_width)}
         rows.append(row | {"method": e.method})
     data = {
