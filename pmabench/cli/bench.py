@@ -286,9 +286,7 @@ def _listen(look: Look, record: ChannelRecord, seconds: float | None) -> Reading
     if series is None:
         lasted = PATIENCE if seconds is None else max(PATIENCE, seconds)
         raise DeviceError(record.device, f"gives no sample within {lasted:g} s; look at its wire", record.input)
-    if seconds is None:
-        return Reading(float(series.y[-1]), 0.0, 0.0, 1)
-    return series.reading()
+    return Reading(float(series.y[-1]), 0.0, 0.0, 1) if seconds is None else series.reading()
 
 
 def _reading_json(record: ChannelRecord, reading: Reading, rate: float, *, averaged: bool) -> dict[str, Any]:

@@ -69,17 +69,12 @@ def severity(code: int) -> int:
 
 
 def run_campaign(
-    ui: Ui,
-    file: str,
-    out: Path,
-    *,
-    operator_name: str = "",
-    yes: bool = False,
-    seed: int | None = None,
-    resume: bool = False,
-    session: dict[str, Any] | None = None,
+    ui: Ui, file: str, out: Path, *, seed: int | None = None, resume: bool = False, **how: Any
 ) -> list[Outcome]:
-    """Run the campaign `file`; `seed` replaces that of simulated devices; `resume` goes on with what `out` holds."""
+    """Run the campaign `file`; `seed` replaces that of simulated devices; `resume` goes on with what `out` holds.
+
+    `how`: operator_name, yes and session of `execute`; the options of the session are for the first run alone.
+    """
     from pmabench.cli.prepare import Prepared, seeded
     from pmabench.cli.run import execute
     from pmabench.kinds.compile import plan_campaign
@@ -103,10 +98,8 @@ def run_campaign(
         ui.note(title)
         prepared = Prepared(run.plan, mounted, run.protocol_text, run.deviations, run.sources, run.slower, run.doubts)
         about = {"campaign": {"name": name, "number": number, "of": len(planned)}}
-        outcome = execute(
-            ui, prepared, out, operator_name=operator_name, yes=yes, continues=continues, about=about, session=session
-        )
-        session = None  # options of the first run alone
+        outcome = execute(ui, prepared, out, continues=continues, about=about, **how)
+        how["session"] = None
         outcomes.append(outcome)
         if outcome.exit_code not in {0, 6}:
             say(f"the campaign ends here: {outcome.status}: {outcome.why}")

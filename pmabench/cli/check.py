@@ -18,7 +18,8 @@ from pmabench.cli.common import Ui, common, fields, plan_options, write_text
 from pmabench.cli.history import ANALYSES
 from pmabench.cli.names import FILE, PATH, short, typed
 from pmabench.cli.outcome import next_lines, progress_line
-from pmabench.cli.prepare import Prepared, needed, size, too_little
+from pmabench.cli.prepare import Prepared, needed, prepare, size, too_little
+from pmabench.kinds.compile import read_protocol
 from pmabench.protocol.idle import Idle, foreseen, without
 from pmabench.protocol.plan import Plan
 from pmabench.report.terminal import print_grid
@@ -50,8 +51,6 @@ def command(
     **files: Any,
 ) -> int | None:
     """Check PROTOCOL against a bench and a specimen, and show the plan."""
-    from pmabench.cli.prepare import prepare
-
     prepared = prepare(**files)
     plan, mounted, warnings = prepared.plan, prepared.mounted, prepared.warnings()
     summary = plan_summary(plan, mounted)
@@ -229,15 +228,12 @@ def _then(prepared: Prepared, idle: Idle | None, written: Path | None, *, refuse
 
 
 def _write_without(prepared: Prepared, idle: Idle | None, path: Path) -> None:
-    from pmabench.kinds.compile import read_protocol
-
     if idle is None:
         raise UsageError("--drop-idle: a plant file says nothing that could be foreseen; give an analysis")
     if path.exists():
         raise UsageError(f"{path} is there already; give the name of a new file")
     document, model = read_protocol(Path(prepared.sources["protocol"]), prepared.sources["set"])
-    text = without(document, model.sweep, prepared.protocol_text, idle.all)
-    write_text(path, text)
+    write_text(path, without(document, model.sweep, prepared.protocol_text, idle.all))
 
 
 def _print_steps(plan: Plan) -> None:

@@ -48,9 +48,8 @@ def command(ui: Ui, specimen: str, folder: Path, output: Path | None) -> None:
     references = references_of(_loaded(ui, folder, referring), life)
     remarks = [*findings(life, chosen(series), references), *notes]
     if not series_of(analyses, life):
-        remarks.append(
-            _note("no analysis next to these runs has a coefficient that is followed: pmabench process makes them")
-        )
+        none = "no analysis next to these runs has a coefficient that is followed: pmabench process makes them"
+        remarks.append(_note(none))
     title = next(row.specimen for row in rows)
     data = _json(title, life, series, references, remarks)
     if output is not None:
@@ -94,7 +93,7 @@ def _names(text: str) -> set[str]:
     try:
         path = find_file("specimen", text)
     except InvalidFile:
-        return {text}
+        path = Path()
     if not path.is_file():
         return {text}
     specimen = validate(SpecimenFile, read_document(path))
@@ -110,8 +109,7 @@ def _life(ui: Ui, folder: Path, rows: Sequence[Row]) -> tuple[list[Past], list[R
     from pmabench.store.reader import RunFiles, events_of
 
     used: list[tuple[str, str, str, str, str, bool, int, Use]] = []
-    referring = []
-    leaks = []
+    referring, leaks = [], []
     for row in rows:
         try:
             files = RunFiles(folder / row.folder)
@@ -134,7 +132,7 @@ def _cycles_before(manifest: Mapping[str, Any]) -> int:
     """Cycles before the run by its specimen file."""
     specimen = manifest.get("specimen")
     cycles = specimen.get("cycles_before") if isinstance(specimen, Mapping) else 0
-    return int(cycles) if isinstance(cycles, int) and not isinstance(cycles, bool) else 0
+    return cycles if type(cycles) is int else 0
 
 
 def _analyses(ui: Ui, folder: Path, runs: set[str]) -> Iterator[Analysis]:
@@ -197,22 +195,20 @@ def _json(
             }
             for one in series
         ],
-        "references": [_reference(one) for one in references],
-        "findings": [fields(f, "level", "text") for f in remarks],
-    }
-
-
-def _reference(one: References) -> dict[str, Any]:
-    limits = one.chart
-    return {
-        "point": dict(one.point),
-        "strokes": [
-            {"date": date, "cycles": cycles, "trial": trial, "stroke": stroke}
-            for date, cycles, stroke, trial in one.moments
+        "references": [
+            {
+                "point": dict(one.point),
+                "strokes": [
+                    {"date": date, "cycles": cycles, "trial": trial, "stroke": stroke}
+                    for date, cycles, stroke, trial in one.moments
+                ],
+                "limits": None if one.chart is None else fields(one.chart, "centre", "low", "high"),
+                "beyond": [] if one.chart is None else list(one.chart.beyond),
+                "shifted": None if one.chart is None else one.chart.shifted,
+            }
+            for one in references
         ],
-        "limits": None if limits is None else fields(limits, "centre", "low", "high"),
-        "beyond": [] if limits is None else list(limits.beyond),
-        "shifted": None if limits is None else limits.shifted,
+        "findings": [fields(f, "level", "text") for f in remarks],
     }
 
 

@@ -10,6 +10,7 @@ from typing import Any
 import click
 
 from pmabench import __version__
+from pmabench.base.errors import did_you_mean
 from pmabench.cli.common import output_lost, prepare_streams, say
 
 for _threads in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
@@ -141,8 +142,6 @@ class Commands(click.Group):
                 args = [*now, *args[len(former) :]]
                 break
         if args and args[0] not in COMMANDS:
-            from pmabench.base.errors import did_you_mean
-
             ctx.fail(f'no command "{args[0]}"{did_you_mean(args[0], COMMANDS)}')
         return super().resolve_command(ctx, args)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -196,8 +197,6 @@ def _identified(
     seconds: float,
 ) -> Plant | IdentifiedPlant | IdentifiedDrivenPlant:
     """The muscle of an analysis, commanded; ValueError beyond the pressures and contractions that were tested."""
-    from dataclasses import asdict
-
     from pmabench.model import regulator
     from pmabench.model.driven import Actuator
     from pmabench.model.identified.plant import IdentifiedDrivenPlant
@@ -327,8 +326,7 @@ def _drive(text: str | None) -> tuple[float, float, float] | None:
     if match is None:
         raise ValueError(f'"{text}" is no drive; write "20 mm +- 10 mm, 0.5 Hz"')
     mean = within(match["mean"], "length", -0.1, 0.1)
-    amplitude = within(match["amplitude"], "length", 0.0, 0.1)
-    return mean, amplitude, within(match["frequency"], "frequency", 1e-6, FASTEST)
+    return mean, within(match["amplitude"], "length", 0.0, 0.1), within(match["frequency"], "frequency", 1e-6, FASTEST)
 
 
 def _overrides(settings: tuple[str, ...]) -> Overrides:

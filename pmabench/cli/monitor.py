@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from pmabench.base import terminal
 from pmabench.base.errors import Interrupted, UsageError
 from pmabench.cli.common import Ui, common, fields
 from pmabench.cli.names import BENCH, PATH, SPECIMEN
@@ -163,19 +164,12 @@ class _Live:
         }
 
 
-class _Keys:
+class _Keys(deque[str]):
     """Keys pressed since they were taken last; one thread adds (both ends of a deque are safe), another takes."""
-
-    def __init__(self) -> None:
-        self._pressed: deque[str] = deque()
-
-    def add(self, keys: Sequence[str]) -> None:
-        """Add keys that were pressed."""
-        self._pressed.extend(keys)
 
     def taken(self) -> list[str]:
         """Keys pressed since the last call."""
-        return [self._pressed.popleft() for _ in range(len(self._pressed))]
+        return [self.popleft() for _ in range(len(self))]
 
 
 class _AtKeys:
@@ -209,7 +203,6 @@ def _screen(ui: Ui, page: Page, footer: str, *, wanted: bool) -> Iterator[_Keys]
         yield keys
         return
 
-    from pmabench.base import terminal
     from pmabench.display.console import Painter
     from pmabench.display.monitor import monitor_screen
 
@@ -230,7 +223,7 @@ def _screen(ui: Ui, page: Page, footer: str, *, wanted: bool) -> Iterator[_Keys]
                     if keyboard is None:
                         ended.wait(PERIOD)
                         continue
-                    keys.add(keyboard.read(PERIOD))
+                    keys.extend(keyboard.read(PERIOD))
 
         thread = threading.Thread(target=draw, name="pmabench-screen", daemon=True)
         thread.start()

@@ -33,9 +33,9 @@ def cut(text: str) -> str:
     return text if len(text) <= WIDTH else f"{text[: WIDTH - 1]}…"
 
 
-def next_lines(*words: str, indent: int = 8) -> list[str]:
+def next_lines(*words: str) -> list[str]:
     """`next    COMMAND` in lines of at most 80 columns where its words allow it; it can be typed as it is printed."""
-    lines = [f"{'next':<{indent}}{words[0]}"]
+    lines = [f"next    {words[0]}"]
     for word in words[1:]:
         if len(lines[-1]) + len(word) + 3 > WIDTH:
             lines[-1] += " \\"
@@ -111,8 +111,10 @@ def _end(outcome: Outcome, bench: CompiledBench, kind: str, trials: int) -> list
         lines.append(shorten(f"   trials that failed: {numbers}", 80, placeholder=" …"))
     if outcome.vent is not None and not outcome.vent.confirmed:
         lines += [f"   {action}" for action in outcome.vent.actions[:8]]
-        lines.append("   nobody knows that the pressure is gone: stay away, shut the supply by hand,")
-        lines.append("   then  pmabench vent")
+        lines += [
+            "   nobody knows that the pressure is gone: stay away, shut the supply by hand,",
+            "   then  pmabench vent",
+        ]
     if bench.realtime and Station(bench.name).latched():
         lines.append("   the bench is now tripped, and nothing runs on it: look at it first")
     if outcome.folder is not None:

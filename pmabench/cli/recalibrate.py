@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from datetime import UTC, datetime
+from itertools import chain, count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -177,11 +178,8 @@ def _marked(analysis: Analysis, channels: Sequence[dict[str, Any]]) -> Analysis:
 
 
 def _free(folder: Path) -> Path:
-    number, free = 1, folder
-    while free.exists():
-        number += 1
-        free = folder.with_name(f"{folder.name}-{number}")
-    return free
+    others = (folder.with_name(f"{folder.name}-{number}") for number in count(2))
+    return next(place for place in chain([folder], others) if not place.exists())
 
 
 def _with_changes(analysis: Analysis, found: Sequence[Change], who: Mapping[str, str]) -> Analysis:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -81,8 +81,10 @@ def command(
         written = {"path": str(write_file(output, page.text, "the report"))}
     else:
         ui.begin("making the report")
-        analyses, runs = analysed(ui, folders, used, given)
-        written, page = _written(ui, analyses, runs, published, title, issuer, output, pdf, xlsx, long=long)
+        from pmabench.report.document.deviations import Issuer
+
+        about = {"title": title, "published": published, "issuer": Issuer(**issuer)}
+        written, page = _written(ui, *analysed(ui, folders, used, given), output, pdf, xlsx, long=long, **about)
         if key:
             keep(used[0].parent, key, page)
     data: dict[str, Any] = {"schema": "pmabench.report/1", **written, "since": dict(page.since)}
@@ -112,30 +114,20 @@ def analysed(
 
 
 def _written(
-    ui: Ui,
-    analyses: Sequence[Analysis],
-    runs: Sequence[RunData],
-    published: Sequence[Published],
-    title: str | None,
-    issuer: Mapping[str, str],
-    output: Path,
-    pdf: Path | None,
-    xlsx: Path | None,
-    *,
-    long: bool,
-) -> tuple[dict[str, str], KeptPage]:
-    """Write the report in each format that is wanted; what was written, and the page."""
+    ui: Ui, analyses: list[Analysis], runs: list[RunData], output: Path, pdf: Path | None, xlsx: Path | None,
+    *, long: bool, **about: Any,
+) -> tuple[dict[str, str], KeptPage]:  # fmt: skip
+    """Write the report in each format that is wanted, `about` as in `content_of`; what was written, and the page."""
     from pmabench.cli.process import since_lines
     from pmabench.plotting.svg import import_without_3d
     from pmabench.report.document.content import content_of, page_of
-    from pmabench.report.document.deviations import Issuer
     from pmabench.report.writing import KeptPage, write_file
 
     import_without_3d()
     page = KeptPage("", {run.id: run.since.as_data() for run in runs if run.since.sentences}, since_lines(runs))
     for line in page.remarks:
         ui.note(line)
-    content = content_of(analyses, runs, title=title, published=published, issuer=Issuer(**issuer))
+    content = content_of(analyses, runs, **about)
     page = replace(page, text=page_of(content, long=long))
     written = {"path": str(write_file(output, page.text, "the report"))}
     if pdf is not None:

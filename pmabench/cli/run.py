@@ -120,10 +120,8 @@ def run_or_resume(
         from pmabench.cli.watch import start_view
 
         start_view(ui, out or Path("runs"), vent=vent)
-    outcome = execute(
-        ui, prepared, out or Path("runs"), operator_name=operator, yes=yes, continues=continues, session=session,
-        until=until,
-    )  # fmt: skip
+    how: dict[str, Any] = {"operator_name": operator, "yes": yes, "session": session, "until": until}
+    outcome = execute(ui, prepared, out or Path("runs"), continues=continues, **how)
     show_end(ui, outcome, prepared.mounted.bench, prepared.plan.kind, len(prepared.plan.trials))
     if report and outcome.status == "finished" and outcome.folder is not None:
         return _reported(ui, outcome.folder) or outcome.exit_code
@@ -182,18 +180,9 @@ def execute(
         operator, shown = stack.enter_context(_operated(ui, mounted, prepared.plan.kind, yes=yes))
         if asked is not None:
             shown = shown | _chosen(stack.enter_context(choosing(ui, asked, realtime=mounted.bench.realtime)), shown)
-        return run_plan(
-            prepared.plan,
-            mounted,
-            operator,
-            out=out,
-            protocol_text=prepared.protocol_text,
-            deviations=prepared.deviations,
-            operator_name=operator_name,
-            about=about,
-            continues=continues,
-            **shown,
-        )
+        shown = shown | {"protocol_text": prepared.protocol_text, "deviations": prepared.deviations, "about": about}
+        shown |= {"operator_name": operator_name, "continues": continues}
+        return run_plan(prepared.plan, mounted, operator, out=out, **shown)
 
 
 def _chosen(chooser: Until, shown: Mapping[str, Any]) -> dict[str, Any]:
@@ -237,10 +226,8 @@ def _operated(ui: Ui, mounted: Mounted, title: str, *, yes: bool) -> Iterator[tu
 
     display = Display(color=ui.color)
     try:
-        yield (
-            Confirmed(display) if yes else AtDisplay(display, answers=_somebody(mounted)),
-            {"begun": display.start},
-        )
+        operator = Confirmed(display) if yes else AtDisplay(display, answers=_somebody(mounted))
+        yield operator, {"begun": display.start}
     finally:
         before = signal.signal(signal.SIGINT, signal.SIG_IGN)  # all is vented and recorded: one more changes nothing
         display.close()
@@ -264,10 +251,8 @@ def _operator(mounted: Mounted, *, yes: bool) -> Operator:
             rewrite()
         click.echo(text, err=True)
 
-    if yes:
-        return ConfirmedBeforehand()
-    if not _somebody(mounted):
-        return Nobody()
+    if yes or not _somebody(mounted):
+        return ConfirmedBeforehand() if yes else Nobody()
     return InLines(write) if mounted.bench.realtime else AtTerminal(input, write)
 
 
@@ -293,23 +278,17 @@ def continue_(ui: Ui, run: Path | None, out: Path, operator: str, because: str, 
     left, what_next = _left(folder, data)
     tripped = _tripped(data)
     ui.note(_happened(data, left, tripped))
-    if tripped is not None:
-        code = _reset(tripped, operator, because, yes=yes)
-        if code:
-            return code
+    if tripped is not None and (code := _reset(tripped, operator, because, yes=yes)):
+        return code
     if not left:
-        ui.result({"schema": "pmabench.continue/1", "run": str(folder), "next": what_next}, lambda: say_next(what_next))
+        data_next = {"schema": "pmabench.continue/1", "run": str(folder), "next": what_next}
+        ui.result(data_next, lambda: click.echo(f"next    {what_next}"))
         return 0
     until = (data.manifest.get("until") or {}).get("goal")
     question = f"Go on choosing trials until {until}?" if until else f"Do the {left} trials that are left now?"
     if not yes and not _agreed(question, f"pmabench run --resume {typed(folder.resolve())}"):
         return 0
     return run_or_resume(ui, (None, None, None), resume=folder, operator=operator, yes=yes)
-
-
-def say_next(line: str) -> None:
-    """The command that comes next, or why there is none."""
-    click.echo(f"next    {line}")
 
 
 def _newest(out: Path) -> Path:
@@ -361,11 +340,9 @@ def _tripped(data: RunData) -> str | None:
     from pmabench.guard.station import stations
 
     name = data.manifest.get("bench")
-    for station in stations():
-        saved = station.read("bench")
-        if saved.get("name") == name and saved.get("realtime") and station.latched():
-            return str(name)
-    return None
+    known = ((station, station.read("bench")) for station in stations())
+    mine = (station for station, saved in known if saved.get("name") == name and saved.get("realtime"))
+    return str(name) if any(station.latched() for station in mine) else None
 
 
 def _reset(bench: str, operator: str, because: str, *, yes: bool) -> int:

@@ -130,8 +130,7 @@ def _print_run(data: RunData, after: Mapping[str, str]) -> None:
         click.echo(f"  trial {t.number:<6} {t.status:12} {point_text(t.point)}{reference}")
     for channel in data.channels.values():
         click.echo(f"  {channel.name:18} [{channel.unit}]  calibration {channel.calibration or 'none'}")
-    result = vented(data)
-    if result:
+    if result := vented(data):
         click.echo(f"  {'vent':12} {result}")
     _print_rest(data)
     for entry in unresolved_of(data):
@@ -186,18 +185,15 @@ def trials_left(data: RunData) -> int:
 
 def _print_rest(data: RunData) -> None:
     """What only some runs have: a vent by the guard, clocks of their own, notes."""
-    guard = data.manifest.get("guard") or {}
-    if guard:
+    if guard := data.manifest.get("guard") or {}:
         vent = guard.get("vent")
         result = vent.get("result") if isinstance(vent, dict) else None
         click.echo(f"  {'guard':12} the bench was vented after the program died: {result or 'not reported'}")
         click.echo(f"  {'':12} {guard.get('cause', '')}".rstrip())
     for name, clock in data.clocks.items():
         if clock.how != "stated equal":
-            relation = (
-                f"offset {clock.offset:.6g} s, drift {1e6 * clock.drift:.3g} ppm, ± {1e3 * clock.uncertainty:.3g} ms"
-            )
-            click.echo(f"  {'clock':12} {name}: {relation} ({clock.how})")
+            drift, uncertainty = f"drift {1e6 * clock.drift:.3g} ppm", f"± {1e3 * clock.uncertainty:.3g} ms"
+            click.echo(f"  {'clock':12} {name}: offset {clock.offset:.6g} s, {drift}, {uncertainty} ({clock.how})")
     for name, how in data.interpolated.items():
         click.echo(f"  {name:18} {how}")
     for note in data.notes:
@@ -231,7 +227,7 @@ def verify_runs(ui: Ui, runs: tuple[Path, ...]) -> int | None:
 
     def human() -> None:
         for run, findings in wrong.items():
-            state = [_counted(len(findings), "finding") if findings else "whole"]
+            state = [f"{len(findings)} finding{'s'[: len(findings) > 1]}" if findings else "whole"]
             state += [f"{len(added[run])} added"] if added[run] else []
             state += [f"{len(late[run])} late"] if late[run] else []
             click.echo(f"{run}: {', '.join(state)}")
@@ -253,10 +249,6 @@ def _verified(folder: Path) -> list[Finding]:
         return verify(folder)
     except InvalidFile as error:
         return [Finding(Path(problem.path).name, problem.message) for problem in error.problems]
-
-
-def _counted(number: int, word: str) -> str:
-    return f"{number} {word}{'' if number == 1 else 's'}"
 
 
 @click.command(name="note")

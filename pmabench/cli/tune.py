@@ -170,8 +170,7 @@ def _ultimate_text(gain: Estimate, period: Estimate) -> str:
     """Operating point, K_u and T_u with their intervals, and where they come from."""
     from pmabench.store.analyses.results import POINT_QUANTITIES
 
-    names = [name for name in POINT_QUANTITIES if name in gain.at]
-    where = ", ".join(f"{name} {show(gain.at[name], POINT_QUANTITIES[name])}" for name in names)
+    where = ", ".join(f"{name} {show(gain.at[name], of)}" for name, of in POINT_QUANTITIES.items() if name in gain.at)
     values = []
     for estimate in (gain, period):
         half = estimate.parts.combined
@@ -250,24 +249,20 @@ def _print(ui: Ui, gains: tuple[Gains, ...]) -> None:
             return f"{estimate.value:.4g} {estimate.unit if estimate.unit != '1' else ''}".strip()
         return quantity.show(estimate.value, 4)
 
-    known = any(row.margins is not None for row in gains)
     heads = ["rule", "K_p", "T_i", "T_d", "K_i", "K_d"]
-    heads += ["M_s", "gain margin", "phase margin", "overshoot", "settling"] if known else []
+    if any(row.margins is not None for row in gains):
+        heads += ["M_s", "gain margin", "phase margin", "overshoot", "settling"]
     rows = []
     for row in gains:
         cells = [cell(e) for e in (row.K_p, row.T_i, row.T_d, row.K_i, row.K_d)]
-        if known and row.margins is None:
-            cells += [""] * 5
-        elif row.margins is not None:
+        if row.margins is not None:
             cells += [f"{row.margins.M_s:.2f}", f"{row.margins.gain_margin:.2f}"]
             cells.append(QUANTITIES["angle"].show(row.margins.phase_margin, 3))
-            answer = ["", ""]
             if row.answer is not None:
                 overshoot, settling = row.answer.overshoot, row.answer.settling
-                answer = [f"{100 * overshoot:.0f} %" if isfinite(overshoot) else "unstable"]
-                answer += [f"{settling:.3g} s" if isfinite(settling) else "never"]
-            cells += answer
-        rows.append([row.rule.title, *cells])
+                cells.append(f"{100 * overshoot:.0f} %" if isfinite(overshoot) else "unstable")
+                cells.append(f"{settling:.3g} s" if isfinite(settling) else "never")
+        rows.append([row.rule.title, *cells, *[""] * (len(heads) - 1 - len(cells))])
     print_grid(ui.console(), heads, rows, ("rule",))
 
 

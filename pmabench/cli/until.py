@@ -120,8 +120,7 @@ def choosing(ui: Ui, asked: Asked, *, realtime: bool) -> Iterator[Until]:
     if not realtime:
         yield Until(ui, asked, None)
         return
-    context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(1, context, _begin)
+    pool = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), _begin)
     try:
         yield Until(ui, asked, pool)
     finally:

@@ -273,9 +273,7 @@ def _pair(value: float, half: float | None, digits: int) -> str:
 
 def _decimals(number: float, digits: int) -> int:
     """Decimals (negative: left of the point) that show `number` with so many significant digits."""
-    if number == 0:
-        return digits - 1
-    return digits - 1 - Decimal(f"{abs(number):.{digits - 1}e}").adjusted()
+    return digits - 1 if number == 0 else digits - 1 - Decimal(f"{abs(number):.{digits - 1}e}").adjusted()
 
 
 def _fixed(number: float, decimals: int) -> str:

@@ -73,8 +73,7 @@ def symbols_marked(text: object) -> Any:
     from markupsafe import Markup
 
     tags = {"symbol": ("<i>", "</i>"), "sub": ("<sub>", "</sub>"), "text": ("", "")}
-    parts = symbol_parts(str(text))
-    return Markup("".join(f"{tags[kind][0]}{escape(part)}{tags[kind][1]}" for kind, part in parts))  # noqa: S704
+    return Markup("".join(escape(part).join(tags[kind]) for kind, part in symbol_parts(str(text))))  # noqa: S704
 
 
 def css_text(text: object) -> Any:

@@ -27,6 +27,7 @@ from pmabench.plotting.wording import (
     half_width,
     in_order,
     number,
+    point_head,
     point_shown,
     point_text,
     printed,
@@ -34,7 +35,7 @@ from pmabench.plotting.wording import (
     shown,
     symbol_text,
 )
-from pmabench.report.document.provenance import get
+from pmabench.report.document.provenance import get, span
 from pmabench.report.document.tables import is_number, mappings
 from pmabench.report.foremost import costliest, left_out
 from pmabench.report.words import reverses
@@ -128,11 +129,8 @@ def sources(members: Sequence[Estimate], over: str) -> Sources | None:
     places = sorted({e.at.get(over, 0.0) for e in known})
     if not places:
         return None
-    middle = places[len(places) // 2]
-    here = {e.symbol: e for e in known if e.at.get(over, 0.0) == middle}
+    here = {e.symbol: e for e in known if e.at.get(over, 0.0) == places[len(places) // 2]}
     bars = [_bar(e) for e in list(here.values())[:BARS]]
-    if not bars:
-        return None
     used = {cause for bar in bars for cause, _, _ in bar.pieces}
     at = next(iter(here.values())).at
     where = point_text({over: at[over]} if over in at else at)
@@ -195,12 +193,8 @@ def coverage(analysis: Analysis, runs: Sequence[RunData]) -> Coverage | None:
     """The matrix of one analysis; None where its trials name no operating point."""
     used, left = _counts(analysis, runs)
     every = [dict(point) for point in (*used, *left)]
-    names = [
-        name
-        for name in in_order((key for point in every for key in point), POINTS)
-        if name not in FOLLOWING and len({point.get(name) for point in every}) > 1
-    ]
-    names = names or in_order((key for point in every for key in point if key not in FOLLOWING), POINTS)[:1]
+    all_names = in_order((key for point in every for key in point if key not in FOLLOWING), POINTS)
+    names = [n for n in all_names if len({point.get(n) for point in every}) > 1] or all_names[:1]
     if not names:
         return None
     across = "pressure" if "pressure" in names else names[0]
@@ -212,15 +206,12 @@ def coverage(analysis: Analysis, runs: Sequence[RunData]) -> Coverage | None:
     columns, rows = columns[:: -(-len(columns) // MOST_COLUMNS)], rows[:: -(-len(rows) // MOST_ROWS)]
 
     def box(row: float, column: float) -> Box:
-        def there(key: Key) -> bool:
-            at = dict(key)
-            return at.get(across) == column and (not down or at.get(down) == row)
-
-        return Box(*(sum(n for key, n in counts.items() if there(key)) for counts in (used, left)))
+        here = {(across, column), *([(down, row)] if down else [])}
+        return Box(*(sum(n for key, n in counts.items() if here <= set(key)) for counts in (used, left)))
 
     return Coverage(
-        _head(down) if down else "",
-        _head(across),
+        point_head(down) if down else "",
+        point_head(across),
         [_value(across, column) for column in columns],
         [(_value(down, row) if down else "all", [box(row, column) for column in columns]) for row in rows],
         used.total(),
@@ -251,11 +242,6 @@ def _free_runs(analysis: Analysis) -> Iterator[tuple[Key, int]]:
 
 def _key(point: Point) -> Key:
     return tuple(sorted((k, float(f"{v:.6g}")) for k, v in point.items() if k not in FOLLOWING))
-
-
-def _head(name: str) -> str:
-    label, unit = point_shown(name)
-    return unit.label(label)
 
 
 def _value(name: str, value: float) -> str:
@@ -295,11 +281,8 @@ def _range(analysis: Analysis | None, runs: Sequence[RunData]) -> Line | None:
     parts = []
     for name in in_order((key for point in points for key in point if key in POINTS), POINTS):
         values = [point[name] for point in points if is_number(point.get(name))]
-        if name in FOLLOWING or not values:
-            continue
-        label, unit = point_shown(name)
-        low, high = (number(float(f"{v / unit.scale:.4g}")) for v in (min(values), max(values)))
-        parts.append(f"{label} {low if low == high else f'{low} to {high}'} {unit.unit}".rstrip())
+        if name not in FOLLOWING and values:
+            parts.append(span(name, values, " "))
     return ("Range", f"outside {', '.join(parts[:MOST_RANGES])}") if parts else None
 
 

@@ -86,8 +86,7 @@ def verdict_of(
     given.
     """
     faults, doubts = (sum(f.level == level for a in analyses for f in a.findings) for level in ("fault", "doubt"))
-    unfinished = sum(run.status != "finished" for run in runs)
-    ended = (unfinished, "run did not finish", "runs did not finish")
+    ended = (sum(run.status != "finished" for run in runs), "run did not finish", "runs did not finish")
     counts = ((len(failed), "reason", "reasons"), (faults, "fault", "faults"), ended, (doubts, "doubt", "doubts"))
     reasons = [f"{count} {one if count == 1 else several}" for count, one, several in counts if count]
     if not any(e.value is not None or e.withheld for a in analyses for e in a.estimates):

@@ -94,6 +94,4 @@ def grid(frame: Frame, caption: str = "", *, group: bool | None = None) -> Grid:
 
 def _cell(text: str, align: str) -> Cell:
     pair = _PAIR.fullmatch(text) if align == "pair" else None
-    if pair:
-        return Cell(pair[1], pair[2])
-    return Cell(text, muted=text in MUTED)
+    return Cell(pair[1], pair[2]) if pair else Cell(text, muted=text in MUTED)

@@ -174,9 +174,8 @@ class _Data:
         return [[symbol_parts(head), symbol_parts(text)] for head, text in items if text]
 
     def grid(self, grid: Grid, caption: str = "") -> dict[str, Any]:
-        full_caption = "; ".join(part for part in (caption, grid.caption) if part)
         return {
-            "caption": symbol_parts(full_caption),
+            "caption": symbol_parts("; ".join(part for part in (caption, grid.caption) if part)),
             "columns": [{"head": symbol_parts(column.head), "align": column.align} for column in grid.columns],
             "groups": [
                 {
@@ -248,8 +247,7 @@ def packed(data: bytes) -> bytes:
     trailer = _TRAILER.search(data[-4096:])
     if trailer is None or b"/Encrypt" in trailer[1] or b"/Prev" in trailer[1]:
         return data
-    table = int(trailer[2])
-    objects = _objects(data, table)
+    objects = _objects(data, int(trailer[2]))
     if not objects:
         return data
     out = bytearray(data[: min(offset for offset, _ in objects.values())])
@@ -301,8 +299,7 @@ def _objects(data: bytes, table: int) -> dict[int, tuple[int, bytes]]:
     ):
         return {}
     offsets = {n: int(entry[0]) for n, entry in enumerate(entries) if entry[2] == b"n"}
-    ends = sorted([*offsets.values(), table])
-    after = dict(pairwise(ends))
+    after = dict(pairwise(sorted([*offsets.values(), table])))
     found = {}
     for number, offset in offsets.items():
         text = data[offset : after[offset]]

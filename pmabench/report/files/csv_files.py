@@ -65,9 +65,7 @@ def csv_text(rows: Sequence[Mapping[str, Any]], heads: Sequence[str]) -> str:
 
 
 def _cell(value: Any) -> Any:
-    if value is None or value != value:
-        return ""
-    return inert(value)
+    return "" if value is None or value != value else inert(value)
 
 
 def inert(value: Any) -> Any:

@@ -91,8 +91,7 @@ def _scores(differences: Sequence[Difference], *, simulated: bool) -> Picture | 
         return None
 
     def draw() -> Figure:
-        figure = plots.blank(plots.FULL, 0.75 + 0.2 * len(names))
-        axes = figure.add_subplot(plots.grid(figure, 1, 1, left=1.9, bottom=0.42, top=0.1)[0])
+        figure, axes = plots.one_axes(plots.FULL, 0.75 + 0.2 * len(names), left=1.9, bottom=0.42, top=0.1)
         axes.axvspan(-1, 1, color=plots.FAINT, alpha=0.25, linewidth=0)
         axes.axvline(0, color=plots.QUIET, linewidth=0.6)
         for row, name in enumerate(names):
@@ -102,9 +101,7 @@ def _scores(differences: Sequence[Difference], *, simulated: bool) -> Picture | 
                 color = plots.BLUE if abs(score) <= 1 else plots.FAULT
                 axes.plot(max(-FAR, min(FAR, score)), row, mark, color=color, markersize=4, clip_on=False)
         axes.set_yticks(range(len(names)), names)
-        axes.set_ylim(len(names) - 0.4, -0.6)
-        axes.set_xlim(-FAR, FAR)
-        axes.set_xlabel("E_n")
+        axes.set(xlabel="E_n", xlim=(-FAR, FAR), ylim=(len(names) - 0.4, -0.6))
         return figure
 
     every = [score for name in names for score in scores[name]]
