@@ -33,9 +33,9 @@ def cut(text: str) -> str:
     return text if len(text) <= WIDTH else f"{text[: WIDTH - 1]}…"
 
 
-def next_lines(*words: str) -> list[str]:
+def next_lines(*words: str, indent: int = 8) -> list[str]:
     """`next    COMMAND` in lines of at most 80 columns where its words allow it; it can be typed as it is printed."""
-    lines = [f"next    {words[0]}"]
+    lines = [f"{'next':<{indent}}{words[0]}"]
     for word in words[1:]:
         if len(lines[-1]) + len(word) + 3 > WIDTH:
             lines[-1] += " \\"
