@@ -126,9 +126,8 @@ def _about(device: DeviceRecord, identity: Identity) -> dict[str, Any]:
 
 def _print_probe(ui: Ui, identities: dict[str, dict[str, Any]], channels: Sequence[dict[str, Any]]) -> None:
     console = ui.console()
-    rows = [
-        [name, f"{i['maker']} {i['model']}", i["serial"], i["firmware"], _proven(i)] for name, i in identities.items()
-    ]
+    known = identities.items()
+    rows = [[name, f"{i['maker']} {i['model']}", i["serial"], i["firmware"], _proven(i)] for name, i in known]
     print_texts(console, ["device", "answers as", "serial", "firmware", ""], rows)
     if not channels:
         return
@@ -315,9 +314,8 @@ def _print_reading(record: ChannelRecord, reading: Reading, data: Mapping[str, A
         return show(value, record.quantity, digits)
 
     raw = "" if data["raw"] is None else f"{data['raw']:.6g}"
-    click.echo(
-        f"{record.name}  {shown(reading.mean, 6)}   raw {raw} {record.raw_unit}   {record.device}.{record.input}"
-    )
+    wire = f"{record.device}.{record.input}"
+    click.echo(f"{record.name}  {shown(reading.mean, 6)}   raw {raw} {record.raw_unit}   {wire}")
     if data["noise"] is not None:
         noise, drift = shown(reading.noise, 2), shown(reading.drift, 2)
         click.echo(f"mean of {reading.count} samples at {data['rate']:g} Hz; noise {noise} rms, drift {drift}")
@@ -378,9 +376,7 @@ class _Lines:
         """Called ten times a second of bench time."""
         if time.monotonic() >= self._due:
             self._due = time.monotonic() + SHOWN
-            measured = "   ".join(
-                f"{name} {show(one.mean(), CHANNEL_QUANTITY[name], 4)}" for name, one in series.items()
-            )
-            self._ui.note(f"{work.settings()}   measured {measured}")
+            means = (f"{name} {show(one.mean(), CHANNEL_QUANTITY[name], 4)}" for name, one in series.items())
+            self._ui.note(f"{work.settings()}   measured {'   '.join(means)}")
         if self._paced and not work.executor.bench.realtime:
             time.sleep(PIECE)

@@ -181,14 +181,12 @@ def _print(ui: Ui, plan: Plan, summary: dict[str, Any], warnings: list[str]) -> 
     asks, session = sum(step.kind == "ask" for step in plan.steps), summary["session"]
     if session is not None and session["due"]:
         asks += session["hands"]
-    console.print(
-        f"  length    {length}, without the operator's time; hands are needed {asks} time{'' if asks == 1 else 's'}"
-    )
+    times = "1 time" if asks == 1 else f"{asks} times"
+    console.print(f"  length    {length}, without the operator's time; hands are needed {times}")
     if session is not None and session["due"]:
-        parts, least = ", ".join(session["parts"]) or "nothing in it", in_words(session["shortest"])
-        console.print(
-            f"            the session before it is in that: {parts}, at least {least}, hands {session['hands']}"
-        )
+        parts = ", ".join(session["parts"]) or "nothing in it"
+        least = f"at least {in_words(session['shortest'])}, hands {session['hands']}"
+        console.print(f"            the session before it is in that: {parts}, {least}")
     elif session is not None:
         console.print("            no session before it: the last one still counts")
     console.print(

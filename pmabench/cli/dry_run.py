@@ -145,9 +145,8 @@ def _intervals(found: list[dict[str, Any]]) -> Iterator[str]:
             share = one["half"] / abs(one["value"])
             widest[one["symbol"]] = max(share, widest.get(one["symbol"], 0.0))
     if widest:
-        yield cut(
-            "   intervals of at most " + ", ".join(f"{symbol} {100 * share:.2g} %" for symbol, share in widest.items())
-        )
+        shares = ", ".join(f"{symbol} {100 * share:.2g} %" for symbol, share in widest.items())
+        yield cut(f"   intervals of at most {shares}")
 
 
 def _slow(mounted: Mounted) -> bool:
@@ -277,9 +276,8 @@ def of_analysis(folder: Path, specimen: SpecimenFile, highest: float) -> Predict
     for analysis in analyses:
         if (expected := _expected(analysis, folder.name)) is not None:
             return as_expected(expected, specimen, highest, f"{mark}analysis {folder.name}: {analysis.kind}")
-    raise UsageError(
-        f"{folder} says too little of the muscle: F_ce, K, B_c and B_r at two pressures are needed, or a surface"
-    )
+    needed = "F_ce, K, B_c and B_r at two pressures are needed, or a surface"
+    raise UsageError(f"{folder} says too little of the muscle: {needed}")
 
 
 def _expected(analysis: Analysis, name: str) -> ExpectedFile | None:
@@ -303,11 +301,8 @@ def _expected(analysis: Analysis, name: str) -> ExpectedFile | None:
     for pressure, row in sorted(table.items()):
         damping = [row[symbol] for symbol in ("B_c", "B_r") if symbol in row]
         if {"F_ce", "K"} <= set(row) and damping:
-            points.append(
-                ExpectedPoint.model_construct(
-                    pressure=pressure, F_ce=row["F_ce"], K=row["K"], B_c=damping[0], B_r=damping[-1]
-                )
-            )
+            known = {"pressure": pressure, "F_ce": row["F_ce"], "K": row["K"], "B_c": damping[0], "B_r": damping[-1]}
+            points.append(ExpectedPoint.model_construct(**known))
     if len(points) < FEWEST_POINTS:
         return None
     return ExpectedFile.model_construct(source=f"analysis {name}", F_c=friction, points=points)

@@ -75,13 +75,9 @@ def next_to(ui: Ui, folder: Path, run_folder: Path, number: int | None, *, as_cs
     trials = [trial for trial in run.trials if number in (None, trial.number)]
     if not trials:
         raise UsageError(f"--trial {number}: {run_folder} has trials 1 to {len(run.trials)}")
-    found, refused = [], []
-    for trial in trials:
-        one = replayed(model, run, trial)
-        if isinstance(one, str):
-            refused.append(f"trial {trial.number} is left out: {one}")
-        else:
-            found.append(one)
+    replays = [(trial, replayed(model, run, trial)) for trial in trials]
+    found = [one for _, one in replays if not isinstance(one, str)]
+    refused = [f"trial {trial.number} is left out: {one}" for trial, one in replays if isinstance(one, str)]
     if not found:
         raise UsageError(f"{run_folder}: " + "; ".join(dict.fromkeys(refused)))
     columns = _samples(found[0]) if number is not None else _errors(found)

@@ -143,9 +143,8 @@ def _tuned(pairs: Pairs, rules: tuple[Rule, ...]) -> list[tuple[Estimate, Estima
     except ValueError as error:
         raise UsageError(str(error)) from error
     if found and not any(gains for _, _, gains in found):
-        raise UsageError(
-            f"{rules[0].name} needs the loop itself: give --dead-time and --lag, --steps RUN... or --analysis FOLDER"
-        )
+        ways = "give --dead-time and --lag, --steps RUN... or --analysis FOLDER"
+        raise UsageError(f"{rules[0].name} needs the loop itself: {ways}")
     return found
 
 
@@ -185,9 +184,8 @@ def _gain(ui: Ui, text: str) -> Estimate:
     value, bare = _quantity("--ku", text, "gain", 1e-30)
     if not bare:
         return Estimate("K_u", value, "Pa/m", "gain", "given")
-    ui.note(
-        f'--ku {text}: taken without a unit; K_p comes out in the same unknown unit (write "7.1 bar/cm" to know it)'
-    )
+    why = 'K_p comes out in the same unknown unit (write "7.1 bar/cm" to know it)'
+    ui.note(f"--ku {text}: taken without a unit; {why}")
     return Estimate("K_u", value, "1", "count", "given")
 
 
@@ -332,10 +330,9 @@ def by_runs(ui: Ui, runs: Sequence[Path], where: Where) -> Analysis:
 
 
 def _found(path: Path, analysis: Analysis, where: Where, period: float) -> Analysis:
+    make = load(next(iter(registry.with_part(PART).values())).parts[PART])
     try:
-        made: Analysis = load(next(iter(registry.with_part(PART).values())).parts[PART])(
-            analysis, where.setpoints, where.load, where.mass, period
-        )
+        made: Analysis = make(analysis, where.setpoints, where.load, where.mass, period)
     except ValueError as error:
         raise invalid(path, str(error)) from error
     return made

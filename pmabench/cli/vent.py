@@ -79,9 +79,8 @@ def _find(bench: str | None) -> Iterator[tuple[Station, dict[str, Any]]]:
         used = [(s, saved) for s, saved in known if s.read("guard") or s.latched()]
         if not used:
             names = ", ".join(f'"{saved["name"]}"' for _, saved in known if saved)
-            raise UsageError(
-                f"no bench is in use{f'; known here: {names}' if names else ' and none was ever armed here'}"
-            )
+            there = f"; known here: {names}" if names else " and none was ever armed here"
+            raise UsageError(f"no bench is in use{there}")
         yield from used
         return
     path = Path(bench)
