@@ -301,8 +301,8 @@ def _expected(analysis: Analysis, name: str) -> ExpectedFile | None:
     for pressure, row in sorted(table.items()):
         damping = [row[symbol] for symbol in ("B_c", "B_r") if symbol in row]
         if {"F_ce", "K"} <= set(row) and damping:
-            known = {"pressure": pressure, "F_ce": row["F_ce"], "K": row["K"], "B_c": damping[0], "B_r": damping[-1]}
-            points.append(ExpectedPoint.model_construct(**known))
+            known: dict[str, Any] = {"pressure": pressure, "F_ce": row["F_ce"], "K": row["K"]}
+            points.append(ExpectedPoint.model_construct(**known, B_c=damping[0], B_r=damping[-1]))
     if len(points) < FEWEST_POINTS:
         return None
     return ExpectedFile.model_construct(source=f"analysis {name}", F_c=friction, points=points)

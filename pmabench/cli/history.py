@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -78,11 +79,9 @@ def _of_specimen(text: str, folder: Path) -> tuple[list[Row], list[Finding]]:
     if not mine:
         known = ", ".join(sorted({row.specimen for row in rows if row.specimen})) or "none"
         raise invalid(folder, f'holds no run of "{text}"; the specimens of its runs: {known}')
-    real = [row for row in mine if not row.simulated]
+    real = [row for row in mine if not row.simulated] or mine
     left_out = len(mine) - len(real)
-    if real and left_out:
-        return real, [_note(f"{left_out} simulated runs of this specimen are left out")]
-    return mine, []
+    return real, [_note(f"{left_out} simulated runs of this specimen are left out")] if left_out else []
 
 
 def _names(text: str) -> set[str]:
@@ -90,10 +89,9 @@ def _names(text: str) -> set[str]:
     from pmabench.bench.files.specimen import SpecimenFile
     from pmabench.files.document import read_document, validate
 
-    try:
+    path = Path()
+    with suppress(InvalidFile):
         path = find_file("specimen", text)
-    except InvalidFile:
-        path = Path()
     if not path.is_file():
         return {text}
     specimen = validate(SpecimenFile, read_document(path))

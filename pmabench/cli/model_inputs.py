@@ -61,8 +61,10 @@ def read_inputs(
                 problems.append(f"{word} {key}: given twice")
             else:
                 try:
-                    into, read = (given, _value) if word == option else (table, _axis)
-                    into[key] = read(parameters[key], text)
+                    if word == option:
+                        given[key] = _value(parameters[key], text)
+                    else:
+                        table[key] = _axis(parameters[key], text)
                 except ValueError as error:
                     problems.append(f"{word} {key}: {error}")
     rows = math.prod(len(axis) for axis in table.values())

@@ -83,8 +83,8 @@ def command(
         ui.begin("making the report")
         from pmabench.report.document.deviations import Issuer
 
-        about = {"title": title, "published": published, "issuer": Issuer(**issuer)}
-        written, page = _written(ui, *analysed(ui, folders, used, given), output, pdf, xlsx, long=long, **about)
+        said: dict[str, Any] = {"title": title, "published": published, "issuer": Issuer(**issuer)}
+        written, page = _written(ui, *analysed(ui, folders, used, given), output, pdf, xlsx, long=long, **said)
         if key:
             keep(used[0].parent, key, page)
     data: dict[str, Any] = {"schema": "pmabench.report/1", **written, "since": dict(page.since)}

@@ -29,7 +29,9 @@ from pmabench.base.quantities import in_words, show
 from pmabench.cli.common import Ui, common, read_quantity, write_text
 from pmabench.cli.names import FILE, RunFolder
 from pmabench.engine.choosing import CHANGED, Chosen, NoMore
+from pmabench.files.quantity import parse_quantity
 from pmabench.protocol.plan import TrialRecord
+from pmabench.store.folder import MANIFEST
 
 if TYPE_CHECKING:
     from pmabench.analysis.next_trial import Goal
@@ -175,7 +177,6 @@ _GOAL = re.compile(r"\s*([A-Za-z][A-Za-z_]*)\s*[= ]\s*(.+?)\s*")
 def goals_of(text: str, kind: Kind) -> tuple[Goal, ...]:
     """The goals in `text`; UsageError where a coefficient is none of the kind's, or a size is none of its."""
     from pmabench.analysis.next_trial import SWEEP, Goal
-    from pmabench.files.quantity import parse_quantity
 
     if match := _SWEEP.fullmatch(text):
         sweeps = float(match.group(1))
@@ -249,7 +250,6 @@ def _runs(ui: Ui, sources: Sequence[Path]) -> tuple[list[RunData], Kind]:
     from pmabench.cli.process import load_runs
     from pmabench.kinds import registry
     from pmabench.store.analyses.folder import runs_of
-    from pmabench.store.folder import MANIFEST
 
     folders = [run for path in sources for run in ([path] if (path / MANIFEST).is_file() else runs_of(path))]
     if not folders:

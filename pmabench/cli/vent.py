@@ -17,6 +17,7 @@ import click
 from pmabench.base.errors import LimitRefused, PmaError, UsageError, did_you_mean
 from pmabench.cli.common import Ui, common, login_name
 from pmabench.cli.names import BENCH
+from pmabench.files.shipped import find_file
 from pmabench.guard.station import Station, stations
 from pmabench.guard.wire import Messages, encode, keys
 
@@ -103,7 +104,6 @@ def _find(bench: str | None) -> Iterator[tuple[Station, dict[str, Any]]]:
 def _from_file(bench: str, known: list[str]) -> tuple[Station, dict[str, Any]]:
     """A bench that was never armed here, from its file."""
     from pmabench.bench.compile import mount_alone
-    from pmabench.files.shipped import find_file
 
     try:
         path = find_file("bench", bench)

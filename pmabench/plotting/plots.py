@@ -358,7 +358,7 @@ def load_points(points: Panel, curves: Sequence[tuple[str, Array, Array]], label
     load = points.columns["load"]
     for name, key, color, marker in (("lift-off", "lift", BROWN, "^"), ("set-down", "set_down", GREEN, "v")):
         if key in points.columns:
-            look = {"color": color, "markerfacecolor": "white", "markeredgewidth": 0.9}
+            look: dict[str, Any] = {"color": color, "markerfacecolor": "white", "markeredgewidth": 0.9}
             axes.plot(points.columns[key], load, marker, label=name, **look)
     axes.set(xlabel=labels["x"], ylabel=labels["y"])
     axes.legend(loc="upper left")

@@ -165,8 +165,8 @@ def _energy(mine: Sequence[Estimate], rate: str, simulated: bool) -> Picture:
     series: list[Series] = []
     for place in kept:
         for symbol in SYMBOLS:
-            here = [e for e in mine if e.symbol == symbol and _where(e, rate, alike) == place]
-            members = sorted(here, key=lambda e: e.at[rate])
+            there = [e for e in mine if e.symbol == symbol and _where(e, rate, alike) == place]
+            members = sorted(there, key=lambda e: e.at[rate])
             scales = np.array([shown(e.quantity, e.unit).scale for e in members])
             values = np.array([e.value or 0.0 for e in members]) / scales
             halves = np.array([e.parts.combined or 0.0 for e in members]) / scales
