@@ -37,7 +37,7 @@ def named_model(name: str) -> Model:
 
     known = models()
     if name not in known and Path(name).is_dir():
-        from pmabench.cli.model_surface import surface_model
+        from pmabench.cli.model_plants import surface_model
 
         return surface_model(Path(name))
     if name not in known:

@@ -14,8 +14,7 @@ from pmabench.base.errors import UsageError, did_you_mean
 from pmabench.base.quantities import show
 from pmabench.cli.common import Ui, common
 from pmabench.cli.model_inputs import column_of, show_columns
-from pmabench.cli.model_several import DRIVE, PLANTS, simulate_several, within
-from pmabench.cli.model_surface import described_by, next_to
+from pmabench.cli.model_plants import DRIVE, PLANTS, described_by, next_to, simulate_several, within
 from pmabench.cli.names import RunFolder
 
 if TYPE_CHECKING:

@@ -14,10 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from pmabench.plotting.chart import MOST_POINTS, Chart, Series, with_common_sides
-from pmabench.plotting.frame import Frame
 from pmabench.plotting.pictures import Picture, column, has, head, label, numbers, of_charts, spread, unit_of
 from pmabench.plotting.plots import BLUE, BROWN, FAINT, QUIET, Array
-from pmabench.plotting.wording import half_width, rounded
+from pmabench.plotting.wording import Frame, half_width, rounded
 from pmabench.report.bends import slopes_of
 from pmabench.report.document.tables import is_number, mappings
 from pmabench.report.figures.characteristic_figures import FIGURE, MODELS, by_pressure

@@ -5,8 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-from pmabench.plotting.frame import Frame
-from pmabench.plotting.wording import AT_MOST, UNRESOLVED, WITHHELD
+from pmabench.plotting.wording import AT_MOST, UNRESOLVED, WITHHELD, Frame
 
 MOST_ROWS = 600
 BRIEF = 32

@@ -14,8 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from pmabench import __version__
-from pmabench.plotting.frame import Frame
-from pmabench.plotting.wording import POINTS, clean, in_order, number, point_shown, shown
+from pmabench.plotting.wording import POINTS, Frame, clean, in_order, number, point_shown, shown
 from pmabench.report.words import described, kind_title
 from pmabench.store.analyses.results import AGREEMENT, Analysis
 from pmabench.store.folder import is_regular, sha256_of

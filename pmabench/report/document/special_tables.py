@@ -9,8 +9,17 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from pmabench.analysis.verdict.checks import NAMES, checks_of
-from pmabench.plotting.frame import Frame
-from pmabench.plotting.wording import clean, half_width, number, point_shown, point_text, rounded, shown, symbol_text
+from pmabench.plotting.wording import (
+    Frame,
+    clean,
+    half_width,
+    number,
+    point_shown,
+    point_text,
+    rounded,
+    shown,
+    symbol_text,
+)
 from pmabench.report.document.provenance import get
 from pmabench.report.document.tables import Table, half_of, is_number, least, mappings, note_text, numbers_of
 from pmabench.report.words import kind_title

@@ -12,7 +12,6 @@ from typing import Any, TypeGuard
 
 from pmabench.base.kind import Result
 from pmabench.base.quantities import QUANTITIES
-from pmabench.plotting.frame import Frame
 from pmabench.plotting.wording import (
     AT_MOST,
     POINTS,
@@ -20,6 +19,7 @@ from pmabench.plotting.wording import (
     RESOLVED,
     UNRESOLVED,
     WITHHELD,
+    Frame,
     clean,
     cut,
     half_width,

@@ -11,10 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pmabench.plotting.frame import Frame
 from pmabench.plotting.pictures import Picture, bound, drawable, has, picture, spread
 from pmabench.plotting.plots import FAINT, FULL, INK, PALETTE, Array, blank, few_ticks, grid, one_axes
-from pmabench.plotting.wording import rounded, shown
+from pmabench.plotting.wording import Frame, rounded, shown
 from pmabench.report.bends import bend_of
 from pmabench.report.document.tables import is_number
 from pmabench.store.analyses.results import Analysis, Estimate, Trace

@@ -10,12 +10,12 @@ import numpy as np
 
 from pmabench.base.kind import Result
 from pmabench.plotting import plots
-from pmabench.plotting.frame import Frame
 from pmabench.plotting.pictures import Picture, bound, column, has, numbers, picture, unit_of
 from pmabench.plotting.plots import BROWN, FAINT, HALF, PALETTE, QUIET, Array, Points, blank, few_ticks, grid
 from pmabench.plotting.wording import (
     POINTS,
     RAISED,
+    Frame,
     Shown,
     clean,
     in_order,

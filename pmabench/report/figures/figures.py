@@ -15,7 +15,6 @@ from pmabench.base.kind import load
 from pmabench.kinds import registry
 from pmabench.plotting import loops as loop_figures
 from pmabench.plotting import time_plots
-from pmabench.plotting.frame import Frame
 from pmabench.plotting.pictures import (
     Picture,
     bound,
@@ -29,7 +28,7 @@ from pmabench.plotting.pictures import (
     spread,
 )
 from pmabench.plotting.plots import FULL, MARKERS, PALETTE, Array, blank, few_ticks, grid, legend_above
-from pmabench.plotting.wording import COLUMNS, clean, in_order, point_shown, point_text, shown
+from pmabench.plotting.wording import COLUMNS, Frame, clean, in_order, point_shown, point_text, shown
 from pmabench.report.document.tables import cell
 from pmabench.report.figures import characteristic_figures, coefficient_figures
 from pmabench.store.analyses.results import Analysis, Estimate, Trace

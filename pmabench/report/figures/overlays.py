@@ -14,8 +14,7 @@ import numpy as np
 from pmabench.base.errors import InvalidFile, Problem
 from pmabench.base.quantities import QUANTITIES
 from pmabench.kinds import registry
-from pmabench.plotting.frame import Frame
-from pmabench.plotting.wording import clean, number, point_shown, rounded, shown
+from pmabench.plotting.wording import Frame, clean, number, point_shown, rounded, shown
 from pmabench.report.document.provenance import get
 from pmabench.report.figures.coefficient_figures import OVER_PRESSURE
 from pmabench.store.analyses.results import PUBLISHED, Analysis, Estimate, PublishedPoints, Trace

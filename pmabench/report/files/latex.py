@@ -5,9 +5,8 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
-from pmabench.plotting.frame import Frame
 from pmabench.plotting.svg import symbol_parts
-from pmabench.plotting.wording import clean
+from pmabench.plotting.wording import Frame, clean
 
 _ESCAPES = {
     "\\": r"\textbackslash{}",

@@ -14,9 +14,8 @@ from typing import TYPE_CHECKING, Any
 from pmabench.analysis.verdict import comparison
 from pmabench.analysis.verdict.comparison import Change, Difference, Side, percent
 from pmabench.plotting import plots
-from pmabench.plotting.frame import Frame
 from pmabench.plotting.pictures import Picture, drawable, picture
-from pmabench.plotting.wording import Shown, clean, in_order, plain_unit, point_text, shown, spoken, symbol_text
+from pmabench.plotting.wording import Frame, Shown, clean, in_order, plain_unit, point_text, shown, spoken, symbol_text
 from pmabench.report.document.special_tables import SAME
 from pmabench.report.figures.coefficient_figures import over_pressure
 from pmabench.report.figures.overlays import Comparison, comparison_table

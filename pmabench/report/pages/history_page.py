@@ -11,9 +11,8 @@ import numpy as np
 from pmabench.analysis.verdict.life import Past, References, Series, chosen
 from pmabench.base.quantities import in_words
 from pmabench.plotting import plots
-from pmabench.plotting.frame import Frame
 from pmabench.plotting.pictures import LARGEST, Picture, picture
-from pmabench.plotting.wording import clean, point_text, rounded, shown, symbol_text
+from pmabench.plotting.wording import Frame, clean, point_text, rounded, shown, symbol_text
 from pmabench.report.words import kind_title
 from pmabench.report.writing import Page, TextTable, write_page
 from pmabench.store.analyses.results import Finding
