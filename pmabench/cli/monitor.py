@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING
 
 import click
 
-from pmabench.base import terminal
 from pmabench.base.errors import Interrupted, UsageError
 from pmabench.cli.common import Ui, common, fields
 from pmabench.cli.names import BENCH, PATH, SPECIMEN
@@ -203,6 +202,7 @@ def _screen(ui: Ui, page: Page, footer: str, *, wanted: bool) -> Iterator[_Keys]
         yield keys
         return
 
+    from pmabench.base import terminal
     from pmabench.display.console import Painter
     from pmabench.display.monitor import monitor_screen
 

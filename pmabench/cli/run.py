@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import shlex
 import signal
-import subprocess
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
@@ -347,6 +346,8 @@ def _tripped(data: RunData) -> str | None:
 
 def _reset(bench: str, operator: str, because: str, *, yes: bool) -> int:
     """Vent and reset the bench where a person says that it may be used again; another exit code than 0 where not."""
+    import subprocess
+
     by_hand = f"pmabench vent {shlex.quote(bench)} --reset --operator NAME --because TEXT"
     if not (yes or (operator and because)) and not _agreed(LOOKED, by_hand):
         return 5
