@@ -18,7 +18,7 @@ from pmabench.cli.common import Ui, common, fields, plan_options, write_text
 from pmabench.cli.history import ANALYSES
 from pmabench.cli.names import FILE, PATH, short, typed
 from pmabench.cli.outcome import next_lines, progress_line
-from pmabench.cli.prepare import Prepared, needed, prepare, size, too_little
+from pmabench.cli.prepare import Prepared, needed, size, too_little
 from pmabench.kinds.compile import read_protocol
 from pmabench.protocol.idle import Idle, foreseen, without
 from pmabench.protocol.plan import Plan
@@ -51,6 +51,8 @@ def command(
     **files: Any,
 ) -> int | None:
     """Check PROTOCOL against a bench and a specimen, and show the plan."""
+    from pmabench.cli.prepare import prepare
+
     prepared = prepare(**files)
     plan, mounted, warnings = prepared.plan, prepared.mounted, prepared.warnings()
     summary = plan_summary(plan, mounted)
