@@ -20,7 +20,7 @@ from pmabench.store.analyses.results import POINT_QUANTITIES, Analysis
 from pmabench.store.records import RunData, TrialData
 
 if TYPE_CHECKING:
-    from pmabench.report.document.checklist import Issuer
+    from pmabench.report.document.deviations import Issuer
 
 
 def open_run(path: Path | str) -> Run:

@@ -10,7 +10,7 @@ from pathlib import Path
 import jsonschema
 import pytest
 
-from pmabench.cli.schema import KINDS, schema_text
+from pmabench.cli.files import KINDS, schema_text
 from pmabench.files.document import read_document
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -105,9 +105,6 @@ def _run(ui: Ui, mounted: Mounted, request: Request, out: Path, operator: str, *
             except UsageError as error:
                 say(str(error))
 
-    def nominal_counts(_text: str, nominal: float, _wait: Callable[[], None]) -> float:
-        return nominal
-
     def nobody(text: str, _nominal: float, _wait: Callable[[], None]) -> float:
         raise UsageError(f"a reading is needed ({text}) and there is no terminal; --yes is for simulated benches")
 
@@ -117,7 +114,7 @@ def _run(ui: Ui, mounted: Mounted, request: Request, out: Path, operator: str, *
             mounted,
             request,
             ConfirmedBeforehand() if yes else lines if there else Nobody(),
-            nominal_counts if yes else typed if there else nobody,
+            (lambda _text, nominal, _wait: nominal) if yes else typed if there else nobody,
             out,
             operator_name=operator,
             progress=progress,

@@ -1,8 +1,9 @@
-"""`pmabench campaign`: several protocols on one specimen, all checked before the first is run."""
+"""`pmabench campaign`: several protocols on one specimen, all checked before the first is run; `demo`: on the mock."""
 
 from __future__ import annotations
 
 import shlex
+import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,7 +12,7 @@ import click
 
 from pmabench.base.quantities import in_words
 from pmabench.cli.common import Ui, common, say, session_options
-from pmabench.cli.names import CAMPAIGN, PATH, short
+from pmabench.cli.names import CAMPAIGN, FOLDER, PATH, short
 from pmabench.cli.outcome import cut, next_lines, outcome_json, show_next
 from pmabench.files.shipped import find_file
 
@@ -68,17 +69,12 @@ def severity(code: int) -> int:
 
 
 def run_campaign(
-    ui: Ui,
-    file: str,
-    out: Path,
-    *,
-    operator_name: str = "",
-    yes: bool = False,
-    seed: int | None = None,
-    resume: bool = False,
-    session: dict[str, Any] | None = None,
+    ui: Ui, file: str, out: Path, *, seed: int | None = None, resume: bool = False, **how: Any
 ) -> list[Outcome]:
-    """Run the campaign `file`; `seed` replaces that of simulated devices; `resume` goes on with what `out` holds."""
+    """Run the campaign `file`; `seed` replaces that of simulated devices; `resume` goes on with what `out` holds.
+
+    `how`: operator_name, yes and session of `execute`; the options of the session are for the first run alone.
+    """
     from pmabench.cli.prepare import Prepared, seeded
     from pmabench.cli.run import execute
     from pmabench.kinds.compile import plan_campaign
@@ -102,10 +98,8 @@ def run_campaign(
         ui.note(title)
         prepared = Prepared(run.plan, mounted, run.protocol_text, run.deviations, run.sources, run.slower, run.doubts)
         about = {"campaign": {"name": name, "number": number, "of": len(planned)}}
-        outcome = execute(
-            ui, prepared, out, operator_name=operator_name, yes=yes, continues=continues, about=about, session=session
-        )
-        session = None  # options of the first run alone
+        outcome = execute(ui, prepared, out, continues=continues, about=about, **how)
+        how["session"] = None
         outcomes.append(outcome)
         if outcome.exit_code not in {0, 6}:
             say(f"the campaign ends here: {outcome.status}: {outcome.why}")
@@ -126,4 +120,47 @@ def _before(out: Path, campaign: str, number: int, plan_sha256: str) -> tuple[Pa
         place = manifest.get("campaign") or {}
         if (place.get("name"), place.get("number"), manifest.get("plan_sha256")) == (campaign, number, plan_sha256):
             return out / row.folder, row.status
+    return None
+
+
+@click.command(name="demo")
+@click.option("--out", default="pmabench-demo", show_default=True, type=FOLDER)
+@click.option("--seed", default=1, show_default=True, help="Seed of the simulated noise.")
+@common
+def demo(ui: Ui, out: Path, seed: int) -> int | None:
+    """Characterise a simulated muscle: run every shipped kind of protocol, fit, and write the report."""
+    from pmabench.cli.process import print_analyses
+    from pmabench.cli.report import characterise
+
+    started = time.monotonic()
+    outcomes = run_campaign(ui, "demo", out / "runs", operator_name="demo", yes=True, seed=seed)
+    worst = max((outcome.exit_code for outcome in outcomes), key=severity)
+    if worst:
+        say("\n".join(f"{outcome.folder}: {outcome.status}: {outcome.why}" for outcome in outcomes))
+        return worst
+    recorded = sum(outcome.rows for outcome in outcomes)
+    recorded_in = [outcome.folder for outcome in outcomes if outcome.folder is not None]
+    place = out / "analyses" / recorded_in[0].name
+    title = "Characterisation of a simulated MAS-20-250"
+    found = characterise(recorded_in, place, out / "report.html", title)
+    elapsed = time.monotonic() - started
+    data = {
+        "schema": "pmabench.demo/1",
+        "runs": [str(outcome.folder) for outcome in outcomes],
+        "folders": [str(folder) for folder in found.folders],
+        "report": str(found.report),
+        "rows": recorded,
+        "seconds": round(elapsed, 3),
+        "analyses": [analysis.to_dict() for analysis in found.analyses],
+    }
+
+    def human() -> None:
+        if ui.verbose:
+            print_analyses(ui, found.analyses)
+        click.echo("\n".join(found.lines()))
+        seconds = sum(outcome.bench_seconds for outcome in outcomes)
+        ui.note(f"{seconds / 60:.0f} min at the simulated bench, {recorded:,} rows, in {elapsed:.1f} s")
+        click.echo("next    pmabench init our-lab    the same for a bench of your own")
+
+    ui.result(data, human, [str(found.report)])
     return None

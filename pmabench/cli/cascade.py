@@ -61,9 +61,8 @@ def simulate(ui: Ui, file: str, out: Path | None, moments: tuple[str, ...], *, p
     times = np.arange(plan.rows) / plan.rate
     pace_kept: dict[str, float] | None = None
     if pace:
-        course, elapsed = _play(
-            ui, times, lambda part: cascade.simulate(members, part), [m.length for m in plan.muscles]
-        )
+        lengths = [m.length for m in plan.muscles]
+        course, elapsed = _play(ui, times, lambda part: cascade.simulate(members, part), lengths)
         pace_kept = {"simulated": float(times[-1]), "elapsed": elapsed}
     else:
         course = cascade.simulate(members, times)
@@ -88,9 +87,8 @@ def replay(ui: Ui, source: Path, out: Path | None, moments: tuple[str, ...], *, 
     at = _moments(moments, found.time[-1], out)
     if pace:
         t = np.array(found.time)
-        P, x, F_ce = (
-            np.array([getattr(m, key) for m in found.muscles]) for key in ("pressure", "displacement", "force_ce")
-        )
+        names = ("pressure", "displacement", "force_ce")
+        P, x, F_ce = (np.array([getattr(m, name) for m in found.muscles]) for name in names)
         force = np.array(found.force)
 
         def part(times: Array) -> Course:
@@ -108,7 +106,8 @@ def _play(ui: Ui, times: Array, step: Callable[[Array], Course], lengths: list[f
     from pmabench.model.cascade import Course
 
     blocks, elapsed = paced(times, step, RealClock(), shower(ui, lengths))
-    show_ended(ui)
+    if sys.stderr.isatty() and not ui.quiet:
+        say("")  # the line that was drawn stays in place
     show_pace(ui, float(times[-1]), elapsed)
     t, force = (np.concatenate([getattr(block, name) for block in blocks]) for name in ("t", "force"))
     P, x, F_ce = (np.concatenate([getattr(block, name) for block in blocks], axis=1) for name in ("P", "x", "F_ce"))
@@ -152,8 +151,7 @@ def _deliver(ui: Ui, found: Result, out: Path | None, moments: list[float], *, r
             return
         if not ui.quiet:
             _show_result(ui, found)
-        for path in written:
-            click.echo(str(path))
+        click.echo("".join(f"{path}\n" for path in written), nl=False)
 
     ui.result(data, human)
 
@@ -162,7 +160,7 @@ def _show_result(ui: Ui, found: Result) -> None:
     """Print the muscles of the chain, and a table of the totals over time."""
     import numpy as np
 
-    from pmabench.cli.model_inputs import print_table
+    from pmabench.cli.model_inputs import column_of, print_table
 
     convention = f"; F_ce of the printed model at {found.fce_eval}" if found.fce_eval else ""
     click.echo(f"SIMULATED: {found.name}; load {show(found.load, 'force')}{convention}\n")
@@ -174,17 +172,16 @@ def _show_result(ui: Ui, found: Result) -> None:
         )
     click.echo()
     rows = np.unique(np.linspace(0, len(found.time) - 1, ROWS).round().astype(int))
-    columns = [
-        {"name": name, "quantity": quantity, "values": [getattr(found, key)[row] for row in rows]}
-        for name, key, quantity in (
-            ("time", "time", "time"),
-            ("x of the chain", "displacement", "length"),
-            ("force of the chain", "force", "force"),
-            ("F_ce of the chain", "force_ce", "force"),
-            ("sum of F_ce", "force_ce_sum", "force"),
-        )
-    ]
-    print_table(ui, columns, keys=1)
+    shown = (
+        ("time", "time", found.time),
+        ("x of the chain", "length", found.displacement),
+        ("force of the chain", "force", found.force),
+        ("F_ce of the chain", "force", found.force_ce),
+        ("sum of F_ce", "force", found.force_ce_sum),
+    )
+    print_table(
+        ui, [column_of(name, quantity, [values[row] for row in rows]) for name, quantity, values in shown], keys=1
+    )
     click.echo(
         "\nThe force of the chain is what it pulls with if it is held where it is: that of one muscle.\n"
         "The sum of F_ce is a sum of coefficients, which paper 1 calls total F_ce; nothing feels it."
@@ -223,11 +220,9 @@ def show_pace(ui: Ui, simulated: float, elapsed: float) -> None:
     apart = elapsed / simulated - 1
     if abs(apart) <= CLOSE:
         ui.note(f"{simulated:.3f} s in {elapsed:.3f} s ({100 * apart:+.2f} %)")
-    else:
-        ui.note(
-            f"{simulated:.3f} s took {elapsed:.3f} s ({100 * apart:+.1f} %): this computer does not keep up; take a "
-            "lower sample_rate, or leave --pace"
-        )
+        return
+    advice = "this computer does not keep up; take a lower sample_rate, or leave --pace"
+    ui.note(f"{simulated:.3f} s took {elapsed:.3f} s ({100 * apart:+.1f} %): {advice}")
 
 
 def shower(ui: Ui, lengths: Sequence[float]) -> Show:
@@ -241,18 +236,9 @@ def shower(ui: Ui, lengths: Sequence[float]) -> Show:
         last[0] = t
         width = min(max(get_terminal_size().columns - MARGIN, 10), WIDTH) if live else WIDTH
         text = f"{t:8.2f} s {drawn(lengths, x, on, width)} x {1e3 * sum(x):7.2f} mm"
-        if live:
-            rewrite(text)
-        else:
-            say(text)
+        (rewrite if live else say)(text)
 
     return show
-
-
-def show_ended(ui: Ui) -> None:
-    """Leave the line that was drawn in place."""
-    if sys.stderr.isatty() and not ui.quiet:
-        say("")
 
 
 def drawn(lengths: Sequence[float], x: Sequence[float], on: Sequence[bool], width: int = WIDTH) -> str:

@@ -14,11 +14,12 @@ from pmabench.base.errors import InvalidFile, RecordError, UsageError
 from pmabench.base.quantities import in_words, show
 from pmabench.base.text import clean
 from pmabench.bench.compile import Mounted
-from pmabench.cli.common import Ui, common, fields, plan_options
+from pmabench.cli.common import Ui, common, fields, plan_options, write_text
 from pmabench.cli.history import ANALYSES
 from pmabench.cli.names import FILE, PATH, short, typed
 from pmabench.cli.outcome import next_lines, progress_line
 from pmabench.cli.prepare import Prepared, needed, size, too_little
+from pmabench.kinds.compile import read_protocol
 from pmabench.protocol.idle import Idle, foreseen, without
 from pmabench.protocol.plan import Plan
 from pmabench.report.terminal import print_grid
@@ -140,8 +141,6 @@ def plan_summary(plan: Plan, mounted: Mounted) -> dict[str, Any]:
         session = {**vars(length), "parts": list(length.parts), "due": bool(why), "because": why}
         if why:
             shortest, longest = shortest + length.shortest, longest + length.longest
-    outputs = mounted.bench.commanded
-    rows = plan.rows()
     return {
         "schema": "pmabench.check/1",
         **fields(plan, "kind", "name", "source", "hazards"),
@@ -151,15 +150,13 @@ def plan_summary(plan: Plan, mounted: Mounted) -> dict[str, Any]:
         "steps": len(plan.steps),
         "duration": {"shortest": shortest, "longest": longest, "unit": "s"},
         "session": session,
-        "rows": rows,
+        "rows": plan.rows(),
         "bytes": needed(plan),
         "commands": {
-            name: {
-                **{"lowest": low, "highest": high, "quantity": outputs[name].quantity},
-                "limits": [outputs[name].low, outputs[name].high],
-                "limits_from": [outputs[name].low_from, outputs[name].high_from],
-            }
+            name: {"lowest": low, "highest": high, "quantity": out.quantity, "limits": [out.low, out.high]}
+            | {"limits_from": [out.low_from, out.high_from]}
             for name, (low, high) in plan.commands().items()
+            for out in [mounted.bench.commanded[name]]
         },
         "lacks": list(mounted.lacks),
         "unconfirmed": [str(problem) for problem in mounted.unconfirmed],
@@ -186,14 +183,12 @@ def _print(ui: Ui, plan: Plan, summary: dict[str, Any], warnings: list[str]) -> 
     asks, session = sum(step.kind == "ask" for step in plan.steps), summary["session"]
     if session is not None and session["due"]:
         asks += session["hands"]
-    console.print(
-        f"  length    {length}, without the operator's time; hands are needed {asks} time{'' if asks == 1 else 's'}"
-    )
+    times = "1 time" if asks == 1 else f"{asks} times"
+    console.print(f"  length    {length}, without the operator's time; hands are needed {times}")
     if session is not None and session["due"]:
-        parts, least = ", ".join(session["parts"]) or "nothing in it", in_words(session["shortest"])
-        console.print(
-            f"            the session before it is in that: {parts}, at least {least}, hands {session['hands']}"
-        )
+        parts = ", ".join(session["parts"]) or "nothing in it"
+        least = f"at least {in_words(session['shortest'])}, hands {session['hands']}"
+        console.print(f"            the session before it is in that: {parts}, {least}")
     elif session is not None:
         console.print("            no session before it: the last one still counts")
     console.print(
@@ -216,9 +211,7 @@ def _idle_lines(plan: Plan, idle: Idle | None, written: Path | None) -> list[str
     doubtful = f", {len(idle.doubtful)} more may not" if idle.doubtful else ""
     count = f"{len(idle.idle)} of {len(plan.trials)} trials are not expected to lift their load{doubtful}"
     first = [idle.first] if idle.first else []
-    if written is not None:
-        return [count, *first, f"{written} has the sweep without them"]
-    return [count, *first]
+    return [count, *first, *([f"{written} has the sweep without them"] if written is not None else [])]
 
 
 def _then(prepared: Prepared, idle: Idle | None, written: Path | None, *, refused: bool, done: bool) -> list[str]:
@@ -235,18 +228,12 @@ def _then(prepared: Prepared, idle: Idle | None, written: Path | None, *, refuse
 
 
 def _write_without(prepared: Prepared, idle: Idle | None, path: Path) -> None:
-    from pmabench.kinds.compile import read_protocol
-
     if idle is None:
         raise UsageError("--drop-idle: a plant file says nothing that could be foreseen; give an analysis")
     if path.exists():
         raise UsageError(f"{path} is there already; give the name of a new file")
     document, model = read_protocol(Path(prepared.sources["protocol"]), prepared.sources["set"])
-    text = without(document, model.sweep, prepared.protocol_text, idle.all)
-    try:
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise RecordError(f"{path} cannot be written: {error.strerror}") from error
+    write_text(path, without(document, model.sweep, prepared.protocol_text, idle.all))
 
 
 def _print_steps(plan: Plan) -> None:
@@ -254,13 +241,10 @@ def _print_steps(plan: Plan) -> None:
     for number, step in enumerate(plan.steps):
         counts[step.kind] += 1
         fields = {key: value for key, value in vars(step).items() if key != "phase" and value is not None}
-        text = "  ".join(f"{key}={_plain(value)}" for key, value in fields.items())
+        shown = {key: f"{value:g}" if isinstance(value, float) else str(value) for key, value in fields.items()}
+        text = "  ".join(f"{key}={value}" for key, value in shown.items())
         click.echo(f"{number:5d}  {step.kind:10} {step.phase:12} {text}")
     click.echo("      " + ", ".join(f"{count} {kind}" for kind, count in counts.items()) + "; values in SI")
-
-
-def _plain(value: Any) -> str:
-    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 MOST = 3

@@ -125,7 +125,6 @@ def common(function: Callable[..., int | None]) -> Callable[..., None]:
     @wraps(function)
     def command(*args: Any, as_json: bool, verbose: bool, quiet: bool, no_color: bool, **kwargs: Any) -> None:
         ui = Ui(as_json, verbose, quiet, not no_color and "NO_COLOR" not in os.environ)
-        code: int | None
         try:
             if as_json and kwargs.get("as_csv"):
                 raise UsageError("--csv or --json, not both")
@@ -137,7 +136,8 @@ def common(function: Callable[..., int | None]) -> Callable[..., None]:
             _explain(ui, error)
             code = error.exit_code
         except OSError as error:
-            where = "a file, a device or another program" if error.filename is None else _shown(error.filename)
+            name = os.fsdecode(error.filename) if isinstance(error.filename, bytes) else error.filename
+            where = "a file, a device or another program" if name is None else name
             say(f"{where}: cannot be read or written: {error.strerror or error}")
             code = NOT_WRITTEN
         except KeyboardInterrupt:
@@ -193,10 +193,6 @@ def output_lost(error: OSError) -> int:
     return NOT_WRITTEN
 
 
-def _shown(path: object) -> str:
-    return os.fsdecode(path) if isinstance(path, bytes) else str(path)
-
-
 def _explain(ui: Ui, error: PmaError) -> None:
     if ui.json:
         data: dict[str, Any] = {"schema": "pmabench.error/1", "error": str(error), "exit_code": error.exit_code}
@@ -213,13 +209,10 @@ def plan_options(*, required: bool = True) -> Callable[[Callable[..., Any]], Cal
     """What a plan is made of: PROTOCOL, `--bench`, `--specimen`, `--set`."""
 
     def split(_context: click.Context, _parameter: click.Parameter, values: tuple[str, ...]) -> list[tuple[str, str]]:
-        pairs = []
         for value in values:
-            name, equals, text = value.partition("=")
-            if not equals or not name:
+            if value.find("=") < 1:
                 raise click.BadParameter(f'"{value}" is not name=value, for instance sweep.repeat.count=1')
-            pairs.append((name, text))
-        return pairs
+        return [(name, text) for name, _, text in (value.partition("=") for value in values)]
 
     return with_options(
         click.option("--set", "settings", multiple=True, callback=split, metavar="NAME=VALUE", help="Change a value."),
@@ -259,6 +252,21 @@ def read_quantity(option: str, text: str, quantity: str) -> float:
         return parse_quantity(text.strip(), quantity)
     except ValueError as error:
         raise UsageError(f"{option}: {error}") from error
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a file; RecordError where it cannot be written."""
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise RecordError(f"{path} cannot be written: {error.strerror}") from error
+
+
+def no_pipes(*paths: Path | None) -> None:
+    """UsageError for a name of an output that is that of a pipe."""
+    for path in paths:
+        if path is not None and path.is_fifo():
+            raise UsageError(f"{path} is a pipe; give the name of a file")
 
 
 def fields(thing: object, *names: str) -> dict[str, Any]:

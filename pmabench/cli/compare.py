@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pmabench.base.errors import InvalidFile, UsageError, invalid
-from pmabench.cli.common import Ui, common, fields, read_quantity
+from pmabench.cli.common import Ui, common, fields, no_pipes, read_quantity
 from pmabench.cli.names import FILE, RunFolder
 from pmabench.report.terminal import print_grid
 
@@ -54,8 +54,7 @@ def command(
 
     limits = [_limit(text) for text in accepted]
     pressures = [read_quantity("--at", text, "pressure") for text in places]
-    if output is not None and output.is_fifo():
-        raise UsageError(f"{output} is a pipe; give the name of a file")
+    no_pipes(output)
     if len(methods) > 2 or (b is None and len(methods) != 2):
         raise UsageError("give B, or --method twice to compare two methods of A")
     left, runs = _side(ui, "A", a, fresh=fresh)
@@ -68,10 +67,9 @@ def command(
         right = _side(ui, "B", b, fresh=fresh)[0]
     chosen = None if not methods else (methods[0], None if right.published else methods[-1])
     found = compare(left, right, chosen, pressures) if right.analyses else Comparison((), ())
-    if limits and not found.differences and any(measure == "E_n" for measure, _ in limits):
-        raise UsageError(
-            f'--accept "E_n...": {right.name} has no coefficient, and curves have no E_n; limit the difference'
-        )
+    if not found.differences and any(measure == "E_n" for measure, _ in limits):
+        why = f"{right.name} has no coefficient, and curves have no E_n"
+        raise UsageError(f'--accept "E_n...": {why}; limit the difference')
     failed = [text for measure, limit in limits for text in not_accepted(found.differences, measure, limit)]
     failed += [text for measure, limit in limits if measure == "difference" for text in _curves_beyond(curves, limit)]
     data = _json(left, right, found, curves, failed)
@@ -80,9 +78,8 @@ def command(
 
         data["path"] = str(write_comparison(left, right, found, curves, failed, output))
     refusals = [f"NOT ACCEPTED: {clean(text)}" for text in failed]
-    ui.result(
-        data, lambda: _print(ui, left, right, found, curves, [*refusals, *([data["path"]] if output else [])]), refusals
-    )
+    last = [*refusals, *([data["path"]] if output else [])]
+    ui.result(data, lambda: _print(ui, left, right, found, curves, last), refusals)
     return 6 if failed else None
 
 
@@ -166,9 +163,8 @@ def _side_by_side(name: str, manifests: Sequence[Mapping[str, Any]]) -> int:
 
     counts = {side_by_side(manifest.get("specimen")) for manifest in manifests}
     if len(counts) > 1:
-        raise UsageError(
-            f"{name} holds runs of specimens of {' and '.join(map(str, sorted(counts)))} muscles side by side"
-        )
+        several = " and ".join(map(str, sorted(counts)))
+        raise UsageError(f"{name} holds runs of specimens of {several} muscles side by side")
     return counts.pop() if counts else 1
 
 
@@ -215,12 +211,10 @@ def _json(
         return fields(e, "value", "n", "method") | {"half_width": e.parts.combined}
 
     def difference(d: Difference) -> dict[str, Any]:
-        return {
-            **fields(d.a, "symbol", "coordinate", "at", "unit", "quantity"),
-            **fields(d, "kind", "relative", "agrees", "term"),
-            **{"a": value(d.a), "b": value(d.b), "between_points": d.between},
-            **{"difference": d.value, "half_width": d.half, "E_n": d.score},
-        }
+        about = fields(d.a, "symbol", "coordinate", "at", "unit", "quantity")
+        about |= fields(d, "kind", "relative", "agrees", "term")
+        about |= {"a": value(d.a), "b": value(d.b), "between_points": d.between}
+        return about | {"difference": d.value, "half_width": d.half, "E_n": d.score}
 
     return {
         "schema": "pmabench.comparison/1",

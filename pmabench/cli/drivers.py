@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
@@ -44,7 +43,9 @@ def list_(ui: Ui) -> None:
     from pmabench.bench.registry import drivers
 
     rows = [_driver(name, target) for name, target in sorted(drivers().items())]
-    ui.result({"schema": "pmabench.drivers/1", "drivers": rows}, lambda: _print_drivers(ui, rows))
+    table = [[row["name"], row["verified"], row["problem"] or ", ".join(row["can"])] for row in rows]
+    data = {"schema": "pmabench.drivers/1", "drivers": rows}
+    ui.result(data, lambda: print_texts(ui.console(), ["driver", "verified", "can"], table))
 
 
 def _driver(name: str, target: str) -> dict[str, Any]:
@@ -63,11 +64,6 @@ def _driver(name: str, target: str) -> dict[str, Any]:
         "verified": verified(made),
         "problem": "" if issubclass(made, interface.Device) else "does not implement the device interface",
     }
-
-
-def _print_drivers(ui: Ui, rows: Sequence[dict[str, Any]]) -> None:
-    table = [[row["name"], row["verified"], row["problem"] or ", ".join(row["can"])] for row in rows]
-    print_texts(ui.console(), ["driver", "verified", "can"], table)
 
 
 @command.command(name="conformance")

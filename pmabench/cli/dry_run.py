@@ -13,6 +13,7 @@ from textwrap import wrap
 from typing import Any
 
 from pmabench.base.errors import InvalidFile, UsageError
+from pmabench.base.kind import load
 from pmabench.base.quantities import CHANNEL_QUANTITY, in_words, show
 from pmabench.bench.compile import Mounted
 from pmabench.bench.dry_run import (
@@ -34,6 +35,7 @@ from pmabench.engine.executor import Progress
 from pmabench.engine.operator import ConfirmedBeforehand
 from pmabench.engine.recorder import TrialPeaks
 from pmabench.engine.run import Outcome, run_plan
+from pmabench.kinds import registry
 from pmabench.model.real.muscle import Surface
 from pmabench.protocol.idle import foreseen
 from pmabench.protocol.plan import Plan
@@ -124,13 +126,11 @@ def expected_intervals(plan: Plan, mounted: Mounted, muscle: PredictedMuscle | N
     fits.
     """
     from pmabench.analysis.shared.samples import Noise
-    from pmabench.base.kind import load
-    from pmabench.kinds import registry
 
     kind = registry.all_kinds().get(plan.kind)
-    if muscle is None or muscle.expected is None or muscle.numbers["law"] != "three-element" or kind is None:
+    if muscle is None or muscle.expected is None or kind is None or PART not in kind.parts:
         return []
-    if PART not in kind.parts:
+    if muscle.numbers["law"] != "three-element":
         return []
     noise = options_of(muscle, mounted)["plant"]["noise"]
     expected = muscle.expected.model_dump(mode="json")
@@ -145,9 +145,8 @@ def _intervals(found: list[dict[str, Any]]) -> Iterator[str]:
             share = one["half"] / abs(one["value"])
             widest[one["symbol"]] = max(share, widest.get(one["symbol"], 0.0))
     if widest:
-        yield cut(
-            "   intervals of at most " + ", ".join(f"{symbol} {100 * share:.2g} %" for symbol, share in widest.items())
-        )
+        shares = ", ".join(f"{symbol} {100 * share:.2g} %" for symbol, share in widest.items())
+        yield cut(f"   intervals of at most {shares}")
 
 
 def _slow(mounted: Mounted) -> bool:
@@ -162,15 +161,13 @@ def _result(outcome: Outcome, mounted: Mounted) -> dict[str, Any]:
         "duration": outcome.bench_seconds,
         "measured": {name: {"lowest": low, "highest": high} for name, (low, high) in outcome.extremes.items()},
         "trials_failed": [index + 1 for index in outcome.trials_failed],
-        "saturated": _saturated(outcome),
+        "saturated": [
+            {"trial": data["trial"] + 1, "share": data["result"]["saturated"]}
+            for kind, _t, data in outcome.events
+            if kind == "found" and data["result"].get("saturated", 0.0) > 0
+        ],  # trials in which the commands of a law were at a limit, with the share of its samples
         "beyond": _beyond(outcome, mounted),
     }
-
-
-def _saturated(outcome: Outcome) -> list[dict[str, Any]]:
-    """Trials in which the commands of a law were at a limit, with the share of its samples."""
-    found = [data for kind, _t, data in outcome.events if kind == "found" and data["result"].get("saturated", 0.0) > 0]
-    return [{"trial": data["trial"] + 1, "share": data["result"]["saturated"]} for data in found]
 
 
 def _beyond(outcome: Outcome, mounted: Mounted) -> list[str]:
@@ -260,8 +257,7 @@ def of_file(path: Path, specimen: SpecimenFile, highest: float) -> PredictedMusc
     """The muscle of a folder of analyses, or of a plant file, up to `highest` [Pa]."""
     if path.is_dir():
         return of_analysis(path, specimen, highest)
-    plant = read_plant(path)
-    return PredictedMuscle({**plant.numbers, "file": path.name}, None, f"plant file {path}")
+    return PredictedMuscle({**read_plant(path).numbers, "file": path.name}, None, f"plant file {path}")
 
 
 def of_analysis(folder: Path, specimen: SpecimenFile, highest: float) -> PredictedMuscle:
@@ -278,12 +274,10 @@ def of_analysis(folder: Path, specimen: SpecimenFile, highest: float) -> Predict
             source = f"{mark}analysis {folder.name}: surface of {len(analysis.runs)} runs"
             return by_surface(found, specimen, highest, source)
     for analysis in analyses:
-        expected = _expected(analysis, folder.name)
-        if expected is not None:
+        if (expected := _expected(analysis, folder.name)) is not None:
             return as_expected(expected, specimen, highest, f"{mark}analysis {folder.name}: {analysis.kind}")
-    raise UsageError(
-        f"{folder} says too little of the muscle: F_ce, K, B_c and B_r at two pressures are needed, or a surface"
-    )
+    needed = "F_ce, K, B_c and B_r at two pressures are needed, or a surface"
+    raise UsageError(f"{folder} says too little of the muscle: {needed}")
 
 
 def _expected(analysis: Analysis, name: str) -> ExpectedFile | None:
@@ -307,11 +301,8 @@ def _expected(analysis: Analysis, name: str) -> ExpectedFile | None:
     for pressure, row in sorted(table.items()):
         damping = [row[symbol] for symbol in ("B_c", "B_r") if symbol in row]
         if {"F_ce", "K"} <= set(row) and damping:
-            points.append(
-                ExpectedPoint.model_construct(
-                    pressure=pressure, F_ce=row["F_ce"], K=row["K"], B_c=damping[0], B_r=damping[-1]
-                )
-            )
+            known: dict[str, Any] = {"pressure": pressure, "F_ce": row["F_ce"], "K": row["K"]}
+            points.append(ExpectedPoint.model_construct(**known, B_c=damping[0], B_r=damping[-1]))
     if len(points) < FEWEST_POINTS:
         return None
     return ExpectedFile.model_construct(source=f"analysis {name}", F_c=friction, points=points)

@@ -300,8 +300,8 @@ class Faults:
         """Requests for a fault of a device and for its end."""
         wanted = {"device": device, "fault": fault, "value": _value(self._served.kind(device, fault), fault, value)}
         found = [Happening(after, {**wanted, "count": number or -1})]
-        end = Happening(after + (lasts or 0.0), {"device": device, "fault": "clear"})
-        return found if lasts is None else [*found, end]
+        end = {"device": device, "fault": "clear"}
+        return found if lasts is None else [*found, Happening(after + lasts, end)]
 
 
 def _value(kind: Any, fault: str, value: Any) -> float | None:

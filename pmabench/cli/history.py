@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from pmabench.base.errors import InvalidFile, UsageError, invalid
-from pmabench.cli.common import Ui, common, fields
+from pmabench.cli.common import Ui, common, fields, no_pipes
 from pmabench.cli.names import FILE, PATH
 from pmabench.files.shipped import find_file
 from pmabench.report.terminal import print_grid
@@ -40,8 +41,7 @@ def command(ui: Ui, specimen: str, folder: Path, output: Path | None) -> None:
 
     if not folder.is_dir():
         raise invalid(folder, "there is no such folder; give the folder that holds the runs")
-    if output is not None and output.is_fifo():
-        raise UsageError(f"{output} is a pipe; give the name of a file")
+    no_pipes(output)
     rows, notes = _of_specimen(specimen, folder)
     life, referring, leaks = _life(ui, folder, rows)
     analyses = list(_analyses(ui, folder, {past.run for past in life}))
@@ -49,9 +49,8 @@ def command(ui: Ui, specimen: str, folder: Path, output: Path | None) -> None:
     references = references_of(_loaded(ui, folder, referring), life)
     remarks = [*findings(life, chosen(series), references), *notes]
     if not series_of(analyses, life):
-        remarks.append(
-            _note("no analysis next to these runs has a coefficient that is followed: pmabench process makes them")
-        )
+        none = "no analysis next to these runs has a coefficient that is followed: pmabench process makes them"
+        remarks.append(_note(none))
     title = next(row.specimen for row in rows)
     data = _json(title, life, series, references, remarks)
     if output is not None:
@@ -80,11 +79,9 @@ def _of_specimen(text: str, folder: Path) -> tuple[list[Row], list[Finding]]:
     if not mine:
         known = ", ".join(sorted({row.specimen for row in rows if row.specimen})) or "none"
         raise invalid(folder, f'holds no run of "{text}"; the specimens of its runs: {known}')
-    real = [row for row in mine if not row.simulated]
+    real = [row for row in mine if not row.simulated] or mine
     left_out = len(mine) - len(real)
-    if real and left_out:
-        return real, [_note(f"{left_out} simulated runs of this specimen are left out")]
-    return mine, []
+    return real, [_note(f"{left_out} simulated runs of this specimen are left out")] if left_out else []
 
 
 def _names(text: str) -> set[str]:
@@ -92,10 +89,9 @@ def _names(text: str) -> set[str]:
     from pmabench.bench.files.specimen import SpecimenFile
     from pmabench.files.document import read_document, validate
 
-    try:
+    path = Path()
+    with suppress(InvalidFile):
         path = find_file("specimen", text)
-    except InvalidFile:
-        return {text}
     if not path.is_file():
         return {text}
     specimen = validate(SpecimenFile, read_document(path))
@@ -111,8 +107,7 @@ def _life(ui: Ui, folder: Path, rows: Sequence[Row]) -> tuple[list[Past], list[R
     from pmabench.store.reader import RunFiles, events_of
 
     used: list[tuple[str, str, str, str, str, bool, int, Use]] = []
-    referring = []
-    leaks = []
+    referring, leaks = [], []
     for row in rows:
         try:
             files = RunFiles(folder / row.folder)
@@ -135,7 +130,7 @@ def _cycles_before(manifest: Mapping[str, Any]) -> int:
     """Cycles before the run by its specimen file."""
     specimen = manifest.get("specimen")
     cycles = specimen.get("cycles_before") if isinstance(specimen, Mapping) else 0
-    return int(cycles) if isinstance(cycles, int) and not isinstance(cycles, bool) else 0
+    return cycles if type(cycles) is int else 0
 
 
 def _analyses(ui: Ui, folder: Path, runs: set[str]) -> Iterator[Analysis]:
@@ -198,22 +193,20 @@ def _json(
             }
             for one in series
         ],
-        "references": [_reference(one) for one in references],
-        "findings": [fields(f, "level", "text") for f in remarks],
-    }
-
-
-def _reference(one: References) -> dict[str, Any]:
-    limits = one.chart
-    return {
-        "point": dict(one.point),
-        "strokes": [
-            {"date": date, "cycles": cycles, "trial": trial, "stroke": stroke}
-            for date, cycles, stroke, trial in one.moments
+        "references": [
+            {
+                "point": dict(one.point),
+                "strokes": [
+                    {"date": date, "cycles": cycles, "trial": trial, "stroke": stroke}
+                    for date, cycles, stroke, trial in one.moments
+                ],
+                "limits": None if one.chart is None else fields(one.chart, "centre", "low", "high"),
+                "beyond": [] if one.chart is None else list(one.chart.beyond),
+                "shifted": None if one.chart is None else one.chart.shifted,
+            }
+            for one in references
         ],
-        "limits": None if limits is None else fields(limits, "centre", "low", "high"),
-        "beyond": [] if limits is None else list(limits.beyond),
-        "shifted": None if limits is None else limits.shifted,
+        "findings": [fields(f, "level", "text") for f in remarks],
     }
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -21,7 +21,6 @@ from pmabench.files.shipped import find_file
 if TYPE_CHECKING:
     from pmabench.store.importers.guess.columns import Guess
     from pmabench.store.importers.guess.write import Span
-    from pmabench.store.importers.importing import ImportedRun
 
 
 @click.command(name="import")
@@ -72,20 +71,22 @@ def command(
     asked = list(dict.fromkeys(question for run in runs for question in run.unresolved))
     data = {
         "schema": "pmabench.import/1",
-        "runs": [_plain(run) for run in runs],
+        "runs": [
+            {"run": str(run.path), "source": str(run.source), "findings": [vars(finding) for finding in run.findings]}
+            | fields(run, "id", "kind", "rows", "trials", "flagged")
+            for run in runs
+        ],
         "unresolved": [vars(question) for question in asked],
     }
 
     def human() -> None:
         names = [run.source.name for run in runs]
         for run in runs:
-            flagged = ", ".join(
-                f"{count} {name.replace('_', ' ')}" for name, count in sorted(run.flagged.items()) if count
-            )
+            marks = [f"{count} {name.replace('_', ' ')}" for name, count in sorted(run.flagged.items()) if count]
             folder = f"{run.source.resolve().parent.name}/" if names.count(run.source.name) > 1 else ""
             name = printable(f"{folder}{run.source.name}")
             trials = f"{run.trials} trial{'' if run.trials == 1 else 's'}"
-            click.echo(f"{name}: {run.rows:,} rows, {trials}; flagged: {flagged or 'nothing'}")
+            click.echo(f"{name}: {run.rows:,} rows, {trials}; flagged: {', '.join(marks) or 'nothing'}")
             for finding in run.findings:
                 if ui.verbose or finding.level != "note":
                     click.echo(printable(f"  {finding.level}: {finding.text}"))
@@ -94,12 +95,6 @@ def command(
             click.echo(printable(f"not answered: {question.what}: {question.question}; taken: {question.used}"))
 
     ui.result(data, human, [str(run.path) for run in runs])
-
-
-def _plain(run: ImportedRun) -> dict[str, Any]:
-    findings = [vars(finding) for finding in run.findings]
-    about = fields(run, "id", "kind", "rows", "trials", "flagged")
-    return {"run": str(run.path), "source": str(run.source), "findings": findings} | about
 
 
 SECONDS = 10.0
@@ -144,16 +139,12 @@ def guess(ui: Ui, files: Sequence[Path], spans: Sequence[str], output: Path | No
 
     def human() -> None:
         _show(found)
-        if output is None:
-            click.echo(f"\n{text}")
-            click.echo("nothing was written; -o MAP writes it")
-        else:
-            click.echo(f"\nmap: {output}")
+        none = f"\n{text}\nnothing was written; -o MAP writes it"
+        click.echo(none if output is None else f"\nmap: {output}")
         if questions:
             many = "1 question" if len(questions) == 1 else f"{len(questions)} questions"
-            click.echo(
-                f"{many} that no file answers (??); write each answer into the map, or give it with import --set:"
-            )
+            what = "write each answer into the map, or give it with import --set:"
+            click.echo(f"{many} that no file answers (??); {what}")
             for question in questions:
                 taken = f" [until then: {question.used}]" if question.used else ""
                 click.echo(printable(f"  {question.where}  {question.question}{taken}"))
@@ -203,9 +194,7 @@ def _show(found: Guess) -> None:
         good = shown[abs(shown) < float("inf")] if len(shown) else shown
         if len(good):
             click.echo(f"  {sparkline(shown.tolist())}  {good.min():.5g} to {good.max():.5g}")
-        for text in column.reasons:
-            click.echo(printable(f"  because: {text}"))
-        for text in column.doubts:
-            click.echo(printable(f"  DOUBT: {text}"))
+        said = [f"  because: {text}" for text in column.reasons] + [f"  DOUBT: {text}" for text in column.doubts]
+        click.echo("".join(f"{printable(text)}\n" for text in said), nl=False)
     for text in found.doubts:
         click.echo("\n" + printable(f"DOUBT: {text}"))

@@ -78,7 +78,8 @@ def command(
     else:
         asked = _answers(ui, folder, answers, single)
         files = {**_lab(asked), ANSWERS: asked.text_of_file()}
-        note = _to_confirm(files)
+        count = sum(files[name].count("# TO CONFIRM") for name in ("bench.yaml", "specimen.yaml"))
+        note = f"{count} values are marked TO CONFIRM: look them up; nothing runs on real devices before"
     files |= _schemas(files)
     _write(folder, files)
     data = {"schema": "pmabench.init/1", "folder": str(folder), "files": sorted(files)}
@@ -137,21 +138,14 @@ def _lab(answers: Answers) -> dict[str, str]:
     from pmabench.bench.lab.files import lab_files
 
     shipped = find_file("protocol", answers.text("protocol")).read_text(encoding="utf-8")
-    readme = README.format(check=CHECK, day=answers.asked.isoformat())
-    return {**lab_files(answers, shipped), "README.md": readme}
+    return lab_files(answers, shipped) | {"README.md": README.format(check=CHECK, day=answers.asked.isoformat())}
 
 
 def _schemas(files: dict[str, str]) -> dict[str, str]:
-    from pmabench.cli.schema import schema_text
+    from pmabench.cli.files import schema_text
 
     kinds = ["protocol", "bench", "specimen", "calibration", *(["plant"] if "plant.yaml" in files else [])]
     return {f"schemas/{kind}.schema.json": schema_text(kind) for kind in kinds}
-
-
-def _to_confirm(files: dict[str, str]) -> str:
-    """How many values nobody has given."""
-    count = sum(files[name].count("# TO CONFIRM") for name in ("bench.yaml", "specimen.yaml"))
-    return f"{count} values are marked TO CONFIRM: look them up; nothing runs on real devices before"
 
 
 def _write(folder: Path, files: dict[str, str]) -> None:
@@ -353,10 +347,10 @@ def _simulated(prepared: Prepared) -> bool:
 
 def _readme_like(prepared: Prepared, bench: str) -> str:
     mounted, plan = prepared.mounted, prepared.plan
-    kind = "A simulated muscle: write your devices in its place, or copy the shipped bench that is most like yours"
-    muscle = f": {mounted.specimen_file.type}" if _simulated(prepared) else ""
-    if not _simulated(prepared):
-        kind = "Addresses, ranges and limits are examples: put in yours"
+    kind, muscle = "Addresses, ranges and limits are examples: put in yours", ""
+    if _simulated(prepared):
+        kind = "A simulated muscle: write your devices in its place, or copy the shipped bench that is most like yours"
+        muscle = f": {mounted.specimen_file.type}"
     return f"""# Lab folder
 
 | file | what |

@@ -10,6 +10,7 @@ from typing import Any
 import click
 
 from pmabench import __version__
+from pmabench.base.errors import did_you_mean
 from pmabench.cli.common import output_lost, prepare_streams, say
 
 for _threads in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
@@ -18,7 +19,7 @@ for _threads in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
 
 SECTIONS = {
     "Start": {
-        "demo": ("demo", "Characterise a simulated muscle from protocol to report."),
+        "demo": ("campaign:demo", "Characterise a simulated muscle from protocol to report."),
         "init": ("init", "Ask what a lab has, and write its folder: bench, specimen, protocol."),
         "check": ("check", "Check protocol, bench and specimen; show the plan; move nothing."),
         "emulate": ("emulate", "Serve the devices of a bench with a simulated muscle behind them."),
@@ -27,11 +28,11 @@ SECTIONS = {
         "monitor": ("monitor", "Every channel of a bench, live; --jog moves outputs by keys."),
         "calibrate": ("calibrate", "Calibrate a channel or the regulator by reference points, guided."),
         "run": ("run", "Execute a protocol on a bench and record it in a run folder."),
-        "next": ("next_", "Which trials to do next for narrower intervals, as a protocol file."),
-        "continue": ("continue_", "How the last run ended; reset the bench, do the trials that are left."),
+        "next": ("until", "Which trials to do next for narrower intervals, as a protocol file."),
+        "continue": ("run:continue_", "How the last run ended; reset the bench, do the trials that are left."),
         "watch": ("watch", "Watch a run while it goes on; only reads its folder."),
         "vent": ("vent", "The safe state now; --reset clears a latch."),
-        "note": ("note", "Append a note, a file or an exclusion to a recorded run."),
+        "note": ("runs:note", "Append a note, a file or an exclusion to a recorded run."),
         "campaign": ("campaign", "Run several protocols on one specimen, in order."),
     },
     "Results": {
@@ -41,22 +42,22 @@ SECTIONS = {
         "history": ("history", "One specimen over its life: coefficients, cycles, time at pressure."),
         "tune": ("tune", "Controller settings from an ultimate gain and period."),
         "export": ("export", "Runs or coefficients as CSV, Parquet, MATLAB, LaTeX, JSON, models."),
-        "publish": ("publish", "Records, coefficients and report for a repository of research data."),
+        "publish": ("export:publish", "Records, coefficients and report for a repository of research data."),
     },
     "Records": {
         "import": ("import_", "Make runs of files of other programs, by a column map."),
         "recalibrate": ("recalibrate", "The same raw samples with other calibrations, and what changes."),
         "runs": ("runs", "List, show and verify recorded runs."),
-        "list": ("list_", "Benches, protocols, specimens and other files by name."),
+        "list": ("files:list_", "Benches, protocols, specimens and other files by name."),
     },
     "Behind it": {
         "bench": ("bench", "A bench's card to hang at the rig; probe, read and set its devices."),
         "drivers": ("drivers", "Drivers that are installed; try one against its emulator."),
         "model": ("model", "Models: list, show, evaluate, simulate, fit, cascade."),
-        "schema": ("schema", "Print the JSON Schema of a kind of file."),
+        "schema": ("files:schema", "Print the JSON Schema of a kind of file."),
     },
 }
-"""Section of `--help` -> command -> its module in this package and its line."""
+"""Section of `--help` -> command -> its module in this package (with `:name` where not `command`) and its line."""
 COMMANDS = {name: entry for section in SECTIONS.values() for name, entry in section.items()}
 EXAMPLES: dict[str, str] = {
     "demo": "--out demo-run",
@@ -112,7 +113,8 @@ class Commands(click.Group):
         """Import one command."""
         if cmd_name not in COMMANDS:
             return None
-        command: click.Command = import_module(f"pmabench.cli.{COMMANDS[cmd_name][0]}").command
+        module, _, name = COMMANDS[cmd_name][0].partition(":")
+        command: click.Command = getattr(import_module(f"pmabench.cli.{module}"), name or "command")
         command.epilog = command.epilog or f"\b\nExample:\n  pmabench {cmd_name} {EXAMPLES[cmd_name]}".rstrip()
         return command
 
@@ -140,8 +142,6 @@ class Commands(click.Group):
                 args = [*now, *args[len(former) :]]
                 break
         if args and args[0] not in COMMANDS:
-            from pmabench.base.errors import did_you_mean
-
             ctx.fail(f'no command "{args[0]}"{did_you_mean(args[0], COMMANDS)}')
         return super().resolve_command(ctx, args)
 

@@ -66,10 +66,8 @@ def list_models(ui: Ui) -> None:
     }
 
     def human() -> None:
-        rows = []
-        for before, model in zip([None, *known], known, strict=False):
-            again = before is not None and before.family == model.family
-            rows.append(["" if again else model.family, model.name, model.title])
+        first = {model.family: model for model in reversed(known)}
+        rows = [[m.family if first[m.family] is m else "", m.name, m.title] for m in known]
         print_texts(ui.console(columns=120), ["family", "model", "what it gives"], rows)
 
     ui.result(data, human, (model.name for model in known))
@@ -81,10 +79,8 @@ def list_models(ui: Ui) -> None:
 def show_model(ui: Ui, name: str) -> None:
     """Equation, inputs with their domain, outputs, source and reference values of the model NAME."""
     model = named_model(name)
-    checks = []
-    for reference in model.references:
-        now = float(model.evaluate(reference.at)[reference.output])
-        checks.append((reference, now, abs(now - reference.value) <= 1.001 * reference.rounding + 1e-12 * abs(now)))
+    found = [(r, float(model.evaluate(r.at)[r.output])) for r in model.references]
+    checks = [(r, now, abs(now - r.value) <= 1.001 * r.rounding + 1e-12 * abs(now)) for r, now in found]
     ui.result(_facts(model, checks), lambda: _print_model(ui, model, checks))
 
 
@@ -93,7 +89,12 @@ def _facts(model: Model, checks: Sequence[Check]) -> dict[str, Any]:
     return {
         "schema": "pmabench.model/1",
         **fields(model, "name", "family", "title", "equation", "source", "fitted", "notes"),
-        "inputs": [_input_facts(p) for p in model.parameters],
+        "inputs": [
+            fields(p, "name", "symbol", "quantity", "origin", "choices", "reason", "meaning")
+            | {"unit": si_unit(p.quantity), "reference": p.value}
+            | {"domain": [end if math.isfinite(end) else None for end in (p.low, p.high)]}
+            for p in model.parameters
+        ],
         "outputs": [
             fields(o, "name", "symbol", "quantity", "meaning") | {"unit": si_unit(o.quantity)} for o in model.outputs
         ],
@@ -234,15 +235,6 @@ def _sentence(parameter: Parameter | None, refusal: Any) -> str:
         return f"{refusal.name} = {shown(parameter, refusal.value)}: {refusal.reason}"
     reason = f": {refusal.reason}" if refusal.reason else ""
     return f"{refusal.name} = {shown(parameter, refusal.value)} is outside its domain, {_domain(parameter)}{reason}"
-
-
-def _input_facts(parameter: Parameter) -> dict[str, Any]:
-    return {
-        **fields(parameter, "name", "symbol", "quantity", "origin", "choices", "reason", "meaning"),
-        "unit": si_unit(parameter.quantity),
-        "reference": parameter.value,
-        "domain": [end if math.isfinite(end) else None for end in (parameter.low, parameter.high)],
-    }
 
 
 def _print_inputs(width: int, model: Model, given: dict[str, Any], inputs: dict[str, Any]) -> None:

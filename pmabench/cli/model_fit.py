@@ -105,18 +105,15 @@ def _ranges(model: Model, within: list[tuple[str, str]]) -> dict[str, tuple[floa
     problems = []
     for name, text in within:
         first, dots, last = text.partition("..")
-        if name not in quantities:
-            problems.append(
-                f'--within {name}: {model.name} has no input or output "{name}"{did_you_mean(name, quantities)}'
-            )
-        elif not dots:
-            problems.append(f'--within {name}: "{text}" is no range; write "FIRST..LAST" with units')
-        else:
-            try:
-                low, high = (number_of(part.strip(), quantities[name]) for part in (first, last))
-                found[name] = (min(low, high), max(low, high))
-            except ValueError as error:
-                problems.append(f"--within {name}: {error}")
+        try:
+            if name not in quantities:
+                raise ValueError(f'{model.name} has no input or output "{name}"{did_you_mean(name, quantities)}')
+            if not dots:
+                raise ValueError(f'"{text}" is no range; write "FIRST..LAST" with units')
+            low, high = (number_of(part.strip(), quantities[name]) for part in (first, last))
+            found[name] = (min(low, high), max(low, high))
+        except ValueError as error:
+            problems.append(f"--within {name}: {error}")
     if problems:
         raise UsageError("\n".join(problems))
     return found
@@ -136,15 +133,9 @@ def _fit(
                 fixed[f"{name}_{end}"] = float(value)
     unknown = _unknown(model, measured, given, fixed, begin, free)
     try:
-        return fit_model(
-            model,
-            measured.output,
-            measured.columns,
-            {name: value for name, value in fixed.items() if name not in unknown},
-            measured.values,
-            unknown,
-            start={name: float(value) for name, value in begin.items()},
-        )
+        known = {name: value for name, value in fixed.items() if name not in unknown}
+        start = {name: float(value) for name, value in begin.items()}
+        return fit_model(model, measured.output, measured.columns, known, measured.values, unknown, start=start)
     except (ValueError, OutsideDomain) as error:
         raise UsageError(f"{model.name}: {error}") from error
 
@@ -165,15 +156,12 @@ def _unknown(
         asked = [name for name in model.fitted if name in able and name not in given]
         unknown = acting(model, measured.output, asked, {**fixed, **measured.columns}, begin)
         known = {p.name: p for p in model.parameters}
-        for name in asked:
-            if name not in unknown:
-                measured.notes.append(
-                    f"{name} changes nothing at these rows: left at {shown(known[name], fixed[name])}"
-                )
+        idle = [f"{name} changes nothing at these rows: left at {shown(known[name], fixed[name])}"
+                for name in asked if name not in unknown]  # fmt: skip
+        measured.notes.extend(idle)
         if not unknown:
-            raise UsageError(
-                f"nothing to fit: name inputs with --free, of {', '.join(n for n in able if n not in given)}"
-            )
+            others = ", ".join(name for name in able if name not in given)
+            raise UsageError(f"nothing to fit: name inputs with --free, of {others}")
     else:
         unknown = list(dict.fromkeys(name.strip() for name in free.split(",") if name.strip()))
         problems = []
@@ -257,10 +245,9 @@ def _print(ui: Ui, found: ModelFit, measured: Measured, table: Path, given: Mapp
     quantity = outputs[found.output].quantity
     scale, unit = QUANTITIES[quantity].scale, display_unit(quantity)
     largest = float(abs(found.computed - found.measured).max()) / scale
-    click.echo(
-        f"\nresidual rms {found.residual_rms / scale:.3g}, largest {largest:.3g} {unit}".rstrip()
-        + f"; {found.freedom} degrees of freedom; {found.agreeing} of {found.starts} starts ended here"
-    )
+    residual = f"\nresidual rms {found.residual_rms / scale:.3g}, largest {largest:.3g} {unit}".rstrip()
+    freedom = f"{found.freedom} degrees of freedom; {found.agreeing} of {found.starts} starts ended here"
+    click.echo(f"{residual}; {freedom}")
     for own, word in ((True, "given:"), (False, "not fitted, at reference values or ends of the data:")):
         named = [
             f"{key} {shown(known[key], value)}"
@@ -268,17 +255,13 @@ def _print(ui: Ui, found: ModelFit, measured: Measured, table: Path, given: Mapp
             if (key in given) == own and (own or key not in found.idle)
         ]
         if named:
-            click.echo(
-                fill(f"{word} {', '.join(named)}", console.width, subsequent_indent="  ", break_on_hyphens=False)
-            )
+            text = f"{word} {', '.join(named)}"
+            click.echo(fill(text, console.width, subsequent_indent="  ", break_on_hyphens=False))
     if 1 < len(found.unknowns) <= MOST_CORRELATED:
         click.echo()
         names = [u.name for u in found.unknowns]
-        cells = [
-            [name, *("" if value != value else f"{value:+.4f}" for value in found.correlation[i][: i + 1])]
-            for i, name in enumerate(names)
-        ]
-        rows = [row + [""] * (len(names) + 1 - len(row)) for row in cells]
+        lower = [["" if value != value else f"{value:+.4f}" for value in row] for row in found.correlation]
+        rows = [[name, *lower[i][: i + 1], *[""] * (len(names) - i - 1)] for i, name in enumerate(names)]
         print_grid(console, ["correlation", *names], rows, ("correlation",))
     for finding in found.findings:
         click.echo(fill(f"{finding.level}: {finding.text}", console.width, subsequent_indent="  "))

@@ -25,13 +25,10 @@ MOST_ROWS = 20_000
 
 def pairs(_context: click.Context, _parameter: click.Parameter, values: tuple[str, ...]) -> list[tuple[str, str]]:
     """`NAME=VALUE` options as (name, value)."""
-    found = []
     for value in values:
-        name, equals, text = value.partition("=")
-        if not equals or not name.strip():
+        if value.strip().find("=") < 1:
             raise click.BadParameter(f'"{value}" is not name=value, for instance "pressure=300 kPa"')
-        found.append((name.strip(), text.strip()))
-    return found
+    return [(name.strip(), text.strip()) for name, _, text in (value.partition("=") for value in values)]
 
 
 def named_model(name: str) -> Model:
@@ -40,7 +37,7 @@ def named_model(name: str) -> Model:
 
     known = models()
     if name not in known and Path(name).is_dir():
-        from pmabench.cli.model_surface import surface_model
+        from pmabench.cli.model_plants import surface_model
 
         return surface_model(Path(name))
     if name not in known:
@@ -85,13 +82,10 @@ def shown(parameter: Parameter, value: object, digits: int = 6) -> str:
 
 def _value(parameter: Parameter, text: str) -> float | str:
     """One value [SI], or the name of a choice; ValueError that says what is expected."""
-    if parameter.choices:
-        if text not in parameter.choices:
-            raise ValueError(
-                f'"{text}" is none of {", ".join(parameter.choices)}{did_you_mean(text, parameter.choices)}'
-            )
-        return text
-    return number_of(text, parameter.quantity)
+    choices = parameter.choices
+    if choices and text not in choices:
+        raise ValueError(f'"{text}" is none of {", ".join(choices)}{did_you_mean(text, choices)}')
+    return text if choices else number_of(text, parameter.quantity)
 
 
 def number_of(text: str, quantity: str) -> float:
@@ -134,8 +128,8 @@ def grid(
 ) -> tuple[dict[str, Any], dict[str, list[Any]]]:
     """Every single input, and the columns of the table: all combinations of its axes."""
     inputs = {p.name: given.get(p.name, p.value) for p in model.parameters if p.name not in table}
-    rows = list(product(*table.values()))
-    return inputs, {name: [row[index] for row in rows] for index, name in enumerate(table)}
+    columns = zip(*product(*table.values()), strict=True)
+    return inputs, {name: list(column) for name, column in zip(table, columns, strict=True)}
 
 
 Column = Mapping[str, Any]
@@ -168,19 +162,16 @@ def show_columns(
 def print_table(ui: Ui, columns: Sequence[Column], keys: int) -> None:
     """The columns in display units; the first `keys` of them are repeated in every part of a table that is too wide."""
     heads = [f"{column['name']} {display_unit(column['quantity'])}".strip() for column in columns]
-    cells = [_cells(column) for column in columns]
     texts = [head for head, column in zip(heads, columns, strict=True) if not column["quantity"]]
-    print_grid(ui.console(), heads, [list(row) for row in zip(*cells, strict=True)], texts, keys)
+    print_grid(ui.console(), heads, list(zip(*map(_cells, columns), strict=True)), texts, keys)
 
 
 def _cells(column: Column) -> list[str]:
     """Texts of a column's values; what is negligible against the largest is 0."""
-    numbers = [abs(value) for value in column["values"] if isinstance(value, float)]
-    least = 1e-9 * max(numbers, default=0.0)
-    return [
-        cell(column["quantity"], 0.0 if isinstance(value, float) and abs(value) < least else value)
-        for value in column["values"]
-    ]
+    numbers = [value if isinstance(value, float) else None for value in column["values"]]
+    least = 1e-9 * max((abs(number) for number in numbers if number is not None), default=0.0)
+    values = zip(column["values"], numbers, strict=True)
+    return [cell(column["quantity"], 0.0 if n is not None and abs(n) < least else value) for value, n in values]
 
 
 def cell(quantity: str, value: float | str | None) -> str:

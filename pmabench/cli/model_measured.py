@@ -83,7 +83,6 @@ def read_measured(
         notes.append("not used: column " + ", ".join(f'"{head}"' for head in idle))
     if path.is_dir() and not only:
         table, inputs, outputs = _one_method(model, table, chosen, renamed, notes)
-    parameters = {p.name: p for p in model.parameters}
     names = list(inputs)
     quantities = {p.name: p.quantity for p in model.parameters} | {o.name: o.quantity for o in model.outputs}
     read = [*inputs.items(), (chosen, outputs[chosen])]
@@ -91,15 +90,17 @@ def read_measured(
     for item, quantity, unit in chosen_columns:
         if quantity == "ratio" and unit in (None, ""):
             notes.append(f'column "{item.head.text}" has no unit: taken as a fraction, not in %')
-    ends = [ranges.get(name, (-inf, inf)) for name, _ in read]
+    limits = [ranges.get(name, (-inf, inf)) for name, _ in read]
+    ends = [(low - 1e-9 * abs(low), high + 1e-9 * abs(high)) for low, high in limits]  # room for rounding of units
+    known = {p.name: p for p in model.parameters}
     for name in ranges:
         if name not in (*names, chosen):
             raise UsageError(f"--within {name}: {table.path} has no column of it")
     found, kept = numbers(
         table,
         chosen_columns,
-        lambda place, value: _outside(parameters, names, place, value),
-        lambda place, value: _between(value, *ends[place]),
+        lambda place, value: _outside(known[names[place]], value) if place < len(names) else "",
+        lambda place, value: ends[place][0] <= value <= ends[place][1],
     )
     count = len(table.columns[0].cells)
     if not kept:
@@ -157,9 +158,8 @@ def _columns(
     taken: dict[str, str] = {}
     for name, head in renamed:
         if name not in names:
-            raise UsageError(
-                f'--column {name}: {model.name} has no input or output "{name}"{did_you_mean(name, names)}'
-            )
+            hint = did_you_mean(name, names)
+            raise UsageError(f'--column {name}: {model.name} has no input or output "{name}"{hint}')
         heads = {column.head.text: column.head.text for column in table.columns}
         heads |= {column.name: column.head.text for column in table.columns}
         if head not in heads:
@@ -173,8 +173,7 @@ def _columns(
         elif (item := meaning(column, [w for w in wanted if w.names[0] not in taken.values()])) is not None:
             name, unit = item[0].names[0], item[1]
         else:
-            near = get_close_matches(column.name, names, n=1, cutoff=CLOSE)
-            if near:
+            if near := get_close_matches(column.name, names, n=1, cutoff=CLOSE):
                 problem = f'"{column.name}" is no input or output; did you mean "{near[0]}"?'
                 problems.append(table.problem(column.head, problem))
             unused.append(head)
@@ -191,14 +190,12 @@ def _wanted(model: Model) -> list[Wanted]:
     inputs = [p for p in model.parameters if not p.choices]
     own = {p.name for p in inputs}
     everything: list[Parameter | Output] = [*inputs, *(o for o in model.outputs if o.name not in own)]
-    used = [item.name for item in everything] + [item.symbol for item in everything if item.symbol]
+    used = [name for item in everything for name in (item.name, item.symbol) if name]
     found = []
     for item in everything:
-        names = [item.name]
-        if item.symbol and used.count(item.symbol) == 1:
-            names.append(item.symbol)
-        names += [other for other in SYNONYMS.get(item.name, ()) if other not in used]
-        found.append(Wanted(tuple(names), item.quantity))
+        symbol = [item.symbol] if item.symbol and used.count(item.symbol) == 1 else []
+        others = [other for other in SYNONYMS.get(item.name, ()) if other not in used]
+        found.append(Wanted((item.name, *symbol, *others), item.quantity))
     return found
 
 
@@ -207,9 +204,9 @@ def _one_method(
 ) -> tuple[Table, Found, Found]:
     """An analysis' table has a row per method: the first that gives the output."""
     inputs, outputs, _, _ = _columns(model, table, renamed)
-    methods = [column for column in table.columns if column.name == "method"]
-    if methods:
-        has = zip(methods[0].cells, outputs[chosen][0].cells, strict=True)
+    method_column = next((column for column in table.columns if column.name == "method"), None)
+    if method_column is not None:
+        has = zip(method_column.cells, outputs[chosen][0].cells, strict=True)
         given = list(dict.fromkeys(method.text for method, cell in has if cell.text))
         if len(given) > 1:
             others = ", ".join(given[1:])
@@ -219,16 +216,8 @@ def _one_method(
     return table, inputs, outputs
 
 
-def _between(value: float, low: float, high: float) -> bool:
-    """Whether a value counts, with room for rounding of units."""
-    return low - 1e-9 * abs(low) <= value <= high + 1e-9 * abs(high)
-
-
-def _outside(known: dict[str, Parameter], names: list[str], place: int, value: float) -> str:
+def _outside(p: Parameter, value: float) -> str:
     """Why an input's value is outside the model's domain, or nothing."""
-    if place >= len(names):
-        return ""
-    p = known[names[place]]
     room = 1e-12
     low = value <= p.low if p.above else value < p.low - room * abs(p.low)
     if not low and value <= p.high + room * abs(p.high):

@@ -92,11 +92,9 @@ def _inputs(model: Model, table: Table, given: Mapping[str, Any]) -> tuple[dict[
         raise UsageError(f"{table.path} has no column of {', '.join(missing)}; add it, or give it with --set")
     quantities = {p.name: p.quantity for p in model.parameters}
     read, kept = numbers(table, [(column, quantities[name], unit) for name, (column, unit) in found.items()])
-    if len(kept) < len(table.columns[0].cells):
-        empty = next(row for row in range(len(table.columns[0].cells)) if row not in kept)
-        raise UsageError(
-            f"{table.path}: row {empty + 1} of the table has an empty cell; measure it, or leave the row out"
-        )
+    if empty := sorted({*range(len(table.columns[0].cells))} - {*kept}):
+        what = f"row {empty[0] + 1} of the table has an empty cell"
+        raise UsageError(f"{table.path}: {what}; measure it, or leave the row out")
     shown = [column for column in table.columns if column.head.text in unused]
     others = [column_of(column.head.text, "", [cell.text for cell in column.cells]) for column in shown]
     others += [column_of(name, quantities[name], values.tolist()) for name, values in zip(found, read, strict=True)]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,8 +14,7 @@ from pmabench.base.errors import UsageError, did_you_mean
 from pmabench.base.quantities import show
 from pmabench.cli.common import Ui, common
 from pmabench.cli.model_inputs import column_of, show_columns
-from pmabench.cli.model_several import DRIVE, PLANTS, simulate_several, within
-from pmabench.cli.model_surface import described_by, next_to
+from pmabench.cli.model_plants import DRIVE, PLANTS, described_by, next_to, simulate_several, within
 from pmabench.cli.names import RunFolder
 
 if TYPE_CHECKING:
@@ -115,9 +115,8 @@ def simulate(
         return
     if along is not None:
         if any((steps, sine, load, drive, settings)):
-            raise UsageError(
-                "--along takes pressures and loads from the run; give no --step, --sine, --load, --drive, --set"
-            )
+            what = "--along takes pressures and loads from the run"
+            raise UsageError(f"{what}; give no --step, --sine, --load, --drive, --set")
         next_to(ui, Path(plant), along, trial, as_csv=as_csv)
         return
     problems = _misplaced(trial, openings, load, drive, nothing=not steps and sine is None)
@@ -196,8 +195,6 @@ def _identified(
     seconds: float,
 ) -> Plant | IdentifiedPlant | IdentifiedDrivenPlant:
     """The muscle of an analysis, commanded; ValueError beyond the pressures and contractions that were tested."""
-    from dataclasses import asdict
-
     from pmabench.model import regulator
     from pmabench.model.driven import Actuator
     from pmabench.model.identified.plant import IdentifiedDrivenPlant
@@ -211,9 +208,8 @@ def _identified(
     model = described_by(folder, before)
     peak = max(wave.level + wave.amplitude for wave in waves)
     if peak > model.domain[1] * (1 + 1e-9):
-        raise ValueError(
-            f"{show(peak, 'pressure')} is above {show(model.domain[1], 'pressure')}, up to which it was tested"
-        )
+        highest = show(model.domain[1], "pressure")
+        raise ValueError(f"{show(peak, 'pressure')} is above {highest}, up to which it was tested")
     if driven is None or model.surface is None:
         free = model.plant(*weight)
         free.command(waves)
@@ -237,10 +233,10 @@ def _stays_inside(setup: Setup, actuator: Actuator, low: float, high: float) -> 
     if low < least - 1e-9 or high > actuator.high + 1e-9:
         lengths = f"{show(low, 'length')} to {show(high, 'length')}"
         ends = f"{show(least, 'length')} to {show(actuator.high, 'length')}"
-        below = (
-            "; its law says nothing of a muscle that is stretched beyond its nominal length" if low < least == 0 else ""
+        below = "; its law says nothing of a muscle that is stretched beyond its nominal length"
+        raise ValueError(
+            f"--drive goes from {lengths}, and it is driven from {ends}{below if low < least == 0 else ''}"
         )
-        raise ValueError(f"--drive goes from {lengths}, and it is driven from {ends}{below}")
 
 
 def _setup(plant: str, kind: str, changes: Overrides, waves: tuple[Wave, ...]) -> Setup:
@@ -327,8 +323,7 @@ def _drive(text: str | None) -> tuple[float, float, float] | None:
     if match is None:
         raise ValueError(f'"{text}" is no drive; write "20 mm +- 10 mm, 0.5 Hz"')
     mean = within(match["mean"], "length", -0.1, 0.1)
-    amplitude = within(match["amplitude"], "length", 0.0, 0.1)
-    return mean, amplitude, within(match["frequency"], "frequency", 1e-6, FASTEST)
+    return mean, within(match["amplitude"], "length", 0.0, 0.1), within(match["frequency"], "frequency", 1e-6, FASTEST)
 
 
 def _overrides(settings: tuple[str, ...]) -> Overrides:
@@ -344,10 +339,9 @@ def _overrides(settings: tuple[str, ...]) -> Overrides:
         try:
             if name not in CHANGES:
                 wrong.append(f'"{name}" is no parameter of the plants{did_you_mean(name, CHANGES)}')
-            elif CHANGES[name] == "count":
-                found[name] = float(value)
             else:
-                found[name] = parse_quantity(value.strip(), CHANGES[name])
+                of = CHANGES[name]
+                found[name] = float(value) if of == "count" else parse_quantity(value.strip(), of)
         except ValueError as error:
             wrong.append(f"{name}: {error}")
     wrong += [f"{name}: a finite number is expected" for name, value in found.items() if not math.isfinite(value)]

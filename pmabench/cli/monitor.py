@@ -162,19 +162,12 @@ class _Live:
         }
 
 
-class _Keys:
+class _Keys(deque[str]):
     """Keys pressed since they were taken last; one thread adds (both ends of a deque are safe), another takes."""
-
-    def __init__(self) -> None:
-        self._pressed: deque[str] = deque()
-
-    def add(self, keys: Sequence[str]) -> None:
-        """Add keys that were pressed."""
-        self._pressed.extend(keys)
 
     def taken(self) -> list[str]:
         """Keys pressed since the last call."""
-        return [self._pressed.popleft() for _ in range(len(self._pressed))]
+        return [self.popleft() for _ in range(len(self))]
 
 
 class _AtKeys:
@@ -229,7 +222,7 @@ def _screen(ui: Ui, page: Page, footer: str, *, wanted: bool) -> Iterator[_Keys]
                     if keyboard is None:
                         ended.wait(PERIOD)
                         continue
-                    keys.add(keyboard.read(PERIOD))
+                    keys.extend(keyboard.read(PERIOD))
 
         thread = threading.Thread(target=draw, name="pmabench-screen", daemon=True)
         thread.start()

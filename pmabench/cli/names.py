@@ -7,6 +7,7 @@ from __future__ import annotations
 import re
 import shlex
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -89,11 +90,9 @@ def own_files(kind: str) -> Iterator[Path]:
 
 def head_of(path: Path) -> str:
     """The first lines of a file; empty where it cannot be read."""
-    try:
-        with path.open(encoding="utf-8", errors="replace") as file:
-            return file.read(HEAD)
-    except OSError:
-        return ""
+    with suppress(OSError), path.open(encoding="utf-8", errors="replace") as file:
+        return file.read(HEAD)
+    return ""
 
 
 def shipped_files(kind: str) -> list[Path]:

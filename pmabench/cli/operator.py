@@ -6,6 +6,7 @@ import os
 import select
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from pmabench.base.errors import Interrupted
@@ -36,10 +37,7 @@ class _Keys:
         for message in self._display.poll():
             if "answer" in message:
                 self._answer = (message["answer"]["id"], message["answer"]["text"])
-            elif "key" in message:
-                self._keys.append(("key", message["key"]))
-            elif "note" in message:
-                self._keys.append(("note", message["note"]))
+            self._keys += [(what, message[what]) for what in ("key", "note") if what in message]
 
 
 class Confirmed(_Keys):
@@ -100,10 +98,9 @@ class InLines:
         """Whole lines that were typed, as a terminal hands them over; never waits."""
         if not select.select([self._fd], [], [], 0)[0]:
             return []
-        try:
+        typed = b""
+        with suppress(OSError):
             typed = os.read(self._fd, 4096)
-        except OSError:
-            typed = b""
         if not typed:
             raise Interrupted("end of input at the prompt", 130)
         return typed.decode("utf-8", "replace").splitlines()
@@ -112,9 +109,6 @@ class InLines:
 def _pressure(measured: Mapping[str, float]) -> str:
     pressure = highest_pressure(measured)
     return "The pressure is not measured." if pressure is None else f"Measured pressure: {pressure / 1e3:.1f} kPa."
-
-
-Wait = Callable[[], None]
 
 
 class AtLines:
@@ -128,7 +122,7 @@ class AtLines:
         """No keys; lines are answers."""
         return ()
 
-    def ask(self, text: str, measured: Mapping[str, float], wait: Wait) -> str:
+    def ask(self, text: str, measured: Mapping[str, float], wait: Callable[[], None]) -> str:
         """Ask until the word is `clear`."""
         if sys.stderr.isatty():
             rewrite()
@@ -140,7 +134,7 @@ class AtLines:
             if self.line(prompt, wait).lower() == "clear":
                 return "clear"
 
-    def line(self, prompt: str, wait: Wait) -> str:
+    def line(self, prompt: str, wait: Callable[[], None]) -> str:
         """The next line that is typed; raises Interrupted at the end of the input."""
         sys.stderr.write(prompt)
         sys.stderr.flush()

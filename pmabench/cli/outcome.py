@@ -111,8 +111,10 @@ def _end(outcome: Outcome, bench: CompiledBench, kind: str, trials: int) -> list
         lines.append(shorten(f"   trials that failed: {numbers}", 80, placeholder=" …"))
     if outcome.vent is not None and not outcome.vent.confirmed:
         lines += [f"   {action}" for action in outcome.vent.actions[:8]]
-        lines.append("   nobody knows that the pressure is gone: stay away, shut the supply by hand,")
-        lines.append("   then  pmabench vent")
+        lines += [
+            "   nobody knows that the pressure is gone: stay away, shut the supply by hand,",
+            "   then  pmabench vent",
+        ]
     if bench.realtime and Station(bench.name).latched():
         lines.append("   the bench is now tripped, and nothing runs on it: look at it first")
     if outcome.folder is not None:

@@ -334,9 +334,8 @@ def write(
     written = []
     for analysis in analyses:
         seen[analysis.kind] = number = seen.get(analysis.kind, 0) + 1
-        written.append(
-            write_with_tables(analysis, folder / (f"{analysis.kind}-{number}" if number > 1 else analysis.kind))
-        )
+        name = f"{analysis.kind}-{number}" if number > 1 else analysis.kind
+        written.append(write_with_tables(analysis, folder / name))
     keep(folder, key, [Path(run.path) for run in runs], options or {}, written)
     return written
 
@@ -354,10 +353,6 @@ def print_analyses(ui: Ui, analyses: Sequence[Analysis]) -> None:
                 f"{analysis.kind}: {len(analysis.dropped)} trials not used; the report lists each with its reason"
             )
         for finding in analysis.findings:
-            console.print(_wrapped(clean(f"{finding.level}: {printed(finding.text)}"), console.width), soft_wrap=True)
-
-
-def _wrapped(text: str, width: int) -> str:
-    """Lines of at most `width` where words allow it; a value and its half width stay on one line."""
-    kept = fill(text.replace(" ± ", "\u00a0±\u00a0"), width, break_long_words=False, break_on_hyphens=False)
-    return kept.replace("\u00a0±\u00a0", " ± ")
+            text = clean(f"{finding.level}: {printed(finding.text)}").replace(" ± ", "\u00a0±\u00a0")
+            kept = fill(text, console.width, break_long_words=False, break_on_hyphens=False)
+            console.print(kept.replace("\u00a0±\u00a0", " ± "), soft_wrap=True)  # a value stays with its half width

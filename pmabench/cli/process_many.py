@@ -68,7 +68,8 @@ def _progress(ui: Ui) -> Iterator[Callable[[int, int, int], None] | None]:
             if now - last >= LINE_EVERY:
                 last = now
                 left = (now - began) * (total - done) / max(done - unchanged, 1)
-                ui.note(f"{done:,} of {total:,} runs, {_duration(left)} left")
+                length = f"{left:.0f} s" if left < 100 else f"{left / 60:.0f} min"
+                ui.note(f"{done:,} of {total:,} runs, {length} left")
 
         yield line
         return
@@ -85,10 +86,6 @@ def _progress(ui: Ui) -> Iterator[Callable[[int, int, int], None] | None]:
         yield show
 
 
-def _duration(seconds: float) -> str:
-    return f"{seconds:.0f} s" if seconds < 100 else f"{seconds / 60:.0f} min"
-
-
 def _data(many: Many, paths: Sequence[Path]) -> dict[str, Any]:
     return {
         "schema": SCHEMA,
@@ -98,10 +95,7 @@ def _data(many: Many, paths: Sequence[Path]) -> dict[str, Any]:
         "unchanged": many.count("unchanged"),
         "runs": [plain_entry(entry) for entry in many.results()],
         "skipped": [{"run": entry["path"], "because": entry["skipped"]} for entry in many.of("skipped")],
-        "failed": [
-            {"run": entry["path"], "error": entry["error"], "exit_code": entry["exit_code"]}
-            for entry in many.of("failed")
-        ],
+        "failed": [{"run": e["path"], "error": e["error"], "exit_code": e["exit_code"]} for e in many.of("failed")],
     }
 
 
@@ -118,9 +112,7 @@ def _human(many: Many, paths: Sequence[Path]) -> None:
         for entry in many.results()
         for run, additions in entry["since"].items()
     ]
-    for line in _first(since, "that something was added to; the table names them"):
-        click.echo(line)
-    click.echo("\n".join(str(path) for path in paths))
+    click.echo("\n".join([*_first(since, "that something was added to; the table names them"), *map(str, paths)]))
     refused = sum(bool(entry["verdicts"]) for entry in many.results())
     done = many.count("computed", "unchanged")
     click.echo(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from datetime import UTC, datetime
+from itertools import chain, count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -60,7 +61,7 @@ def command(
     from pmabench.analysis.verdict.comparison import changes
     from pmabench.cli.process import analyse, campaign_folder, load_runs, without_analyses, write
     from pmabench.kinds.registry import loops
-    from pmabench.report.pages.change_tables import print_changes, write_changes
+    from pmabench.report.pages.comparison_page import print_changes, write_changes
     from pmabench.store.chain import open_chains
     from pmabench.store.reader import refuse_loops
 
@@ -177,11 +178,8 @@ def _marked(analysis: Analysis, channels: Sequence[dict[str, Any]]) -> Analysis:
 
 
 def _free(folder: Path) -> Path:
-    number, free = 1, folder
-    while free.exists():
-        number += 1
-        free = folder.with_name(f"{folder.name}-{number}")
-    return free
+    others = (folder.with_name(f"{folder.name}-{number}") for number in count(2))
+    return next(place for place in chain([folder], others) if not place.exists())
 
 
 def _with_changes(analysis: Analysis, found: Sequence[Change], who: Mapping[str, str]) -> Analysis:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pmabench.base.errors import UsageError
-from pmabench.cli.common import Ui, common
+from pmabench.cli.common import Ui, common, no_pipes
 from pmabench.cli.names import FILE, RunFolder
 
 if TYPE_CHECKING:
-    from pmabench.report.document.kept_page import Page
     from pmabench.report.figures.overlays import Published
+    from pmabench.report.writing import KeptPage
     from pmabench.store.analyses.results import Analysis
     from pmabench.store.records import RunData
 
@@ -56,13 +56,11 @@ def command(
     Runs are processed now, unless `process` did that and nothing has changed since.
     """
     from pmabench.cli.process import apart, chains, stored, without_analyses
-    from pmabench.report.document import kept_page
-    from pmabench.report.writing import write_file
+    from pmabench.report.writing import keep, kept, page_key, write_file
     from pmabench.store.analyses.folder import runs_of
     from pmabench.store.since import as_sealed
 
-    for path in (path for path in (output, pdf, xlsx) if path is not None and path.is_fifo()):
-        raise UsageError(f"{path} is a pipe; give the name of a file")
+    no_pipes(output, pdf, xlsx)
     published: list[Published] = []
     if overlays:
         from pmabench.cli.report_overlays import read_overlays
@@ -75,18 +73,20 @@ def command(
     if used and not (published or (folders and given)):
         behind = chains(given or [run for folder in folders for run in runs_of(folder)])
         about = {"sources": [str(path) for path in sources], "title": title, "long": long, **issuer}
-        key = kept_page.page_key(used, behind, about) if all(as_sealed(run) for run in behind) else ""
-    page = None if fresh or pdf or xlsx or not key else kept_page.kept(used[0].parent, key)
+        key = page_key(used, behind, about) if all(as_sealed(run) for run in behind) else ""
+    page = None if fresh or pdf or xlsx or not key else kept(used[0].parent, key)
     if page is not None:
         for line in page.remarks:
             ui.note(line)
         written = {"path": str(write_file(output, page.text, "the report"))}
     else:
         ui.begin("making the report")
-        analyses, runs = analysed(ui, folders, used, given)
-        written, page = _written(ui, analyses, runs, published, title, issuer, output, pdf, xlsx, long=long)
+        from pmabench.report.document.deviations import Issuer
+
+        said: dict[str, Any] = {"title": title, "published": published, "issuer": Issuer(**issuer)}
+        written, page = _written(ui, *analysed(ui, folders, used, given), output, pdf, xlsx, long=long, **said)
         if key:
-            kept_page.keep(used[0].parent, key, page)
+            keep(used[0].parent, key, page)
     data: dict[str, Any] = {"schema": "pmabench.report/1", **written, "since": dict(page.since)}
     ui.result(data, lambda: click.echo("\n".join(written.values())))
 
@@ -114,31 +114,20 @@ def analysed(
 
 
 def _written(
-    ui: Ui,
-    analyses: Sequence[Analysis],
-    runs: Sequence[RunData],
-    published: Sequence[Published],
-    title: str | None,
-    issuer: Mapping[str, str],
-    output: Path,
-    pdf: Path | None,
-    xlsx: Path | None,
-    *,
-    long: bool,
-) -> tuple[dict[str, str], Page]:
-    """Write the report in each format that is wanted; what was written, and the page."""
+    ui: Ui, analyses: list[Analysis], runs: list[RunData], output: Path, pdf: Path | None, xlsx: Path | None,
+    *, long: bool, **about: Any,
+) -> tuple[dict[str, str], KeptPage]:  # fmt: skip
+    """Write the report in each format that is wanted, `about` as in `content_of`; what was written, and the page."""
     from pmabench.cli.process import since_lines
     from pmabench.plotting.svg import import_without_3d
-    from pmabench.report.document.checklist import Issuer
     from pmabench.report.document.content import content_of, page_of
-    from pmabench.report.document.kept_page import Page
-    from pmabench.report.writing import write_file
+    from pmabench.report.writing import KeptPage, write_file
 
     import_without_3d()
-    page = Page("", {run.id: run.since.as_data() for run in runs if run.since.sentences}, since_lines(runs))
+    page = KeptPage("", {run.id: run.since.as_data() for run in runs if run.since.sentences}, since_lines(runs))
     for line in page.remarks:
         ui.note(line)
-    content = content_of(analyses, runs, title=title, published=published, issuer=Issuer(**issuer))
+    content = content_of(analyses, runs, **about)
     page = replace(page, text=page_of(content, long=long))
     written = {"path": str(write_file(output, page.text, "the report"))}
     if pdf is not None:

@@ -1,4 +1,4 @@
-"""`pmabench runs`: the catalogue, one run in full, and whether the record is whole."""
+"""`pmabench runs` and `note`: the catalogue, one run in full, whether the record is whole, and what is added to it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import click
 
 from pmabench.base.errors import InvalidFile, invalid
 from pmabench.base.text import printable
-from pmabench.cli.common import Ui, common, fields
+from pmabench.cli.common import Ui, common, fields, login_name
 from pmabench.cli.names import PATH, RunFolder
 from pmabench.report.terminal import print_grid
 
@@ -130,8 +130,7 @@ def _print_run(data: RunData, after: Mapping[str, str]) -> None:
         click.echo(f"  trial {t.number:<6} {t.status:12} {point_text(t.point)}{reference}")
     for channel in data.channels.values():
         click.echo(f"  {channel.name:18} [{channel.unit}]  calibration {channel.calibration or 'none'}")
-    result = vented(data)
-    if result:
+    if result := vented(data):
         click.echo(f"  {'vent':12} {result}")
     _print_rest(data)
     for entry in unresolved_of(data):
@@ -186,18 +185,15 @@ def trials_left(data: RunData) -> int:
 
 def _print_rest(data: RunData) -> None:
     """What only some runs have: a vent by the guard, clocks of their own, notes."""
-    guard = data.manifest.get("guard") or {}
-    if guard:
+    if guard := data.manifest.get("guard") or {}:
         vent = guard.get("vent")
         result = vent.get("result") if isinstance(vent, dict) else None
         click.echo(f"  {'guard':12} the bench was vented after the program died: {result or 'not reported'}")
         click.echo(f"  {'':12} {guard.get('cause', '')}".rstrip())
     for name, clock in data.clocks.items():
         if clock.how != "stated equal":
-            relation = (
-                f"offset {clock.offset:.6g} s, drift {1e6 * clock.drift:.3g} ppm, ± {1e3 * clock.uncertainty:.3g} ms"
-            )
-            click.echo(f"  {'clock':12} {name}: {relation} ({clock.how})")
+            drift, uncertainty = f"drift {1e6 * clock.drift:.3g} ppm", f"± {1e3 * clock.uncertainty:.3g} ms"
+            click.echo(f"  {'clock':12} {name}: offset {clock.offset:.6g} s, {drift}, {uncertainty} ({clock.how})")
     for name, how in data.interpolated.items():
         click.echo(f"  {name:18} {how}")
     for note in data.notes:
@@ -231,7 +227,7 @@ def verify_runs(ui: Ui, runs: tuple[Path, ...]) -> int | None:
 
     def human() -> None:
         for run, findings in wrong.items():
-            state = [_counted(len(findings), "finding") if findings else "whole"]
+            state = [f"{len(findings)} finding{'s'[: len(findings) > 1]}" if findings else "whole"]
             state += [f"{len(added[run])} added"] if added[run] else []
             state += [f"{len(late[run])} late"] if late[run] else []
             click.echo(f"{run}: {', '.join(state)}")
@@ -255,5 +251,42 @@ def _verified(folder: Path) -> list[Finding]:
         return [Finding(Path(problem.path).name, problem.message) for problem in error.problems]
 
 
-def _counted(number: int, word: str) -> str:
-    return f"{number} {word}{'' if number == 1 else 's'}"
+@click.command(name="note")
+@click.argument("run", type=RunFolder())
+@click.argument("text", default="")
+@click.option("--attach", multiple=True, type=PATH, metavar="FILE", help="A copy is kept.")
+@click.option(
+    "--exclude",
+    type=click.IntRange(min=1),
+    metavar="TRIAL",
+    help="Leave a trial out of fits: its number in `runs show` and on the display, from 1.",
+)
+@click.option("--because", default="", metavar="TEXT", help="Why it is left out.")
+@click.option("--operator", default="", help="Who says so; the login name if not given.")
+@common
+def note(
+    ui: Ui, run: Path, text: str, attach: tuple[Path, ...], exclude: int | None, because: str, operator: str
+) -> None:
+    """Append a note to RUN, open or closed: TEXT, files, or a trial that is left out of fits and why."""
+    from pmabench.store.notes import add_note
+
+    index = None if exclude is None else exclude - 1
+    note = add_note(run, text, attach=attach, exclude=index, because=because, operator=operator or login_name())
+    data = {"schema": "pmabench.note-added/1", "run": str(run), "note": note.as_data()}
+
+    def human() -> None:
+        click.echo(f"note {note.number} of {run}")
+        if note.exclude is not None:
+            click.echo(f"left out: {_trial(run, note.exclude)}")
+
+    ui.result(data, human)
+
+
+def _trial(run: Path, index: int) -> str:
+    """A trial in words, so that a wrong number is seen."""
+    from pmabench.display.wording import point_text
+    from pmabench.store.folder import EVENTS, decode_lines, read_file
+
+    lines = decode_lines(read_file(run, EVENTS)).lines
+    data = next(line["data"] for line in lines if line["kind"] == "trial-begin" and line["data"].get("trial") == index)
+    return f"trial {index + 1} ({point_text(data.get('point') or {})})"

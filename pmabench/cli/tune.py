@@ -143,9 +143,8 @@ def _tuned(pairs: Pairs, rules: tuple[Rule, ...]) -> list[tuple[Estimate, Estima
     except ValueError as error:
         raise UsageError(str(error)) from error
     if found and not any(gains for _, _, gains in found):
-        raise UsageError(
-            f"{rules[0].name} needs the loop itself: give --dead-time and --lag, --steps RUN... or --analysis FOLDER"
-        )
+        ways = "give --dead-time and --lag, --steps RUN... or --analysis FOLDER"
+        raise UsageError(f"{rules[0].name} needs the loop itself: {ways}")
     return found
 
 
@@ -170,8 +169,7 @@ def _ultimate_text(gain: Estimate, period: Estimate) -> str:
     """Operating point, K_u and T_u with their intervals, and where they come from."""
     from pmabench.store.analyses.results import POINT_QUANTITIES
 
-    names = [name for name in POINT_QUANTITIES if name in gain.at]
-    where = ", ".join(f"{name} {show(gain.at[name], POINT_QUANTITIES[name])}" for name in names)
+    where = ", ".join(f"{name} {show(gain.at[name], of)}" for name, of in POINT_QUANTITIES.items() if name in gain.at)
     values = []
     for estimate in (gain, period):
         half = estimate.parts.combined
@@ -186,9 +184,8 @@ def _gain(ui: Ui, text: str) -> Estimate:
     value, bare = _quantity("--ku", text, "gain", 1e-30)
     if not bare:
         return Estimate("K_u", value, "Pa/m", "gain", "given")
-    ui.note(
-        f'--ku {text}: taken without a unit; K_p comes out in the same unknown unit (write "7.1 bar/cm" to know it)'
-    )
+    why = 'K_p comes out in the same unknown unit (write "7.1 bar/cm" to know it)'
+    ui.note(f"--ku {text}: taken without a unit; {why}")
     return Estimate("K_u", value, "1", "count", "given")
 
 
@@ -250,24 +247,20 @@ def _print(ui: Ui, gains: tuple[Gains, ...]) -> None:
             return f"{estimate.value:.4g} {estimate.unit if estimate.unit != '1' else ''}".strip()
         return quantity.show(estimate.value, 4)
 
-    known = any(row.margins is not None for row in gains)
     heads = ["rule", "K_p", "T_i", "T_d", "K_i", "K_d"]
-    heads += ["M_s", "gain margin", "phase margin", "overshoot", "settling"] if known else []
+    if any(row.margins is not None for row in gains):
+        heads += ["M_s", "gain margin", "phase margin", "overshoot", "settling"]
     rows = []
     for row in gains:
         cells = [cell(e) for e in (row.K_p, row.T_i, row.T_d, row.K_i, row.K_d)]
-        if known and row.margins is None:
-            cells += [""] * 5
-        elif row.margins is not None:
+        if row.margins is not None:
             cells += [f"{row.margins.M_s:.2f}", f"{row.margins.gain_margin:.2f}"]
             cells.append(QUANTITIES["angle"].show(row.margins.phase_margin, 3))
-            answer = ["", ""]
             if row.answer is not None:
                 overshoot, settling = row.answer.overshoot, row.answer.settling
-                answer = [f"{100 * overshoot:.0f} %" if isfinite(overshoot) else "unstable"]
-                answer += [f"{settling:.3g} s" if isfinite(settling) else "never"]
-            cells += answer
-        rows.append([row.rule.title, *cells])
+                cells.append(f"{100 * overshoot:.0f} %" if isfinite(overshoot) else "unstable")
+                cells.append(f"{settling:.3g} s" if isfinite(settling) else "never")
+        rows.append([row.rule.title, *cells, *[""] * (len(heads) - 1 - len(cells))])
     print_grid(ui.console(), heads, rows, ("rule",))
 
 
@@ -337,10 +330,9 @@ def by_runs(ui: Ui, runs: Sequence[Path], where: Where) -> Analysis:
 
 
 def _found(path: Path, analysis: Analysis, where: Where, period: float) -> Analysis:
+    make = load(next(iter(registry.with_part(PART).values())).parts[PART])
     try:
-        made: Analysis = load(next(iter(registry.with_part(PART).values())).parts[PART])(
-            analysis, where.setpoints, where.load, where.mass, period
-        )
+        made: Analysis = make(analysis, where.setpoints, where.load, where.mass, period)
     except ValueError as error:
         raise invalid(path, str(error)) from error
     return made

@@ -17,6 +17,7 @@ import click
 from pmabench.base.errors import LimitRefused, PmaError, UsageError, did_you_mean
 from pmabench.cli.common import Ui, common, login_name
 from pmabench.cli.names import BENCH
+from pmabench.files.shipped import find_file
 from pmabench.guard.station import Station, stations
 from pmabench.guard.wire import Messages, encode, keys
 
@@ -79,9 +80,8 @@ def _find(bench: str | None) -> Iterator[tuple[Station, dict[str, Any]]]:
         used = [(s, saved) for s, saved in known if s.read("guard") or s.latched()]
         if not used:
             names = ", ".join(f'"{saved["name"]}"' for _, saved in known if saved)
-            raise UsageError(
-                f"no bench is in use{f'; known here: {names}' if names else ' and none was ever armed here'}"
-            )
+            there = f"; known here: {names}" if names else " and none was ever armed here"
+            raise UsageError(f"no bench is in use{there}")
         yield from used
         return
     path = Path(bench)
@@ -104,7 +104,6 @@ def _find(bench: str | None) -> Iterator[tuple[Station, dict[str, Any]]]:
 def _from_file(bench: str, known: list[str]) -> tuple[Station, dict[str, Any]]:
     """A bench that was never armed here, from its file."""
     from pmabench.bench.compile import mount_alone
-    from pmabench.files.shipped import find_file
 
     try:
         path = find_file("bench", bench)

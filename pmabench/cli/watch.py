@@ -150,9 +150,8 @@ def _address(listen: str | None) -> str:
     try:
         address = ipaddress.ip_address(listen)
     except ValueError:
-        raise UsageError(
-            f'--listen needs an address of this computer in numbers, as 192.168.1.20; not "{listen}"'
-        ) from None
+        what = "--listen needs an address of this computer in numbers, as 192.168.1.20"
+        raise UsageError(f'{what}; not "{listen}"') from None
     if address.is_unspecified or address.is_multicast:
         raise UsageError(f"--listen {listen} is every network; name the address of the one that the phone is in")
     return str(address)
@@ -169,9 +168,8 @@ def _start(folder: Path, address: str, *, vent: bool) -> Server:
     try:
         return start(folder, token(), address, (PORT, 0), vent=vent)
     except OSError as error:
-        raise UsageError(
-            f"cannot listen at {address}: {error.strerror or error}; is it an address of this computer?"
-        ) from error
+        why = error.strerror or error
+        raise UsageError(f"cannot listen at {address}: {why}; is it an address of this computer?") from error
 
 
 def token() -> str:
@@ -217,9 +215,8 @@ def start_view(ui: Ui, out: Path, *, vent: bool = False) -> None:
     command = [sys.executable, "-P", "-m", "pmabench", "watch", *options, str(out)]
     quiet: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "start_new_session": True}
     try:
-        process = subprocess.Popen(
-            command, stdout=subprocess.PIPE, env={**os.environ, "PMABENCH_WEB_OF_RUN": "1"}, **quiet
-        )
+        environment = {**os.environ, "PMABENCH_WEB_OF_RUN": "1"}
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, env=environment, **quiet)
         said = b""
         if process.stdout is not None and select.select([process.stdout], [], [], STARTS_WITHIN)[0]:
             said = os.read(process.stdout.fileno(), 10_000)

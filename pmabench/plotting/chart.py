@@ -130,12 +130,6 @@ def limits(chart: Chart) -> tuple[float, float, float, float]:
     return x0 - (aside if x0 != 0 else 0.0), x1 + aside, below, y1 + room
 
 
-def _gutter(chart: Chart) -> float:
-    """Room for names between the ticks and the curves."""
-    letters = max((len(s.label) for s in chart.shown if s.named_first), default=0)
-    return letters * NAME * BOLD + 8 if letters else 0.0
-
-
 class _Frame:
     """Where things are in the drawing."""
 
@@ -147,7 +141,9 @@ class _Frame:
         longest = max((len(text) for text in self.texts(self.y_ticks)), default=1)
         names = max((len(s.label) for s in chart.shown if not s.named_first), default=0)
         sides = chart.sides or (7 + longest * TICK * WIDE * 1.08, 6 + names * NAME * BOLD if names else 4)
-        self.gutter = _gutter(chart)
+        firsts = max((len(s.label) for s in chart.shown if s.named_first), default=0)
+        self.gutter = firsts * NAME * BOLD + 8 if firsts else 0.0
+        """Room for names between the ticks and the curves."""
         self.left, self.right = sides[0] + self.gutter, chart.width - sides[1]
         self.top = 17.0 if chart.y_label else 5.0
         self.bottom = chart.height - (26.0 if chart.x_named else 5.0)
@@ -199,8 +195,7 @@ def _drawn(chart: Chart) -> str:
     """All elements of a chart."""
     frame = _Frame(chart)
     body = [*_ground(frame), *_axes(frame)]
-    for series in chart.shown:
-        body += _band(frame, series)
+    body += [band for series in chart.shown for band in _band(frame, series)]
     for series in chart.shown:
         body += _dots(frame, series) if series.dots else _line(frame, series)
     body += _names(frame)
@@ -229,15 +224,15 @@ def _axes(frame: _Frame) -> list[str]:
     """Horizontal grid, axis lines, ticks, titles: the unit is in the title, that of y above its axis."""
     chart, out = frame.chart, []
     for value, text in zip(frame.y_ticks, frame.texts(frame.y_ticks), strict=True):
-        _, y = frame.at(np.zeros(1), np.array([value]))
-        out.append(_rule(frame.left, float(y[0]), frame.right, float(y[0]), GRID, 0.75))
-        out.append(_text(frame.left - frame.gutter - 4, float(y[0]) + 2.6, text, TICK, QUIET, "end"))
+        y = float(frame.at(np.zeros(1), np.array([value]))[1][0])
+        out.append(_rule(frame.left, y, frame.right, y, GRID, 0.75))
+        out.append(_text(frame.left - frame.gutter - 4, y + 2.6, text, TICK, QUIET, "end"))
     out.append(_rule(frame.left, frame.bottom, frame.right, frame.bottom, QUIET, 0.9))
     for value, text in zip(frame.x_ticks, frame.texts(frame.x_ticks), strict=True):
-        x, _ = frame.at(np.array([value]), np.zeros(1))
-        out.append(_rule(float(x[0]), frame.bottom, float(x[0]), frame.bottom + 2.5, QUIET, 0.9))
+        x = float(frame.at(np.array([value]), np.zeros(1))[0][0])
+        out.append(_rule(x, frame.bottom, x, frame.bottom + 2.5, QUIET, 0.9))
         if chart.x_named:
-            out.append(_text(float(x[0]), frame.bottom + 10.5, text, TICK, QUIET, "middle"))
+            out.append(_text(x, frame.bottom + 10.5, text, TICK, QUIET, "middle"))
     if chart.x_named:
         out.append(_text((frame.left + frame.right) / 2, chart.height - 4, chart.x_label, LABEL, INK, "middle"))
     if chart.y_label:
@@ -250,7 +245,7 @@ def _band(frame: _Frame, series: Series) -> list[str]:
     if series.dots or series.half is None or not np.isfinite(series.half).any():
         return []
     known = np.isfinite(series.half) & np.isfinite(series.y)
-    x, y, half = series.x[known], series.y[known], series.half[known]
+    x, y, half = (values[known] for values in (series.x, series.y, series.half))
     across, up = frame.at(x, y + half)
     _, down = frame.at(x, y - half)
     whole = _path(np.append(across, across[::-1]), np.append(up, down[::-1]))

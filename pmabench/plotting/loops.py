@@ -63,14 +63,18 @@ def together(traces: Sequence[Trace], simulated: bool) -> list[Picture]:
         panels = [panel(t, {"x": first, "y": second}, name) for t, name in zip(chosen, names, strict=True)]
         labels = (label(chosen[0], first), label(chosen[0], second))
         where = clean(chosen[0].title.partition(", ")[2], 60) if kind == "loop" else ""
-        title = f"Loops of {second} over {first}".replace("displacement", "contraction")
-        title += f", {where}" if where else ""
+        title = _title(first, second, where)
         caption = "Measured; the area of a loop is the energy lost in a cycle."
         alt = f"{labels[1]} over {labels[0]} as measured loops on common axes: {', '.join(names)}."
         table = numbers(list(zip(names, chosen, strict=True)), (first, second))
         draw = bound(plots.loops_together, panels, *labels)
         return [picture(draw, title, caption, alt, table, wide=False, simulated=simulated)]
     return []
+
+
+def _title(first: str, second: str, where: str) -> str:
+    words = f"Loops of {second} over {first}".replace("displacement", "contraction")
+    return f"{words}, {where}" if where else words
 
 
 def _loop_name(trace: Trace, mark: str) -> str:
@@ -96,23 +100,17 @@ def loops(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
         panels = [panel(t, names, _frequency(t)) for t in chosen]
         labels = {"x": label(chosen[0], first), "y": label(chosen[0], second)}
         where = clean(chosen[0].title.partition(", ")[2], 60)
-        title = f"Loops of {second} over {first}".replace("displacement", "contraction")
-        title += f", {where}" if where else ""
+        title = _title(first, second, where)
         each = " at each frequency" if any("frequency" in t.marks for t in chosen) else ""
-        caption = f"Grey: the last measured cycle{each}"
-        caption += (
-            "; brown: the fitted muscle along the same motion."
-            if "model" in names
-            else ". No model is drawn: stiffness, damping and friction are not all known here."
-        )
-        width = [t.marks["width"] for t in chosen if "width" in t.marks]
-        if width:
+        lacking = ". No model is drawn: stiffness, damping and friction are not all known here."
+        model = "; brown: the fitted muscle along the same motion." if "model" in names else lacking
+        caption = f"Grey: the last measured cycle{each}{model}"
+        if width := [t.marks["width"] for t in chosen if "width" in t.marks]:
             unit = shown("force")
             caption += f" Width at mid stroke {reach([w / unit.scale for w in width])} {unit.unit}."
-        alt = (
-            f"{labels['y']} over {labels['x']} as closed loops at {', '.join(p.title for p in panels)}"
-            f"{f', {where}' if where else ''}."
-        ) + (" Loops grow wider as the frequency rises where damping acts." if len(chosen) > 1 else "")
+        alt = f"{labels['y']} over {labels['x']} as closed loops at {', '.join([p.title for p in panels])}"
+        alt += f", {where}." if where else "."
+        alt += " Loops grow wider as the frequency rises where damping acts." if len(chosen) > 1 else ""
         table = numbers([(_frequency(t), t) for t in chosen])
         draw = bound(plots.loops, panels, labels)
         found.append(picture(draw, title, caption, alt, table, wide=len(chosen) > 1, simulated=analysis.simulated))
@@ -148,12 +146,8 @@ def bode(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
                 "phase fit": np.degrees(np.arctan2(loss, trace.marks["K"] * amplitude)),
             }
         panels.append(Panel(title, columns, dict(trace.marks)))
-    labels = {
-        "frequency": "frequency [Hz]",
-        "K": shown("stiffness").label("K"),
-        "B": shown("damping").label("loss per speed"),
-        "phase": "phase [deg]",
-    }
+    labels = {"frequency": "frequency [Hz]", "phase": "phase [deg]"}
+    labels |= {"K": shown("stiffness").label("K"), "B": shown("damping").label("loss per speed")}
     caption = (
         "Left: stiffness K = −Re(F/x). Middle: loss per speed, −Im(F/x)/ω, which tends to B where viscous damping "
         "rules and rises at low frequency where Coulomb friction does. Right: phase of force before displacement. "
@@ -186,8 +180,8 @@ def growth_alone(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     labels = {"gain": label(traces[0], "gain"), "log_ratio": "ln(growth) per half period"}
 
     def draw() -> Figure:
-        figure = plots.blank(plots.HALF, 2.55)
-        time_plots.growth_axes(figure.add_subplot(plots.grid(figure, 1, 1, left=0.6)[0]), growth, labels)
+        figure, axes = plots.one_axes(plots.HALF, 2.55, left=0.6)
+        time_plots.growth_axes(axes, growth, labels)
         return figure
 
     table = numbers([("", traces[0])])
@@ -213,12 +207,8 @@ def oscillations(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
         place = 0 if trace.figure == "oscillation" else 1
         pairs.setdefault(trace.name.partition("-")[2], [None, None])[place] = trace
     rows, named = [], []
-    labels = {
-        "t": "time [s]",
-        "measured": "contraction [mm]",
-        "gain": "gain",
-        "log_ratio": "ln(growth) per half period",
-    }
+    labels = {"t": "time [s]", "measured": "contraction [mm]", "gain": "gain"}
+    labels["log_ratio"] = "ln(growth) per half period"
     for swing, growth in list(pairs.values())[:ROWS]:
         left = right = None
         if swing is not None and has(swing, "t", "displacement"):
@@ -239,9 +229,8 @@ def oscillations(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     if len(pairs) > ROWS:
         caption += f" {ROWS} of {len(pairs)} operating points are shown."
     gains = [right.title for _, right in rows if right is not None and right.title]
-    alt = (
-        f"Oscillation over time, and growth per half period over gain, for {len(rows)} set-points. {'; '.join(gains)}."
-    )
+    alt = f"Oscillation over time, and growth per half period over gain, for {len(rows)} set-points."
+    alt += f" {'; '.join(gains)}."
     draw = bound(time_plots.oscillations, rows, labels)
     title = "Sustained oscillation and ultimate gain"
     return [picture(draw, title, caption, alt, numbers(named), wide=True, simulated=analysis.simulated)]

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pmabench.plotting import time_plots
+from pmabench.plotting import plots, time_plots
 from pmabench.plotting.pictures import (
     Picture,
     bound,
@@ -167,12 +167,9 @@ def _autocorrelation(values: Array) -> Array:
 
 def _draw_curves(panels: Sequence[Panel], x_label: str, y_label: str) -> Figure:
     """Columns y over x, a curve for each panel on common axes."""
-    figure = blank(HALF, 2.7)
-    rows = ceil(len(panels) / 2)
-    axes = figure.add_subplot(grid(figure, 1, 1, top=0.2 + 0.16 * rows, left=0.56)[0])
+    figure, axes = plots.one_axes(HALF, 2.7, top=0.2 + 0.16 * ceil(len(panels) / 2), left=0.56)
     for i, one in enumerate(panels):
-        color = PALETTE[i % len(PALETTE)]
-        axes.plot(one.columns["x"], one.columns["y"], color=color, linewidth=0.9, label=one.title)
+        axes.plot(one.columns["x"], one.columns["y"], color=PALETTE[i % len(PALETTE)], linewidth=0.9, label=one.title)
     axes.set(xlabel=x_label, ylabel=y_label)
     few_ticks(axes)
     legend_above(figure, 2, at=(0.105, 0.13), handletextpad=0.4)

@@ -15,10 +15,9 @@ from numpy.typing import NDArray
 
 from pmabench.plotting import plots
 from pmabench.plotting.chart import Chart, joined
-from pmabench.plotting.frame import Frame
 from pmabench.plotting.plots import Array, Panel
 from pmabench.plotting.svg import drawing, to_svg
-from pmabench.plotting.wording import COLUMNS, Shown, clean, shown
+from pmabench.plotting.wording import COLUMNS, Frame, Shown, clean, shown
 from pmabench.store.analyses.results import Analysis, Estimate, Trace
 
 if TYPE_CHECKING:

@@ -87,6 +87,22 @@ def grid(figure: Figure, rows: int, columns: int, **options: Any) -> Any:
     return figure.add_gridspec(rows, columns, wspace=across / wide, hspace=down / high, **options)
 
 
+def one_axes(width: float, height: float, **margins: Any) -> tuple[Figure, Axes]:
+    """A figure [in] with one pair of axes inside margins as in `grid`."""
+    figure = blank(width, height)
+    return figure, figure.add_subplot(grid(figure, 1, 1, **margins)[0])
+
+
+def above_each_other(
+    figure: Figure, cell: Any, ratios: tuple[float, float], gap: float, shared: bool = False
+) -> tuple[Axes, Axes]:
+    """Two pairs of axes in a cell over the same x, which is written below the lower; `shared`: also its ticks."""
+    inner = cell.subgridspec(2, 1, height_ratios=ratios, hspace=gap)
+    upper = figure.add_subplot(inner[0])
+    upper.tick_params(labelbottom=False)
+    return upper, figure.add_subplot(inner[1], sharex=upper if shared else None)
+
+
 def fit_labels(figure: Figure) -> None:
     """Move the left ends of axes to the right where their labels would be cut by the edge or by neighbouring axes."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -111,9 +127,8 @@ def fit_labels(figure: Figure) -> None:
 def stamp(figure: Figure, text: str) -> None:
     """A word in the upper right corner: SIMULATED."""
     width, height = figure.get_size_inches()
-    figure.text(
-        1 - 0.06 / width, 1 - 0.04 / height, text, ha="right", va="top", fontsize=6.5, color=WARN, weight="bold"
-    )
+    look: dict[str, Any] = {"ha": "right", "va": "top", "fontsize": 6.5, "color": WARN, "weight": "bold"}
+    figure.text(1 - 0.06 / width, 1 - 0.04 / height, text, **look)
 
 
 def legend_above(
@@ -198,8 +213,7 @@ def _apart(points: Sequence[Points]) -> list[Array]:
     x, y, _ = points[0].curve
     if any(p.x.min() < x[0] - 0.2 * np.ptp(x) or p.x.max() > x[-1] + 0.2 * np.ptp(x) for p in points):
         return []
-    order = min(2, len(x) - 1)
-    through = np.polynomial.Polynomial.fit(x, y, order)
+    through = np.polynomial.Polynomial.fit(x, y, min(2, len(x) - 1))
     apart = [np.asarray(p.y - through(p.x)) for p in points]
     close = 0.08 * float(np.ptp(y))
     return apart if max(float(np.max(np.abs(values))) for values in apart) < close else []
@@ -226,10 +240,9 @@ def published(axes: Axes, panel: Panel, marks: dict[str, int]) -> None:
     """Published points of a panel as crosses, named in the first panel that has them; `marks` counts the labels."""
     new = []
     for name, x, y in panel.published:
-        first = name not in marks
-        mark = CROSSES[marks.setdefault(name, len(marks)) % len(CROSSES)]
-        (drawn,) = axes.plot(x, y, mark, color=INK, markersize=4.5, markeredgewidth=1.0, label=name, zorder=4)
-        new += [drawn] if first else []
+        first, mark = name not in marks, CROSSES[marks.setdefault(name, len(marks)) % len(CROSSES)]
+        drawn = axes.plot(x, y, mark, color=INK, markersize=4.5, markeredgewidth=1.0, label=name, zorder=4)
+        new += drawn if first else []
     if new:
         axes.legend(handles=new, loc="best", handletextpad=0.2)
 
@@ -263,23 +276,19 @@ def loops(panels: Sequence[Panel], labels: dict[str, str]) -> Figure:
 
 def loops_together(panels: Sequence[Panel], x_label: str, y_label: str) -> Figure:
     """Measured loops on common axes, columns x, y."""
-    figure = blank(HALF, 2.55)
     rows = ceil((len(panels) + len({name for panel in panels for name, _, _ in panel.published})) / 3)
-    axes = figure.add_subplot(grid(figure, 1, 1, top=0.2 + 0.16 * rows, left=0.56)[0])
+    figure, axes = one_axes(HALF, 2.55, top=0.2 + 0.16 * rows, left=0.56)
     marks: dict[str, int] = {}
     for i, panel in enumerate(panels):
-        color = PALETTE[i % len(PALETTE)]
-        axes.plot(
-            _closed(panel.columns["x"]), _closed(panel.columns["y"]), color=color, linewidth=1.1, label=panel.title
-        )
+        x, y = _closed(panel.columns["x"]), _closed(panel.columns["y"])
+        axes.plot(x, y, color=PALETTE[i % len(PALETTE)], linewidth=1.1, label=panel.title)
     for panel in panels:
         for name, x, y in panel.published:
             mark = CROSSES[marks.setdefault(name, len(marks)) % len(CROSSES)]
             axes.plot(x, y, mark, color=INK, markersize=4.5, label=name, zorder=4)
     axes.set(xlabel=x_label, ylabel=y_label)
     few_ticks(axes)
-    handles, names = axes.get_legend_handles_labels()
-    shown = dict(zip(names, handles, strict=True))
+    shown = dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))
     legend_above(figure, 3, (shown.values(), shown.keys()), (0.105, 0.13), handletextpad=0.4)
     return figure
 
@@ -300,11 +309,9 @@ def against_frequency(panels: Sequence[Panel], labels: dict[str, str], names: Se
     for place, name in enumerate(names):
         axes = figure.add_subplot(cells[place])
         for i, panel in enumerate(panels):
-            color = PALETTE[i % len(PALETTE)]
-            f = panel.columns["frequency"]
-            axes.plot(
-                f, panel.columns[name], MARKERS[i % len(MARKERS)], color=color, label=panel.title, linestyle="none"
-            )
+            color, look = PALETTE[i % len(PALETTE)], MARKERS[i % len(MARKERS)]
+            f, y = panel.columns["frequency"], panel.columns[name]
+            axes.plot(f, y, look, color=color, label=panel.title, linestyle="none")
             if f"{name} fit" in panel.columns:
                 axes.plot(panel.columns["frequency fit"], panel.columns[f"{name} fit"], color=color, linewidth=0.9)
         axes.set_xscale("log")
@@ -345,16 +352,14 @@ def scatter_and_line(panels: Sequence[Panel], labels: dict[str, str]) -> Figure:
 
 def load_points(points: Panel, curves: Sequence[tuple[str, Array, Array]], labels: dict[str, str]) -> Figure:
     """Load over the pressures at which it lifts off and sets down, with fitted lines (name, x, y)."""
-    figure = blank(HALF, 2.7)
-    axes = figure.add_subplot(grid(figure, 1, 1, left=0.56)[0])
+    figure, axes = one_axes(HALF, 2.7, left=0.56)
     for i, (name, x, y) in enumerate(curves):
         axes.plot(x, y, color=(INK, BROWN, GREEN)[i % 3], linewidth=1.0 if i == 0 else 0.8, label=name, zorder=1)
     load = points.columns["load"]
     for name, key, color, marker in (("lift-off", "lift", BROWN, "^"), ("set-down", "set_down", GREEN, "v")):
         if key in points.columns:
-            axes.plot(
-                points.columns[key], load, marker, color=color, markerfacecolor="white", markeredgewidth=0.9, label=name
-            )
+            look: dict[str, Any] = {"color": color, "markerfacecolor": "white", "markeredgewidth": 0.9}
+            axes.plot(points.columns[key], load, marker, label=name, **look)
     axes.set(xlabel=labels["x"], ylabel=labels["y"])
     axes.legend(loc="upper left")
     few_ticks(axes)

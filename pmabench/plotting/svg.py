@@ -167,12 +167,9 @@ def _number(hundredths: int) -> str:
 
 def marked(text: str) -> str:
     """Escaped text with symbols in italics and their subscripts lowered, as tspans."""
-    spans = []
-    for kind, part in symbol_parts(text):
-        if kind == "symbol":
-            spans.append(f'<tspan font-style="italic">{part}</tspan>')
-        elif kind == "sub":
-            spans.append(f'<tspan dy="0.22em" font-size="75%">{part}</tspan><tspan dy="-0.165em">\u200b</tspan>')
-        else:
-            spans.append(part)
-    return "".join(spans)
+    tags = {
+        "symbol": ('<tspan font-style="italic">', "</tspan>"),
+        "sub": ('<tspan dy="0.22em" font-size="75%">', '</tspan><tspan dy="-0.165em">\u200b</tspan>'),
+        "text": ("", ""),
+    }
+    return "".join(part.join(tags[kind]) for kind, part in symbol_parts(text))

@@ -24,10 +24,12 @@ from pmabench.plotting.plots import (
     QUIET,
     Array,
     Panel,
+    above_each_other,
     blank,
     few_ticks,
     grid,
     legend_above,
+    one_axes,
     published,
 )
 
@@ -44,20 +46,17 @@ def overlay(panels: Sequence[Panel], labels: dict[str, str]) -> Figure:
     """Measured and model over time with a residual strip below, in small multiples; columns t, measured, model."""
     alone = len(panels) == 1
     columns = 1 if alone else min(3, len(panels))
-    cells = len(panels) + (0 if alone or len(panels) % columns == 0 else 1)
-    rows = ceil(max(cells, len(panels)) / columns)
+    rows = ceil(len(panels) / columns)
     figure = blank(HALF if alone else FULL, 2.55 if alone else 0.43 + 2.15 * rows)
     outer = grid(figure, rows, columns, top=0.3 if alone else 0.44, left=0.56, across=0.46, down=0.55)
     apart = np.concatenate([np.abs(p.columns["measured"] - p.columns["model"]) for p in panels])
     largest = float(np.max(apart, where=np.isfinite(apart), initial=0.0)) or 1.0
     for i, panel in enumerate(panels):
         t, y, model = (panel.columns[name] for name in ("t", "measured", "model"))
-        inner = outer[i].subgridspec(2, 1, height_ratios=(3.2, 1), hspace=0.12)
-        upper, lower = figure.add_subplot(inner[0]), figure.add_subplot(inner[1])
+        upper, lower = above_each_other(figure, outer[i], (3.2, 1), 0.12)
         upper.plot(t, y, color=FAINT, linewidth=2.6, solid_capstyle="round", label="measured")
         upper.plot(t, model, color=BROWN, linewidth=1.0, label="model")
         upper.set_title("" if alone else panel.title)
-        upper.tick_params(labelbottom=False)
         lower.axhline(0, color=FAINT, linewidth=0.6)
         lower.plot(t, y - model, color=QUIET, linewidth=0.8)
         lower.set_ylim(-1.15 * largest, 1.15 * largest)
@@ -80,8 +79,7 @@ def lifts(panels: Sequence[Panel], labels: dict[str, str]) -> Figure:
     figure = blank(FULL if columns > 1 else HALF, 0.35 + 2.25 * rows)
     outer = grid(figure, rows, columns, top=0.3, left=0.56, across=0.46, down=0.55)
     for i, panel in enumerate(panels):
-        inner = outer[i].subgridspec(2, 1, height_ratios=(1.2, 1), hspace=0.14)
-        upper, lower = figure.add_subplot(inner[0]), figure.add_subplot(inner[1])
+        upper, lower = above_each_other(figure, outer[i], (1.2, 1), 0.14)
         t = panel.columns["t"]
         upper.plot(t, panel.columns["pressure"], color=BLUE, linewidth=1.0)
         for line, (name, color) in enumerate((("set-down", GREEN), ("lift", BROWN))):
@@ -91,7 +89,6 @@ def lifts(panels: Sequence[Panel], labels: dict[str, str]) -> Figure:
                 upper.annotate(text, (1, 0.04), xycoords="axes fraction", xytext=place, color=color, **NOTE)
         lower.plot(t, panel.columns["displacement"], color=QUIET, linewidth=0.9)
         upper.set_title(panel.title)
-        upper.tick_params(labelbottom=False)
         few_ticks(upper)
         few_ticks(lower, y=3)
         if i % columns == 0:
@@ -181,10 +178,8 @@ def loops(panels: Sequence[tuple[str, Sequence[tuple[str, Panel]], Panel | None]
         published(axes, mean or lines[0][1], marks)
         axes.set_title(title)
         axes.tick_params(labelleft=i % columns == 0)
-        if i % columns == 0:
-            axes.set_ylabel(labels["y"])
-        if i + columns >= len(panels):
-            axes.set_xlabel(labels["x"])
+        axes.set_ylabel(labels["y"] if i % columns == 0 else "")
+        axes.set_xlabel(labels["x"] if i + columns >= len(panels) else "")
         few_ticks(axes, x=5)
     from matplotlib.lines import Line2D
 
@@ -197,14 +192,12 @@ def means(panels: Sequence[Panel], labels: dict[str, str]) -> Figure:
     """Curves y over x above, gap over x below, a colour for each panel; columns x, y, gap."""
     rows = ceil(len(panels) / 4)
     figure = blank(HALF, 3.1 + 0.15 * rows)
-    cells = grid(figure, 1, 1, left=0.6, top=0.16 + 0.15 * rows)[0].subgridspec(2, 1, height_ratios=(2, 1), hspace=0.12)
-    upper = figure.add_subplot(cells[0])
-    lower = figure.add_subplot(cells[1], sharex=upper)
+    cell = grid(figure, 1, 1, left=0.6, top=0.16 + 0.15 * rows)[0]
+    upper, lower = above_each_other(figure, cell, (2, 1), 0.12, shared=True)
     for i, panel in enumerate(panels):
         color = PALETTE[i % len(PALETTE)]
         upper.plot(panel.columns["x"], panel.columns["y"], color=color, linewidth=1.1, label=panel.title)
         lower.plot(panel.columns["x"], panel.columns["gap"], color=color, linewidth=1.0)
-    upper.tick_params(labelbottom=False)
     upper.set_ylabel(labels["y"])
     lower.set(ylabel=labels["gap"], xlabel=labels["x"])
     lower.axhline(0, color=FAINT, linewidth=0.6, zorder=0)
@@ -217,8 +210,7 @@ def means(panels: Sequence[Panel], labels: dict[str, str]) -> Figure:
 
 def marks_and_line(panel: Panel, labels: dict[str, str]) -> Figure:
     """Marks y and the line `model` over x."""
-    figure = blank(HALF, 2.55)
-    axes = figure.add_subplot(grid(figure, 1, 1, left=0.56)[0])
+    figure, axes = one_axes(HALF, 2.55, left=0.56)
     x = panel.columns["x"]
     stride = max(1, len(x) // 25)
     axes.plot(x, panel.columns["model"], color=BROWN, linewidth=1.1, label="fitted", zorder=1)
@@ -241,8 +233,7 @@ def sine_pressure(panels: Sequence[Panel], labels: dict[str, str]) -> Figure:
         inner = cells[i].subgridspec(2, 1, height_ratios=(1.7, 1), hspace=0.12)
         upper = figure.add_subplot(inner[0], sharex=first and first[0], sharey=first and first[0])
         lower = figure.add_subplot(inner[1], sharex=upper, sharey=first and first[1])
-        first = first or (upper, lower)
-        x = panel.columns["x"]
+        first, x = first or (upper, lower), panel.columns["x"]
         upper.plot(x, panel.columns["y"], color=FAINT, linewidth=2.4, label="measured")
         upper.plot(x, panel.columns["set"], color=PALETTE[0], linewidth=0.9, label="set pressure")
         upper.plot(x, panel.columns["model"], color=BROWN, linewidth=0.9, label="measured pressure")

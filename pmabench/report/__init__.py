@@ -2,7 +2,8 @@
 
 - `certificate`: the first two pages of a report; `foremost`: which values and findings come first, there and on a
   terminal, whose tables `terminal` prints
-- `document`: what the report says, and as HTML, PDF and workbook; `templates` are its pages; `writing`: pages and files
+- `document`: what the report says, and as HTML, PDF and workbook; `templates` are its pages; `writing`: pages and
+  files, and the last page of stored analyses, copied while nothing changed
 - `figures`: every picture in it
 - `pages`: other pages: bench card, comparison, history, a fitted model
 - `cascade_record`, `cascade_drawing`, `cascade_page`: chains of muscles, drawn and animated

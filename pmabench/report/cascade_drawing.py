@@ -104,9 +104,8 @@ def definitions(scene: Scene) -> str:
 
 
 def _gradient(name: str, colours: Sequence[str]) -> str:
-    stops = "".join(
-        f'<stop offset="{at}" stop-color="{colour}"/>' for at, colour in zip((0, 0.3, 0.62, 1), colours, strict=True)
-    )
+    places = zip((0, 0.3, 0.62, 1), colours, strict=True)
+    stops = "".join(f'<stop offset="{at}" stop-color="{colour}"/>' for at, colour in places)
     return f'<linearGradient id="{name}" x1="0" y1="0" x2="0" y2="1">{stops}</linearGradient>'
 
 
@@ -127,15 +126,10 @@ def chain(scene: Scene, row: int, tag: str = "", *, names: bool = False) -> str:
     `tag` keeps its patterns apart from those of other chains in the same drawing; without one its parts carry classes
     that an animation looks for.
     """
-    parts, live = [_wall(scene.half)], not tag
     shapes = scene.shapes(row)
-    for i, shape in enumerate(shapes):
-        parts.append(_muscle(i, shape, scene, tag, names=names))
-    last = shapes[-1]
-    link = scene.result.muscles[-1]
-    tip = last.begin + last.length + FITTING * link.length * scene.scale
-    parts.append(_tip(scene, tip, row, live=live))
-    return "".join(parts)
+    muscles = (_muscle(i, shape, scene, tag, names=names) for i, shape in enumerate(shapes))
+    tip = shapes[-1].begin + shapes[-1].length + FITTING * scene.result.muscles[-1].length * scene.scale
+    return "".join((_wall(scene.half), *muscles, _tip(scene, tip, row, live=not tag)))
 
 
 def _wall(half: float) -> str:
@@ -151,15 +145,12 @@ def _muscle(i: int, shape: Shape, scene: Scene, tag: str, *, names: bool) -> str
     fitting = FITTING * link.length * scene.scale
     d = shape.path
     own = "" if tag else ' class="muscle"'
-    stretch = (
-        f"scale({shape.length / (link.length * scene.scale):.4f} {shape.radius / (link.radius * scene.scale):.4f})"
-    )
+    wide, high = shape.length / (link.length * scene.scale), shape.radius / (link.radius * scene.scale)
     strands = f'<path class="strands" d="{d}" fill="url(#braid{i})"/>'
     if tag:  # a pattern for this muscle alone, stretched to this length and width
         local = f"braid{i}-{tag}"
-        strands = (
-            f'<pattern id="{local}" href="#braid{i}" patternTransform="{stretch}"/><path d="{d}" fill="url(#{local})"/>'
-        )
+        strands = f'<pattern id="{local}" href="#braid{i}" patternTransform="scale({wide:.4f} {high:.4f})"/>'
+        strands += f'<path d="{d}" fill="url(#{local})"/>'
     name = ""
     if names and link.length * scene.scale > 70:
         name = (
@@ -213,8 +204,7 @@ def _tip(scene: Scene, tip: float, row: int, *, live: bool) -> str:
         f'<g{own("tip")} transform="translate({px(tip)} 0)">{mark}'
         f'<path d="M0 {px(0.5 * low)}V{px(low + 5)}" stroke="{BROWN}" stroke-width="1"/></g>'
         f'<path d="M{px(scene.end)} {px(-low)}V{px(low + 5)}" stroke="{FAINT}" stroke-dasharray="4 3"/>'
-        f'<path{own("come")} d="{come(tip, scene.end, low)}" fill="none" stroke="{BROWN}" '
-        f'stroke-width="1.4"/>'
+        f'<path{own("come")} d="{come(tip, scene.end, low)}" fill="none" stroke="{BROWN}" stroke-width="1.4"/>'
         f'<text{own("amount")} x="{px(scene.end + 8)}" y="{px(low + 4)}" font-size="13" '
         f'font-weight="600" fill="{BROWN}">{1e3 * x:.1f} mm</text>'
     )
@@ -231,8 +221,7 @@ def moments_of(result: Result) -> list[float]:
     """Times [s] for snapshots, chosen so that about the same motion lies between each and the next."""
     t = np.array(result.time)
     moved = np.abs(np.diff(np.array([link.displacement for link in result.muscles]), axis=1)).sum(axis=0)
-    share = moved / (moved.sum() or 1.0) + 0.25 * np.diff(t) / (t[-1] - t[0])
-    gone = np.concatenate(([0.0], np.cumsum(share)))
+    gone = np.concatenate(([0.0], np.cumsum(moved / (moved.sum() or 1.0) + 0.25 * np.diff(t) / (t[-1] - t[0]))))
     rows = np.searchsorted(gone, np.linspace(0, gone[-1], SNAPSHOTS) * (1 - 1e-12))
     return [float(t[row]) for row in np.unique(np.minimum(rows, len(t) - 1))]
 

@@ -228,17 +228,8 @@ def time_figure(result: Result) -> Figure:
     t = np.array(result.time)[rows]
     named = len(result.muscles) <= MOST_NAMED
     figure = blank(FULL, HIGH)
-    cells = grid(
-        figure,
-        2,
-        1,
-        left=ROOM_LEFT,
-        right=ROOM_RIGHT,
-        top=ROOM_TOP,
-        bottom=ROOM_BOTTOM,
-        down=0.16,
-        height_ratios=(1.9, 1),
-    )
+    room = {"left": ROOM_LEFT, "right": ROOM_RIGHT, "top": ROOM_TOP, "bottom": ROOM_BOTTOM}
+    cells = grid(figure, 2, 1, **room, down=0.16, height_ratios=(1.9, 1))
     upper, lower = figure.add_subplot(cells[0]), figure.add_subplot(cells[1])
     base = np.zeros(len(rows))
     for link, colour in zip(result.muscles, colours(len(result.muscles)), strict=True):
@@ -251,8 +242,7 @@ def time_figure(result: Result) -> Figure:
     for axes in (upper, lower):
         axes.set_xlim(t[0], t[-1])
         few_ticks(axes, x=10, y=5)
-    lower.set_ylim(bottom=0)
-    upper.set_ylim(bottom=0)
+        axes.set_ylim(bottom=0)
     upper.tick_params(labelbottom=False)
     upper.set_ylabel("x [mm]")
     lower.set(ylabel="P [kPa]", xlabel="time [s]")
@@ -275,8 +265,7 @@ def _legend(figure: Figure, wanted: bool) -> None:
 
 def _half(x_label: str, y_label: str, *, left: float = 0.62, top: float = 0.28) -> tuple[Figure, Axes]:
     """A figure of half width with one pair of axes, which begin at 0 upwards."""
-    figure = blank(HALF, 2.7)
-    axes = figure.add_subplot(grid(figure, 1, 1, left=left, top=top)[0])
+    figure, axes = plots.one_axes(HALF, 2.7, left=left, top=top)
     axes.set(xlabel=x_label, ylabel=y_label)
     return figure, axes
 

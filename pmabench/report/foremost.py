@@ -107,9 +107,7 @@ def costliest(tests: Sequence[Analysis], failed: Sequence[str]) -> tuple[list[st
     for level in ("fault", "doubt"):
         texts = (f.text for a in tests for f in a.findings if f.level == level)
         found += [printed(t) for t in texts if not any(t.removeprefix("form: ")[:ALIKE] in one for one in failed)]
-    for analysis in tests:
-        if analysis.dropped:
-            found.append(f"{len(analysis.dropped)} trials not used: {left_out(analysis.dropped)}")
+    found += [f"{len(a.dropped)} trials not used: {left_out(a.dropped)}" for a in tests if a.dropped]
     found = list(dict.fromkeys(clean(text) for text in found))
     notes = sum(f.level == "note" for a in tests for f in a.findings)
     return found[:MOST_FINDINGS], len(found[MOST_FINDINGS:]) + notes
@@ -148,7 +146,8 @@ def _table(members: Sequence[Estimate], over: str, tests: Sequence[Analysis]) ->
     across = two_coordinates(members, over)
     if across:
         heads, body = matrix_table(members, over, across)
-        rows, above = [heads, *body], [_head(members[0])]
+        e, rows = members[0], [heads, *body]
+        above = [shown(e.quantity, e.unit).label(symbol_text(e.symbol))]
     else:
         if len({(e.symbol, e.method) for e in members}) == len({e.symbol for e in members}):
             members = [replace(e, method="") for e in members]  # one row for what several methods say of one point
@@ -165,15 +164,9 @@ def _table(members: Sequence[Estimate], over: str, tests: Sequence[Analysis]) ->
     return [*above, *lines, *more]
 
 
-def _head(e: Estimate) -> str:
-    return shown(e.quantity, e.unit).label(symbol_text(e.symbol))
-
-
 def _verdict(verdict: Verdict, members: Sequence[Estimate], over: str) -> str:
     """The word, and for good results how well the values of the table are known."""
-    text = verdict.text
-    if verdict.level == "good" and members:
-        text = how_well(members, over) or text
+    text = (how_well(members, over) if verdict.level == "good" and members else "") or verdict.text
     word = f"{verdict.word.upper()}  "
     return word + shorten(text, WIDTH - len(word), placeholder=" …")
 
@@ -191,15 +184,15 @@ def _joined(parts: Sequence[str]) -> list[str]:
 
 def _spark(members: Sequence[Estimate], over: str) -> list[str]:
     """How K goes over the operating points, else the first coefficient that is known at three of them."""
-    courses: dict[str, list[Estimate]] = {}
     if any(len(e.at) > 1 for e in members):
         return []
+    courses: dict[str, list[Estimate]] = {}
     for e in sorted((e for e in members if e.value is not None), key=lambda e: e.at[over]):
         courses.setdefault(e.symbol, []).append(e)
     usable = {symbol: course for symbol, course in courses.items() if len({e.at[over] for e in course}) > 2}
-    symbol = "K" if "K" in usable else next(iter(usable), "")
-    if not symbol:
+    if not usable:
         return []
+    symbol = "K" if "K" in usable else next(iter(usable))
     unit = shown(usable[symbol][0].quantity, usable[symbol][0].unit)
     values = [v for e in usable[symbol] if isfinite(v := (e.value or 0.0) / unit.scale)]
     head = f"{symbol_text(symbol)}({symbol_text(point_head(over).partition(' ')[0])})"
@@ -241,10 +234,8 @@ def print_coefficients(analyses: Sequence[Analysis], console: Console) -> None:
                 for reason in reasons(mine):
                     console.print(Text(f"  {reason}"))
         shown_symbols = {e.symbol for members, _ in groups.values() for e in members}
-        more = [
-            name for name in results if name not in shown_symbols and any(e.symbol == name for e in shown_estimates)
-        ]
-        if more:
+        known = {e.symbol for e in shown_estimates} - shown_symbols
+        if more := [name for name in results if name in known]:
             others = ", ".join(f"{symbol_text(symbol)} ({clean(results[symbol].title)})" for symbol in more)
             console.print(Text(f"  more in the tables of the analysis folder: {others}"))
         if compared:
@@ -282,7 +273,7 @@ def for_terminal(
     for e in estimates:
         if e.withheld or results[e.symbol].headline:
             groups.setdefault(tuple(sorted(e.at)), []).append(e)
-    shown_groups: dict[tuple[str, ...], tuple[list[Estimate], dict[str, float]]] = {}
+    shown_groups = {}
     for names, members in groups.items():
         moving = [name for name in names if len({e.at[name] for e in members}) > 1 and name != "mass"]
         kept = moving or in_order(names, POINTS)[:1]

@@ -18,8 +18,8 @@ from typing import Any
 from pmabench.analysis.many import Pool, share, stopped
 from pmabench.base.errors import InvalidFile, PmaError, RecordError
 from pmabench.plotting.wording import POINTS, in_order, plain_unit, point_shown, shown, symbol_text
-from pmabench.report.files.csv_files import csv_text, plain_head
-from pmabench.report.words import in_common
+from pmabench.report.files.csv_files import csv_text, plain_head, write_with_tables
+from pmabench.report.words import declared, in_common
 from pmabench.report.writing import writing
 from pmabench.store.analyses import folder as made_from
 from pmabench.store.catalogue import Task
@@ -99,18 +99,15 @@ def process_many(
     unchanged = len(found)
     left = [number for number in range(len(tasks)) if number not in found]
     common = {"out": str(out.absolute()), "options": options}
-    things = [
-        {"path": str(tasks[number].path.absolute()), "folder": tasks[number].place, "key": keys[number], **common}
-        for number in left
-    ]
-    if progress is not None:
-        progress(unchanged, len(tasks), unchanged)
+    about = ((tasks[number], keys[number]) for number in left)
+    things = [{"path": str(t.path.absolute()), "folder": t.place, "key": key, **common} for t, key in about]
+    progress = progress or (lambda _done, _total, _unchanged: None)
+    progress(unchanged, len(tasks), unchanged)
     for index, entry in share(things, process_batch, lost, pool):
         number = left[index]
         found[number] = ("failed" if "error" in entry else "computed", json.dumps(entry, allow_nan=False))
         codes |= _code(entry)
-        if progress is not None:
-            progress(len(found), len(tasks), unchanged)
+        progress(len(found), len(tasks), unchanged)
     entries = tuple((str(task.path), *found[number]) for number, task in enumerate(tasks))
     return Many(out, entries, next((code for code in WORST if code in codes), max(codes, default=0)))
 
@@ -168,10 +165,9 @@ def plain_entry(entry: Mapping[str, Any]) -> dict[str, Any]:
 def _json_lines(many: Many) -> Iterable[str]:
     """One object, a run on each line."""
     yield f'{{"schema": "{SCHEMA}",\n "runs": ['
-    before = "\n  "
-    for entry in many.results():
-        yield before + json.dumps(plain_entry(entry), sort_keys=True, ensure_ascii=False, allow_nan=False)
-        before = ",\n  "
+    for n, entry in enumerate(many.results()):
+        text = json.dumps(plain_entry(entry), sort_keys=True, ensure_ascii=False, allow_nan=False)
+        yield f"{',' if n else ''}\n  {text}"
     yield "\n ]\n}\n"
 
 
@@ -216,14 +212,9 @@ def _write_parquet(rows: Sequence[Mapping[str, Any]], numbers: Mapping[str, tupl
     from pmabench.store.livestream import pa, pq
 
     types = {str: pa.string(), bool: pa.bool_(), int: pa.int64()}
-    fields = [pa.field(name, types[type(kind)]) for name, kind in FIRST.items()]
-    fields += [
-        pa.field(name, pa.float64(), metadata={"quantity": quantity, "unit": unit})
-        for name, (quantity, unit) in numbers.items()
-    ]
-    fields += [pa.field(name, types[type(kind)]) for name, kind in LAST.items()]
-    arrays = [pa.array([row[field.name] for row in rows], type=field.type) for field in fields]
-    table = pa.Table.from_arrays(arrays, schema=pa.schema(fields))
+    first, last = ([pa.field(name, types[type(one)]) for name, one in part.items()] for part in (FIRST, LAST))
+    middle = [pa.field(name, pa.float64(), metadata={"quantity": q, "unit": u}) for name, (q, u) in numbers.items()]
+    table = pa.Table.from_pylist([dict(row) for row in rows], schema=pa.schema([*first, *middle, *last]))
     pq.write_table(table, path, compression="zstd", compression_level=3)
 
 
@@ -263,17 +254,13 @@ def process_one(thing: Mapping[str, Any]) -> dict[str, Any]:
 def without_trials(path: Path) -> dict[str, Any]:
     """The entry of a run that has no trials; empty for any other, and where its manifest cannot be read."""
     with suppress(InvalidFile):
-        kind = read_manifest(path).get("kind")
-        if kind in WITHOUT_TRIALS:
+        if (kind := read_manifest(path).get("kind")) in WITHOUT_TRIALS:
             return {"skipped": f"is a run of kind {kind}"}
     return {}
 
 
 def _entry(thing: Mapping[str, Any]) -> dict[str, Any]:
     from pmabench.kinds.reduce import reduce_runs, specimen_of, verdicts
-    from pmabench.report.files.csv_files import write_with_tables
-    from pmabench.report.words import declared
-    from pmabench.store.analyses.folder import keep
     from pmabench.store.chain import open_chains
 
     folder, options = thing["folder"], thing.get("options") or {}
@@ -281,6 +268,7 @@ def _entry(thing: Mapping[str, Any]) -> dict[str, Any]:
     runs = open_chains([Path(thing["path"])])
     (analysis,) = reduce_runs(runs, options)
     written = write_with_tables(analysis, place / analysis.kind)
+    levels = [f.level for f in analysis.findings]
     entry: dict[str, Any] = plain(
         {
             "run": runs[-1].id,
@@ -296,9 +284,7 @@ def _entry(thing: Mapping[str, Any]) -> dict[str, Any]:
                 for e in analysis.estimates
             ],
             "dropped": len(analysis.dropped),
-            "findings": {
-                level: sum(f.level == level for f in analysis.findings) for level in ("fault", "doubt", "note")
-            },
+            "findings": {level: levels.count(level) for level in ("fault", "doubt", "note")},
             "verdicts": verdicts(runs, [analysis]),
             "excluded": [
                 {"run": run.id, "trial": note.excluded, "because": note.because, "operator": note.operator}
@@ -309,5 +295,5 @@ def _entry(thing: Mapping[str, Any]) -> dict[str, Any]:
             "since": {run.id: run.since.as_data() for run in runs if run.since.sentences},
         }
     )
-    keep(place, thing.get("key", ""), [Path(run.path) for run in runs], options, [written], entry)
+    made_from.keep(place, thing.get("key", ""), [Path(run.path) for run in runs], options, [written], entry)
     return entry

@@ -56,20 +56,15 @@ def print_texts(console: Console, heads: Sequence[str], rows: Sequence[Sequence[
 
 def _least(cells: Sequence[str], *, text: bool) -> int:
     """The narrowest width of a column: numbers stay in one piece, words and heads break at blanks."""
-    head = max((len(word) for word in cells[0].split()), default=0)
-    widths = [len(cell) if any(sign.isdigit() for sign in cell) else _word(cell) for cell in cells[1:]]
-    longest = max([head, *widths])
-    return min(longest, max(TEXT, head)) if text else longest
-
-
-def _word(cell: str) -> int:
-    return max((len(word) for word in cell.split()), default=0)
+    whole = [n > 0 and any(sign.isdigit() for sign in cell) for n, cell in enumerate(cells)]
+    widths = [max(map(len, [cell] if one else cell.split()), default=0) for one, cell in zip(whole, cells, strict=True)]
+    return min(max(widths), max(TEXT, widths[0])) if text else max(widths)
 
 
 def _parts(least: Sequence[int], keys: int, width: int) -> list[list[int]]:
     """Indices of the columns of each part; a part has one column next to the keys, even where that is too wide."""
     first = list(range(keys))
-    parts: list[list[int]] = [list(first)]
+    parts = [first]
     for index in range(keys, len(least)):
         part = [*parts[-1], index]
         if len(parts[-1]) > keys and sum(least[i] for i in part) + len(GAP) * (len(part) - 1) > width:

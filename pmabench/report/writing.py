@@ -1,13 +1,17 @@
-"""How reports are written to files, how their pages are rendered, and the short page for what is no report.
+"""How reports are written to files, how their pages are rendered, the short page for what is no report, and kept pages.
 
-A page is one self-contained HTML file; every text on it is escaped. Imports little, so that a kept page is copied fast.
+A page is one self-contained HTML file; every text on it is escaped. The page of the last report of stored analyses is
+kept next to them: the same report once more is a copy. Imports little, so that a copy costs no more than looking
+whether anything changed.
 """
 
 from __future__ import annotations
 
+import hashlib
+import json
 import os
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from html import escape
@@ -18,6 +22,9 @@ from pmabench import __version__
 from pmabench.base.errors import RecordError
 from pmabench.base.text import clean
 from pmabench.plotting.svg import symbol_parts
+from pmabench.store.analyses.folder import key_of
+from pmabench.store.folder import open_regular
+from pmabench.store.since import stamp
 
 if TYPE_CHECKING:
     from pmabench.plotting.pictures import Picture
@@ -66,8 +73,7 @@ def symbols_marked(text: object) -> Any:
     from markupsafe import Markup
 
     tags = {"symbol": ("<i>", "</i>"), "sub": ("<sub>", "</sub>"), "text": ("", "")}
-    parts = symbol_parts(str(text))
-    return Markup("".join(f"{tags[kind][0]}{escape(part)}{tags[kind][1]}" for kind, part in parts))  # noqa: S704
+    return Markup("".join(escape(part).join(tags[kind]) for kind, part in symbol_parts(str(text))))  # noqa: S704
 
 
 def css_text(text: object) -> Any:
@@ -110,3 +116,42 @@ def write_page(page: Page, path: Path) -> Path:
     ]
     context = {"page": page, "numbers": tables, "version": __version__}
     return write_file(path, render("page.html.j2", context, sym=lambda text: symbols_marked(clean(text))), "the page")
+
+
+KEPT = ".report.kept"
+LONGEST = 200_000_000
+"""Bytes of a kept page that is read."""
+
+
+@dataclass(frozen=True)
+class KeptPage:
+    """A report as text."""
+
+    text: str
+    since: Mapping[str, Any]
+    """What came to its runs after they were closed, by run."""
+    remarks: Sequence[str]
+    """The same as lines for the terminal."""
+
+
+def page_key(folders: Sequence[Path], runs: Sequence[Path], about: Mapping[str, Any]) -> str:
+    """Hash of analyses, runs, program and what else the page says; empty where it cannot be known to be the same."""
+    stamps = [stamp(folder) for folder in folders]
+    return key_of(runs, {"analyses": stamps, **about}) if all(stamps) else ""
+
+
+def keep(place: Path, key: str, page: KeptPage) -> None:
+    """Keep a page in `place`, in place of an earlier one; a folder that cannot be written keeps none."""
+    body = page.text.encode()
+    head = {"key": key, "sha256": hashlib.sha256(body).hexdigest(), "since": page.since, "remarks": list(page.remarks)}
+    with suppress(OSError):
+        (place / KEPT).write_bytes(json.dumps(head).encode() + b"\n" + body)
+
+
+def kept(place: Path, key: str) -> KeptPage | None:
+    """The page of `key` that was kept in `place`; None where there is none, or it was changed."""
+    with suppress(OSError, ValueError, TypeError, KeyError), open_regular(place / KEPT) as file:
+        head, body = json.loads(file.readline(LONGEST)), file.read(LONGEST)
+        if key and head["key"] == key and head["sha256"] == hashlib.sha256(body).hexdigest():
+            return KeptPage(body.decode(), head["since"], head["remarks"])
+    return None

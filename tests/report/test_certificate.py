@@ -13,7 +13,7 @@ from pmabench.plotting import chart, plots
 from pmabench.plotting.chart import Chart, Series
 from pmabench.report.certificate import quality
 from pmabench.report.certificate.force_chart import READABLE, blue
-from pmabench.report.certificate.limits import limits
+from pmabench.report.certificate.quality import limits
 from pmabench.report.certificate.result_table import result_table, thousands
 from pmabench.report.document.content import content_of, page_of
 from pmabench.report.foremost import how_well, left_out

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from pmabench.plotting import pictures
-from pmabench.report.document.checklist import Issuer
 from pmabench.report.document.content import content_of
-from pmabench.report.document.deviations import deviations
+from pmabench.report.document.deviations import Issuer, deviations
 from pmabench.report.document.front import verdict_of
 from pmabench.report.document.provenance import methods_paragraph
 from pmabench.report.document.special_tables import budget_table, trial_ranges

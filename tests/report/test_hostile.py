@@ -16,8 +16,8 @@ from rich.console import Console
 from pmabench.cli.main import main
 from pmabench.notebook import Results
 from pmabench.plotting.wording import clean
-from pmabench.report.document.checklist import Issuer
 from pmabench.report.document.content import content_of, page_of
+from pmabench.report.document.deviations import Issuer
 from pmabench.report.document.pdf import pdf_bytes
 from pmabench.report.document.workbook import workbook_bytes
 from pmabench.report.files import latex

@@ -2,7 +2,7 @@
 
 import pytest
 
-from pmabench.plotting.frame import Frame
+from pmabench.plotting.wording import Frame
 from pmabench.report.document.tables import MOST, Table, narrow
 
 

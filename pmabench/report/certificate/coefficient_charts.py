@@ -17,7 +17,7 @@ from pmabench.plotting.pictures import Picture, of_charts
 from pmabench.plotting.plots import BLUE, BROWN, DARK, GREEN, INK, PALETTE, Array
 from pmabench.plotting.wording import Shown, clean, listed, number, point_head, point_shown, shown, spoken, symbol_text
 from pmabench.report.certificate.force_chart import READABLE, blue
-from pmabench.report.figures.coefficient_figures import curve_of, reach_of, table_of
+from pmabench.report.figures.coefficient_figures import curve_of, missing_words, reach_of, table_of
 from pmabench.report.words import declared
 from pmabench.store.analyses.results import AGREEMENT, PUBLISHED, Analysis, Estimate
 
@@ -39,23 +39,22 @@ def coefficient_picture(
     for symbol in dict.fromkeys(e.symbol for e in members):
         result = results.get(symbol)
         panels.setdefault((result.plot if result else "") or f" {symbol}", []).append(symbol)
-    names = _at(analyses, members)
+    names = _at(analyses, members) | {over, "mass", "mean", "amplitude"}
+    every = [
+        (a, e)
+        for a in analyses
+        for e in a.estimates
+        if a.kind != AGREEMENT and not e.coordinate and over in e.at and set(e.at) <= names
+    ]
     charts: list[tuple[list[str], list[Estimate], list[Member]]] = []
-    drawn: list[Member] = []
-    for symbols in list(panels.values()):
-        mine = [
-            (a, e)
-            for a in analyses
-            for e in a.estimates
-            if a.kind != AGREEMENT and e.symbol in symbols and not e.coordinate and _fits(e, over, names)
-        ]
+    for symbols in panels.values():
+        mine = [(a, e) for a, e in every if e.symbol in symbols]
         known = [e for _, e in mine if e.value is not None and (e.symbol, e.method) in primary]
         if len({e.at[over] for e in known}) < 2 or len({shown(e.quantity, e.unit) for e in known}) != 1:
             continue
-        if len(charts) == MOST:
-            break
         charts.append((symbols, known, mine))
-        drawn += mine
+    charts = charts[:MOST]
+    drawn = [member for _, _, mine in charts for member in mine]
     if not charts:
         return None
     width = (WIDTH - GAP * (len(charts) - 1)) / len(charts)
@@ -65,8 +64,7 @@ def coefficient_picture(
     caption = _caption(drawn, primary, over)
     alt = f"{titled} over {spoken(over)}: " + " ".join(chart.alt for chart in made)
     title = f"{titled[:1].upper()}{titled[1:]} over {spoken(over)}"
-    table = table_of([e for _, e in drawn], over)
-    return of_charts(made, title, caption, alt, table, simulated=simulated)
+    return of_charts(made, title, caption, alt, table_of([e for _, e in drawn], over), simulated=simulated)
 
 
 def _at(analyses: Sequence[Analysis], members: Sequence[Estimate]) -> set[str]:
@@ -74,10 +72,6 @@ def _at(analyses: Sequence[Analysis], members: Sequence[Estimate]) -> set[str]:
     known = {(e.symbol, e.method) for e in members}
     whole = [e for a in analyses for e in a.estimates if (e.symbol, e.method) in known]
     return {name for e in whole if any(replace(e, at=m.at) == m for m in members) for name in e.at}
-
-
-def _fits(e: Estimate, over: str, names: set[str]) -> bool:
-    return over in e.at and set(e.at) - {over, "mass"} <= names | {"mean", "amplitude"}
 
 
 def _title(symbols: Sequence[str], results: dict[str, Result]) -> str:
@@ -146,15 +140,7 @@ def _caption(drawn: Sequence[Member], primary: set[tuple[str, str]], over: str) 
     theirs = list(dict.fromkeys(clean(e.method, 60) for a, e in drawn if a.kind == PUBLISHED))
     if theirs:
         caption += f" Crosses: {listed(theirs)}, not measured here."
-    x_unit = point_shown(over)[1]
-    for withheld, word in ((False, "Not identifiable"), (True, "Withheld")):
-        missing = [e for e in own if e.value is None and e.withheld == withheld]
-        where = [
-            f"{symbol_text(e.symbol)} at {number(e.at[over] / x_unit.scale)} {x_unit.unit}".rstrip() for e in missing
-        ]
-        if where:
-            caption += f" {word}: {listed(where[:4])}{' and others' if len(where) > 4 else ''}."
-    return caption
+    return caption + missing_words(own, over, 4)
 
 
 HIGH = 150.0
@@ -170,12 +156,8 @@ def surface_picture(
     None where no symbol is known at two places.
     """
     methods = {e.method for e in members}
-    known = [
-        e
-        for a in analyses
-        for e in a.estimates
-        if e.method in methods and set(e.at) - {"mass"} == {over, across} and e.value is not None
-    ]
+    every = [e for a in analyses for e in a.estimates if e.method in methods and e.value is not None]
+    known = [e for e in every if set(e.at) - {"mass"} == {over, across}]
     order = [symbol for symbol in declared(analyses) if len([e for e in known if e.symbol == symbol]) > 1][:PANELS]
     if not order:
         return None

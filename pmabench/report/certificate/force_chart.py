@@ -14,10 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from pmabench.plotting.chart import MOST_POINTS, Chart, Series, with_common_sides
-from pmabench.plotting.frame import Frame
 from pmabench.plotting.pictures import Picture, column, has, head, label, numbers, of_charts, spread, unit_of
 from pmabench.plotting.plots import BLUE, BROWN, FAINT, QUIET, Array
-from pmabench.plotting.wording import half_width, rounded
+from pmabench.plotting.wording import Frame, half_width, rounded
 from pmabench.report.bends import slopes_of
 from pmabench.report.document.tables import is_number, mappings
 from pmabench.report.figures.characteristic_figures import FIGURE, MODELS, by_pressure
@@ -110,8 +109,7 @@ def force_picture(analyses: Sequence[Analysis], less: float = 0.0) -> Picture | 
     hollow = " Hollow: where relaxing strokes ended." if any(len(level.back) for level in levels) else ""
     lines = "the fitted force; K is its slope at one contraction" if bent else "F = F_ce − K x of the fit"
     caption = f"Lines: {lines}. Dots: where strokes ended under each load.{hollow}{off}"
-    title = f"Force over contraction, {ends}"
-    return of_charts((chart,), title, caption, alt, _table(levels), simulated=simulated)
+    return of_charts((chart,), f"Force over contraction, {ends}", caption, alt, _table(levels), simulated=simulated)
 
 
 def _levels(analyses: Sequence[Analysis]) -> list[Level]:
@@ -152,15 +150,14 @@ def _measured(analyses: Sequence[Analysis], P: float) -> tuple[Array, Array]:
 def _series(level: Level, share: float, reach: float) -> list[Series]:
     """The line with its name at its end, and the dots."""
     color, text = blue(share), blue(max(share, READABLE))
-    end = min(reach, float(level.contraction(ZERO)))
-    x = np.linspace(0.0, end, 25)
+    x = np.linspace(0.0, min(reach, float(level.contraction(ZERO))), 25)
     name = f"{_shown(level.P)} kPa"
     found = [Series(name, 1e3 * x, level.force(x), color, width=1.6, name_color=text, named_first=True)]
     for marks, hollow in ((level.rest, False), (level.back, True)):
         if len(marks):
-            order = np.argsort(marks[:, 0], kind="stable")
+            x, force = marks[np.argsort(marks[:, 0], kind="stable")].T
             said = f"{name}, {'relaxed' if hollow else 'measured'}"
-            found.append(Series("", 1e3 * marks[order, 0], marks[order, 1], color, True, hollow=hollow, said=said))
+            found.append(Series("", 1e3 * x, force, color, True, hollow=hollow, said=said))
     return found
 
 
@@ -199,16 +196,13 @@ HIGH, LOW = 142.0, 82.0
 
 def stroke_picture(analyses: Sequence[Analysis]) -> tuple[Picture, Trace] | None:
     """The figure and the trace that it shows, the one with the largest stroke; None where no test has a free run."""
-    able = [
-        (trace, analysis)
-        for analysis in analyses
-        for trace in analysis.traces
-        if trace.figure == "overlay" and has(trace, "t", "displacement", "model")
-    ]
+    every = [(trace, analysis) for analysis in analyses for trace in analysis.traces if trace.figure == "overlay"]
+    able = [(trace, analysis) for trace, analysis in every if has(trace, "t", "displacement", "model")]
     if not able:
         return None
     trace, analysis = max(able, key=lambda pair: float(np.nanmax(np.abs(pair[0].columns["displacement"]))))
-    t, x, model = (_thin(column(trace, name)) for name in ("t", "displacement", "model"))
+    stride = max(1, -(-len(trace.columns["t"]) // MOST_POINTS))
+    t, x, model = (column(trace, name)[::stride] for name in ("t", "displacement", "model"))
     apart = model - x
     rms = float(np.sqrt(np.mean(apart[np.isfinite(apart)] ** 2)))
     unit, where = unit_of(trace, "displacement").unit, head(trace)
@@ -240,16 +234,11 @@ def stroke_picture(analyses: Sequence[Analysis]) -> tuple[Picture, Trace] | None
         y_ticks=3,
         together="stroke",
     )
-    alt = f"{upper.alt} {lower.alt}"
     caption = (
         f"The fitted muscle with the measured pressure as its only input, from the first sample on. It "
         f"misses this trial by {misfit}, {share:.2g} % of the stroke."
     )
-    title = f"One stroke, {where}: measured and free run"
+    title, alt = f"One stroke, {where}: measured and free run", f"{upper.alt} {lower.alt}"
     table = numbers([("", trace)], ("t", "displacement", "model"))
     charts = with_common_sides((upper, lower))
     return of_charts(charts, title, caption, alt, table, simulated=analysis.simulated, stacked=True), trace
-
-
-def _thin(values: Array) -> Array:
-    return values[:: max(1, -(-len(values) // MOST_POINTS))]

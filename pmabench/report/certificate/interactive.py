@@ -18,6 +18,8 @@ from pmabench.plotting.chart import MOST_POINTS, Chart, limits
 from pmabench.plotting.pictures import Picture
 from pmabench.plotting.plots import Array
 
+AS_THEY_ARE = ("label", "color", "dots", "hollow", "cross", "width", "dashed", "method", "hidden")
+"""Fields of a series that the script takes as they are."""
 DIGITS = 5
 """Significant digits of the numbers."""
 
@@ -37,26 +39,19 @@ class Assets:
 def assets() -> Assets:
     """The files that the page embeds; a script runs only by its hash."""
     web, own = files("pmabench.plotting") / "web", files("pmabench.report") / "templates"
-    scripts = (
-        (web / "uplot.iife.min.js").read_text(encoding="utf-8"),
-        (own / "report.js").read_text(encoding="utf-8"),
+    style, *scripts = (
+        path.read_text(encoding="utf-8")
+        for path in (web / "uplot.min.css", web / "uplot.iife.min.js", own / "report.js")
     )
-    hashes = " ".join(
-        f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'" for text in scripts
+    digests = (hashlib.sha256(text.encode()).digest() for text in scripts)
+    hashes = " ".join(f"'sha256-{base64.b64encode(digest).decode()}'" for digest in digests)
+    names = ("inter-regular.woff2", "inter-semibold.woff2")
+    regular, semibold = (base64.b64encode((web / name).read_bytes()).decode() for name in names)
+    policy = (
+        f"default-src 'none'; script-src {hashes}; style-src 'unsafe-inline'; img-src data:; font-src data:; "
+        "base-uri 'none'; form-action 'none'"
     )
-    fonts = [
-        base64.b64encode((web / f"inter-{weight}.woff2").read_bytes()).decode() for weight in ("regular", "semibold")
-    ]
-    return Assets(
-        style=(web / "uplot.min.css").read_text(encoding="utf-8"),
-        regular=fonts[0],
-        semibold=fonts[1],
-        scripts=scripts,
-        policy=(
-            f"default-src 'none'; script-src {hashes}; style-src 'unsafe-inline'; img-src data:; font-src data:; "
-            "base-uri 'none'; form-action 'none'"
-        ),
-    )
+    return Assets(style, regular, semibold, tuple(scripts), policy)
 
 
 def chart_data(numbered: Sequence[tuple[int, Picture]]) -> list[dict[str, Any]]:
@@ -81,21 +76,13 @@ def _chart(chart: Chart) -> dict[str, Any]:
         "tested": None if chart.tested is None else [_numbers(column) for column in chart.tested.T],
         "series": [
             {
-                "label": s.label,
+                **{name: getattr(s, name) for name in AS_THEY_ARE},
                 "said": s.said or s.label,
                 "x": _numbers(s.x),
                 "y": _numbers(s.y),
                 "half": None if s.half is None else _numbers(s.half),
-                "color": s.color,
                 "name": s.name_color or s.color,
-                "dots": s.dots,
-                "hollow": s.hollow,
-                "cross": s.cross,
-                "width": s.width,
-                "dashed": s.dashed,
-                "method": s.method,
                 "first": s.named_first,
-                "hidden": s.hidden,
             }
             for s in chart.series
         ],

@@ -1,9 +1,11 @@
-"""The second page of the certificate but for its figure: why the values can be believed, in short lines.
+"""The second page of the certificate but for its figure, and what the results do not hold for, in short lines.
 
 - fit statistics, checks next to the residual, findings that matter
 - where the uncertainty comes from: one bar for each coefficient, shares of the variance by cause, at the middle
 - which operating points the results rest on: a matrix of trials used over two coordinates of the sweep. Counts come
   from the runs where these are at hand, else from the free runs that the analysis holds
+- limits: beyond the tested range, stroke and speed, and what no test here looked at; every line is made from what the
+  runs and analyses hold, and where these do not say it, the line says that
 """
 
 from __future__ import annotations
@@ -11,8 +13,12 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from math import pi
+
+import numpy as np
 
 from pmabench.analysis.verdict.checks import checks_of
+from pmabench.plotting.pictures import column, has, unit_of, usable
 from pmabench.plotting.plots import BLUE, BROWN, DARK, GREEN, QUIET
 from pmabench.plotting.wording import (
     POINTS,
@@ -21,6 +27,7 @@ from pmabench.plotting.wording import (
     half_width,
     in_order,
     number,
+    point_head,
     point_shown,
     point_text,
     printed,
@@ -28,8 +35,10 @@ from pmabench.plotting.wording import (
     shown,
     symbol_text,
 )
+from pmabench.report.document.provenance import get, span
 from pmabench.report.document.tables import is_number, mappings
 from pmabench.report.foremost import costliest, left_out
+from pmabench.report.words import reverses
 from pmabench.store.analyses.results import Analysis, Curve, Estimate
 from pmabench.store.records import RunData
 
@@ -120,11 +129,8 @@ def sources(members: Sequence[Estimate], over: str) -> Sources | None:
     places = sorted({e.at.get(over, 0.0) for e in known})
     if not places:
         return None
-    middle = places[len(places) // 2]
-    here = {e.symbol: e for e in known if e.at.get(over, 0.0) == middle}
+    here = {e.symbol: e for e in known if e.at.get(over, 0.0) == places[len(places) // 2]}
     bars = [_bar(e) for e in list(here.values())[:BARS]]
-    if not bars:
-        return None
     used = {cause for bar in bars for cause, _, _ in bar.pieces}
     at = next(iter(here.values())).at
     where = point_text({over: at[over]} if over in at else at)
@@ -187,12 +193,8 @@ def coverage(analysis: Analysis, runs: Sequence[RunData]) -> Coverage | None:
     """The matrix of one analysis; None where its trials name no operating point."""
     used, left = _counts(analysis, runs)
     every = [dict(point) for point in (*used, *left)]
-    names = [
-        name
-        for name in in_order((key for point in every for key in point), POINTS)
-        if name not in FOLLOWING and len({point.get(name) for point in every}) > 1
-    ]
-    names = names or in_order((key for point in every for key in point if key not in FOLLOWING), POINTS)[:1]
+    all_names = in_order((key for point in every for key in point if key not in FOLLOWING), POINTS)
+    names = [n for n in all_names if len({point.get(n) for point in every}) > 1] or all_names[:1]
     if not names:
         return None
     across = "pressure" if "pressure" in names else names[0]
@@ -204,15 +206,12 @@ def coverage(analysis: Analysis, runs: Sequence[RunData]) -> Coverage | None:
     columns, rows = columns[:: -(-len(columns) // MOST_COLUMNS)], rows[:: -(-len(rows) // MOST_ROWS)]
 
     def box(row: float, column: float) -> Box:
-        def there(key: Key) -> bool:
-            at = dict(key)
-            return at.get(across) == column and (not down or at.get(down) == row)
-
-        return Box(*(sum(n for key, n in counts.items() if there(key)) for counts in (used, left)))
+        here = {(across, column), *([(down, row)] if down else [])}
+        return Box(*(sum(n for key, n in counts.items() if here <= set(key)) for counts in (used, left)))
 
     return Coverage(
-        _head(down) if down else "",
-        _head(across),
+        point_head(down) if down else "",
+        point_head(across),
         [_value(across, column) for column in columns],
         [(_value(down, row) if down else "all", [box(row, column) for column in columns]) for row in rows],
         used.total(),
@@ -245,10 +244,88 @@ def _key(point: Point) -> Key:
     return tuple(sorted((k, float(f"{v:.6g}")) for k, v in point.items() if k not in FOLLOWING))
 
 
-def _head(name: str) -> str:
-    label, unit = point_shown(name)
-    return unit.label(label)
-
-
 def _value(name: str, value: float) -> str:
     return number(float(f"{value / point_shown(name)[1].scale:.4g}"))
+
+
+MOST_RANGES = 3
+WINDOW = 0.02
+"""Time over which a speed is taken from recorded motion [s]."""
+Line = tuple[str, str]
+
+
+def limits(analysis: Analysis | None, analyses: Sequence[Analysis], runs: Sequence[RunData]) -> list[Line]:
+    """Up to six lines of a word and a sentence; `analysis`: the one whose values the first table has."""
+    mine = [run for run in runs if analysis is not None and run.id in analysis.runs] or list(runs)
+    found = [_range(analysis, mine), _stroke(analysis, mine), _speed(analysis, mine)]
+    found.append(("Temperature", "the record holds none: values are those of the day of the test"))
+    found.append(_wear(mine))
+    stiffness = analysis is not None and any(e.symbol == "K" for e in analysis.estimates)
+    if stiffness and not any(reverses(a.kind) for a in analyses):
+        found.append(("Small reversals", "not tested: K is that of whole strokes, a small loop is stiffer"))
+    return [line for line in found if line is not None]
+
+
+def _points(analysis: Analysis | None, runs: Sequence[RunData]) -> list[dict[str, float]]:
+    """Operating points of the trials that are used; those of the values where the runs are not at hand."""
+    out = {one.trial for one in analysis.dropped} if analysis else set()
+    points = [dict(t.point) for run in runs for t in run.trials if t.name not in out and t.status == "finished"]
+    if not points and analysis is not None:
+        points = [dict(row) for row in mappings(analysis.facts.get("free_run"))]
+        points += [dict(e.at) for e in analysis.estimates if e.value is not None]
+    return points
+
+
+def _range(analysis: Analysis | None, runs: Sequence[RunData]) -> Line | None:
+    points = _points(analysis, runs)
+    parts = []
+    for name in in_order((key for point in points for key in point if key in POINTS), POINTS):
+        values = [point[name] for point in points if is_number(point.get(name))]
+        if name not in FOLLOWING and values:
+            parts.append(span(name, values, " "))
+    return ("Range", f"outside {', '.join(parts[:MOST_RANGES])}") if parts else None
+
+
+def _stroke(analysis: Analysis | None, runs: Sequence[RunData]) -> Line | None:
+    far = [float(step["x_inf"]) for step in mappings(analysis.facts.get("steps") if analysis else None)
+           if is_number(step.get("x_inf"))]  # fmt: skip
+    for trace in analysis.traces if analysis else ():
+        if has(trace, "displacement"):
+            far.append(float(np.nanmax(column(trace, "displacement"))) * unit_of(trace, "displacement").scale)
+    length = next((v for run in runs if is_number(v := get(run.manifest, "specimen", "nominal_length"))), None)
+    if not far or max(far) <= 0:
+        return None
+    share = f", {rounded(100 * max(far) / length, None, 2)} % of the nominal length" if length else ""
+    return "Stroke", f"contractions beyond {rounded(1e3 * max(far), None, 3)} mm{share}"
+
+
+def _speed(analysis: Analysis | None, runs: Sequence[RunData]) -> Line | None:
+    """The fastest motion: of sines and ramps as commanded, else as the recorded strokes show it."""
+    points = _points(analysis, runs)
+    fastest = [2 * pi * p["frequency"] * p["amplitude"] for p in points if {"frequency", "amplitude"} <= set(p)]
+    fastest += [abs(p["speed"]) for p in points if is_number(p.get("speed"))]
+    if not fastest and analysis is not None:
+        fastest = list(_recorded(analysis))
+    if not fastest or max(fastest) <= 0:
+        return None
+    return "Speed", f"motion faster than {rounded(1e3 * max(fastest), None, 2)} mm/s, the fastest here"
+
+
+def _recorded(analysis: Analysis) -> Iterator[float]:
+    for trace in filter(usable, analysis.traces):
+        if not {"t", "displacement"} <= set(trace.columns):
+            continue
+        t, x = (column(trace, name) * unit_of(trace, name).scale for name in ("t", "displacement"))
+        step = float(np.median(np.diff(t))) if len(t) > 2 else 0.0
+        n = max(1, round(WINDOW / step)) if step > 0 else 0
+        if n and len(t) > 2 * n:
+            with np.errstate(all="ignore"):
+                speed = np.abs(x[n:] - x[:-n]) / (t[n:] - t[:-n])
+            if np.isfinite(speed).any():
+                yield float(np.nanmax(np.where(np.isfinite(speed), speed, np.nan)))
+
+
+def _wear(runs: Sequence[RunData]) -> Line:
+    before = next((v for run in runs if is_number(v := get(run.manifest, "specimen", "cycles_before"))), None)
+    done = f"this one had done {number(before)} cycles before" if before is not None else "its cycles are not recorded"
+    return "Wear, others", f"other specimens, or this one after many more cycles: {done}"

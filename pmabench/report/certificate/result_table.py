@@ -67,23 +67,20 @@ def result_table(analyses: Sequence[Analysis]) -> tuple[ResultTable, list[Estima
     kept = list(symbols)
     while len(kept) > 1 and sum(letters[s] for s in kept) > MOST_LETTERS:
         kept.pop()
-    label, unit = point_shown(over)
-    others = sorted({name for e in members for name in e.at} - {over, "mass"})
-    heads = [(label, unit.unit), *((point_shown(name)[0], point_shown(name)[1].unit) for name in others)]
-    heads += [*(named[s] for s in kept), ("n", "")]
+    points = [over, *sorted({name for e in members for name in e.at} - {over, "mass"})]
+    heads = [*((label, unit.unit) for label, unit in map(point_shown, points)), *(named[s] for s in kept), ("n", "")]
     rows: list[list[Value]] = []
     for n, place in enumerate(chosen):
         mine = [by[place, s] for s in kept if (place, s) in by]
-        at = [Value(number(v / point_shown(name)[1].scale)) for name, v in zip((over, *others), place, strict=True)]
+        at = [Value(number(v / point_shown(name)[1].scale)) for name, v in zip(points, place, strict=True)]
         rows.append([*at, *(columns[s][n] for s in kept), Value(str(max(e.n for e in mine)) if mine else "0")])
     notes = [clean(note, 160) for note in reasons([by[p, s] for p in chosen for s in kept if (p, s) in by])]
     if slopes := _slopes(tests, members, [place[0] for place in chosen], over):
         notes.insert(0, slopes)
     if stride > 1:
         notes.append(f"One of {stride} rows; all are in appendix B")
-    if len(kept) < len(symbols):
-        hidden = ", ".join(symbol_text(s) for s in symbols if s not in kept)
-        notes.append(f"{hidden}: in appendix B")
+    if hidden := symbols[len(kept) :]:
+        notes.append(f"{', '.join(map(symbol_text, hidden))}: in appendix B")
     tight = sum(letters[s] for s in kept) > WIDE
     return ResultTable(heads, rows, notes[:MOST_NOTES], frozenset(symbols), tight), members, over
 
@@ -133,7 +130,6 @@ def _letters(column: Sequence[Value], head: tuple[str, str]) -> int:
 def _whole(tests: Sequence[Analysis]) -> ResultTable:
     """Where no test has values at several places: its headline values, a row each."""
     rows: list[list[Value]] = []
-    seen: set[str] = set()
     held: list[Estimate] = []
     results = declared(tests)
     for analysis in tests:
@@ -141,47 +137,38 @@ def _whole(tests: Sequence[Analysis]) -> ResultTable:
             result = results.get(e.symbol)
             if e.coordinate or result is None or not result.headline or len(rows) >= MOST_ROWS:
                 continue
-            seen.add(e.symbol)
             held.append(e)
-            name = clean(result.title, 60)
-            unit = shown(e.quantity, e.unit).unit
-            at = ", ".join(
-                f"{point_shown(k)[0]} {number(v / point_shown(k)[1].scale)} {point_shown(k)[1].unit}".strip()
-                for k, v in e.at.items()
-                if k != "mass"
+            places = [(*point_shown(k), v) for k, v in e.at.items() if k != "mass"]
+            at = ", ".join(f"{label} {number(v / unit.scale)} {unit.unit}".strip() for label, unit, v in places)
+            named, texts = (
+                (symbol_text(e.symbol), clean(result.title, 60)),
+                (shown(e.quantity, e.unit).unit, at, str(e.n)),
             )
-            [value] = _aligned([cell(e)])
-            rows.append([Value(symbol_text(e.symbol)), Value(name), value, Value(unit), Value(at), Value(str(e.n))])
+            rows.append([*map(Value, named), *_aligned([cell(e)]), *map(Value, texts)])
     heads = [("", ""), ("quantity", ""), ("value ± U", ""), ("unit", ""), ("at", ""), ("n", "")]
     notes = [clean(note, 160) for note in reasons(held)]
-    return ResultTable(heads, rows, notes[:MOST_NOTES], frozenset(seen)) if rows else ResultTable()
+    return ResultTable(heads, rows, notes[:MOST_NOTES], frozenset(e.symbol for e in held)) if rows else ResultTable()
 
 
 def _aligned(cells: Sequence[str]) -> list[Value]:
     """Pairs with spaces before and after, so that their points are below each other; other texts are words."""
     pairs = [_PAIR.fullmatch(text) for text in cells]
-    before = max((len(_split(p[1])[0]) for p in pairs if p), default=0)
-    after = max((len(_split(p[1])[1]) for p in pairs if p), default=0)
-    half_before = max((len(_split(p[2])[0]) for p in pairs if p), default=0)
-    half_after = max((len(_split(p[2])[1]) for p in pairs if p), default=0)
+    parts = [
+        [(len(whole), len(rest)) for whole, _, rest in (p[1].partition("."), p[2].partition("."))] for p in pairs if p
+    ]
+    widths = [tuple(map(max, zip(*lengths, strict=True))) for lengths in zip(*parts, strict=True)] or [(0, 0), (0, 0)]
     found = []
     for text, pair in zip(cells, pairs, strict=True):
         if pair:
-            value, half = _padded(pair[1], before, after), _padded(pair[2], half_before, half_after)
-            found.append(Value(value, half))
+            found.append(Value(_padded(pair[1], *widths[0]), _padded(pair[2], *widths[1])))
         else:
             plain = re.fullmatch(r"−?[\d.]+", text)
-            found.append(Value(_padded(text, before, after)) if plain else Value(text, words=True))
+            found.append(Value(_padded(text, *widths[0])) if plain else Value(text, words=True))
     return found
 
 
-def _split(text: str) -> tuple[str, str]:
-    whole, _, rest = text.partition(".")
-    return whole, rest
-
-
 def _padded(text: str, before: int, after: int) -> str:
-    whole, rest = _split(text)
+    whole, _, rest = text.partition(".")
     left = FIGURE * (before - len(whole)) + thousands(whole)
     if not after:
         return left

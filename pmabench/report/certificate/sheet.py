@@ -15,7 +15,6 @@ import numpy as np
 
 from pmabench.plotting.pictures import Picture, drawable
 from pmabench.plotting.wording import brief, clean, number
-from pmabench.report.certificate import limits as not_for
 from pmabench.report.certificate import quality
 from pmabench.report.certificate.coefficient_charts import coefficient_picture, surface_picture
 from pmabench.report.certificate.force_chart import force_picture, stroke_picture
@@ -92,6 +91,7 @@ def sheet_of(
     item, about = _item(runs)
     title = kind_title(main.kind) if main else ""
     covered = coverage(main, runs) if main else None
+    findings, more = quality.findings(tests, failed)
     return Sheet(
         item=item,
         about=about,
@@ -100,31 +100,31 @@ def sheet_of(
         table=table,
         table_title=title,
         also=[(tile.symbol, f"{tile.value} {tile.unit}".strip()) for tile in tiles][:MOST_ALSO] if members else [],
-        limits=not_for.limits(main, tests, runs),
+        limits=quality.limits(main, tests, runs),
         first=pictures[:2],
         second=pictures[2:FIGURES],
         coverage=covered if covered and (covered.used or covered.left) else None,
         sources=sources(members, over) if members else None,
         statistics=quality.statistics(main) if main else [],
         checks=quality.checks(main) if main else [],
-        findings=quality.findings(tests, failed)[0],
-        more=quality.findings(tests, failed)[1],
+        findings=findings,
+        more=more,
         method=_method(main),
-        seals=_seals(runs, names),
+        seals=[
+            (str(row["run"]), str(row["sha256 of seal.json"])[:16])
+            for row in provenance.run_table(runs, names).rows
+            if row.get("sha256 of seal.json")
+        ],
         used=used,
     )
 
 
 def _main(tests: Sequence[Analysis], members: Sequence[Estimate]) -> Analysis | None:
     """The analysis whose values the table has; without a table the one with most values."""
-    if members:
-        found = [(sum(_same(e, m) for e in a.estimates for m in members[:3]), a) for a in tests]
-        return max(found, key=lambda pair: pair[0])[1]
+    few = [replace(m, at={}) for m in members[:3]]
+    if few:
+        return max(tests, key=lambda a: sum(replace(e, at={}) == m for e in a.estimates for m in few))
     return max(tests, key=lambda a: sum(e.value is not None for e in a.estimates), default=None)
-
-
-def _same(e: Estimate, member: Estimate) -> bool:
-    return replace(e, at={}) == replace(member, at={})
 
 
 def _pictures(
@@ -150,11 +150,11 @@ def _pictures(
         used.append(stroke[1].name)
     if len(found) < FIGURES:
         more, traces = front_pictures(analyses, FIGURES, without=used)
-        more = [one for one in more if panels is None or not _is_in(one.title, panels.title)][: FIGURES - len(found)]
-        if stroke is not None:
-            found[-1:-1] = more
-        else:
-            found += more
+        # a plot of one coefficient may be among the panels: `Stiffness K over pressure` in `stiffness K and ...`
+        there = panels.title.lower() if panels else ""
+        more = [one for one in more if panels is None or one.title.partition(" over ")[0].lower() not in there]
+        place = len(found) - (stroke is not None)
+        found[place:place] = more[: FIGURES - len(found)]
         used += traces
     return found[:FIGURES], used
 
@@ -167,11 +167,6 @@ def _followed(analysis: Analysis) -> Analysis:
         return model is None or float(np.isfinite(np.asarray(model, dtype=np.float64)).mean()) > 0.5
 
     return replace(analysis, traces=tuple(trace for trace in analysis.traces if whole(trace)))
-
-
-def _is_in(title: str, panels: str) -> bool:
-    """Whether a plot of one coefficient is among the panels: `Stiffness K over pressure` in `stiffness K and ...`."""
-    return title.partition(" over ")[0].lower() in panels.lower()
 
 
 def _item(runs: Sequence[RunData]) -> tuple[str, str]:
@@ -219,20 +214,13 @@ def _columns(tests: Sequence[Analysis], main: Analysis | None, runs: Sequence[Ru
     formula = FORMULA.search(model)
     fitted = [formula[1].strip()] if formula else []
     fitted += [f"method: {clean(main.estimates[0].method, 60)}"] if main and main.estimates else []
-    found = [
-        ("Tested", tested),
-        ("Conditions", conditions),
-        ("Traceable to", _traceable(runs)),
-        ("Model", fitted),
-    ]
-    return [(head, kept) for head, lines in found if (kept := [clean(line, 160) for line in lines if line])]
+    found = {"Tested": tested, "Conditions": conditions, "Traceable to": _traceable(runs), "Model": fitted}
+    return [(head, kept) for head, lines in found.items() if (kept := [clean(line, 160) for line in lines if line])]
 
 
 def _traceable(runs: Sequence[RunData]) -> list[str]:
     """Calibrations of the measured channels, each once; what has none is named."""
     measured = [c for run in runs for c in run.channels.values() if not c.name.endswith("_command")]
-    if not measured:
-        return []
     with_one = dict.fromkeys(f"{clean(c.name, 40)}: {clean(c.calibration, 40)}" for c in measured if c.calibration)
     without = dict.fromkeys(clean(c.name, 40) for c in measured if not c.calibration)
     lines = list(with_one)[:4]
@@ -241,12 +229,7 @@ def _traceable(runs: Sequence[RunData]) -> list[str]:
 
 def _method(main: Analysis | None) -> str:
     """How the numbers were got, in few sentences, and one on U."""
-    text = described(main.estimates[0].method) if main and main.estimates else ""
-    cut = brief(text, MOST_LETTERS)
-    cut += "" if cut.endswith((".", "…")) else "."
-    return f"{cut} {INTERVALS}".strip() if main and main.estimates else ""
-
-
-def _seals(runs: Sequence[RunData], names: Mapping[str, str]) -> list[tuple[str, str]]:
-    rows = provenance.run_table(runs, names).rows
-    return [(str(row["run"]), str(row["sha256 of seal.json"])[:16]) for row in rows if row.get("sha256 of seal.json")]
+    if main is None or not main.estimates:
+        return ""
+    text = brief(described(main.estimates[0].method), MOST_LETTERS)
+    return f"{text}{'' if text.endswith(('.', '…')) else '.'} {INTERVALS}"

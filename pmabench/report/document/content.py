@@ -26,8 +26,7 @@ from pmabench.plotting.wording import printed
 from pmabench.report.certificate.interactive import assets, chart_data
 from pmabench.report.certificate.sheet import Sheet, sheet_of
 from pmabench.report.document import provenance, tables
-from pmabench.report.document.checklist import Issuer, Item, checklist
-from pmabench.report.document.deviations import Said, deviations, notes_of
+from pmabench.report.document.deviations import Issuer, Item, Said, checklist, deviations, notes_of
 from pmabench.report.document.front import Tile, Verdict, tiles_of, verdict_of
 from pmabench.report.document.grids import Grid, grid
 from pmabench.report.document.provenance import citation, methods_paragraph
@@ -196,10 +195,8 @@ def page_of(content: Content, *, long: bool = False) -> str:
 
 def _findings(analyses: Sequence[Analysis], names: Mapping[str, str]) -> list[list[str]]:
     """Level, test and text of every finding, with runs as the report names them."""
-    findings = tables.findings_table(analyses)
-    for row in findings.rows:
-        row["finding"] = _named(row["finding"], names)
-    return findings.cells()
+    cells = tables.findings_table(analyses).cells()
+    return [[level, test, _named(text, names)] for level, test, text in cells]
 
 
 def _about_runs(runs: Sequence[RunData], names: Mapping[str, str]) -> dict[str, Any]:
@@ -253,9 +250,7 @@ class _Figures:
 def _identity(analyses: Sequence[Analysis], runs: Sequence[RunData], published: Sequence[overlays.Published]) -> str:
     data = plain({"analyses": [a.to_dict() for a in analyses], "runs": [run.id for run in runs]})
     if published:
-        data["published"] = [
-            [p.label, {name: values.tolist() for name, values in p.columns.items()}] for p in published
-        ]
+        data["published"] = [[p.label, {name: v.tolist() for name, v in p.columns.items()}] for p in published]
     return hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()[:12]
 
 
@@ -294,9 +289,8 @@ def _together(analyses: Sequence[Analysis], figures: _Figures) -> list[Section]:
     pictures = characteristic(analyses)
     if not pictures:
         return []
-    section = Section("Force, pressure and contraction", any(p.simulated for p in pictures), "Tests on common axes")
-    section.figures = [figures.add(p) for p in pictures]
-    return [section]
+    title, simulated = "Force, pressure and contraction", any(p.simulated for p in pictures)
+    return [Section(title, simulated, "Tests on common axes", figures=[figures.add(p) for p in pictures])]
 
 
 def _tuning(analyses: Sequence[Analysis]) -> list[Grid]:
@@ -305,9 +299,8 @@ def _tuning(analyses: Sequence[Analysis]) -> list[Grid]:
     found = []
     for point in dict.fromkeys(frame["operating point"] if len(frame) else ()):
         rows = frame.where(cell == point for cell in frame["operating point"]).without("operating point")
-        settings = [
-            c for c in rows.columns if c == "rule" or c.partition(" [")[0] in ("K_p", "T_i", "T_d", "K_i", "K_d")
-        ]
+        gains = ("rule", "K_p", "T_i", "T_d", "K_i", "K_d")
+        settings = [c for c in rows.columns if c.partition(" [")[0] in gains]
         margins = ["rule", *(c for c in rows.columns if c not in settings)]
         where = f" at {point}" if point else ""
         found.append(grid(rows.select(settings), f"Settings{where}"))
@@ -320,15 +313,15 @@ def _methods(methods: Sequence[str]) -> list[tuple[str, str]]:
     """Names and descriptions; methods with the same description in one row."""
     found: dict[str, list[str]] = {}
     for method in methods:
-        description = described(method) or "Not described here."
-        found.setdefault(description, []).append(wording.clean(method, 120))
+        found.setdefault(described(method) or "Not described here.", []).append(wording.clean(method, 120))
     return [("; ".join(names), description) for description, names in found.items()]
 
 
 def _dropped(analyses: Sequence[Analysis], names: Mapping[str, str]) -> Grid:
     frame = tables.dropped_table(analyses)
     for row in frame.rows:
-        row["trial"] = _short(row["trial"], names)
+        run, slash, index = row["trial"].rpartition("/")
+        row["trial"] = f"{names[run]} / {index}" if slash and run in names else row["trial"]
     return grid(frame.renamed("test", "method")) if len(frame) else grid(frame)
 
 
@@ -337,8 +330,3 @@ def _named(text: str, names: Mapping[str, str]) -> str:
     for run in sorted(names, key=len, reverse=True):
         text = re.sub(re.escape(run) + r"/(?=\d)", f"{names[run]} / ", text).replace(run, names[run])
     return printed(text)
-
-
-def _short(trial: str, names: Mapping[str, str]) -> str:
-    run, slash, index = trial.rpartition("/")
-    return f"{names[run]} / {index}" if slash and run in names else trial

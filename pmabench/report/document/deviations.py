@@ -1,6 +1,10 @@
-"""Deviations from the protocol in the record of each run, a sentence each; notes with their pictures.
+"""What did not go as the protocol says, what people noted, and what a test report by ISO/IEC 17025 has or lacks.
 
-Manifests are untrusted and everything in them is optional; nothing here raises for what is missing or odd.
+Deviations in the record of each run are a sentence each; notes come with their pictures. Manifests are untrusted and
+everything in them is optional; nothing here raises for what is missing or odd.
+
+The checklist is ISO/IEC 17025:2017, 7.8.2 and 7.8.3, in our own words. No run holds a laboratory's name, its customer
+and who authorises: whoever writes the report gives them (`Issuer`). Nothing here says that a laboratory is accredited.
 """
 
 from __future__ import annotations
@@ -15,6 +19,7 @@ import numpy as np
 
 from pmabench.plotting.wording import clean, number, shown
 from pmabench.report.document.provenance import get, text_of
+from pmabench.store.analyses.results import Analysis
 from pmabench.store.folder import open_regular
 from pmabench.store.records import RunData
 
@@ -187,3 +192,83 @@ def _picture(path: Path, most: int) -> str:
         return ""
     kind = next((kind for begin, kind in KINDS.items() if raw.startswith(begin)), "")
     return f"data:{kind};base64,{base64.b64encode(raw).decode()}" if kind else ""
+
+
+@dataclass(frozen=True)
+class Issuer:
+    """Who issues the report; empty where it was not given."""
+
+    laboratory: str = ""
+    """Name and address."""
+    customer: str = ""
+    authorised_by: str = ""
+    issued: str = ""
+    """Date of issue."""
+
+    def cleaned(self) -> Issuer:
+        """The same without control characters and cut to a line."""
+        return Issuer(*(clean(text, 300) for text in vars(self).values()))
+
+
+@dataclass(frozen=True)
+class Item:
+    """One line of the checklist."""
+
+    clause: str
+    asked: str
+    there: bool
+    said: str
+    """Where it is, or what to do."""
+
+
+def checklist(
+    analyses: Sequence[Analysis],
+    runs: Sequence[RunData],
+    issuer: Issuer,
+    *,
+    specimen: str,
+    when: str,
+    deviations: Sequence[str],
+    accepted: bool,
+) -> list[Item]:
+    """Every clause that applies to tests; sampling (7.8.5) and calibration certificates (7.8.4) do not."""
+    estimates = [e for a in analyses for e in a.estimates if e.value is not None]
+    without = sum(e.ci95 is None for e in estimates)
+    measured = {c for run in runs for c in run.channels.values() if not c.name.endswith("_command")}
+    uncalibrated = sorted({clean(c.name, 40) for c in measured if not c.calibration})
+    lacking = f"without calibration: {', '.join(uncalibrated)}" if uncalibrated else "the runs are not at hand"
+
+    def of_all(*names: str) -> bool:
+        return bool(runs) and all(any(get(run.manifest, *name.split(".")) for name in names) for run in runs)
+
+    def given(option: str) -> str:
+        return f"not given; use {option}, or write it by hand"
+
+    rows = (
+        ("7.8.2.1 a", "a title", True, "first page", ""),
+        ("7.8.2.1 b, c", "the laboratory, its address, where it was tested", issuer.laboratory, issuer.laboratory,
+         given("--laboratory")),
+        ("7.8.2.1 d", "an identification on every page", True, "the report's number is at the foot of each page", ""),
+        ("7.8.2.1 e", "the customer", issuer.customer, issuer.customer, given("--customer")),
+        ("7.8.2.1 f", "the method", of_all("source", "protocol"), "Protocol, Methods",
+         "name the source in the protocol"),
+        ("7.8.2.1 g", "the item, unmistakably", specimen, specimen, "give make, type and serial number"),
+        ("7.8.2.1 g", "its condition", of_all("specimen.mounted"), "first page",
+         "give the specimen's `mounted` in its file"),
+        ("7.8.2.1 i", "dates of the tests", when, when, "the runs are not at hand"),
+        ("7.8.2.1 j", "date of issue", issuer.issued, issuer.issued, given("--issued")),
+        ("7.8.2.1 l", "“relates only to the items tested”", True, "Provenance", ""),
+        ("7.8.2.1 m", "results with units", estimates, "first page, All values", "there is no result"),
+        ("7.8.2.1 n", "deviations, additions, exclusions", runs,
+         f"{len(deviations)} remarks under Protocol and deviations", "the runs are not at hand"),
+        ("7.8.2.1 o", "who authorises the report", issuer.authorised_by, issuer.authorised_by,
+         given("--authorised-by")),
+        ("7.8.3.1 a", "test conditions", of_all("session"), "warm-up, self-test and zeros: session of each run",
+         "no session with zeros and supply is in the record; room temperature and supply are not known"),
+        ("7.8.3.1 b", "conformity, where it is asked for", True,
+         "first page" if accepted else "not asked for: the protocols set no acceptance limits (`accept`)", ""),
+        ("7.8.3.1 c", "measurement uncertainty", estimates and not without, "Intervals in parts",
+         f"{without} of {len(estimates)} values have no interval; Intervals in parts says why"),
+        ("6.5", "calibrations of the channels", runs and not uncalibrated, "Provenance", lacking),
+    )  # fmt: skip
+    return [Item(clause, asked, bool(there), said if there else todo) for clause, asked, there, said, todo in rows]

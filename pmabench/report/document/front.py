@@ -86,11 +86,9 @@ def verdict_of(
     given.
     """
     faults, doubts = (sum(f.level == level for a in analyses for f in a.findings) for level in ("fault", "doubt"))
-    unfinished = sum(run.status != "finished" for run in runs)
-    reasons = [_many(len(failed), "reason", "reasons")] if failed else []
-    reasons += [_many(faults, "fault", "faults")] if faults else []
-    reasons += [_many(unfinished, "run did not finish", "runs did not finish")] if unfinished else []
-    reasons += [_many(doubts, "doubt", "doubts")] if doubts else []
+    ended = (sum(run.status != "finished" for run in runs), "run did not finish", "runs did not finish")
+    counts = ((len(failed), "reason", "reasons"), (faults, "fault", "faults"), ended, (doubts, "doubt", "doubts"))
+    reasons = [f"{count} {one if count == 1 else several}" for count, one, several in counts if count]
     if not any(e.value is not None or e.withheld for a in analyses for e in a.estimates):
         return Verdict("fault", "No result", "; ".join(["no coefficient came out", *reasons]) + ".")
     if failed or faults:
@@ -99,7 +97,3 @@ def verdict_of(
         return Verdict("doubt", "Usable with care", "; ".join(reasons) + ".")
     limits = "The acceptance limits of the protocol are met" if accepted else "The protocol sets no acceptance limits"
     return Verdict("good", "Accepted" if accepted else "No doubt", f"{limits}; no fault and no doubt was found.")
-
-
-def _many(count: int, one: str, several: str) -> str:
-    return f"{count} {one if count == 1 else several}"

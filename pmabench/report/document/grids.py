@@ -5,8 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-from pmabench.plotting.frame import Frame
-from pmabench.plotting.wording import AT_MOST, UNRESOLVED, WITHHELD
+from pmabench.plotting.wording import AT_MOST, UNRESOLVED, WITHHELD, Frame
 
 MOST_ROWS = 600
 BRIEF = 32
@@ -94,6 +93,4 @@ def grid(frame: Frame, caption: str = "", *, group: bool | None = None) -> Grid:
 
 def _cell(text: str, align: str) -> Cell:
     pair = _PAIR.fullmatch(text) if align == "pair" else None
-    if pair:
-        return Cell(pair[1], pair[2])
-    return Cell(text, muted=text in MUTED)
+    return Cell(pair[1], pair[2]) if pair else Cell(text, muted=text in MUTED)

@@ -77,20 +77,18 @@ class _Data:
 
     def all(self) -> dict[str, Any]:
         c = self.content
+        plain = ("title", "report_id", "version", "simulated", "operators", "statuses")
+        grids = ("coefficients", "compared", "tuning", "parents")
         return {
-            "title": c.title,
-            "report_id": c.report_id,
-            "version": c.version,
-            "simulated": c.simulated,
+            **{name: getattr(c, name) for name in plain},
+            **{name: [self.grid(grid) for grid in getattr(c, name)] for name in grids},
             "banner": f"{'some' if c.mixed else 'all'} of these values come from a simulated bench, no real muscle",
             "verdict": vars(c.verdict),
             "said": [
                 c.issuer.laboratory,
-                f"for {c.issuer.customer}" if c.issuer.customer else "",
+                f"for {c.issuer.customer}" * bool(c.issuer.customer),
                 c.issuer.issued or c.when,
             ],
-            "operators": c.operators,
-            "statuses": c.statuses,
             "sheet": self.sheet(),
             "first": self.figures(c.front[: len(c.sheet.first)]),
             "second": self.figures(c.front[len(c.sheet.first) :]),
@@ -99,8 +97,6 @@ class _Data:
             "deviations": [symbol_parts(text) for text in c.deviations],
             "missing": ", ".join(c.missing),
             "notes": [self.note(note) for note in c.notes],
-            "coefficients": [self.grid(grid) for grid in c.coefficients],
-            "compared": [self.grid(grid) for grid in c.compared],
             "curves": self.grid(c.curves, "Fitted curves over pressure; valid inside their range only"),
             "polynomials": self.grid(c.polynomials, "Fitted polynomials, terms by power of z"),
             "sections": [
@@ -114,7 +110,6 @@ class _Data:
             ],
             "published": self.grid(c.published, "Mean relative differences"),
             "publishers": self.pairs([(n, about or "The file names no source.") for n, about in c.publishers]),
-            "tuning": [self.grid(grid) for grid in c.tuning],
             "dropped": self.grid(c.dropped),
             "findings": [
                 {"level": _level(level), "word": LEVELS.get(level, level), "test": test, "text": symbol_parts(text)}
@@ -130,7 +125,6 @@ class _Data:
             "cite": list(c.cite),
             "parts": [self.grid(s.parts, f"{s.title}: half widths by cause") for s in c.sections if s.parts],
             "budgets": [self.grid(s.budget) for s in c.sections if s.budget],
-            "parents": [self.grid(grid) for grid in c.parents],
         }
 
     def sheet(self) -> dict[str, Any]:
@@ -150,33 +144,26 @@ class _Data:
             "bars": [{**vars(bar), "symbol": symbol_parts(bar.symbol)} for bar in s.sources.bars],
         }
         return {
-            "item": s.item,
+            **{name: getattr(s, name) for name in ("item", "table_title", "checks", "more", "seals")},
+            **{name: self.pairs(getattr(s, name)) for name in ("also", "limits", "statistics")},
             "about": s.about or self.content.title,
             "sentence": symbol_parts(s.sentence),
             "columns": [[head, [symbol_parts(line) for line in lines]] for head, lines in s.columns],
             "heads": [symbol_parts(f"{head} [{unit}]" if unit else head) for head, unit in s.table.heads],
             "rows": [[[symbol_parts(v.text), v.half, v.words] for v in row] for row in s.table.rows],
             "notes": [symbol_parts(note) for note in s.table.notes],
-            "table_title": s.table_title,
-            "also": self.pairs(s.also),
-            "limits": self.pairs(s.limits),
             "coverage": covered,
             "sources": bars,
-            "statistics": self.pairs(s.statistics),
-            "checks": s.checks,
             "findings": [symbol_parts(text) for text in s.findings],
-            "more": s.more,
             "method": symbol_parts(s.method),
-            "seals": s.seals,
         }
 
     def pairs(self, items: Sequence[tuple[str, str]]) -> list[list[Any]]:
         return [[symbol_parts(head), symbol_parts(text)] for head, text in items if text]
 
     def grid(self, grid: Grid, caption: str = "") -> dict[str, Any]:
-        full_caption = "; ".join(part for part in (caption, grid.caption) if part)
         return {
-            "caption": symbol_parts(full_caption),
+            "caption": symbol_parts("; ".join(part for part in (caption, grid.caption) if part)),
             "columns": [{"head": symbol_parts(column.head), "align": column.align} for column in grid.columns],
             "groups": [
                 {
@@ -204,13 +191,9 @@ class _Data:
 
     def note(self, note: Said) -> dict[str, Any]:
         """A note with its pictures; one that cannot be read is only named, as other files are."""
-        photos, files = [], list(note.files)
-        for name, uri in note.pictures:
-            file = self.photo(uri)
-            if file:
-                photos.append({"file": file, "alt": f"Picture {name}"})
-            else:
-                files.append(name)
+        read = [(name, self.photo(uri)) for name, uri in note.pictures]
+        photos = [{"file": file, "alt": f"Picture {name}"} for name, file in read if file]
+        files = [*note.files, *(name for name, file in read if not file)]
         attached = f" (attached: {', '.join(files)})" if files else ""
         return {"said": f"{note.run}, {note.utc} UTC, {note.operator}: {note.text}{attached}", "photos": photos}
 
@@ -248,8 +231,7 @@ def packed(data: bytes) -> bytes:
     trailer = _TRAILER.search(data[-4096:])
     if trailer is None or b"/Encrypt" in trailer[1] or b"/Prev" in trailer[1]:
         return data
-    table = int(trailer[2])
-    objects = _objects(data, table)
+    objects = _objects(data, int(trailer[2]))
     if not objects:
         return data
     out = bytearray(data[: min(offset for offset, _ in objects.values())])
@@ -296,13 +278,11 @@ def _objects(data: bytes, table: int) -> dict[int, tuple[int, bytes]]:
         return {}
     rows = data[table + head.end() :]
     entries = [rows[20 * n : 20 * n + 18].split() for n in range(int(head[1]))]
-    if any(
-        len(entry) != 3 or entry[1:] not in ([b"00000", b"n"], [b"65535", b"f"], [b"00000", b"f"]) for entry in entries
-    ):
+    kinds = ([b"00000", b"n"], [b"65535", b"f"], [b"00000", b"f"])
+    if any(len(entry) != 3 or entry[1:] not in kinds for entry in entries):
         return {}
     offsets = {n: int(entry[0]) for n, entry in enumerate(entries) if entry[2] == b"n"}
-    ends = sorted([*offsets.values(), table])
-    after = dict(pairwise(ends))
+    after = dict(pairwise(sorted([*offsets.values(), table])))
     found = {}
     for number, offset in offsets.items():
         text = data[offset : after[offset]]

@@ -14,8 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from pmabench import __version__
-from pmabench.plotting.frame import Frame
-from pmabench.plotting.wording import POINTS, clean, in_order, number, point_shown, shown
+from pmabench.plotting.wording import POINTS, Frame, clean, in_order, number, point_shown, shown
 from pmabench.report.words import described, kind_title
 from pmabench.store.analyses.results import AGREEMENT, Analysis
 from pmabench.store.folder import is_regular, sha256_of
@@ -86,11 +85,7 @@ def benches(runs: Sequence[RunData]) -> list[tuple[str, str]]:
     """Name of every bench, and its devices."""
     found: dict[str, str] = {}
     for run in runs:
-        name = _name_of(run.manifest.get("bench"))
-        if not name:
-            continue
-        devices = run.manifest.get("devices")
-        lines = []
+        devices, lines = run.manifest.get("devices"), []
         for device_name, device in devices.items() if isinstance(devices, Mapping) else ():
             if isinstance(device, Mapping):
                 parts = [text_of(device.get(key), 60) for key in ("maker", "model")]
@@ -99,22 +94,19 @@ def benches(runs: Sequence[RunData]) -> list[tuple[str, str]]:
                 if tried and not device.get("simulated"):
                     parts.append(f"(driver verified: {tried})")
                 lines.append(" ".join(part for part in parts if part))
-        found.setdefault(name, "; ".join(lines))
-    return list(found.items())
+        found.setdefault(_name_of(run.manifest.get("bench")), "; ".join(lines))
+    return [(name, about) for name, about in found.items() if name]
 
 
 def when(runs: Sequence[RunData]) -> str:
     """First and last day of the runs, UTC."""
     days = sorted({text_of(run.manifest.get("started_utc"), 40)[:10] for run in runs} - {""})
-    if not days:
-        return ""
-    return days[0] if len(days) == 1 else f"{days[0]} to {days[-1]}"
+    return " to ".join(dict.fromkeys((days[0], days[-1]))) if days else ""
 
 
 def operators(runs: Sequence[RunData]) -> str:
     """Everyone who was at the bench."""
-    names = [text_of(run.manifest.get("operator")) for run in runs if run.manifest.get("operator")]
-    return ", ".join(dict.fromkeys(names))
+    return ", ".join(dict.fromkeys(text_of(who) for run in runs if (who := run.manifest.get("operator"))))
 
 
 def statuses(runs: Sequence[RunData]) -> str:
@@ -146,17 +138,14 @@ def protocol_table(runs: Sequence[RunData], names: Mapping[str, str]) -> Frame:
 
 
 def _duration(value: Any) -> str:
-    if not isinstance(value, int | float) or isinstance(value, bool):
-        return ""
-    return f"{value / 60:.0f} min" if value >= 120 else f"{value:.0f} s"
+    known = isinstance(value, int | float) and not isinstance(value, bool)
+    return "" if not known else f"{value / 60:.0f} min" if value >= 120 else f"{value:.0f} s"
 
 
 def _points(run: RunData) -> str:
     ranges = []
     points = [trial.point for trial in run.trials]
-    for name in in_order((key for point in points for key in point), POINTS):
-        if name in ("mass", "cycles"):
-            continue
+    for name in in_order((key for point in points for key in point if key not in ("mass", "cycles")), POINTS):
         label, unit = point_shown(name)
         values = sorted({round(point[name] / unit.scale, 6) for point in points if name in point})
         listed = ", ".join(number(value) for value in values)
@@ -261,19 +250,20 @@ def methods_paragraph(analyses: Sequence[Analysis], runs: Sequence[RunData]) -> 
 def _test(kind: str, runs: Sequence[RunData]) -> str:
     """One kind of test with its trials, ranges and rate, as part of a sentence."""
     trials = [trial for run in runs for trial in run.trials]
-    parts = []
-    for name in in_order((key for trial in trials for key in trial.point), POINTS):
-        if name in ("mass", "cycles"):
-            continue
-        label, unit = point_shown(name)
-        ends = [trial.point[name] / unit.scale for trial in trials if name in trial.point]
-        low, high = (number(float(f"{end:.4g}")) for end in (min(ends), max(ends)))
-        parts.append(f"{label} = {low if low == high else f'{low} to {high}'} {unit.unit}".rstrip())
+    names = in_order((key for trial in trials for key in trial.point if key not in ("mass", "cycles")), POINTS)
+    parts = [span(name, [t.point[name] for t in trials if name in t.point], " = ") for name in names]
     done = sum(trial.status == "finished" and not trial.again for trial in trials)
     rates = sorted({run.rate for run in runs if run.rate})
     rate = f", sampled at {number(rates[0])} Hz" if len(rates) == 1 else ""
     where = f" at {', '.join(parts)}" if parts else ""
     return f"{kind_title(kind).lower()} ({done} trial{'s' if done != 1 else ''}{where}{rate})"
+
+
+def span(name: str, values: Sequence[float], sign: str) -> str:
+    """The range of a coordinate of operating points in words, with its label and a sign: `P = 100 to 500 kPa`."""
+    label, unit = point_shown(name)
+    low, high = (number(float(f"{end / unit.scale:.4g}")) for end in (min(values), max(values)))
+    return f"{label}{sign}{low if low == high else f'{low} to {high}'} {unit.unit}".rstrip()
 
 
 def citation(title: str, report_id: str, when: str, simulated: bool) -> tuple[str, str]:

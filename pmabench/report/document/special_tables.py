@@ -9,8 +9,17 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from pmabench.analysis.verdict.checks import NAMES, checks_of
-from pmabench.plotting.frame import Frame
-from pmabench.plotting.wording import clean, half_width, number, point_shown, point_text, rounded, shown, symbol_text
+from pmabench.plotting.wording import (
+    Frame,
+    clean,
+    half_width,
+    number,
+    point_shown,
+    point_text,
+    rounded,
+    shown,
+    symbol_text,
+)
 from pmabench.report.document.provenance import get
 from pmabench.report.document.tables import Table, half_of, is_number, least, mappings, note_text, numbers_of
 from pmabench.report.words import kind_title
@@ -57,8 +66,7 @@ def _shares(e: Estimate) -> str:
     large = sorted((entry for entry in shares if entry[0] >= NAMED_ALONE), reverse=True)
     words = [f"{name} {100 * share:.0f} %" for share, name in large]
     rest = sum(share for share, _ in shares) - sum(share for share, _ in large)
-    others = len(shares) - len(large)
-    if others:
+    if others := len(shares) - len(large):
         words.append(f"{others} other{'s' if others > 1 else ''} {f'{100 * rest:.1f}' if rest >= 5e-4 else '< 0.1'} %")
     return ", ".join(words)
 
@@ -123,10 +131,8 @@ def reduced_with(analyses: Sequence[Analysis]) -> dict[tuple[str, str], str]:
                 scales = mappings(channel.get("scales"))
                 places = [(str(s.get("run", "")), _calibration(channel.get("calibration"), s)) for s in scales]
             for run, words in places:
-                reasons = found.setdefault((run, name), [])
-                if words not in reasons:
-                    reasons.append(words)
-    return {place: "; ".join(reasons) for place, reasons in found.items()}
+                found.setdefault((run, name), []).append(words)
+    return {place: "; ".join(dict.fromkeys(reasons)) for place, reasons in found.items()}
 
 
 def _calibration(record: Any, scale: Mapping[str, Any]) -> str:
@@ -199,13 +205,13 @@ BRIEF = 18
 class Codes:
     """Codes for long texts: a text is printed once in a table, and its code everywhere else."""
 
-    def __init__(self, letter: str, head: str, brief: int) -> None:
-        self.letter, self.head, self.brief = letter, head, brief
+    def __init__(self, letter: str, head: str) -> None:
+        self.letter, self.head = letter, head
         self.codes: dict[str, str] = {}
 
     def of(self, text: str) -> str:
         """The text itself where it is brief, else its code."""
-        return text if len(text) <= self.brief else self.codes.setdefault(text, f"{self.letter}{len(self.codes) + 1}")
+        return text if len(text) <= BRIEF else self.codes.setdefault(text, f"{self.letter}{len(self.codes) + 1}")
 
     def table(self) -> Frame:
         """One row for each code."""
@@ -218,8 +224,8 @@ class Parents:
 
     def __init__(self, names: Mapping[str, str]) -> None:
         self.names = names
-        self.trials = Codes("S", "trials (run: numbers)", BRIEF)
-        self.notes = Codes("N", "note", BRIEF)
+        self.trials = Codes("S", "trials (run: numbers)")
+        self.notes = Codes("N", "note")
 
     def of(self, estimate: Estimate) -> tuple[str, str]:
         """Trials and note of an estimate."""

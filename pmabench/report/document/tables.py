@@ -12,7 +12,6 @@ from typing import Any, TypeGuard
 
 from pmabench.base.kind import Result
 from pmabench.base.quantities import QUANTITIES
-from pmabench.plotting.frame import Frame
 from pmabench.plotting.wording import (
     AT_MOST,
     POINTS,
@@ -20,6 +19,7 @@ from pmabench.plotting.wording import (
     RESOLVED,
     UNRESOLVED,
     WITHHELD,
+    Frame,
     clean,
     cut,
     half_width,
@@ -166,10 +166,7 @@ def other_tables(analysis: Analysis) -> list[Table]:
 
 def _merged(estimates: Sequence[Estimate]) -> Sequence[Estimate]:
     """The estimates under one joint method name, where no two methods give the same symbol: fewer rows."""
-    methods: dict[str, set[str]] = {}
-    for e in estimates:
-        methods.setdefault(_column(e), set()).add(e.method)
-    if any(len(names) > 1 for names in methods.values()):
+    if len({(_column(e), e.method) for e in estimates}) > len({_column(e) for e in estimates}):
         return estimates
     joint = ", ".join(dict.fromkeys(e.method for e in estimates))
     joint = joint if len(joint) <= LONGEST_JOINT else "several methods"
@@ -244,9 +241,8 @@ def parts_table(analysis: Analysis, parents: Callable[[Estimate], tuple[str, str
         def half(value: float | None, scale: float = unit.scale, floor: float = least(e)) -> str:
             return "" if value is None else half_width(value / scale, floor)
 
-        bias = "" if e.bias is None else rounded(e.bias / unit.scale, None, 2)
-        if e.bias and abs(e.bias) / unit.scale < least(e):
-            bias = UNRESOLVED
+        small = e.bias and abs(e.bias) / unit.scale < least(e)
+        bias = "" if e.bias is None else UNRESOLVED if small else rounded(e.bias / unit.scale, None, 2)
         behind = parents(e) if parents else ("", note_text(e))
         rows.append(
             {
@@ -285,9 +281,8 @@ def curves_table(analyses: Sequence[Analysis]) -> Frame:
         row["residual rms"] = f"{half_width(curve.residual_rms / first.scale)} {first.unit}".strip()
         rows.append(row)
     heads = in_order((head for row in rows for head in row), ("coefficient", "method", "at", "form"))
-    tail = [head for head in heads if head.startswith("valid") or head in ("R²", "residual rms")]
-    columns = [head for head in heads if head not in tail] + tail
-    return Frame(rows, columns=columns)
+    heads.sort(key=lambda head: head.startswith("valid") or head in ("R²", "residual rms"))
+    return Frame(rows, columns=heads)
 
 
 def polynomials_table(analyses: Sequence[Analysis]) -> Frame:
@@ -305,8 +300,7 @@ def polynomials_table(analyses: Sequence[Analysis]) -> Frame:
         row |= {"R²": _r2(curve.r2), "rms": half_width(curve.residual_rms / first.scale)}
         rows.append(row)
     heads = in_order((head for row in rows for head in row), ("coefficient", "method", "unit"))
-    columns = [head for head in heads if head not in ("R²", "rms")] + ["R²", "rms"]
-    return Frame(rows, columns=columns if rows else [])
+    return Frame(rows, columns=sorted(heads, key=("R²", "rms").__contains__))
 
 
 def _r2(value: float) -> str:
@@ -348,13 +342,10 @@ def tuning_table(analyses: Sequence[Analysis]) -> Frame:
             if isinstance(value, int | float):
                 row[unit.label(clean(symbol))] = unit.rounded(value, half_of(found.get("ci95")))
         margins = numbers_of(entry.get("margins"))
-        for name, head, scale in _MARGINS:
-            if name in margins:
-                row[head] = rounded(margins[name] / scale, None, 3)
-        if isinstance(entry.get("overshoot"), int | float):
-            row["overshoot [%]"] = rounded(entry["overshoot"] * 100, None, 2)
-        if isinstance(entry.get("settling"), int | float):
-            row["settling [s]"] = rounded(entry["settling"], None, 2)
+        row |= {head: rounded(margins[name] / scale, None, 3) for name, head, scale in _MARGINS if name in margins}
+        for name, head, scale in (("overshoot", "overshoot [%]", 100), ("settling", "settling [s]", 1)):
+            if isinstance(entry.get(name), int | float):
+                row[head] = rounded(entry[name] * scale, None, 2)
         rows.append(row)
     wanted = ("operating point", "rule", "K_p", "T_i", "T_d", "K_i", "K_d", *(head for _, head, _ in _MARGINS))
     heads = list(dict.fromkeys(head for row in rows for head in row))
@@ -398,7 +389,9 @@ PLAIN = 0.6
 
 def narrow(table: Table) -> list[Table]:
     """The table, or tables whose cells are together those of it; every row of them has a value."""
-    keys, values = _columns(table.frame)
+    heads = {"method", *(point_head(name) for name in POINTS)}  # of method and operating point; the others are values
+    keys = [c for c in table.frame.columns if c in heads]
+    values = [c for c in table.frame.columns if c not in heads]
     if _width(table.frame, values) <= MOST:
         return [table]
     for key in (key for key in keys if key != "method"):
@@ -418,8 +411,8 @@ def narrow(table: Table) -> list[Table]:
                 for part in narrow(_part(table, keys, used, f"{table.caption}: {clean(', '.join(methods))}", methods))
             ]
     chunks: list[list[str]] = []
-    for symbol in dict.fromkeys(_symbol(value) for value in values):
-        alike = [value for value in values if _symbol(value) == symbol]
+    for symbol in dict.fromkeys(value.partition(" [")[0] for value in values):
+        alike = [value for value in values if value.partition(" [")[0] == symbol]
         if chunks and _width(table.frame, [*chunks[-1], *alike]) <= MOST:
             chunks[-1] += alike
             continue
@@ -431,12 +424,6 @@ def narrow(table: Table) -> list[Table]:
     return [_part(table, keys, chunk, caption) for chunk, caption in zip(chunks, captions, strict=True)]
 
 
-def _columns(frame: Frame) -> tuple[list[str], list[str]]:
-    """Heads of method and operating point, and those of values."""
-    heads = {"method", *(point_head(name) for name in POINTS)}
-    return [c for c in frame.columns if c in heads], [c for c in frame.columns if c not in heads]
-
-
 def _used(frame: Frame, values: Sequence[str]) -> list[str]:
     """Columns that have a cell."""
     return frame.select(values).filled().columns
@@ -445,10 +432,6 @@ def _used(frame: Frame, values: Sequence[str]) -> list[str]:
 def _width(frame: Frame, columns: Sequence[str]) -> float:
     """Width of columns together, counted in columns with intervals."""
     return sum(1.0 if any("±" in str(cell) for cell in frame[c]) else PLAIN for c in columns)
-
-
-def _symbol(head: str) -> str:
-    return head.partition(" [")[0]
 
 
 def _part(

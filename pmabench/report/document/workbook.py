@@ -121,11 +121,6 @@ def _budgets(analyses: Sequence[Analysis]) -> list[dict[str, Any]]:
     return rows
 
 
-def _width(values: Sequence[Any]) -> float:
-    """Width of a column [letters]."""
-    return min(WIDEST, max(9, *(len(value) if isinstance(value, str) else 10 for value in values)) + 1)
-
-
 def _height(values: Sequence[Any], widths: Sequence[float]) -> float:
     """Height of a row [points] with texts wrapped in columns of these widths; not all programs find it themselves."""
     texts = [(value, width) for value, width in zip(values, widths, strict=True) if isinstance(value, str)]
@@ -168,8 +163,8 @@ class _Sheets:
         """Pairs of a head and a text."""
         sheet = self._sheet(name, simulated=self.content.simulated)
         widths = (32, 110)
-        sheet.set_column(0, 0, widths[0])
-        sheet.set_column(1, 1, widths[1])
+        for column, width in enumerate(widths):
+            sheet.set_column(column, column, width)
         for row, (head, text) in enumerate(lines, 3):
             sheet.set_row(row, _height((head, text), widths))
             sheet.write_string(row, 0, inert(clean(head, 200)), self.name)
@@ -181,7 +176,9 @@ class _Sheets:
             return
         sheet = self._sheet(name, simulated=self.content.simulated if simulated is None else simulated)
         columns = list(dict.fromkeys(head for row in rows for head in row))
-        wide = [_width([row.get(head) for row in rows]) for head in columns]
+        cells = [[row.get(head) for row in rows] for head in columns]
+        longest = [max(9, *(len(value) if isinstance(value, str) else 10 for value in column)) for column in cells]
+        wide = [min(WIDEST, letters + 1) for letters in longest]
         sheet.set_row(3, _height(columns, wide))
         for column, head in enumerate(columns):
             sheet.write_string(3, column, inert(clean(head, 200)), self.head)
@@ -207,9 +204,8 @@ class _Sheets:
     def grid(self, name: str, grid: Grid) -> None:
         """A table of a page, as text."""
         rows = []
-        for heading, members in grid.groups:
-            for cells in members:
-                texts = [f"{cell.text} ± {cell.half}" if cell.half else cell.text for cell in cells]
-                row = dict(zip([column.head for column in grid.columns], texts, strict=True))
-                rows.append({"of": heading} | row if heading else row)
+        heads = [column.head for column in grid.columns]
+        for heading, cells in ((heading, cells) for heading, members in grid.groups for cells in members):
+            texts = [f"{cell.text} ± {cell.half}" if cell.half else cell.text for cell in cells]
+            rows.append(({"of": heading} if heading else {}) | dict(zip(heads, texts, strict=True)))
         self.rows(name, rows)

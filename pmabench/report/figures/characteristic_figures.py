@@ -11,10 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pmabench.plotting.frame import Frame
 from pmabench.plotting.pictures import Picture, bound, drawable, has, picture, spread
-from pmabench.plotting.plots import FAINT, FULL, INK, PALETTE, Array, blank, few_ticks, grid
-from pmabench.plotting.wording import rounded, shown
+from pmabench.plotting.plots import FAINT, FULL, INK, PALETTE, Array, blank, few_ticks, grid, one_axes
+from pmabench.plotting.wording import Frame, rounded, shown
 from pmabench.report.bends import bend_of
 from pmabench.report.document.tables import is_number
 from pmabench.store.analyses.results import Analysis, Estimate, Trace
@@ -73,13 +72,9 @@ class _Model:
 
 
 def _over_pressure(analyses: Sequence[Analysis], symbol: str, method: str) -> list[Estimate]:
-    found = [
-        e
-        for a in analyses
-        for e in a.estimates
-        if (e.symbol, e.method) == (symbol, method) and set(e.at) == {"pressure"} and not e.coordinate
-    ]
-    return sorted((e for e in found if e.value is not None), key=lambda e: e.at["pressure"])
+    found = [e for a in analyses for e in a.estimates if (e.symbol, e.method, e.coordinate) == (symbol, method, "")]
+    found = [e for e in found if set(e.at) == {"pressure"} and e.value is not None]
+    return sorted(found, key=lambda e: e.at["pressure"])
 
 
 def by_pressure(analyses: Sequence[Analysis], symbol: str, method: str) -> dict[float, float]:
@@ -95,10 +90,8 @@ def _points(estimates: Sequence[Estimate]) -> tuple[Array, Array, Array]:
 def _nominal(analyses: Sequence[Analysis]) -> float:
     """Nominal length [m] as free contraction has it, else as isometric tests do; NaN where neither has it."""
     for a in analyses:
-        value = a.facts.get("nominal_length")
-        specimen = a.facts.get("specimen")
-        if value is None and isinstance(specimen, dict):
-            value = specimen.get("nominal_length")
+        own, specimen = a.facts.get("nominal_length"), a.facts.get("specimen")
+        value = specimen.get("nominal_length") if own is None and isinstance(specimen, dict) else own
         if is_number(value) and value > 0:
             return float(value)
     return float("nan")
@@ -162,8 +155,7 @@ def _draw_ends(left: Side, right: Side, nominal: float) -> Figure:
         axes.set(xlabel="P [kPa]", ylabel=heads[i])
         few_ticks(axes)
         if i:
-            share = axes.secondary_yaxis("right", functions=_scaled(100 / nominal))
-            share.set_ylabel("[%] of the nominal length")
+            axes.secondary_yaxis("right", functions=_scaled(100 / nominal)).set_ylabel("[%] of the nominal length")
     return figure
 
 
@@ -187,8 +179,7 @@ def _family(analyses: Sequence[Analysis]) -> list[Picture]:
         return []
     chosen = _chosen(every, [t.marks["pressure"] for t in slow])
     model, nominal = _Model(analyses), _nominal(analyses)
-    lengths = _over_pressure(analyses, "L", "free-length")
-    free = [(e.at["pressure"], nominal - (e.value or 0.0)) for e in lengths]
+    free = [(e.at["pressure"], nominal - (e.value or 0.0)) for e in _over_pressure(analyses, "L", "free-length")]
     levels, rows, off = list[Level](), list[dict[str, str]](), list[float]()
     for P in chosen:
         marks = measured[P][np.argsort(measured[P][:, 0], kind="stable")]
@@ -206,14 +197,10 @@ def _family(analyses: Sequence[Analysis]) -> list[Picture]:
             F_model = float(model.force(P, np.array([x_one]))[0])
             known = np.isfinite(F_model) and F_model > 0
             off += [F_one - F_model] if known else []
-            numbers = {
-                "P [kPa]": (P / 1e3, "g"),
-                "x [mm]": (x_one * 1e3, ".2f"),
-                "eps [%]": (100 * x_one / nominal, ".2f"),
-                "F measured [N]": (F_one, ".1f"),
-                "F model [N]": (F_model if known else np.nan, ".1f"),
-                "difference [N]": (F_one - F_model if known else np.nan, ".2f"),
-            }
+            numbers = {"P [kPa]": (P / 1e3, "g"), "x [mm]": (x_one * 1e3, ".2f")}
+            numbers |= {"eps [%]": (100 * x_one / nominal, ".2f"), "F measured [N]": (F_one, ".1f")}
+            numbers["F model [N]"] = (F_model if known else np.nan, ".1f")
+            numbers["difference [N]"] = (F_one - F_model if known else np.nan, ".2f")
             rows.append({head: _number(value, form) for head, (value, form) in numbers.items()})
     caption = "Circles: isometric tests, held at one length (mean of filling and emptying), where the muscle pulls."
     caption += " Dashed: mean curves of slow isobaric ramps." if slow else ""
@@ -247,8 +234,7 @@ def _chosen(every: Sequence[float], wanted: Sequence[float]) -> list[float]:
     kept = sorted({P for P in every if any(abs(P - other) < SAME for other in wanted)} | {every[-1]})
     kept = spread(kept, PRESSURES)
     while len(kept) < min(PRESSURES, len(every)):
-        left = [P for P in every if P not in kept]
-        kept.append(max(left, key=lambda P: min(abs(P - other) for other in kept)))
+        kept.append(max([P for P in every if P not in kept], key=lambda P: min(abs(P - other) for other in kept)))
     return sorted(kept)
 
 
@@ -262,23 +248,20 @@ Level = tuple[float, Array, list[Array], Array, Array]
 
 def _draw_family(levels: Sequence[Level], nominal: float) -> Figure:
     """A colour for each pressure, named at the right end."""
-    figure = blank(FULL, 3.6)
-    axes = figure.add_subplot(grid(figure, 1, 1, left=0.6, right=0.75, top=0.5)[0])
+    figure, axes = one_axes(FULL, 3.6, left=0.6, right=0.75, top=0.5)
     for i, (P, marks, ramps, zero, line) in enumerate(levels):
         color = PALETTE[i % len(PALETTE)]
         axes.plot(1e3 * line[:, 0], line[:, 1], color=color, linewidth=1.0, zorder=1)
         for ramp in ramps:
             axes.plot(1e3 * ramp[:, 0], ramp[:, 1], color=INK, linewidth=1.0, linestyle=(0, (3, 2)), zorder=2)
-        axes.plot(
-            1e3 * marks[:, 0], marks[:, 1], "o", color=color, markersize=4, zorder=3, label=f"P = {P / 1e3:g} kPa"
-        )
+        x, F = 1e3 * marks[:, 0], marks[:, 1]
+        axes.plot(x, F, "o", color=color, markersize=4, zorder=3, label=f"P = {P / 1e3:g} kPa")
         axes.plot(1e3 * zero, np.zeros(len(zero)), "D", color=color, markerfacecolor="white", markersize=4.2,
                   markeredgewidth=1.0, zorder=4, clip_on=False)  # fmt: skip
     axes.axhline(0, color=FAINT, linewidth=0.8, zorder=0)
     axes.set(xlabel="contraction x [mm]", ylabel="force F [N]")
     few_ticks(axes, x=8)
     if np.isfinite(nominal):
-        share = axes.secondary_xaxis("top", functions=_scaled(0.1 / nominal))
-        share.set_xlabel("ε [%]", labelpad=2)
+        axes.secondary_xaxis("top", functions=_scaled(0.1 / nominal)).set_xlabel("ε [%]", labelpad=2)
     axes.legend(loc="upper right", handletextpad=0.3)
     return figure

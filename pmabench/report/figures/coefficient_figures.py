@@ -10,12 +10,12 @@ import numpy as np
 
 from pmabench.base.kind import Result
 from pmabench.plotting import plots
-from pmabench.plotting.frame import Frame
 from pmabench.plotting.pictures import Picture, bound, column, has, numbers, picture, unit_of
 from pmabench.plotting.plots import BROWN, FAINT, HALF, PALETTE, QUIET, Array, Points, blank, few_ticks, grid
 from pmabench.plotting.wording import (
     POINTS,
     RAISED,
+    Frame,
     Shown,
     clean,
     in_order,
@@ -47,13 +47,9 @@ def over_pressure(analyses: Sequence[Analysis], results: Mapping[str, Result] | 
     """K, damping and F_ce over pressure, of all tests and methods together; `results`: where others declare them."""
     results = declared(analyses) if results is None else results
     found = []
+    every = [(a, e) for a in analyses for e in a.estimates if "pressure" in e.at and set(e.at) <= OVER_PRESSURE]
     for symbols in TOGETHER:
-        members = [
-            (analysis, e)
-            for analysis in analyses
-            for e in analysis.estimates
-            if e.symbol in symbols and "pressure" in e.at and set(e.at) <= OVER_PRESSURE and not e.coordinate
-        ]
+        members = [(a, e) for a, e in every if e.symbol in symbols and not e.coordinate]
         found.append(_figure(symbols, results, "pressure", _without_variants(members)))
     return [drawn for drawn in found if drawn is not None]
 
@@ -79,13 +75,12 @@ def others(analysis: Analysis) -> list[Picture]:
         members = [e for e in analysis.estimates if e.symbol in group and e.at]
         over = _varying(members)
         shown_already = over == "pressure" and any(set(group) <= set(symbols) for symbols in TOGETHER)
-        if over is None or shown_already or (over == "frequency" and any(t.figure == "bode" for t in analysis.traces)):
-            continue
-        if group == ["m"] and any(t.figure == "section" for t in analysis.traces):
-            continue
-        if len({e.at[over] for e in members}) < FEWEST:
-            continue
-        found.append(_figure(group, results, over, [(analysis, e) for e in members]))
+        drawn = {t.figure for t in analysis.traces}
+        elsewhere = (
+            shown_already or ("bode" in drawn and over == "frequency") or ("section" in drawn and group == ["m"])
+        )
+        if over is not None and not elsewhere and len({e.at[over] for e in members}) >= FEWEST:
+            found.append(_figure(group, results, over, [(analysis, e) for e in members]))
     return [drawn for drawn in found if drawn is not None]
 
 
@@ -125,7 +120,7 @@ def _figure(
     return picture(
         lambda: plots.coefficients(points, x_unit.label(x_label), y_label),
         title,
-        _caption(points, members, over, x_unit),
+        _caption(points, members, over),
         alt,
         table_of([e for _, e in members], over),
         wide=False,
@@ -170,7 +165,7 @@ def _points(members: Sequence[tuple[Analysis, Estimate]], over: str, unit: Shown
     return points
 
 
-def _caption(points: Sequence[Points], members: Sequence[tuple[Analysis, Estimate]], over: str, x_unit: Shown) -> str:
+def _caption(points: Sequence[Points], members: Sequence[tuple[Analysis, Estimate]], over: str) -> str:
     """Caption: what marks and bars mean, the source of published values, and what is missing."""
     caption = "95 % intervals" if any(np.isfinite(p.above).any() for p in points) else "Values without intervals"
     mixed = not all(p.primary or p.published for p in points)
@@ -178,12 +173,18 @@ def _caption(points: Sequence[Points], members: Sequence[tuple[Analysis, Estimat
     theirs = [clean(e.method, 60) for a, e in members if a.kind == PUBLISHED and e.value is not None]
     if theirs:
         caption += f" Crosses: {listed(list(dict.fromkeys(theirs)))}, not measured here."
+    return caption + missing_words([e for _, e in members], over, 6)
+
+
+def missing_words(estimates: Sequence[Estimate], over: str, most: int) -> str:
+    """A sentence for values that are not identifiable, and one for those that are withheld; at most so many places."""
+    text, unit = "", point_shown(over)[1]
     for withheld, word in ((False, "Not identifiable"), (True, "Withheld")):
-        missing = [e for _, e in members if e.value is None and e.withheld == withheld]
-        if missing:
-            where = [f"{e.symbol} at {number(e.at[over] / x_unit.scale)} {x_unit.unit}".strip() for e in missing[:6]]
-            caption += f" {word}: {listed(where)}{' and others' if len(missing) > 6 else ''}."
-    return caption
+        missing = [e for e in estimates if e.value is None and e.withheld == withheld]
+        places = [(symbol_text(e.symbol), number(e.at[over] / unit.scale)) for e in missing[:most]]
+        where = [f"{symbol} at {place} {unit.unit}".strip() for symbol, place in places]
+        text += f" {word}: {listed(where)}{' and others' if len(missing) > most else ''}." if where else ""
+    return text
 
 
 def _sized(unit: Shown, known: Sequence[Estimate]) -> Shown:
@@ -192,8 +193,7 @@ def _sized(unit: Shown, known: Sequence[Estimate]) -> Shown:
     if largest == 0 or 1e-3 <= largest < 1e5:
         return unit
     power = 3 * floor(log10(largest) / 3)
-    power_text = f"10{str(power).translate(RAISED)}"
-    return Shown(f"{power_text} {unit.unit}".rstrip(), unit.scale * 10.0**power)
+    return Shown(f"10{str(power).translate(RAISED)} {unit.unit}".rstrip(), unit.scale * 10.0**power)
 
 
 def reach_of(e: Estimate) -> tuple[float, float]:
@@ -278,18 +278,15 @@ def _repeats(trace: Trace, simulated: bool) -> Picture | None:
 def drawing_of(t: Array, values: Array, mean: Array, x_label: str, word: str, unit: str) -> Figure:
     """Values (repeats, n) above, what they are off their mean (n,) below."""
     figure = blank(HALF, 2.9)
-    cells = grid(figure, 1, 1, top=0.42, left=0.6)[0].subgridspec(2, 1, height_ratios=(1.6, 1), hspace=0.12)
-    upper = figure.add_subplot(cells[0])
-    lower = figure.add_subplot(cells[1], sharex=upper)
+    cell = grid(figure, 1, 1, top=0.42, left=0.6)[0]
+    upper, lower = plots.above_each_other(figure, cell, (1.6, 1), 0.12, shared=True)
     others = [color for color in PALETTE if color != BROWN]
     lower.axhline(0, color=FAINT, linewidth=0.6, zorder=0)
     for i in reversed(range(len(values))):
         color = BROWN if i == 0 else others[(i - 1) % len(others)] if len(values) < 4 else QUIET
-        width = 1.0 if i == 0 else 0.8
         label = ("first" if i == 0 else "second" if len(values) == 2 else "later") if i < 2 else None
-        upper.plot(t, values[i], color=color, linewidth=width, label=label)
+        upper.plot(t, values[i], color=color, linewidth=0.8 if i else 1.0, label=label)
         lower.plot(t, values[i] - mean, color=color, linewidth=0.8)
-    upper.tick_params(labelbottom=False)
     upper.set_ylabel(f"{word} [{unit}]")
     lower.set(ylabel=f"off mean [{unit}]", xlabel=x_label)
     few_ticks(upper)

@@ -15,7 +15,6 @@ from pmabench.base.kind import load
 from pmabench.kinds import registry
 from pmabench.plotting import loops as loop_figures
 from pmabench.plotting import time_plots
-from pmabench.plotting.frame import Frame
 from pmabench.plotting.pictures import (
     Picture,
     bound,
@@ -29,7 +28,7 @@ from pmabench.plotting.pictures import (
     spread,
 )
 from pmabench.plotting.plots import FULL, MARKERS, PALETTE, Array, blank, few_ticks, grid, legend_above
-from pmabench.plotting.wording import COLUMNS, clean, in_order, point_shown, point_text, shown
+from pmabench.plotting.wording import COLUMNS, Frame, clean, in_order, point_shown, point_text, shown
 from pmabench.report.document.tables import cell
 from pmabench.report.figures import characteristic_figures, coefficient_figures
 from pmabench.store.analyses.results import Analysis, Estimate, Trace
@@ -53,9 +52,9 @@ def front_pictures(
     analyses = [drawable(analysis) for analysis in analyses]
     found: list[Picture] = []
     used: list[str] = []
-    for analysis in analyses:
+    for analysis in analyses if most else ():
         loops = [t for t in analysis.traces if t.figure in loop_figures.TOGETHER]
-        if len(found) < most and any("frequency" in t.marks or "model" not in t.columns for t in loops):
+        if any("frequency" in t.marks or "model" not in t.columns for t in loops):
             found += loop_figures.together(analysis.traces, analysis.simulated)
             break
     for analysis in analyses:
@@ -90,10 +89,7 @@ def kind_pictures(analysis: Analysis, without: Sequence[str] = ()) -> list[Pictu
         mine = [t for t in traces if t.figure in kinds]
         left -= kinds
         if mine:
-            pictures = load(target)(mine, analysis)
-            found += pictures
-            if not pictures:
-                found += _generic(mine, analysis.simulated)
+            found += load(target)(mine, analysis) or _generic(mine, analysis.simulated)
     return found + energy(analysis) + _generic([t for t in traces if t.figure in left], analysis.simulated)
 
 
@@ -122,8 +118,8 @@ def _generic(traces: Sequence[Trace], simulated: bool) -> list[Picture]:
         draw = bound(time_plots.lines, "", data[x], label(trace, x), columns)
         title = clean(trace.title, 120) or clean(trace.name, 80)
         ends = column(trace, x)[np.isfinite(column(trace, x))]
-        columns_text = ", ".join(_word(name) for name in rest)
-        alt = f"{columns_text} over {label(trace, x)}, from {ends.min():.4g} to {ends.max():.4g}."
+        over = f"over {label(trace, x)}, from {ends.min():.4g} to {ends.max():.4g}"
+        alt = f"{', '.join(map(_word, rest))} {over}."
         found.append(picture(draw, title, "", alt, numbers([("", trace)]), wide=True, simulated=simulated))
     return found
 
@@ -149,7 +145,7 @@ Series = tuple[str, str, Array, Array, Array]
 
 def energy(analysis: Analysis) -> list[Picture]:
     """One figure over speed or frequency, a series for each other operating point; none without W_c and W."""
-    found: list[Picture] = []
+    found = []
     for rate in ("speed", "frequency"):
         mine = [e for e in analysis.estimates if e.symbol in SYMBOLS and rate in e.at and e.value is not None]
         if {"W_c", "W"} <= {e.symbol for e in mine}:
@@ -168,11 +164,11 @@ def _energy(mine: Sequence[Estimate], rate: str, simulated: bool) -> Picture:
     series: list[Series] = []
     for place in kept:
         for symbol in SYMBOLS:
-            members = sorted((e for e in mine if e.symbol == symbol and _where(e, rate, alike) == place),
-                          key=lambda e: e.at[rate])  # fmt: skip
-            scales = [shown(e.quantity, e.unit).scale for e in members]
-            values = np.array([(e.value or 0.0) / s for e, s in zip(members, scales, strict=True)])
-            halves = np.array([(e.parts.combined or 0.0) / s for e, s in zip(members, scales, strict=True)])
+            there = [e for e in mine if e.symbol == symbol and _where(e, rate, alike) == place]
+            members = sorted(there, key=lambda e: e.at[rate])
+            scales = np.array([shown(e.quantity, e.unit).scale for e in members])
+            values = np.array([e.value or 0.0 for e in members]) / scales
+            halves = np.array([e.parts.combined or 0.0 for e in members]) / scales
             at = np.array([e.at[rate] / point_shown(rate)[1].scale for e in members])
             series.append((place, symbol, at, values, halves))
     label, unit = point_shown(rate)
@@ -186,10 +182,9 @@ def _energy(mine: Sequence[Estimate], rate: str, simulated: bool) -> Picture:
         f"carries in and out is not measured.{some}"
     )
     ends = {s: [float(v) for _, symbol, _, values, _ in series if symbol == s for v in values] for s in SYMBOLS}
-    words = {"W_c": "work given", "W": "work lost", "eta": "share recovered"}
-    reaches = ", ".join(
-        f"{words[s]} {min(v):.3g} to {max(v):.3g} {'%' if s == 'eta' else 'J'}" for s, v in ends.items() if v
-    )
+    words = {"W_c": ("work given", "J"), "W": ("work lost", "J"), "eta": ("share recovered", "%")}
+    spans = [(*words[s], min(v), max(v)) for s, v in ends.items() if v]
+    reaches = ", ".join(f"{word} {low:.3g} to {high:.3g} {unit}" for word, unit, low, high in spans)
     alt = f"Work per loop over {label} at {'; '.join(kept)}: {reaches}."
     draw = bound(drawing_of, series, x_label)
     return picture(draw, "Work per loop", caption, alt, _table(mine, rate), wide=True, simulated=simulated)

@@ -14,8 +14,7 @@ import numpy as np
 from pmabench.base.errors import InvalidFile, Problem
 from pmabench.base.quantities import QUANTITIES
 from pmabench.kinds import registry
-from pmabench.plotting.frame import Frame
-from pmabench.plotting.wording import clean, number, point_shown, rounded, shown
+from pmabench.plotting.wording import Frame, clean, number, point_shown, rounded, shown
 from pmabench.report.document.provenance import get
 from pmabench.report.figures.coefficient_figures import OVER_PRESSURE
 from pmabench.store.analyses.results import PUBLISHED, Analysis, Estimate, PublishedPoints, Trace
@@ -149,22 +148,16 @@ def _place(trace: Trace, fixed: str) -> float | None:
 
 def _plain(e: Estimate, symbol: str) -> bool:
     """Whether it is in the figure of that symbol over pressure."""
-    return (
-        e.symbol == symbol
-        and "pressure" in e.at
-        and set(e.at) <= OVER_PRESSURE
-        and e.value is not None
-        and not e.coordinate
-    )
+    known = e.symbol == symbol and not e.coordinate and e.value is not None
+    return known and "pressure" in e.at and set(e.at) <= OVER_PRESSURE
 
 
 def _as_analysis(table: Published, analyses: Sequence[Analysis]) -> Analysis:
     """Coefficients over pressure as estimates, where an analysis has the same."""
     estimates = []
     for symbol in SYMBOLS:
-        if symbol not in table.columns or "pressure" not in table.columns:
-            continue
-        if any(_plain(e, symbol) for a in analyses for e in a.estimates):
+        there = {symbol, "pressure"} <= set(table.columns)
+        if there and any(_plain(e, symbol) for a in analyses for e in a.estimates):
             unit = QUANTITIES[QUANTITY[symbol]].unit
             for P, value in zip(table.columns["pressure"], table.columns[symbol], strict=True):
                 if np.isfinite(P) and np.isfinite(value):
@@ -254,14 +247,11 @@ def _compared(
     slack = 1e-9 * float(np.abs(x).max(initial=0.0))
     within = [(at, value) for at, value in theirs if x.min() - slack <= at <= x.max() + slack and value != 0]
     _, unit = point_shown(axis if axis != "displacement" else "contraction")
-    places = ""
-    if within:
-        ends = sorted(at / unit.scale for at, _ in within)
-        first, last = (f"{end:.4g}" for end in (ends[0], ends[-1]))
-        places = f"{first if first == last else f'{first} to {last}'} {unit.unit}"
+    ends = sorted(at / unit.scale for at, _ in within)
+    places = " to ".join(dict.fromkeys(f"{end:.4g}" for end in (*ends[:1], *ends[-1:])))
+    places += f" {unit.unit}" if within else ""
     ratios = [(float(np.interp(at, x, y)) - value) / abs(value) for at, value in within]
-    mean = float(np.mean(ratios)) if ratios else None
-    size = float(np.mean(np.abs(ratios))) if ratios else None
+    mean, size = (float(np.mean(ratios)), float(np.mean(np.abs(ratios)))) if ratios else (None, None)
     return Comparison(name, over, label, places, len(within), mean, size)
 
 

@@ -35,12 +35,7 @@ def write_tables(analysis: Analysis, folder: Path) -> list[Path]:
     interval in parts), `curves`, `dropped` and `findings`.
     """
     points = in_order((name for d in analysis.dropped for name in d.point), POINTS)
-    dropped = [
-        {"trial": d.trial}
-        | {plain_head(name): d.point[name] / point_shown(name)[1].scale if name in d.point else None for name in points}
-        | {"reason": d.reason}
-        for d in analysis.dropped
-    ]
+    dropped = [{"trial": d.trial} | point_cells(points, d.point) | {"reason": d.reason} for d in analysis.dropped]
     tables: dict[str, tuple[Sequence[Mapping[str, Any]], list[str]]] = {
         "coefficients": (coefficient_rows(analysis.estimates), ["method"]),
         "estimates": (estimate_rows([analysis]), ["kind", "symbol", "value", "unit"]),
@@ -70,9 +65,7 @@ def csv_text(rows: Sequence[Mapping[str, Any]], heads: Sequence[str]) -> str:
 
 
 def _cell(value: Any) -> Any:
-    if value is None or value != value:
-        return ""
-    return inert(value)
+    return "" if value is None or value != value else inert(value)
 
 
 def inert(value: Any) -> Any:
@@ -94,8 +87,7 @@ def coefficient_rows(estimates: Sequence[Estimate]) -> list[dict[str, Any]]:
     for e in estimates:
         unit = shown(e.quantity, e.unit)
         row = rows.setdefault((e.method, tuple(e.at.get(name) for name in names)), {"method": e.method})
-        for name in names:
-            row[plain_head(name)] = e.at[name] / point_shown(name)[1].scale if name in e.at else None
+        row |= point_cells(names, e.at)
         symbol = symbol_text(e.symbol, e.coordinate)
         row[unit.plain_label(symbol)] = unit.of(e.value)
         row[unit.plain_label(f"{symbol} half width 95 %")] = unit.of(e.parts.combined)
@@ -112,17 +104,24 @@ def estimate_rows(analyses: Sequence[Analysis]) -> list[dict[str, Any]]:
         for e in analysis.estimates:
             unit = shown(e.quantity, e.unit)
             row: dict[str, Any] = {"kind": analysis.kind, "symbol": e.symbol, "coordinate": e.coordinate}
-            for name in names:
-                row[plain_head(name)] = e.at[name] / point_shown(name)[1].scale if name in e.at else None
-            ends = e.ci95 or (None, None)
-            numbers = {"value": e.value, "low95": ends[0], "high95": ends[1], "repeats": e.parts.repeats}
-            numbers |= {"method_part": e.parts.method, "calibration": e.parts.calibration, "skew": e.parts.skew}
-            numbers["bias"] = e.bias
-            row |= {key: unit.of(value) for key, value in numbers.items()}
+            row |= point_cells(names, e.at) | value_cells(e)
+            numbers = {"repeats": e.parts.repeats, "method_part": e.parts.method, "calibration": e.parts.calibration}
+            row |= {key: unit.of(value) for key, value in (numbers | {"skew": e.parts.skew, "bias": e.bias}).items()}
             row |= {"unit": plain_unit(unit.unit), "corrected": e.corrected, "n": e.n, "method": e.method}
             note = f"{WITHHELD}: {e.note}" if e.withheld else e.note
             rows.append(row | {"note": note, "trials": " ".join(e.trials)})
     return rows
+
+
+def point_cells(names: Iterable[str], at: Mapping[str, float]) -> dict[str, float | None]:
+    """Coordinates of an operating point under their heads; None for one that it has not."""
+    return {plain_head(name): at[name] / point_shown(name)[1].scale if name in at else None for name in names}
+
+
+def value_cells(e: Estimate) -> dict[str, float | None]:
+    """Value and ends of the interval in the unit that people read."""
+    numbers = zip(("value", "low95", "high95"), (e.value, *(e.ci95 or (None, None))), strict=True)
+    return {name: shown(e.quantity, e.unit).of(number) for name, number in numbers}
 
 
 def plain_head(name: str) -> str:
@@ -138,11 +137,8 @@ def curve_rows(curves: Iterable[Curve]) -> list[dict[str, Any]]:
         _, against = point_shown(curve.against)
         for power, term in enumerate(curve.terms):
             unit = shown(term.quantity, term.unit)
-            ends = term.ci95 or (None, None)
-            numbers = {"value": term.value, "low95": ends[0], "high95": ends[1]}
             row = {"symbol": curve.symbol, "method": curve.method, "form": curve.form, "power": power}
-            row |= {key: unit.of(value) for key, value in numbers.items()}
-            row |= {"unit": plain_unit(unit.unit), "against": curve.against}
+            row |= value_cells(term) | {"unit": plain_unit(unit.unit), "against": curve.against}
             places = {"from": curve.domain[0], "to": curve.domain[1]}
             places |= {"centre": curve.centre, "scale": curve.scale} if curve.normalised else {}
             row |= {f"{name} [{plain_unit(against.unit)}]": x / against.scale for name, x in places.items()}

@@ -31,6 +31,7 @@ from pmabench.store.analyses.results import POINT_QUANTITIES, Analysis
 from pmabench.store.exported import NAME as RECORD
 from pmabench.store.exported import record_of
 from pmabench.store.folder import plain
+from pmabench.store.livestream import pa, pq
 from pmabench.store.records import RunData
 
 FORMATS = ("csv", "parquet", "mat", "latex", "json", "python-control", "mujoco")
@@ -92,32 +93,24 @@ def _with_trials(run: Run, frame: pd.DataFrame) -> pd.DataFrame:
 
 
 def _csv(frames: Mapping[str, pd.DataFrame], out: Path) -> list[Path]:
-    from pmabench.store.livestream import pa
-
     writer = import_module("pyarrow.csv")
     out.mkdir(parents=True, exist_ok=True)
-    paths = []
-    for name, frame in zip(file_names(list(frames)), frames.values(), strict=True):
-        path = out / f"{name}.csv"
+    paths = [out / f"{name}.csv" for name in file_names(list(frames))]
+    for path, frame in zip(paths, frames.values(), strict=True):
         texts = {c: frame[c].map(inert) for c in frame.columns if not pd.api.types.is_numeric_dtype(frame[c])}
         table = pa.Table.from_pandas(frame.assign(**texts).rename(columns=inert), preserve_index=False)
         writer.write_csv(table, path)
-        paths.append(path)
     return paths
 
 
 def _parquet(frames: Mapping[str, pd.DataFrame], out: Path, about: Mapping[str, str]) -> list[Path]:
-    from pmabench.store.livestream import pa, pq
-
     out.mkdir(parents=True, exist_ok=True)
-    paths = []
-    for name, frame in zip(file_names(list(frames)), frames.values(), strict=True):
+    paths = [out / f"{name}.parquet" for name in file_names(list(frames))]
+    for path, frame in zip(paths, frames.values(), strict=True):
         table = pa.Table.from_pandas(frame, preserve_index=False)
         fields = [field.with_metadata({"unit": _split(field.name)[1]}) for field in table.schema]
         table = table.cast(pa.schema(fields, metadata=dict(about)))
-        path = out / f"{name}.parquet"
         pq.write_table(table, path, compression="zstd", compression_level=3)
-        paths.append(path)
     return paths
 
 
@@ -140,11 +133,9 @@ def _struct(frame: pd.DataFrame) -> dict[str, Any]:
     heads = [_split(str(c)) for c in frame.columns]
     for field, (_, unit), column in zip(_fields([name for name, _ in heads]), heads, frame.columns, strict=True):
         values = frame[column]
-        if pd.api.types.is_bool_dtype(values) or pd.api.types.is_numeric_dtype(values):
-            columns[field] = values.to_numpy()[:, None]
-        else:
-            columns[field] = np.array([clean(value, 2000) for value in values], dtype=object)[:, None]
-        units[field] = unit
+        plain_values = pd.api.types.is_bool_dtype(values) or pd.api.types.is_numeric_dtype(values)
+        texts = None if plain_values else np.array([clean(value, 2000) for value in values], dtype=object)
+        columns[field], units[field] = (values.to_numpy() if texts is None else texts)[:, None], unit
     return {**columns, "units": units}
 
 
@@ -244,10 +235,8 @@ def _results_control(results: Results, out: Path) -> list[Path]:
 def _results_mujoco(results: Results, out: Path) -> list[Path]:
     analysis, runs = _modelled(results)
     if suits_surface(analysis):
-        raise UsageError(
-            "a muscle as a surface remembers its past, which an actuator of MuJoCo does not; "
-            "give --format python-control"
-        )
+        why = "a muscle as a surface remembers its past, which an actuator of MuJoCo does not"
+        raise UsageError(f"{why}; give --format python-control")
     return [write_file(out, mujoco_text(mujoco_model(analysis, runs), analysis), "the export")]
 
 

@@ -5,9 +5,8 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
-from pmabench.plotting.frame import Frame
 from pmabench.plotting.svg import symbol_parts
-from pmabench.plotting.wording import clean
+from pmabench.plotting.wording import Frame, clean
 
 _ESCAPES = {
     "\\": r"\textbackslash{}",
@@ -51,14 +50,8 @@ def escaped(text: object) -> str:
     """Any text so that TeX prints it and does nothing else; a sign that plain TeX lacks becomes `?`."""
     marked = re.sub(r"[\s]+", " ", clean(text, 10_000))
     marked = re.sub(f"[{''.join(_RAISED)}]+", lambda m: f"\0{''.join(_RAISED[sign] for sign in m[0])}\1", marked)
-    out = []
-    for sign in marked:
-        if sign in _ESCAPES:
-            out.append(_ESCAPES[sign])
-        elif sign in "\0\1":
-            out.append("$^{" if sign == "\0" else "}$")
-        else:
-            out.append(sign if sign.isascii() or sign.isalpha() else "?")
+    known = _ESCAPES | {"\0": "$^{", "\1": "}$"}
+    out = (known.get(sign, sign if sign.isascii() or sign.isalpha() else "?") for sign in marked)
     return "".join(out).replace("?`", "?{}`").replace("!`", "!{}`")
 
 
@@ -69,8 +62,7 @@ def typeset(text: object) -> str:
         if kind == "sub":
             out = out.removesuffix("$") + f"_\\mathrm{{{escaped(part)}}}$"
         elif kind == "symbol":
-            known = _ESCAPES.get(part, part)
-            out += f"${known.strip('$')}$"
+            out += f"${_ESCAPES.get(part, part).strip('$')}$"
         else:
             out += escaped(part)
     return out
@@ -94,16 +86,14 @@ def table(frame: Frame, caption: str, label: str, *, texts: Sequence[str] = ()) 
     Columns in `texts` are set left, the others right. What is too wide becomes several tables: one for each method,
     then some of the columns each, the first repeated; long words are broken into lines.
     """
-    whole = []
+    whole = [(frame, caption)]
     methods = list(dict.fromkeys(frame["method"])) if "method" in frame.columns else []
     if len(methods) > 1 and _width(frame, texts, 0) > COLUMN:
-        rows = [frame.where(cell == method for cell in frame["method"]) for method in methods]
-        whole = [
-            (part.without("method").filled(), f"{caption}; {name}") for part, name in zip(rows, methods, strict=True)
-        ]
+        rows = {method: frame.where(cell == method for cell in frame["method"]) for method in methods}
+        whole = [(part.without("method").filled(), f"{caption}; {name}") for name, part in rows.items()]
     elif len(methods) == 1 and len(frame.columns) > 2:
         whole = [(frame.without("method"), f"{caption}; {methods[0]}")]
-    found = [(part, words) for one, words in whole or [(frame, caption)] for part, words in _narrow(one, words, texts)]
+    found = [part for one, words in whole for part in _narrow(one, words, texts)]
     labels = [label if n == 0 else f"{label}-{n + 1}" for n in range(len(found))]
     return "\n".join(_table(part, words, name, texts) for (part, words), name in zip(found, labels, strict=True))
 
@@ -132,24 +122,16 @@ def _width(frame: Frame, texts: Sequence[str], size: int) -> float:
 
 def _letters(text: object) -> float:
     """Length of a text in digits of Computer Modern."""
+    known = {sign: wide for signs, wide in _WIDE for sign in signs}
     words = clean(text, 10_000).replace("_", "")
-    return sum(
-        next((wide for signs, wide in _WIDE if sign in signs), 1.5 if sign.isupper() else 1.06) for sign in words
-    )
+    return sum(known.get(sign, 1.5 if sign.isupper() else 1.06) for sign in words)
 
 
 def _table(frame: Frame, caption: str, label: str, texts: Sequence[str]) -> str:
     columns = frame.columns
     size = next((n for n in range(len(SIZES)) if _width(frame, texts, n) <= COLUMN), len(SIZES) - 1)
-    digit = SIZES[size][1]
-    looks = [
-        "r"
-        if c not in texts
-        else rf"p{{{WRAPPED:.0f}pt}}"
-        if max(_letters(text) for text in (c, *frame[c])) * digit > WRAPPED
-        else "l"
-        for c in columns
-    ]
+    wide = {c for c in columns if max(map(_letters, (c, *frame[c]))) * SIZES[size][1] > WRAPPED}
+    looks = ["r" if c not in texts else rf"p{{{WRAPPED:.0f}pt}}" if c in wide else "l" for c in columns]
     lines = [
         r"\begin{table}",
         rf"\caption{{{typeset(caption)}}}",

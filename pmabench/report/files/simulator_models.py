@@ -9,6 +9,7 @@ f_0 + f_1 P - (k_0 + k_1 P) x - (b_0 + b_1 P) v. It has one damping for both dir
 from __future__ import annotations
 
 import inspect
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -120,11 +121,10 @@ def control_model(analysis: Analysis, runs: Sequence[RunData] = ()) -> ControlMo
         params[symbol] = _joined(P, places, [known[at] for at in places])
     if (bend := bend_of([analysis], (primary,))) is not None:
         params |= {"x": bend.x, "bend": np.array([bend.at(at) for at in shared])}
-    friction = [
-        e.value for e in analysis.estimates if e.symbol == "F_c" and e.method == primary and e.value is not None
-    ]
-    params["F_c"] = friction[0] if friction else 0.0
-    if not friction:
+    friction = [e.value for e in analysis.estimates if (e.symbol, e.method) == ("F_c", primary)]
+    params["F_c"] = next((value for value in friction if value is not None), None)
+    if params["F_c"] is None:
+        params["F_c"] = 0.0
         notes.append("Coulomb friction is not known and left out")
     traces, masses = _free_runs(analysis), _masses(runs)
     params["M"] = next(iter(masses.values()), None) or (traces[0].marks["load"] / GRAVITY if traces else 1.0)
@@ -194,12 +194,9 @@ def control_text(model: ControlModel, analysis: Analysis) -> str:
     lines += ['Friction makes it stiff: control.input_output_response(..., solve_ivp_method="LSODA").']
     lines += ["The coefficients hold inside the pressures of `P`; M is the moving mass: put yours.", '"""', ""]
     lines += ["from typing import Any", "", "import control", "import numpy as np", ""]
-    lines += [
-        "# SI: P [Pa gauge], F_ce [N], K [N/m], B_c and B_r [N.s/m], F_c [N], M [kg], v_0 [m/s], x [m], bend [N]",
-        "PARAMETERS = {",
-    ]
-    for name, value in model.params.items():
-        lines.append(f'    "{name}": {_literal(value)},')
+    lines += ["# SI: P [Pa gauge], F_ce [N], K [N/m], B_c and B_r [N.s/m], F_c [N], M [kg], v_0 [m/s], x [m], bend [N]"]
+    lines += ["PARAMETERS = {"]
+    lines += [f'    "{name}": {_literal(value)},' for name, value in model.params.items()]
     lines += ["}", "", "", inspect.getsource(rates).rstrip(), "", ""]
     lines += [
         "def law(t, state, inputs, params):",
@@ -242,16 +239,13 @@ def remarks_of(model: ControlModel) -> list[str]:
 
 def inside(text: str) -> str:
     """Text without the signs that could end the docstring or comment that holds it."""
-    return "".join(
-        sign if sign.isascii() and (sign.isalnum() or sign in " ._-:/") else "?" for sign in clean(text, 120)
-    )
+    return re.sub(r"[^A-Za-z0-9 ._:/-]", "?", clean(text, 120))
 
 
 STEP = 0.0005
 """Time step of the file [s]."""
 STIFF = "0.9999 0.9999 0.001"
 """Impedance of the joint's friction: with less of it a muscle at rest creeps."""
-LINES = (("F_ce", "f"), ("K", "k"), ("B", "b"))
 
 
 def mujoco_model(analysis: Analysis, runs: Sequence[RunData] = ()) -> ControlModel:
@@ -270,11 +264,10 @@ def mujoco_model(analysis: Analysis, runs: Sequence[RunData] = ()) -> ControlMod
         notes.append(f"the muscle is bent: this is its tangent at {min(x):.3g} to {max(x):.3g} mm of contraction")
     model = replace(model, params=straight, notes=notes)
     ends = np.array([P[0], P[-1] if len(P) > 1 else P[0] + 1e5])
-    values = {name: model.params[name] for name in ("F_ce", "K", "B_c", "B_r")}
-    values["B"] = 0.5 * (values["B_c"] + values["B_r"])
-    lines = {name: np.polyval(line_through(P, values[name]), ends) for name, _ in LINES}
-    both = {"B_c": lines["B"], "B_r": lines["B"]}
-    params = model.params | {"P": ends, "F_ce": lines["F_ce"], "K": lines["K"], **both}
+    values = {name: model.params[name] for name in ("F_ce", "K")}
+    values["B_c"] = values["B_r"] = 0.5 * (model.params["B_c"] + model.params["B_r"])
+    lines = {name: np.polyval(line_through(P, value), ends) for name, value in values.items()}
+    params = model.params | {"P": ends} | lines
     notes = [*notes, "one damping for both directions: the mean of B_c and B_r"]
     return replace(model, params=params, notes=notes, deviation=deviation_of(analysis, runs, params))
 
@@ -287,11 +280,9 @@ def line_through(P: Array, values: Array) -> Array:
 def mujoco_text(model: ControlModel, analysis: Analysis) -> str:
     """The MJCF file; the same bytes for the same analysis. Controls: pressure [Pa gauge] and load [N]."""
     P = model.params["P"]
-    slopes = {}
-    for symbol, name in (("F_ce", "f"), ("K", "k"), ("B_c", "b")):
-        slope, start = line_through(P, np.asarray(model.params[symbol]))
-        slopes[name] = (f"{start:.12g}", f"{slope:.12g}", f"{-start:.12g}", f"{-slope:.12g}")
-    (f_0, f_1, *_), (*_, k_0, k_1), (*_, b_0, b_1) = slopes["f"], slopes["k"], slopes["b"]
+    signs = (("F_ce", 1), ("K", -1), ("B_c", -1))
+    lines = [sign * line_through(P, np.asarray(model.params[symbol])) for symbol, sign in signs]
+    (f_1, f_0), (k_1, k_0), (b_1, b_0) = ((f"{slope:.12g}", f"{start:.12g}") for slope, start in lines)
     remarks = ["SIMULATED."] if analysis.simulated else []
     remarks += [f"A pneumatic muscle as fitted: method {inside(model.method)}, pmabench {__version__}; runs:"]
     remarks += [inside(run) for run in analysis.runs]

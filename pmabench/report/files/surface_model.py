@@ -125,7 +125,9 @@ def surface_text(analysis: Analysis) -> str:
     lines += [f"{mark}pmabench {__version__}; runs:", *(f"- {inside(run)}" for run in analysis.runs), ""]
     left_out, full = (float(analysis.facts.get(name) or 0.0) for name in ("held_out_rms", "straight_form_rms"))
     lines += [f"Trials left out of the fit were predicted to {left_out:.2g} N rms, by straight lines to {full:.2g} N."]
-    (low, high), (x_low, x_high) = (ends.knots[:: max(len(ends.knots) - 1, 1)] for ends in _axes(muscle))
+    (low, high), (x_low, x_high) = (
+        ends.knots[:: max(len(ends.knots) - 1, 1)] for ends in (muscle.over_P, muscle.over_x)
+    )
     lines += [f"It holds from {low / 1e3:.0f} to {high / 1e3:.0f} kPa and {1e3 * x_low:.1f} to {1e3 * x_high:.1f} mm."]
     lines += [
         "Begin at rest, vented: start(). M is the moving mass: put yours. Discrete time: see `step` [s].",
@@ -139,13 +141,8 @@ def surface_text(analysis: Analysis) -> str:
         literal = f"np.array({np.asarray(value).tolist()})" if np.ndim(value) else f"{float(value):.12g}"
         lines.append(f'    "{name}": {literal},')
     lines += ["}", "", ""]
-    for function in (place, force, step):
-        lines += [inspect.getsource(function).rstrip(), "", ""]
+    lines += [part for function in (place, force, step) for part in (inspect.getsource(function).rstrip(), "", "")]
     return "\n".join(lines) + _END
-
-
-def _axes(muscle: IdentifiedMuscle) -> Any:
-    return muscle.over_P, muscle.over_x
 
 
 _END = '''def start(p: dict[str, Any] = PARAMETERS) -> Any:

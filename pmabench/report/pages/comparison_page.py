@@ -1,26 +1,35 @@
-"""A comparison as rows of text and as one HTML file: both sides over pressure, E_n numbers, the table; no estimate."""
+"""Differences as text and as files: of a comparison one HTML file; by another calibration CSV and JSON; no estimate.
+
+The page of a comparison has both sides over pressure, E_n numbers and the table.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import json
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from pmabench.analysis.verdict import comparison
-from pmabench.analysis.verdict.comparison import Difference, Side, percent
+from pmabench.analysis.verdict.comparison import Change, Difference, Side, percent
 from pmabench.plotting import plots
-from pmabench.plotting.frame import Frame
 from pmabench.plotting.pictures import Picture, drawable, picture
-from pmabench.plotting.wording import clean, in_order, point_text, shown, spoken, symbol_text
+from pmabench.plotting.wording import Frame, Shown, clean, in_order, plain_unit, point_text, shown, spoken, symbol_text
+from pmabench.report.document.special_tables import SAME
 from pmabench.report.figures.coefficient_figures import over_pressure
 from pmabench.report.figures.overlays import Comparison, comparison_table
+from pmabench.report.files.csv_files import csv_text, value_cells
+from pmabench.report.terminal import print_grid
 from pmabench.report.words import declared
-from pmabench.report.writing import Page, TextTable, write_page
-from pmabench.store.analyses.results import PUBLISHED, Analysis
+from pmabench.report.writing import Page, TextTable, write_file, write_page
+from pmabench.store.analyses.results import PUBLISHED, Analysis, Estimate
+from pmabench.store.folder import plain
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+    from rich.console import Console
+
 
 MOST_SCORES = 24
 """Rows of symbols in the figure of E_n numbers."""
@@ -81,8 +90,7 @@ def _scores(differences: Sequence[Difference], *, simulated: bool) -> Picture | 
         return None
 
     def draw() -> Figure:
-        figure = plots.blank(plots.FULL, 0.75 + 0.2 * len(names))
-        axes = figure.add_subplot(plots.grid(figure, 1, 1, left=1.9, bottom=0.42, top=0.1)[0])
+        figure, axes = plots.one_axes(plots.FULL, 0.75 + 0.2 * len(names), left=1.9, bottom=0.42, top=0.1)
         axes.axvspan(-1, 1, color=plots.FAINT, alpha=0.25, linewidth=0)
         axes.axvline(0, color=plots.QUIET, linewidth=0.6)
         for row, name in enumerate(names):
@@ -92,9 +100,7 @@ def _scores(differences: Sequence[Difference], *, simulated: bool) -> Picture | 
                 color = plots.BLUE if abs(score) <= 1 else plots.FAULT
                 axes.plot(max(-FAR, min(FAR, score)), row, mark, color=color, markersize=4, clip_on=False)
         axes.set_yticks(range(len(names)), names)
-        axes.set_ylim(len(names) - 0.4, -0.6)
-        axes.set_xlim(-FAR, FAR)
-        axes.set_xlabel("E_n")
+        axes.set(xlabel="E_n", xlim=(-FAR, FAR), ylim=(len(names) - 0.4, -0.6))
         return figure
 
     every = [score for name in names for score in scores[name]]
@@ -146,3 +152,67 @@ def curve_rows(curves: Sequence[Comparison]) -> Rows:
     """A row for each curve compared with published points."""
     frame = comparison_table(curves)
     return frame.columns, frame.cells()
+
+
+NAME = "changes"
+SCHEMA = "pmabench.changes/1"
+HEADS = ("kind", "coefficient", "at", "unit", "before", "after", "difference", "%", "method")
+
+
+def print_changes(changes: Sequence[Change], console: Console) -> None:
+    """A row for each coefficient in display units; the half width of the difference is that of the calibrations."""
+    rows = []
+    for change in changes:
+        e = change.estimate
+        unit = shown(e.quantity, e.unit)
+        difference = change.difference
+        base = None if change.before is None else change.before.value
+        share = "" if difference is None or not base else f"{100 * difference / abs(base):+.2f}"
+        signed = "" if difference is None else _signed(difference, change.half_width, abs(base or 0.0), unit)
+        where = (change.kind, symbol_text(e.symbol, e.coordinate), point_text(e.at), unit.unit)
+        rows.append([*where, _cell(change.before, unit), _cell(change.after, unit), signed, share, e.method])
+    print_grid(console, HEADS, rows, ("kind", "coefficient", "at", "unit", "method"), keys=3)
+
+
+def _cell(estimate: Estimate | None, unit: Shown) -> str:
+    if estimate is None or estimate.value is None:
+        return "none"
+    return unit.rounded(estimate.value, estimate.parts.combined)
+
+
+def _signed(value: float, half: float | None, size: float, unit: Shown) -> str:
+    """Text of a difference between values of this size [SI]; 0 where it is only rounding."""
+    if abs(value) <= SAME * size:
+        return "0"
+    text = unit.rounded(value, half or None)
+    return text if text.startswith(("-", "−")) else f"+{text}"
+
+
+def write_changes(
+    changes: Sequence[Change], channels: Sequence[Mapping[str, Any]], who: Mapping[str, str], folder: Path
+) -> list[Path]:
+    """`changes.csv` in display units and `changes.json` in SI; raises RecordError where they cannot be written."""
+    rows = []
+    for change in changes:
+        e = change.estimate
+        unit = shown(e.quantity, e.unit)
+
+        row: dict[str, Any] = {"kind": change.kind, "symbol": e.symbol, "coordinate": e.coordinate}
+        row |= {"at": point_text(e.at), "unit": plain_unit(unit.unit)}
+        for name, side in (("before", change.before), ("after", change.after)):
+            cells = value_cells(side) if side is not None else {}
+            row |= {
+                f"{name}{more}": cells.get(key)
+                for key, more in (("value", ""), ("low95", " low95"), ("high95", " high95"))
+            }
+        row |= {"difference": unit.of(change.difference), "half width 95 %": unit.of(change.half_width)}
+        rows.append(row | {"method": e.method})
+    data = {
+        "schema": SCHEMA,
+        "recalibration": dict(who),
+        "channels": list(channels),
+        "changes": [change.to_dict() for change in changes],
+    }
+    text = json.dumps(plain(data), indent=1, sort_keys=True, ensure_ascii=False, allow_nan=False)
+    files = {f"{NAME}.csv": csv_text(rows, ["kind", "symbol"]), f"{NAME}.json": f"{text}\n"}
+    return [write_file(folder / name, data, "the changes") for name, data in files.items()]

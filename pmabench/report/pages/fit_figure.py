@@ -64,8 +64,7 @@ def _curves(
     quantity = next(o.quantity for o in fit.model.outputs if o.name == fit.output)
     unit, x_unit = shown(quantity), shown(known[over].quantity)
     cells = grid(figure, 1, 1, left=0.6, top=0.32, right=1.35 if len(groups) > 1 else 0.12)[0]
-    inner = cells.subgridspec(2, 1, height_ratios=(3, 1), hspace=0.12)
-    upper, lower = figure.add_subplot(inner[0]), figure.add_subplot(inner[1])
+    upper, lower = plots.above_each_other(figure, cells, (3, 1), 0.12)
     x, residual = fit.columns[over], fit.measured - fit.computed
     for i, group in enumerate(groups):
         color, mine = PALETTE[i % len(PALETTE)], member == i
@@ -79,18 +78,14 @@ def _curves(
             ends = (middle - half) / unit.scale, (middle + half) / unit.scale
             upper.fill_between(fine / x_unit.scale, *ends, color=color, alpha=0.2, linewidth=0)
         upper.plot(fine / x_unit.scale, middle / unit.scale, color=color, linewidth=1.0)
-        label = ", ".join(
-            f"{known[name].symbol or name} = {number(value / shown(known[name].quantity).scale)} "
-            f"{shown(known[name].quantity).unit}".strip()
-            for name, value in group.items()
-        )
+        places = [(known[name].symbol or name, shown(known[name].quantity), value) for name, value in group.items()]
+        label = ", ".join(f"{word} = {number(value / of.scale)} {of.unit}".strip() for word, of, value in places)
         drawn = np.flatnonzero(mine)[:: -(-int(mine.sum()) // MOST_MARKS)]
         for axes, y in ((upper, fit.measured), (lower, residual)):
             place, look = (x[drawn] / x_unit.scale, y[drawn] / unit.scale), MARKERS[i % len(MARKERS)]
             axes.plot(*place, look, color=color, label=label, **MARK)
     lower.axhline(0, color=FAINT, linewidth=0.6, zorder=0)
     upper.set(title=title, ylabel=unit.label(fit.output))
-    upper.tick_params(labelbottom=False)
     lower.set(ylabel=f"apart [{unit.unit}]" if unit.unit else "apart", xlabel=x_unit.label(over), xlim=upper.get_xlim())
     few_ticks(upper)
     few_ticks(lower, y=3)

@@ -11,9 +11,8 @@ import numpy as np
 from pmabench.analysis.verdict.life import Past, References, Series, chosen
 from pmabench.base.quantities import in_words
 from pmabench.plotting import plots
-from pmabench.plotting.frame import Frame
 from pmabench.plotting.pictures import LARGEST, Picture, picture
-from pmabench.plotting.wording import clean, point_text, rounded, shown, symbol_text
+from pmabench.plotting.wording import Frame, clean, point_text, rounded, shown, symbol_text
 from pmabench.report.words import kind_title
 from pmabench.report.writing import Page, TextTable, write_page
 from pmabench.store.analyses.results import Finding
@@ -61,12 +60,10 @@ def _over_cycles(one: Series, *, simulated: bool) -> Picture:
     bars = np.array([m.estimate.parts.combined or 0.0 for m in moments]) / unit.scale
 
     def draw() -> Figure:
-        figure = plots.blank(plots.HALF, 2.4)
-        axes = figure.add_subplot(plots.grid(figure, 1, 1, left=0.6, top=0.2)[0])
+        figure, axes = plots.one_axes(plots.HALF, 2.4, left=0.6, top=0.2)
         axes.errorbar(x, y, yerr=bars, fmt="o", color=plots.BLUE, markersize=4, capsize=2, linewidth=1)
-        axes.set_xlabel(axis)
+        axes.set(xlabel=axis, ylabel=unit.label(clean(e.symbol, 20)))
         axes.locator_params(axis="x", integer=True)
-        axes.set_ylabel(unit.label(clean(e.symbol, 20)))
         return figure
 
     at = point_text({name: value for name, value in e.at.items() if name != "mass"})
@@ -99,8 +96,7 @@ def _control(one: References, *, simulated: bool) -> Picture:
     alarms = set() if limits is None else {*limits.beyond, *([limits.shifted] if limits.shifted is not None else [])}
 
     def draw() -> Figure:
-        figure = plots.blank(plots.FULL, 2.5)
-        axes = figure.add_subplot(plots.grid(figure, 1, 1, left=0.65, top=0.2)[0])
+        figure, axes = plots.one_axes(plots.FULL, 2.5, left=0.65, top=0.2)
         if limits is not None:
             axes.axhspan(1e3 * limits.low, 1e3 * limits.high, color=plots.FAINT, alpha=0.2, linewidth=0)
             axes.axhline(1e3 * limits.centre, color=plots.QUIET, linewidth=0.8)
@@ -180,8 +176,5 @@ def value_rows(life: Sequence[Past], series: Sequence[Series]) -> Rows:
 
 
 def _cell(one: Series, past: Past) -> str:
-    moment = next((moment for moment in one.moments if moment.run == past.run), None)
-    if moment is None or moment.estimate.value is None:
-        return ""
-    e = moment.estimate
-    return shown(e.quantity, e.unit).rounded(e.value, e.parts.combined)
+    e = next((moment.estimate for moment in one.moments if moment.run == past.run), None)
+    return "" if e is None or e.value is None else shown(e.quantity, e.unit).rounded(e.value, e.parts.combined)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from datetime import date
+from functools import reduce
 
 from pmabench.base.errors import UsageError
 
@@ -70,9 +71,7 @@ class Author:
 
 def _checked(orcid: str) -> bool:
     """Whether the last sign of an ORCID is its check digit (ISO 7064, 11-2)."""
-    total = 0
-    for digit in orcid.replace("-", "")[:-1]:
-        total = (total + int(digit)) * 2
+    total = reduce(lambda found, digit: (found + int(digit)) * 2, orcid.replace("-", "")[:-1], 0)
     return "0123456789X"[(12 - total % 11) % 11] == orcid[-1]
 
 

@@ -64,11 +64,9 @@ def publish(analyses: Sequence[Analysis], runs: Sequence[RunData], report: str, 
     """
     if out.exists():
         raise UsageError(f"{out} is there already: a publication is not mixed with other files; give a new name")
-    lacking = {run for a in analyses for run in a.runs} - {run.id for run in runs}
+    lacking = ", ".join(sorted({run for a in analyses for run in a.runs} - {run.id for run in runs}))
     if lacking or not runs:
-        raise UsageError(
-            f"the records of {', '.join(sorted(lacking)) or 'the analyses'} are not at hand: name the runs"
-        )
+        raise UsageError(f"the records of {lacking or 'the analyses'} are not at hand: name the runs")
     with writing(out, "the publication"):
         out.parent.mkdir(parents=True, exist_ok=True)
         with TemporaryDirectory(prefix=".publish-", dir=out.parent) as place:
@@ -102,13 +100,10 @@ def _fill(folder: Path, analyses: Sequence[Analysis], runs: Sequence[RunData], r
     write_file(folder / TABLE, csv_text(rows, heads), "the publication")
     contents = _described(analyses, list(unique.values()), about)
     named = zip(names, analyses, strict=True)
-    contents = replace(contents, analyses=tuple(named), runs=tuple(zip(places, unique.values(), strict=True)))
-    contents = replace(contents, items=_items(folder))
+    recorded = tuple(zip(places, unique.values(), strict=True))
+    contents = replace(contents, analyses=tuple(named), runs=recorded, items=_items(folder))
     texts = {"README.md": readme(contents), "CITATION.cff": citation_cff(contents)}
-    texts |= {
-        "datacite.json": in_lines(datacite(contents)),
-        "datapackage.json": in_lines(datapackage(contents, heads)),
-    }
+    texts |= {"datacite.json": in_lines(datacite(contents)), "datapackage.json": in_lines(datapackage(contents, heads))}
     for name, text in texts.items():
         write_file(folder / name, text, "the publication")
     write_file(folder / CRATE, in_lines(crate_of(replace(contents, items=_items(folder)))), "the publication")
@@ -145,11 +140,9 @@ def _copy(run: Path, target: Path) -> None:
 
 
 def _items(folder: Path) -> tuple[Item, ...]:
+    media = {name: MEDIA.get(path.suffix, "application/octet-stream") for name, path in files_of(folder)}
     return tuple(
-        Item(
-            name, _what(name), sha256_of(path), path.stat().st_size, MEDIA.get(path.suffix, "application/octet-stream")
-        )
-        for name, path in files_of(folder)
+        Item(name, _what(name), sha256_of(path), path.stat().st_size, media[name]) for name, path in files_of(folder)
     )
 
 
@@ -260,12 +253,8 @@ def datapackage(contents: Contents, heads: Sequence[str]) -> dict[str, Any]:
 
 def _resource(number: int, item: Item, heads: Sequence[str]) -> dict[str, Any]:
     found: dict[str, Any] = {"name": f"file-{number}", "path": item.path, "title": item.what, "mediatype": item.media}
-    found |= {
-        "type": "file",
-        "format": item.path.rpartition(".")[2].lower(),
-        "bytes": item.size,
-        "hash": f"sha256:{item.sha256}",
-    }
+    found |= {"type": "file", "format": item.path.rpartition(".")[2].lower()}
+    found |= {"bytes": item.size, "hash": f"sha256:{item.sha256}"}
     if item.path != TABLE:
         return found
     fields = [
@@ -279,8 +268,7 @@ def _resource(number: int, item: Item, heads: Sequence[str]) -> dict[str, Any]:
 def _type(head: str) -> str:
     """What a column holds, as Table Schema names it; texts are the columns with a meaning, numbers all others."""
     named = {"withheld": "boolean", "simulated": "boolean", "n": "integer"}
-    named |= dict.fromkeys(("value", "low95", "high95"), "number")
-    return named.get(head, "string" if head in COLUMNS else "number")
+    return named.get(head, "string" if head in {*COLUMNS} - {"value", "low95", "high95"} else "number")
 
 
 def readme(contents: Contents) -> str:
@@ -289,13 +277,8 @@ def readme(contents: Contents) -> str:
     name, url = LICENCES[about.licence]
     by = "; ".join(author.name for author in about.authors)
     doi = f"\nhttps://doi.org/{about.doi}" if about.doi else ""
-    lines = [
-        f"# {contents.title}",
-        "",
-        contents.description,
-        "",
-        f"{by} ({about.published[:4]}). {about.publisher.name}.{doi}",
-    ]
+    lines = [f"# {contents.title}", "", contents.description, ""]
+    lines += [f"{by} ({about.published[:4]}). {about.publisher.name}.{doi}"]
     lines += ["", f"Licence: {name} ({about.licence}), {url}", "", "## What was tested", ""]
     lines += [f"- specimen: {who}" + (f" ({what})" if what else "") for who, what in specimens(runs)]
     lines += [f"- bench: {who}" + (f" ({what})" if what else "") for who, what in benches(runs)]

@@ -1,8 +1,9 @@
-"""`pmabench schema`: JSON Schemas of the files that people write, for editors and other programs."""
+"""`pmabench list` and `schema`: the files that people write, by name, and the JSON Schemas of their kinds."""
 
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Annotated, Any, Union
 
@@ -11,7 +12,47 @@ import click
 from pmabench.base.errors import RecordError, UsageError
 from pmabench.base.kind import load
 from pmabench.cli.common import Ui, common
-from pmabench.cli.names import FOLDER
+from pmabench.cli.names import FOLDER, head_of, own_files, shipped_files
+from pmabench.report.terminal import print_texts
+
+LISTED = {
+    "benches": "bench",
+    "protocols": "protocol",
+    "specimens": "specimen",
+    "campaigns": "campaign",
+    "plants": "plant",
+    "maps": "map",
+}
+"""What is asked for -> kind of file."""
+KEY = re.compile(r"^(name|make|type|nominal_length): *(.*?) *(?:  #.*)?$", re.MULTILINE)
+
+
+@click.command(name="list")
+@click.argument("what", required=False, type=click.Choice(list(LISTED)))
+@common
+def list_(ui: Ui, what: str | None) -> None:
+    """List the files of this folder and those that come with pmabench, of one kind or of all.
+
+    A shipped file is given to other commands by its name, one of this folder by its path.
+    """
+    rows: list[dict[str, Any]] = []
+    for asked in [what] if what else LISTED:
+        kind = LISTED[asked]
+        rows += [_row(kind, path, str(path), "here") for path in own_files(kind)]
+        rows += [_row(kind, path, path.stem, "shipped") for path in shipped_files(kind)]
+
+    def human() -> None:
+        table = [[row["kind"], row["name"], row["title"], row["from"]] for row in rows]
+        print_texts(ui.console(columns=120), ["kind", "name", "what it is", "where"], table)
+
+    ui.result({"schema": "pmabench.files/1", "files": rows}, human, (row["name"] for row in rows))
+
+
+def _row(kind: str, path: Path, name: str, origin: str) -> dict[str, Any]:
+    told = dict(KEY.findall(head_of(path)))
+    title = told.get("name") or ", ".join(told[key] for key in ("make", "type", "nominal_length") if key in told)
+    return {"kind": kind, "name": name, "title": title.strip("\"'"), "from": origin, "path": str(path)}
+
 
 KINDS = (
     "protocol",
@@ -33,7 +74,7 @@ KINDS = (
 @click.option("--all", "write_all", is_flag=True, help="Write every schema into the folder given with --out.")
 @click.option("--out", type=FOLDER, help="Folder for --all.")
 @common
-def command(ui: Ui, kind: str | None, out: Path | None, *, write_all: bool) -> None:
+def schema(ui: Ui, kind: str | None, out: Path | None, *, write_all: bool) -> None:
     """Print the JSON Schema of KIND, or write all of them into a folder."""
     if write_all and out is not None:
         try:
