@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 
 from pmabench.analysis.shared import student
 from pmabench.analysis.shared.calibration import Scales
+from pmabench.analysis.shared.samples import ends
 from pmabench.analysis.shared.trials import mean_over_sessions, session_of
 from pmabench.store.analyses.results import Dropped, Estimate, Parts
-from pmabench.store.records import Array, Command, RunData, TrialData
+from pmabench.store.records import Array, RunData, TrialData
 
 METHOD = "isometric-line"
 FEWEST = 50
@@ -194,11 +195,6 @@ def _phase_of(run: RunData, trial: TrialData, phases: Sequence[str]) -> Array:
     for at, name in begun:
         index[trial.t >= at - 1e-9] = phases.index(name) if name in phases else -1
     return index
-
-
-def ends(command: Command) -> float:
-    """When a commanded ramp is over [s]."""
-    return command.t + abs(command.value - command.before) / command.data["rate"]
 
 
 def line_of(P: Array, F: Array) -> Line | None:

@@ -6,12 +6,10 @@ Knows no protocol, and no muscle model.
 from __future__ import annotations
 
 from math import radians
-from typing import Any
 
 from pmabench.analysis.shared.ramp_loop import Axes, Turns
 from pmabench.analysis.shared.samples import NotUsable
 from pmabench.base.quantities import show
-from pmabench.store.records import RunData
 
 MUSCLES = ("pressure_1", "pressure_2")
 AXES = Axes("angle", "torque", MUSCLES, "rise", "fall")
@@ -48,8 +46,3 @@ def refuse_turns(turns: Turns | None, half: float, gap: float, noise: float) -> 
             f"the sweep of +-{show(half, 'angle', 3)} is too small for the hysteresis: it shows no gap, and "
             f"may be three times as steep as the joint is stiff; sweep at least +-{show(SMALLEST, 'angle', 3)}"
         )
-
-
-def settings_of(run: RunData, options: Any) -> dict[str, Any]:
-    """What the plan says to the reduction, and `options` over it."""
-    return {**(run.plan.get("settings") or {}), **options}

@@ -73,6 +73,12 @@ def _scatter(group: Array, y: Array) -> float:
     return sqrt(squares / freedom) if freedom else 0.0
 
 
+def mean_of_cycles(values: Sequence[Array]) -> tuple[float, float | None]:
+    """Mean of the trials' means over their cycles, and its half width by `mean_half`; an array for each trial."""
+    means = np.array([float(one.mean()) for one in values])
+    return float(means.mean()), mean_half(means, values)
+
+
 def mean_half(values: Array, by_cycle: Sequence[Array]) -> float | None:
     """Half width of the 95 % interval of the mean of `values`, one per trial, with their cycles `by_cycle`.
 

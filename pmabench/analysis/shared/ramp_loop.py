@@ -24,7 +24,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.analysis.shared.form import Doubt
-from pmabench.analysis.shared.samples import UNUSABLE_SHARE, NotUsable, lag_open, noise_of, on_time
+from pmabench.analysis.shared.samples import (
+    NotUsable,
+    ends,
+    lag_open,
+    noise_of,
+    on_time,
+    refuse_flagged,
+    refuse_incomplete,
+    settings_of,
+)
 from pmabench.analysis.shared.sine_loop import lost_work
 from pmabench.analysis.shared.turn_times import behind
 from pmabench.base.quantities import CHANNEL_QUANTITY, show
@@ -321,7 +330,7 @@ def _late(
 
 def measure_as_planned(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> Loop:
     """`measure` with what `options` say, else the plan, of `discard` and `turn`."""
-    settings = {**(run.plan.get("settings") or {}), **options}
+    settings = settings_of(run, options)
     stroke = trial.point.get("upper", 0.0) - trial.point.get("lower", 0.0)
     return measure(run, trial, int(settings.get("discard", 1)), float(settings.get("turn", TURN * stroke)))
 
@@ -330,18 +339,12 @@ def _usable_cycles(
     trial: TrialData, discard: int, axes: Axes
 ) -> tuple[list[tuple[Command, Command, float]], NDArray[np.bool_]]:
     """The cycles to measure, and which samples lie in them; raises `NotUsable`."""
-    if trial.status != "finished":
-        raise NotUsable(f"the trial is {trial.status}")
-    missing = [name for name in (axes.moved, axes.pulls) if name not in trial.channels]
-    if missing:
-        raise NotUsable(f"{' and '.join(missing)} not recorded")
+    refuse_incomplete(trial, axes.moved, axes.pulls)
     cycles = _cycles(trial, axes)[discard:]
     if not cycles:
         raise NotUsable("it holds no whole cycle beyond those left out")
     whole = (trial.t >= cycles[0][0].t) & (trial.t < cycles[-1][2])
-    bad = float(np.mean(~trial.usable[whole])) if whole.any() else 1.0
-    if bad > UNUSABLE_SHARE:
-        raise NotUsable(f"{bad:.0%} of the samples are flagged")
+    refuse_flagged(trial.usable[whole] if whole.any() else np.zeros(1, dtype=bool))
     return cycles, whole
 
 
@@ -352,8 +355,7 @@ def _cycles(trial: TrialData, axes: Axes) -> list[tuple[Command, Command, float]
     for one, two in pairwise(ramps):
         if one.phase != axes.rises or two.phase != axes.falls:
             continue
-        rate = two.data.get("rate", 0.0)
-        end = two.t + abs(two.value - two.before) / rate if rate > 0 else float(trial.t[-1])
+        end = ends(two) if two.data.get("rate", 0.0) > 0 else float(trial.t[-1])
         if end <= float(trial.t[-1]) + 2 * float(np.median(np.diff(trial.t))):
             found.append((one, two, end))
     return found

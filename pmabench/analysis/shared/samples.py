@@ -8,12 +8,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import pi, sqrt
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.store.analyses.results import Analysis, Finding
-from pmabench.store.records import Array, RunData, TrialData
+from pmabench.store.records import Array, Command, RunData, TrialData
 
 UNUSABLE_SHARE = 0.02
 """Share of flagged samples above which a trial is not used."""
@@ -21,6 +22,30 @@ UNUSABLE_SHARE = 0.02
 
 class NotUsable(Exception):
     """A trial that cannot be measured, with the reason."""
+
+
+def refuse_incomplete(trial: TrialData, *channels: str) -> None:
+    """Raise `NotUsable` for a trial that ended early or lacks one of `channels`."""
+    if trial.status != "finished":
+        raise NotUsable(f"the trial is {trial.status}")
+    if missing := [name for name in channels if name not in trial.channels]:
+        raise NotUsable(f"{' and '.join(missing)} not recorded")
+
+
+def refuse_flagged(usable: NDArray[np.bool_]) -> None:
+    """Raise `NotUsable` where more than `UNUSABLE_SHARE` of the samples are not `usable`."""
+    if (bad := float(np.mean(~usable))) > UNUSABLE_SHARE:
+        raise NotUsable(f"{bad:.0%} of the samples are flagged")
+
+
+def settings_of(run: RunData, options: Mapping[str, Any] | None = None) -> dict[str, Any]:
+    """What the plan says to the reduction, and `options` over it."""
+    return {**(run.plan.get("settings") or {}), **(options or {})}
+
+
+def ends(ramp: Command) -> float:
+    """When a commanded ramp is over [s]."""
+    return ramp.t + abs(ramp.value - ramp.before) / ramp.data["rate"]
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,15 @@ from math import floor, pi
 import numpy as np
 from numpy.typing import NDArray
 
-from pmabench.analysis.shared.samples import UNUSABLE_SHARE, NotUsable, lags_of, noise_of, three_parameter
+from pmabench.analysis.shared.samples import (
+    NotUsable,
+    lags_of,
+    noise_of,
+    refuse_flagged,
+    refuse_incomplete,
+    settings_of,
+    three_parameter,
+)
 from pmabench.base.quantities import show
 from pmabench.store.records import Array, Flag, RunData, TrialData
 
@@ -100,20 +108,17 @@ def measure(run: RunData, trial: TrialData, discard: float, force_per_pressure: 
 
     Raises `NotUsable` where the trial ended early, lacks a channel, went slack, or has too many flagged samples.
     """
-    if trial.status != "finished":
-        raise NotUsable(f"the trial is {trial.status}")
+    refuse_incomplete(trial, "displacement", "force")
     frequency = trial.point.get("frequency", 0.0)
-    missing = [name for name in ("displacement", "force") if name not in trial.channels]
-    if missing or frequency <= 0:
-        raise NotUsable(f"{' and '.join(missing)} not recorded" if missing else "its point names no frequency")
+    if frequency <= 0:
+        raise NotUsable("its point names no frequency")
     window = _window(trial, frequency, discard)
     t, x, F = trial.t[window], trial.channels["displacement"][window], trial.channels["force"][window]
     slack = int(np.count_nonzero(trial.flags[window] & np.uint16(Flag.SLACK)))
     if slack or F.min() <= 3 * noise_of(F):
         raise NotUsable(f"the specimen was slack: force down to {show(float(F.min()), 'force', 3)}")
     good = trial.usable[window]
-    if np.mean(~good) > UNUSABLE_SHARE:
-        raise NotUsable(f"{np.mean(~good):.0%} of the samples are flagged")
+    refuse_flagged(good)
     t, x, F = t[good], x[good], F[good]
     lag = lags_of(run, trial)
     x, F = without_lag(t, x, frequency, lag["displacement"]), without_lag(t, F, frequency, lag["force"])
@@ -250,4 +255,4 @@ def replay(sine: Sine, K: float, B: float, F_c: float) -> Sine:
 
 def stiffness_of(run: RunData, trial: TrialData) -> float:
     """Stiffness of one trial [N/m], the first cycles left out as the plan says; raises `NotUsable`."""
-    return measure(run, trial, float((run.plan.get("settings") or {}).get("discard", 1))).stiffness
+    return measure(run, trial, float(settings_of(run).get("discard", 1))).stiffness

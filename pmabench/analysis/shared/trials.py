@@ -2,27 +2,56 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
 from pmabench.analysis.imported import in_time
+from pmabench.analysis.shared.samples import NotUsable
 from pmabench.analysis.shared.student import mean_with_half
 from pmabench.base.quantities import show
-from pmabench.store.analyses.results import POINT_QUANTITIES, Finding, Trace
+from pmabench.store.analyses.results import POINT_QUANTITIES, Dropped, Finding, Trace
 from pmabench.store.records import Array, RunData, TrialData
 
 Members = list[tuple[RunData, TrialData]]
+Point = tuple[tuple[str, float], ...]
+One = TypeVar("One")
+Key = TypeVar("Key", bound=Hashable)
+
+
+def measured_trials(
+    runs: Sequence[RunData], measure: Callable[[RunData, TrialData], One]
+) -> tuple[list[One], list[Dropped]]:
+    """What `measure` finds in every trial, and the trials that it refuses by `NotUsable`."""
+    found: list[One] = []
+    dropped: list[Dropped] = []
+    for run in runs:
+        for trial in run.trials:
+            try:
+                found.append(measure(run, trial))
+            except NotUsable as reason:
+                dropped.append(Dropped(trial.name, trial.point, str(reason)))
+    return found, dropped
+
+
+def grouped(items: Iterable[One], key: Callable[[One], Key]) -> dict[Key, list[One]]:
+    """The items with the same key together, in the order that they came."""
+    groups: dict[Key, list[One]] = {}
+    for item in items:
+        groups.setdefault(key(item), []).append(item)
+    return groups
+
+
+def point_of(trial: TrialData) -> Point:
+    """The operating point of a trial as a key: names and values [SI] to nine decimals, sorted."""
+    return tuple(sorted((name, round(value, 9)) for name, value in trial.point.items()))
 
 
 def by_point(members: Sequence[tuple[RunData, TrialData]]) -> list[tuple[dict[str, float], Members]]:
     """Operating points [SI] in rising order, each with its runs and trials in the order that they came."""
-    groups: dict[tuple[tuple[str, float], ...], Members] = {}
-    for run, trial in members:
-        key = tuple(sorted((name, round(value, 9)) for name, value in trial.point.items()))
-        groups.setdefault(key, []).append((run, trial))
-    return [(dict(key), group) for key, group in sorted(groups.items())]
+    return [(dict(key), group) for key, group in sorted(grouped(members, lambda one: point_of(one[1])).items())]
 
 
 ONE_SESSION = (
@@ -150,8 +179,6 @@ MOST = 8
 """Most repeats."""
 HIDDEN = frozenset(("side", "mass", "cycles"))
 """Coordinates that need no word in the title."""
-
-Point = tuple[tuple[str, float], ...]
 
 
 def repeat_traces(channel: str, runs: Sequence[RunData]) -> list[Trace]:

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 from pmabench.analysis.model_fit import ModelFit
-from pmabench.analysis.shared.samples import NotUsable
+from pmabench.analysis.shared.samples import NotUsable, settings_of
 from pmabench.analysis.trial import DRIFT, Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
 from pmabench.kinds.arm_angle.stairs import Loaded
@@ -317,7 +317,7 @@ def drawing_of(panels: Sequence[Panel], labels: dict[str, str]) -> Figure:
 def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
     """Angle at the preload, the largest one, and by how much both ways are apart at most."""
     try:
-        stair = stair_of(run, trial, run.plan.get("settings") or {})
+        stair = stair_of(run, trial, settings_of(run))
     except NotUsable as reason:
         return [Measured("alpha_0", "angle", None), Measured("alpha_max", "angle", None)], [str(reason)]
     sets = [rest.set for rest in stair.rests if rest.side < 0]

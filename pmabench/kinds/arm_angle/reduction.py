@@ -16,6 +16,7 @@ from pmabench.analysis.model_fit import ModelFit, fit_model
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.form import weighed
 from pmabench.analysis.shared.isometric_lines import spread
+from pmabench.analysis.shared.samples import settings_of
 from pmabench.base.quantities import show
 from pmabench.kinds.arm_angle import RESULTS, figures, stairs
 from pmabench.kinds.arm_angle.stairs import Loaded, loads_of
@@ -56,7 +57,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     And both ways apart, their difference, and the same form through their mean. `options`: `angle`, `radius` [m],
     `compare` as the plan's settings.
     """
-    settings = {**(runs[0].plan.get("settings") or {} if runs else {}), **(options or {})}
+    settings = settings_of(runs[0], options) if runs else dict(options or {})
     compare = settings.get("compare") == "paper-2"
     loads, dropped = loads_of(runs, settings)
     scales, channel = Scales.of(runs), "displacement" if settings.get("angle") == "from-displacement" else "angle"

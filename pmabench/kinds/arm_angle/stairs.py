@@ -17,7 +17,8 @@ from scipy.optimize import least_squares
 from pmabench.analysis.shared import student
 from pmabench.analysis.shared.form import Doubt, weighed
 from pmabench.analysis.shared.isometric_lines import spread
-from pmabench.analysis.shared.samples import Held, Left, NotUsable, left, noise_of
+from pmabench.analysis.shared.samples import Held, Left, NotUsable, ends, left, noise_of, refuse_incomplete
+from pmabench.analysis.shared.trials import grouped, measured_trials
 from pmabench.base.quantities import show
 from pmabench.store.analyses.results import Dropped, Estimate, withhold
 from pmabench.store.records import Array, RunData, TrialData
@@ -142,16 +143,8 @@ class Loaded:
 
 def loads_of(runs: Sequence[RunData], settings: Mapping[str, Any]) -> tuple[list[Loaded], list[Dropped]]:
     """The loads, rising, and the trials that cannot be used."""
-    groups: dict[int, list[Stair]] = {}
-    dropped = []
-    for run in runs:
-        for trial in run.trials:
-            try:
-                stair = measure(run, trial, settings)
-            except NotUsable as reason:
-                dropped.append(Dropped(trial.name, trial.point, str(reason)))
-            else:
-                groups.setdefault(round(trial.point["tip_mass"] * 1e6), []).append(stair)
+    every, dropped = measured_trials(runs, lambda run, trial: measure(run, trial, settings))
+    groups = grouped(every, lambda stair: round(stair.trial.point["tip_mass"] * 1e6))
     found = []
     for _, stairs in sorted(groups.items()):
         on_the_way = [{round(rest.set): rest.set for rest in stair.rests if rest.side < 0} for stair in stairs]
@@ -167,13 +160,9 @@ def loads_of(runs: Sequence[RunData], settings: Mapping[str, Any]) -> tuple[list
 
 def measure(run: RunData, trial: TrialData, settings: Mapping[str, Any]) -> Stair:
     """One trial: what it shows at each pressure; raises `NotUsable`."""
-    if trial.status != "finished":
-        raise NotUsable(f"the trial is {trial.status}")
     by_arc, radius = settings.get("angle") == "from-displacement", float(settings.get("radius") or np.nan)
     channel = "displacement" if by_arc else "angle"
-    missing = [name for name in (channel, "pressure") if name not in trial.channels]
-    if missing:
-        raise NotUsable(f"{' and '.join(missing)} not recorded")
+    refuse_incomplete(trial, channel, "pressure")
     if "tip_mass" not in trial.point:
         raise NotUsable("its point names no load at the arm's end")
     if by_arc and not radius > 0:
@@ -189,8 +178,7 @@ def measure(run: RunData, trial: TrialData, settings: Mapping[str, Any]) -> Stai
         side = PHASES.get(ramp.phase)
         if side is None:
             continue
-        end = ramps[n + 1].t if n + 1 < len(ramps) else float(trial.t[-1])
-        begin = ramp.t + abs(ramp.value - ramp.before) / ramp.data["rate"]
+        begin, end = ends(ramp), ramps[n + 1].t if n + 1 < len(ramps) else float(trial.t[-1])
         last = np.flatnonzero(good & (trial.t >= end - LAST * (end - begin)) & (trial.t < end - 1e-9))
         if len(last) < FEWEST:
             continue

@@ -10,7 +10,7 @@ from math import degrees
 
 import numpy as np
 
-from pmabench.analysis.shared.samples import NotUsable
+from pmabench.analysis.shared.samples import NotUsable, settings_of
 from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
 from pmabench.kinds.closed_volume.reduction import LEAKS
@@ -66,7 +66,7 @@ def _points(trace: Trace, i: int) -> Points:
 
 def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
     """The volume at the end of the stroke, and the pressure that leaks away over the trial."""
-    settings = run.plan.get("settings") or {}
+    settings = settings_of(run)
     try:
         stroke = stroke_of(run, trial, settings)
     except NotUsable as reason:

@@ -14,12 +14,13 @@ import numpy as np
 
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.form import weighed
-from pmabench.analysis.shared.lines import mean_half
-from pmabench.analysis.shared.samples import NotUsable
+from pmabench.analysis.shared.lines import mean_of_cycles
+from pmabench.analysis.shared.samples import NotUsable, settings_of
+from pmabench.analysis.shared.trials import grouped, measured_trials
 from pmabench.base.quantities import show
 from pmabench.kinds.closed_volume import RESULTS
 from pmabench.kinds.closed_volume.stroke import Gas, Stroke, fit_volume, form_of, measure, volume_at
-from pmabench.store.analyses.results import Analysis, Dropped, Estimate, Finding, Parts, Trace, withhold
+from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace, withhold
 from pmabench.store.records import Array, RunData, TrialData
 
 KIND = "closed-volume"
@@ -29,12 +30,6 @@ LEAKS = 0.02
 """Share of the air lost over a trial that is doubted."""
 NAMES = (("D_0", "length", "m"), ("theta_0", "angle", "rad"), ("alpha", "count", "1"))
 NO_REPEATS = "no repeats part: one stroke"
-
-
-@dataclass(frozen=True, eq=False)
-class _Member:
-    trial: TrialData
-    stroke: Stroke
 
 
 @dataclass(frozen=True)
@@ -54,30 +49,24 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
 
     `options`: `atmosphere` [Pa absolute], `exponent`, `reference_volume`, `dead_volume` [m3] in place of the plan's.
     """
-    members: list[_Member] = []
-    dropped: list[Dropped] = []
+    settings = settings_of(runs[0], options) if runs else {}
+
+    def stroke_of(run: RunData, trial: TrialData) -> Stroke:
+        if settings_of(run, options) != settings:
+            raise NotUsable("its volumes, room or contractions are not those of the first run")
+        return measure(run, trial, settings)
+
+    members, dropped = measured_trials(runs, stroke_of)
     findings: list[Finding] = []
-    settings = {**(runs[0].plan.get("settings") or {}), **(options or {})} if runs else {}
-    for run in runs:
-        own = {**(run.plan.get("settings") or {}), **(options or {})}
-        for trial in run.trials:
-            try:
-                if own != settings:
-                    raise NotUsable("its volumes, room or contractions are not those of the first run")
-                members.append(_Member(trial, measure(run, trial, own)))
-            except NotUsable as reason:
-                dropped.append(Dropped(trial.name, trial.point, str(reason)))
     if not members:
         return Analysis.of(
             KIND, runs, results=RESULTS, dropped=dropped, facts={"options": dict(options or {}), "trials": 0}
         )
     given = _given(settings)
     scales = Scales.of(runs)
-    cells: dict[float, list[_Member]] = {}
-    for member in members:
-        cells.setdefault(round(member.trial.point["pressure"], 6), []).append(member)
+    cells = grouped(members, lambda stroke: round(stroke.trial.point["pressure"], 6))
     estimates: list[Estimate] = []
-    form = form_of({P: [m.stroke for m in group] for P, group in cells.items()}, given.gas)
+    form = form_of(cells, given.gas)
     for pressure, group in sorted(cells.items()):
         for leak, method in ((True, TIGHT), (False, PRINTED)):
             estimates += _volumes(pressure, group, given, scales, method, leak=leak)
@@ -102,7 +91,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
             "options": dict(options or {}),
             "trials": len(members),
             "cells": len(cells),
-            "leak": max((m.stroke.lost / (m.stroke.before + given.gas.atmosphere) for m in members), key=abs),
+            "leak": max((m.lost / (m.before + given.gas.atmosphere) for m in members), key=abs),
         },
     )
 
@@ -144,22 +133,22 @@ def _wrong(stroke: Stroke, gain: float, offset: float) -> Stroke:
 
 
 def _volumes(
-    pressure: float, group: Sequence[_Member], given: _Given, scales: Scales, method: str, *, leak: bool
+    pressure: float, group: Sequence[Stroke], given: _Given, scales: Scales, method: str, *, leak: bool
 ) -> list[Estimate]:
     """V at each contraction of one start pressure."""
 
     def mean(gas: Gas, gain: float, offset: float) -> Array:
         return np.asarray(
-            np.mean([_wrong(m.stroke, gain, offset).volumes(gas, leak=leak).mean(axis=0) for m in group], axis=0)
+            np.mean([_wrong(m, gain, offset).volumes(gas, leak=leak).mean(axis=0) for m in group], axis=0)
         )
 
     value = mean(given.gas, 0.0, 0.0)
     method_part, calibration = _systematic(mean, given, scales)
-    each = [m.stroke.volumes(given.gas, leak=leak) for m in group]
+    each = [m.volumes(given.gas, leak=leak) for m in group]
     names = tuple(m.trial.name for m in group)
     found = []
-    for i, x in enumerate(group[0].stroke.x):
-        half = mean_half(np.array([V[:, i].mean() for V in each]), [V[:, i] for V in each])
+    for i, x in enumerate(group[0].x):
+        _, half = mean_of_cycles([V[:, i] for V in each])
         part = None if calibration is None else float(calibration[i])
         at = {"pressure": pressure, "contraction": float(x)}
         found.append(
@@ -169,9 +158,9 @@ def _volumes(
     return found
 
 
-def _curve(members: Sequence[_Member], given: _Given, scales: Scales) -> list[Estimate]:
+def _curve(members: Sequence[Stroke], given: _Given, scales: Scales) -> list[Estimate]:
     """D0, theta0 and alpha through the volumes of all pressures; repeats are the strokes, each fitted alone."""
-    eps = members[0].stroke.x / given.length
+    eps = members[0].x / given.length
     nothing = np.full(3, np.nan)
 
     def fitted(V: Array) -> Array:
@@ -179,12 +168,12 @@ def _curve(members: Sequence[_Member], given: _Given, scales: Scales) -> list[Es
         return nothing if found is None else np.array(found)
 
     def all_in_one(gas: Gas, gain: float, offset: float) -> Array:
-        V = [_wrong(m.stroke, gain, offset).volumes(gas, leak=True).mean(axis=0) for m in members]
+        V = [_wrong(m, gain, offset).volumes(gas, leak=True).mean(axis=0) for m in members]
         return fitted(np.mean(V, axis=0))
 
     value = all_in_one(given.gas, 0.0, 0.0)
     systematic, calibration = _systematic(all_in_one, given, scales)
-    each = [np.array([fitted(V) for V in m.stroke.volumes(given.gas, leak=True)]) for m in members]
+    each = [np.array([fitted(V) for V in m.volumes(given.gas, leak=True)]) for m in members]
     known = np.isfinite(value).all() and np.isfinite(systematic).all() and all(np.isfinite(one).all() for one in each)
     found = []
     for i, (symbol, quantity, unit) in enumerate(NAMES):
@@ -192,7 +181,7 @@ def _curve(members: Sequence[_Member], given: _Given, scales: Scales) -> list[Es
             why = "V(eps) is not of this form within the intervals, or four contractions are not there"
             found.append(Estimate(symbol, None, unit, quantity, CURVE, n=len(members), note=why))
             continue
-        half = mean_half(np.array([one[:, i].mean() for one in each]), [one[:, i] for one in each])
+        _, half = mean_of_cycles([one[:, i] for one in each])
         part = None if calibration is None or not np.isfinite(calibration[i]) else float(calibration[i])
         note = sentences("" if half is not None else NO_REPEATS, f"l0 {show(given.length, 'length')} as given")
         found.append(
@@ -202,14 +191,14 @@ def _curve(members: Sequence[_Member], given: _Given, scales: Scales) -> list[Es
     return found
 
 
-def _findings(pressure: float, group: Sequence[_Member], given: _Given) -> list[Finding]:
+def _findings(pressure: float, group: Sequence[Stroke], given: _Given) -> list[Finding]:
     """What leaked, and what another exponent would make of the volume."""
     found = []
     gas = given.gas
     where = f"from {show(pressure, 'pressure')}"
-    share = max((m.stroke.lost / (m.stroke.before + gas.atmosphere) for m in group), key=abs)
-    lost = max((m.stroke.lost for m in group), key=abs)
-    if share < 0 and -lost > 6 * group[0].stroke.noise:
+    share = max((m.lost / (m.before + gas.atmosphere) for m in group), key=abs)
+    lost = max((m.lost for m in group), key=abs)
+    if share < 0 and -lost > 6 * group[0].noise:
         text = f"{where} the pressure comes back {show(-lost, 'pressure', 3)} higher: air comes in through the valve"
         found.append(Finding("doubt", text))
     elif share > LEAKS:
@@ -218,7 +207,7 @@ def _findings(pressure: float, group: Sequence[_Member], given: _Given) -> list[
         found.append(Finding("note", f"{where} {max(share, 0.0):.2%} of the air is lost over a trial"))
     if gas.exponent < ADIABATIC:
         heat = replace(gas, exponent=ADIABATIC)
-        apart = np.mean([m.stroke.volumes(heat, leak=True)[:, -1] - m.stroke.volumes(gas, leak=True)[:, -1]
+        apart = np.mean([m.volumes(heat, leak=True)[:, -1] - m.volumes(gas, leak=True)[:, -1]
                          for m in group])  # fmt: skip
         text = (
             f"{where} the volume at the end of the stroke would be {show(float(apart), 'volume', 3)} off if the air "
@@ -258,10 +247,10 @@ def _agree(estimates: Sequence[Estimate]) -> list[Finding]:
     return [Finding("doubt", f"{text}: more than their intervals; {causes}")]
 
 
-def _made_of(members: Sequence[_Member], given: _Given) -> Finding:
+def _made_of(members: Sequence[Stroke], given: _Given) -> Finding:
     """The numbers that the volumes rest on."""
     gas = given.gas
-    start = float(members[0].stroke.x[0])
+    start = float(members[0].x[0])
     text = (
         f"volume at {show(start, 'length')} {show(gas.reference, 'volume', 5)} +- {show(given.reference, 'volume', 2)} "
         f"by {given.by}, dead volume {show(gas.dead, 'volume')} +- {show(given.dead, 'volume', 2)}, room "

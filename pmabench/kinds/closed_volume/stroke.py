@@ -26,7 +26,16 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from pmabench.analysis.shared.form import Doubt
-from pmabench.analysis.shared.samples import UNUSABLE_SHARE, Held, NotUsable, left, noise_of, on_time
+from pmabench.analysis.shared.samples import (
+    Held,
+    NotUsable,
+    ends,
+    left,
+    noise_of,
+    on_time,
+    refuse_flagged,
+    refuse_incomplete,
+)
 from pmabench.store.analyses.results import Estimate
 from pmabench.store.records import Array, RunData, TrialData
 
@@ -50,6 +59,7 @@ class Gas:
 class Stroke:
     """Gauge pressures [Pa] of one trial at contractions `x` [m], in the order of time: shape (2 cycles, n)."""
 
+    trial: TrialData
     x: Array
     P: Array
     paid: Array
@@ -86,13 +96,8 @@ class Stroke:
 
 def measure(run: RunData, trial: TrialData, settings: Mapping[str, Any]) -> Stroke:
     """One trial from its samples; `NotUsable` where it ended early, lacks a channel or was never shut in."""
-    if trial.status != "finished":
-        raise NotUsable(f"the trial is {trial.status}")
-    missing = [name for name in ("pressure", "displacement") if name not in trial.channels]
-    if missing:
-        raise NotUsable(f"{' and '.join(missing)} not recorded")
-    if float(np.mean(~trial.usable)) > UNUSABLE_SHARE:
-        raise NotUsable(f"{np.mean(~trial.usable):.0%} of the samples are flagged")
+    refuse_incomplete(trial, "pressure", "displacement")
+    refuse_flagged(trial.usable)
     if not trial.found.get("closed", {}).get("found", False):
         raise NotUsable("the strokes with the valve shut were not finished")
     ramps = [c for c in trial.commands if c.output == "displacement" and c.kind == "ramp" and c.phase == "closed"]
@@ -100,7 +105,7 @@ def measure(run: RunData, trial: TrialData, settings: Mapping[str, Any]) -> Stro
         raise NotUsable("it holds no whole stroke there and back")
     rest, t, good = float(settings["rest"]), trial.t, trial.usable
     x, P = (on_time(run, trial, name) for name in ("displacement", "pressure"))
-    arrived = [c.t + abs(c.value - c.before) / c.data["rate"] for c in ramps]
+    arrived = [ends(ramp) for ramp in ramps]
 
     def resting(begin: float, end: float) -> NDArray[np.intp]:
         rows = np.flatnonzero(good & (t >= begin) & (t < end - 1e-9))
@@ -128,7 +133,7 @@ def measure(run: RunData, trial: TrialData, settings: Mapping[str, Any]) -> Stro
         pressures.append(values[0])
         integrals.append(values[1])
     stroke = Stroke(
-        grid, np.array(pressures), np.array(integrals), float(paid[last].mean()), before, after,
+        trial, grid, np.array(pressures), np.array(integrals), float(paid[last].mean()), before, after,
         np.array([[P[rows].mean(), paid[rows].mean()] for rows in between]).reshape(-1, 2),
         tuple(Held.of(t[rows], P[rows], float(t[rows[0]])) for rows in at_far), noise_of(P[first]), len(first),
     )  # fmt: skip

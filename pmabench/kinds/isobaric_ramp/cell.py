@@ -13,7 +13,7 @@ import numpy as np
 from pmabench.analysis.shared import skew
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.form import Doubt, weighed
-from pmabench.analysis.shared.lines import PROPORTIONAL, Line, mean_half, weighted_line
+from pmabench.analysis.shared.lines import PROPORTIONAL, Line, mean_of_cycles, weighted_line
 from pmabench.analysis.shared.ramp_loop import Loop
 from pmabench.analysis.shared.samples import lag_open
 from pmabench.analysis.shared.sine_loop import RECOVERED
@@ -124,8 +124,8 @@ class Cell:
         values = [of(member.loop) for member in self.members]
         speeds = np.array([member.speed for member in self.members])
         if self.one_speed:
-            means = np.array([float(np.mean(v)) for v in values])
-            return Line(float(means.mean()), float("nan"), mean_half(means, values), None)
+            mean, half = mean_of_cycles(values)
+            return Line(mean, float("nan"), half, None)
         by_trial = weighted_line(speeds, speeds, np.array([float(np.mean(v)) for v in values]))
         each = np.repeat(speeds, [len(v) for v in values])
         by_cycle = weighted_line(each, each, np.concatenate(values))
@@ -327,23 +327,20 @@ class Cell:
                 ("W_c", joule, GAP, lambda loop: loop.given, work, 0.0, 0.5 * late * stroke),
             )  # fmt: skip
             for symbol, kind, method, of, by, extra, skewed in rows:
-                values = [of(member.loop) for member in mine]
-                means = np.array([float(v.mean()) for v in values])
-                value = float(means.mean())
+                value, half = mean_of_cycles([of(member.loop) for member in mine])
                 over_P = self._over_pressure(near, lambda cell, of=of: cell.over_speed(of).start)  # type: ignore[misc]
                 part = self._part(
                     scales, dict.fromkeys(by, value), {"force": stroke if symbol == "W_c" else 0.0}, over_P
                 )
-                parts = Parts(mean_half(means, values), extra, part, skewed)
+                parts = Parts(half, extra, part, skewed)
                 note = CYCLES if len(mine) == 1 else ""
                 found.append(self._estimate(symbol, value, kind, method, here, parts, note, len(mine)))
             taken = float(np.mean([np.mean(m.loop.given + m.loop.lost) for m in mine]))
             if min(float(np.min(m.loop.given + m.loop.lost)) for m in mine) > 0:  # unpressed, it may take up nothing
-                values = [m.loop.given / (m.loop.given + m.loop.lost) for m in mine]
-                means = np.array([float(v.mean()) for v in values])
-                value, doubt = float(means.mean()), (uneven * stroke + corners) / taken
+                value, half = mean_of_cycles([m.loop.given / (m.loop.given + m.loop.lost) for m in mine])
+                doubt = (uneven * stroke + corners) / taken
                 part = scales.part({}, {"force": stroke * (1 - value) / taken})
-                parts = Parts(mean_half(means, values), doubt, part, late * stroke / taken)
+                parts = Parts(half, doubt, part, late * stroke / taken)
                 note = sentences(CYCLES if len(mine) == 1 else "", RECOVERED)
                 found.append(self._estimate("eta", value, ("1", "ratio"), GAP, here, parts, note, len(mine)))
         return found

@@ -17,7 +17,7 @@ from pmabench.analysis.shared import student
 from pmabench.analysis.shared.calibration import sentences
 from pmabench.analysis.shared.lines import Line
 from pmabench.analysis.shared.ramp_loop import Loop, measure_as_planned
-from pmabench.analysis.shared.samples import NotUsable
+from pmabench.analysis.shared.samples import NotUsable, settings_of
 from pmabench.base.quantities import show
 from pmabench.kinds.isobaric_ramp.cell import CYCLES, GAP, ONE_SPEED, Cell, Member
 from pmabench.store.analyses.results import Estimate, Parts
@@ -77,13 +77,13 @@ def _begin(trial: TrialData) -> float:
 
 def _rest(run: RunData) -> float:
     """How long the vented muscle rested before the first trial [s]."""
-    return float((run.plan.get("settings") or {}).get("rest", 0.0))
+    return float(settings_of(run).get("rest", 0.0))
 
 
 def _wider(member: Member, options: Mapping[str, Any]) -> Wider | str:
     """What the first gap of a trial is wider by, or why that is not known."""
     run = member.run
-    rest, first = _rest(run), int({**(run.plan.get("settings") or {}), **options}.get("discard", 1))
+    rest, first = _rest(run), int(settings_of(run, options).get("discard", 1))
     if rest < LONG:
         return f"the muscle rested for {show(rest, 'time')} only: let it rest for {show(LONG, 'time')} or more"
     try:

@@ -17,15 +17,15 @@ from scipy.optimize import least_squares
 
 from pmabench.analysis.shared import skew
 from pmabench.analysis.shared.calibration import Scales
-from pmabench.analysis.shared.lines import mean_half
+from pmabench.analysis.shared.lines import mean_of_cycles
 from pmabench.analysis.shared.ramp_loop import measure_as_planned
-from pmabench.analysis.shared.samples import NotUsable
+from pmabench.analysis.shared.trials import grouped, measured_trials
 from pmabench.analysis.verdict.agreement import Offer, Place, at_pressures, between, everywhere, values_of
 from pmabench.base.quantities import show
 from pmabench.kinds.isobaric_ramp import RESULTS
 from pmabench.kinds.isobaric_ramp.cell import CURVE, GAP, LOCAL, Cell, Member
 from pmabench.kinds.isobaric_ramp.first_cycle import first_cycle
-from pmabench.store.analyses.results import Analysis, Dropped, Estimate, Finding, Parts, Trace
+from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace
 from pmabench.store.records import Array, RunData
 
 METHOD = "rubber term"
@@ -119,7 +119,7 @@ def rubber(cell: Cell, scales: Scales) -> Rubber:
     unknown = []
     for place, name in enumerate(NAMES):
         by_trial = [np.array([one[place] for one in cycles]) for cycles in each]
-        half = mean_half(np.array([float(v.mean()) for v in by_trial]), by_trial)
+        _, half = mean_of_cycles(by_trial)
         value, misfit = float(terms[place]), float(whole.misfit[place])
         part = scales.part({"force": value}) if name == "A" else scales.part({"displacement": value})
         parts = Parts(half, misfit, part)
@@ -144,7 +144,7 @@ def rubber(cell: Cell, scales: Scales) -> Rubber:
         findings.append(Finding("note", f"the rubber term fits the mean curve at 0 kPa to {reach}"))
     for where in np.linspace(eps[0], eps[-1], PLACES):
         curves = [np.array([float(rubber_force(where, *one)) for one in cycles]) for cycles in each]
-        half = mean_half(np.array([float(v.mean()) for v in curves]), curves)
+        _, half = mean_of_cycles(curves)
         value = float(rubber_force(where, *terms))
         parts = Parts(half, rms, scales.part({"force": value}))
         at = {"contraction": round(float(where) * length, 7)}
@@ -196,7 +196,9 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     the plan's setting, else a twentieth of the stroke).
     """
     options = options or {}
-    members, dropped = _members(runs, options)
+    members, dropped = measured_trials(
+        runs, lambda run, trial: Member(run, trial, measure_as_planned(run, trial, options))
+    )
     scales = Scales.of(runs)
     cells = _cells(members)
     estimates: list[Estimate] = []
@@ -235,25 +237,10 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     )
 
 
-def _members(runs: Sequence[RunData], options: Mapping[str, Any]) -> tuple[list[Member], list[Dropped]]:
-    members: list[Member] = []
-    dropped: list[Dropped] = []
-    for run in runs:
-        for trial in run.trials:
-            try:
-                members.append(Member(run, trial, measure_as_planned(run, trial, options)))
-            except NotUsable as reason:
-                dropped.append(Dropped(trial.name, trial.point, str(reason)))
-    return members, dropped
-
-
 def _cells(members: Sequence[Member]) -> list[Cell]:
     """The trials of one pressure and stroke together, by rising pressure."""
-    groups: dict[tuple[float, ...], list[Member]] = {}
-    for member in members:
-        point = member.trial.point
-        key = tuple(round(point.get(name, 0.0), 9) for name in ("pressure", "lower", "upper"))
-        groups.setdefault(key, []).append(member)
+    ends = ("pressure", "lower", "upper")
+    groups = grouped(members, lambda one: tuple(round(one.trial.point.get(name, 0.0), 9) for name in ends))
     pressures = [key[0] for key in groups]
     return [
         Cell.of({"pressure": key[0]} | ({"lower": key[1], "upper": key[2]} if pressures.count(key[0]) > 1 else {}), g)

@@ -17,8 +17,8 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from pmabench.analysis.shared import student
-from pmabench.analysis.shared.isometric_lines import Mask, Test, as_test, ends, stairs
-from pmabench.analysis.shared.samples import SEEN, noise_of, onset
+from pmabench.analysis.shared.isometric_lines import Mask, Test, as_test, stairs
+from pmabench.analysis.shared.samples import SEEN, ends, noise_of, onset
 from pmabench.model.library.daerden import section_factor
 from pmabench.store.records import Array, RunData, TrialData
 

@@ -17,8 +17,16 @@ import numpy as np
 
 from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.form import Doubt, weighed
-from pmabench.analysis.shared.isometric_lines import SAME, ends, spread
-from pmabench.analysis.shared.samples import UNUSABLE_SHARE, NotUsable, noise_of
+from pmabench.analysis.shared.isometric_lines import SAME, spread
+from pmabench.analysis.shared.samples import (
+    UNUSABLE_SHARE,
+    NotUsable,
+    ends,
+    noise_of,
+    refuse_incomplete,
+    settings_of,
+)
+from pmabench.analysis.shared.trials import grouped, measured_trials
 from pmabench.base.quantities import show
 from pmabench.store.analyses.results import Dropped, Estimate, Finding, Parts, Trace, withhold
 from pmabench.store.records import Array, RunData, TrialData
@@ -75,11 +83,9 @@ class Filling:
         return self.emptied > 0.5 * self.volume
 
 
-def measured(run: RunData, trial: TrialData, rT: float) -> Filling:
+def measured(trial: TrialData, rT: float) -> Filling:
     """One trial; `NotUsable` where it has no flow, no whole ramps or no rests, with r T [J/kg]."""
-    missing = [name for name in (FLOW, "pressure") if name not in trial.channels]
-    if missing or trial.status != "finished":
-        raise NotUsable(f"{' and '.join(missing)} not recorded" if missing else f"the trial is {trial.status}")
+    refuse_incomplete(trial, FLOW, "pressure")
     commands = [c for c in trial.commands if c.output == "pressure" and c.kind == "ramp"]
     ramps = {c.phase: c for c in commands if c.phase in ("fill", "empty")}
     moved = [ends(c) for c in trial.commands if "fill" in ramps and c.kind == "ramp" and c.t < ramps["fill"].t - 1e-9]
@@ -145,20 +151,19 @@ def by_flow(
     runs: Sequence[RunData], scales: Scales
 ) -> tuple[list[Estimate], list[Finding], list[Trace], list[Dropped]]:
     """V [m3] and the mean flow [kg/s] at each contraction, where the plan says that a meter is there."""
-    cells: dict[float, list[Filling]] = {}
+    found: list[Filling] = []
     dropped: list[Dropped] = []
     given: Mapping[str, Any] = {}
     for run in runs:
-        settings = (run.plan.get("settings") or {}).get(FLOW)
+        settings = settings_of(run).get(FLOW)
         if not settings or (given and settings != given):
             continue
         given = settings
-        for trial in run.trials:
-            try:
-                filling = measured(run, trial, R_AIR * float(settings["temperature"]))
-                cells.setdefault(round(trial.point["contraction"], SAME), []).append(filling)
-            except NotUsable as reason:
-                dropped.append(Dropped(trial.name, trial.point, f"no volume by mass flow: {reason}"))
+        rT = R_AIR * float(settings["temperature"])
+        some, lacking = measured_trials([run], lambda _, trial, rT=rT: measured(trial, rT))  # type: ignore[misc]
+        found += some
+        dropped += [replace(one, reason=f"no volume by mass flow: {one.reason}") for one in lacking]
+    cells = grouped(found, lambda filling: round(filling.trial.point["contraction"], SAME))
     estimates: list[Estimate] = []
     findings: list[Finding] = []
     for x, group in sorted(cells.items()):

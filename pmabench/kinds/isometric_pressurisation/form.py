@@ -14,8 +14,8 @@ import numpy as np
 
 from pmabench.analysis.imported import in_time
 from pmabench.analysis.shared import student
-from pmabench.analysis.shared.isometric_lines import Test, ends
-from pmabench.analysis.shared.samples import noise_of
+from pmabench.analysis.shared.isometric_lines import Test
+from pmabench.analysis.shared.samples import ends, noise_of
 from pmabench.base.quantities import show
 from pmabench.kinds.isometric_pressurisation.curve import REST, pulling
 from pmabench.kinds.isometric_pressurisation.sections import Cell

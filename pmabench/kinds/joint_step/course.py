@@ -9,15 +9,16 @@ from typing import Any
 
 import numpy as np
 
-from pmabench.analysis.shared.joint import settings_of
 from pmabench.analysis.shared.response import Response, respond
 from pmabench.analysis.shared.samples import (
-    UNUSABLE_SHARE,
     NotUsable,
     count_of,
     lags_of,
     noise_of,
     on_time,
+    refuse_flagged,
+    refuse_incomplete,
+    settings_of,
     three_parameter,
 )
 from pmabench.base.quantities import show
@@ -69,13 +70,11 @@ class Swung(Course):
 
 def course_of(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> Stepped | Swung:
     """One trial measured; raises `NotUsable`."""
-    if trial.status != "finished":
-        raise NotUsable(f"the trial is {trial.status}")
+    refuse_incomplete(trial)
     law = trial.found.get("hold")
     if "angle" not in trial.channels or law is None or law.get("t0") is None:
         raise NotUsable("the angle or what the loop did is not recorded")
-    if (bad := float(np.mean(~trial.usable))) > UNUSABLE_SHARE:
-        raise NotUsable(f"{bad:.0%} of the samples are flagged")
+    refuse_flagged(trial.usable)
     settings = settings_of(run, options)
     t = trial.t - (float(law["t0"]) + float(settings["begin"]))
     angle, ok = on_time(run, trial, "angle"), trial.usable

@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 
 from pmabench.analysis.shared.calibration import Scales
-from pmabench.analysis.shared.joint import settings_of
-from pmabench.analysis.shared.lines import mean_half
-from pmabench.analysis.shared.samples import NotUsable, lag_open, lags_of
+from pmabench.analysis.shared.lines import mean_of_cycles
+from pmabench.analysis.shared.samples import lag_open, lags_of, settings_of
 from pmabench.analysis.shared.skew import off
 from pmabench.analysis.shared.student import mean_with_half
+from pmabench.analysis.shared.trials import grouped, measured_trials, point_of
 from pmabench.base.quantities import show
 from pmabench.kinds.joint_step import RESULTS
 from pmabench.kinds.joint_step.course import Course, Stepped, Swung, course_of
-from pmabench.store.analyses.results import Analysis, Dropped, Estimate, Finding, Parts, Trace
+from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace
 from pmabench.store.records import Array, RunData
 
 STEP, SINE = "step in closed loop", "sine in closed loop"
@@ -33,16 +33,8 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
 
     `options`: `window` [s], `band` [rad] and `begin` [s], else the plan's.
     """
-    courses, dropped = list[Stepped | Swung](), list[Dropped]()
-    for run in runs:
-        for trial in run.trials:
-            try:
-                courses.append(course_of(run, trial, options or {}))
-            except NotUsable as reason:
-                dropped.append(Dropped(trial.name, trial.point, str(reason)))
-    cells: dict[tuple[tuple[str, float], ...], list[Stepped | Swung]] = {}
-    for one in courses:
-        cells.setdefault(tuple(sorted((n, round(v, 9)) for n, v in one.trial.point.items())), []).append(one)
+    courses, dropped = measured_trials(runs, lambda run, trial: course_of(run, trial, options or {}))
+    cells = grouped(courses, lambda one: point_of(one.trial))
     scales = Scales.of(runs)
     estimates, traces, findings = list[Estimate](), list[Trace](), list[Finding]()
     for key, members in sorted(cells.items()):
@@ -123,10 +115,9 @@ def _of_sines(at: Mapping[str, float], sines: Sequence[Swung], scales: Scales) -
         ("e_s", ("rad", "angle"), [one.errors for one in sines], {"angle": at["goal"]}),
     )
     for symbol, kind, values, gains in rows:
-        means = np.array([float(one.mean()) for one in values])
-        part = scales.part(gains) if gains else None
-        parts = Parts(mean_half(means, values), late[symbol], part)
-        yield Estimate(symbol, float(means.mean()), *kind, SINE, at, parts, len(sines), trials=trials)
+        mean, half = mean_of_cycles(values)
+        parts = Parts(half, late[symbol], scales.part(gains) if gains else None)
+        yield Estimate(symbol, mean, *kind, SINE, at, parts, len(sines), trials=trials)
 
 
 def _trace(at: Mapping[str, float], one: Course) -> Trace:

@@ -11,10 +11,11 @@ import numpy as np
 from pmabench.analysis.shared import skew
 from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.form import Doubt, weighed
-from pmabench.analysis.shared.joint import AXES, BY_PRESSURE, CUT, MUSCLES, refuse_turns, settings_of
-from pmabench.analysis.shared.lines import mean_half
+from pmabench.analysis.shared.joint import AXES, BY_PRESSURE, CUT, MUSCLES, refuse_turns
+from pmabench.analysis.shared.lines import mean_of_cycles
 from pmabench.analysis.shared.ramp_loop import Loop, Turns, measure
-from pmabench.analysis.shared.samples import NotUsable
+from pmabench.analysis.shared.samples import NotUsable, settings_of
+from pmabench.analysis.shared.trials import grouped
 from pmabench.base.quantities import show
 from pmabench.kinds.joint_sweep import RESULTS
 from pmabench.store.analyses.results import Analysis, Dropped, Estimate, Finding, Parts, Trace
@@ -145,21 +146,19 @@ def _sweeps(runs: Sequence[RunData], options: Mapping[str, Any]) -> tuple[list[S
     return [one for one, place in zip(sweeps, alike, strict=True) if place not in spoiled], dropped
 
 
+COORDINATES = (*MUSCLES, "angular_speed", "lowest_angle", "highest_angle")
+
+
 def _place(point: Mapping[str, float]) -> tuple[float, ...]:
     """Pressures, speed and ends of a sweep."""
-    return tuple(
-        round(point.get(name, 0.0), 9) for name in (*MUSCLES, "angular_speed", "lowest_angle", "highest_angle")
-    )
+    return tuple(round(point.get(name, 0.0), 9) for name in COORDINATES)
 
 
 def _cells(sweeps: Sequence[Sweep]) -> dict[tuple[tuple[str, float], ...], list[Sweep]]:
     """The trials of one operating point together."""
-    cells: dict[tuple[tuple[str, float], ...], list[Sweep]] = {}
-    names = (*MUSCLES, "angular_speed", "lowest_angle", "highest_angle")
-    varied = [name for name in names[3:] if len({one.trial.point[name] for one in sweeps}) > 1]
-    for one in sweeps:
-        at = tuple((name, round(one.trial.point[name], 9)) for name in (*names[:3], *varied))
-        cells.setdefault(at, []).append(one)
+    varied = [name for name in COORDINATES[3:] if len({one.trial.point[name] for one in sweeps}) > 1]
+    names = (*COORDINATES[:3], *varied)
+    cells = grouped(sweeps, lambda one: tuple((name, round(one.trial.point[name], 9)) for name in names))
     return dict(sorted(cells.items()))
 
 
@@ -172,8 +171,7 @@ def _estimates(at: Mapping[str, float], members: Sequence[Sweep], scales: Scales
         symbol: str, kind: tuple[str, str], method: str, values: Sequence[Array], extra: float,
         angles: int, by_pressure: float = 0.0, where: Mapping[str, float] | None = None, by_angle: float = 0.0,
     ) -> Estimate:  # fmt: skip
-        means = np.array([float(v.mean()) for v in values])
-        value = float(means.mean())
+        value, half = mean_of_cycles(values)
         gains = {"torque": value} | ({"angle": angles * value} if angles else {})
         gains |= {name: by_pressure * at[name] for name in MUSCLES if by_pressure}
         offsets = dict.fromkeys(MUSCLES, by_pressure) if by_pressure else {}
@@ -182,7 +180,7 @@ def _estimates(at: Mapping[str, float], members: Sequence[Sweep], scales: Scales
             offsets |= {"torque": 1.0, "angle": by_angle}
         part = scales.part({name: change for name, change in gains.items() if change}, offsets)
         note = "one trial: the repeats part is the scatter of its cycles" if len(members) == 1 else ""
-        parts = Parts(mean_half(means, values), extra, part)
+        parts = Parts(half, extra, part)
         return Estimate(symbol, value, *kind, method, where or at, parts, len(members), note=note, trials=trials)
 
     late = max((one.loop.late for one in members), key=lambda doubt: (doubt.seen, doubt.half))

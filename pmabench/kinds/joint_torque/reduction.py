@@ -12,13 +12,14 @@ from pmabench.analysis.shared import skew, student
 from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.form import Doubt, weighed
 from pmabench.analysis.shared.joint import BY_PRESSURE, CUT, MUSCLES
-from pmabench.analysis.shared.lines import mean_half
-from pmabench.analysis.shared.samples import Left, NotUsable, left
+from pmabench.analysis.shared.lines import mean_of_cycles
+from pmabench.analysis.shared.samples import Left, left
+from pmabench.analysis.shared.trials import grouped, measured_trials
 from pmabench.base.quantities import show
 from pmabench.kinds.joint_torque import RESULTS
 from pmabench.kinds.joint_torque.plane import plane_estimates
 from pmabench.kinds.joint_torque.staircase import ORDERS, Staircase, staircase_of
-from pmabench.store.analyses.results import Analysis, Dropped, Estimate, Finding, Parts, Trace, withhold
+from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace, withhold
 from pmabench.store.records import Array, RunData, TrialData
 
 KIND = "joint-torque"
@@ -40,17 +41,9 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     Where there are three pairs of pressures or more, also torque by pressure s_1, s_2 [N m/Pa] and tau_0 [N m] at each
     angle. `options`: `angles` [rad], else the plan's.
     """
-    staircases, dropped = list[Staircase](), list[Dropped]()
-    for run in runs:
-        for trial in run.trials:
-            try:
-                staircases.append(staircase_of(run, trial, options or {}))
-            except NotUsable as reason:
-                dropped.append(Dropped(trial.name, trial.point, str(reason)))
+    staircases, dropped = measured_trials(runs, lambda run, trial: staircase_of(run, trial, options or {}))
     scales = Scales.of(runs)
-    cells: Cells = {}
-    for one in staircases:
-        cells.setdefault(tuple(round(one.trial.point[name], 3) for name in MUSCLES), []).append(one)
+    cells: Cells = grouped(staircases, lambda one: tuple(round(one.trial.point[name], 3) for name in MUSCLES))
     estimates = list[Estimate]()
     moving = _still_to_come(staircases)
     for pressures, members in sorted(cells.items()):
@@ -108,14 +101,13 @@ def _estimates(
         symbol: str, kind: tuple[str, str], method: str, values: Sequence[Array], extra: float,
         angles: float, by_pressure: float = 0.0, where: Mapping[str, float] | None = None, by_angle: float = 0.0,
     ) -> Estimate:  # fmt: skip
-        means = np.array([float(v.mean()) for v in values])
-        value = float(means.mean())
+        value, half = mean_of_cycles(values)
         gains = {"torque": value} | ({"angle": angles} if angles else {})
         gains |= {name: by_pressure * at[name] for name in MUSCLES if by_pressure}
         offsets = dict.fromkeys(MUSCLES, by_pressure) if by_pressure else {}
         offsets |= {"torque": 1.0 if symbol == "tau" else 0.0, "angle": by_angle}
         part = scales.part(gains, {name: change for name, change in offsets.items() if change})
-        parts = Parts(mean_half(means, values), float(np.hypot(extra, by_pressure * off)), part)
+        parts = Parts(half, float(np.hypot(extra, by_pressure * off)), part)
         note = "one trial: the repeats part is the scatter of its cycles" if len(members) == 1 else ""
         return Estimate(symbol, value, *kind, method, where or at, parts, len(members), note=note, trials=trials)
 
@@ -231,9 +223,7 @@ def _uneven(members: Sequence[Staircase], opened: Array) -> float:
 
 def _map(cells: Cells, estimates: Sequence[Estimate]) -> Iterator[Trace]:
     """Torque and stiffness over the angles, columns for each pair of pressures; a map for each set of angles."""
-    sets: dict[tuple[float, ...], list[tuple[float, ...]]] = {}
-    for pressures, members in sorted(cells.items()):
-        sets.setdefault(tuple(members[0].nominal), []).append(pressures)
+    sets = grouped(sorted(cells), lambda pressures: tuple(cells[pressures][0].nominal))
     for number, (angles, pairs) in enumerate(sets.items(), start=1):
         columns, quantities = {"angle": np.array(angles)}, {"angle": "angle"}
         for pressures in pairs:

@@ -10,9 +10,18 @@ from typing import Any
 
 import numpy as np
 
-from pmabench.analysis.shared.joint import AXES, CUT, MUSCLES, refuse_turns, settings_of
+from pmabench.analysis.shared.joint import AXES, CUT, MUSCLES, refuse_turns
 from pmabench.analysis.shared.ramp_loop import Turns, on_grid, turns_of
-from pmabench.analysis.shared.samples import UNUSABLE_SHARE, Held, NotUsable, noise_of, on_time
+from pmabench.analysis.shared.samples import (
+    Held,
+    NotUsable,
+    ends,
+    noise_of,
+    on_time,
+    refuse_flagged,
+    refuse_incomplete,
+    settings_of,
+)
 from pmabench.base.quantities import show
 from pmabench.store.records import Array, Command, RunData, TrialData
 
@@ -123,13 +132,8 @@ class Staircase:
 
 def staircase_of(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> Staircase:
     """One trial measured; raises `NotUsable` with the reason, for angles near the turns with what would be enough."""
-    if trial.status != "finished":
-        raise NotUsable(f"the trial is {trial.status}")
-    missing = [name for name in ("angle", "torque", *MUSCLES) if name not in trial.channels]
-    if missing:
-        raise NotUsable(f"{' and '.join(missing)} not recorded")
-    if (bad := float(np.mean(~trial.usable))) > UNUSABLE_SHARE:
-        raise NotUsable(f"{bad:.0%} of the samples are flagged")
+    refuse_incomplete(trial, "angle", "torque", *MUSCLES)
+    refuse_flagged(trial.usable)
     nominal = np.array(settings_of(run, options)["angles"], dtype=np.float64)
     angle, torque = on_time(run, trial, "angle"), on_time(run, trial, "torque")
     rests = _rests(trial, nominal, angle, torque)
@@ -177,7 +181,7 @@ def _rests(trial: TrialData, nominal: Array, angle: Array, torque: Array) -> Res
         at = np.flatnonzero(np.abs(nominal - ramp.value) < 1e-9)
         if not len(at):
             continue
-        begin = ramp.t + abs(ramp.value - ramp.before) / ramp.data["rate"]
+        begin = ends(ramp)
         late = 0.5 * (begin + after.t)
         rows = (trial.t >= late) & (trial.t < after.t) & trial.usable
         if rows.sum() < LEAST_SAMPLES:
@@ -216,8 +220,7 @@ def _turns(trial: TrialData, angle: Array, torque: Array, lowest: float, highest
     """How a turn fades, from the torque while the joint moves; None where no turns show."""
     moving = {"rise": np.zeros(trial.t.shape, bool), "fall": np.zeros(trial.t.shape, bool)}
     for ramp in _ramps(trial):
-        end = ramp.t + abs(ramp.value - ramp.before) / ramp.data["rate"]
-        moving[ramp.phase] |= (trial.t >= ramp.t) & (trial.t < end) & trial.usable
+        moving[ramp.phase] |= (trial.t >= ramp.t) & (trial.t < ends(ramp)) & trial.usable
     grid = np.linspace(lowest, highest, POINTS)[1:-1]
     up, down = (on_grid(grid, angle[moving[phase]], torque[moving[phase]]) for phase in (AXES.rises, AXES.falls))
     known = np.isfinite(up + down)

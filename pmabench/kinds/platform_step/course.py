@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from scipy.signal import lfilter
 
-from pmabench.analysis.shared.samples import NotUsable, noise_of, on_time
+from pmabench.analysis.shared.samples import NotUsable, noise_of, on_time, settings_of
 from pmabench.store.records import Array, RunData, TrialData
 
 MUSCLES = ("pressure_1", "pressure_2", "pressure_3")
@@ -87,7 +87,7 @@ class Course:
 
 def course_of(run: RunData, trial: TrialData, heights: float = 1.0) -> Course:
     """The course of a trial; the accelerometer's height is taken `heights` times. Raises `NotUsable`."""
-    law, settings = trial.found.get("step") or {}, run.plan.get("settings") or {}
+    law, settings = trial.found.get("step") or {}, settings_of(run)
     if law.get("ended") != "time":
         raise NotUsable(f"the loop did not reach its end: {law.get('reason') or law.get('ended') or 'it was cut off'}")
     if not trial.usable.all():

@@ -11,7 +11,8 @@ import numpy as np
 from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.form import MOST_HIDDEN, weighed
 from pmabench.analysis.shared.lines import mean_half
-from pmabench.analysis.shared.samples import NotUsable
+from pmabench.analysis.shared.samples import settings_of
+from pmabench.analysis.shared.trials import grouped, measured_trials
 from pmabench.base.errors import UsageError
 from pmabench.base.quantities import show
 from pmabench.kinds.platform_step import RESULTS
@@ -28,7 +29,7 @@ from pmabench.kinds.platform_step.course import (
     wanted,
 )
 from pmabench.model.platform_control import Lags
-from pmabench.store.analyses.results import Analysis, Dropped, Estimate, Finding, Parts, Trace, withhold
+from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace, withhold
 from pmabench.store.records import Array, RunData
 
 KIND = "platform-step"
@@ -45,23 +46,18 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
 
     t_1 is withheld where one of the trials did not settle in the first half of its hold.
     """
-    chains = sorted({str((run.plan.get("settings") or {}).get("chain", "")) for run in runs})
+    chains = sorted({str(settings_of(run).get("chain", "")) for run in runs})
     if len(chains) > 1:
         raise UsageError(
             f"runs with the chains {' and '.join(chains)} are no repeats of each other: process each by itself, then "
             "compare the two analyses"
         )
     scales = Scales.of(runs)
-    courses, dropped = list[Course](), list[Dropped]()
-    for run in runs:
-        for trial in run.trials:
-            try:
-                courses.append(course_of(run, trial))
-            except NotUsable as reason:
-                dropped.append(Dropped(trial.name, trial.point, str(reason)))
+    courses, dropped = measured_trials(runs, course_of)
     estimates, findings, traces = list[Estimate](), list[Finding](), list[Trace]()
-    for (chain, *at), members in _cells(courses).items():
-        where = dict(zip(("phi", "psi"), at, strict=True))
+    cells = grouped(courses, lambda one: (str(one.law["chain"]), round(one.goal[0], 9), round(one.goal[1], 9)))
+    for (chain, phi, psi), members in cells.items():
+        where = {"phi": phi, "psi": psi}
         estimates += _estimates(f"chain {chain}", where, members, scales, seen_in(courses))
         traces.append(_trace(chain, members[-1]))
     findings += [Finding("doubt", f"{one.trial}: {one.reason}") for one in dropped]
@@ -72,14 +68,6 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     return Analysis.of(
         KIND, runs, results=RESULTS, estimates=estimates, dropped=dropped, findings=findings, traces=traces, facts=facts
     )
-
-
-def _cells(courses: Sequence[Course]) -> dict[tuple[Any, ...], list[Course]]:
-    """The trials of one chain and attitude together, as they were run."""
-    cells: dict[tuple[Any, ...], list[Course]] = {}
-    for one in courses:
-        cells.setdefault((str(one.law["chain"]), *(round(angle, 9) for angle in one.goal)), []).append(one)
-    return cells
 
 
 def _estimates(

@@ -18,7 +18,7 @@ from scipy.optimize import nnls
 
 from pmabench.analysis.shared import student
 from pmabench.analysis.shared.form import Doubt
-from pmabench.analysis.shared.samples import UNUSABLE_SHARE, NotUsable, noise_of
+from pmabench.analysis.shared.samples import NotUsable, noise_of, refuse_flagged, refuse_incomplete, settings_of
 from pmabench.base.quantities import show
 from pmabench.store.records import Array, Command, RunData, TrialData
 
@@ -158,6 +158,7 @@ class Bend:
 class Course:
     """The force of one trial relative to its line at 1 s, from `begin` on."""
 
+    trial: TrialData
     relaxing: Relaxing
     raw: Relaxing
     """Without the pressure divided out."""
@@ -262,19 +263,14 @@ class Course:
 
 def measure(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> Course:
     """One trial from its samples; `NotUsable` where it ended early, lacks a channel, or holds too few decades."""
-    if trial.status != "finished":
-        raise NotUsable(f"the trial is {trial.status}")
-    missing = [name for name in ("pressure", "force") if name not in trial.channels]
-    if missing:
-        raise NotUsable(f"{' and '.join(missing)} not recorded")
-    if float(np.mean(~trial.usable)) > UNUSABLE_SHARE:
-        raise NotUsable(f"{np.mean(~trial.usable):.0%} of the samples are flagged")
+    refuse_incomplete(trial, "pressure", "force")
+    refuse_flagged(trial.usable)
     step, end = _step(trial)
     if end >= trial.t[-1]:
         raise NotUsable(
             f"it ends under pressure: without {CALM:g} s after the vent a drift of the cell looks like relaxation"
         )
-    begin = float({**(run.plan.get("settings") or {}), **options}.get("begin", 5.0))
+    begin = float(settings_of(run, options).get("begin", 5.0))
     t, F, P = (values[trial.usable] for values in (trial.t, trial.channels["force"], trial.channels["pressure"]))
     calm, last = (t >= step.t - CALM) & (t < step.t), t > t[-1] - CALM
     held = (t > step.t) & (t < end)
@@ -301,6 +297,7 @@ def measure(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> Cours
     pulls = float((P[last].mean() - base) / (final - base) * np.mean(divided))
     zero = change - float(np.clip(pulls, min(change, 0.0), max(change, 0.0)))
     return Course(
+        trial=trial,
         relaxing=Relaxing(even, divided),
         raw=Relaxing(even, plain),
         zero=zero,

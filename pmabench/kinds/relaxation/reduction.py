@@ -6,7 +6,6 @@ Knows the samples. One trial is measured in `course`, the lines and their noise 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from math import sqrt
 from typing import Any
 
@@ -15,11 +14,11 @@ import numpy as np
 from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.form import Doubt, weighed
 from pmabench.analysis.shared.isometric_lines import spread
-from pmabench.analysis.shared.samples import NotUsable
+from pmabench.analysis.shared.trials import grouped, measured_trials
 from pmabench.base.quantities import show
 from pmabench.kinds.relaxation import RESULTS
 from pmabench.kinds.relaxation.course import BEFORE, TIMES, Course, measure
-from pmabench.store.analyses.results import Analysis, Dropped, Estimate, Finding, Parts, Trace
+from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace
 from pmabench.store.records import RunData, TrialData
 
 KIND = "relaxation"
@@ -29,29 +28,14 @@ LEAST = 0.05
 ONE = "one trial: the repeats part is its noise, and repeated tests may scatter more"
 
 
-@dataclass(frozen=True, eq=False)
-class _Member:
-    trial: TrialData
-    course: Course
-
-
 def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) -> Analysis:
     """Relaxation s [1 per decade], F_1 [N] and shares g [1] of exponentials at each contraction [m] and pressure [Pa].
 
     F = F_1 (1 - s log10(t/1 s)), t from half of the pressure's step on, from `begin` on. `options`: `begin` [s], in
     place of the plan's.
     """
-    cells: dict[tuple[float, float], list[_Member]] = {}
-    dropped: list[Dropped] = []
-    for run in runs:
-        for trial in run.trials:
-            try:
-                course = measure(run, trial, options or {})
-            except NotUsable as reason:
-                dropped.append(Dropped(trial.name, trial.point, str(reason)))
-                continue
-            cell = round(trial.point.get("contraction", 0.0), 6), round(trial.point.get("pressure", 0.0), 3)
-            cells.setdefault(cell, []).append(_Member(trial, course))
+    courses, dropped = measured_trials(runs, lambda run, trial: measure(run, trial, options or {}))
+    cells = grouped(courses, _place)
     scales = Scales.of(runs)
     estimates: list[Estimate] = []
     findings: list[Finding] = []
@@ -69,8 +53,14 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         dropped=dropped,
         findings=findings,
         traces=[_trace(x, P, group[0]) for (x, P), group in sorted(cells.items())],
-        facts={"options": dict(options or {}), "trials": sum(map(len, cells.values())), "cells": len(cells)},
+        facts={"options": dict(options or {}), "trials": len(courses), "cells": len(cells)},
     )
+
+
+def _place(one: Course) -> tuple[float, float]:
+    """Contraction [m] and pressure [Pa] of a trial."""
+    point = one.trial.point
+    return round(point.get("contraction", 0.0), 6), round(point.get("pressure", 0.0), 3)
 
 
 def _repeats(values: Sequence[float], noise: Sequence[float]) -> float:
@@ -79,13 +69,12 @@ def _repeats(values: Sequence[float], noise: Sequence[float]) -> float:
     return max(own, spread(values) or 0.0)
 
 
-def _line(at: Mapping[str, float], group: Sequence[_Member], scales: Scales) -> list[Estimate]:
+def _line(at: Mapping[str, float], group: Sequence[Course], scales: Scales) -> list[Estimate]:
     """Relaxation s and F_1 of one cell; the doubts are those of the trial that has the largest."""
-    courses = [member.course for member in group]
-    names = tuple(member.trial.name for member in group)
+    names = tuple(one.trial.name for one in group)
     note = ONE if len(group) == 1 else ""
-    s, F = [one.per_decade for one in courses], [one.start for one in courses]
-    half = _repeats(s, [one.half for one in courses])
+    s, F = [one.per_decade for one in group], [one.start for one in group]
+    half = _repeats(s, [one.half for one in group])
     level, P = float(np.mean(F)), at.get("pressure", 0.0)
     # the force is brought to the pressure of the step, and relaxation is a share of the force
     zeros = {"force": 1.0} | ({"pressure": level / P} if P > 0 else {})
@@ -94,19 +83,19 @@ def _line(at: Mapping[str, float], group: Sequence[_Member], scales: Scales) -> 
         "s", float(np.mean(s)), "1", "ratio", LINE, dict(at), Parts(half, calibration=by_zero), len(group), note=note,
         trials=names,
     )  # fmt: skip
-    whole = [one.relaxing.half(np.full(len(one.relaxing.t), 1 / len(one.relaxing.t))) for one in courses]
+    whole = [one.relaxing.half(np.full(len(one.relaxing.t), 1 / len(one.relaxing.t))) for one in group]
     start = Estimate(
         "F_1", level, "N", "force", LINE, dict(at),
         Parts(_repeats(F, [one.half * one.start * float(one.relaxing.decades.mean()) + w
-                           for one, w in zip(courses, whole, strict=True)]),
+                           for one, w in zip(group, whole, strict=True)]),
               calibration=scales.part(dict.fromkeys(("force", "pressure"), level), zeros)),
         len(group), note=note, trials=names,
     )  # fmt: skip
-    left = Doubt(BEFORE, "drift", max(one.left_behind for one in courses), seen=False)
+    left = Doubt(BEFORE, "drift", max(one.left_behind for one in group), seen=False)
     # the force need not grow in proportion to the pressure by which it is brought to that of the step
-    share = Doubt("mean pressure", "method", 0.5 * max(one.off * abs(one.start) for one in courses), seen=False)
-    doubts = _largest([one.doubts() for one in courses])
-    of_start = [left, share, *_largest([one.doubts_of_start() for one in courses])]
+    share = Doubt("mean pressure", "method", 0.5 * max(one.off * abs(one.start) for one in group), seen=False)
+    doubts = _largest([one.doubts() for one in group])
+    of_start = [left, share, *_largest([one.doubts_of_start() for one in group])]
     return [weighed(slope, doubts, max(LEAST, abs(slope.value or 0.0))), weighed(start, of_start)]
 
 
@@ -115,46 +104,45 @@ def _largest(of_trials: Sequence[Sequence[Doubt]]) -> list[Doubt]:
     return [max(same, key=lambda d: (d.seen, d.half)) for same in zip(*of_trials, strict=True)]
 
 
-def _prony(at: Mapping[str, float], group: Sequence[_Member], scales: Scales) -> list[Estimate]:
+def _prony(at: Mapping[str, float], group: Sequence[Course], scales: Scales) -> list[Estimate]:
     """Shares of the exponentials of one cell."""
     found = []
     for i, T in enumerate(TIMES, 1):
-        courses = [member.course for member in group]
-        names = tuple(member.trial.name for member in group)
-        fits = [one.relaxing.prony for one in courses]
+        names = tuple(one.trial.name for one in group)
+        fits = [one.relaxing.prony for one in group]
         where = show(T, "time")
-        if not all(one.relaxing.shows(T) for one in courses):
-            begin, end = (courses[0].relaxing.t[i] for i in (0, -1))
+        if not all(one.relaxing.shows(T) for one in group):
+            begin, end = (group[0].relaxing.t[i] for i in (0, -1))
             why = f"the samples are from {begin:.3g} to {end:.3g} s after the step and do not show {where}"
             found.append(Estimate("g", None, "1", "ratio", PRONY, dict(at), n=len(group), note=why, trials=names,
                                   coordinate=where))  # fmt: skip
             continue
-        values = [sizes[i] / one.start for (sizes, _, _), one in zip(fits, courses, strict=True)]
-        noise = [halves[i] / one.start for (_, halves, _), one in zip(fits, courses, strict=True)]
+        values = [sizes[i] / one.start for (sizes, _, _), one in zip(fits, group, strict=True)]
+        noise = [halves[i] / one.start for (_, halves, _), one in zip(fits, group, strict=True)]
         note = ONE if len(group) == 1 else ""
-        size, level = float(np.mean(values)), float(np.mean([one.start for one in courses]))
+        size, level = float(np.mean(values)), float(np.mean([one.start for one in group]))
         parts = Parts(_repeats(values, noise), calibration=scales.part({}, {"force": size / level}))
         found.append(Estimate("g", size, "1", "ratio", PRONY, dict(at), parts, len(group), note=note,
                               trials=names, coordinate=where))  # fmt: skip
     return found
 
 
-def _words(at: Mapping[str, float], group: Sequence[_Member]) -> Finding:
+def _words(at: Mapping[str, float], group: Sequence[Course]) -> Finding:
     """How well line and exponentials follow the course."""
-    one = group[0].course.relaxing
+    one = group[0].relaxing
     start, slope = one.line
     off = float(np.sqrt(np.mean((one.means(one.y) - start - slope * one.decades) ** 2)))
     text = (
         f"{show(at['contraction'], 'length')}, {show(at['pressure'], 'pressure')}: over {np.ptp(one.decades):.1f} "
         f"decades the line over log t leaves {show(off, 'force', 2)}, the exponentials "
-        f"{show(one.prony[2], 'force', 2)}; parts of them differ by {group[0].course.bend.size:.2%} per decade"
+        f"{show(one.prony[2], 'force', 2)}; parts of them differ by {group[0].bend.size:.2%} per decade"
     )
     return Finding("note", text)
 
 
-def _trace(x: float, P: float, member: _Member) -> Trace:
+def _trace(x: float, P: float, course: Course) -> Trace:
     """Means over equal parts of log t, with line and exponentials."""
-    one = member.course.relaxing
+    one = course.relaxing
     start, slope = one.line
     sizes = one.prony[0]
     curve = sizes[0] + sum(size * one.means(np.exp(-one.t / T)) for size, T in zip(sizes[1:], TIMES, strict=True))
@@ -165,7 +153,7 @@ def _trace(x: float, P: float, member: _Member) -> Trace:
         f"{show(x, 'length')}, {show(P, 'pressure')}: force over time after the step",
         columns,
         {"t": "time", "force": "force", "line": "force", "curve": "force"},
-        {"s": member.course.per_decade},
+        {"s": course.per_decade},
     )
 
 

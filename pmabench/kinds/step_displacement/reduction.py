@@ -6,7 +6,7 @@ Knows the samples. One trial is measured in `relaxation`.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 from math import hypot
 from typing import Any
@@ -15,14 +15,15 @@ import numpy as np
 
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.form import MOST_HIDDEN, Doubt, force_from_cycle_to_cycle, weighed
-from pmabench.analysis.shared.lines import mean_half
-from pmabench.analysis.shared.samples import Held, NotUsable, left
+from pmabench.analysis.shared.lines import mean_of_cycles
+from pmabench.analysis.shared.samples import Held, left
+from pmabench.analysis.shared.trials import grouped, measured_trials
 from pmabench.analysis.verdict.agreement import Offer, exactly, values_of, weighted
 from pmabench.base.quantities import show
 from pmabench.kinds.step_displacement import RESULTS
 from pmabench.kinds.step_displacement.relaxation import Relaxation, Steps, filter_of, measure
-from pmabench.store.analyses.results import Analysis, Dropped, Estimate, Finding, Parts, Trace, withhold
-from pmabench.store.records import RunData, TrialData
+from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace, withhold
+from pmabench.store.records import RunData
 
 KIND = "step-displacement"
 RELAXED, PEAK, BACK = "step, relaxed", "step, peak", "step, recovery"
@@ -45,13 +46,6 @@ UNTURNED = 0.05
 RUBS = "friction between the two rests is in it"
 
 
-@dataclass(frozen=True, eq=False)
-class _Member:
-    run: RunData
-    trial: TrialData
-    steps: Steps
-
-
 def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) -> Analysis:
     """K [N/m] from relaxed forces and from the peak, forces [N] around each step, time constants [s] of the recovery.
 
@@ -61,19 +55,11 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     from the end of the motion on. `options`: `discard`
     (cycles at the start; else the plan's setting, else 1).
     """
-    members: list[_Member] = []
-    dropped: list[Dropped] = []
-    for run in runs:
-        for trial in run.trials:
-            try:
-                members.append(_Member(run, trial, measure(run, trial, options or {})))
-            except NotUsable as reason:
-                dropped.append(Dropped(trial.name, trial.point, str(reason)))
+    members, dropped = measured_trials(runs, lambda run, trial: measure(run, trial, options or {}))
     scales = Scales.of(runs)
-    cells: dict[tuple[tuple[str, float], ...], list[_Member]] = {}
-    for member in members:
-        point = member.trial.point
-        cells.setdefault(tuple((name, round(point[name], 9)) for name in CELL if name in point), []).append(member)
+    cells = grouped(
+        members, lambda one: tuple((name, round(one.trial.point[name], 9)) for name in CELL if name in one.trial.point)
+    )
     estimates: list[Estimate] = []
     findings: list[Finding] = []
     traces: list[Trace] = []
@@ -100,10 +86,10 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
 
 
 def _estimates(
-    at: Mapping[str, float], group: Sequence[_Member], of: Callable[[Steps], tuple[Relaxation, ...]], scales: Scales
+    at: Mapping[str, float], group: Sequence[Steps], of: Callable[[Steps], tuple[Relaxation, ...]], scales: Scales
 ) -> list[Estimate]:
     """All of one direction of one cell."""
-    each = [of(member.steps) for member in group]
+    each = [of(member) for member in group]
     names = tuple(member.trial.name for member in group)
     every = [one for steps in each for one in steps]
     noise = max(one.noise for one in every)
@@ -120,8 +106,7 @@ def _estimates(
         powers: Mapping[str, int], extra: float, coordinate: str = "", doubts: Sequence[Doubt] = (),
     ) -> None:  # fmt: skip
         values = [np.array([value(one) for one in steps]) for steps in each]
-        means = np.array([float(one.mean()) for one in values])
-        half, mean = mean_half(means, values), float(means.mean())
+        mean, half = mean_of_cycles(values)
         gains = {name: mean * power for name, power in powers.items()}
         # a sensor with backlash is off one way at one end of the step and the other way at the other end
         offsets = {"displacement": 2 * mean / moved} if symbol == "K" else {}
@@ -171,7 +156,7 @@ def _one_time(tau: Estimate, apart: float) -> Estimate:
     return replace(tau, parts=Parts(tau.parts.repeats, hypot(TAIL * value, apart)), note=note)
 
 
-def _blunt(group: Sequence[_Member], every: Sequence[Relaxation]) -> Doubt:
+def _blunt(group: Sequence[Steps], every: Sequence[Relaxation]) -> Doubt:
     """What a filter of the force cell may have taken off the peaks [N]: no channel shows it."""
     constant = max(filter_of(member.run) for member in group)
     half = max(one.blunted for one in every)
@@ -188,28 +173,27 @@ def _still_moving(rests: Sequence[Held]) -> Doubt:
     return Doubt("motion of the force after the rest", "method", further.most, further.seen, f"{text}. Hold longer")
 
 
-def _findings(at: Mapping[str, float], group: Sequence[_Member]) -> list[Finding]:
+def _findings(at: Mapping[str, float], group: Sequence[Steps]) -> list[Finding]:
     """What catches the eye."""
     lines = []
     for member in group:
-        every = (*member.steps.there, *member.steps.back)
-        for steps in (member.steps.there, member.steps.back):
+        for steps in (member.there, member.back):
             further, size = left([one.later for one in steps]), abs(steps[0].relaxed - steps[0].before)
             if further.seen and abs(further.size) > DRIFTS * size:
                 change = show(further.size, "force", 2)
                 text = f"trial {member.trial.name}: after a rest the force would still change by {change}"
                 lines.append(Finding("doubt", f"{text}; K is not static yet, hold longer"))
-        if any(one.static <= 0 for one in every):
+        if any(one.static <= 0 for one in (*member.there, *member.back)):
             text = f"trial {member.trial.name}: the force rises with contraction: a sign is wrong, or the step is lost"
             lines.append(Finding("fault", text))
     return lines
 
 
-def _trace(at: Mapping[str, float], member: _Member) -> Trace:
+def _trace(at: Mapping[str, float], member: Steps) -> Trace:
     """Around the last step away from the start."""
-    columns = member.steps.last
+    columns = member.last
     stride = max(1, -(-len(columns["t"]) // LONGEST_TRACE))
-    step = member.steps.there[-1]
+    step = member.there[-1]
     places = [show(at[name], quantity) for name, quantity in
             (("pressure", "pressure"), ("step", "length"), ("speed", "speed")) if name in at]  # fmt: skip
     return Trace(

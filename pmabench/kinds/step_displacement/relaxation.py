@@ -11,7 +11,17 @@ from scipy.optimize import minimize_scalar
 from scipy.signal import lfilter
 
 from pmabench.analysis.shared.projection import left_by
-from pmabench.analysis.shared.samples import UNDECLARED, UNUSABLE_SHARE, Held, NotUsable, noise_of, on_time
+from pmabench.analysis.shared.samples import (
+    UNDECLARED,
+    Held,
+    NotUsable,
+    ends,
+    noise_of,
+    on_time,
+    refuse_flagged,
+    refuse_incomplete,
+    settings_of,
+)
 from pmabench.store.records import Array, Command, RunData, TrialData
 
 LAST = 0.2
@@ -76,6 +86,8 @@ class Relaxation:
 class Steps:
     """The steps of one trial, and the samples around the last step away from the start."""
 
+    run: RunData
+    trial: TrialData
     there: tuple[Relaxation, ...]
     back: tuple[Relaxation, ...]
     last: dict[str, Array]
@@ -87,13 +99,8 @@ def measure(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> Steps
 
     Raises `NotUsable` where it ended early, lacks a channel or a whole step.
     """
-    if trial.status != "finished":
-        raise NotUsable(f"the trial is {trial.status}")
-    missing = [name for name in ("displacement", "force") if name not in trial.channels]
-    if missing:
-        raise NotUsable(f"{' and '.join(missing)} not recorded")
-    if float(np.mean(~trial.usable)) > UNUSABLE_SHARE:
-        raise NotUsable(f"{np.mean(~trial.usable):.0%} of the samples are flagged")
+    refuse_incomplete(trial, "displacement", "force")
+    refuse_flagged(trial.usable)
     ramps = [c for c in trial.commands if c.output == "displacement" and c.kind == "ramp" and c.phase in _PHASES]
     if not ramps:
         raise NotUsable("it holds no step")
@@ -103,14 +110,14 @@ def measure(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> Steps
     found: dict[str, list[Relaxation]] = {"step": [], "back": []}
     for ramp, begin, end in zip(ramps, begins, ends, strict=True):
         found[ramp.phase].append(_one(run, trial, values, ramp, begin, end))
-    discard = int({**(run.plan.get("settings") or {}), **options}.get("discard", 1))
+    discard = int(settings_of(run, options).get("discard", 1))
     found = {phase: steps[discard:] for phase, steps in found.items()}
     if not found["step"] or not found["back"]:
         raise NotUsable("it holds no step there and back beyond those left out")
     place = max(i for i, ramp in enumerate(ramps) if ramp.phase == "step")
     rows = (trial.t >= ramps[place].t - 0.1 * (ends[place] - ramps[place].t)) & (trial.t < ends[place]) & trial.usable
     last = {name: column[rows] for name, column in values.items() if np.isfinite(column).all()}
-    return Steps(tuple(found["step"]), tuple(found["back"]), {"t": trial.t[rows] - ramps[place].t, **last})
+    return Steps(run, trial, tuple(found["step"]), tuple(found["back"]), {"t": trial.t[rows] - ramps[place].t, **last})
 
 
 _PHASES = ("step", "back")
@@ -120,8 +127,7 @@ def _one(
     run: RunData, trial: TrialData, values: dict[str, Array], ramp: Command, begin: float, end: float
 ) -> Relaxation:
     """The step of one command; `begin` and `end` [s] are those of the rests before and after it."""
-    rate = ramp.data.get("rate", 0.0)
-    arrived = ramp.t + (abs(ramp.value - ramp.before) / rate if rate > 0 else 0.0)
+    arrived = ends(ramp) if ramp.data.get("rate", 0.0) > 0 else ramp.t
     t, good = trial.t, trial.usable
     before = good & (t >= ramp.t - LAST * (ramp.t - begin)) & (t < ramp.t - 1e-9)
     after = good & (t >= end - LAST * (end - arrived)) & (t < end)
