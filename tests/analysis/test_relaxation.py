@@ -12,9 +12,8 @@ from scipy.signal import lfilter
 
 from pmabench.analysis.trial import Quick
 from pmabench.base.errors import InvalidFile
-from pmabench.kinds.relaxation.course import Course, Relaxing
 from pmabench.kinds.relaxation.figures import measure as at_a_glance
-from pmabench.kinds.relaxation.reduction import LINE, PRONY, reduce
+from pmabench.kinds.relaxation.reduction import LINE, PRONY, Course, Relaxing, reduce
 from pmabench.store.reader import open_run
 from tests.analysis.driven_runs import planned, recorded
 from tests.analysis.test_honesty import refuse_unexplained_moves

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.analysis.shared import student
-from pmabench.analysis.shared.projection import left_by
+from pmabench.analysis.shared.lines import left_by
 from pmabench.store.records import Array
 
 FEWEST = 6

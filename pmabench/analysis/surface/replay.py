@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pmabench.analysis.shared.samples import on_time
 from pmabench.analysis.shared.simulated import from_measured_pressure
-from pmabench.analysis.surface.record import RATE, rows_of
+from pmabench.analysis.surface.trials import RATE, rows_of
 from pmabench.model.identified.plant import force_along
 from pmabench.model.presets import Described
 from pmabench.store.records import Array, RunData, TrialData

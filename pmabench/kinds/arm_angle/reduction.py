@@ -1,6 +1,6 @@
 """Reduction of an arm's bending angle: both branches over pressure at each load, and paper 2's formula fitted to them.
 
-Knows the rests of each staircase of pressure (`stairs`); words and figure are in `view`.
+Knows the rests of each staircase of pressure (`stairs`); words and figure are in `figures`.
 """
 
 from __future__ import annotations

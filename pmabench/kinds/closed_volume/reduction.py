@@ -1,6 +1,6 @@
 """Reduction of closed volumes: V over contraction at each start pressure, whether they agree, and V(eps) through all.
 
-Knows the samples. One trial is measured in `stroke`, the curve is in `fit`, what departures do to it in `form`.
+Knows the samples. One trial, the curve, and what departures do to it are in `stroke`.
 """
 
 from __future__ import annotations

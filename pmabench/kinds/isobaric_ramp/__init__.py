@@ -1,6 +1,6 @@
 """Slow ramps of displacement at constant pressure: F over contraction, K, loop gap and work; the rubber at 0 kPa.
 
-- `reduction`, made of `cell` and `first_cycle`
+- `reduction`, made of `cell`; with the rubber, and the first loop of a rested muscle
 - protocol files: `protocol`; figures and one trial on the display: `figures`
 """
 

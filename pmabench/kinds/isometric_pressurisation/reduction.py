@@ -1,6 +1,6 @@
 """Isometric pressurisation: F(P) at each contraction, S(eps), dead band, hysteresis; F_ce and K as a cross-check.
 
-Lines at one contraction come from `isometric_lines` and `curve`, S(eps) from `daerden`, what several
+Lines at one contraction and S(eps) come from `isometric_lines` and `curve`, what several
 contractions say at one pressure from `sections`; words and figures in `figures`.
 
 What one trial says by itself, for the display.

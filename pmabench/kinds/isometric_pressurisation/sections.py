@@ -1,8 +1,6 @@
 """Isometric tests of several contractions together: F_ce and K at a pressure, blocked force, corrected threshold.
 
-Knows the mean curves of each contraction; not how they came about.
-
-Knows the mean curves of isometric tests (`isometric_sections.Cell`); the mean of filling and emptying counts.
+Knows the mean curves of each contraction, not how they came about; the mean of filling and emptying counts.
 """
 
 from __future__ import annotations

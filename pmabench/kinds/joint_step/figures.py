@@ -12,7 +12,7 @@ import numpy as np
 
 from pmabench.analysis.shared.samples import NotUsable
 from pmabench.analysis.trial import Expected, Found, Measured, Quick
-from pmabench.kinds.joint_step.course import Swung, course_of
+from pmabench.kinds.joint_step.reduction import Swung, course_of
 from pmabench.plotting import time_plots
 from pmabench.plotting.pictures import Picture, bound, has, how_many, label, numbers, panel, picture, spread
 from pmabench.store.analyses.results import Analysis, Trace

@@ -11,9 +11,8 @@ import numpy as np
 from pmabench.analysis.shared import skew
 from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.form import Doubt, weighed
-from pmabench.analysis.shared.joint import AXES, BY_PRESSURE, CUT, MUSCLES, refuse_turns
 from pmabench.analysis.shared.lines import mean_of_cycles
-from pmabench.analysis.shared.ramp_loop import Loop, Turns, measure
+from pmabench.analysis.shared.ramp_loop import AXES, BY_PRESSURE, CUT, MUSCLES, Loop, Turns, measure, refuse_turns
 from pmabench.analysis.shared.samples import NotUsable, settings_of
 from pmabench.analysis.shared.trials import grouped
 from pmabench.base.quantities import show

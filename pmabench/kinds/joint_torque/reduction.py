@@ -11,16 +11,81 @@ import numpy as np
 from pmabench.analysis.shared import skew, student
 from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.form import Doubt, weighed
-from pmabench.analysis.shared.joint import BY_PRESSURE, CUT, MUSCLES
 from pmabench.analysis.shared.lines import mean_of_cycles
+from pmabench.analysis.shared.ramp_loop import BY_PRESSURE, CUT, MUSCLES
 from pmabench.analysis.shared.samples import Left, left
 from pmabench.analysis.shared.trials import grouped, measured_trials
 from pmabench.base.quantities import show
 from pmabench.kinds.joint_torque import RESULTS
-from pmabench.kinds.joint_torque.plane import plane_estimates
 from pmabench.kinds.joint_torque.staircase import ORDERS, Staircase, staircase_of
 from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace, withhold
 from pmabench.store.records import Array, RunData, TrialData
+
+LEVELS = 3
+"""Of each pressure: with two of them a muscle that is slack at one is not seen, for a plane fits whatever it does."""
+FEWEST = 5
+"""Pairs of pressures, so that two are left to contradict the plane."""
+OFF = 2.0
+"""A torque may be off the plane by so many half widths of its interval."""
+COEFFICIENTS = (
+    ("tau_0", "N.m", "torque", 1.0),
+    ("s_1", "N.m/Pa", "torque per pressure", 1.0),
+    ("s_2", "N.m/Pa", "torque per pressure", -1.0),
+)
+
+
+def plane_estimates(torques: Sequence[Estimate], scales: Scales) -> Iterator[Estimate]:
+    """tau_0 [N m], s_1 and s_2 [N m/Pa] of tau = tau_0 + s_1 P_1 - s_2 P_2 at each angle with pairs enough.
+
+    With muscles whose force is S P + F_e these are R S_1, R S_2 and R (F_e1 - F_e2). Intervals: the wider of the
+    scatter about the plane and of the torques' own intervals, and the gains of the scales.
+    """
+    planes = []
+    for angle in sorted({e.at["angle"] for e in torques}):
+        rows = [e for e in torques if e.at["angle"] == angle and e.value is not None]
+        design = np.array([[1.0, e.at["pressure_1"], e.at["pressure_2"]] for e in rows]).reshape(-1, 3)
+        levels = [len({e.at[name] for e in rows}) for name in ("pressure_1", "pressure_2")]
+        if len(rows) < FEWEST or min(levels) < LEVELS or np.linalg.matrix_rank(design / [1.0, 1e5, 1e5]) < 3:
+            continue
+        inverse = np.linalg.pinv(design / np.array([1.0, 1e5, 1e5])) / np.array([[1.0], [1e5], [1e5]])
+        planes.append((angle, rows, design, inverse))
+    terms = np.array([inverse @ [e.value for e in rows] for _, rows, _, inverse in planes])
+    over = np.gradient(terms, [angle for angle, *_ in planes], axis=0) if len(planes) > 1 else np.zeros_like(terms)
+    for (angle, rows, design, inverse), by_angle in zip(planes, over, strict=True):
+        yield from _plane(angle, rows, design, inverse, by_angle, scales)
+
+
+def _plane(
+    angle: float, rows: Sequence[Estimate], design: Array, inverse: Array, by_angle: Array, scales: Scales
+) -> Iterator[Estimate]:
+    """The terms at one angle; `by_angle`, shape (3,), is their change with it."""
+    tau = np.array([e.value for e in rows])
+    own = np.array([replace(e.parts, calibration=None).combined or 0.0 for e in rows])
+    terms = inverse @ tau
+    residual = tau - design @ terms
+    freedom = len(rows) - 3
+    spread = float(student.ppf(0.975, freedom)) * float(np.sqrt(residual @ residual / freedom))
+    worst = int(np.argmax(np.abs(residual) - OFF * own))
+    why = ""
+    if abs(residual[worst]) > OFF * own[worst]:
+        where = " and ".join(show(rows[worst].at[name], "pressure") for name in ("pressure_1", "pressure_2"))
+        off, half = (show(float(value), "torque", 2) for value in (abs(residual[worst]), own[worst]))
+        why = (
+            f"the torque at {where} is {off} off a plane over the pressures, "
+            f"and known to {half}: a muscle is slack, or not linear in its pressure"
+        )
+    trials = tuple(name for e in rows for name in e.trials)
+    for (symbol, unit, quantity, sign), term, row, over in zip(COEFFICIENTS, terms, inverse, by_angle, strict=True):
+        repeats = max(spread * float(np.linalg.norm(row)), float(np.linalg.norm(row * own)))
+        value = sign * float(term)
+        gains = {"torque": value} | ({} if symbol == "tau_0" else {f"pressure_{symbol[-1]}": value})
+        offsets = {name: float(terms[n]) for n, name in ((1, "pressure_1"), (2, "pressure_2")) if symbol == "tau_0"}
+        offsets |= {"torque": 1.0 if symbol == "tau_0" else 0.0, "angle": float(over)}
+        gains["angle"] = float(over) * angle
+        parts = Parts(repeats, None, scales.part(gains, offsets))
+        one = Estimate(symbol, value, unit, quantity, "plane", {"angle": angle}, parts, len(rows), trials=trials)
+        yield withhold(one, why) if why else one
+
 
 KIND = "joint-torque"
 SIDES, GAP, SLOPE = "both sides", "gap", "polynomial"

@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from pmabench.analysis.shared.joint import AXES, CUT, MUSCLES, refuse_turns
-from pmabench.analysis.shared.ramp_loop import Turns, on_grid, turns_of
+from pmabench.analysis.shared.ramp_loop import AXES, CUT, MUSCLES, Turns, on_grid, refuse_turns, turns_of
 from pmabench.analysis.shared.samples import (
     Held,
     NotUsable,

@@ -16,7 +16,6 @@ from pmabench.analysis.shared.trials import grouped, measured_trials
 from pmabench.base.errors import UsageError
 from pmabench.base.quantities import show
 from pmabench.kinds.platform_step import RESULTS
-from pmabench.kinds.platform_step.accelerometer import Seen, seen_in
 from pmabench.kinds.platform_step.course import (
     ACCELERATIONS,
     BAND,
@@ -25,7 +24,9 @@ from pmabench.kinds.platform_step.course import (
     VALVES,
     Course,
     G,
+    Seen,
     course_of,
+    seen_in,
     wanted,
 )
 from pmabench.model.platform_control import Lags

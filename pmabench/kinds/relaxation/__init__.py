@@ -1,6 +1,6 @@
 """A step to a pressure at a set contraction, held for minutes: how the rubber relaxes.
 
-- `reduction`, made of `course`: one trial, with a straight line over log t, exponentials, their noise
+- `reduction`: one trial, with a straight line over log t, exponentials and their noise; then all of a point
 - protocol files: `protocol`; figure and one trial on the display: `figures`
 """
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from pmabench.analysis.shared.samples import NotUsable
 from pmabench.analysis.trial import Expected, Found, Measured, Quick
-from pmabench.kinds.relaxation.course import measure as course_of
+from pmabench.kinds.relaxation.reduction import measure as course_of
 from pmabench.plotting import plots
 from pmabench.plotting.pictures import Picture, bound, column, has, head, how_many, numbers, picture, spread, unit_of
 from pmabench.plotting.plots import Points

@@ -1,6 +1,6 @@
 """Steps of displacement at constant pressure: stiffness at the peak and relaxed.
 
-- `reduction`, made of `relaxation`
+- `reduction`: one step, there or back; then all of a cell
 - protocol files: `protocol`; figures and one trial on the display: `figures`
 """
 
@@ -36,7 +36,7 @@ KIND = Kind(
     live="pmabench.kinds.step_displacement.figures:measure",
     moves="displacement",
     compares="force",
-    repeated="pmabench.kinds.step_displacement.relaxation:stiffness_of",
+    repeated="pmabench.kinds.step_displacement.reduction:stiffness_of",
     repeated_is="stiffness",
     word="step of displacement",
     offers="pmabench.kinds.step_displacement.reduction:offers",
