@@ -25,6 +25,7 @@ from pmabench.analysis.model_problem import (
     starts_of,
 )
 from pmabench.analysis.shared import student
+from pmabench.analysis.shared.calibration import listed
 from pmabench.model.library import Model
 from pmabench.store.analyses.results import Finding
 from pmabench.store.records import Array
@@ -110,15 +111,13 @@ class ModelFit:
         Raises OutsideDomain where the model does not hold.
         """
         at = np.array([u.value for u in self.unknowns])
-        names = [u.name for u in self.unknowns]
-        problem = Problem(self.model, self.output, names, dict(self.fixed) | dict(values), None)
+        problem = Problem(self.model, self.output, [u.name for u in self.unknowns], {**self.fixed, **values}, None)
         middle = problem.output_at(at)
         if not np.isfinite(self.covariance).all():
             return middle, None
         slope = problem.slopes(at)
-        return middle, float(student.ppf(0.975, self.freedom)) * np.sqrt(
-            np.maximum(np.einsum("ij,jk,ik->i", slope, self.covariance, slope), 0)
-        )
+        variance = np.maximum(np.einsum("ij,jk,ik->i", slope, self.covariance, slope), 0)
+        return middle, float(student.ppf(0.975, self.freedom)) * np.sqrt(variance)
 
 
 def fit_model(
@@ -152,7 +151,7 @@ def fit_model(
     ends = [*better, *ends]
     best = ends[0] if better else best
     computed = problem.output_at(best[1])
-    at_end = [_at_end(problem, i, float(value)) for i, value in enumerate(best[1])]
+    at_end = _at_ends(problem, best[1])
     findings = identifiability(unknown, spread, intervals, at_end)
     findings += _other_minima(unknown, ends, best, spread, problem, freedom)
     findings += _of_residuals(computed - measured, exact=exact, freedom=freedom)
@@ -283,11 +282,14 @@ def _same(end: End, best: End, spread: Spread, size: Array) -> bool:
     )
 
 
-def _at_end(problem: Problem, i: int, value: float) -> str:
-    for end, word in ((problem.low[i], "lower"), (problem.high[i], "upper")):
-        if isfinite(end) and abs(value - end) < SAME * problem.size[i]:
-            return f"at the {word} end of its domain"
-    return ""
+def _at_ends(problem: Problem, at: Array) -> list[str]:
+    """Whether each unknown ended at an end of its domain, in words."""
+    words = []
+    for value, low, high, size in zip(at, problem.low, problem.high, problem.size, strict=True):
+        ends = {"lower": low, "upper": high}
+        near = [word for word, end in ends.items() if isfinite(end) and abs(value - end) < SAME * size]
+        words.append(f"at the {near[0]} end of its domain" if near else "")
+    return words
 
 
 def _other_minima(
@@ -305,7 +307,7 @@ def _other_minima(
         ]
         if end[2] and best[0] < end[0] * (1 - 1e-6) and end[0] < best[0] * ratio and far:
             more = sqrt(end[0] / best[0])
-            text = f"other values of {_list(far)} fit nearly as well (residual {more:.3g} times as large)"
+            text = f"other values of {listed(far)} fit nearly as well (residual {more:.3g} times as large)"
             return [Finding("doubt", f"{text}; data over a wider range would separate them")]
     return []
 
@@ -352,7 +354,3 @@ def _follows(problem: Problem, at: Array, spread: Spread, freedom: int) -> tuple
         value = float(values[0])
         found.append(Follows(output.name, value, error, None if half is None else (value - half, value + half)))
     return tuple(found)
-
-
-def _list(names: Sequence[str]) -> str:
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"

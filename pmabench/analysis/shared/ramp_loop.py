@@ -99,13 +99,11 @@ def turns_of(x: Array, gap: Array, lower: float, upper: float) -> Turns | None:
     return None
 
 
-def possible_turns(x: Array, gap: Array, lower: float, upper: float) -> Turns | None:
-    """The turns that fit a gap of one width best, whether something else in it is larger or not; None without a gap."""
-    return _found(x, gap, lower, upper, 0)[0]
-
-
 def _found(x: Array, gap: Array, lower: float, upper: float, order: int) -> tuple[Turns | None, bool]:
-    """The turns where the gap of the open loop is a polynomial of `order` over the stroke, and whether they show."""
+    """The turns where the gap of the open loop is a polynomial of `order` over the stroke, and whether they show.
+
+    Without those that show, something else in the gap is larger; None without a gap.
+    """
     from scipy.optimize import minimize_scalar  # takes long to import, and most kinds have no ramps
 
     z = (2 * x - lower - upper) / (upper - lower)
@@ -244,12 +242,12 @@ def measure(run: RunData, trial: TrialData, discard: int, turn: float, axes: Axe
         raise NotUsable("nothing is left of the stroke between its ends")
     X, Y = on_time(run, trial, axes.moved), on_time(run, trial, axes.pulls)
     P = np.mean([on_time(run, trial, name) for name in axes.pressures], axis=0)
-    branches: dict[str, list[Array]] = {axes.rises: [], axes.falls: []}
-    pressures: dict[str, list[float]] = {axes.rises: [], axes.falls: []}
+    branches: tuple[list[Array], list[Array]] = ([], [])
+    pressures: tuple[list[float], list[float]] = ([], [])
     speeds, given, lost = [], [], []
     last: tuple[Array, Array] = (np.empty(0), np.empty(0))
     for contract, expand, end in cycles:
-        for phase, begin, until in ((axes.rises, contract.t, expand.t), (axes.falls, expand.t, end)):
+        for phase, (begin, until) in enumerate(((contract.t, expand.t), (expand.t, end))):
             rows = _between(trial, begin, until)
             x, F = X[rows], Y[rows]
             moved = (x >= grid[0]) & (x <= grid[-1])
@@ -264,7 +262,7 @@ def measure(run: RunData, trial: TrialData, discard: int, turn: float, axes: Axe
         lost.append(lost_work(*last))
         rows = _between(trial, contract.t, expand.t)
         given.append(float(np.trapezoid(Y[rows], X[rows])))
-    contracting, expanding = np.array(branches[axes.rises]), np.array(branches[axes.falls])
+    contracting, expanding = (np.array(branch) for branch in branches)
     known = _reached(contracting + expanding, trial, Y[whole], axes)
     contracting, expanding, x = contracting[:, known], expanding[:, known], grid[known]
     level = 0.5 * (contracting + expanding).mean(axis=1)
@@ -274,14 +272,9 @@ def measure(run: RunData, trial: TrialData, discard: int, turn: float, axes: Axe
     fades = 0.02 * (upper - lower) if turns is None else turns.w
     moments = sorted([expand.t for _, expand, _ in cycles] + [contract.t for contract, _, _ in cycles[1:]])
     return Loop(
-        turns=turns,
-        possible=turns or possible_turns(x, gap, lower, upper),
-        x=x,
-        contracting=contracting,
-        expanding=expanding,
-        speed=speed,
-        pressure=float(np.mean(pressures[axes.rises] + pressures[axes.falls])),
-        apart=float(np.mean(pressures[axes.falls]) - np.mean(pressures[axes.rises])),
+        x, contracting, expanding, turns, turns or _found(x, gap, lower, upper, 0)[0], speed,
+        pressure=float(np.mean(pressures[0] + pressures[1])),
+        apart=float(np.mean(pressures[1]) - np.mean(pressures[0])),
         given=np.array(given),
         lost=np.array(lost) - 0.5 * drift * (upper - lower),
         last=last,
@@ -289,7 +282,7 @@ def measure(run: RunData, trial: TrialData, discard: int, turn: float, axes: Axe
         drift=drift,
         late=_late(run, trial, (X, Y), moments, fades / speed, axes),
         ends=(lower, upper),
-    )
+    )  # fmt: skip
 
 
 def _reached(forces: Array, trial: TrialData, seen: Array, axes: Axes) -> NDArray[np.bool_]:
@@ -412,14 +405,12 @@ def refuse_turns(turns: Turns | None, half: float, gap: float, noise: float) -> 
             "the torque is larger while the angle rises, and no muscles give work back like that: look for a wrong "
             "sign, or angle and torque that are apart in time"
         )
+    why = ""
     if turns is None and seen > noise:
-        raise NotUsable(
-            f"the sweep of +-{show(half, 'angle', 3)} is too small for the hysteresis: its branches are never "
-            "parallel, and their slope is that of the turns, not the stiffness; sweep at least three times as far, or "
-            "look for a filter on the torque"
-        )
-    if turns is None and half < SMALLEST:
-        raise NotUsable(
-            f"the sweep of +-{show(half, 'angle', 3)} is too small for the hysteresis: it shows no gap, and "
-            f"may be three times as steep as the joint is stiff; sweep at least +-{show(SMALLEST, 'angle', 3)}"
-        )
+        why = "its branches are never parallel, and their slope is that of the turns, not the stiffness; "
+        why += "sweep at least three times as far, or look for a filter on the torque"
+    elif turns is None and half < SMALLEST:
+        why = "it shows no gap, and may be three times as steep as the joint is stiff; sweep at least "
+        why += f"+-{show(SMALLEST, 'angle', 3)}"
+    if why:
+        raise NotUsable(f"the sweep of +-{show(half, 'angle', 3)} is too small for the hysteresis: {why}")

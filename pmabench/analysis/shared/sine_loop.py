@@ -163,19 +163,14 @@ def evaluate(
     left = x - means[0] - np.real(X * np.exp(1j * omega * t))
     whole = max(1, round((t[-1] - t[0]) * frequency))
     edges = np.searchsorted(t, t[0] + np.arange(whole + 1) / frequency - 1e-9)
-    ratio, size, area, width = [], [], [], []
+    rows = []
     for first, last in pairwise(edges):
         one = slice(int(first), int(last))
         _, a = three_parameter(t[one], both[one], frequency)
-        ratio.append(complex(a[1] / a[0]))
-        size.append(abs(complex(a[0])))
-        area.append(lost_work(x[one], F[one]))
-        width.append(_width(t[one], x[one], F[one], float(means[0]), X, omega))
+        width = _width(t[one], x[one], F[one], float(means[0]), X, omega)
+        rows.append((complex(a[1] / a[0]), abs(complex(a[0])), lost_work(x[one], F[one]), width))
     return Sine(
-        t=t,
-        x=x,
-        F=F,
-        frequency=frequency,
+        t, x, F, frequency,
         mean=float(means[0]),
         amplitude=abs(X),
         ratio=complex(amplitudes[1] / amplitudes[0]),
@@ -185,8 +180,8 @@ def evaluate(
         distortion=float(np.sqrt(2.0 * np.mean(left**2))) / abs(X),
         area=lost_work(x, F) / whole,
         width=_width(t, x, F, float(means[0]), X, omega),
-        cycles=Cycles(np.array(ratio), np.array(size), np.array(area), np.array(width)),
-    )
+        cycles=Cycles(*(np.array(column) for column in zip(*rows, strict=True))),
+    )  # fmt: skip
 
 
 def lost_work(x: Array, F: Array) -> float:

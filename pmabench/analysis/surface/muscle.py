@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy.interpolate import BSpline
@@ -16,6 +17,8 @@ from pmabench.model.identified.muscle import IdentifiedMuscle, Splines, Weights
 from pmabench.store.records import Array
 
 DEGREE = 3
+SECANT_PLACES = 41
+"""Contractions through which a straight line is laid."""
 SLIDES = 0.0003
 """Half the way over which friction turns round that counts as turning at once, as a share of the range of x."""
 WIDTHS_X = (0.003, 0.01, 0.03, 0.08, 0.23)
@@ -184,23 +187,16 @@ def memory(records: Sequence[Record], frame: Frame) -> Memory:
 
 def chains(records: Sequence[Record]) -> list[list[Record]]:
     """Records that go on one after the other, together."""
-    found: list[list[Record]] = []
-    for record in records:
-        if record.goes_on and found:
-            found[-1].append(record)
-        else:
-            found.append([record])
-    return found
+    begins = [i for i, record in enumerate(records) if not (i and record.goes_on)]
+    return [list(records[first:last]) for first, last in pairwise([*begins, len(records)])]
 
 
 def stops(u: Array, radii: Array, start: Array) -> Array:
     """Stop operators of half widths `radii` (m,) along u (n,), over their half widths, from `start` (m,) on; (n, m)."""
     found = np.empty((len(u), len(radii)))
-    state = np.array(start, dtype=np.float64)
-    found[0] = state
+    found[0] = state = np.array(start, dtype=np.float64)
     for row, change in enumerate(np.diff(u)[:, None] / radii, start=1):
-        state = np.minimum(1.0, np.maximum(-1.0, state + change))
-        found[row] = state
+        found[row] = state = np.minimum(1.0, np.maximum(-1.0, state + change))
     return found
 
 
@@ -208,15 +204,13 @@ def lags(t: Array, u: Array, start: Array | float = 0.0) -> Array:
     """First-order lags of u (n,) at t (n,) [s] for each of `TIMES`, from `start` on; shape (n, number)."""
     T = np.array(TIMES)
     found = np.empty((len(u), len(T)))
-    state = np.zeros(len(T)) + start
-    found[0] = state
+    found[0] = state = np.zeros(len(T)) + start
     steps = np.maximum(np.diff(t), 1e-9)[:, None]
     keep = np.exp(-steps / T)
     rise = 1.0 - (T / steps) * (1.0 - keep)
     add = u[:-1, None] * (1.0 - keep - rise) + u[1:, None] * rise
     for row in range(len(u) - 1):
-        state = keep[row] * state + add[row]
-        found[row + 1] = state
+        found[row + 1] = state = keep[row] * state + add[row]
     return found
 
 
@@ -253,10 +247,10 @@ class Muscle:
         """Minus the slope of the surface over contraction [N/m], shape (n,)."""
         return np.asarray(-self.frame.slope(P, x) @ self.weights[SURFACE])
 
-    def secant(self, P: float, first: float, last: float, places: int = 41) -> float:
+    def secant(self, P: float, first: float, last: float) -> float:
         """Minus the slope of the least-squares straight line through the surface between two contractions [N/m]."""
-        x = np.linspace(first, last, places)
-        return float(-np.polyfit(x - x.mean(), self.static(np.full(places, P), x), 1)[0])
+        x = np.linspace(first, last, SECANT_PLACES)
+        return float(-np.polyfit(x - x.mean(), self.static(np.full(SECANT_PLACES, P), x), 1)[0])
 
     def force(self, records: Sequence[Record]) -> Array:
         """Force [N] along the rows of records, one after the other, shape (n,)."""
@@ -286,18 +280,14 @@ class Muscle:
     def creep_per_decade(self, first: float, last: float) -> float:
         """Contraction that creep adds in each decade between two times [s] after a step, over that of the step [1]."""
         weights = self.weights.get(CREEP_X)
-        if weights is None:
-            return 0.0
-        T = np.array(TIMES)
-        return float((LAW @ weights) @ (np.exp(-first / T) - np.exp(-last / T)) / np.log10(last / first))
+        return 0.0 if weights is None else float((LAW @ weights) @ _risen(first, last) / np.log10(last / first))
 
     def pressure_creep_per_decade(self, x: float, first: float, last: float) -> float:
         """Force that creep adds in each decade between two times [s] after a step, per step of pressure [N/Pa]."""
         weights = self.weights.get(CREEP_P)
         if weights is None:
             return 0.0
-        T = np.array(TIMES)
-        risen = (np.exp(-first / T) - np.exp(-last / T)) @ LAW / np.log10(last / first)
+        risen = _risen(first, last) @ LAW / np.log10(last / first)
         share = self.frame.x.share(np.array([x]))
         return float((between(share, risen[None, :]) @ weights)[0]) / max(self.frame.P.span, 1.0)
 
@@ -315,48 +305,33 @@ class Muscle:
 
     def straight_form(self) -> dict[str, list[float]]:
         """Pressures [Pa] and there F_ce [N], K [N/m], B_c, B_r [N.s/m] and F_c [N], of a muscle of straight lines."""
-        pressures = self.frame.pressures
-        F_ce, K = self.weights[STRAIGHT].reshape(2, -1)
-        damping = [self.damping(float(P)) for P in pressures]
-        return {
-            "pressure": pressures.tolist(),
-            "F_ce": F_ce.tolist(),
-            "K": K.tolist(),
-            "B_c": [both[0] for both in damping],
-            "B_r": [both[1] for both in damping],
-            "F_c": [self.friction(float(P)) for P in pressures],
-        }
+        pressures = self.frame.pressures.tolist()
+        F_ce, K = self.weights[STRAIGHT].reshape(2, -1).tolist()
+        B_c, B_r = (list(each) for each in zip(*(self.damping(P) for P in pressures), strict=True))
+        F_c = [self.friction(P) for P in pressures]
+        return {"pressure": pressures, "F_ce": F_ce, "K": K, "B_c": B_c, "B_r": B_r, "F_c": F_c}
 
     def identified(self, name: str) -> IdentifiedMuscle:
         """The same muscle as a model, which needs no record to go along."""
-        frame, weights = self.frame, self.weights
+        frame, weights, times = self.frame, self.weights, np.array(TIMES)
         low, high = frame.P.low, frame.P.high
 
         def of(term: str, number: int) -> Array:
             return weights.get(term, np.zeros(2 * number)).reshape(2, -1)
 
-        number = len(frame.pressure_radii)
+        def splines(axis: Axis) -> Splines:
+            whole = tuple(axis.low + axis.span * share for share in axis.shares)
+            return Splines(whole if axis.span > 0 else (axis.low,))
+
         creep = LAW @ weights.get(CREEP_X, np.zeros(LAW.shape[1]))
         under = of(CREEP_P, LAW.shape[1]) @ LAW.T / max(frame.P.span, 1.0)
-        ends = [self.damping(P) for P in (low, high)]
+        B_c, B_r = zip(self.damping(low), self.damping(high), strict=True)
         return IdentifiedMuscle(
-            name,
-            Splines(tuple(low + frame.P.span * share for share in frame.P.shares) if frame.P.span > 0 else (low,)),
-            Splines(
-                tuple(frame.x.low + frame.x.span * share for share in frame.x.shares)
-                if frame.x.span > 0
-                else (frame.x.low,)
-            ),
-            weights[SURFACE].reshape(frame.P.size, frame.x.size),
+            name, splines(frame.P), splines(frame.x), weights[SURFACE].reshape(frame.P.size, frame.x.size),
             Weights(frame.radii, self._stops_x(low), self._stops_x(high)),
-            Weights(frame.pressure_radii, *of(STOPS_P, number)),
-            (ends[0][0], ends[1][0]),
-            (ends[0][1], ends[1][1]),
-            Weights(np.array(TIMES), creep, creep),
-            Weights(np.array(TIMES), *under),
-            FAST,
-            SETTLED,
-        )
+            Weights(frame.pressure_radii, *of(STOPS_P, len(frame.pressure_radii))),
+            B_c, B_r, Weights(times, creep, creep), Weights(times, *under), FAST, SETTLED,
+        )  # fmt: skip
 
     def _stops_x(self, P: float) -> Array:
         """Weight of each stop on contraction at a pressure [N]."""
@@ -366,6 +341,11 @@ class Muscle:
         if STOPS_X in self.weights:
             found[1:] = between(share, np.eye(len(found) - 1)) @ self.weights[STOPS_X]
         return found
+
+
+def _risen(first: float, last: float) -> Array:
+    """What each lag of `TIMES` rises by between two times [s] after a step [1]."""
+    return np.asarray(np.exp(-first / np.array(TIMES)) - np.exp(-last / np.array(TIMES)))
 
 
 Stiffness = Callable[[Array, Array], Array]
