@@ -54,6 +54,11 @@ class Gas:
     atmosphere: float
     exponent: float
 
+    @classmethod
+    def of(cls, settings: Mapping[str, Any]) -> Gas:
+        """What the plan gives."""
+        return cls(*(float(settings[name]) for name in ("reference_volume", "dead_volume", "atmosphere", "exponent")))
+
 
 @dataclass(frozen=True, eq=False)
 class Stroke:
@@ -126,14 +131,10 @@ def measure(run: RunData, trial: TrialData, settings: Mapping[str, Any]) -> Stro
     paid = np.concatenate(([0.0], np.cumsum(0.5 * (flow[1:] + flow[:-1]) * np.diff(t))))
     low, high, every = ramps[0].before, ramps[0].value, float(settings["every"])
     grid = np.asarray(low + every * np.arange(int((high - low) / every + 1e-6) + 1), dtype=np.float64)
-    pressures, integrals = [], []
-    for ramp, end in zip(ramps, arrived, strict=True):
-        rows = np.flatnonzero(good & (t >= ramp.t) & (t <= end + 1e-9))
-        values = [_about(x[rows], y[rows], grid, every) for y in (P, paid)]
-        pressures.append(values[0])
-        integrals.append(values[1])
+    ways = [np.flatnonzero(good & (t >= ramp.t) & (t <= ends(ramp) + 1e-9)) for ramp in ramps]
+    both = np.array([[_about(x[rows], y[rows], grid, every) for y in (P, paid)] for rows in ways])
     stroke = Stroke(
-        trial, grid, np.array(pressures), np.array(integrals), float(paid[last].mean()), before, after,
+        trial, grid, both[:, 0], both[:, 1], float(paid[last].mean()), before, after,
         np.array([[P[rows].mean(), paid[rows].mean()] for rows in between]).reshape(-1, 2),
         tuple(Held.of(t[rows], P[rows], float(t[rows[0]])) for rows in at_far), noise_of(P[first]), len(first),
     )  # fmt: skip
@@ -227,11 +228,10 @@ class Form:
         """Of the volume at one start pressure and contraction."""
         P, place = round(e.at["pressure"], 6), int(np.argmin(np.abs(self.x - e.at["contraction"])))
         size = abs(e.value or 0.0)
-        found = [
-            Doubt(name, PARTS[name], size * abs(float(share[place])), name in self.seen[P],
-                  ADVICE[name].format(f"{float(np.abs(share).max()):.2%}"))
-            for name, share in self.shares[P].items()
-        ]  # fmt: skip
+        found = []
+        for name, share in self.shares[P].items():
+            reason = ADVICE[name].format(f"{float(np.abs(share).max()):.2%}")
+            found.append(Doubt(name, PARTS[name], size * abs(float(share[place])), name in self.seen[P], reason))
         if not leak:
             lost = abs(float(self.leaked[P][place]))
             reason = f"no leak is taken out, and what leaked makes the volume {lost:.2%} larger. Look for the leak"
@@ -244,19 +244,15 @@ class Form:
         found = []
         for name in ADVICE:
             share = np.mean([shares[name] for shares in self.shares.values()], axis=0)
-            shapes = [np.ones(len(share))] if name == ROOM else _shapes(len(share))
+            # an effect of known size may go over the contractions with one sign, with two, and so on
+            along = np.pi * np.linspace(0.0, 1.0, len(share))
+            shapes = [np.ones(len(share))] if name == ROOM else [np.cos(order * along) for order in range(5)]
             moved = [fit_volume(self.x / length, self.volumes * (1 + shape * share), length) for shape in shapes]
             if base is None or None in moved:
                 continue
             half = hypot(*(one[index] - base[index] for one in moved if one is not None))
             found.append(Doubt(name, PARTS[name], half, any(name in names for names in self.seen.values())))
         return found
-
-
-def _shapes(n: int) -> list[Array]:
-    """Ways in which an effect of known size may go over `n` contractions: with one sign, with two, and so on."""
-    along = np.pi * np.linspace(0.0, 1.0, n)
-    return [np.cos(order * along) for order in range(5)]
 
 
 def form_of(cells: Mapping[float, Sequence[Stroke]], gas: Gas) -> Form:
@@ -281,17 +277,17 @@ def form_of(cells: Mapping[float, Sequence[Stroke]], gas: Gas) -> Form:
 def _of_one(strokes: Sequence[Stroke], gas: Gas) -> tuple[dict[str, Array], set[str]]:
     """Shares of the volume at one start pressure, and what is seen."""
     seen = set()
+    noise = _noise(strokes, gas)
     by_way = np.array([one.by(one.P, one.paid, gas) for one in strokes])
     V = by_way.mean(axis=(0, 1))
     gaps = (by_way[:, 0::2] - by_way[:, 1::2]).reshape(-1, len(V)) / V
     gap = gaps.mean(axis=0)
-    error = _noise(strokes, gas) * sqrt(2 / len(gaps))
-    if float(np.abs(gap).max()) > SURE * error:
+    if float(np.abs(gap).max()) > SURE * (noise * sqrt(2 / len(gaps))):
         seen.add(BOTH_WAYS)
     shares = {BOTH_WAYS: 0.5 * np.abs(gap)}
     returns = np.array([one.by(one.returns[:, 0], one.returns[:, 1], gas) for one in strokes]) / gas.reference - 1
     most = float(np.abs(returns.mean(axis=0)).max(initial=0.0))
-    if most > SURE * _noise(strokes, gas) * sqrt(1.5 / len(strokes)):
+    if most > SURE * noise * sqrt(1.5 / len(strokes)):
         seen.add(BETWEEN)
     shares[BETWEEN] = np.full(len(V), most)
     further = left([held for one in strokes for held in one.far])

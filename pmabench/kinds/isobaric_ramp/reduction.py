@@ -11,7 +11,7 @@ Knows the samples and the protocol's settings. One trial is measured in `ramp_lo
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from math import hypot, sqrt
 from typing import Any
 
@@ -20,7 +20,7 @@ from scipy.optimize import least_squares
 
 from pmabench.analysis.shared import skew, student
 from pmabench.analysis.shared.calibration import Scales, sentences
-from pmabench.analysis.shared.lines import Line, mean_of_cycles
+from pmabench.analysis.shared.lines import mean_of_cycles
 from pmabench.analysis.shared.ramp_loop import Loop, measure_as_planned
 from pmabench.analysis.shared.samples import NotUsable, settings_of
 from pmabench.analysis.shared.trials import grouped, measured_trials
@@ -59,28 +59,25 @@ class Wider:
 
 def first_cycle(runs: Sequence[RunData], cells: Sequence[Cell], options: Mapping[str, Any]) -> Iterator[Estimate]:
     """The coefficient of each cell that holds the first loops of a run; none where no rest before them is recorded."""
-    firsts = {min(run.trials, key=_begin).name for run in runs if run.trials and _rest(run)}
+
+    def begin(trial: TrialData) -> float:
+        return float(trial.t[0]) if len(trial.t) else np.inf
+
+    firsts = {min(run.trials, key=begin).name for run in runs if run.trials and _rest(run)}
     for cell in cells:
         if cell.upside_down or not (members := [m for m in cell.members if m.trial.name in firsts]):
             continue
         found = [_wider(member, options) for member in members]
         known = [one for one in found if isinstance(one, Wider)]
-        lacks = ONE_SPEED if cell.one_speed else "" if _known(cell.gap) else NO_HYSTERESIS
+        # whether the gap at speed 0 is known well enough to be what another one is a share of
+        sure = cell.gap.half_start is not None and cell.gap.half_start < FADED * cell.gap.start
+        lacks = ONE_SPEED if cell.one_speed else "" if sure else NO_HYSTERESIS
         if len(known) < len(found) or lacks:
             why = next((one for one in found if isinstance(one, str)), lacks)
             trials = tuple(m.trial.name for m in members)
             yield Estimate(SYMBOL, None, "1", "ratio", GAP, dict(cell.at), n=len(found), note=why, trials=trials)
         else:
             yield _estimate(cell, known)
-
-
-def _known(gap: Line) -> bool:
-    """Whether the gap at speed 0 is known well enough to be what another one is a share of."""
-    return gap.half_start is not None and gap.half_start < FADED * gap.start
-
-
-def _begin(trial: TrialData) -> float:
-    return float(trial.t[0]) if len(trial.t) else np.inf
 
 
 def _rest(run: RunData) -> float:
@@ -140,7 +137,6 @@ def _estimate(cell: Cell, known: Sequence[Wider]) -> Estimate:
 
 
 METHOD = "rubber term"
-NAMES = ("A", "B1", "B2")
 KINDS: Mapping[str, tuple[str, str]] = {"A": ("N", "force"), "B1": ("1", "ratio"), "B2": ("1", "ratio")}
 NORMAL = 1.96
 WIDE = 0.25
@@ -154,22 +150,6 @@ SHORT = "needs a stretch that comes close to the pole at -B2, and a longer range
 
 
 @dataclass(frozen=True)
-class Rubber:
-    """What came out."""
-
-    estimates: list[Estimate] = field(default_factory=list)
-    findings: list[Finding] = field(default_factory=list)
-    traces: list[Trace] = field(default_factory=list)
-
-
-def rubber_force(eps: Array, A: float, B1: float, B2: float) -> Array:
-    """F_e [N] at contractions eps [1] (paper 3 eq. 8)."""
-    from pmabench.model.library.daerden import rubber_force as model
-
-    return model(eps, np.float64(A), np.float64(B1), np.float64(B2))  # type: ignore[arg-type]
-
-
-@dataclass(frozen=True)
 class Fit:
     """What least squares say."""
 
@@ -179,6 +159,13 @@ class Fit:
     """Of what is left [N]."""
     misfit: Array
     """Half widths that a misfit of that size makes of the terms, shape (3,)."""
+
+
+def rubber_force(eps: Array, A: float, B1: float, B2: float) -> Array:
+    """F_e [N] at contractions eps [1] (paper 3 eq. 8)."""
+    from pmabench.model.library.daerden import rubber_force as model
+
+    return model(eps, np.float64(A), np.float64(B1), np.float64(B2))  # type: ignore[arg-type]
 
 
 def fit(eps: Array, F: Array) -> Fit:
@@ -214,70 +201,50 @@ def fit(eps: Array, F: Array) -> Fit:
     return Fit(terms, rms, NORMAL * rms * np.sqrt(len(eps) * np.diag(inverse)) * np.abs(terms))
 
 
-def rubber(cell: Cell, scales: Scales) -> Rubber:
+def rubber(cell: Cell, scales: Scales) -> tuple[list[Estimate], list[Finding], list[Trace]]:
     """A, B1, B2 and the force along the stretch from the loops without pressure."""
     length = _length(cell)
     if length is None:
-        return Rubber(findings=[Finding("note", "no rubber term: the record tells no nominal length of the specimen")])
+        return [], [Finding("note", "no rubber term: the record tells no nominal length of the specimen")], []
     eps = cell.x / length
     if len(eps) < FEWEST or float(np.ptp(cell.curve)) <= 6 * max(m.loop.noise for m in cell.members):
-        return Rubber(findings=[Finding("doubt", "no rubber term: the force at 0 kPa does not rise above its noise")])
+        return [], [Finding("doubt", "no rubber term: the force at 0 kPa does not rise above its noise")], []
     whole = fit(eps, cell.curve)
     terms, rms = whole.terms, whole.rms
+    A, B1, B2 = (float(value) for value in terms)
+    # whether the search ended at the end of what it may try
+    at_bound = B1 > 0.999 or B1 < 2e-3 or B2 > 1.99 or B2 < -float(eps.min()) + 2e-5
     each = [[fit(eps, curve).terms for curve in member.loop.mean] for member in cell.members]
     trials = tuple(member.trial.name for member in cell.members)
     found: list[Estimate] = []
-    unknown = []
-    for place, name in enumerate(NAMES):
-        by_trial = [np.array([one[place] for one in cycles]) for cycles in each]
-        _, half = mean_of_cycles(by_trial)
-        value, misfit = float(terms[place]), float(whole.misfit[place])
-        part = scales.part({"force": value}) if name == "A" else scales.part({"displacement": value})
-        parts = Parts(half, misfit, part)
+    for place, (name, (unit, quantity)) in enumerate(KINDS.items()):
+        _, half = mean_of_cycles([np.array([one[place] for one in cycles]) for cycles in each])
+        value = float(terms[place])
+        part = scales.part({"force" if name == "A" else "displacement": value})
+        parts, note = Parts(half, float(whole.misfit[place]), part), "eps as a fraction of the nominal length"
+        e = Estimate(name, value, unit, quantity, METHOD, {}, parts, len(trials), note=note, trials=trials)
         wide = parts.combined
-        if wide is None or wide > WIDE * abs(value) or _at_bound(terms, eps):
-            unknown.append(name)
-            how = "one loop tells no scatter" if wide is None else f"{_text(name, value)} within {_text(name, wide)}"
-            found.append(
-                Estimate(name, None, *KINDS[name], METHOD, n=len(trials), trials=trials,
-                         note=f"not identifiable ({how}): {SHORT}")
-            )  # fmt: skip
-            continue
-        note = "eps as a fraction of the nominal length"
-        found.append(Estimate(name, value, *KINDS[name], METHOD, {}, parts, len(trials), note=note, trials=trials))
-    findings = []
+        if wide is None or wide > WIDE * abs(value) or at_bound:
+            texts = [show(one, quantity, 3) for one in (value, wide or 0.0)]
+            how = "one loop tells no scatter" if wide is None else " within ".join(texts)
+            e = replace(e, value=None, parts=Parts(), note=f"not identifiable ({how}): {SHORT}")
+        found.append(e)
     reach = f"{show(rms, 'force', 2)} rms, from {100 * eps[0]:.3g} to {100 * eps[-1]:.3g} %"
-    if unknown:
-        named = " and ".join(unknown)
-        text = f"rubber term: {named} not identifiable, it {SHORT}; the curve itself fits to {reach}"
-        findings.append(Finding("doubt", text))
+    if unknown := " and ".join(e.symbol for e in found if e.value is None):
+        text = f"rubber term: {unknown} not identifiable, it {SHORT}; the curve itself fits to {reach}"
+        finding = Finding("doubt", text)
     else:
-        findings.append(Finding("note", f"the rubber term fits the mean curve at 0 kPa to {reach}"))
+        finding = Finding("note", f"the rubber term fits the mean curve at 0 kPa to {reach}")
     for where in np.linspace(eps[0], eps[-1], PLACES):
-        curves = [np.array([float(rubber_force(where, *one)) for one in cycles]) for cycles in each]
-        _, half = mean_of_cycles(curves)
+        _, half = mean_of_cycles([np.array([float(rubber_force(where, *one)) for one in cycles]) for cycles in each])
         value = float(rubber_force(where, *terms))
         parts = Parts(half, rms, scales.part({"force": value}))
         at = {"contraction": round(float(where) * length, 7)}
         found.append(Estimate("F_e", value, "N", "force", METHOD, at, parts, len(trials), trials=trials))
-    trace = Trace(
-        "rubber",
-        "rubber",
-        "Force of the rubber at 0 kPa",
-        {"displacement": cell.x, "force": cell.curve, "model": rubber_force(eps, *(float(v) for v in terms))},
-        {"displacement": "length", "force": "force", "model": "force"},
-        dict(zip(NAMES, (float(v) for v in terms), strict=True)),
-    )
-    return Rubber(found, findings, [trace])
-
-
-def _text(name: str, value: float) -> str:
-    return show(value, KINDS[name][1], 3)
-
-
-def _at_bound(terms: Array, eps: Array) -> bool:
-    """Whether the search ended at the end of what it may try."""
-    return bool(terms[1] > 0.999 or terms[1] < 2e-3 or terms[2] > 1.99 or terms[2] < -float(eps.min()) + 2e-5)
+    columns = {"displacement": cell.x, "force": cell.curve, "model": rubber_force(eps, A, B1, B2)}
+    quantities = {"displacement": "length", "force": "force", "model": "force"}
+    marks = {"A": A, "B1": B1, "B2": B2}
+    return found, [finding], [Trace("rubber", "rubber", "Force of the rubber at 0 kPa", columns, quantities, marks)]
 
 
 def _length(cell: Cell) -> float | None:
@@ -320,22 +287,18 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         findings += cell.findings()
         traces += cell.traces()
     estimates += first_cycle(runs, cells, options)
-    unpressed = [cell for cell in cells if cell.pressure <= UNPRESSED]
-    for cell in unpressed:
-        found = rubber(cell, scales)
-        estimates += found.estimates
-        findings += found.findings
-        traces += found.traces
+    for cell in (one for one in cells if one.pressure <= UNPRESSED):
+        more = rubber(cell, scales)
+        estimates, findings, traces = estimates + more[0], findings + more[1], traces + more[2]
     findings += _sentences(cells)
     findings += skew.findings(runs, CHANNELS, max((cell.skew for cell in cells), default=0.0), estimates)
     if estimates and (lack := scales.lack(("force", "displacement"))):
         findings.append(Finding("note", lack))
-    order = {CURVE: 0}
     return Analysis.of(
         KIND,
         runs,
         results=RESULTS,
-        estimates=sorted(estimates, key=lambda e: order.get(e.method, 1)),
+        estimates=sorted(estimates, key=lambda e: e.method != CURVE),
         dropped=dropped,
         findings=findings,
         traces=traces,
@@ -367,11 +330,9 @@ def _next_to(cell: Cell, cells: Sequence[Cell]) -> Cell | None:
 
 def _sentences(cells: Sequence[Cell]) -> list[Finding]:
     """Which branch is the lower one, and where one K does not say all."""
-    wrong = [cell for cell in cells if cell.upside_down]
-    if wrong:
-        where = ", ".join(show(cell.pressure, "pressure") for cell in wrong)
+    if wrong := ", ".join(show(cell.pressure, "pressure") for cell in cells if cell.upside_down):
         text = (
-            f"at {where} the force is larger while contracting than while expanding: no muscle gives work back like "
+            f"at {wrong} the force is larger while contracting than while expanding: no muscle gives work back like "
             "that; look for a wrong sign, or force and displacement that are apart in time"
         )
         return [Finding("fault", text)]

@@ -158,9 +158,7 @@ def across(cells: Sequence[Cell]) -> list[Across]:
     if not cells:
         return found
     strongest = max(float(np.nanmax(cell.mean.force)) for cell in cells)
-    top = max(float(1.5 * cell.mean.P[-1] - 0.5 * cell.mean.P[-2]) for cell in cells)
-    for k in range(1, int(np.floor(top / GRID + 0.05)) + 1):
-        P = k * GRID
+    for P in pressures(cells).tolist():
         rows = [
             (cell.contraction, x, F, test.name, session_of(test.run))
             for cell in cells
@@ -326,25 +324,15 @@ def blocked_estimates(cells: Sequence[Cell], given: Mapping[str, float], scales:
         slope = _slope(blocked, float(P))
         gains = {"force": F, "pressure": slope * float(P)}
         offsets = {"force": 1.0, "pressure": slope} | ({"displacement": K} if K else {})
-        half = spread(values)
-        found.append(
-            Estimate(
-                "F_b",
-                F,
-                "N",
-                "force",
-                BLOCKED,
-                {"pressure": float(P)},
-                Parts(half, hypot(doubt, _bend(blocked, float(P))), scales.part(gains, offsets), abs(slope) * late),
-                len(values),
-                note=sentences(
-                    "no repeats part: one test only" if half is None else "",
-                    "" if between is None else "between the contractions on both sides of 0",
-                    scales.lack(gains, offsets),
-                ),
-                trials=tuple(test.name for test in tests),
-            )
+        half, method = spread(values), hypot(doubt, _bend(blocked, float(P)))
+        parts = Parts(half, method, scales.part(gains, offsets), abs(slope) * late)
+        note = sentences(
+            "no repeats part: one test only" if half is None else "",
+            "" if between is None else "between the contractions on both sides of 0",
+            scales.lack(gains, offsets),
         )
+        at, n, names = {"pressure": float(P)}, len(values), tuple(test.name for test in tests)
+        found.append(Estimate("F_b", F, "N", "force", BLOCKED, at, parts, n, note=note, trials=names))
     return found
 
 
@@ -392,23 +380,15 @@ def _bend(cell: Cell, P: float) -> float:
 
 def blocked_trace(cells: Sequence[Cell]) -> list[Trace]:
     """Force at each pressure of the grid and each contraction; none with a single contraction."""
-    if len(cells) < 2:
-        return []
     rows = [
         (float(P), float(cell.place.mean()), float(np.mean(F[np.isfinite(F)])))
-        for P in pressures(cells)
+        for P in (pressures(cells) if len(cells) > 1 else ())
         for cell in cells
         if np.isfinite(F := cell.force_at(float(P))).any()
     ]
     if len(rows) < 2:
         return []
-    P, x, force = np.array(rows).T
-    return [
-        Trace(
-            name=FIGURE,
-            figure=FIGURE,
-            title="Force over contraction at set pressures, held at one length",
-            columns={"pressure": P, "displacement": x, "force": force},
-            quantities={"pressure": "pressure", "displacement": "length", "force": "force"},
-        )
-    ]
+    quantities = {"pressure": "pressure", "displacement": "length", "force": "force"}
+    columns = dict(zip(quantities, np.array(rows).T, strict=True))
+    title = "Force over contraction at set pressures, held at one length"
+    return [Trace(FIGURE, FIGURE, title, columns, quantities)]

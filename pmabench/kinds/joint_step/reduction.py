@@ -11,6 +11,7 @@ import numpy as np
 
 from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.lines import mean_of_cycles
+from pmabench.analysis.shared.ramp_loop import MUSCLES
 from pmabench.analysis.shared.response import Response, respond
 from pmabench.analysis.shared.samples import (
     NotUsable,
@@ -193,34 +194,30 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
 
 def _of_steps(at: Mapping[str, float], steps: Sequence[Stepped], scales: Scales, band: float) -> Iterator[Estimate]:
     trials = tuple(one.trial.name for one in steps)
-    found = [one.response for one in steps]
-    errors = np.array([-one.sign * r.error for one, r in zip(steps, found, strict=True)])
-    overshoots = np.array([r.overshoot * one.size for one, r in zip(steps, found, strict=True)])
-    late = _late(steps)
-    unsure = {
-        "e_th": max(r.unsure.error for r in found),
-        "OS_th": max(r.unsure.overshoot * one.size for one, r in zip(steps, found, strict=True)),
-        "t_s": float(np.hypot(max(r.unsure.settling for r in found), late)),
-        "t_r": float(np.hypot(max(r.unsure.rise for r in found), late + _slowed(steps))),
-    }
-    angle = ("rad", "angle")
-    rows: list[tuple[str, tuple[str, str], list[float | None]]] = [
-        ("e_th", angle, list(errors)),
-        ("t_s", ("s", "time"), [r.settling for r in found]),
-        ("t_r", ("s", "time"), [r.rise for r in found]),
-        ("OS_th", angle, list(overshoots)),
-    ]
-    for symbol, kind, values in rows:
+    found, late = [one.response for one in steps], _late(steps)
+    # the filter of the angle makes a rise longer, which a shift in time does not take off
+    rises = [(one.response.rise, 2.2 * lags_of(one.run, one.trial)["angle"]) for one in steps]
+    slowed = max((r - max(r**2 - slow**2, 0.0) ** 0.5 for r, slow in rises if r is not None), default=0.0)
+    errors = [-one.sign * one.response.error for one in steps]
+    angle, second = ("rad", "angle"), ("s", "time")
+    rows: list[tuple[str, tuple[str, str], list[Any], float]] = [
+        ("e_th", angle, errors, max(r.unsure.error for r in found)),
+        ("t_s", second, [r.settling for r in found], float(np.hypot(max(r.unsure.settling for r in found), late))),
+        ("t_r", second, [r.rise for r in found], float(np.hypot(max(r.unsure.rise for r in found), late + slowed))),
+        ("OS_th", angle, [one.response.overshoot * one.size for one in steps],
+         max(one.response.unsure.overshoot * one.size for one in steps)),
+    ]  # fmt: skip
+    for symbol, kind, values, unsure in rows:
         known = [value for value in values if value is not None]
         mean, half = mean_with_half(known) if known else (0.0, None)
         part = scales.part({"angle": at["goal"]}, {"angle": 1.0}) if symbol == "e_th" else None
         note = "one trial: no interval" if len(steps) == 1 else ""
-        parts = Parts(half, unsure[symbol], part)
+        parts = Parts(half, unsure, part)
         one = Estimate(symbol, mean, *kind, STEP, at, parts, len(known), note=note, trials=trials)
         if len(known) < len(values):
-            ends, count = show(float(errors.mean()), "angle", 3), len(values) - len(known)
+            end, count = show(float(np.mean(errors)), "angle", 3), len(values) - len(known)
             place = f"within {show(band, 'angle')} of the goal" if symbol == "t_s" else "from 10 to 90 % of the step"
-            why = f"{count} of {len(values)} trials do not come {place}: they end {ends} off it"
+            why = f"{count} of {len(values)} trials do not come {place}: they end {end} off it"
             one = replace(one, value=None, parts=Parts(), note=why)
         yield one
 
@@ -228,12 +225,6 @@ def _of_steps(at: Mapping[str, float], steps: Sequence[Stepped], scales: Scales,
 def _late(courses: Sequence[Course]) -> float:
     """What is open of the time between the angle and the commands [s]: the sensor's filter and its clock."""
     return max(lag_open(one.run, "angle") + off([one.run], "angle") for one in courses)
-
-
-def _slowed(steps: Sequence[Stepped]) -> float:
-    """By how much the filter of the angle makes a rise longer, which a shift in time does not take off [s]."""
-    rises = [(one.response.rise, 2.2 * lags_of(one.run, one.trial)["angle"]) for one in steps]
-    return max((r - max(r**2 - slow**2, 0.0) ** 0.5 for r, slow in rises if r is not None), default=0.0)
 
 
 def _of_sines(at: Mapping[str, float], sines: Sequence[Swung], scales: Scales) -> Iterator[Estimate]:
@@ -257,19 +248,9 @@ def _of_sines(at: Mapping[str, float], sines: Sequence[Swung], scales: Scales) -
 
 def _trace(at: Mapping[str, float], one: Course) -> Trace:
     """Angle, reference and pressures of the last trial of an operating point."""
-    ok, shown = (
-        one.trial.usable,
-        f"{show(at['goal'], 'angle', 3)}, integral {show(at['integral'], 'angular integral gain', 3)}",
-    )
-    columns = {"t": one.t, "angle": one.angle, "reference": one.reference}
-    columns |= {n: one.trial.channels[n][ok] for n in ("pressure_1", "pressure_2") if n in one.trial.channels}
-    quantities = {"t": "time", "angle": "angle", "reference": "angle"}
     kind = "sine" if isinstance(one, Swung) else "step"
-    return Trace(
-        f"joint-{kind}-{one.trial.number}",
-        "joint-step",
-        f"{kind} of {shown}",
-        columns,
-        quantities | {name: "pressure" for name in columns if name not in quantities},
-        dict(at),
-    )
+    columns = {"t": one.t, "angle": one.angle, "reference": one.reference}
+    columns |= {n: one.trial.channels[n][one.trial.usable] for n in MUSCLES if n in one.trial.channels}
+    quantities = dict.fromkeys(columns, "pressure") | {"t": "time", "angle": "angle", "reference": "angle"}
+    title = f"{kind} of {show(at['goal'], 'angle', 3)}, integral {show(at['integral'], 'angular integral gain', 3)}"
+    return Trace(f"joint-{kind}-{one.trial.number}", "joint-step", title, columns, quantities, dict(at))

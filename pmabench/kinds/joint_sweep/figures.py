@@ -65,11 +65,7 @@ def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Qu
         one = sweep_of(run, trial, {})
     except NotUsable as reason:
         return [Measured("K_th", "torsional stiffness", None), Measured("H_tau", "torque", None)], [str(reason)]
-    gap = float(one.loop.middle_gap.mean())
-    doubts = []
-    if gap < -max(one.loop.noise, 1e-3):
-        doubts.append("the torque is larger while the angle rises: a wrong sign, or angle and torque apart in time")
-    return [
-        Measured("K_th", "torsional stiffness", float(one.stiffness.mean())),
-        Measured("H_tau", "torque", gap, noise=one.loop.noise),
-    ], doubts
+    gap, noise = float(one.loop.middle_gap.mean()), one.loop.noise
+    wrong = "the torque is larger while the angle rises: a wrong sign, or angle and torque apart in time"
+    K = Measured("K_th", "torsional stiffness", float(one.stiffness.mean()))
+    return [K, Measured("H_tau", "torque", gap, noise=noise)], [wrong] if gap < -max(noise, 1e-3) else []

@@ -59,7 +59,10 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         estimates += _estimates(dict(at), members, scales)
         traces.append(_trace(dict(at), members[-1]))
     findings += [Finding("doubt", f"{one.trial}: {one.reason}") for one in dropped]
-    findings += [_words(one) for one in sweeps if one.loop.turns is not None]
+    for one, turns in ((one, one.loop.turns) for one in sweeps):
+        if turns is not None:
+            text = f"{one.trial.name}: a turn fades on w = {show(turns.w, 'angle', 3)}; 3 w are cut after each"
+            findings.append(Finding("note", text))
     if estimates and (lack := scales.lack(("torque", "angle", *MUSCLES))):
         findings.append(Finding("note", lack))
     apart = skew.apart(runs, ("angle", "torque")) if runs else 0.0
@@ -86,8 +89,9 @@ def sweep_of(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> Swee
         raise NotUsable("its plan names no lowest and highest angle, so its turns are not known")
     loop = measure(run, trial, int(settings_of(run, options).get("discard", 1)), TURN * (high - low), AXES)
     half, gap = 0.5 * (high - low), float(loop.middle_gap.mean())
+    noise = float(np.sqrt(0.5 * np.mean(np.diff(loop.gap, axis=1) ** 2)))  # of a point, as neighbours differ
     try:
-        refuse_turns(loop.turns, half, gap, _noise(loop))
+        refuse_turns(loop.turns, half, gap, noise)
     except NotUsable as reason:
         raise OffForm(str(reason)) from None
     if loop.turns is not None and half < HALF_SWEEP * loop.turns.w:
@@ -96,15 +100,8 @@ def sweep_of(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> Swee
             f"the sweep of +-{show(half, 'angle', 3)} is too small for the hysteresis: a turn fades on {w}, 3 of which "
             f"are cut after each turn, and mid sweep must lie one more beyond them; sweep at least +-{least}"
         )
-    stiffness = _slopes(loop, loop.turns)
-    plain = _slopes(loop, loop.turns, keep=True)
+    stiffness, plain = _slopes(loop, loop.turns), _slopes(loop, loop.turns, keep=True)
     return Sweep(run, trial, loop, stiffness, abs(float(stiffness.mean() - plain.mean())))
-
-
-def _noise(loop: Loop) -> float:
-    """Of a point of the gap [N m], as neighbouring points differ."""
-    steps = np.diff(loop.gap, axis=1)
-    return float(np.sqrt(0.5 * np.mean(steps**2)))
 
 
 def _slopes(loop: Loop, turns: Turns | None, *, keep: bool = False) -> Array:
@@ -198,7 +195,10 @@ def _estimates(at: Mapping[str, float], members: Sequence[Sweep], scales: Scales
     slope = BY_PRESSURE * K / total if total > 0 else 0.0
     taken_off = max(one.taken_off for one in members)
     yield made("K_th", ("N.m/rad", "torsional stiffness"), BRANCHES, stiffness, taken_off, -1, slope)
-    unclosed = max(_unclosed(one.loop) for one in members)
+    # what the turns still leave of the fitted open gap at mid sweep, and in the mean curve
+    fits = [(one.loop, one.loop.turns) for one in members]
+    unclosed = max(abs(2 * t.h - float(loop.middle_gap.mean())) if t else 0.0 for loop, t in fits)
+    of_turns = [np.abs(t.of_mean(loop.x)) if t else np.zeros_like(loop.x) for loop, t in fits]
     yield doubted(made("H_tau", torque, LOOP, [one.loop.middle_gap for one in members], unclosed, 0), 1.0)
     corners = max(2 * abs(float(m.loop.middle_gap.mean())) * m.loop.speed / m.run.rate for m in members)
     yield doubted(made("W", ("J", "work"), LOOP, [one.loop.lost for one in members], corners, 1), sweep)
@@ -208,41 +208,19 @@ def _estimates(at: Mapping[str, float], members: Sequence[Sweep], scales: Scales
     for place in np.linspace(x[0], x[-1], PLACES):
         curves = [np.array([np.interp(place, one.loop.x, cycle) for cycle in one.loop.mean]) for one in members]
         where = {**at, "angle": round(float(place), 7)}
-        off = max(float(np.interp(place, one.loop.x, _of_turns(one.loop))) for one in members)
+        off = max(float(np.interp(place, m.loop.x, left)) for m, left in zip(members, of_turns, strict=True))
         # torque is no more than what both muscles pull: a share of it for each pressure that is off
         whole = max(abs(float(np.mean(curve))) for curve in curves) + slope * total / BY_PRESSURE * float(np.ptp(x))
         yield made("tau", torque, MEAN, curves, 0.1 * off, 0, whole / total if total > 0 else 0.0, where,
                    float(steep[np.abs(x - place) <= NEAR * np.ptp(x)].max()) + off / fades)  # fmt: skip
 
 
-def _unclosed(loop: Loop) -> float:
-    """How far the fitted open gap is from that at mid sweep [N m]: what the turns still leave there."""
-    return 0.0 if loop.turns is None else abs(2 * loop.turns.h - float(loop.middle_gap.mean()))
-
-
-def _of_turns(loop: Loop) -> Array:
-    return np.zeros_like(loop.x) if loop.turns is None else np.abs(loop.turns.of_mean(loop.x))
-
-
-def _words(one: Sweep) -> Finding:
-    turns = one.loop.turns
-    assert turns is not None  # noqa: S101  (asked before)
-    text = f"{one.trial.name}: a turn fades on w = {show(turns.w, 'angle', 3)}; 3 w are cut after each"
-    return Finding("note", text)
-
-
 def _trace(at: Mapping[str, float], one: Sweep) -> Trace:
     """The last loop of an operating point, and its mean curve on the loop's own samples."""
     angle, torque = one.loop.last
     mean = np.interp(angle, one.loop.x, one.loop.mean.mean(axis=0), left=np.nan, right=np.nan)
-    shown = " and ".join(show(at[name], "pressure") for name in MUSCLES)
-    name = "joint-loop-" + "-".join(f"{at[name] / 1e3:g}" for name in MUSCLES)
+    title = f"Torque over angle at {' and '.join(show(at[name], 'pressure') for name in MUSCLES)}"
+    name = "joint-loop-" + "-".join(f"{at[name] / 1e3:g}" for name in MUSCLES) + f"-{one.trial.number}"
     marks = {**at, "K_th": float(one.stiffness.mean()), "H_tau": float(one.loop.middle_gap.mean())}
-    return Trace(
-        f"{name}-{one.trial.number}",
-        "joint-loop",
-        f"Torque over angle at {shown}",
-        {"angle": angle, "torque": torque, "mean": mean},
-        {"angle": "angle", "torque": "torque", "mean": "torque"},
-        marks,
-    )
+    columns = {"angle": angle, "torque": torque, "mean": mean}
+    return Trace(name, "joint-loop", title, columns, {"angle": "angle", "torque": "torque", "mean": "torque"}, marks)

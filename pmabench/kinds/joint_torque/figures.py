@@ -60,8 +60,5 @@ def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Qu
         return [Measured("K_th", "torsional stiffness", None), Measured("H_tau", "torque", None)], [str(reason)]
     why = one.why_no_stiffness
     stiffness = None if why else float(one.stiffness().mean(axis=0)[one.open.sum() // 2])
-    gap = float(one.gap[:, one.open].mean())
-    return [
-        Measured("K_th", "torsional stiffness", stiffness),
-        Measured("H_tau", "torque", gap, noise=one.noise),
-    ], [why] if why else []
+    K, gap = Measured("K_th", "torsional stiffness", stiffness), float(one.gap[:, one.open].mean())
+    return [K, Measured("H_tau", "torque", gap, noise=one.noise)], [why] if why else []

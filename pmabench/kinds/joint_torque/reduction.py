@@ -110,9 +110,11 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     scales = Scales.of(runs)
     cells: Cells = grouped(staircases, lambda one: tuple(round(one.trial.point[name], 3) for name in MUSCLES))
     estimates = list[Estimate]()
-    moving = _still_to_come(staircases)
+    # change of the torque after the mean of a rest, rising and falling: the mean of all rests of all trials
+    rests = [[held for one in staircases for held in one.rests.holds[side]] for side in (0, 1)]
+    rising, falling = (left(holds) if rests[0] else Left(0.0, 0.0, False) for holds in rests)
     for pressures, members in sorted(cells.items()):
-        estimates += _estimates(dict(zip(MUSCLES, pressures, strict=True)), members, scales, moving)
+        estimates += _estimates(dict(zip(MUSCLES, pressures, strict=True)), members, scales, (rising, falling))
     estimates = _pooled(estimates, min((len(one.rising) for one in staircases), default=1))
     estimates += plane_estimates([e for e in estimates if e.symbol == "tau"], scales)
     findings = [Finding("doubt", f"{one.trial}: {one.reason}") for one in dropped]
@@ -130,12 +132,6 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         traces=list(_map(cells, estimates)),
         facts={"options": dict(options or {}), "trials": len(staircases)},
     )
-
-
-def _still_to_come(staircases: Sequence[Staircase]) -> tuple[Left, Left]:
-    """Change of the torque after the mean of a rest, rising and falling [N m]: the mean of all rests of all trials."""
-    rising, falling = ([held for one in staircases for held in one.rests.holds[side]] for side in (0, 1))
-    return (left(rising), left(falling)) if rising else (Left(0.0, 0.0, False), Left(0.0, 0.0, False))
 
 
 def gap_of(run: RunData, trial: TrialData) -> float:
@@ -179,7 +175,8 @@ def _estimates(
     torque = ("N.m", "torque")
     opened = np.all([one.open for one in members], axis=0)
     of_gap, of_torque, of_slope = _doubts(members, likely, whole / total, moving)
-    H = made("H_tau", torque, GAP, [_gap(one) for one in members], _uneven(members, opened), 0.0)
+    uneven = max(0.5 * float(np.ptp(one.gap.mean(axis=0)[opened])) for one in members)
+    H = made("H_tau", torque, GAP, [_gap(one) for one in members], uneven, 0.0)
     yield weighed(H, of_gap)
     slack = next((one.slack for one in members if one.slack), "")
     why = next((one.why_no_stiffness for one in members if one.why_no_stiffness), "")
@@ -190,13 +187,19 @@ def _estimates(
         misplaced = likely * max(abs(float(one.angles[n] - angle)) for one in members)
         one = made("tau", torque, SIDES, [m.mean[:, n] for m in members], float(np.hypot(left, misplaced)),
                    likely * abs(float(angle)), whole / total, where, likely)  # fmt: skip
-        lacks = slack if opened[n] else _near_a_turn(members)
+        lacks = slack
+        if not opened[n]:
+            w = max(one.turns.w for one in members if one.turns is not None)
+            lacks = f"a turn fades on {show(w, 'angle', 3)}, and this angle is within 3 times that of one: give an "
+            lacks += f"overrun of at least {show(CUT * w, 'angle', 3)}"
         yield withhold(one, lacks) if lacks else weighed(one, of_torque, whole)
         if not why and opened[n]:
             place = int(opened[:n].sum())
             other = max(abs(float(K[:, place].mean() - K3[place])) for K, K3 in slopes)
             values = [K[:, place] for K, _ in slopes]
-            bend = _steepest(slopes[0][0].mean(axis=0), members[0].nominal[opened])
+            # largest change of the stiffness with the angle
+            steps = np.diff(slopes[0][0].mean(axis=0)) / np.diff(members[0].nominal[opened])
+            bend = float(np.max(np.abs(steps), initial=0.0))
             K = made("K_th", ("N.m/rad", "torsional stiffness"), SLOPE, values, other,
                      float(values[0].mean()), per_pressure, where, bend)  # fmt: skip
             yield weighed(K, [replace(of_slope, half=of_slope.half * abs(K.value or 0.0)), _scaled(K, members)])
@@ -204,11 +207,6 @@ def _estimates(
         middle = {**at, "angle": round(float(np.median(members[0].nominal)), 9)}
         K = made("K_th", ("N.m/rad", "torsional stiffness"), SLOPE, [np.zeros(2)], 0.0, 0.0, 0.0, middle)
         yield withhold(K, why)
-
-
-def _steepest(K: Array, angles: Array) -> float:
-    """Largest change of the stiffness with the angle [N m/rad2]."""
-    return float(np.max(np.abs(np.diff(K) / np.diff(angles)), initial=0.0))
 
 
 def _scaled(K: Estimate, members: Sequence[Staircase]) -> Doubt:
@@ -273,19 +271,6 @@ def _pooled(estimates: Sequence[Estimate], cycles: int) -> list[Estimate]:
     return found
 
 
-def _near_a_turn(members: Sequence[Staircase]) -> str:
-    w = max(one.turns.w for one in members if one.turns is not None)
-    return (
-        f"a turn fades on {show(w, 'angle', 3)}, and this angle is within 3 times that of one: give an overrun of at "
-        f"least {show(CUT * w, 'angle', 3)}"
-    )
-
-
-def _uneven(members: Sequence[Staircase], opened: Array) -> float:
-    """Half the change of the gap over the angles [N m]."""
-    return max(0.5 * float(np.ptp(one.gap.mean(axis=0)[opened])) for one in members)
-
-
 def _map(cells: Cells, estimates: Sequence[Estimate]) -> Iterator[Trace]:
     """Torque and stiffness over the angles, columns for each pair of pressures; a map for each set of angles."""
     sets = grouped(sorted(cells), lambda pressures: tuple(cells[pressures][0].nominal))
@@ -293,13 +278,10 @@ def _map(cells: Cells, estimates: Sequence[Estimate]) -> Iterator[Trace]:
         columns, quantities = {"angle": np.array(angles)}, {"angle": "angle"}
         for pressures in pairs:
             held = dict(zip(MUSCLES, pressures, strict=True))
+            mine = [e for e in estimates if e.value is not None and held.items() <= e.at.items()]
             for name, symbol, quantity in (("torque", "tau", "torque"), ("stiffness", "K_th", "torsional stiffness")):
-                values = {
-                    e.at["angle"]: e.value
-                    for e in estimates
-                    if e.symbol == symbol and e.value is not None and held.items() <= e.at.items()
-                }
-                column = f"{name} at {show(pressures[0], 'pressure')} and {show(pressures[1], 'pressure')}"
+                values = {e.at["angle"]: e.value for e in mine if e.symbol == symbol}
+                column = f"{name} at {' and '.join(show(P, 'pressure') for P in pressures)}"
                 columns[column] = np.array([values.get(round(angle, 9), np.nan) for angle in angles])
                 quantities[column] = quantity
         title = "Torque and stiffness over angle, by the pressures of muscle 1 and muscle 2"

@@ -9,6 +9,7 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pmabench.analysis.shared.ramp_loop import AXES, CUT, MUSCLES, Turns, on_grid, refuse_turns, turns_of
 from pmabench.analysis.shared.samples import (
@@ -68,7 +69,7 @@ class Staircase:
     rising: Array
     falling: Array
     turns: Turns | None
-    open: Array
+    open: NDArray[np.bool_]
     """True where both turns are far enough away."""
     pressures: Array
     """Mean pressures of both muscles as measured [Pa], shape (2,)."""
@@ -136,26 +137,16 @@ def staircase_of(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> 
     nominal = np.array(settings_of(run, options)["angles"], dtype=np.float64)
     angle, torque = on_time(run, trial, "angle"), on_time(run, trial, "torque")
     rests = _rests(trial, nominal, angle, torque)
-    places, means = rests.angles, rests.torques
-    elsewhere = _elsewhere(places, nominal)
+    elsewhere = _elsewhere(rests.angles, nominal)
     lowest, highest = trial.point["lowest_angle"], trial.point["highest_angle"]
     turns = _turns(trial, angle, torque, lowest, highest)
-    found = Staircase(
-        run,
-        trial,
-        places.mean(axis=(0, 1)),
-        nominal,
-        means[:, 0],
-        means[:, 1],
-        turns,
-        _far(nominal, turns, lowest, highest),
-        np.array([float(np.mean(trial.channels[name][trial.usable])) for name in MUSCLES]),
-        rests.noise,
-        rests,
-    )
-    gap = float(np.median(found.gap))
+    way = CUT * turns.w * (1 - 1e-9) if turns is not None else -np.inf
+    far = np.asarray((nominal - lowest >= way) & (highest - nominal >= way))
+    pressures = np.array([float(np.mean(trial.channels[name][trial.usable])) for name in MUSCLES])
+    mean, (rising, falling) = rests.angles.mean(axis=(0, 1)), rests.torques.swapaxes(0, 1)
+    found = Staircase(run, trial, mean, nominal, rising, falling, turns, far, pressures, rests.noise, rests)
     try:
-        refuse_turns(turns, 0.5 * (highest - lowest), gap, rests.noise)
+        refuse_turns(turns, 0.5 * (highest - lowest), float(np.median(found.gap)), rests.noise)
     except NotUsable as reason:
         raise NotUsable(f"{elsewhere}; {reason}" if elsewhere else str(reason)) from None
     if turns is not None and not found.open.any():
@@ -224,10 +215,3 @@ def _turns(trial: TrialData, angle: Array, torque: Array, lowest: float, highest
     up, down = (on_grid(grid, angle[moving[phase]], torque[moving[phase]]) for phase in (AXES.rises, AXES.falls))
     known = np.isfinite(up + down)
     return turns_of(grid[known], (down - up)[known], lowest, highest) if known.sum() > LEAST_SAMPLES else None
-
-
-def _far(nominal: Array, turns: Turns | None, lowest: float, highest: float) -> Array:
-    if turns is None:
-        return np.ones(nominal.shape, bool)
-    way = CUT * turns.w * (1 - 1e-9)
-    return np.asarray((nominal - lowest >= way) & (highest - nominal >= way))

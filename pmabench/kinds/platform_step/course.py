@@ -42,7 +42,17 @@ class Seen:
 
 def seen_in(courses: Sequence[Course]) -> Seen:
     """Of all courses together: they have one accelerometer."""
-    return Seen(_attitude(courses), _time(courses), max(math.hypot(_wobble(one), _count(one)) for one in courses))
+    return Seen(_attitude(courses), _time(courses), max(_wobble(one) for one in courses))
+
+
+def _wobble(one: Course) -> float:
+    """Amplitude of what is not noise in the last second at level, without a drift, and half a count [rad]."""
+    level, _ = _rests(one)
+    t, power = one.t[level], 0.0
+    for angle in (one.phi[level], one.psi[level]):
+        power += float(np.var(angle - np.polyval(np.polyfit(t, angle, 1), t)))
+    count = 0.5 * max(count_of(one.run, name) for name in ACCELERATIONS) / G
+    return math.hypot(math.sqrt(2 * max(0.0, power - 2 * one.noise**2)), count)
 
 
 def _norm(one: Course) -> Array:
@@ -99,19 +109,6 @@ def _time(courses: Sequence[Course]) -> Doubt:
     seen = late > SURE * error and late > LATE
     reason = f"while it tilts, one axis of the accelerometer is {1e3 * late:.2g} ms behind another: look for a filter"
     return Doubt("time between the axes", "method", max(open_, 1.5 * late), seen, reason)
-
-
-def _wobble(one: Course) -> float:
-    """Amplitude of what is not noise in the last second at level, without a drift [rad]."""
-    level, _ = _rests(one)
-    t, power = one.t[level], 0.0
-    for angle in (one.phi[level], one.psi[level]):
-        power += float(np.var(angle - np.polyval(np.polyfit(t, angle, 1), t)))
-    return math.sqrt(2 * max(0.0, power - 2 * one.noise**2))
-
-
-def _count(one: Course) -> float:
-    return 0.5 * max(count_of(one.run, name) for name in ACCELERATIONS) / G
 
 
 MUSCLES = ("pressure_1", "pressure_2", "pressure_3")
@@ -196,14 +193,14 @@ def course_of(run: RunData, trial: TrialData, heights: float = 1.0) -> Course:
     begin = float(law["t0"]) + float(settings["level"])
     if len(trial.t) < 2 or trial.t[-1] < begin + 0.98 * float(settings["hold"]):
         raise NotUsable("its samples end before the hold does")
-    forces = [on_time(run, trial, name) for name in ACCELERATIONS]
-    x, y, z = forces
+    x, y, z = (on_time(run, trial, name) for name in ACCELERATIONS)
     angles = np.arctan2(y, np.hypot(x, z)), np.arctan2(-x, z)
     lag = max(LEAST_LAG, math.sqrt(heights * max(0.0, float(settings.get("height", 0.0))) / G))
     noise = max(noise_of(angle) for angle in angles) * math.sqrt(1 / run.rate / (4 * lag))
     phi, psi = (both_ways(angle, lag, run.rate) for angle in angles)
     goal = trial.point["phi"], trial.point["psi"]
-    pulses = tuple((t - begin, valve, seconds) for t, valve, seconds in _pulses(run, trial))
+    steered = [pulse for data in _steered(run, trial) for pulse in data["pulses"]]
+    pulses = tuple((float(t) - begin, str(valve), float(seconds)) for t, valve, seconds in steered)
     return Course(run, trial, trial.t - begin, phi, psi, goal, float(settings["hold"]), noise, pulses, law)
 
 
@@ -225,11 +222,6 @@ def _steered(run: RunData, trial: TrialData) -> Iterator[Mapping[str, Any]]:
     for event in run.events:
         if event.kind == "steered" and trial.t[0] - 1e-6 <= event.t <= trial.t[-1] + 1e-2:
             yield event.data
-
-
-def _pulses(run: RunData, trial: TrialData) -> Iterator[tuple[float, str, float]]:
-    for data in _steered(run, trial):
-        yield from ((float(t), str(valve), float(seconds)) for t, valve, seconds in data["pulses"])
 
 
 def wanted(course: Course) -> dict[str, Array]:

@@ -62,7 +62,10 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         estimates += _estimates(f"chain {chain}", where, members, scales, seen_in(courses))
         traces.append(_trace(chain, members[-1]))
     findings += [Finding("doubt", f"{one.trial}: {one.reason}") for one in dropped]
-    findings += [_saturated(one) for one in courses if one.law["saturated"] > 0]
+    for one in (one for one in courses if one.law["saturated"] > 0):
+        share = show(float(one.law["saturated"]), "ratio", 2)
+        text = f"{one.trial.name}: in {share} of the periods limits of pressures forbade the wanted moment"
+        findings.append(Finding("note", text))
     if estimates and (lack := scales.lack((), ACCELERATIONS[:2])):
         findings.append(Finding("note", lack))
     facts = {"options": dict(options or {}), "trials": len(courses)}
@@ -90,12 +93,16 @@ def _estimates(
         )
 
     size = math.hypot(*at.values())
-    yield _settled(_time(made, members, others, math.hypot(offset, seen.attitude.half, seen.wobble)), seen, size)
-    beyond = [one.overshoot for one in members]
+    times, by_height, by_band, why = _time(members, others, math.hypot(offset, seen.attitude.half, seen.wobble))
+    t_1 = made("t_1", ("s", "time"), times, by_height, by_band)
+    if not why and t_1.value is not None and seen.attitude.seen and seen.attitude.half > MOST_HIDDEN * size:
+        why = seen.attitude.reason
+    yield withhold(t_1, why) if why else weighed(t_1, [seen.time])
     pairs = [(one, other) for one, both in zip(members, others, strict=True) for other in both]
     shape = max(abs(other.overshoot - one.overshoot) for one, other in pairs)
     shape = math.hypot(shape, PEAK * max(one.noise for one in members), seen.wobble)
-    yield weighed(made("OS_q", ("rad", "angle"), beyond, shape, offset or None), [seen.attitude], size)
+    OS_q = made("OS_q", ("rad", "angle"), [one.overshoot for one in members], shape, offset or None)
+    yield weighed(OS_q, [seen.attitude], size)
     misses = [math.hypot(*one.ends()) for one in members]
     drifts = max(math.dist(one.ends(LAST, 0.5 * LAST), one.ends(0.5 * LAST)) / 2 for one in members)
     drifts = math.hypot(drifts, max(one.noise for one in members), seen.wobble)
@@ -104,52 +111,41 @@ def _estimates(
     yield made("n_v", ("Hz", "frequency"), busiest, max(1 / one.hold for one in members), 0.0)
 
 
-def _settled(t_1: Estimate, seen: Seen, size: float) -> Estimate:
-    """With the time that the accelerometer leaves open; withheld where its attitude is too far off."""
-    if t_1.value is not None and seen.attitude.seen and seen.attitude.half > MOST_HIDDEN * size:
-        return withhold(t_1, seen.attitude.reason)
-    return weighed(t_1, [seen.time])
+def _time(
+    members: Sequence[Course], others: Sequence[Sequence[Course]], offset: float
+) -> tuple[list[float], float, float | None, str]:
+    """Times to within 1 deg, the method and the calibration part, and why there is none.
 
-
-def _time(made: Any, members: Sequence[Course], others: Sequence[Sequence[Course]], offset: float) -> Estimate:
-    """Time to within 1 deg; its interval holds the times of a band that is wider and narrower by what is not known."""
+    The interval holds the times of a band that is wider and narrower by what is not known.
+    """
     off = [math.hypot(offset, 2 * one.noise) for one in members]
     times = [one.settled() for one in members]
     sure = [[one.settled(BAND + sign * by) for sign in (-1, 1)] for one, by in zip(members, off, strict=True)]
     shaped = [[other.settled() for other in both] for both in others]
     known = [time for time in times if time is not None]
-    estimate: Estimate = made("t_1", ("s", "time"), known or [math.inf], 0.0, None)
     if len(known) < len(members):
         many = f"{len(members) - len(known)} of {len(members)} trials"
-        return withhold(estimate, f"{many} did not stay within 1 deg in the second half of the hold")
-    changed = [*zip(known, sure, strict=True), *zip(known, shaped, strict=True)]
-    if any(time is None for _, several in changed for time in several):
-        return withhold(
-            estimate, "whether it settles depends on how well the attitude is known: it ends near 1 deg off"
-        )
+        return known or [math.inf], 0.0, None, f"{many} did not stay within 1 deg in the second half of the hold"
+    if any(time is None for several in (*sure, *shaped) for time in several):
+        why = "whether it settles depends on how well the attitude is known: it ends near 1 deg off"
+        return known, 0.0, None, why
     by_band, by_height = (
         max(abs(time - own) for own, several in zip(known, cases, strict=True) for time in several if time is not None)
         for cases in (sure, shaped)
     )
-    return made("t_1", ("s", "time"), known, by_height + 0.5 / members[0].run.rate, by_band)  # type: ignore[no-any-return]
-
-
-def _saturated(one: Course) -> Finding:
-    share = show(float(one.law["saturated"]), "ratio", 2)
-    return Finding("note", f"{one.trial.name}: in {share} of the periods limits of pressures forbade the wanted moment")
+    return known, by_height + 0.5 / members[0].run.rate, by_band, ""
 
 
 def _trace(chain: str, one: Course) -> Trace:
     """The whole of one trial, thinned."""
     stride = max(1, round(one.run.rate / THINNED))
     aims, reference = wanted(one), _reference(one)
-    columns = {"t": one.t, "phi": one.phi, "psi": one.psi, "reference_phi": reference[0], "reference_psi": reference[1]}
-    columns |= {name: np.asarray(one.trial.channels[name]) for name in MUSCLES}
-    columns |= {f"wanted_{i + 1}": aims[name] for i, name in enumerate(MUSCLES)}
-    thin = {name: values[::stride] for name, values in columns.items()}
+    angles = {"phi": one.phi, "psi": one.psi, "reference_phi": reference[0], "reference_psi": reference[1]}
+    pressures = {name: np.asarray(one.trial.channels[name]) for name in MUSCLES}
+    pressures |= {f"wanted_{i + 1}": aims[name] for i, name in enumerate(MUSCLES)}
+    thin = {name: values[::stride] for name, values in ({"t": one.t} | angles | pressures).items()}
     thin |= {valve: _open_share(one, valve, thin["t"], stride / one.run.rate) for valve in VALVES}
-    quantities = {"t": "time", **dict.fromkeys(("phi", "psi", "reference_phi", "reference_psi"), "angle")}
-    quantities |= dict.fromkeys((*MUSCLES, *(f"wanted_{i}" for i in (1, 2, 3))), "pressure")
+    quantities = {"t": "time", **dict.fromkeys(angles, "angle"), **dict.fromkeys(pressures, "pressure")}
     quantities |= dict.fromkeys(VALVES, "ratio")
     phi, psi = (show(angle, "angle", 4) for angle in one.goal)
     marks = {"phi": one.goal[0], "psi": one.goal[1], "hold": one.hold}

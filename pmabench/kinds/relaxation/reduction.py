@@ -131,11 +131,6 @@ class Relaxing:
         return bool(self.t[0] <= T <= self.t[-1])
 
 
-def decades_of(begin: float, end: float) -> float:
-    """Decades of time from `begin` to `end` [s]."""
-    return log10(end / begin) if 0 < begin < end else 0.0
-
-
 FEWEST_DECADES = 1.0
 """Decades of time that a slope needs."""
 MOST_POINTS = 8000
@@ -199,12 +194,13 @@ class Course:
     @cached_property
     def bend(self) -> Bend:
         """How far the slopes of parts of the decades differ: late and early half, middle third and the outer two."""
-        one, found = self.relaxing, []
+        one = self.relaxing
         outer = 0.5 * (one.slope_weights(0.0, 1 / 3) + one.slope_weights(2 / 3, 1.0))
         early, late, middle = (one.slope_weights(a, b) for a, b in ((0.0, 0.5), (0.5, 1.0), (1 / 3, 2 / 3)))
+        found = []
         for weights in (late - early, middle - outer):
-            size, half = abs(float(weights @ one.y)), one.half(weights, order=3)
-            found.append(Bend(size / abs(self.start), size > SEEN * half))
+            size = abs(float(weights @ one.y))
+            found.append(Bend(size / abs(self.start), size > SEEN * one.half(weights, order=3)))
         return max(found, key=lambda bend: (bend.seen, bend.size))
 
     @property
@@ -236,34 +232,30 @@ class Course:
         """What else than the rubber may make of s [1]."""
         one, F, s = self.relaxing, self.start, abs(self.per_decade)
         weights = one.slope_weights()
-        found = []
-
-        def add(name: str, half: float, reason: str, *, seen: bool, part: str = "method") -> None:
-            found.append(Doubt(name, part, abs(half), seen, reason))
-
-        bend = self.bend
-        text = (
-            f"parts of the hold relax by {bend.size:.2%} per decade unlike each other: this is no straight line over "
-        )
-        add(BEND, bend.size / 2, f"{text}log t. Hold longer, or take the exponentials", seen=bend.seen)
+        bend, (start, slope) = self.bend, self.raw.line
         ends = float(weights @ (self.zero * one.t / one.t[-1])) / F
-        text = (
-            f"without pressure the cell reads {self.zero:+.3g} N after the trial, against before: zero the cell, and "
-        )
-        seen = abs(self.zero) > ZERO_SEEN * self.noise
-        add(ZERO, ends, f"{text}look for what warms it", seen=seen, part="drift")
         left = UNLIKE * sum(
             P * float(weights @ np.log10((one.t + begin) / (one.t + end))) for P, begin, end in self.before
         )
-        text = f"what the holds before left behind changes s by about {abs(s * left):.2%} per decade: rest longer"
-        add(BEFORE, s * left, text, seen=bool(self.before), part="drift")
-        start, slope = self.raw.line
         other = -slope / start - self.per_decade
-        text = f"the pressure changes along the hold: without it s would be {other:+.2%} per decade other"
-        add("pressure", other / 2, f"{text}. Look at the regulator", seen=False)
         moment = float(weights @ np.log10((one.t + self.rise / 2) / one.t))
-        add("moment of the step", s * moment, "", seen=False)
-        return found
+        bent = (
+            f"parts of the hold relax by {bend.size:.2%} per decade unlike each other: this is no straight line over "
+            "log t. Hold longer, or take the exponentials"
+        )
+        zero = (
+            f"without pressure the cell reads {self.zero:+.3g} N after the trial, against before: zero the cell, and "
+            "look for what warms it"
+        )
+        before = f"what the holds before left behind changes s by about {abs(s * left):.2%} per decade: rest longer"
+        pressure = f"the pressure changes along the hold: without it s would be {other:+.2%} per decade other"
+        return [
+            Doubt(BEND, "method", abs(bend.size / 2), bend.seen, bent),
+            Doubt(ZERO, "drift", abs(ends), abs(self.zero) > ZERO_SEEN * self.noise, zero),
+            Doubt(BEFORE, "drift", abs(s * left), bool(self.before), before),
+            Doubt("pressure", "method", abs(other / 2), False, f"{pressure}. Look at the regulator"),
+            Doubt("moment of the step", "method", abs(s * moment), False),
+        ]
 
 
 def measure(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> Course:
@@ -288,7 +280,7 @@ def measure(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> Cours
     half_way, there = (float(t[held][np.argmax(risen > share)]) for share in (0.5, 0.95))
     since = t - half_way
     rows = held & (since >= begin)
-    decades = decades_of(begin, end - half_way)
+    decades = log10((end - half_way) / begin) if 0 < begin < end - half_way else 0.0
     if decades < FEWEST_DECADES:
         raise NotUsable(
             f"the hold has {decades:.1f} decades of time from {begin:g} s on, {FEWEST_DECADES:g} are needed: hold for "
@@ -405,18 +397,13 @@ def _line(at: Mapping[str, float], group: Sequence[Course], scales: Scales) -> l
     # the force is brought to the pressure of the step, and relaxation is a share of the force
     zeros = {"force": 1.0} | ({"pressure": level / P} if P > 0 else {})
     by_zero = scales.part({}, {"force": float(np.mean(s)) / level}) if level else None
-    slope = Estimate(
-        "s", float(np.mean(s)), "1", "ratio", LINE, dict(at), Parts(half, calibration=by_zero), len(group), note=note,
-        trials=names,
-    )  # fmt: skip
+    n, parts = len(group), Parts(half, calibration=by_zero)
+    slope = Estimate("s", float(np.mean(s)), "1", "ratio", LINE, dict(at), parts, n, note=note, trials=names)
     whole = [one.relaxing.half(np.full(len(one.relaxing.t), 1 / len(one.relaxing.t))) for one in group]
-    start = Estimate(
-        "F_1", level, "N", "force", LINE, dict(at),
-        Parts(_repeats(F, [one.half * one.start * float(one.relaxing.decades.mean()) + w
-                           for one, w in zip(group, whole, strict=True)]),
-              calibration=scales.part(dict.fromkeys(("force", "pressure"), level), zeros)),
-        len(group), note=note, trials=names,
-    )  # fmt: skip
+    noise = [one.half * one.start * float(one.relaxing.decades.mean()) + w for one, w in zip(group, whole, strict=True)]
+    by_scales = scales.part(dict.fromkeys(("force", "pressure"), level), zeros)
+    parts = Parts(_repeats(F, noise), calibration=by_scales)
+    start = Estimate("F_1", level, "N", "force", LINE, dict(at), parts, n, note=note, trials=names)
     left = Doubt(BEFORE, "drift", max(one.left_behind for one in group), seen=False)
     # the force need not grow in proportion to the pressure by which it is brought to that of the step
     share = Doubt("mean pressure", "method", 0.5 * max(one.off * abs(one.start) for one in group), seen=False)
@@ -433,23 +420,21 @@ def _largest(of_trials: Sequence[Sequence[Doubt]]) -> list[Doubt]:
 def _prony(at: Mapping[str, float], group: Sequence[Course], scales: Scales) -> list[Estimate]:
     """Shares of the exponentials of one cell."""
     found = []
+    names = tuple(one.trial.name for one in group)
+    fits, level = [one.relaxing.prony for one in group], float(np.mean([one.start for one in group]))
+    begin, end = (group[0].relaxing.t[i] for i in (0, -1))
     for i, T in enumerate(TIMES, 1):
-        names = tuple(one.trial.name for one in group)
-        fits = [one.relaxing.prony for one in group]
-        where = show(T, "time")
-        if not all(one.relaxing.shows(T) for one in group):
-            begin, end = (group[0].relaxing.t[i] for i in (0, -1))
-            why = f"the samples are from {begin:.3g} to {end:.3g} s after the step and do not show {where}"
-            found.append(Estimate("g", None, "1", "ratio", PRONY, dict(at), n=len(group), note=why, trials=names,
-                                  coordinate=where))  # fmt: skip
-            continue
-        values = [sizes[i] / one.start for (sizes, _, _), one in zip(fits, group, strict=True)]
-        noise = [halves[i] / one.start for (_, halves, _), one in zip(fits, group, strict=True)]
-        note = ONE if len(group) == 1 else ""
-        size, level = float(np.mean(values)), float(np.mean([one.start for one in group]))
-        parts = Parts(_repeats(values, noise), calibration=scales.part({}, {"force": size / level}))
-        found.append(Estimate("g", size, "1", "ratio", PRONY, dict(at), parts, len(group), note=note,
-                              trials=names, coordinate=where))  # fmt: skip
+        size, parts = None, Parts()
+        note = f"the samples are from {begin:.3g} to {end:.3g} s after the step and do not show {show(T, 'time')}"
+        if all(one.relaxing.shows(T) for one in group):
+            values = [sizes[i] / one.start for (sizes, _, _), one in zip(fits, group, strict=True)]
+            noise = [halves[i] / one.start for (_, halves, _), one in zip(fits, group, strict=True)]
+            size, note = float(np.mean(values)), ONE if len(group) == 1 else ""
+            parts = Parts(_repeats(values, noise), calibration=scales.part({}, {"force": size / level}))
+        found.append(
+            Estimate("g", size, "1", "ratio", PRONY, dict(at), parts, len(group), note=note, trials=names,
+                     coordinate=show(T, "time"))
+        )  # fmt: skip
     return found
 
 
@@ -473,14 +458,9 @@ def _trace(x: float, P: float, course: Course) -> Trace:
     sizes = one.prony[0]
     curve = sizes[0] + sum(size * one.means(np.exp(-one.t / T)) for size, T in zip(sizes[1:], TIMES, strict=True))
     columns = {"t": 10**one.decades, "force": one.means(one.y), "line": start + slope * one.decades, "curve": curve}
-    return Trace(
-        f"relaxation-{x:g}-{P:g}",
-        "relaxation",
-        f"{show(x, 'length')}, {show(P, 'pressure')}: force over time after the step",
-        columns,
-        {"t": "time", "force": "force", "line": "force", "curve": "force"},
-        {"s": course.per_decade},
-    )
+    quantities = {name: "time" if name == "t" else "force" for name in columns}
+    title = f"{show(x, 'length')}, {show(P, 'pressure')}: force over time after the step"
+    return Trace(f"relaxation-{x:g}-{P:g}", "relaxation", title, columns, quantities, {"s": course.per_decade})
 
 
 def per_decade(run: RunData, trial: TrialData) -> float:

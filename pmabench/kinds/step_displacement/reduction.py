@@ -114,13 +114,13 @@ def measure(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> Steps
     """
     refuse_incomplete(trial, "displacement", "force")
     refuse_flagged(trial.usable)
-    ramps = [c for c in trial.commands if c.output == "displacement" and c.kind == "ramp" and c.phase in _PHASES]
+    found: dict[str, list[Relaxation]] = {"step": [], "back": []}
+    ramps = [c for c in trial.commands if c.output == "displacement" and c.kind == "ramp" and c.phase in found]
     if not ramps:
         raise NotUsable("it holds no step")
     ends = [*(c.t for c in ramps[1:]), float(trial.t[-1]) + 1e-9]
     begins = [float(trial.t[0]), *(c.t for c in ramps[:-1])]
     values = {name: on_time(run, trial, name) for name in ("displacement", "force", "pressure")}
-    found: dict[str, list[Relaxation]] = {"step": [], "back": []}
     for ramp, begin, end in zip(ramps, begins, ends, strict=True):
         found[ramp.phase].append(_one(run, trial, values, ramp, begin, end))
     discard = int(settings_of(run, options).get("discard", 1))
@@ -131,9 +131,6 @@ def measure(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> Steps
     rows = (trial.t >= ramps[place].t - 0.1 * (ends[place] - ramps[place].t)) & (trial.t < ends[place]) & trial.usable
     last = {name: column[rows] for name, column in values.items() if np.isfinite(column).all()}
     return Steps(run, trial, tuple(found["step"]), tuple(found["back"]), {"t": trial.t[rows] - ramps[place].t, **last})
-
-
-_PHASES = ("step", "back")
 
 
 def _one(
@@ -151,48 +148,40 @@ def _one(
     x, F, P = values["displacement"], values["force"], values["pressure"]
     level, relaxed = float(F[before].mean()), float(F[after].mean())
     moved = float(x[after].mean() - x[before].mean())
-    noise = noise_of(F[rest])
     if abs(moved) <= 6 * noise_of(x[rest]) or moved == 0:
         raise NotUsable("the displacement does not move above its noise")
     away = F[moving] - level
     place = int(np.argmax(-np.sign(moved) * away))
-    earlier, later = (
-        Held.of(t[rows], F[rows], since)
-        for rows, since in (
-            (good & (t >= 0.5 * (begin + ramp.t)) & (t < ramp.t - 1e-9), ramp.t - LAST * (ramp.t - begin)),
-            (good & (t >= 0.5 * (arrived + end)) & (t < end), end - LAST * (end - arrived)),
-        )
-    )
+    early = good & (t >= 0.5 * (begin + ramp.t)) & (t < ramp.t - 1e-9)
+    late = good & (t >= 0.5 * (arrived + end)) & (t < end)
     known = bool(np.isfinite(P).all())
-    still = rest & (t > _arrival(t[moving], x[moving], float(x[after].mean()), abs(moved), arrived))
+    # the measured motion is over when it stays within `THERE` of its end; not before the command
+    beyond = t[moving][np.abs(x[moving] - float(x[after].mean())) > THERE * abs(moved)]
+    still = rest & (t > (max(float(beyond[-1]), arrived) if len(beyond) else arrived))
     if still.sum() < 2 * FEWEST:
         raise NotUsable("the displacement comes to rest too late")
     since = t[still] - t[still][0]
-    pressure_peak = float("nan")
-    if known:
-        off = P[moving] - float(P[before].mean())
-        pressure_peak = float(off[np.argmax(np.abs(off))])
+    off = P[moving] - float(P[before].mean())
     return Relaxation(
         moved=moved,
         before=level,
         peak=level + float(away[place]),
         relaxed=relaxed,
-        earlier=earlier,
-        later=later,
+        earlier=Held.of(t[early], F[early], ramp.t - LAST * (ramp.t - begin)),
+        later=Held.of(t[late], F[late], end - LAST * (end - arrived)),
         blunted=_blunted(t[moving], away, moved, filter_of(run)),
         sampled=abs(float(away[place] - away[max(0, place - 1)])),
-        pressure_peak=pressure_peak,
+        pressure_peak=float(off[np.argmax(np.abs(off))]) if known else float("nan"),
         pressure_noise=noise_of(P[moving]) if known else 0.0,
         force_back=recovery(since, F[still]),
         pressure_back=recovery(since, P[still]) if known else None,
-        noise=noise,
+        noise=noise_of(F[rest]),
     )
 
 
 def filter_of(run: RunData) -> float:
     """Time constant of the force cell's filter [s], as declared, or what one may have where none is."""
-    info = run.channels.get("force")
-    return info.sensor_lag if info is not None and info.sensor_lag > 0 else UNDECLARED
+    return (run.channels["force"].sensor_lag if "force" in run.channels else 0.0) or UNDECLARED
 
 
 def _blunted(t: Array, away: Array, moved: float, constant: float) -> float:
@@ -203,34 +192,21 @@ def _blunted(t: Array, away: Array, moved: float, constant: float) -> float:
     return abs(float(np.max(way * away) - np.max(way * slower)))
 
 
-def _arrival(t: Array, x: Array, end: float, size: float, arrived: float) -> float:
-    """When the measured motion is over [s]: from then on it stays within `THERE` of its end; not before the command."""
-    late = t[np.abs(x - end) > THERE * size]
-    return max(float(late[-1]), arrived) if len(late) else arrived
-
-
 def recovery(t: Array, y: Array) -> Recovery | None:
     """The exponential by which `y` comes to rest, from `t` = 0 [s] on; None where none shows above the noise."""
-    noise = noise_of(y)
     tau, inside = _time_constant(t, y)
-    terms, left = _exponential(t, y, tau)
-    size = float(terms[1])
+    design = np.column_stack([np.ones_like(t), np.exp(-t / tau)])
+    terms, *_ = np.linalg.lstsq(design, y, rcond=None)
+    size, left = float(terms[1]), float(np.mean((y - design @ terms) ** 2))
     if not inside or np.count_nonzero(t < 3 * tau) < FEWEST:
         return None
-    if abs(size) < max(SEEN * noise, 3 * left**0.5, 1e-6 * float(np.max(np.abs(y)))):
+    if abs(size) < max(SEEN * noise_of(y), 3 * left**0.5, 1e-6 * float(np.max(np.abs(y)))):
         return None
     late = t >= 0.5 * tau
     others = [_time_constant(t, y, 1)[0]]
     if late.sum() > FEWEST:
         others.append(_time_constant(t[late] - t[late][0], y[late])[0])
     return Recovery(size, tau, max(abs(other - tau) for other in others))
-
-
-def _exponential(t: Array, y: Array, tau: float) -> tuple[Array, float]:
-    """Constant and size of an exponential through y, and the mean square of what is left."""
-    design = np.column_stack([np.ones_like(t), np.exp(-t / tau)])
-    terms, *_ = np.linalg.lstsq(design, y, rcond=None)
-    return np.asarray(terms), float(np.mean((y - design @ terms) ** 2))
 
 
 def _time_constant(t: Array, y: Array, order: int = 0) -> tuple[float, bool]:
@@ -302,12 +278,11 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         traces.append(_trace(at, group[0]))
     if estimates and (lack := scales.lack(("force", "displacement"))):
         findings.append(Finding("note", lack))
-    order = {RELAXED: 0, PEAK: 1}
     return Analysis.of(
         KIND,
         runs,
         results=RESULTS,
-        estimates=sorted(estimates, key=lambda e: order.get(e.method, 2)),
+        estimates=sorted(estimates, key=lambda e: (RELAXED, PEAK, BACK).index(e.method)),
         dropped=dropped,
         findings=findings,
         traces=traces,
@@ -421,16 +396,14 @@ def _findings(at: Mapping[str, float], group: Sequence[Steps]) -> list[Finding]:
 
 def _trace(at: Mapping[str, float], member: Steps) -> Trace:
     """Around the last step away from the start."""
-    columns = member.last
-    stride = max(1, -(-len(columns["t"]) // LONGEST_TRACE))
-    step = member.there[-1]
-    places = [show(at[name], quantity) for name, quantity in
-            (("pressure", "pressure"), ("step", "length"), ("speed", "speed")) if name in at]  # fmt: skip
+    stride, step = max(1, -(-len(member.last["t"]) // LONGEST_TRACE)), member.there[-1]
+    kinds = {"pressure": "pressure", "step": "length", "speed": "speed"}
+    places = ", ".join(show(at[name], quantity) for name, quantity in kinds.items() if name in at)
     return Trace(
         "step-" + "-".join(f"{value:g}" for value in at.values()),
         "displacement-step",
-        f"{', '.join(places)}: step of displacement",
-        {name: values[::stride] for name, values in columns.items()},
+        f"{places}: step of displacement",
+        {name: values[::stride] for name, values in member.last.items()},
         {"t": "time", "force": "force", "displacement": "length", "pressure": "pressure"},
         {"before": step.before, "peak": step.peak, "relaxed": step.relaxed},
     )

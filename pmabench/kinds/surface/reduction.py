@@ -219,25 +219,15 @@ def _points(maker: Reporter, where: Tested, pressures: list[float]) -> Iterator[
                 continue
             at = {"pressure": P, "contraction": x}
             side = 0.5 * choice.muscle.pressure_gap(x, 2 * float(frame.pressure_radii.max()))
-            wide = WIDE["force"] * choice.data.largest
-            yield maker.estimate(
-                "F", "force", partial(_force, P=P, x=x), at, misfit=float(np.hypot(error, side)), wide=wide
-            )
+            F, off, wide = partial(_force, P=P, x=x), float(np.hypot(error, side)), WIDE["force"] * choice.data.largest
+            yield maker.estimate("F", "force", F, at, misfit=off, wide=wide)
             if frame.x.span > 0:
-                yield maker.estimate(
-                    "K",
-                    "stiffness",
-                    partial(_stiffness, P=P, x=x),
-                    at,
-                    misfit=error / (WAVE * frame.x.span),
-                    powers=SLOPE,
-                )
+                K, off = partial(_stiffness, P=P, x=x), error / (WAVE * frame.x.span)
+                yield maker.estimate("K", "stiffness", K, at, misfit=off, powers=SLOPE)
         if high - low > WAVE * frame.x.span > 0:
             at = {"pressure": P, "lower": round(low, 5), "upper": round(high, 5)}
-            yield maker.estimate(
-                "K_s", "stiffness", partial(Muscle.secant, P=P, first=low, last=high), at,
-                misfit=error / (high - low), method=SECANT, powers=SLOPE,
-            )  # fmt: skip
+            K_s, off = partial(Muscle.secant, P=P, first=low, last=high), error / (high - low)
+            yield maker.estimate("K_s", "stiffness", K_s, at, misfit=off, method=SECANT, powers=SLOPE)
 
 
 def _loops(maker: Reporter, where: Tested, pressures: list[float]) -> Iterator[Estimate]:
@@ -249,10 +239,9 @@ def _loops(maker: Reporter, where: Tested, pressures: list[float]) -> Iterator[E
             continue
         size = 0.25 * (high - low)
         at, note = {"pressure": P, "amplitude": round(size, 6)}, "around any contraction, at rest"
-        yield maker.estimate("H", "force", partial(Muscle.gap, P=P, amplitude=size), at, misfit=error, note=note)
-        yield maker.estimate(
-            "W", "work", partial(Muscle.area, P=P, amplitude=size), at, misfit=2 * size * error, note=note, powers=WORK
-        )
+        H, W = (partial(of, P=P, amplitude=size) for of in (Muscle.gap, Muscle.area))
+        yield maker.estimate("H", "force", H, at, misfit=error, note=note)
+        yield maker.estimate("W", "work", W, at, misfit=2 * size * error, note=note, powers=WORK)
         if SLIDING in terms:
             yield maker.estimate("F_c", "force", partial(Muscle.friction, P=P), {"pressure": P}, misfit=0.5 * error)
     for x in round_places(frame.x.low, frame.x.high) if STOPS_P in terms else ():
@@ -270,10 +259,8 @@ def _damping(maker: Reporter, pressures: list[float]) -> Iterator[Estimate]:
     fast = float(np.quantile(np.abs(rows.v[rows.used]), FASTEST))
     for P in pressures:
         for way, symbol in enumerate(("B_c", "B_r")):
-            yield maker.estimate(
-                symbol, "damping", partial(_damping_of, P=P, way=way), {"pressure": P}, misfit=maker.error / fast,
-                powers=SLOPE,
-            )  # fmt: skip
+            B, off = partial(_damping_of, P=P, way=way), maker.error / fast
+            yield maker.estimate(symbol, "damping", B, {"pressure": P}, misfit=off, powers=SLOPE)
 
 
 def _creep(maker: Reporter, where: Tested) -> Iterator[Estimate]:
@@ -281,21 +268,14 @@ def _creep(maker: Reporter, where: Tested) -> Iterator[Estimate]:
     choice, (first, last) = maker.choice, CREEP
     reach = f"between {first:g} and {last:g} s after a step"
     if CREEP_X in choice.terms:
-        yield maker.estimate(
-            "c_x", "ratio", partial(Muscle.creep_per_decade, first=first, last=last), {}, note=reach,
-            powers={"displacement": 1},
-        )  # fmt: skip
+        c_x = partial(Muscle.creep_per_decade, first=first, last=last)
+        yield maker.estimate("c_x", "ratio", c_x, {}, note=reach, powers={"displacement": 1})
     frame = choice.data.frame
     for x in round_places(frame.x.low, frame.x.high) if CREEP_P in choice.terms else ():
         if where.pressures(x) is not None:
-            yield maker.estimate(
-                "c_P",
-                "force per pressure",
-                partial(Muscle.pressure_creep_per_decade, x=x, first=first, last=last),
-                {"contraction": x},
-                note=reach,
-                powers={"force": 1, "pressure": -1},
-            )
+            c_P = partial(Muscle.pressure_creep_per_decade, x=x, first=first, last=last)
+            powers = {"force": 1, "pressure": -1}
+            yield maker.estimate("c_P", "force per pressure", c_P, {"contraction": x}, note=reach, powers=powers)
 
 
 KIND = "surface"
@@ -366,23 +346,19 @@ def sentences(choice: Choice) -> list[Finding]:
     full = choice.data.largest
     best = choice.score
     named = ", ".join(best.terms[len(ALWAYS) :]) or "neither hysteresis nor creep"
-    found = [
-        Finding(
-            "note",
-            f"trials that were left out are predicted to {_share(best, full)}, with {named}; by the smooth surface "
-            f"and damping alone to {_share(choice.plain, full)}, by straight lines over contraction to "
-            f"{_share(choice.straight, full)}",
-        )
-    ]
+    text = (
+        f"trials that were left out are predicted to {_share(best, full)}, with {named}; by the smooth surface and "
+        f"damping alone to {_share(choice.plain, full)}, by straight lines over contraction to "
+        f"{_share(choice.straight, full)}"
+    )
+    found = [Finding("note", text)]
     for taken, other in choice.undecided:
-        found.append(
-            Finding(
-                "doubt",
-                f"{taken} explains the difference between both ways, and {other} in its place does nearly as well: one "
-                "cycle at one speed does not tell hysteresis from creep. Add small loops inside the large one, another "
-                "speed, and holds of at least 30 s",
-            )
+        text = (
+            f"{taken} explains the difference between both ways, and {other} in its place does nearly as well: one "
+            "cycle at one speed does not tell hysteresis from creep. Add small loops inside the large one, another "
+            "speed, and holds of at least 30 s"
         )
+        found.append(Finding("doubt", text))
     if any(record.by_hand for record in choice.data.records):
         text = "lengths were set by hand: the force of each trial has a constant of its own, which is fitted"
         found.append(Finding("note", text))
@@ -415,24 +391,16 @@ def facts(choice: Choice) -> dict[str, Any]:
 
 def loops(choice: Choice) -> list[Trace]:
     """Measured force of trials that move at one pressure, and that of the muscle."""
-    span = choice.data.frame.x.span
-    moving = [one for one in choice.data.records if span > 0 and np.ptp(one.x[one.used]) > 0.25 * span]
-    every = choice.muscle.force(choice.data.records)
-    ends = np.cumsum([0, *(len(one.t) for one in choice.data.records)])
-    found: list[Trace] = []
-    for number, one in enumerate(choice.data.records):
-        if one not in moving or len(found) >= LOOPS:
-            continue
-        step = max(1, int(one.used.sum()) // POINTS)
-        kept = np.flatnonzero(one.used)[::step]
-        found.append(
-            Trace(
-                f"loop-{number}-surface",
-                "loop",
-                f"Force over contraction, {one.group}",
-                {"displacement": one.x[kept], "force": one.F[kept], "model": every[ends[number] :][kept]},
-                {"displacement": "length", "force": "force", "model": "force"},
-                {"pressure": float(np.median(one.P))},
-            )
-        )
+    records, span = choice.data.records, choice.data.frame.x.span
+    every = choice.muscle.force(records)
+    ends = np.cumsum([0, *(len(one.t) for one in records)])
+    moving = [i for i, one in enumerate(records) if span > 0 and np.ptp(one.x[one.used]) > 0.25 * span]
+    found = []
+    for i in moving[:LOOPS]:
+        one = records[i]
+        kept = np.flatnonzero(one.used)[:: max(1, int(one.used.sum()) // POINTS)]
+        columns = {"displacement": one.x[kept], "force": one.F[kept], "model": every[ends[i] :][kept]}
+        quantities = {"displacement": "length", "force": "force", "model": "force"}
+        title, marks = f"Force over contraction, {one.group}", {"pressure": float(np.median(one.P))}
+        found.append(Trace(f"loop-{i}-surface", "loop", title, columns, quantities, marks))
     return found
