@@ -190,7 +190,7 @@ class JointStep(ProtocolHead):
         trial, controller = self.trial, self.controller
         low, high = controller.output
         for index, point in enumerate(expand(self.sweep, c.document)):
-            values = self._values(point)
+            values = {name: float(value) for name, value in point.values.items() if value is not None}
             table = self._table(c, point)
             if table is None or c.problems or c.too_long():
                 continue
@@ -207,8 +207,8 @@ class JointStep(ProtocolHead):
                 "reference_lag": controller.reference_lag, "low": low, "high": high,
             }  # fmt: skip
             if "frequency" in values:
-                swing = {"begin": begin, "amplitude": values["goal"], "frequency": values["frequency"]}
-                parameters["sine"] = swing
+                sine = {"begin": begin, "amplitude": values["goal"], "frequency": values["frequency"]}
+                parameters["sine"] = sine
             c.trials.append(TrialRecord(index, values, point.repeat))
             c.steps += [
                 *(Set("pressurise", name, value) for name, value in middle.items()),
@@ -220,16 +220,9 @@ class JointStep(ProtocolHead):
                 Hold("vent", trial.rest),
             ]
         c.steps += vented()
-        settings = {
-            "window": list(trial.window),
-            "band": trial.band,
-            "begin": trial.dwell * len(trial.approach) + trial.baseline,
-        }
+        begin = trial.dwell * len(trial.approach) + trial.baseline
+        settings = {"window": list(trial.window), "band": trial.band, "begin": begin}
         return c.plan("joint-step", {**settings, "stiffness": controller.stiffness})
-
-    @staticmethod
-    def _values(point: Point) -> dict[str, float]:
-        return {name: float(value) for name, value in point.values.items() if value is not None}
 
     def _sound(self, c: Compilation) -> None:
         """Check everything that does not depend on the point."""

@@ -23,6 +23,8 @@ METHODS = {
         "same means. Time constants that the hold does not show are withheld."
     ),
 }
+PHASES, POINT = (("to the highest", "step"), ("any", "vent")), (("contraction", "length"), ("pressure", "highest"))
+"""How the commands of an import are called, and how the operating point is read off them."""
 KIND = Kind(
     name="relaxation",
     title="Relaxation",
@@ -39,12 +41,5 @@ KIND = Kind(
     word="relaxation",
     methods=METHODS,
     figures={"relaxation": "pmabench.kinds.relaxation.figures:courses"},
-    imported=Imported(
-        Commanded(
-            "pressure",
-            phases=(("to the highest", "step"), ("any", "vent")),
-            point=(("contraction", "length"), ("pressure", "highest")),
-        ),
-        follows="force",
-    ),
+    imported=Imported(Commanded("pressure", phases=PHASES, point=POINT), follows="force"),
 )

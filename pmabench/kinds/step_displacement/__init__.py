@@ -25,6 +25,8 @@ METHODS = {
     ),
     "step, recovery": "One exponential through force and pressure from the end of the motion on.",
 }
+POINT = (("start", "first"), ("step", "size"), ("speed", "speed"), ("pressure", "held"))
+"""How the operating point is read off the commands of an import."""
 KIND = Kind(
     name="step-displacement",
     title="Steps of displacement",
@@ -43,12 +45,5 @@ KIND = Kind(
     methods=METHODS,
     figures={"displacement-step": "pmabench.kinds.step_displacement.figures:steps"},
     parts={"slow rows": "pmabench.analysis.surface.trials:driven"},
-    imported=Imported(
-        Commanded(
-            "displacement",
-            phases=(("away", "step"), ("any", "back")),
-            point=(("start", "first"), ("step", "size"), ("speed", "speed"), ("pressure", "held")),
-            ramps=True,
-        )
-    ),
+    imported=Imported(Commanded("displacement", phases=(("away", "step"), ("any", "back")), point=POINT, ramps=True)),
 )
