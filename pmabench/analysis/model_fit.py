@@ -219,19 +219,15 @@ def _wald(value: float, error: float | None, freedom: int) -> Interval | None:
 def _profiles(problem: Problem, best: End, spread: Spread, freedom: int) -> tuple[list[Interval | None], Array | None]:
     """Where the sum of squares, the others refitted, rises by t^2 s^2; or a point that is better than `best`."""
     limit = float(student.ppf(0.975, freedom))
-    variance = best[0] / freedom
     found: list[Interval | None] = []
     for i, error in enumerate(spread.errors):
-        if error is None:
-            found.append(None)
-            continue
         ends: list[float | None] = []
-        for way in (-1.0, 1.0):
-            end, better = _end(problem, best, spread, i, way * limit * error, limit, variance)
+        for way in (-1.0, 1.0) if error is not None else ():
+            end, better = _end(problem, best, spread, i, way * limit * (error or 0.0), limit, best[0] / freedom)
             if better is not None:
                 return found, better
             ends.append(end)
-        found.append((ends[0], ends[1]))
+        found.append((ends[0], ends[1]) if ends else None)
     return found, None
 
 
@@ -275,11 +271,9 @@ def _same(end: End, best: End, spread: Spread, size: Array) -> bool:
     """Whether a start ended at the best values."""
     if not _as_low(end, best):
         return False
-    errors = np.array([0.0 if e is None else e for e in spread.errors])
-    free = np.array([e is not None for e in spread.errors])
-    return bool(
-        (np.abs(end[1] - best[1]) <= 0.1 * errors + 1e-4 * np.maximum(np.abs(best[1]), 1e-3 * size))[free].all()
-    )
+    errors = np.array([np.inf if e is None else e for e in spread.errors])
+    room = 0.1 * errors + 1e-4 * np.maximum(np.abs(best[1]), 1e-3 * size)
+    return bool((np.abs(end[1] - best[1]) <= room).all())
 
 
 def _at_ends(problem: Problem, at: Array) -> list[str]:
@@ -329,11 +323,10 @@ def _of_residuals(residual: Array, *, exact: bool, freedom: int) -> list[Finding
 
 def _idle(problem: Problem, fixed: Mapping[str, Any], at: Array) -> tuple[str, ...]:
     """Numbers among the fixed inputs that do not move the output at the best values."""
-    names = [p.name for p in problem.model.parameters if p.name in fixed and not p.choices]
+    held = {p.name: float(fixed[p.name]) for p in problem.model.parameters if p.name in fixed and not p.choices}
     inputs = {**problem.inputs, **dict(zip(problem.names, at.tolist(), strict=True))}
-    held = {name: float(fixed[name]) for name in names}
-    moving = acting(problem.model, problem.output, names, inputs, held)
-    return tuple(name for name in names if name not in moving)
+    moving = acting(problem.model, problem.output, list(held), inputs, held)
+    return tuple(name for name in held if name not in moving)
 
 
 def _follows(problem: Problem, at: Array, spread: Spread, freedom: int) -> tuple[Follows, ...]:

@@ -187,13 +187,10 @@ def _upward(x: Array, middle: float, hysteresis: float) -> list[int]:
     found: list[int] = []
     below, crossing = False, -1
     for i, value in enumerate((x - middle).tolist()):
-        if value < -hysteresis:
-            below, crossing = True, -1
+        if value < 0:
+            below, crossing = below or value < -hysteresis, -1
         elif below:
-            if value >= 0 and crossing < 0:
-                crossing = i
-            elif value < 0:
-                crossing = -1
+            crossing = i if crossing < 0 else crossing
             if value > hysteresis:
                 found.append(crossing)
                 below = False

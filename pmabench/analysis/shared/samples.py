@@ -110,10 +110,8 @@ def count_of(run: RunData, channel: str) -> float:
 
 def on_time(run: RunData, trial: TrialData, name: str) -> Array:
     """A channel without the lag of its sensor, which along a ramp shows what was there one lag ago; NaN if missing."""
-    if name not in trial.channels:
-        return np.full(trial.t.shape, np.nan)
-    lag = run.channels[name].sensor_lag if name in run.channels else 0.0
-    values = trial.channels[name]
+    values = trial.channels.get(name, np.full(trial.t.shape, np.nan))
+    lag = lags_of(run, trial).get(name, 0.0)
     return np.interp(trial.t + lag, trial.t, values) if lag else values
 
 
@@ -241,9 +239,8 @@ def onset(t: Array, y: Array, command: float, least: float) -> float | None:
 def dead_times(t: Array, channels: Mapping[str, Array], usable: NDArray[np.bool_], command: float) -> dict[str, float]:
     """Times [s] between command, pressure and motion of a contraction that is commanded at `command` [s]."""
     near = usable & (t < command + 2.0)
-    found = {name: onset(t[near], channels[name][near], command, least) for name, least in LEAST.items()}
+    pressure, motion = (onset(t[near], channels[name][near], command, least) for name, least in LEAST.items())
     result = {}
-    pressure, motion = found["pressure"], found["displacement"]
     if pressure is not None:
         result["command-to-pressure"] = pressure - command
     if motion is not None:

@@ -208,12 +208,11 @@ def _selected(known: Sums, folds: Array) -> tuple[Score, list[Score]]:
 def _undecided(known: Sums, folds: Array, best: Score) -> tuple[tuple[str, str], ...]:
     """Pairs of which one was taken while the other does about as well in its place."""
     found = []
-    for pair in RIVALS:
-        taken = [term for term in pair if term in best.terms]
-        if len(taken) != 1:
+    for one, two in RIVALS:
+        if (one in best.terms) == (two in best.terms):
             continue
-        (other,) = {*pair} - {*taken}
-        instead = scored(known, folds, [other if term == taken[0] else term for term in best.terms])
+        taken, other = (one, two) if one in best.terms else (two, one)
+        instead = scored(known, folds, [other if term == taken else term for term in best.terms])
         if instead.rms < ALIKE * best.rms or not best.better_than(instead):
-            found.append((taken[0], other))
+            found.append((taken, other))
     return tuple(found)

@@ -101,15 +101,20 @@ GRAVITY = 9.80665
 
 def driven(run: RunData, trial: TrialData, rate: float) -> Record | str:
     """Rows of a trial whose free end is moved or held by an actuator, with a load cell and a gauge of the length."""
-    if lacking := [name for name in ("pressure", "displacement", "force") if name not in trial.channels]:
-        return f"{' and '.join(lacking)} was not recorded"
+    if lacks := _lacking(trial, "pressure", "displacement", "force"):
+        return lacks
     return _record(run, trial, rate, on_time(run, trial, "displacement"), on_time(run, trial, "force"))
+
+
+def _lacking(trial: TrialData, *channels: str) -> str:
+    lacks = " and ".join(name for name in channels if name not in trial.channels)
+    return lacks and f"{lacks} was not recorded"
 
 
 def by_hand(run: RunData, trial: TrialData, rate: float) -> Record | str:
     """Rows of a trial at a length that somebody set: the one of its operating point, where no gauge was recorded."""
-    if lacking := [name for name in ("pressure", "force") if name not in trial.channels]:
-        return f"{' and '.join(lacking)} was not recorded"
+    if lacks := _lacking(trial, "pressure", "force"):
+        return lacks
     if "displacement" in trial.channels:
         return driven(run, trial, rate)
     if "contraction" not in trial.point:
@@ -122,8 +127,8 @@ def hanging(run: RunData, trial: TrialData, rate: float) -> Record | str:
     """Rows of a trial with a weight on the muscle: the force of the cell, else load and inertia of what hangs there."""
     if "force" in trial.channels:
         return driven(run, trial, rate)
-    if lacking := [name for name in ("pressure", "displacement") if name not in trial.channels]:
-        return f"{' and '.join(lacking)} was not recorded"
+    if lacks := _lacking(trial, "pressure", "displacement"):
+        return lacks
     if "load" not in trial.point:
         return "neither the force nor the load is known"
     load = trial.point["load"]

@@ -169,11 +169,11 @@ def trial_checks(kind: Kind, runs: Sequence[RunData]) -> list[Check]:
     value_of = kind.part("repeated")
     begun, values = 0.0, list[tuple[Point, RunData, TrialData, float]]()
     for run in in_time(runs):
-        for trial in run.trials:
-            if trial.status == "finished" and not trial.again and len(trial.t):
-                point = tuple((name, float(f"{at:.6g}")) for name, at in sorted(trial.point.items()))
-                values.append((point, run, trial, begun + float(trial.t[0])))
-        begun += max((float(trial.t[-1]) for trial in run.trials if len(trial.t)), default=0.0)
+        sampled = [trial for trial in run.trials if len(trial.t)]
+        for trial in (one for one in sampled if one.status == "finished" and not one.again):
+            point = tuple((name, float(f"{at:.6g}")) for name, at in sorted(trial.point.items()))
+            values.append((point, run, trial, begun + float(trial.t[0])))
+        begun += max((float(trial.t[-1]) for trial in sampled), default=0.0)
     times = Counter(point for point, *_ in values)
     rows: list[tuple[Point, int, float, float]] = []
     for point, run, trial, t in values:
@@ -221,13 +221,12 @@ def first_repeat(r: Repeats) -> Check | None:
         return None
     mean = float(np.mean(apart))
     half = float(student.ppf(0.975, len(apart) - 1)) * float(np.std(apart, ddof=1)) / sqrt(len(apart))
-    differs = abs(mean) > half
     size = f"{100 * mean:+.2g} ± {100 * half:.2g} % of the {r.what} over {len(apart)} operating points"
-    if differs and abs(mean) > FIRST:
-        text = f"the first repeat differs from later ones: {size}; more cycles before the first trial would even it out"
-        return Check("first_repeat", mean, "ratio", "doubt", text)
-    relation = "differs a little from" if differs else "is like the"
-    return Check("first_repeat", mean, "ratio", "note", f"the first repeat {relation} later ones: {size}")
+    level, relation, advice = "note", "is like the" if abs(mean) <= half else "differs a little from", ""
+    if abs(mean) > max(half, FIRST):
+        level, relation = "doubt", "differs from"
+        advice = "; more cycles before the first trial would even it out"
+    return Check("first_repeat", mean, "ratio", level, f"the first repeat {relation} later ones: {size}{advice}")
 
 
 def drift(r: Repeats) -> Check | None:

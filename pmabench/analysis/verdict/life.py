@@ -308,15 +308,11 @@ def findings(life: Sequence[Past], series: Sequence[Series], references: Sequenc
     elsewhere = total - sum(past.use.cycles for past in life)
     own = f" ({elsewhere:,} of them before these runs or outside of them, by the specimen file)" if elsewhere else ""
     yield Finding("note", f"{text}{in_words(time)} at pressure, at most {show(highest, 'pressure', 4)}{own}")
-    silent = sum(past.use.highest == 0 for past in life)
-    if silent:
+    if silent := sum(past.use.highest == 0 for past in life):
         what = "commands no pressure" if silent == 1 else "command no pressure"
         yield Finding("note", f"{silent} of them {what}: what was done to the muscle there (imports) is not counted")
-    for one in series:
-        if len(one.moments) > 1:
-            yield _change(one)
-    for reference in references:
-        yield _reference(reference)
+    yield from (_change(one) for one in series if len(one.moments) > 1)
+    yield from map(_reference, references)
 
 
 def _change(one: Series) -> Finding:
@@ -332,17 +328,14 @@ def _change(one: Series) -> Finding:
 
 
 def _reference(one: References) -> Finding:
-    limits = one.chart
-    values = [stroke for _, _, stroke, _ in one.moments]
+    limits, values = one.chart, [stroke for _, _, stroke, _ in one.moments]
     ends = f"{show(values[0], 'length', 4)} at first, {show(values[-1], 'length', 4)} at last"
-    if limits is None:
-        return Finding("note", f"{one.title}: {len(values)} times, {ends}; too few for control limits")
-    alarm = limits.first_alarm
-    if alarm is None:
-        return Finding("note", f"{one.title}: {len(values)} times, {ends}; all within the control limits")
+    text = f"{one.title}: {len(values)} times, {ends}"
+    alarm = None if limits is None else limits.first_alarm
+    if limits is None or alarm is None:
+        known = "too few for control limits" if limits is None else "all within the control limits"
+        return Finding("note", f"{text}; {known}")
     date, cycles, _, trial = one.moments[alarm]
     what = f"{len(limits.beyond)} beyond the control limits" if limits.beyond else "a row on one side of the centre"
     when = f"first on {date[:10]} after {cycles:,} cycles ({trial})"
-    return Finding(
-        "doubt", f"{one.title}: {len(values)} times, {ends}; {what}, {when}: the specimen is not what it was"
-    )
+    return Finding("doubt", f"{text}; {what}, {when}: the specimen is not what it was")

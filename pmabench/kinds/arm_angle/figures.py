@@ -83,8 +83,7 @@ def _gaps(loads: Sequence[Loaded]) -> list[Finding]:
     if not known:
         return []
     one, place = max(known, key=lambda pair: abs(pair[0].gaps[:, pair[1]].mean()))
-    gap, P = float(one.gaps[:, place].mean()), show(float(one.pressure[place]), "pressure", 3)
-    noise = max(rest.noise for stair in one.stairs for rest in stair.rests)
+    gap, P, noise = float(one.gaps[:, place].mean()), show(float(one.pressure[place]), "pressure", 3), one.noise
     if abs(gap) <= (least := max(6 * noise, SAME)):
         return [Finding("note", f"both ways agree within {show(least, 'angle', 2)}: no hysteresis is seen")]
     text = f"from above the angle is up to {show(abs(gap), 'angle', 2)} {'larger' if gap >= 0 else 'smaller'}"

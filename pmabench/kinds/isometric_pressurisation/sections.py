@@ -182,12 +182,10 @@ def across(cells: Sequence[Cell]) -> list[Across]:
 
 def _wider(line: Line, x: Array, F: Array, sessions: Sequence[str]) -> Line:
     """The line with half widths by Student's t over the lines of the sessions, where those are wider."""
-    each = []
-    for name in dict.fromkeys(sessions):
-        mine = np.array([session == name for session in sessions])
-        if np.ptp(x[mine]) > APART:
-            each.append(np.polyfit(x[mine], F[mine], 1))
-    if len(each) < 2 or len(each) < len(set(sessions)):
+    names = dict.fromkeys(sessions)
+    mine = [np.array([session == name for session in sessions]) for name in names]
+    each = [np.polyfit(x[rows], F[rows], 1) for rows in mine if np.ptp(x[rows]) > APART]
+    if len(each) < 2 or len(each) < len(names):
         return line
     slope, start = (mean_with_half([float(one[i]) for one in each])[1] or 0.0 for i in (0, 1))
     return replace(line, half_start=max(line.half_start or 0.0, start), half_slope=max(line.half_slope or 0.0, slope))
@@ -259,10 +257,8 @@ def given_of(specimen: object) -> Mapping[str, float]:
     The diameter of muscles side by side is that of one muscle with the force of all.
     """
     entries = specimen if isinstance(specimen, Mapping) else {}
-    names = ("nominal_length", "inner_diameter", "braid_angle")
-    given = {
-        name: float(entries[name]) for name in names if isinstance(entries.get(name), int | float) and entries[name] > 0
-    }
+    values = {name: entries.get(name) for name in ("nominal_length", "inner_diameter", "braid_angle")}
+    given = {name: float(value) for name, value in values.items() if isinstance(value, int | float) and value > 0}
     if "inner_diameter" in given:
         given["inner_diameter"] *= sqrt(side_by_side(specimen))
     return given
