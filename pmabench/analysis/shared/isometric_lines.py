@@ -182,15 +182,11 @@ def _phase_of(run: RunData, trial: TrialData, phases: Sequence[str]) -> Array:
     """
     events = [e for e in run.events if e.kind == "phase" and e.data.get("trial") == trial.index]
     begun = [(e.t, str(e.data.get("name"))) for e in events]
-    for command in () if begun else trial.commands:
-        begun.append((command.t, command.phase))
-        if command.kind == "ramp" and command.data.get("rate"):
-            begun.append((ends(command), ""))
-    begun.sort()
     if not begun:
-        return np.zeros(len(trial.t))
-    index = np.full(len(trial.t), -1.0)
-    for at, name in begun:
+        ramps = [c for c in trial.commands if c.kind == "ramp" and c.data.get("rate")]
+        begun = [(c.t, c.phase) for c in trial.commands] + [(ends(c), "") for c in ramps]
+    index = np.full(len(trial.t), -1.0 if begun else 0.0)
+    for at, name in sorted(begun):
         index[trial.t >= at - 1e-9] = phases.index(name) if name in phases else -1
     return index
 

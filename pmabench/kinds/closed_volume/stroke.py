@@ -219,7 +219,7 @@ class Form:
     """Of all start pressures [m3]; shape (n,)."""
     shares: Mapping[float, Mapping[str, Array]]
     """Start pressure -> departure -> its effect as a share of the volume at `x`."""
-    seen: Mapping[float, frozenset[str]]
+    seen: Mapping[float, set[str]]
     """Start pressure -> departures that are significant."""
     leaked: Mapping[float, Array]
     """Share that the volume is larger by where no leak is taken out, at `x`."""
@@ -260,42 +260,37 @@ def form_of(cells: Mapping[float, Sequence[Stroke]], gas: Gas) -> Form:
     shares: dict[float, dict[str, Array]] = {}
     seen: dict[float, set[str]] = {}
     leaked, means = {}, {}
-    for P, strokes in cells.items():
-        shares[P], seen[P] = _of_one(strokes, gas)
-        means[P] = np.mean([one.volumes(gas, leak=True).mean(axis=0) for one in strokes], axis=0)
-        leaked[P] = np.mean([one.volumes(gas, leak=False).mean(axis=0) for one in strokes], axis=0) / means[P] - 1
     room, beyond = _room(cells, gas)
-    for P in cells:
+    for P, strokes in cells.items():
+        means[P], whole = (
+            np.mean([one.volumes(gas, leak=leak).mean(axis=0) for one in strokes], axis=0) for leak in (True, False)
+        )
+        leaked[P] = whole / means[P] - 1
+        shares[P], seen[P] = _of_one(strokes, gas)
         shares[P][ROOM] = room[P] / means[P]
-        if beyond:
-            seen[P].add(ROOM)
+        seen[P] |= {ROOM} if beyond else set()
     x = next(iter(cells.values()))[0].x
-    found = {P: frozenset(names) for P, names in seen.items()}
-    return Form(x, np.mean(list(means.values()), axis=0), shares, found, leaked)
+    return Form(x, np.mean(list(means.values()), axis=0), shares, seen, leaked)
 
 
 def _of_one(strokes: Sequence[Stroke], gas: Gas) -> tuple[dict[str, Array], set[str]]:
     """Shares of the volume at one start pressure, and what is seen."""
-    seen = set()
     noise = _noise(strokes, gas)
     by_way = np.array([one.by(one.P, one.paid, gas) for one in strokes])
     V = by_way.mean(axis=(0, 1))
     gaps = (by_way[:, 0::2] - by_way[:, 1::2]).reshape(-1, len(V)) / V
-    gap = gaps.mean(axis=0)
-    if float(np.abs(gap).max()) > SURE * (noise * sqrt(2 / len(gaps))):
-        seen.add(BOTH_WAYS)
-    shares = {BOTH_WAYS: 0.5 * np.abs(gap)}
+    gap = np.abs(gaps.mean(axis=0))
     returns = np.array([one.by(one.returns[:, 0], one.returns[:, 1], gas) for one in strokes]) / gas.reference - 1
     most = float(np.abs(returns.mean(axis=0)).max(initial=0.0))
-    if most > SURE * noise * sqrt(1.5 / len(strokes)):
-        seen.add(BETWEEN)
-    shares[BETWEEN] = np.full(len(V), most)
     further = left([held for one in strokes for held in one.far])
     lowest = float(np.mean([one.P[:, -1].mean() for one in strokes])) + gas.atmosphere
-    if further.seen:
-        seen.add(STILL)
-    shares[STILL] = np.full(len(V), further.most / lowest)
-    return shares, seen
+    shares = {BOTH_WAYS: 0.5 * gap, BETWEEN: np.full(len(V), most), STILL: np.full(len(V), further.most / lowest)}
+    seen = {
+        BOTH_WAYS: float(gap.max()) > SURE * (noise * sqrt(2 / len(gaps))),
+        BETWEEN: most > SURE * noise * sqrt(1.5 / len(strokes)),
+        STILL: further.seen,
+    }
+    return shares, {name for name, is_seen in seen.items() if is_seen}
 
 
 def _noise(strokes: Sequence[Stroke], gas: Gas) -> float:

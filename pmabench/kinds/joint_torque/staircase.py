@@ -208,10 +208,10 @@ def _ramps(trial: TrialData) -> list[Command]:
 
 def _turns(trial: TrialData, angle: Array, torque: Array, lowest: float, highest: float) -> Turns | None:
     """How a turn fades, from the torque while the joint moves; None where no turns show."""
-    moving = {"rise": np.zeros(trial.t.shape, bool), "fall": np.zeros(trial.t.shape, bool)}
+    moving = {phase: np.zeros(trial.t.shape, bool) for phase in (AXES.rises, AXES.falls)}
     for ramp in _ramps(trial):
         moving[ramp.phase] |= (trial.t >= ramp.t) & (trial.t < ends(ramp)) & trial.usable
     grid = np.linspace(lowest, highest, POINTS)[1:-1]
-    up, down = (on_grid(grid, angle[moving[phase]], torque[moving[phase]]) for phase in (AXES.rises, AXES.falls))
+    up, down = (on_grid(grid, angle[rows], torque[rows]) for rows in moving.values())
     known = np.isfinite(up + down)
     return turns_of(grid[known], (down - up)[known], lowest, highest) if known.sum() > LEAST_SAMPLES else None

@@ -66,17 +66,18 @@ def _rests(one: Course) -> tuple[Array, Array]:
 
 def _attitude(courses: Sequence[Course]) -> Doubt:
     """By an offset or a scale of one axis: |f| is another one when tilted than when level, or is not g at all."""
-    more, errors, levels = [], [], []
+    rows = []
     for one in courses:
         norm, (level, held) = _norm(one), _rests(one)
-        more.append((float(norm[held].mean() - norm[level].mean())) / math.sin(one.size))
-        errors.append(noise_of(norm) * math.sqrt(1 / level.sum() + 1 / held.sum()) / math.sin(one.size))
-        levels.append(float(norm[level].mean()) / G - 1)
-    worst = int(np.argmax(np.abs(more)))
-    scale = max(abs(float(np.mean(levels))) - GRAVITY, 0.0)
-    half = (abs(more[worst]) + 2 * errors[worst]) / G + scale * max(one.size for one in courses)
-    seen = abs(more[worst]) > SURE * errors[worst] or scale > 0
-    size, whole = show(abs(more[worst]), "acceleration", 2), show(G * (1 + float(np.mean(levels))), "acceleration", 4)
+        more = abs(float(norm[held].mean() - norm[level].mean()) / math.sin(one.size))
+        error = noise_of(norm) * math.sqrt(1 / level.sum() + 1 / held.sum()) / math.sin(one.size)
+        rows.append((more, error, float(norm[level].mean()) / G - 1))
+    more, error, _ = max(rows, key=lambda row: row[0])
+    off_level = float(np.mean([row[2] for row in rows]))
+    scale = max(abs(off_level) - GRAVITY, 0.0)
+    half = (more + 2 * error) / G + scale * max(one.size for one in courses)
+    seen = more > SURE * error or scale > 0
+    size, whole = show(more, "acceleration", 2), show(G * (1 + off_level), "acceleration", 4)
     reason = (
         f"the accelerometer shows {whole} at level, and tilted as if an axis were off by {size}: an axis has an offset "
         "or another scale. Calibrate it, each axis upwards and downwards"
