@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from math import degrees
 from typing import Any
 
@@ -39,30 +39,26 @@ def of_cells(cells: Sequence[Cell]) -> list[Finding]:
             text = f"F(P) has no straight part: even its upper half leaves a line by {off}; no slope is reported"
             found.append(Finding("doubt", f"{where}: {text}"))
             continue
-        line = cell.pooled.line
-        ends = f"{show(cell.low, 'pressure', 4)} to {show(line.high, 'pressure', 4)}"
-        gap = float(cell.gaps.mean())
-        text = f"straight from {ends} within {show(cell.off, 'force', 2)}"
-        text += f", residual {show(cell.pooled.rms, 'force', 2)} rms"
-        found.append(Finding("note", f"{where}: {text}; emptying minus filling {show(gap, 'force', 2)}"))
+        ends = f"{show(cell.low, 'pressure', 4)} to {show(cell.pooled.line.high, 'pressure', 4)}"
+        off, rms, gap = (show(v, "force", 2) for v in (cell.off, cell.pooled.rms, float(cell.gaps.mean())))
+        text = f"straight from {ends} within {off}, residual {rms} rms"
+        found.append(Finding("note", f"{where}: {text}; emptying minus filling {gap}"))
         found += _moved(cell, where)
     return found
 
 
-def _moved(cell: Cell, where: str) -> list[Finding]:
+def _moved(cell: Cell, where: str) -> Iterator[Finding]:
     """Whether the driven end gave way while the force rose."""
-    moves = [float(np.ptp(x)) for test in cell.tests
-             if len(x := test.x[np.isfinite(test.x) & pulling(test)])]  # fmt: skip
-    span = float(np.nanmax(cell.mean.force) - np.nanmin(cell.mean.force))
+    pulled = [test.x[np.isfinite(test.x) & pulling(test)] for test in cell.tests]
+    most = max((float(np.ptp(x)) for x in pulled if len(x)), default=0.0)
     off = cell.place - cell.contraction
-    said = []
-    if moves and max(moves) > 2e-4 and max(moves) > MOVED * max(abs(cell.contraction), 10e-3):
-        text = f"the driven end moved by up to {show(max(moves), 'length', 2)} while the force changed by"
-        said.append(Finding("doubt", f"{where}: {text} {show(span, 'force', 3)}; it is not isometric"))
+    if most > 2e-4 and most > MOVED * max(abs(cell.contraction), 10e-3):
+        span = show(float(np.nanmax(cell.mean.force) - np.nanmin(cell.mean.force)), "force", 3)
+        text = f"the driven end moved by up to {show(most, 'length', 2)} while the force changed by {span}"
+        yield Finding("doubt", f"{where}: {text}; it is not isometric")
     if np.abs(off).max() > 5e-4:
         text = f"it was measured {show(float(off[np.argmax(np.abs(off))]), 'length', 2)} off; what was measured counts"
-        said.append(Finding("note", f"{where}: {text}"))
-    return said
+        yield Finding("note", f"{where}: {text}")
 
 
 def of_threshold(begun: Sequence[Estimate], given: Mapping[str, Any]) -> list[Finding]:

@@ -37,14 +37,10 @@ def loops(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     if not able:
         return []
     chosen = spread(able, PANELS)
-    panels = [
-        (
-            head(trace),
-            [("loop", panel(trace, {"x": "angle", "y": "torque"}, ""))],
-            panel(trace, {"x": "angle", "y": "mean"}, "") if has(trace, "mean") else None,
-        )
-        for trace in chosen
-    ]
+    panels = []
+    for trace in chosen:
+        mean = panel(trace, {"x": "angle", "y": "mean"}, "") if has(trace, "mean") else None
+        panels.append((head(trace), [("loop", panel(trace, {"x": "angle", "y": "torque"}, ""))], mean))
     labels = {"x": label(chosen[0], "angle"), "y": label(chosen[0], "torque")}
     gaps, slopes = (reach([trace.marks[name] for trace in chosen]) for name in ("H_tau", "K_th"))
     caption = (

@@ -30,14 +30,10 @@ def maps(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
         if not able:
             continue
         chosen = [able[i] for i in np.unique(np.linspace(0, len(able) - 1, min(len(able), MOST)).astype(int))]
-        panels = [
-            panel(
-                trace,
-                {"x": "angle", "y": f"torque at {name}", "gap": f"stiffness at {name}"},
-                name.replace(" kPa and ", ", "),
-            )
-            for name in chosen
-        ]
+        panels = []
+        for name in chosen:
+            columns = {"x": "angle", "y": f"torque at {name}", "gap": f"stiffness at {name}"}
+            panels.append(panel(trace, columns, name.replace(" kPa and ", ", ")))
         units = (unit_of(trace, f"{what} at {chosen[0]}").label(what) for what in ("torque", "stiffness"))
         labels = dict(zip(("x", "y", "gap"), (label(trace, "angle"), *units), strict=True))
         some = f" {len(chosen)} of {len(able)} are shown." if len(chosen) < len(able) else ""

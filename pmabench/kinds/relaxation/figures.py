@@ -57,7 +57,5 @@ def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Qu
     except NotUsable as reason:
         return [Measured("s", "ratio", None)], [str(reason)]
     doubts = [one.reason for one in course.doubts() if one.seen and one.half > course.half]
-    return [
-        Measured("s", "ratio", course.per_decade, noise=course.half),
-        Measured("F_1", "force", course.start),
-    ], doubts
+    s = Measured("s", "ratio", course.per_decade, noise=course.half)
+    return [s, Measured("F_1", "force", course.start)], doubts

@@ -274,7 +274,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         for sign, of in ((1.0, lambda steps: steps.there), (-1.0, lambda steps: steps.back)):
             here = {**at, "step": sign * at.get("step", 0.0)}
             estimates += _estimates(here, group, of, scales)
-        findings += _findings(at, group)
+        findings += _findings(group)
         traces.append(_trace(at, group[0]))
     if estimates and (lack := scales.lack(("force", "displacement"))):
         findings.append(Finding("note", lack))
@@ -378,20 +378,18 @@ def _still_moving(rests: Sequence[Held]) -> Doubt:
     return Doubt("motion of the force after the rest", "method", further.most, further.seen, f"{text}. Hold longer")
 
 
-def _findings(at: Mapping[str, float], group: Sequence[Steps]) -> list[Finding]:
+def _findings(group: Sequence[Steps]) -> Iterator[Finding]:
     """What catches the eye."""
-    lines = []
     for member in group:
+        where = f"trial {member.trial.name}"
         for steps in (member.there, member.back):
             further, size = left([one.later for one in steps]), abs(steps[0].relaxed - steps[0].before)
             if further.seen and abs(further.size) > DRIFTS * size:
-                change = show(further.size, "force", 2)
-                text = f"trial {member.trial.name}: after a rest the force would still change by {change}"
-                lines.append(Finding("doubt", f"{text}; K is not static yet, hold longer"))
+                text = f"{where}: after a rest the force would still change by {show(further.size, 'force', 2)}"
+                yield Finding("doubt", f"{text}; K is not static yet, hold longer")
         if any(one.static <= 0 for one in (*member.there, *member.back)):
-            text = f"trial {member.trial.name}: the force rises with contraction: a sign is wrong, or the step is lost"
-            lines.append(Finding("fault", text))
-    return lines
+            text = f"{where}: the force rises with contraction: a sign is wrong, or the step is lost"
+            yield Finding("fault", text)
 
 
 def _trace(at: Mapping[str, float], member: Steps) -> Trace:
