@@ -38,6 +38,12 @@ def refuse_flagged(usable: NDArray[np.bool_]) -> None:
         raise NotUsable(f"{bad:.0%} of the samples are flagged")
 
 
+def refuse_unusable(trial: TrialData, *channels: str) -> None:
+    """Raise `NotUsable` for a trial that ended early, lacks one of `channels` or has too many flagged samples."""
+    refuse_incomplete(trial, *channels)
+    refuse_flagged(trial.usable)
+
+
 def settings_of(run: RunData, options: Mapping[str, Any] | None = None) -> dict[str, Any]:
     """What the plan says to the reduction, and `options` over it."""
     return {**(run.plan.get("settings") or {}), **(options or {})}

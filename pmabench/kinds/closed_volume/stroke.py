@@ -26,16 +26,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from pmabench.analysis.shared.form import Doubt
-from pmabench.analysis.shared.samples import (
-    Held,
-    NotUsable,
-    ends,
-    left,
-    noise_of,
-    on_time,
-    refuse_flagged,
-    refuse_incomplete,
-)
+from pmabench.analysis.shared.samples import Held, NotUsable, ends, left, noise_of, on_time, refuse_unusable
 from pmabench.store.analyses.results import Estimate
 from pmabench.store.records import Array, RunData, TrialData
 
@@ -101,8 +92,7 @@ class Stroke:
 
 def measure(run: RunData, trial: TrialData, settings: Mapping[str, Any]) -> Stroke:
     """One trial from its samples; `NotUsable` where it ended early, lacks a channel or was never shut in."""
-    refuse_incomplete(trial, "pressure", "displacement")
-    refuse_flagged(trial.usable)
+    refuse_unusable(trial, "pressure", "displacement")
     if not trial.found.get("closed", {}).get("found", False):
         raise NotUsable("the strokes with the valve shut were not finished")
     ramps = [c for c in trial.commands if c.output == "displacement" and c.kind == "ramp" and c.phase == "closed"]

@@ -24,8 +24,7 @@ from pmabench.analysis.shared.samples import (
     left,
     noise_of,
     on_time,
-    refuse_flagged,
-    refuse_incomplete,
+    refuse_unusable,
     settings_of,
 )
 from pmabench.analysis.shared.trials import grouped, measured_trials
@@ -141,8 +140,7 @@ class Staircase:
 
 def staircase_of(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> Staircase:
     """One trial measured; raises `NotUsable` with the reason, for angles near the turns with what would be enough."""
-    refuse_incomplete(trial, "angle", "torque", *MUSCLES)
-    refuse_flagged(trial.usable)
+    refuse_unusable(trial, "angle", "torque", *MUSCLES)
     nominal = np.array(settings_of(run, options)["angles"], dtype=np.float64)
     angle, torque = on_time(run, trial, "angle"), on_time(run, trial, "torque")
     rests = _rests(trial, nominal, angle, torque)

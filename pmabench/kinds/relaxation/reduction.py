@@ -20,7 +20,7 @@ from pmabench.analysis.shared import student
 from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.form import Doubt, weighed
 from pmabench.analysis.shared.isometric_lines import spread
-from pmabench.analysis.shared.samples import NotUsable, noise_of, refuse_flagged, refuse_incomplete, settings_of
+from pmabench.analysis.shared.samples import NotUsable, noise_of, refuse_unusable, settings_of
 from pmabench.analysis.shared.trials import grouped, measured_trials
 from pmabench.base.quantities import show
 from pmabench.kinds.relaxation import RESULTS
@@ -260,8 +260,7 @@ class Course:
 
 def measure(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> Course:
     """One trial from its samples; `NotUsable` where it ended early, lacks a channel, or holds too few decades."""
-    refuse_incomplete(trial, "pressure", "force")
-    refuse_flagged(trial.usable)
+    refuse_unusable(trial, "pressure", "force")
     step, end = _step(trial)
     if end >= trial.t[-1]:
         raise NotUsable(

@@ -26,8 +26,7 @@ from pmabench.analysis.shared.samples import (
     left,
     noise_of,
     on_time,
-    refuse_flagged,
-    refuse_incomplete,
+    refuse_unusable,
     settings_of,
 )
 from pmabench.analysis.shared.trials import grouped, measured_trials
@@ -112,8 +111,7 @@ def measure(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> Steps
 
     Raises `NotUsable` where it ended early, lacks a channel or a whole step.
     """
-    refuse_incomplete(trial, "displacement", "force")
-    refuse_flagged(trial.usable)
+    refuse_unusable(trial, "displacement", "force")
     found: dict[str, list[Relaxation]] = {"step": [], "back": []}
     ramps = [c for c in trial.commands if c.output == "displacement" and c.kind == "ramp" and c.phase in found]
     if not ramps:
