@@ -6,6 +6,7 @@ Knows the manifest of imports; no reduction.
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, TypeVar
@@ -90,24 +91,28 @@ def import_findings(runs: Sequence[RunData]) -> list[Finding]:
     """
     findings: list[Finding] = []
     notes: dict[str, list[Mapping[str, Any]]] = {}
-    spikes: dict[str, list[tuple[str, Mapping[str, Any]]]] = {}
+    spikes: dict[str, list[Finding]] = {}
     for run in runs:
-        name = f"{import_of(run).get('folder', '')}/{import_of(run).get('file', run.id)}"
         for found in import_of(run).get("findings") or ():
+            said = Finding(str(found.get("level", "doubt")), f"{_file_of(run)}: {found.get('text', '')}")
             if found.get("level") == "note":
                 notes.setdefault(str(found.get("kind")), []).append(found)
             elif found.get("kind") == "spike":
-                spikes.setdefault(str(found.get("channel")), []).append((name, found))
+                spikes.setdefault(str(found.get("channel")), []).append(said)
             else:
-                findings.append(Finding(str(found.get("level", "doubt")), f"{name}: {found.get('text', '')}"))
+                findings.append(said)
     for group in spikes.values():
-        name, first = group[0]
         more = f" (and in {len(group) - 1} more files)" if len(group) > 1 else ""
-        findings.append(Finding(str(first.get("level", "doubt")), f"{name}: {first.get('text', '')}{more}"))
+        findings.append(replace(group[0], text=group[0].text + more))
     for kind, members in sorted(notes.items()):
         more = f" (and {len(members) - 1} more of this kind)" if len(members) > 1 else ""
         findings.append(Finding("note", f"import, {kind}: {members[0].get('text', '')}{more}"))
     return sorted(findings, key=lambda finding: LEVELS.index(finding.level) if finding.level in LEVELS else 0)
+
+
+def _file_of(run: RunData) -> str:
+    """Folder and file that an imported run is of."""
+    return f"{import_of(run).get('folder', '')}/{import_of(run).get('file', run.id)}"
 
 
 def without_doubtful(analysis: Analysis, runs: Sequence[RunData]) -> Analysis:
@@ -133,28 +138,22 @@ def without_doubtful(analysis: Analysis, runs: Sequence[RunData]) -> Analysis:
 
 def _withholding(run: RunData) -> str:
     """Why nothing that rests on an imported file is reported; empty where it may be."""
-    name = f"{import_of(run).get('folder', '')}/{import_of(run).get('file', run.id)}"
     found = [found for found in import_of(run).get("findings") or () if found.get("withholds")]
     answer = ", ".join(dict.fromkeys(str(each.get("kind")) for each in found))
     texts = "; ".join(str(each.get("text", "")) for each in found)
-    return f"{name}: {texts}. If it is right as it is, import with confirmed: [{answer}]" if found else ""
+    return f"{_file_of(run)}: {texts}. If it is right as it is, import with confirmed: [{answer}]" if found else ""
 
 
 def unusable_because(trial: TrialData) -> str:
     """Which flags keep samples of a trial from use, with counts, for instance `29000 suspect, 3 dropout`."""
-    counts = {
-        str(flag.name).lower(): int(np.count_nonzero(trial.flags & np.uint16(flag)))
-        for flag in Flag
-        if flag and flag not in {Flag.LATE, Flag.SLACK}
-    }
-    counted = ", ".join(f"{count} {name}" for name, count in counts.items() if count)
-    return counted or "none"
+    against = [flag for flag in Flag if flag and flag not in {Flag.LATE, Flag.SLACK}]
+    counts = {str(flag.name).lower(): int(np.count_nonzero(trial.flags & np.uint16(flag))) for flag in against}
+    return ", ".join(f"{count} {name}" for name, count in counts.items() if count) or "none"
 
 
 def flagged_counts(runs: Sequence[RunData]) -> dict[str, int]:
     """Number of flagged samples by flag over all runs."""
-    counts: dict[str, int] = {}
+    counts: Counter[str] = Counter()
     for run in runs:
-        for name, count in (import_of(run).get("flagged") or {}).items():
-            counts[str(name)] = counts.get(str(name), 0) + int(count)
-    return counts
+        counts.update({str(name): int(count) for name, count in (import_of(run).get("flagged") or {}).items()})
+    return dict(counts)

@@ -25,6 +25,7 @@ from pmabench.analysis.model_problem import (
     starts_of,
 )
 from pmabench.analysis.shared import student
+from pmabench.analysis.shared.calibration import listed
 from pmabench.model.library import Model
 from pmabench.store.analyses.results import Finding
 from pmabench.store.records import Array
@@ -110,15 +111,13 @@ class ModelFit:
         Raises OutsideDomain where the model does not hold.
         """
         at = np.array([u.value for u in self.unknowns])
-        names = [u.name for u in self.unknowns]
-        problem = Problem(self.model, self.output, names, dict(self.fixed) | dict(values), None)
+        problem = Problem(self.model, self.output, [u.name for u in self.unknowns], {**self.fixed, **values}, None)
         middle = problem.output_at(at)
         if not np.isfinite(self.covariance).all():
             return middle, None
         slope = problem.slopes(at)
-        return middle, float(student.ppf(0.975, self.freedom)) * np.sqrt(
-            np.maximum(np.einsum("ij,jk,ik->i", slope, self.covariance, slope), 0)
-        )
+        variance = np.maximum(np.einsum("ij,jk,ik->i", slope, self.covariance, slope), 0)
+        return middle, float(student.ppf(0.975, self.freedom)) * np.sqrt(variance)
 
 
 def fit_model(
@@ -152,7 +151,7 @@ def fit_model(
     ends = [*better, *ends]
     best = ends[0] if better else best
     computed = problem.output_at(best[1])
-    at_end = [_at_end(problem, i, float(value)) for i, value in enumerate(best[1])]
+    at_end = _at_ends(problem, best[1])
     findings = identifiability(unknown, spread, intervals, at_end)
     findings += _other_minima(unknown, ends, best, spread, problem, freedom)
     findings += _of_residuals(computed - measured, exact=exact, freedom=freedom)
@@ -220,19 +219,15 @@ def _wald(value: float, error: float | None, freedom: int) -> Interval | None:
 def _profiles(problem: Problem, best: End, spread: Spread, freedom: int) -> tuple[list[Interval | None], Array | None]:
     """Where the sum of squares, the others refitted, rises by t^2 s^2; or a point that is better than `best`."""
     limit = float(student.ppf(0.975, freedom))
-    variance = best[0] / freedom
     found: list[Interval | None] = []
     for i, error in enumerate(spread.errors):
-        if error is None:
-            found.append(None)
-            continue
         ends: list[float | None] = []
-        for way in (-1.0, 1.0):
-            end, better = _end(problem, best, spread, i, way * limit * error, limit, variance)
+        for way in (-1.0, 1.0) if error is not None else ():
+            end, better = _end(problem, best, spread, i, way * limit * (error or 0.0), limit, best[0] / freedom)
             if better is not None:
                 return found, better
             ends.append(end)
-        found.append((ends[0], ends[1]))
+        found.append((ends[0], ends[1]) if ends else None)
     return found, None
 
 
@@ -276,18 +271,19 @@ def _same(end: End, best: End, spread: Spread, size: Array) -> bool:
     """Whether a start ended at the best values."""
     if not _as_low(end, best):
         return False
-    errors = np.array([0.0 if e is None else e for e in spread.errors])
-    free = np.array([e is not None for e in spread.errors])
-    return bool(
-        (np.abs(end[1] - best[1]) <= 0.1 * errors + 1e-4 * np.maximum(np.abs(best[1]), 1e-3 * size))[free].all()
-    )
+    errors = np.array([np.inf if e is None else e for e in spread.errors])
+    room = 0.1 * errors + 1e-4 * np.maximum(np.abs(best[1]), 1e-3 * size)
+    return bool((np.abs(end[1] - best[1]) <= room).all())
 
 
-def _at_end(problem: Problem, i: int, value: float) -> str:
-    for end, word in ((problem.low[i], "lower"), (problem.high[i], "upper")):
-        if isfinite(end) and abs(value - end) < SAME * problem.size[i]:
-            return f"at the {word} end of its domain"
-    return ""
+def _at_ends(problem: Problem, at: Array) -> list[str]:
+    """Whether each unknown ended at an end of its domain, in words."""
+    words = []
+    for value, low, high, size in zip(at, problem.low, problem.high, problem.size, strict=True):
+        ends = {"lower": low, "upper": high}
+        near = [word for word, end in ends.items() if isfinite(end) and abs(value - end) < SAME * size]
+        words.append(f"at the {near[0]} end of its domain" if near else "")
+    return words
 
 
 def _other_minima(
@@ -305,7 +301,7 @@ def _other_minima(
         ]
         if end[2] and best[0] < end[0] * (1 - 1e-6) and end[0] < best[0] * ratio and far:
             more = sqrt(end[0] / best[0])
-            text = f"other values of {_list(far)} fit nearly as well (residual {more:.3g} times as large)"
+            text = f"other values of {listed(far)} fit nearly as well (residual {more:.3g} times as large)"
             return [Finding("doubt", f"{text}; data over a wider range would separate them")]
     return []
 
@@ -327,11 +323,10 @@ def _of_residuals(residual: Array, *, exact: bool, freedom: int) -> list[Finding
 
 def _idle(problem: Problem, fixed: Mapping[str, Any], at: Array) -> tuple[str, ...]:
     """Numbers among the fixed inputs that do not move the output at the best values."""
-    names = [p.name for p in problem.model.parameters if p.name in fixed and not p.choices]
+    held = {p.name: float(fixed[p.name]) for p in problem.model.parameters if p.name in fixed and not p.choices}
     inputs = {**problem.inputs, **dict(zip(problem.names, at.tolist(), strict=True))}
-    held = {name: float(fixed[name]) for name in names}
-    moving = acting(problem.model, problem.output, names, inputs, held)
-    return tuple(name for name in names if name not in moving)
+    moving = acting(problem.model, problem.output, list(held), inputs, held)
+    return tuple(name for name in held if name not in moving)
 
 
 def _follows(problem: Problem, at: Array, spread: Spread, freedom: int) -> tuple[Follows, ...]:
@@ -352,7 +347,3 @@ def _follows(problem: Problem, at: Array, spread: Spread, freedom: int) -> tuple
         value = float(values[0])
         found.append(Follows(output.name, value, error, None if half is None else (value - half, value + half)))
     return tuple(found)
-
-
-def _list(names: Sequence[str]) -> str:
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"

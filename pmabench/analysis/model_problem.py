@@ -15,6 +15,7 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.stats import qmc
 
+from pmabench.analysis.shared.calibration import listed
 from pmabench.model.library import Model, OutsideDomain, Parameter
 from pmabench.store.analyses.results import Finding
 from pmabench.store.records import Array
@@ -55,8 +56,7 @@ def spread_of(slopes: Array, squares: float, freedom: int) -> Spread:
     lost = {j for group in tied for j in group} | set(np.flatnonzero(dead).tolist())
     inverse = rows[kept].T @ np.diag(1 / singular[kept] ** 2) @ rows[kept]
     scale = np.where(dead, 1.0, lengths)
-    covariance = np.full((count, count), np.nan)
-    correlation = np.full((count, count), np.nan)
+    covariance, correlation = np.full((2, count, count), np.nan)
     good = [j for j in range(count) if j not in lost]
     part = np.ix_(good, good)
     shape = inverse / np.outer(scale, scale)
@@ -79,40 +79,25 @@ def identifiability(
     """Doubts on single unknowns: no effect, tied to others, open intervals, an end of the domain; then pairs."""
     found = []
     for group in spread.tied:
-        members = _list([names[j] for j in group])
-        if len(group) == 1:
-            found.append(Finding("doubt", f"{members} is not identifiable: it changes nothing at these rows"))
-        else:
-            text = f"{members} are not identifiable separately: these rows determine only a combination of them"
-            found.append(Finding("doubt", f"{text}; give one of them with --set"))
+        several = " are not identifiable separately: these rows determine only a combination of them; "
+        several += "give one of them with --set"
+        why = several if len(group) > 1 else " is not identifiable: it changes nothing at these rows"
+        found.append(Finding("doubt", f"{listed([names[j] for j in group])}{why}"))
     for name, interval, place in zip(names, intervals, at_end, strict=True):
         if place:
-            text = f"{name} ended {place}: the data pull it further, or do not determine it"
-            found.append(Finding("doubt", text))
+            found.append(Finding("doubt", f"{name} ended {place}: the data pull it further, or do not determine it"))
         elif interval is not None and None in interval:
             side = "either side" if interval == (None, None) else "below" if interval[0] is None else "above"
-            found.append(
-                Finding("doubt", f"{name} is not identifiable to {side}: no value of its domain there is excluded")
-            )
-    pairs = [
-        (abs(float(spread.correlation[i, j])), i, j)
-        for i in range(len(names))
-        for j in range(i)
-        if abs(float(spread.correlation[i, j])) > TOGETHER
-    ]
+            text = f"{name} is not identifiable to {side}: no value of its domain there is excluded"
+            found.append(Finding("doubt", text))
+    sizes = [(abs(float(spread.correlation[i, j])), i, j) for i in range(len(names)) for j in range(i)]
+    pairs = sorted((pair for pair in sizes if pair[0] > TOGETHER), reverse=True)
     if pairs:
-        pairs.sort(reverse=True)
         named = [f"{names[j]} and {names[i]} ({spread.correlation[i, j]:+.4f})" for _, i, j in pairs[:MOST]]
         more = f" and {len(pairs) - MOST} other pairs" if len(pairs) > MOST else ""
-        text = f"correlated: {', '.join(named)}{more}"
-        found.append(
-            Finding("doubt", f"{text}: the curve is known better than each value; more range of the inputs parts them")
-        )
+        text = f"correlated: {', '.join(named)}{more}: the curve is known better than each value"
+        found.append(Finding("doubt", f"{text}; more range of the inputs parts them"))
     return found
-
-
-def _list(names: Sequence[str]) -> str:
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
 STARTS = 8
@@ -218,8 +203,7 @@ def acting(
 
 def starts_of(problem: Problem, start: Array) -> list[Array]:
     """`start` and the best of a scrambled net of the domain, best first after it."""
-    ranges = [_range(s, low, high, size) for s, low, high, size in zip(
-        start, problem.low, problem.high, problem.size, strict=True)]  # fmt: skip
+    ranges = list(map(_range, start, problem.low, problem.high, problem.size))
     net = qmc.Halton(len(start), seed=0).random(TRIED)
     points = [np.array([low * (high / low) ** u if raised else low + (high - low) * u
                         for u, (low, high, raised) in zip(row, ranges, strict=True)]) for row in net]  # fmt: skip
@@ -255,9 +239,6 @@ def solve(problem: Problem, start: Array, held: int | None = None) -> End:
         at[free] = part
         return at
 
-    def residuals(part: Array) -> Array:
-        return problem.residuals(whole(part))
-
     def slopes(part: Array) -> Array:
         return np.asarray(problem.slopes(whole(part))[:, free] / problem.span)
 
@@ -266,16 +247,10 @@ def solve(problem: Problem, start: Array, held: int | None = None) -> End:
     inside = np.clip(
         start[free], low + np.where(np.isfinite(low), room, 0), high - np.where(np.isfinite(high), room, 0)
     )
-    found = least_squares(
-        residuals,
-        inside,
-        jac=slopes,
-        bounds=(low, high),
-        x_scale="jac",
-        method="trf",
-        xtol=1e-11,
-        ftol=1e-13,
-        gtol=1e-13,
-        max_nfev=MOST_EVALUATIONS,
-    )
+
+    def residuals(part: Array) -> Array:
+        return problem.residuals(whole(part))
+
+    how: dict[str, Any] = {"x_scale": "jac", "xtol": 1e-11, "ftol": 1e-13, "gtol": 1e-13}
+    found = least_squares(residuals, inside, slopes, (low, high), max_nfev=MOST_EVALUATIONS, **how)
     return 2.0 * float(found.cost), whole(np.asarray(found.x)), bool(found.status > 0)

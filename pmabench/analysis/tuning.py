@@ -28,10 +28,10 @@ class Gains:
 
     rule: Rule
     K_p: Estimate
-    T_i: Estimate | None
-    T_d: Estimate | None
-    K_i: Estimate | None
-    K_d: Estimate | None
+    T_i: Estimate | None = None
+    T_d: Estimate | None = None
+    K_i: Estimate | None = None
+    K_d: Estimate | None = None
     margins: Margins | None = None
     """Where a model of the loop is known."""
     answer: Answer | None = None
@@ -51,9 +51,7 @@ class Gains:
 
         return {
             "rule": self.rule.title,
-            "name": self.rule.name,
-            "form": self.rule.form,
-            "source": self.rule.source,
+            **{name: getattr(self.rule, name) for name in ("name", "form", "source")},
             "gains": {e.symbol: e.to_dict() for e in self.estimates},
             "margins": as_dict(self.margins) or None,
             "overshoot": as_dict(self.answer).get("overshoot"),
@@ -67,9 +65,8 @@ def rules_named(text: str) -> tuple[Rule, ...]:
     wanted = text.casefold().replace("_", "-")
     chosen = tuple(r for r in every if wanted in (r.name.casefold(), r.form.casefold(), r.title.casefold()))
     if not chosen:
-        raise ValueError(
-            f"no tuning rule {text!r}{did_you_mean(text, {r.name for r in every} | {r.title for r in every})}"
-        )
+        names = {name for r in every for name in (r.name, r.title)}
+        raise ValueError(f"no tuning rule {text!r}{did_you_mean(text, names)}")
     return chosen
 
 
@@ -101,48 +98,36 @@ def tune(
     return tuple(made)
 
 
-def _units(K_u: Estimate) -> tuple[tuple[str, str], tuple[str, str]]:
-    """Unit and quantity of K_i and of K_d."""
+def _made(rule: Rule, K_u: Estimate, common: Estimate, settings: Mapping[str, tuple[float, Parts]]) -> Gains:
+    """The settings of a rule as estimates like `common`, by their symbols; units follow from that of K_u."""
     bare = (f"{K_u.unit}/s", ""), (f"{K_u.unit}.s" if K_u.unit != "1" else "s", "")
-    return FOLLOWING.get(K_u.unit, bare)
+    time, (of_i, of_d) = ("s", "time"), FOLLOWING.get(K_u.unit, bare)
+    kinds = {"K_p": (K_u.unit, K_u.quantity), "T_i": time, "T_d": time, "K_i": of_i, "K_d": of_d}
+    found: dict[str, Any] = {}
+    for symbol, (value, parts) in settings.items():
+        unit, quantity = kinds[symbol]
+        found[symbol] = replace(common, symbol=symbol, value=value, unit=unit, quantity=quantity, parts=parts)
+    return Gains(rule, **found)
 
 
 def _scaled(rule: Rule, K_u: Estimate, gain: float, T_u: Estimate, period: float) -> Gains:
-    (unit_i, quantity_i), (unit_d, quantity_d) = _units(K_u)
-    common = replace(K_u, method=rule.title, bias=None, corrected=False, coordinate="")
-
-    def power(symbol: str, factor: float, n: int, m: int, unit: str, quantity: str) -> Estimate:
-        """`factor` K_u^n T_u^m."""
-        value = factor * gain**n * period**m
-        return replace(
-            common, symbol=symbol, value=value, unit=unit, quantity=quantity, parts=_combine(value, K_u, n, T_u, m)
-        )
-
-    K_p = power("K_p", rule.gain, 1, 0, K_u.unit, K_u.quantity)
-    T_i = T_d = K_i = K_d = None
+    """Each setting is a factor times K_u^n T_u^m."""
+    terms: dict[str, tuple[float, int, int]] = {"K_p": (rule.gain, 1, 0)}
     if rule.integral is not None:
-        T_i = power("T_i", rule.integral, 0, 1, "s", "time")
-        K_i = power("K_i", rule.gain / rule.integral, 1, -1, unit_i, quantity_i)
+        terms |= {"T_i": (rule.integral, 0, 1), "K_i": (rule.gain / rule.integral, 1, -1)}
     if rule.derivative is not None:
-        T_d = power("T_d", rule.derivative, 0, 1, "s", "time")
-        K_d = power("K_d", rule.gain * rule.derivative, 1, 1, unit_d, quantity_d)
-    return Gains(rule, K_p, T_i, T_d, K_i, K_d)
+        terms |= {"T_d": (rule.derivative, 0, 1), "K_d": (rule.gain * rule.derivative, 1, 1)}
+    values = {symbol: (factor * gain**n * period**m, n, m) for symbol, (factor, n, m) in terms.items()}
+    settings = {symbol: (value, _combine(value, K_u, n, T_u, m)) for symbol, (value, n, m) in values.items()}
+    return _made(rule, K_u, replace(K_u, method=rule.title, bias=None, corrected=False, coordinate=""), settings)
 
 
 def _of_loop(rule: Rule, K_u: Estimate, c: Controller) -> Gains:
     """Settings that a rule takes from the loop; units and operating point are those of K_u."""
-    (unit_i, quantity_i), (unit_d, quantity_d) = _units(K_u)
-    common = replace(
-        K_u, method=rule.title, bias=None, corrected=False, parts=Parts(), note="from the fitted loop, no interval"
-    )
-    K_p = replace(common, symbol="K_p", value=c.K_p)
-    T_i = replace(common, symbol="T_i", value=c.T_i, unit="s", quantity="time")
-    K_i = replace(common, symbol="K_i", value=c.K_p / c.T_i, unit=unit_i, quantity=quantity_i)
-    T_d = K_d = None
-    if c.T_d > 0:
-        T_d = replace(common, symbol="T_d", value=c.T_d, unit="s", quantity="time")
-        K_d = replace(common, symbol="K_d", value=c.K_p * c.T_d, unit=unit_d, quantity=quantity_d)
-    return Gains(rule, K_p, T_i, T_d, K_i, K_d)
+    common = replace(K_u, method=rule.title, bias=None, corrected=False, note="from the fitted loop, no interval")
+    values = {"K_p": c.K_p, "T_i": c.T_i, "K_i": c.K_p / c.T_i}
+    values |= {"T_d": c.T_d, "K_d": c.K_p * c.T_d} if c.T_d > 0 else {}
+    return _made(rule, K_u, common, {symbol: (value, Parts()) for symbol, value in values.items()})
 
 
 def _combine(value: float, K_u: Estimate, n: int, T_u: Estimate, m: int) -> Parts:
@@ -178,10 +163,8 @@ def plausibility(T_u: float, loop: Loop, K_u: float | None = None) -> Finding:
         needed = dead_time_for(T_u, loop.lags)
         would = f"{T_u:.3g} s would need a dead time of {needed:.3g} s" if needed > 0 else "no dead time gives it"
         cycle = "; a cycle so slow is what stiction makes, not an ultimate oscillation" if T_u > expected.period else ""
-        return Finding(
-            "fault",
-            f"T_u = {T_u:.3g} s is impossible for {plant}: that oscillates at {expected.period:.3g} s; {would}{cycle}",
-        )
+        text = f"T_u = {T_u:.3g} s is impossible for {plant}: that oscillates at {expected.period:.3g} s"
+        return Finding("fault", f"{text}; {would}{cycle}")
     sentence = f"T_u = {T_u:.3g} s, where {plant} gives {expected.period:.3g} s"
     if K_u is not None:
         off = max(off, abs(K_u / expected.gain - 1))
@@ -205,14 +188,10 @@ def loop_of(K_u: float, T_u: float, dead_time: float, lags: Sequence[float]) -> 
 
 def measured_loops(analysis: Analysis) -> list[tuple[Estimate, Estimate, Loop | None]]:
     """K_u, T_u and the identified loop, if there is one, at each operating point, by the first method with values."""
-    loops = {
-        _point(fact["at"]): Loop(
-            fact["gain"],
-            fact["dead_time"],
-            tuple(complex(*lag) if isinstance(lag, list) else float(lag) for lag in fact["lags"]),
-        )
-        for fact in analysis.facts.get("loops", [])
-    }
+    loops = {}
+    for fact in analysis.facts.get("loops", []):
+        lags = tuple(complex(*lag) if isinstance(lag, list) else float(lag) for lag in fact["lags"])
+        loops[_point(fact["at"])] = Loop(fact["gain"], fact["dead_time"], lags)
     known = [e for e in analysis.estimates if e.value is not None]
     periods = {(e.method, _point(e.at)): e for e in known if e.symbol == "T_u"}
     gains = [e for e in known if e.symbol == "K_u" and (e.method, _point(e.at)) in periods]

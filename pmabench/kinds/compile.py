@@ -170,7 +170,8 @@ def _plan(
     at: Location,
     mounted: dict[str, Mounted],
 ) -> PlannedRun:
-    settings = [(name, _yaml(value)) for name, value in run.set.items()]
+    lists = {name: f"[{', '.join(value)}]" for name, value in run.set.items() if isinstance(value, list)}
+    settings = [(name, lists.get(name, str(value))) for name, value in run.set.items()]
     protocol_path = _find(folder, "protocol", run.protocol)
     protocol_document, protocol = read_protocol(protocol_path, settings)
     bench = run.bench or campaign.benches.get(protocol.needs.free_end)
@@ -182,9 +183,8 @@ def _plan(
         mounted[bench] = mount(paths["bench"], paths["specimen"])
     plan = compile_protocol(protocol_document, protocol, mounted[bench])
     text = document_text(protocol_document)
-    sources: dict[str, Any] = {
-        kind: str(path.resolve()) for kind, path in (("protocol", protocol_path), *paths.items())
-    }
+    files = {"protocol": protocol_path} | paths
+    sources: dict[str, Any] = {kind: str(path.resolve()) for kind, path in files.items()}
     sources["set"] = [list(pair) for pair in settings]
     deviations = tuple(f"{name} set to {value}" for name, value in settings)
     late = slower(plan, protocol_document, mounted[bench])
@@ -194,7 +194,3 @@ def _plan(
 
 def _find(folder: Path, kind: str, name: str) -> Path:
     return folder / name if (folder / name).is_file() else find_file(kind, name)
-
-
-def _yaml(value: str | float | list[str]) -> str:
-    return "[" + ", ".join(value) + "]" if isinstance(value, list) else str(value)

@@ -9,7 +9,7 @@ from typing import Any
 
 from pmabench.analysis.imported import in_time, without_doubtful
 from pmabench.analysis.shared.samples import with_motion
-from pmabench.analysis.shared.trials import repeat_traces
+from pmabench.analysis.shared.trials import grouped, repeat_traces
 from pmabench.analysis.verdict.acceptance import Pairs, not_accepted, not_accepted_as_form
 from pmabench.analysis.verdict.agreement import KIND as AGREEMENT
 from pmabench.analysis.verdict.agreement import Offer, against_static, agreement, offers_of
@@ -76,10 +76,8 @@ def reduce_together(form: str, runs: Sequence[RunData]) -> list[Analysis]:
     Real and simulated runs are never mixed. Raises UsageError where none of the runs has such rows.
     """
     rows = {name: load(kind.parts[SLOW_ROWS]) for name, kind in registry.with_part(SLOW_ROWS).items()}
-    specimens: dict[tuple[str, bool], list[RunData]] = {}
-    for run in in_time(runs):
-        if run.kind in rows:
-            specimens.setdefault((specimen_of(run), run.simulated), []).append(run)
+    able = [run for run in in_time(runs) if run.kind in rows]
+    specimens = grouped(able, lambda run: (specimen_of(run), run.simulated))
     if not specimens:
         kinds = ", ".join(dict.fromkeys(run.kind for run in runs))
         raise UsageError(f"--form {form} takes runs of kind {', '.join(rows)}; these are of kind {kinds}")
@@ -152,19 +150,14 @@ def _withheld(analysis: Analysis) -> list[str]:
 
     Reasons that differ in their numbers alone are one reason, with the numbers of the first value.
     """
-    alike: dict[str, list[Estimate]] = {}
-    for estimate in analysis.estimates:
-        if estimate.withheld:
-            alike.setdefault(NUMBER.sub("", estimate.note), []).append(estimate)
-    return [_sentence(estimates) for estimates in alike.values()]
+    withheld = [estimate for estimate in analysis.estimates if estimate.withheld]
+    return [_sentence(alike) for alike in grouped(withheld, lambda e: NUMBER.sub("", e.note)).values()]
 
 
 def _sentence(withheld: Sequence[Estimate]) -> str:
     """What is withheld for one reason, and the reason: `F_ce (8 values), F_c: withheld: the force ...`."""
-    names: dict[str, list[str]] = {}
-    for estimate in withheld:
-        names.setdefault(estimate.symbol, []).append(_named(estimate))
-    each = {symbol: list(dict.fromkeys(of)) for symbol, of in names.items()}
+    by_symbol = grouped(withheld, lambda e: e.symbol)
+    each = {symbol: list(dict.fromkeys(map(_named, of))) for symbol, of in by_symbol.items()}
     few = sum(map(len, each.values())) <= MOST_REASONS
     counted = [of if few or len(of) == 1 else [f"{symbol} ({len(of)} values)"] for symbol, of in each.items()]
     first = withheld[0]

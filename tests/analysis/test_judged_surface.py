@@ -13,7 +13,7 @@ import pytest
 
 from pmabench.analysis.surface.choice import choose
 from pmabench.analysis.surface.fit import Data
-from pmabench.analysis.surface.record import Record, rows_of
+from pmabench.analysis.surface.trials import Record, rows_of
 from pmabench.kinds.reduce import reduce_together
 from tests.analysis.judged import as_slow_runs
 from tests.analysis.surface.straight import straight_form

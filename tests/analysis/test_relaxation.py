@@ -12,9 +12,8 @@ from scipy.signal import lfilter
 
 from pmabench.analysis.trial import Quick
 from pmabench.base.errors import InvalidFile
-from pmabench.kinds.relaxation.course import Course, Relaxing
 from pmabench.kinds.relaxation.figures import measure as at_a_glance
-from pmabench.kinds.relaxation.reduction import LINE, PRONY, reduce
+from pmabench.kinds.relaxation.reduction import LINE, PRONY, Course, Relaxing, reduce
 from pmabench.store.reader import open_run
 from tests.analysis.driven_runs import planned, recorded
 from tests.analysis.test_honesty import refuse_unexplained_moves
@@ -53,7 +52,7 @@ def test_intervals_hold_the_slope_under_correlated_noise(tau):
     for _ in range(100):
         white = rng.standard_normal(len(t) + 1000) * (1 - keep**2) ** 0.5
         one = Relaxing(t, law(t) + lfilter([1], [1, -keep], white)[1000:])
-        course = Course(one, one, zero=0.0, noise=1.0, rise=0.0, off=0.0, before=())
+        course = Course(trial=None, relaxing=one, raw=one, zero=0.0, noise=1.0, rise=0.0, off=0.0, before=())
         half = hypot(course.half, *(doubt.half for doubt in course.doubts()))
         inside += abs(course.per_decade - 0.02) <= half
         widths.append(half)

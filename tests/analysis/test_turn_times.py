@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pmabench.analysis.shared.projection import left_by
+from pmabench.analysis.shared.lines import left_by
 from pmabench.analysis.shared.turn_times import behind
 
 PERIOD = 5e-3

@@ -16,13 +16,11 @@ from time import process_time
 import numpy as np
 from scipy.signal import savgol_filter
 
-from pmabench.analysis.surface.choice import choose
-from pmabench.analysis.surface.columns import memory
+from pmabench.analysis.surface.choice import Spread, choose
 from pmabench.analysis.surface.fit import Data
-from pmabench.analysis.surface.muscle import SURFACE, columns_of
-from pmabench.analysis.surface.record import Record, rows_of
-from pmabench.analysis.surface.record import Rows as Joined
-from pmabench.analysis.surface.spread import Spread
+from pmabench.analysis.surface.muscle import SURFACE, columns_of, memory
+from pmabench.analysis.surface.trials import Record, rows_of
+from pmabench.analysis.surface.trials import Rows as Joined
 from pmabench.kinds.contraction_relaxation.pooled import Fit
 from pmabench.kinds.contraction_relaxation.reduction import pool
 from pmabench.kinds.contraction_relaxation.segments import gather

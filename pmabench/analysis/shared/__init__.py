@@ -1,11 +1,10 @@
 """What reductions share: trials sorted, lines fitted, and what instruments do to a result.
 
 - `trials` (by operating point, repeats, references, sessions), `samples` of one trial (noise, motion, onset, rest)
-- `lines` (weighted lines and their intervals), `student` (quantiles, means with half widths), `projection` (least
-  squares where one number is tried at many values)
-- `isometric_lines` (F over P at a contraction), `ramp_loop`, `sine_loop` (loops of a driven end), `oscillation` (swings
-  of a signal), `response` (one step of a set-point), `simulated` (a model run next to a trial),
-  `joint` (two muscles against each other)
+- `lines` (weighted lines and their intervals, least squares where one number is tried at many values), `student`
+  (quantiles, means with half widths)
+- `isometric_lines` (F over P at a contraction), `ramp_loop` (loops of a driven end, or of a joint), `sine_loop`,
+  `oscillation` (swings of a signal), `response` (one step of a set-point), `simulated` (a model run next to a trial)
 - `form` (whether trials follow the form of a value), `calibration` (what the channels' uncertainties do to a result),
   `skew` (what clocks apart do), `turn_times` (whether motion and force turn at one moment)
 """

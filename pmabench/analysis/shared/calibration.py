@@ -6,7 +6,7 @@ reading [SI of the channel], and a gain, a share of the reading: true value = (1
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from math import sqrt
 
@@ -56,13 +56,17 @@ class Scales:
             return ""
         kind = "uncertainty" if set(missing) <= set(offsets) else "gain uncertainty"
         whole = len(missing) == len({*gains, *offsets})
-        named = ", ".join(missing[:-1]) + (" and " if missing[:-1] else "") + missing[-1]
-        return f"{'no' if whole else 'incomplete'} calibration part: the record gives no {kind} of {named}"
+        return f"{'no' if whole else 'incomplete'} calibration part: the record gives no {kind} of {listed(missing)}"
 
     def _missing(self, gains: Iterable[str], offsets: Iterable[str]) -> list[str]:
         """Channels without a known uncertainty."""
         known = {*(set(gains) & set(self.gains)), *(set(offsets) & set(self.offsets))}
         return [name for name in dict.fromkeys((*gains, *offsets)) if name not in known]
+
+
+def listed(names: Sequence[str]) -> str:
+    """`a, b and c`."""
+    return ", ".join(names[:-1]) + (" and " if names[:-1] else "") + names[-1]
 
 
 def sentences(*parts: str) -> str:

@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 
 from pmabench.analysis.shared import student
 from pmabench.analysis.shared.calibration import Scales
-from pmabench.analysis.shared.trials import mean_over_sessions, session_of
+from pmabench.analysis.shared.samples import NotUsable, ends
+from pmabench.analysis.shared.trials import grouped, mean_over_sessions, measured_trials, session_of
 from pmabench.store.analyses.results import Dropped, Estimate, Parts
-from pmabench.store.records import Array, Command, RunData, TrialData
+from pmabench.store.records import Array, RunData, TrialData
 
 METHOD = "isometric-line"
 FEWEST = 50
@@ -113,17 +114,15 @@ def tests_of(
     runs: Sequence[RunData], phases: Sequence[str], lacks: Callable[[Test], str]
 ) -> tuple[Groups, list[Dropped]]:
     """Usable tests by contraction, and the trials that are none; `lacks` says what a test lacks, or nothing."""
-    groups: Groups = {}
-    dropped: list[Dropped] = []
-    for run in runs:
-        for trial in run.trials:
-            test, reason = as_test(run, trial, phases)
-            reason = reason if test is None else lacks(test)
-            if test is None or reason:
-                dropped.append(Dropped(trial.name, trial.point, reason))
-            else:
-                groups.setdefault(round(trial.point["contraction"], SAME), []).append(test)
-    return groups, dropped
+
+    def usable(run: RunData, trial: TrialData) -> Test:
+        test, reason = as_test(run, trial, phases)
+        if test is None or (reason := lacks(test)):
+            raise NotUsable(reason)
+        return test
+
+    tests, dropped = measured_trials(runs, usable)
+    return grouped(tests, lambda test: round(test.trial.point["contraction"], SAME)), dropped
 
 
 def as_test(run: RunData, trial: TrialData, phases: Sequence[str]) -> tuple[Test | None, str]:
@@ -183,68 +182,56 @@ def _phase_of(run: RunData, trial: TrialData, phases: Sequence[str]) -> Array:
     """
     events = [e for e in run.events if e.kind == "phase" and e.data.get("trial") == trial.index]
     begun = [(e.t, str(e.data.get("name"))) for e in events]
-    for command in () if begun else trial.commands:
-        begun.append((command.t, command.phase))
-        if command.kind == "ramp" and command.data.get("rate"):
-            begun.append((ends(command), ""))
-    begun.sort()
     if not begun:
-        return np.zeros(len(trial.t))
-    index = np.full(len(trial.t), -1.0)
-    for at, name in begun:
+        ramps = [c for c in trial.commands if c.kind == "ramp" and c.data.get("rate")]
+        begun = [(c.t, c.phase) for c in trial.commands] + [(ends(c), "") for c in ramps]
+    index = np.full(len(trial.t), -1.0 if begun else 0.0)
+    for at, name in sorted(begun):
         index[trial.t >= at - 1e-9] = phases.index(name) if name in phases else -1
     return index
-
-
-def ends(command: Command) -> float:
-    """When a commanded ramp is over [s]."""
-    return command.t + abs(command.value - command.before) / command.data["rate"]
 
 
 def line_of(P: Array, F: Array) -> Line | None:
     """Least squares of F = m P + c; None where there are too few samples, or one pressure only."""
     if len(P) < FEWEST or np.ptp(P) == 0:
         return None
-    middle = float(P.mean())
-    off, pull = P - middle, F - float(F.mean())
+    middle, level = float(P.mean()), float(F.mean())
+    off, pull = P - middle, F - level
     # Sums and not dot products: BLAS hands these to threads, which is slow on a busy machine.
     m = float(np.sum(off * pull) / np.sum(off * off))
     residual = pull - m * off
     total = float(np.sum(pull * pull))
-    return Line(
-        m=m,
-        c=float(F.mean()) - m * middle,
-        n=len(P),
-        r2=1.0 - float(np.sum(residual * residual)) / total if total > 0 else 0.0,
-        rms=float(np.sqrt(np.mean(residual**2))),
-        low=float(P.min()),
-        high=float(P.max()),
-    )
+    r2 = 1.0 - float(np.sum(residual * residual)) / total if total > 0 else 0.0
+    rms = float(np.sqrt(np.mean(residual**2)))
+    return Line(m, level - m * middle, len(P), r2, rms, float(P.min()), float(P.max()))
 
 
 def pool(tests: Sequence[Test], used: Used) -> Pooled | None:
     """The line through the `used` samples of all tests, and that of each; None where they are too few."""
-    masks = [used(test) for test in tests]
-    parts = [(test.P[mask], test.F[mask]) for test, mask in zip(tests, masks, strict=True)]
-    whole = line_of(np.concatenate([P for P, _ in parts]), np.concatenate([F for _, F in parts]))
+    parts = [(test.P[mask], test.F[mask]) for test in tests for mask in [used(test)]]
+    whole = _through(parts)
     if whole is None:
         return None
     with_line = [(test, line) for test, part in zip(tests, parts, strict=True) if (line := line_of(*part)) is not None]
     tests_with, each = [test for test, _ in with_line], tuple(line for _, line in with_line)
-    repeats = _repeats(tests_with)
-    m, c = (by_repeat(tests_with, [getattr(line, of) for line in each]) for of in ("m", "c"))
-    names = tuple(test.name for test in tests_with)
-    sessions = tuple(session_of(tests_with[places[0]].run) for places in repeats)
-    return Pooled(whole, each, names, tuple(zip(m.tolist(), c.tolist(), strict=True)), sessions)
+    m, c = (by_repeat(tests_with, [getattr(line, of) for line in each]).tolist() for of in ("m", "c"))
+    sessions = tuple(session_of(tests_with[places[0]].run) for places in _repeats(tests_with))
+    return Pooled(whole, each, tuple(test.name for test in tests_with), tuple(zip(m, c, strict=True)), sessions)
+
+
+def _through(parts: Sequence[tuple[Array, Array]]) -> Line | None:
+    """The line through all pressures and forces together."""
+    return line_of(np.concatenate([P for P, _ in parts]), np.concatenate([F for _, F in parts]))
 
 
 def _repeats(tests: Sequence[Test]) -> list[list[int]]:
     """Places of the tests of each repeat: of both sides where it was reached from both, else of one test."""
-    groups: dict[object, list[int]] = {}
-    for number, test in enumerate(tests):
-        repeat = (test.run.id, test.trial.repeat) if "side" in test.trial.point else number
-        groups.setdefault(repeat, []).append(number)
-    return list(groups.values())
+
+    def repeat(place: int) -> object:
+        test = tests[place]
+        return (test.run.id, test.trial.repeat) if "side" in test.trial.point else place
+
+    return list(grouped(range(len(tests)), repeat).values())
 
 
 def by_repeat(tests: Sequence[Test], values: Sequence[float] | Array) -> Array:
@@ -257,9 +244,8 @@ def branches(tests: Sequence[Test], used: Used, phases: Sequence[str]) -> dict[s
     found = {}
     for index, name in enumerate(phases):
         masks = [used(test) & (test.phase == index) for test in tests]
-        P = np.concatenate([test.P[mask] for test, mask in zip(tests, masks, strict=True)])
-        F = np.concatenate([test.F[mask] for test, mask in zip(tests, masks, strict=True)])
-        if (line := line_of(P, F)) is not None:
+        line = _through([(test.P[mask], test.F[mask]) for test, mask in zip(tests, masks, strict=True)])
+        if line is not None:
             found[name] = line.m
     return found
 
@@ -278,20 +264,22 @@ def estimates_of(
     """
     line = pooled.line
     scales = Scales.of([test.run for test in tests])
-    slope = scales.part({"force": line.m, "pressure": line.m})
-    start = scales.part({"force": line.c}, {"force": 1.0, "pressure": line.m})
     note = "no repeats part: one test only" if len(pooled.repeats) < 2 else ""
     parents = tuple(test.name for test in tests)
 
-    def estimate(symbol: str, value: float, unit: str, quantity: str, calibration: float | None) -> Estimate:
+    def estimate(symbol: str, unit: str, quantity: str, coordinate: str, calibration: float | None) -> Estimate:
+        value = float(getattr(line, symbol))
         other = max((abs(pair["mc".index(symbol)] - value) for pair in others), default=None)
         parts = Parts(repeats=pooled.half(symbol), method=other, calibration=calibration)
         return Estimate(
             symbol, value, unit, quantity, method, at, parts, len(pooled.each), note=note, trials=parents,
-            coordinate={"m": "slope", "c": "intercept"}[symbol],
+            coordinate=coordinate,
         )  # fmt: skip
 
-    return estimate("m", line.m, "N/Pa", "force per pressure", slope), estimate("c", line.c, "N", "force", start)
+    slope = scales.part({"force": line.m, "pressure": line.m})
+    start = scales.part({"force": line.c}, {"force": 1.0, "pressure": line.m})
+    m = estimate("m", "N/Pa", "force per pressure", "slope", slope)
+    return m, estimate("c", "N", "force", "intercept", start)
 
 
 def forces_of(pooled: Pooled, tests: Sequence[Test], others: Sequence[tuple[float, float]]) -> list[list[float | None]]:

@@ -1,4 +1,7 @@
-"""Straight lines and means over repeated points, with honest intervals: knows no test kind."""
+"""Straight lines and means over repeated points, with honest intervals: knows no test kind.
+
+Also least squares where one number of the form is tried at many values: variable projection (Golub and Pereyra 1973).
+"""
 
 from __future__ import annotations
 
@@ -10,6 +13,34 @@ import numpy as np
 
 from pmabench.analysis.shared import student
 from pmabench.store.records import Array
+
+ALIKE = 1e-12
+"""Columns that differ by less than the root of this share of their size are taken for one."""
+AT_ONCE = 30_000
+"""Numbers that are worked on at once: more than the processor's cache holds takes longer."""
+
+
+def left_by(fixed: Array, tried: Array, y: Array) -> Array:
+    """Sum of squares that least squares leaves of y, shape (n,), for each set of columns: shape (k,).
+
+    `fixed`, shape (p, n), are the columns of every set, `tried`, shape (k, m, n), those that differ from set to set.
+    """
+    basis, _ = np.linalg.qr(fixed.T)
+    y = y - basis @ (basis.T @ y)
+    share = max(1, AT_ONCE // tried[0].size)
+    return np.concatenate([_left(basis, tried[i : i + share], y) for i in range(0, len(tried), share)])
+
+
+def _left(basis: Array, tried: Array, y: Array) -> Array:
+    tried = tried - (tried @ basis) @ basis.T
+    products = tried @ tried.transpose(0, 2, 1)
+    size = np.sqrt(np.diagonal(products, axis1=1, axis2=2))
+    size = np.where(size > 0, size, 1.0)
+    inverse = np.linalg.pinv(products / (size[:, :, None] * size[:, None, :]), ALIKE, hermitian=True)
+    terms = (inverse @ (tried @ y / size)[:, :, None])[:, :, 0] / size
+    rest = y - (terms[:, None] @ tried)[:, 0]
+    return np.asarray(np.sum(rest**2, axis=1))
+
 
 PROPORTIONAL = 2e-3
 """Least error of a point as a share of its size: nothing on a bench is known better."""
@@ -71,6 +102,12 @@ def _scatter(group: Array, y: Array) -> float:
         squares += float(np.sum((values - values.mean()) ** 2))
         freedom += len(values) - 1
     return sqrt(squares / freedom) if freedom else 0.0
+
+
+def mean_of_cycles(values: Sequence[Array]) -> tuple[float, float | None]:
+    """Mean of the trials' means over their cycles, and its half width by `mean_half`; an array for each trial."""
+    means = np.array([float(one.mean()) for one in values])
+    return float(means.mean()), mean_half(means, values)
 
 
 def mean_half(values: Array, by_cycle: Sequence[Array]) -> float | None:

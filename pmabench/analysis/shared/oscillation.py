@@ -8,6 +8,8 @@ import numpy as np
 
 from pmabench.store.records import Array
 
+HARMONICS = 3
+"""Of a damped mode that are fitted."""
 SKIPPED = 2
 """Swings after a kick that do not count: faster modes are still in them."""
 SEEN = 12.0
@@ -19,12 +21,10 @@ def extremes(t: Array, y: Array, threshold: float) -> tuple[Array, Array]:
 
     An extreme is refined by the vertex of a parabola through the samples within a tenth of a period around it.
     """
-    if len(y) < 3:
-        return np.empty(0), np.empty(0)
     places: list[int] = []
     top = bottom = 0
     seeking = 0
-    for i in range(1, len(y)):
+    for i in range(1, len(y)) if len(y) > 2 else ():
         if y[i] > y[top]:
             top = i
         if y[i] < y[bottom]:
@@ -76,15 +76,15 @@ class Swinging:
         return complex(self.log_ratio, np.pi) * 2.0 / self.period
 
 
-def describe(t: Array, y: Array, noise: float, skip: int = SKIPPED) -> Swinging | None:
-    """Growth and period of the swings of `y` at `t` [s], without the first `skip`; None with fewer than four left.
+def describe(t: Array, y: Array, noise: float) -> Swinging | None:
+    """Growth and period of the swings of `y` at `t` [s], without the first `SKIPPED`; None with fewer than four left.
 
     ln(size) is fitted by a line in the count of half periods, weighted with the squared size (noise of equal size on
     every extreme), together with a term that alternates (unequal halves, drift).
     """
     times, values = extremes(t, y, SEEN * noise)
     sizes = np.abs(np.diff(values))
-    times, sizes = times[skip:], sizes[skip:]
+    times, sizes = times[SKIPPED:], sizes[SKIPPED:]
     if len(sizes) < 4:
         return None
     count = np.arange(len(sizes), dtype=float)
@@ -99,26 +99,20 @@ def describe(t: Array, y: Array, noise: float, skip: int = SKIPPED) -> Swinging 
     clock = np.column_stack([np.ones_like(place), place, (-1.0) ** place])
     half, *_ = np.linalg.lstsq(clock, times, rcond=None)
     whole = times[2:] - times[:-2]
-    return Swinging(
-        times=times,
-        sizes=sizes,
-        log_ratio=float(fitted[1]),
-        log_ratio_se=float(np.sqrt(covariance[1, 1])),
-        period=2.0 * float(half[1]),
-        period_variation=float(np.std(whole, ddof=1) / np.mean(whole)),
-    )
+    error, variation = float(np.sqrt(covariance[1, 1])), float(np.std(whole, ddof=1) / np.mean(whole))
+    return Swinging(times, sizes, float(fitted[1]), error, 2.0 * float(half[1]), variation)
 
 
-def mode_amplitudes(t: Array, signals: Array, root: complex, harmonics: int = 3) -> tuple[Array, Array]:
+def mode_amplitudes(t: Array, signals: Array, root: complex) -> tuple[Array, Array]:
     """Means and complex amplitudes of the damped mode `root` [1/s] and its harmonics in `signals`, shape (n, m).
 
     Least squares of c0 + c1 t + exp(sigma t) (a_k cos k omega t + b_k sin k omega t). Returns the mean of c0 + c1 t,
-    shape (m,), and a_k - j b_k, shape (harmonics, m), so that the signal is Re(amplitude exp(s (t - t[0]))).
+    shape (m,), and a_k - j b_k, shape (3, m), so that the signal is Re(amplitude exp(s (t - t[0]))).
     """
     time = t - t[0]
     growth = np.exp(root.real * time)
     columns = [np.ones_like(time), time - time.mean()]
-    for k in range(1, harmonics + 1):
+    for k in range(1, HARMONICS + 1):
         columns += [growth * np.cos(k * root.imag * time), growth * np.sin(k * root.imag * time)]
     fitted, *_ = np.linalg.lstsq(np.column_stack(columns), signals, rcond=None)
     return np.asarray(fitted[0]), np.asarray(fitted[2::2] - 1j * fitted[3::2])

@@ -18,13 +18,23 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
+from math import radians
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.analysis.shared.form import Doubt
-from pmabench.analysis.shared.samples import UNUSABLE_SHARE, NotUsable, lag_open, noise_of, on_time
+from pmabench.analysis.shared.samples import (
+    NotUsable,
+    ends,
+    lag_open,
+    noise_of,
+    on_time,
+    refuse_flagged,
+    refuse_incomplete,
+    settings_of,
+)
 from pmabench.analysis.shared.sine_loop import lost_work
 from pmabench.analysis.shared.turn_times import behind
 from pmabench.base.quantities import CHANNEL_QUANTITY, show
@@ -89,13 +99,11 @@ def turns_of(x: Array, gap: Array, lower: float, upper: float) -> Turns | None:
     return None
 
 
-def possible_turns(x: Array, gap: Array, lower: float, upper: float) -> Turns | None:
-    """The turns that fit a gap of one width best, whether something else in it is larger or not; None without a gap."""
-    return _found(x, gap, lower, upper, 0)[0]
-
-
 def _found(x: Array, gap: Array, lower: float, upper: float, order: int) -> tuple[Turns | None, bool]:
-    """The turns where the gap of the open loop is a polynomial of `order` over the stroke, and whether they show."""
+    """The turns where the gap of the open loop is a polynomial of `order` over the stroke, and whether they show.
+
+    Without those that show, something else in the gap is larger; None without a gap.
+    """
     from scipy.optimize import minimize_scalar  # takes long to import, and most kinds have no ramps
 
     z = (2 * x - lower - upper) / (upper - lower)
@@ -234,12 +242,12 @@ def measure(run: RunData, trial: TrialData, discard: int, turn: float, axes: Axe
         raise NotUsable("nothing is left of the stroke between its ends")
     X, Y = on_time(run, trial, axes.moved), on_time(run, trial, axes.pulls)
     P = np.mean([on_time(run, trial, name) for name in axes.pressures], axis=0)
-    branches: dict[str, list[Array]] = {axes.rises: [], axes.falls: []}
-    pressures: dict[str, list[float]] = {axes.rises: [], axes.falls: []}
+    branches: tuple[list[Array], list[Array]] = ([], [])
+    pressures: tuple[list[float], list[float]] = ([], [])
     speeds, given, lost = [], [], []
     last: tuple[Array, Array] = (np.empty(0), np.empty(0))
     for contract, expand, end in cycles:
-        for phase, begin, until in ((axes.rises, contract.t, expand.t), (axes.falls, expand.t, end)):
+        for phase, (begin, until) in enumerate(((contract.t, expand.t), (expand.t, end))):
             rows = _between(trial, begin, until)
             x, F = X[rows], Y[rows]
             moved = (x >= grid[0]) & (x <= grid[-1])
@@ -254,7 +262,7 @@ def measure(run: RunData, trial: TrialData, discard: int, turn: float, axes: Axe
         lost.append(lost_work(*last))
         rows = _between(trial, contract.t, expand.t)
         given.append(float(np.trapezoid(Y[rows], X[rows])))
-    contracting, expanding = np.array(branches[axes.rises]), np.array(branches[axes.falls])
+    contracting, expanding = (np.array(branch) for branch in branches)
     known = _reached(contracting + expanding, trial, Y[whole], axes)
     contracting, expanding, x = contracting[:, known], expanding[:, known], grid[known]
     level = 0.5 * (contracting + expanding).mean(axis=1)
@@ -264,14 +272,9 @@ def measure(run: RunData, trial: TrialData, discard: int, turn: float, axes: Axe
     fades = 0.02 * (upper - lower) if turns is None else turns.w
     moments = sorted([expand.t for _, expand, _ in cycles] + [contract.t for contract, _, _ in cycles[1:]])
     return Loop(
-        turns=turns,
-        possible=turns or possible_turns(x, gap, lower, upper),
-        x=x,
-        contracting=contracting,
-        expanding=expanding,
-        speed=speed,
-        pressure=float(np.mean(pressures[axes.rises] + pressures[axes.falls])),
-        apart=float(np.mean(pressures[axes.falls]) - np.mean(pressures[axes.rises])),
+        x, contracting, expanding, turns, turns or _found(x, gap, lower, upper, 0)[0], speed,
+        pressure=float(np.mean(pressures[0] + pressures[1])),
+        apart=float(np.mean(pressures[1]) - np.mean(pressures[0])),
         given=np.array(given),
         lost=np.array(lost) - 0.5 * drift * (upper - lower),
         last=last,
@@ -279,7 +282,7 @@ def measure(run: RunData, trial: TrialData, discard: int, turn: float, axes: Axe
         drift=drift,
         late=_late(run, trial, (X, Y), moments, fades / speed, axes),
         ends=(lower, upper),
-    )
+    )  # fmt: skip
 
 
 def _reached(forces: Array, trial: TrialData, seen: Array, axes: Axes) -> NDArray[np.bool_]:
@@ -321,7 +324,7 @@ def _late(
 
 def measure_as_planned(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> Loop:
     """`measure` with what `options` say, else the plan, of `discard` and `turn`."""
-    settings = {**(run.plan.get("settings") or {}), **options}
+    settings = settings_of(run, options)
     stroke = trial.point.get("upper", 0.0) - trial.point.get("lower", 0.0)
     return measure(run, trial, int(settings.get("discard", 1)), float(settings.get("turn", TURN * stroke)))
 
@@ -330,18 +333,12 @@ def _usable_cycles(
     trial: TrialData, discard: int, axes: Axes
 ) -> tuple[list[tuple[Command, Command, float]], NDArray[np.bool_]]:
     """The cycles to measure, and which samples lie in them; raises `NotUsable`."""
-    if trial.status != "finished":
-        raise NotUsable(f"the trial is {trial.status}")
-    missing = [name for name in (axes.moved, axes.pulls) if name not in trial.channels]
-    if missing:
-        raise NotUsable(f"{' and '.join(missing)} not recorded")
+    refuse_incomplete(trial, axes.moved, axes.pulls)
     cycles = _cycles(trial, axes)[discard:]
     if not cycles:
         raise NotUsable("it holds no whole cycle beyond those left out")
     whole = (trial.t >= cycles[0][0].t) & (trial.t < cycles[-1][2])
-    bad = float(np.mean(~trial.usable[whole])) if whole.any() else 1.0
-    if bad > UNUSABLE_SHARE:
-        raise NotUsable(f"{bad:.0%} of the samples are flagged")
+    refuse_flagged(trial.usable[whole] if whole.any() else np.zeros(1, dtype=bool))
     return cycles, whole
 
 
@@ -352,8 +349,7 @@ def _cycles(trial: TrialData, axes: Axes) -> list[tuple[Command, Command, float]
     for one, two in pairwise(ramps):
         if one.phase != axes.rises or two.phase != axes.falls:
             continue
-        rate = two.data.get("rate", 0.0)
-        end = two.t + abs(two.value - two.before) / rate if rate > 0 else float(trial.t[-1])
+        end = ends(two) if two.data.get("rate", 0.0) > 0 else float(trial.t[-1])
         if end <= float(trial.t[-1]) + 2 * float(np.median(np.diff(trial.t))):
             found.append((one, two, end))
     return found
@@ -383,3 +379,38 @@ def stiffness_of(run: RunData, trial: TrialData) -> float:
     """Slope of the mean curve of one trial with its sign changed [N/m]; raises `NotUsable`."""
     loop = measure_as_planned(run, trial, {})
     return -float(np.polyfit(loop.x, loop.mean.mean(axis=0), 1)[0])
+
+
+MUSCLES = ("pressure_1", "pressure_2")
+AXES = Axes("angle", "torque", MUSCLES, "rise", "fall")
+CUT = 3.0
+"""So many w after a turn a branch is itself: 5 % of the turn are left."""
+NOT_SEEN = 4.0
+"""A gap below so many times the noise of its points counts as none."""
+SMALLEST = radians(10)
+"""Half a sweep that shows no gap must be as wide [rad]: in a smaller one the gap of any hysteresis is below the noise,
+and its branches are three times as steep all the same. Turns of braided muscles fade on 0.5 to 2 % of contraction."""
+BY_PRESSURE = 1.5
+"""The stiffness may change by so many times its share with the pressures: rubber takes a part of it away."""
+
+
+def refuse_turns(turns: Turns | None, half: float, gap: float, noise: float) -> None:
+    """Raise `NotUsable` for a gap [N m] of the wrong sign, or one that is never open within +-`half` [rad].
+
+    `noise` is that of a point of the gap [N m].
+    """
+    seen = gap / NOT_SEEN
+    if seen < -noise:
+        raise NotUsable(
+            "the torque is larger while the angle rises, and no muscles give work back like that: look for a wrong "
+            "sign, or angle and torque that are apart in time"
+        )
+    why = ""
+    if turns is None and seen > noise:
+        why = "its branches are never parallel, and their slope is that of the turns, not the stiffness; "
+        why += "sweep at least three times as far, or look for a filter on the torque"
+    elif turns is None and half < SMALLEST:
+        why = "it shows no gap, and may be three times as steep as the joint is stiff; sweep at least "
+        why += f"+-{show(SMALLEST, 'angle', 3)}"
+    if why:
+        raise NotUsable(f"the sweep of +-{show(half, 'angle', 3)} is too small for the hysteresis: {why}")

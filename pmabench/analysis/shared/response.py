@@ -11,7 +11,6 @@ from itertools import pairwise
 from math import sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pmabench.analysis.shared.oscillation import SEEN
 from pmabench.analysis.shared.samples import Held, left, noise_of
@@ -121,7 +120,8 @@ def respond(
     width = max(1, round(SMOOTHED / period))
     rest = SURE * noise / sqrt(width) + 0.5 * resolution
     smooth = _smoothed(x, width)
-    low, high = (_first(t, smooth >= origin + share * step) for share in (0.1, 0.9))
+    reached = [np.flatnonzero(smooth >= origin + share * step) for share in (0.1, 0.9)]
+    low, high = (float(t[rows[0]]) if len(rows) else None for rows in reached)
 
     def settled(limit: float) -> float | None:
         outside = np.flatnonzero(np.abs(smooth - setpoint) > limit)
@@ -136,26 +136,22 @@ def respond(
         error = 0.5 * cycle.size * min(1.0, cycle.period / (window[1] - window[0]))
     else:
         error = max(further.most, wander if wander > smallest else 0.0)
-    return Response(
-        rise=high - low if low is not None and high is not None and sure else None,
-        overshoot=max(0.0, (float(smooth.max()) - setpoint) / step),
-        settling=settled(band * step) if near is not None else None,
-        error=setpoint - float(x[inside].mean()),
-        IAE=float(np.trapezoid(np.abs(setpoint - x), t)),
-        cycle=cycle,
-        wander=wander,
-        smallest=smallest,
-        unsure=Unsure(
-            rise=period + SMOOTHED / 2,
-            overshoot=rest / step,
-            settling=period + (near - wide if near is not None and wide is not None else 0.0),
-            IAE=noise * float(t[-1] - t[0]),
-            size=2 * rest + 2 * PART * (0.0 if cycle is None else cycle.size),
-            period=0.0 if cycle is None else period + PART * cycle.period / cycle.count,
-            error=max(error, 0.5 * resolution),
-            moves=cycle is not None or further.seen or wander > smallest,
-        ),
+    unsure = Unsure(
+        rise=period + SMOOTHED / 2,
+        overshoot=rest / step,
+        settling=period + (near - wide if near is not None and wide is not None else 0.0),
+        IAE=noise * float(t[-1] - t[0]),
+        size=2 * rest + 2 * PART * (0.0 if cycle is None else cycle.size),
+        period=0.0 if cycle is None else period + PART * cycle.period / cycle.count,
+        error=max(error, 0.5 * resolution),
+        moves=cycle is not None or further.seen or wander > smallest,
     )
+    rise = high - low if low is not None and high is not None and sure else None
+    overshoot = max(0.0, (float(smooth.max()) - setpoint) / step)
+    settling = settled(band * step) if near is not None else None
+    IAE = float(np.trapezoid(np.abs(setpoint - x), t))
+    off = setpoint - float(x[inside].mean())
+    return Response(rise, overshoot, settling, off, IAE, cycle, wander, smallest, unsure)
 
 
 def cycle_of(t: Array, x: Array, smallest: float) -> Cycle | None:
@@ -191,13 +187,10 @@ def _upward(x: Array, middle: float, hysteresis: float) -> list[int]:
     found: list[int] = []
     below, crossing = False, -1
     for i, value in enumerate((x - middle).tolist()):
-        if value < -hysteresis:
-            below, crossing = True, -1
+        if value < 0:
+            below, crossing = below or value < -hysteresis, -1
         elif below:
-            if value >= 0 and crossing < 0:
-                crossing = i
-            elif value < 0:
-                crossing = -1
+            crossing = i if crossing < 0 else crossing
             if value > hysteresis:
                 found.append(crossing)
                 below = False
@@ -212,7 +205,3 @@ def _smoothed(x: Array, width: int) -> Array:
     index = np.arange(len(x))
     first, last = np.maximum(0, index - width // 2), np.minimum(len(x), index - width // 2 + width)
     return np.asarray((total[last] - total[first]) / (last - first))
-
-
-def _first(t: Array, reached: NDArray[np.bool_]) -> float | None:
-    return float(t[int(np.argmax(reached))]) if bool(reached.any()) else None

@@ -8,12 +8,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import pi, sqrt
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.store.analyses.results import Analysis, Finding
-from pmabench.store.records import Array, RunData, TrialData
+from pmabench.store.records import Array, Command, RunData, TrialData
 
 UNUSABLE_SHARE = 0.02
 """Share of flagged samples above which a trial is not used."""
@@ -21,6 +22,36 @@ UNUSABLE_SHARE = 0.02
 
 class NotUsable(Exception):
     """A trial that cannot be measured, with the reason."""
+
+
+def refuse_incomplete(trial: TrialData, *channels: str) -> None:
+    """Raise `NotUsable` for a trial that ended early or lacks one of `channels`."""
+    if trial.status != "finished":
+        raise NotUsable(f"the trial is {trial.status}")
+    if missing := [name for name in channels if name not in trial.channels]:
+        raise NotUsable(f"{' and '.join(missing)} not recorded")
+
+
+def refuse_flagged(usable: NDArray[np.bool_]) -> None:
+    """Raise `NotUsable` where more than `UNUSABLE_SHARE` of the samples are not `usable`."""
+    if (bad := float(np.mean(~usable))) > UNUSABLE_SHARE:
+        raise NotUsable(f"{bad:.0%} of the samples are flagged")
+
+
+def refuse_unusable(trial: TrialData, *channels: str) -> None:
+    """Raise `NotUsable` for a trial that ended early, lacks one of `channels` or has too many flagged samples."""
+    refuse_incomplete(trial, *channels)
+    refuse_flagged(trial.usable)
+
+
+def settings_of(run: RunData, options: Mapping[str, Any] | None = None) -> dict[str, Any]:
+    """What the plan says to the reduction, and `options` over it."""
+    return {**(run.plan.get("settings") or {}), **(options or {})}
+
+
+def ends(ramp: Command) -> float:
+    """When a commanded ramp is over [s]."""
+    return ramp.t + abs(ramp.value - ramp.before) / ramp.data["rate"]
 
 
 @dataclass(frozen=True)
@@ -85,10 +116,8 @@ def count_of(run: RunData, channel: str) -> float:
 
 def on_time(run: RunData, trial: TrialData, name: str) -> Array:
     """A channel without the lag of its sensor, which along a ramp shows what was there one lag ago; NaN if missing."""
-    if name not in trial.channels:
-        return np.full(trial.t.shape, np.nan)
-    lag = run.channels[name].sensor_lag if name in run.channels else 0.0
-    values = trial.channels[name]
+    values = trial.channels.get(name, np.full(trial.t.shape, np.nan))
+    lag = lags_of(run, trial).get(name, 0.0)
     return np.interp(trial.t + lag, trial.t, values) if lag else values
 
 
@@ -216,9 +245,8 @@ def onset(t: Array, y: Array, command: float, least: float) -> float | None:
 def dead_times(t: Array, channels: Mapping[str, Array], usable: NDArray[np.bool_], command: float) -> dict[str, float]:
     """Times [s] between command, pressure and motion of a contraction that is commanded at `command` [s]."""
     near = usable & (t < command + 2.0)
-    found = {name: onset(t[near], channels[name][near], command, least) for name, least in LEAST.items()}
+    pressure, motion = (onset(t[near], channels[name][near], command, least) for name, least in LEAST.items())
     result = {}
-    pressure, motion = found["pressure"], found["displacement"]
     if pressure is not None:
         result["command-to-pressure"] = pressure - command
     if motion is not None:

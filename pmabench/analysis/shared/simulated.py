@@ -16,7 +16,6 @@ from pmabench.analysis.shared.samples import Noise, Samples
 from pmabench.store.records import Array, RunData, TrialData
 
 if TYPE_CHECKING:  # plants import scipy, which takes longer than a reduction that needs none
-    from pmabench.model.identified.muscle import IdentifiedMuscle
     from pmabench.model.presets import Described
 
 SUBSTEPS = 2
@@ -66,7 +65,8 @@ def run(
     more
         Force [N] by contraction [m] and pressure [Pa], shape (m,): what a bent muscle pulls more than F_ce - K x.
     """
-    F_ce, K, B_c, B_r = _coefficients(fit, P)
+    F_ce, *others = (fit.values(symbol, P) for symbol in ("F_ce", "K", "B_c", "B_r"))
+    K, B_c, B_r = (np.maximum(values, LEAST) for values in others)
     F_c = max(0.0, fit.coulomb)
     h = dt / substeps
     v = np.zeros(P.shape[1])
@@ -102,11 +102,6 @@ def run(
     return Replayed(all_x, np.where(all_x > 0, force, np.minimum(F_ce, load)))
 
 
-def _coefficients(fit: Coefficients, P: Array) -> tuple[Array, Array, Array, Array]:
-    values = [fit.values(symbol, P) for symbol in ("F_ce", "K", "B_c", "B_r")]
-    return values[0], np.maximum(values[1], LEAST), np.maximum(values[2], LEAST), np.maximum(values[3], LEAST)
-
-
 @dataclass(frozen=True)
 class Stretches:
     """Equally long pieces of trials, each from rest, that a replay starts from: columns of `P` (n, m) [Pa]."""
@@ -129,24 +124,18 @@ def stretches(pieces: Sequence[tuple[Samples, slice]], dt: float, rest: int) -> 
     source: list[Samples] = []
     start = np.empty(len(pieces))
     for column, (samples, rows) in enumerate(pieces):
-        size = rows.stop - rows.start
-        P[:size, column] = _whole(samples)[rows]
+        size, whole = rows.stop - rows.start, samples.P
+        if samples.ok.any() and not samples.ok.all():  # what drives a replay has no gap
+            whole = np.interp(samples.t, samples.t[samples.ok], samples.P[samples.ok])
+        P[:size, column] = whole[rows]
         P[size:, column] = P[size - 1, column]
         before = slice(max(0, rows.start - rest), rows.start + 1)
         still = samples.x[before][samples.ok[before]]
         start[column] = max(0.0, float(np.mean(still))) if len(still) else 0.0
         t, ok = dt * np.arange(size), samples.ok[rows]
         source.append(replace(samples, t=t, P=P[:size, column], x=samples.x[rows], force=None, ok=ok))
-    load = np.array([samples.load for samples, _ in pieces])
-    mass = np.array([samples.mass for samples, _ in pieces])
+    load, mass = (np.array([getattr(samples, name) for samples, _ in pieces]) for name in ("load", "mass"))
     return Stretches(tuple(source), P, load, mass, start, dt)
-
-
-def _whole(samples: Samples) -> Array:
-    """The pressure with straight lines in place of flagged samples: what drives a replay has no gap."""
-    if samples.ok.all() or not samples.ok.any():
-        return samples.P
-    return np.interp(samples.t, samples.t[samples.ok], samples.P[samples.ok])
 
 
 def measured(work: Stretches, replayed: Replayed, noise: Noise, cell: bool, seed: int) -> list[Samples]:
@@ -156,14 +145,9 @@ def measured(work: Stretches, replayed: Replayed, noise: Noise, cell: bool, seed
     for column, samples in enumerate(work.source):
         size = len(samples.t)
         shake = generator.standard_normal((3, size))
-        result.append(
-            replace(
-                samples,
-                P=samples.P + noise.pressure * shake[0],
-                x=replayed.x[:size, column] + noise.displacement * shake[1],
-                force=replayed.force[:size, column] + noise.force * shake[2] if cell else None,
-            )
-        )
+        force = replayed.force[:size, column] + noise.force * shake[2] if cell else None
+        P, x = samples.P + noise.pressure * shake[0], replayed.x[:size, column] + noise.displacement * shake[1]
+        result.append(replace(samples, P=P, x=x, force=force))
     return result
 
 
@@ -224,33 +208,29 @@ def from_measured_pressure(
     """
     if not trials:
         return []
+    driving = []
+    for trial in trials:
+        ok = trial.usable & np.isfinite(trial.channels["pressure"])
+        driving.append((trial.t[ok], trial.channels["pressure"][ok]))
     if model.surface is not None:
-        return [_surface_from_measured_pressure(model.surface, *one) for one in zip(trials, origins, strict=True)]
+        from pmabench.model.identified.plant import free_run
+
+        # its hysteresis is a spring for small moves: the noise of the pressure does not shake it loose
+        return [
+            free_run(model.surface, trial.t, np.interp(trial.t, *known), *load_of(trial), origin)[0]
+            for trial, known, origin in zip(trials, driving, origins, strict=True)
+        ]
     grids = [np.arange(trial.t[0], trial.t[-1] + 0.5 * period, period) for trial in trials]
     P = np.empty((max(map(len, grids)), len(trials)))
     width = round(CALMED / period) if model.muscle.friction.F_c > 0 else 1
-    for column, (trial, grid) in enumerate(zip(trials, grids, strict=True)):
-        measured = trial.channels["pressure"]
-        ok = trial.usable & np.isfinite(measured)
-        P[: len(grid), column] = _calm(np.interp(grid, trial.t[ok], measured[ok]), width)
+    for column, (known, grid) in enumerate(zip(driving, grids, strict=True)):
+        P[: len(grid), column] = _calm(np.interp(grid, *known), width)
         P[len(grid) :, column] = P[len(grid) - 1, column]
     loads, masses = np.array([load_of(trial) for trial in trials]).T
     x = run(_Coefficients(model), P, period, loads, masses, np.maximum(0.0, origins)).x
     return [
         np.interp(trial.t, grid, x[: len(grid), i]) for i, (trial, grid) in enumerate(zip(trials, grids, strict=True))
     ]
-
-
-def _surface_from_measured_pressure(surface: IdentifiedMuscle, trial: TrialData, origin: float) -> Array:
-    """Contraction [m], shape (n,), of a muscle as a surface, driven by the measured pressure from rest at `origin` [m].
-
-    Its hysteresis is a spring for small moves, so that the noise of the pressure does not shake it loose.
-    """
-    from pmabench.model.identified.plant import free_run
-
-    measured = trial.channels["pressure"]
-    ok = trial.usable & np.isfinite(measured)
-    return free_run(surface, trial.t, np.interp(trial.t, trial.t[ok], measured[ok]), *load_of(trial), origin)[0]
 
 
 def from_commanded_pressure(model: Described, trial: TrialData, origin: float = 0.0) -> Array:
@@ -286,24 +266,17 @@ def closed_loop(model: Described, trial: TrialData, law: Mapping[str, Any], peri
     from pmabench.model.pid import PID
     from pmabench.model.regulator import constant
 
-    load, mass = load_of(trial)
-    begin, end = float(law["t0"]), float(law["t1"])
+    begin, end, setpoint, sent = (float(law[name]) for name in ("t0", "t1", "setpoint", "start"))
+    tracking = None if law.get("tracking") is None else float(law["tracking"])
+    ranges = {name: float(law[name]) for name in ("N", "low", "high", "start")}
+    T_i = inf if law.get("T_i") is None else float(law["T_i"])
     controller = PID(
-        float(law["K_p"]),
-        inf if law.get("T_i") is None else float(law["T_i"]),
-        float(law.get("T_d") or 0.0),
-        N=float(law["N"]),
-        low=float(law["low"]),
-        high=float(law["high"]),
-        anti_windup=str(law["anti_windup"]),
-        tracking=None if law.get("tracking") is None else float(law["tracking"]),
-        start=float(law["start"]),
-    )
-    setpoint = float(law["setpoint"])
-    plant = model.plant(load, mass, float(law["start"]), origin)
+        float(law["K_p"]), T_i, float(law.get("T_d") or 0.0), **ranges, anti_windup=str(law["anti_windup"]),
+        tracking=tracking,
+    )  # fmt: skip
+    plant = model.plant(*load_of(trial), sent, origin)
     count = round((end - begin) / period) + 1
     x, command = np.empty(count), np.empty(count)
-    sent = float(law["start"])
     for k in range(count):
         x[k] = plant.x
         wanted = controller.update(period, setpoint, plant.x)

@@ -12,7 +12,15 @@ from math import floor, pi
 import numpy as np
 from numpy.typing import NDArray
 
-from pmabench.analysis.shared.samples import UNUSABLE_SHARE, NotUsable, lags_of, noise_of, three_parameter
+from pmabench.analysis.shared.samples import (
+    NotUsable,
+    lags_of,
+    noise_of,
+    refuse_flagged,
+    refuse_incomplete,
+    settings_of,
+    three_parameter,
+)
 from pmabench.base.quantities import show
 from pmabench.store.records import Array, Flag, RunData, TrialData
 
@@ -100,20 +108,17 @@ def measure(run: RunData, trial: TrialData, discard: float, force_per_pressure: 
 
     Raises `NotUsable` where the trial ended early, lacks a channel, went slack, or has too many flagged samples.
     """
-    if trial.status != "finished":
-        raise NotUsable(f"the trial is {trial.status}")
+    refuse_incomplete(trial, "displacement", "force")
     frequency = trial.point.get("frequency", 0.0)
-    missing = [name for name in ("displacement", "force") if name not in trial.channels]
-    if missing or frequency <= 0:
-        raise NotUsable(f"{' and '.join(missing)} not recorded" if missing else "its point names no frequency")
+    if frequency <= 0:
+        raise NotUsable("its point names no frequency")
     window = _window(trial, frequency, discard)
     t, x, F = trial.t[window], trial.channels["displacement"][window], trial.channels["force"][window]
     slack = int(np.count_nonzero(trial.flags[window] & np.uint16(Flag.SLACK)))
     if slack or F.min() <= 3 * noise_of(F):
         raise NotUsable(f"the specimen was slack: force down to {show(float(F.min()), 'force', 3)}")
     good = trial.usable[window]
-    if np.mean(~good) > UNUSABLE_SHARE:
-        raise NotUsable(f"{np.mean(~good):.0%} of the samples are flagged")
+    refuse_flagged(good)
     t, x, F = t[good], x[good], F[good]
     lag = lags_of(run, trial)
     x, F = without_lag(t, x, frequency, lag["displacement"]), without_lag(t, F, frequency, lag["force"])
@@ -158,19 +163,14 @@ def evaluate(
     left = x - means[0] - np.real(X * np.exp(1j * omega * t))
     whole = max(1, round((t[-1] - t[0]) * frequency))
     edges = np.searchsorted(t, t[0] + np.arange(whole + 1) / frequency - 1e-9)
-    ratio, size, area, width = [], [], [], []
+    rows = []
     for first, last in pairwise(edges):
         one = slice(int(first), int(last))
         _, a = three_parameter(t[one], both[one], frequency)
-        ratio.append(complex(a[1] / a[0]))
-        size.append(abs(complex(a[0])))
-        area.append(lost_work(x[one], F[one]))
-        width.append(_width(t[one], x[one], F[one], float(means[0]), X, omega))
+        width = _width(t[one], x[one], F[one], float(means[0]), X, omega)
+        rows.append((complex(a[1] / a[0]), abs(complex(a[0])), lost_work(x[one], F[one]), width))
     return Sine(
-        t=t,
-        x=x,
-        F=F,
-        frequency=frequency,
+        t, x, F, frequency,
         mean=float(means[0]),
         amplitude=abs(X),
         ratio=complex(amplitudes[1] / amplitudes[0]),
@@ -180,8 +180,8 @@ def evaluate(
         distortion=float(np.sqrt(2.0 * np.mean(left**2))) / abs(X),
         area=lost_work(x, F) / whole,
         width=_width(t, x, F, float(means[0]), X, omega),
-        cycles=Cycles(np.array(ratio), np.array(size), np.array(area), np.array(width)),
-    )
+        cycles=Cycles(*(np.array(column) for column in zip(*rows, strict=True))),
+    )  # fmt: skip
 
 
 def lost_work(x: Array, F: Array) -> float:
@@ -250,4 +250,4 @@ def replay(sine: Sine, K: float, B: float, F_c: float) -> Sine:
 
 def stiffness_of(run: RunData, trial: TrialData) -> float:
     """Stiffness of one trial [N/m], the first cycles left out as the plan says; raises `NotUsable`."""
-    return measure(run, trial, float((run.plan.get("settings") or {}).get("discard", 1))).stiffness
+    return measure(run, trial, float(settings_of(run).get("discard", 1))).stiffness

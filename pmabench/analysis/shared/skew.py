@@ -12,7 +12,7 @@ from itertools import combinations
 
 import numpy as np
 
-from pmabench.analysis.shared.calibration import sentences
+from pmabench.analysis.shared.calibration import listed, sentences
 from pmabench.store.analyses.results import Estimate, Finding, Parts
 from pmabench.store.records import Array, RunData, TrialData
 
@@ -87,30 +87,21 @@ def findings(
 ) -> list[Finding]:
     """What has no value for the `skew` between the channels [s], and where nothing bounds it."""
     said = []
-    none = [e for e in estimates if e.value is None and e.note.startswith(REFUSED)]
+    none = [e.symbol for e in estimates if e.value is None and e.note.startswith(REFUSED)]
     if none:
-        symbols = _and(list(dict.fromkeys(e.symbol for e in none)))
-        text = f"{symbols} withheld: {_and(channels)} may be {milliseconds(skew)} apart in time"
-        said.append(Finding("doubt", f"{text}; record them with one device, or with clocks that are known better"))
-    pairs = {
-        tuple(sorted((one, other)))
-        for run in runs
-        for one, other in combinations([name for name in channels if name in run.channels], 2)
-        if run.channels[one].stream != run.channels[other].stream
-        and any(_unbounded(run, run.channels[name].stream) for name in (one, other))
-    }
-    if pairs:
-        names = _and(sorted({name for pair in pairs for name in pair}))
+        text = f"{listed(list(dict.fromkeys(none)))} withheld: {listed(channels)} may be {milliseconds(skew)} apart"
+        text += " in time; record them with one device, or with clocks that are known better"
+        said.append(Finding("doubt", text))
+    loose: set[str] = set()
+    for run in runs:
+        for pair in combinations([name for name in channels if name in run.channels], 2):
+            clocks = {run.channels[name].stream: run.clocks.get(run.channels[name].stream) for name in pair}
+            # only said to be that of the run, or its stamps are the arrivals themselves
+            unbounded = [c is None or c.how == EQUAL or (c.how == ARRIVALS and c.uncertainty < NO_JITTER)
+                         for c in clocks.values()]  # fmt: skip
+            loose |= {*pair} if len(clocks) > 1 and any(unbounded) else set()
+    if loose:
+        names = listed(sorted(loose))
         text = f"{names} come from different devices, and nothing bounds the time between them: clocks are stated equal"
         said.append(Finding("doubt", f"{text}, or samples are stamped as they come in, however long they took"))
     return said
-
-
-def _unbounded(run: RunData, stream: str) -> bool:
-    """Whether a stream's clock is only said to be that of the run, or its stamps are the arrivals themselves."""
-    clock = run.clocks.get(stream)
-    return clock is None or clock.how == EQUAL or (clock.how == ARRIVALS and clock.uncertainty < NO_JITTER)
-
-
-def _and(names: Sequence[str]) -> str:
-    return ", ".join(names[:-1]) + (" and " if names[:-1] else "") + names[-1]

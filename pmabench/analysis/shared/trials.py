@@ -2,27 +2,57 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pmabench.analysis.imported import in_time
+from pmabench.analysis.shared.samples import NotUsable
 from pmabench.analysis.shared.student import mean_with_half
 from pmabench.base.quantities import show
-from pmabench.store.analyses.results import POINT_QUANTITIES, Finding, Trace
+from pmabench.store.analyses.results import POINT_QUANTITIES, Dropped, Finding, Trace
 from pmabench.store.records import Array, RunData, TrialData
 
 Members = list[tuple[RunData, TrialData]]
+Point = tuple[tuple[str, float], ...]
+One = TypeVar("One")
+Key = TypeVar("Key", bound=Hashable)
+
+
+def measured_trials(
+    runs: Sequence[RunData], measure: Callable[[RunData, TrialData], One]
+) -> tuple[list[One], list[Dropped]]:
+    """What `measure` finds in every trial, and the trials that it refuses by `NotUsable`."""
+    found: list[One] = []
+    dropped: list[Dropped] = []
+    for run in runs:
+        for trial in run.trials:
+            try:
+                found.append(measure(run, trial))
+            except NotUsable as reason:
+                dropped.append(Dropped(trial.name, trial.point, str(reason)))
+    return found, dropped
+
+
+def grouped(items: Iterable[One], key: Callable[[One], Key]) -> dict[Key, list[One]]:
+    """The items with the same key together, in the order that they came."""
+    groups: dict[Key, list[One]] = {}
+    for item in items:
+        groups.setdefault(key(item), []).append(item)
+    return groups
+
+
+def point_of(trial: TrialData) -> Point:
+    """The operating point of a trial as a key: names and values [SI] to nine decimals, sorted."""
+    return tuple(sorted((name, round(value, 9)) for name, value in trial.point.items()))
 
 
 def by_point(members: Sequence[tuple[RunData, TrialData]]) -> list[tuple[dict[str, float], Members]]:
     """Operating points [SI] in rising order, each with its runs and trials in the order that they came."""
-    groups: dict[tuple[tuple[str, float], ...], Members] = {}
-    for run, trial in members:
-        key = tuple(sorted((name, round(value, 9)) for name, value in trial.point.items()))
-        groups.setdefault(key, []).append((run, trial))
-    return [(dict(key), group) for key, group in sorted(groups.items())]
+    return [(dict(key), group) for key, group in sorted(grouped(members, lambda one: point_of(one[1])).items())]
 
 
 ONE_SESSION = (
@@ -88,8 +118,8 @@ def compared(runs: Sequence[RunData]) -> list[Compared]:
     """
     first: dict[tuple[object, ...], float] = {}
     found = []
-    for run, trial in _references(runs):
-        stroke = stroke_of(run, trial)
+    for run, trial in ((one, trial) for one in in_time(runs) for trial in one.trials):
+        stroke = stroke_of(run, trial) if trial.reference and trial.status == "finished" else None
         if stroke is None:
             continue
         point = tuple(sorted((name, round(value, 3)) for name, value in trial.point.items()))
@@ -103,12 +133,13 @@ def compared(runs: Sequence[RunData]) -> list[Compared]:
 
 def reference_findings(runs: Sequence[RunData]) -> list[Finding]:
     """What the reference trials say, a line for each that was done again by a run that went on, and for the rest."""
-    again = [one for one in compared(runs) if one.trial.again]
-    planned = [one for one in compared(runs) if not one.trial.again]
+    every = compared(runs)
     lines = [
-        _finding(one, f"the reference trial, done again when the run went on ({one.trial.name}),") for one in again
+        _finding(one, f"the reference trial, done again when the run went on ({one.trial.name}),")
+        for one in every
+        if one.trial.again
     ]
-    if planned:
+    if planned := [one for one in every if not one.trial.again]:
         widest = max(planned, key=lambda one: abs(one.off))
         what = f"of {len(planned)} further reference trials the one that differs most ({widest.trial.name})"
         lines.append(
@@ -121,13 +152,6 @@ def _finding(one: Compared, what: str) -> Finding:
     values = f"came to {show(one.stroke, 'length', 4)} and the first to {show(one.first, 'length', 4)}: {one.off:+.2%}"
     drifts = abs(one.off) > DOUBTED
     return Finding("doubt" if drifts else "note", f"{what} {values}{'; the specimen is not what it was' * drifts}")
-
-
-def _references(runs: Sequence[RunData]) -> Iterator[tuple[RunData, TrialData]]:
-    for run in in_time(runs):
-        for trial in run.trials:
-            if trial.reference and trial.status == "finished" and "displacement" in trial.channels:
-                yield run, trial
 
 
 def stroke_of(run: RunData, trial: TrialData) -> float | None:
@@ -151,8 +175,6 @@ MOST = 8
 HIDDEN = frozenset(("side", "mass", "cycles"))
 """Coordinates that need no word in the title."""
 
-Point = tuple[tuple[str, float], ...]
-
 
 def repeat_traces(channel: str, runs: Sequence[RunData]) -> list[Trace]:
     """The repeats of the operating point that has most of them, of several the middle one; none without repeats.
@@ -161,46 +183,32 @@ def repeat_traces(channel: str, runs: Sequence[RunData]) -> list[Trace]:
 
     Columns `t` [s] since the trial's first command and `repeat 1` ... [m] or [N], in the order of recording.
     """
-    groups: dict[Point, list[TrialData]] = {}
-    for run in in_time(runs):
-        for trial in run.trials:
-            usable = trial.status == "finished" and not trial.reference and not trial.again
-            if usable and channel in trial.channels and np.isfinite(trial.channels[channel][trial.usable]).sum() > 1:
-                point = tuple((name, float(f"{at:.6g}")) for name, at in sorted(trial.point.items()))
-                groups.setdefault(point, []).append(trial)
+
+    def known(trial: TrialData) -> NDArray[np.bool_]:
+        return trial.usable & np.isfinite(trial.channels[channel])
+
+    every = [trial for run in in_time(runs) for trial in run.trials if trial.status == "finished"]
+    usable = [t for t in every if not t.reference and not t.again and channel in t.channels and known(t).sum() > 1]
+    groups = grouped(usable, lambda one: tuple((n, float(f"{at:.6g}")) for n, at in sorted(one.point.items())))
     most = max((len(group) for group in groups.values()), default=0)
     if most < 2:
         return []
     points = sorted(point for point, group in groups.items() if len(group) == most)
     point = points[len(points) // 2]
-    chosen = groups[point][:MOST]
-    samples = [_values(trial, channel) for trial in chosen]
-    end = min(float(t[-1]) for t, _ in samples)
-    begin = max(float(t[0]) for t, _ in samples)
+    samples = []
+    for trial in groups[point][:MOST]:
+        start = min((c.t for c in trial.commands if c.t >= trial.t[0] - 1e-9), default=float(trial.t[0]))
+        samples.append((trial.t[known(trial)] - start, trial.channels[channel][known(trial)]))
+    begin, end = max(float(t[0]) for t, _ in samples), min(float(t[-1]) for t, _ in samples)
     if not end > begin:
         return []
     grid = np.linspace(begin, end, POINTS)
     columns = {f"repeat {n}": _means(grid, t, y) for n, (t, y) in enumerate(samples, 1)}
-    known = [(name, at) for name in POINT_QUANTITIES for samples, at in point if name == samples and name not in HIDDEN]
-    where = ", ".join(f"{name.replace('_', ' ')} {show(at, POINT_QUANTITIES[name], 4)}" for name, at in known)
-    quantity = "force" if channel == "force" else "length"
-    return [
-        Trace(
-            name=FIGURE,
-            figure=FIGURE,
-            title=f"{where or 'one operating point'}: {len(chosen)} repeats over each other",
-            columns={"t": grid, **columns},
-            quantities={"t": "time", **dict.fromkeys(columns, quantity)},
-            marks=dict(point),
-        )
-    ]
-
-
-def _values(trial: TrialData, channel: str) -> tuple[Array, Array]:
-    """Time since the first command [s] and the usable samples of a channel."""
-    use = trial.usable & np.isfinite(trial.channels[channel])
-    start = min((c.t for c in trial.commands if c.t >= trial.t[0] - 1e-9), default=float(trial.t[0]))
-    return trial.t[use] - start, trial.channels[channel][use]
+    named = [(name, at) for name in POINT_QUANTITIES for of, at in point if name == of and name not in HIDDEN]
+    where = ", ".join(f"{name.replace('_', ' ')} {show(at, POINT_QUANTITIES[name], 4)}" for name, at in named)
+    title = f"{where or 'one operating point'}: {len(samples)} repeats over each other"
+    quantities = {"t": "time", **dict.fromkeys(columns, "force" if channel == "force" else "length")}
+    return [Trace(FIGURE, FIGURE, title, {"t": grid, **columns}, quantities, dict(point))]
 
 
 def _means(grid: Array, t: Array, y: Array) -> Array:

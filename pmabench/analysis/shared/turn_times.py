@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.analysis.shared import student
-from pmabench.analysis.shared.projection import left_by
+from pmabench.analysis.shared.lines import left_by
 from pmabench.store.records import Array
 
 FEWEST = 6
@@ -85,9 +85,7 @@ def _window(t: Array, moved: Array, pulls: Array, turn: float, span: float) -> t
     wide = _about(t, turn, WIDER * span)
     begin = None if wide is None else corner(t[wide] - turn, moved[wide])
     near = None if begin is None else _about(t, turn + begin, span)
-    if near is None or begin is None:
-        return None
-    return t[near] - turn - begin, pulls[near]
+    return None if near is None or begin is None else (t[near] - turn - begin, pulls[near])
 
 
 def _about(t: Array, moment: float, span: float) -> NDArray[np.intp] | None:
@@ -101,14 +99,12 @@ def corner(t: Array, y: Array) -> float | None:
     tried = np.linspace(0.7 * float(t[0]), 0.7 * float(t[-1]), 2 * TRIED)
     left = left_by(np.stack([np.ones_like(t), t]), np.maximum(t - tried[:, None], 0.0)[:, None], y)
     place = int(np.argmin(left))
-    return None if place in (0, len(tried) - 1) else float(tried[place] + _vertex(left, place) * (tried[1] - tried[0]))
-
-
-def _vertex(left: Array, place: int) -> float:
-    """Where the parabola through three neighbours is lowest, in steps from the middle one."""
+    if place in (0, len(tried) - 1):
+        return None
     low, mid, high = left[place - 1 : place + 2]
     bend = low - 2 * mid + high
-    return float(0.5 * (low - high) / bend) if bend > 0 else 0.0
+    vertex = float(0.5 * (low - high) / bend) if bend > 0 else 0.0  # of the parabola through these, in steps
+    return float(tried[place] + vertex * (tried[1] - tried[0]))
 
 
 def _delayed(t: Array, late: Array) -> Array:

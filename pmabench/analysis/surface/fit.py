@@ -14,9 +14,20 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-from pmabench.analysis.surface.columns import Frame, Memory, memory
-from pmabench.analysis.surface.muscle import CREEP_X, FREE, STRAIGHT, SURFACE, TERMS, Muscle, Stiffness, columns_of
-from pmabench.analysis.surface.record import Record, Rows
+from pmabench.analysis.surface.muscle import (
+    CREEP_X,
+    FREE,
+    STRAIGHT,
+    SURFACE,
+    TERMS,
+    Frame,
+    Memory,
+    Muscle,
+    Stiffness,
+    columns_of,
+    memory,
+)
+from pmabench.analysis.surface.trials import Record, Rows
 from pmabench.store.records import Array
 
 FIRST_SMOOTH = 0.1

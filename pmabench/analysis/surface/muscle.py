@@ -1,16 +1,218 @@
-"""The muscle that a fit gives: its force, stiffness, loops and creep, from the weights of its terms; SI throughout."""
+"""The muscle that a fit gives: its force, stiffness, loops and creep, from the weights of its terms; SI throughout.
+
+And what each term makes of the past of a trial: splines, stops, lags.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
+from scipy.interpolate import BSpline
 
-from pmabench.analysis.surface.columns import FAST, LAW, SETTLED, TIMES, Frame, Memory, between, memory
-from pmabench.analysis.surface.record import Record, Rows
+from pmabench.analysis.surface.trials import Record, Rows
 from pmabench.model.identified.muscle import IdentifiedMuscle, Splines, Weights
 from pmabench.store.records import Array
+
+DEGREE = 3
+SECANT_PLACES = 41
+"""Contractions through which a straight line is laid."""
+SLIDES = 0.0003
+"""Half the way over which friction turns round that counts as turning at once, as a share of the range of x."""
+WIDTHS_X = (0.003, 0.01, 0.03, 0.08, 0.23)
+"""Half widths of the stops on contraction over its range: 0.15 to 12 mm of 52 mm."""
+WIDTHS_P = (1 / 60, 1 / 20, 1 / 6, 0.3)
+"""Half widths of the stops on pressure over the highest pressure: 10 to 180 kPa of 600 kPa. One of half the range never
+slips: it is a spring, which the surface has already.
+"""
+TIMES = (0.3, 0.95, 3.0, 9.5, 30.0, 95.0, 300.0)
+"""Time constants of creep [s], two in a decade: their sum can follow a straight line over the logarithm of time."""
+SETTLED = 5.0
+"""Time [s] before a record since which the muscle has been where it begins."""
+FAST = 5.0
+"""Lags of less time [s] are counted from where they end, so that the surface is the muscle this long after a move:
+slow tests do not tell faster creep from stiffness.
+"""
+LAW = np.maximum(0.0, 1.0 - np.abs(np.arange(len(TIMES))[:, None] - np.array([0.0, 3.0, 6.0])) / 3.0)
+"""Weights of the lags in each column of creep: straight lines over the logarithm of time between three of them."""
+STEP = 50e3
+"""Distance of the pressures between which the straight form has straight lines [Pa]."""
+INTERVALS_P = (0.0, 1 / 3, 2 / 3, 1.0)
+INTERVALS_X = (0.0, 1 / 13, 5 / 26, 5 / 13, 8 / 13, 1.0)
+"""Knots over the range of x, closer near the longest muscle, where the force falls fastest."""
+
+
+@dataclass(frozen=True)
+class Axis:
+    """Cubic B-splines over a range; beyond it they go on as straight lines. One constant where there is no range."""
+
+    low: float
+    high: float
+    shares: tuple[float, ...]
+    """Knots as shares of the range, from 0 to 1."""
+
+    @property
+    def span(self) -> float:
+        """Width of the range."""
+        return self.high - self.low
+
+    @property
+    def size(self) -> int:
+        """Number of functions."""
+        return len(self.shares) + DEGREE - 1 if self.span > 0 else 1
+
+    def share(self, at: Array) -> Array:
+        """Where values lie in the range, 0 to 1 and cut there; 0 where there is no range."""
+        return np.clip((at - self.low) / self.span, 0.0, 1.0) if self.span > 0 else np.zeros_like(at)
+
+    def functions(self, at: Array, slope: bool = False) -> Array:
+        """Values of the functions, or their slopes, at places of shape (n,); shape (n, size)."""
+        if self.span <= 0:
+            return np.full((len(at), 1), 0.0 if slope else 1.0)
+        knots = self._knots()
+        inside = np.clip(at, self.low, self.high)
+        steep = BSpline(knots, np.eye(self.size), DEGREE).derivative()(inside)
+        if slope:
+            return np.asarray(steep)
+        values = BSpline.design_matrix(inside, knots, DEGREE).toarray()
+        return np.asarray(values + (at - inside)[:, None] * steep)
+
+    def bends(self) -> Array:
+        """Third derivative within each interval times the cube of its width, (intervals, size): what it bends there.
+
+        A parabola has none: where no rows are, the functions go on as one.
+        """
+        if self.span <= 0:
+            return np.zeros((0, 1))
+        knots = np.array(self.shares)
+        third = BSpline((self._knots() - self.low) / self.span, np.eye(self.size), DEGREE).derivative(3)
+        return np.asarray(third(0.5 * (knots[1:] + knots[:-1])) * np.diff(knots)[:, None] ** 3)
+
+    def _knots(self) -> Array:
+        inner = self.low + self.span * np.array(self.shares)
+        return np.concatenate([[self.low] * DEGREE, inner, [self.high] * DEGREE])
+
+
+@dataclass(frozen=True)
+class Frame:
+    """Ranges of pressure [Pa] and contraction [m] over which a muscle is fitted; sizes of stops follow from them."""
+
+    P: Axis
+    x: Axis
+
+    @classmethod
+    def over(cls, P: Sequence[float], x: Sequence[float]) -> Frame:
+        """The frame of lowest and highest pressure [Pa] and contraction [m]."""
+        return cls(Axis(P[0], P[1], INTERVALS_P), Axis(x[0], x[1], INTERVALS_X))
+
+    @property
+    def radii(self) -> Array:
+        """Half widths of the stops on contraction [m]: first the one that slides at once."""
+        return np.array([SLIDES, *WIDTHS_X]) * max(self.x.span, 1e-9)
+
+    @property
+    def pressure_radii(self) -> Array:
+        """Half widths of the stops on pressure [Pa]."""
+        return np.array(WIDTHS_P) * max(self.P.high, 1.0)
+
+    def surface(self, P: Array, x: Array) -> Array:
+        """Products of the splines of both axes, shape (n, size of P times size of x)."""
+        return _products(self.P.functions(P), self.x.functions(x))
+
+    def slope(self, P: Array, x: Array) -> Array:
+        """Derivative of the products over x [1/m]."""
+        return _products(self.P.functions(P), self.x.functions(x, slope=True))
+
+    @property
+    def pressures(self) -> Array:
+        """Where the straight lines between pressures of the straight form meet [Pa], `STEP` apart."""
+        return np.linspace(self.P.low, self.P.high, max(2, round(self.P.span / STEP) + 1))
+
+    def straight(self, P: Array, x: Array) -> Array:
+        """A straight line over contraction whose height and slope are straight lines between `pressures`."""
+        hats = np.column_stack([np.interp(P, self.pressures, one) for one in np.eye(len(self.pressures))])
+        return np.hstack([hats, -hats * x[:, None]])
+
+    def bends(self) -> Array:
+        """Sum of squared bends along both axes, as a matrix of the surface's coefficients."""
+        along_P, along_x = self.P.bends(), self.x.bends()
+        return np.kron(along_P.T @ along_P, np.eye(self.x.size)) + np.kron(np.eye(self.P.size), along_x.T @ along_x)
+
+
+def _products(one: Array, other: Array) -> Array:
+    return np.asarray((one[:, :, None] * other[:, None, :]).reshape(len(one), -1))
+
+
+def between(share: Array, columns: Array) -> Array:
+    """Columns (n, m) times 1 - share and times share: weights that are a line over the range; shape (n, 2 m)."""
+    return np.hstack([columns * (1.0 - share)[:, None], columns * share[:, None]])
+
+
+@dataclass(frozen=True, eq=False)
+class Memory:
+    """What a muscle remembers along the rows of records one after the other; shapes (n, number)."""
+
+    stops_x: Array
+    """Each stop over its half width, -1 to 1."""
+    stops_P: Array
+    lag_x: Array
+    """Contraction behind each of `TIMES` [m], from the nominal length on; for those below `FAST` less contraction."""
+    lag_P: Array
+    """Pressure behind each of `TIMES` [Pa], in the same way."""
+
+
+def memory(records: Sequence[Record], frame: Frame) -> Memory:
+    """Stops and lags along records, of a muscle that was rested, vented and at nominal length before.
+
+    It came to the first place of a record that does not go on `SETTLED` before; a length that is set by hand, long ago.
+
+    A stop of half width r: S <- min(r, max(-r, S + change of u)). A lag: T y' = u - y, exact for u straight between
+    rows.
+    """
+    parts: list[tuple[Array, ...]] = []
+    for chain in chains(records):
+        t, P, x = (np.concatenate([getattr(r, name) for r in chain]) for name in ("t", "P", "x"))
+        settled = 1.0 - np.exp(-SETTLED / np.array(TIMES))
+        settled_x = x[0] * (np.ones_like(settled) if chain[0].by_hand else settled)
+        start_P = np.maximum(-1.0, np.minimum(1.0, P[0] / frame.pressure_radii - 1.0))
+        start_x = np.clip(x[0] / frame.radii, -1.0, 1.0)
+        stopped = stops(x, frame.radii, start_x), stops(P, frame.pressure_radii, start_P)
+        fast = np.array(TIMES) < FAST
+        behind = [lags(t, u, start) - np.outer(u, fast) for u, start in ((x, settled_x), (P, P[0] * settled))]
+        parts.append((*stopped, *behind))
+    return Memory(*(np.concatenate(each) for each in zip(*parts, strict=True)))
+
+
+def chains(records: Sequence[Record]) -> list[list[Record]]:
+    """Records that go on one after the other, together."""
+    begins = [i for i, record in enumerate(records) if not (i and record.goes_on)]
+    return [list(records[first:last]) for first, last in pairwise([*begins, len(records)])]
+
+
+def stops(u: Array, radii: Array, start: Array) -> Array:
+    """Stop operators of half widths `radii` (m,) along u (n,), over their half widths, from `start` (m,) on; (n, m)."""
+    found = np.empty((len(u), len(radii)))
+    found[0] = state = np.array(start, dtype=np.float64)
+    for row, change in enumerate(np.diff(u)[:, None] / radii, start=1):
+        found[row] = state = np.minimum(1.0, np.maximum(-1.0, state + change))
+    return found
+
+
+def lags(t: Array, u: Array, start: Array | float = 0.0) -> Array:
+    """First-order lags of u (n,) at t (n,) [s] for each of `TIMES`, from `start` on; shape (n, number)."""
+    T = np.array(TIMES)
+    found = np.empty((len(u), len(T)))
+    found[0] = state = np.zeros(len(T)) + start
+    steps = np.maximum(np.diff(t), 1e-9)[:, None]
+    keep = np.exp(-steps / T)
+    rise = 1.0 - (T / steps) * (1.0 - keep)
+    add = u[:-1, None] * (1.0 - keep - rise) + u[1:, None] * rise
+    for row in range(len(u) - 1):
+        found[row + 1] = state = keep[row] * state + add[row]
+    return found
+
 
 SURFACE, VISCOUS, SLIDING, STOPS_X, STOPS_P, CREEP_X, CREEP_P = TERMS = (
     "static surface",
@@ -45,10 +247,10 @@ class Muscle:
         """Minus the slope of the surface over contraction [N/m], shape (n,)."""
         return np.asarray(-self.frame.slope(P, x) @ self.weights[SURFACE])
 
-    def secant(self, P: float, first: float, last: float, places: int = 41) -> float:
+    def secant(self, P: float, first: float, last: float) -> float:
         """Minus the slope of the least-squares straight line through the surface between two contractions [N/m]."""
-        x = np.linspace(first, last, places)
-        return float(-np.polyfit(x - x.mean(), self.static(np.full(places, P), x), 1)[0])
+        x = np.linspace(first, last, SECANT_PLACES)
+        return float(-np.polyfit(x - x.mean(), self.static(np.full(SECANT_PLACES, P), x), 1)[0])
 
     def force(self, records: Sequence[Record]) -> Array:
         """Force [N] along the rows of records, one after the other, shape (n,)."""
@@ -78,18 +280,14 @@ class Muscle:
     def creep_per_decade(self, first: float, last: float) -> float:
         """Contraction that creep adds in each decade between two times [s] after a step, over that of the step [1]."""
         weights = self.weights.get(CREEP_X)
-        if weights is None:
-            return 0.0
-        T = np.array(TIMES)
-        return float((LAW @ weights) @ (np.exp(-first / T) - np.exp(-last / T)) / np.log10(last / first))
+        return 0.0 if weights is None else float((LAW @ weights) @ _risen(first, last) / np.log10(last / first))
 
     def pressure_creep_per_decade(self, x: float, first: float, last: float) -> float:
         """Force that creep adds in each decade between two times [s] after a step, per step of pressure [N/Pa]."""
         weights = self.weights.get(CREEP_P)
         if weights is None:
             return 0.0
-        T = np.array(TIMES)
-        risen = (np.exp(-first / T) - np.exp(-last / T)) @ LAW / np.log10(last / first)
+        risen = _risen(first, last) @ LAW / np.log10(last / first)
         share = self.frame.x.share(np.array([x]))
         return float((between(share, risen[None, :]) @ weights)[0]) / max(self.frame.P.span, 1.0)
 
@@ -107,48 +305,33 @@ class Muscle:
 
     def straight_form(self) -> dict[str, list[float]]:
         """Pressures [Pa] and there F_ce [N], K [N/m], B_c, B_r [N.s/m] and F_c [N], of a muscle of straight lines."""
-        pressures = self.frame.pressures
-        F_ce, K = self.weights[STRAIGHT].reshape(2, -1)
-        damping = [self.damping(float(P)) for P in pressures]
-        return {
-            "pressure": pressures.tolist(),
-            "F_ce": F_ce.tolist(),
-            "K": K.tolist(),
-            "B_c": [both[0] for both in damping],
-            "B_r": [both[1] for both in damping],
-            "F_c": [self.friction(float(P)) for P in pressures],
-        }
+        pressures = self.frame.pressures.tolist()
+        F_ce, K = self.weights[STRAIGHT].reshape(2, -1).tolist()
+        B_c, B_r = (list(each) for each in zip(*(self.damping(P) for P in pressures), strict=True))
+        F_c = [self.friction(P) for P in pressures]
+        return {"pressure": pressures, "F_ce": F_ce, "K": K, "B_c": B_c, "B_r": B_r, "F_c": F_c}
 
     def identified(self, name: str) -> IdentifiedMuscle:
         """The same muscle as a model, which needs no record to go along."""
-        frame, weights = self.frame, self.weights
+        frame, weights, times = self.frame, self.weights, np.array(TIMES)
         low, high = frame.P.low, frame.P.high
 
         def of(term: str, number: int) -> Array:
             return weights.get(term, np.zeros(2 * number)).reshape(2, -1)
 
-        number = len(frame.pressure_radii)
+        def splines(axis: Axis) -> Splines:
+            whole = tuple(axis.low + axis.span * share for share in axis.shares)
+            return Splines(whole if axis.span > 0 else (axis.low,))
+
         creep = LAW @ weights.get(CREEP_X, np.zeros(LAW.shape[1]))
         under = of(CREEP_P, LAW.shape[1]) @ LAW.T / max(frame.P.span, 1.0)
-        ends = [self.damping(P) for P in (low, high)]
+        B_c, B_r = zip(self.damping(low), self.damping(high), strict=True)
         return IdentifiedMuscle(
-            name,
-            Splines(tuple(low + frame.P.span * share for share in frame.P.shares) if frame.P.span > 0 else (low,)),
-            Splines(
-                tuple(frame.x.low + frame.x.span * share for share in frame.x.shares)
-                if frame.x.span > 0
-                else (frame.x.low,)
-            ),
-            weights[SURFACE].reshape(frame.P.size, frame.x.size),
+            name, splines(frame.P), splines(frame.x), weights[SURFACE].reshape(frame.P.size, frame.x.size),
             Weights(frame.radii, self._stops_x(low), self._stops_x(high)),
-            Weights(frame.pressure_radii, *of(STOPS_P, number)),
-            (ends[0][0], ends[1][0]),
-            (ends[0][1], ends[1][1]),
-            Weights(np.array(TIMES), creep, creep),
-            Weights(np.array(TIMES), *under),
-            FAST,
-            SETTLED,
-        )
+            Weights(frame.pressure_radii, *of(STOPS_P, len(frame.pressure_radii))),
+            B_c, B_r, Weights(times, creep, creep), Weights(times, *under), FAST, SETTLED,
+        )  # fmt: skip
 
     def _stops_x(self, P: float) -> Array:
         """Weight of each stop on contraction at a pressure [N]."""
@@ -158,6 +341,11 @@ class Muscle:
         if STOPS_X in self.weights:
             found[1:] = between(share, np.eye(len(found) - 1)) @ self.weights[STOPS_X]
         return found
+
+
+def _risen(first: float, last: float) -> Array:
+    """What each lag of `TIMES` rises by between two times [s] after a step [1]."""
+    return np.asarray(np.exp(-first / np.array(TIMES)) - np.exp(-last / np.array(TIMES)))
 
 
 Stiffness = Callable[[Array, Array], Array]

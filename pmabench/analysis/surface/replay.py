@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pmabench.analysis.shared.samples import on_time
 from pmabench.analysis.shared.simulated import from_measured_pressure
-from pmabench.analysis.surface.record import RATE, rows_of
+from pmabench.analysis.surface.trials import RATE, rows_of
 from pmabench.model.identified.plant import force_along
 from pmabench.model.presets import Described
 from pmabench.store.records import Array, RunData, TrialData
@@ -42,10 +42,8 @@ class Replay:
     @property
     def off(self) -> tuple[float, float]:
         """Root mean square of what the surface, and the straight lines, are off."""
-        surface, lines = (
-            float(np.sqrt(np.mean((one - self.measured)[self.counts] ** 2))) for one in (self.surface, self.straight)
-        )
-        return surface, lines
+        off = [(one - self.measured)[self.counts] for one in (self.surface, self.straight)]
+        return float(np.sqrt(np.mean(off[0] ** 2))), float(np.sqrt(np.mean(off[1] ** 2)))
 
 
 def together(replays: Sequence[Replay]) -> tuple[float, float]:
@@ -78,11 +76,8 @@ def replayed(model: Described, run: RunData, trial: TrialData) -> Replay | str:
 
 
 def _free(model: Described, run: RunData, trial: TrialData, P: Array, x: Array, ok: NDArray[np.bool_]) -> Replay:
-    origin = max(0.0, float(np.mean(x[ok][:5])))
-    surface, lines = (
-        from_measured_pressure(one, [trial], 1.0 / run.rate, [origin])[0]
-        for one in (model, replace(model, surface=None))
-    )
+    origin, models = max(0.0, float(np.mean(x[ok][:5]))), (model, replace(model, surface=None))
+    surface, lines = (from_measured_pressure(one, [trial], 1.0 / run.rate, [origin])[0] for one in models)
     beyond = _beyond(model, P[ok], surface[ok])
     return Replay(trial, "displacement", trial.t, P, x, surface, lines, ok, beyond)
 

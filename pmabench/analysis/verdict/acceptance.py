@@ -90,12 +90,11 @@ def _limit(entry: Any) -> Limit | None:
     if not isinstance(entry, Mapping):
         return None
     limit: Any
-    what, measure, limit, place = (entry.get(name) for name in ("what", "measure", "limit", "place"))
-    if not isinstance(what, str) or not isinstance(measure, str) or measure not in MEASURES:
+    what, measure, limit, place, expected = (
+        entry.get(name) for name in ("what", "measure", "limit", "place", "expected")
+    )
+    if not isinstance(what, str) or not isinstance(measure, str) or measure not in MEASURES or not _are_numbers(limit):
         return None
-    if not _are_numbers(limit):
-        return None
-    expected = entry.get("expected")
     everywhere = float(expected) if isinstance(expected, int | float) else None
     pairs = [point for point in _list(expected) if isinstance(point, list | tuple) and len(point) == 2]
     points = tuple((float(P), float(value)) for P, value in pairs if _are_numbers(P, value))
@@ -167,28 +166,22 @@ def _interval(e: Estimate, limit: Limit, *, known: bool) -> str:
         return "" if known else f"not identifiable, {limit.asked}"
     if half is None:
         return f"no interval, {limit.asked}; {e.note}"
-    if half > limit.limit * abs(e.value):
-        relative = 100 * half / abs(e.value)
-        wide = f"{relative:.2g}" if relative < 10 else f"{relative:.0f}"
-        return f"interval +-{wide} %, {limit.asked}"
-    return ""
+    wide = half > limit.limit * abs(e.value)
+    return f"interval +-{_percent(half / abs(e.value))} %, {limit.asked}" if wide else ""
 
 
 def _of_specimen(e: Estimate, limit: Limit, *, known: bool) -> str:
     if e.value is None:
         return "" if known else f"not identifiable, {limit.asked} of the specimen file"
     expected = _expected(limit, e.at.get("pressure"))
-    if not expected:
-        return ""
-    off = e.value / expected - 1.0
-    if abs(off) <= limit.limit:
+    off = e.value / expected - 1.0 if expected else 0.0
+    if not expected or abs(off) <= limit.limit:
         return ""
     half = e.parts.combined
     value, reference = (show(v, e.quantity, 4) if e.quantity in QUANTITIES else f"{v:.4g}" for v in (e.value, expected))
     within = half is not None and abs(e.value - expected) - half <= limit.limit * abs(expected)
     unsure = "; its interval reaches into what is accepted" if within else ""
-    size = f"{100 * abs(off):.2g}" if abs(off) < 0.1 else f"{100 * abs(off):.0f}"
-    where = "above" if off > 0 else "below"
+    size, where = _percent(abs(off)), "above" if off > 0 else "below"
     return f"{value} is {size} % {where} the specimen file's {reference}, {limit.asked}{unsure}"
 
 
@@ -204,18 +197,15 @@ def _expected(limit: Limit, pressure: float | None) -> float | None:
 
 def _against_static(pairs: Pairs | None, limit: Limit, named: Callable[[Estimate], str]) -> Iterator[str]:
     """F_ce against that of static load, at every pressure that both cover."""
+    lack = ""
     if pairs is None:
-        yield (
-            f"F_ce against static load: no static-load test of this specimen to compare with, {limit.asked}; "
-            "process both runs together"
-        )
-        return
-    if not pairs:
-        yield (
-            f"F_ce against static load: the two tests give F_ce at no pressure in common, {limit.asked}; "
-            "loads of the static test around F_ce at the tested pressures would"
-        )
-    for mine, theirs in pairs.values():
+        lack = f"no static-load test of this specimen to compare with, {limit.asked}; process both runs together"
+    elif not pairs:
+        lack = f"the two tests give F_ce at no pressure in common, {limit.asked}; "
+        lack += "loads of the static test around F_ce at the tested pressures would"
+    if lack:
+        yield f"F_ce against static load: {lack}"
+    for mine, theirs in (pairs or {}).values():
         if why := _apart(mine, theirs, limit):
             yield f"{named(mine)}: {why}"
 
@@ -231,12 +221,10 @@ def _apart(mine: Estimate, theirs: Estimate, limit: Limit) -> str:
         half = hypot(halves[0], halves[1])
         score = abs(off) / half if half else (0.0 if off == 0 else inf)
         return "" if score <= limit.limit else f"{compared}: E_n {score:.3g}, {limit.asked}"
-    size = limit.limit * (abs(reference) if limit.measure == "of_static" else 1.0)
-    if abs(off) <= size:
+    relative = limit.measure == "of_static"
+    if abs(off) <= limit.limit * (abs(reference) if relative else 1.0):
         return ""
-    far = f"{show(abs(off), 'force', 3)}"
-    if limit.measure == "of_static" and reference:
-        far = f"{100 * abs(off / reference):.3g} %"
+    far = f"{100 * abs(off / reference):.3g} %" if relative and reference else show(abs(off), "force", 3)
     return f"{compared}: {far} {'above' if off > 0 else 'below'}, {limit.asked}"
 
 
@@ -258,10 +246,12 @@ def _check(analysis: Analysis, limit: Limit) -> str:
     words = limit.what.replace("_", " ")
     check = next((check for check in checks_of(analysis) if check.name == limit.what), None)
     if check is None:
-        return (
-            f"{words}: not known, {limit.asked}; it is the {NAMES.get(limit.what, words)}, and needs repeats or loads"
-        )
-    if abs(check.value) <= limit.limit:
-        return ""
-    size = 100 * check.value
-    return f"{words}: {f'{size:.2g}' if abs(size) < 10 else f'{size:.0f}'} %, {limit.asked}"
+        meant = NAMES.get(limit.what, words)
+        return f"{words}: not known, {limit.asked}; it is the {meant}, and needs repeats or loads"
+    return "" if abs(check.value) <= limit.limit else f"{words}: {_percent(check.value)} %, {limit.asked}"
+
+
+def _percent(share: float) -> str:
+    """Two digits, and no more behind the point than these."""
+    size = 100 * share
+    return f"{size:.2g}" if abs(size) < 10 else f"{size:.0f}"

@@ -121,6 +121,12 @@ def between(known: Sequence[tuple[float, Estimate]], at: float, *, bent: bool = 
     places = np.array([place for place, _ in known])
     if len(known) < 2 or not places[0] - SAME <= at <= places[-1] + SAME:
         return known[0][1] if len(known) and abs(places[0] - at) <= SAME else None
+
+    def along(pair: Sequence[tuple[float, Estimate]]) -> float:
+        """The straight line through two points, at another place."""
+        (low, one), (high, two) = pair
+        return (one.value or 0.0) + ((two.value or 0.0) - (one.value or 0.0)) * (at - low) / (high - low)
+
     i = int(np.clip(np.searchsorted(places, at), 1, len(known) - 1))
     (low, one), (high, two) = known[i - 1 : i + 1]
     share = (at - low) / (high - low)
@@ -128,31 +134,23 @@ def between(known: Sequence[tuple[float, Estimate]], at: float, *, bent: bool = 
         return one if share <= 0 else two
     value = (1 - share) * (one.value or 0.0) + share * (two.value or 0.0)
     pieces = [pair for pair in (known[max(0, i - 2) : i], known[i : i + 2]) if bent and len(pair) == 2]
-    off = min((abs(_along(pair, at) - value) for pair in pieces), default=None if bent else 0.0)
+    off = min((abs(along(pair) - value) for pair in pieces), default=None if bent else 0.0)
     halves = [e.parts.combined for e in (one, two)]
     whole = None not in halves and off is not None
     half = (1 - share) * (halves[0] or 0.0) + share * (halves[1] or 0.0) if whole else None
     return replace(one, value=value, parts=Parts(repeats=half, method=off), n=min(one.n, two.n))
 
 
-def _along(pair: Sequence[tuple[float, Estimate]], at: float) -> float:
-    """The straight line through two points, at another place."""
-    (low, one), (high, two) = pair
-    return (one.value or 0.0) + ((two.value or 0.0) - (one.value or 0.0)) * (at - low) / (high - low)
-
-
 def weighted(pairs: Sequence[tuple[Estimate, float]], symbol: str) -> Estimate:
     """A sum of estimates with weights, otherwise like the first; parts add as squares, as if independent."""
-    parts: dict[str, float | None] = {}
+    parts: dict[str, float] = {}
     for name in vars(Parts()):
         known = [(getattr(e.parts, name), weight) for e, weight in pairs]
         halves = [abs(weight) * half for half, weight in known if half is not None]
-        whole = bool(halves) and (name != "repeats" or len(halves) == len(pairs))
-        parts[name] = hypot(*halves) if whole else None
+        if halves and (name != "repeats" or len(halves) == len(pairs)):
+            parts[name] = hypot(*halves)
     value = sum(weight * (e.value or 0.0) for e, weight in pairs)
-    n = min(e.n for e, _ in pairs)
-    found = Parts(**{name: half for name, half in parts.items() if half is not None})
-    return replace(pairs[0][0], symbol=symbol, value=value, parts=found, n=n)
+    return replace(pairs[0][0], symbol=symbol, value=value, parts=Parts(**parts), n=min(e.n for e, _ in pairs))
 
 
 KIND = "agreement"
@@ -213,22 +211,23 @@ class Comparison:
         return float(student.ppf(1 - FALSE_ALARM / (2 * count), freedom) / student.ppf(0.975, freedom))
 
     @property
+    def at(self) -> dict[str, float]:
+        """The place by names; F_ce belongs to no contraction."""
+        P, x = self.place
+        at = {} if isnan(P) else {"pressure": P}
+        return at if x is None or self.symbol == "F_ce" else {**at, "contraction": x}
+
+    @property
     def where(self) -> str:
         """The place in words."""
-        P, x = self.place
-        places = [] if isnan(P) else [show(P, "pressure")]
-        if x is not None and self.symbol != "F_ce":
-            places.append(show(x, "length", 3))
+        digits = {"pressure": ("pressure", 6), "contraction": ("length", 3)}
+        places = [show(value, *digits[name]) for name, value in self.at.items()]
         return " at " + " and ".join(places) if places else ""
 
     def estimate(self) -> Estimate:
         """The difference as a row of a table."""
-        P, x = self.place
-        at = {} if isnan(P) else {"pressure": P}
-        if x is not None and self.symbol != "F_ce":
-            at["contraction"] = x
         return Estimate(
-            self.symbol, self.value, self.one.unit, self.one.quantity, self.title, at, Parts(repeats=self.half),
+            self.symbol, self.value, self.one.unit, self.one.quantity, self.title, self.at, Parts(repeats=self.half),
             self.one.n + self.two.n, coordinate="difference",
         )  # fmt: skip
 

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from pmabench.store.analyses.results import POINT_QUANTITIES, Analysis, Curve, Estimate, Parts, Source
+from pmabench.store.analyses.results import POINT_QUANTITIES, Analysis, Curve, Estimate, Parts
 
 ADDED = ("force", "stiffness", "damping", "work", "volume", "mass flow", "impulse", "force rate")
 """Quantities that add up side by side, and what is given per pressure of them."""
@@ -41,15 +41,14 @@ def adds_up(quantity: str) -> bool:
 
 def of_one(analysis: Analysis, count: int) -> Analysis:
     """The analysis of `count` like muscles side by side with all that adds up divided by it; traces are left out."""
+
+    def curve(one: Curve) -> Curve:
+        share = 1 / count if any(adds_up(term.quantity) for term in one.terms) else 1.0
+        terms = tuple(_of_one(term, count) for term in one.terms)
+        return replace(one, terms=terms, residual_rms=share * one.residual_rms)
+
     estimates = tuple(_of_one(e, count) for e in analysis.estimates)
-    curves = tuple(_curve(one, count) for one in analysis.curves)
-    return replace(analysis, estimates=estimates, curves=curves, traces=())
-
-
-def _curve(curve: Curve, count: int) -> Curve:
-    share = 1 / count if any(adds_up(term.quantity) for term in curve.terms) else 1.0
-    terms = tuple(_of_one(term, count) for term in curve.terms)
-    return replace(curve, terms=terms, residual_rms=share * curve.residual_rms)
+    return replace(analysis, estimates=estimates, curves=tuple(map(curve, analysis.curves)), traces=())
 
 
 def _of_one(e: Estimate, count: int) -> Estimate:
@@ -61,11 +60,7 @@ def _of_one(e: Estimate, count: int) -> Estimate:
         return None if value is None else value / count
 
     parts: Mapping[str, Any] = {name: share(value) for name, value in vars(e.parts).items()}
-    budget = tuple(_line(source, count) for source in e.budget)
+    budget = tuple(replace(source, half=share(source.half)) for source in e.budget)
     return replace(
         e, at=at, value=share(e.value), parts=Parts(**parts), bias=share(e.bias), bound=share(e.bound), budget=budget
     )
-
-
-def _line(source: Source, count: int) -> Source:
-    return replace(source, half=None if source.half is None else source.half / count)

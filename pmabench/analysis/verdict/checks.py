@@ -20,6 +20,7 @@ import numpy as np
 from pmabench.analysis.imported import in_time
 from pmabench.analysis.shared import student
 from pmabench.analysis.shared.samples import NotUsable
+from pmabench.analysis.shared.trials import Point, grouped
 from pmabench.base.kind import Kind
 from pmabench.base.quantities import QUANTITIES
 from pmabench.base.text import printable
@@ -28,22 +29,28 @@ from pmabench.store.records import Array, RunData, TrialData
 
 LONGEST = 1000
 """Characters of a sentence from a record, which may be another's."""
+ALTERED = (
+    "the results come from the samples, which are whole; what they were made of can no longer be checked; bring the "
+    "file back, or import it again"
+)
 REMEDY = "write the answer into the map, import again and process the new run"
 
 
 def with_record(analysis: Analysis, runs: Sequence[RunData]) -> Analysis:
-    """The analysis with the doubts of the runs' records as findings and with what refuses its acceptance."""
+    """The analysis with the doubts of the runs' records as findings and with what refuses its acceptance.
+
+    That is each question that was open when the runs were imported, and each file that is not what it was.
+    """
     doubts = [(run.id, str(doubt)) for run in runs for doubt in run.manifest.get("doubts") or ()]
     findings = tuple(Finding("doubt", text) for text in _counted(doubts))
-    refusals = (*_unanswered(analysis.kind, runs), *_altered(runs))
+    questions = []
+    for asked, entry in ((run.id, entry) for run in runs for entry in unresolved_of(run)):
+        used = f"; taken here: {entry['used']}" if entry.get("used") else ""
+        where = f" ({entry['where']})" if entry.get("where") else ""
+        questions.append((asked, f"{entry['what']}: {entry['question']}{used}{where}; {REMEDY}"))
+    refusals = [f"{analysis.kind}: not answered: {text}" for text in _counted(questions)]
+    refusals += [f"{run.id}: {fault}: {ALTERED}" for run in runs for fault in run.since.altered]
     return replace(analysis, findings=(*analysis.findings, *findings), refusals=(*analysis.refusals, *refusals))
-
-
-def _unanswered(kind: str, runs: Sequence[RunData]) -> Iterator[str]:
-    """One sentence for each question that was open when the runs were imported."""
-    questions = [(run.id, _sentence(each)) for run in runs for each in unresolved_of(run)]
-    for text in _counted(questions):
-        yield f"{kind}: not answered: {text}"
 
 
 def unresolved_of(run: RunData) -> Iterator[Mapping[str, object]]:
@@ -55,28 +62,11 @@ def unresolved_of(run: RunData) -> Iterator[Mapping[str, object]]:
             yield entry
 
 
-def _sentence(entry: Mapping[str, object]) -> str:
-    used = f"; taken here: {entry['used']}" if entry.get("used") else ""
-    where = f" ({entry['where']})" if entry.get("where") else ""
-    return f"{entry['what']}: {entry['question']}{used}{where}; {REMEDY}"
-
-
-def _altered(runs: Sequence[RunData]) -> Iterator[str]:
-    consequence = "the results come from the samples, which are whole; what they were made of can no longer be checked"
-    for run in runs:
-        for fault in run.since.altered:
-            yield f"{run.id}: {fault}: {consequence}; bring the file back, or import it again"
-
-
 def _counted(sentences: Sequence[tuple[str, str]]) -> Iterator[str]:
     """Each text once, with the run that says it, or how many do."""
-    runs: dict[str, list[str]] = {}
-    for run, text in sentences:
-        runs.setdefault(text, []).append(run)
-    for text, names in runs.items():
-        many = dict.fromkeys(names)
-        shown = printable(text, LONGEST)
-        yield f"{names[0]}: {shown}" if len(many) == 1 else f"{len(many)} runs: {shown}"
+    for text, told in grouped(sentences, lambda one: one[1]).items():
+        names = dict.fromkeys(run for run, _ in told)
+        yield f"{told[0][0] if len(names) == 1 else f'{len(names)} runs'}: {printable(text, LONGEST)}"
 
 
 SPREAD = 0.03
@@ -91,8 +81,6 @@ LEAST = 0.05
 """Values below this share of the largest are left out: a load that hardly moves scatters without bound."""
 FEWEST = 3
 """Fewest cells for a first-repeat effect and fewest trials beyond the number of cells for a drift."""
-
-Point = tuple[tuple[str, float], ...]
 
 
 @dataclass(frozen=True)
@@ -181,11 +169,11 @@ def trial_checks(kind: Kind, runs: Sequence[RunData]) -> list[Check]:
     value_of = kind.part("repeated")
     begun, values = 0.0, list[tuple[Point, RunData, TrialData, float]]()
     for run in in_time(runs):
-        for trial in run.trials:
-            if trial.status == "finished" and not trial.again and len(trial.t):
-                point = tuple((name, float(f"{at:.6g}")) for name, at in sorted(trial.point.items()))
-                values.append((point, run, trial, begun + float(trial.t[0])))
-        begun += max((float(trial.t[-1]) for trial in run.trials if len(trial.t)), default=0.0)
+        sampled = [trial for trial in run.trials if len(trial.t)]
+        for trial in (one for one in sampled if one.status == "finished" and not one.again):
+            point = tuple((name, float(f"{at:.6g}")) for name, at in sorted(trial.point.items()))
+            values.append((point, run, trial, begun + float(trial.t[0])))
+        begun += max((float(trial.t[-1]) for trial in sampled), default=0.0)
     times = Counter(point for point, *_ in values)
     rows: list[tuple[Point, int, float, float]] = []
     for point, run, trial, t in values:
@@ -233,13 +221,12 @@ def first_repeat(r: Repeats) -> Check | None:
         return None
     mean = float(np.mean(apart))
     half = float(student.ppf(0.975, len(apart) - 1)) * float(np.std(apart, ddof=1)) / sqrt(len(apart))
-    differs = abs(mean) > half
     size = f"{100 * mean:+.2g} ± {100 * half:.2g} % of the {r.what} over {len(apart)} operating points"
-    if differs and abs(mean) > FIRST:
-        text = f"the first repeat differs from later ones: {size}; more cycles before the first trial would even it out"
-        return Check("first_repeat", mean, "ratio", "doubt", text)
-    relation = "differs a little from" if differs else "is like the"
-    return Check("first_repeat", mean, "ratio", "note", f"the first repeat {relation} later ones: {size}")
+    level, relation, advice = "note", "is like the" if abs(mean) <= half else "differs a little from", ""
+    if abs(mean) > max(half, FIRST):
+        level, relation = "doubt", "differs from"
+        advice = "; more cycles before the first trial would even it out"
+    return Check("first_repeat", mean, "ratio", level, f"the first repeat {relation} later ones: {size}{advice}")
 
 
 def drift(r: Repeats) -> Check | None:

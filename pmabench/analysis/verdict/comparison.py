@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from math import hypot
 from typing import Any
 
+from pmabench.analysis.shared.trials import grouped
 from pmabench.base.errors import UsageError
 from pmabench.base.quantities import QUANTITIES, show
 from pmabench.store.analyses.results import POINT_QUANTITIES, Analysis, Estimate, Finding, Parts
@@ -56,12 +57,9 @@ class Change:
         e = self.estimate
         return {
             "kind": self.kind,
-            "symbol": e.symbol,
-            "coordinate": e.coordinate,
+            **{name: getattr(e, name) for name in ("symbol", "coordinate")},
             "at": dict(e.at),
-            "method": e.method,
-            "unit": e.unit,
-            "quantity": e.quantity,
+            **{name: getattr(e, name) for name in ("method", "unit", "quantity")},
             "before": _side(self.before),
             "after": _side(self.after),
             "difference": self.difference,
@@ -98,14 +96,13 @@ def changes(before: Sequence[Analysis], after: Sequence[Analysis]) -> list[Chang
 
 def _take(left: list[Estimate], estimate: Estimate, *, exact: bool = True) -> Estimate | None:
     """The estimate of the same coefficient, taken out of `left`."""
+
+    def what(e: Estimate) -> tuple[object, ...]:
+        return e.symbol, e.coordinate, e.method, tuple(e.at)
+
     for index, other in enumerate(left):
-        same = (other.symbol, other.coordinate, other.method, tuple(other.at)) == (
-            estimate.symbol,
-            estimate.coordinate,
-            estimate.method,
-            tuple(estimate.at),
-        )
-        if same and (not exact or all(abs(other.at[k] - v) <= 1e-6 * abs(v) for k, v in estimate.at.items())):
+        near = not exact or all(abs(other.at.get(k, v) - v) <= 1e-6 * abs(v) for k, v in estimate.at.items())
+        if what(other) == what(estimate) and near:
             return left.pop(index)
     return None
 
@@ -217,20 +214,15 @@ def compare(
 def not_accepted(differences: Iterable[Difference], measure: str, limit: float) -> list[str]:
     """One sentence for each difference whose size is above the limit, or not known; `E_n` or `difference` [1]."""
     failed = []
-    for d in differences:
-        if d.term:
-            continue
-        size = d.score if measure == "E_n" else d.relative
-        asked = f"accepted {limit:g}" if measure == "E_n" else f"accepted {100 * limit:g} %"
+    by_E_n = measure == "E_n"
+    asked = f"accepted {limit:g}" if by_E_n else f"accepted {100 * limit:g} %"
+    lack = "no E_n: it needs an interval of both" if by_E_n else "no relative difference: the reference is 0"
+    for d in (d for d in differences if not d.term):
+        size = d.score if by_E_n else d.relative
         if size is None:
-            lack = (
-                "no E_n: it needs an interval of both"
-                if measure == "E_n"
-                else "no relative difference: the reference is 0"
-            )
             failed.append(f"{named(d)}: {lack}, {asked}")
         elif abs(size) > limit:
-            measured = f"E_n {size:+.2f}" if measure == "E_n" else f"difference {percent(size)} %"
+            measured = f"E_n {size:+.2f}" if by_E_n else f"difference {percent(size)} %"
             failed.append(f"{named(d)}: {measured}, {asked}")
     return failed
 
@@ -252,13 +244,13 @@ def _name(series: tuple[str, ...]) -> str:
 
 
 def _where(at: Mapping[str, float]) -> str:
-    only = set(at) == {"pressure"}
-    return ", ".join(
-        ("" if only else f"{name} ")
-        + (show(value, POINT_QUANTITIES[name]) if name in POINT_QUANTITIES else f"{value:g}")
+    places = {
+        name: show(value, POINT_QUANTITIES[name]) if name in POINT_QUANTITIES else f"{value:g}"
         for name, value in at.items()
         if name != "mass"
-    )
+    }
+    only = set(at) == {"pressure"}
+    return ", ".join(text if only else f"{name} {text}" for name, text in places.items())
 
 
 def _held(series: Iterable[Series]) -> str:
@@ -372,16 +364,14 @@ def _on_line(values: Mapping[Point, Estimate], P: float) -> Estimate | None:
     if one.value is None or other.value is None:
         return None
     share = (P - low) / (high - low) if high > low else 0.0
-
-    def mixed(left: float | None, right: float | None) -> float | None:
-        return None if left is None or right is None else (1 - share) * left + share * right
-
-    ends, theirs = vars(one.parts), vars(other.parts)
-    mean: dict[str, Any] = {name: mixed(half, theirs[name]) for name, half in ends.items()}
-    parts = Parts(**mean)
+    mean: dict[str, Any] = {
+        name: None if None in (left, right) else (1 - share) * left + share * right
+        for name, left, right in ((name, half, getattr(other.parts, name)) for name, half in vars(one.parts).items())
+    }
     value = (1 - share) * one.value + share * other.value
     trials = tuple(dict.fromkeys((*one.trials, *other.trials)))
-    return replace(one, value=value, parts=parts, at={"pressure": P}, trials=trials, n=max(one.n, other.n), budget=())
+    at = {"pressure": P}
+    return replace(one, value=value, parts=Parts(**mean), at=at, trials=trials, n=max(one.n, other.n), budget=())
 
 
 def _half(one: Estimate, other: Estimate, shared: bool, alike: bool) -> float | None:
@@ -413,23 +403,18 @@ def _systematic(e: Estimate) -> dict[str, float]:
 
 
 def _findings(a: Side, b: Side, differences: Sequence[Difference], missing: Sequence[str]) -> Iterator[Finding]:
-    groups: dict[Series, list[Difference]] = {}
-    for d in differences:
-        groups.setdefault((d.kind, d.a.symbol, d.a.coordinate, tuple(d.a.at)), []).append(d)
-    for group in groups.values():
-        if not group[0].term:
-            yield _sentence(group)
-    judged = [d for d in differences if d.agrees is not None and not d.term]
+    counted = [d for d in differences if not d.term]
+    for group in grouped(counted, lambda d: (d.kind, d.a.symbol, d.a.coordinate, tuple(d.a.at))).values():
+        yield _sentence(group)
+    judged = [d for d in counted if d.agrees is not None]
     if len(judged) > 1:
-        beyond = sum(not d.agrees for d in judged)
         chance = CHANCE * len(judged)
-        text = f"{beyond} of {len(judged)} differences are larger than their 95 % interval"
         by_chance = f"about {chance:.0f}" if chance >= 1 else "less than one"
+        text = f"{sum(not d.agrees for d in judged)} of {len(judged)} differences are larger than their 95 % interval"
         yield Finding(
             "note", f"{text}; of two that are the same {by_chance} would be, where the values are independent"
         )
-    for text in missing:
-        yield Finding("note", f"not compared: {text}")
+    yield from (Finding("note", f"not compared: {text}") for text in missing)
     yield from _cautions(a, b, differences)
 
 
@@ -440,22 +425,22 @@ def _cautions(a: Side, b: Side, differences: Sequence[Difference]) -> Iterator[F
         known = [d for d in bare if d.a.parts.combined is not None]
         inside = sum(abs(d.value) <= (d.a.parts.combined or 0.0) for d in known)
         text = f"no E_n: {b.name} gives no uncertainty, and E_n needs that of both sides"
-        sentence = f"{text}; {inside} of its {len(known)} values lie in the interval of {a.name}" if known else text
-        yield Finding("note", sentence)
+        of_a = f"; {inside} of its {len(known)} values lie in the interval of {a.name}" if known else ""
+        yield Finding("note", f"{text}{of_a}")
     elif bare:
         more = f" (and {len(bare) - 1} more)" if len(bare) > 1 else ""
         yield Finding("doubt", f"{named(bare[0])}{more} has no interval on one side: no E_n, which needs both")
     if any(d.between for d in differences):
         yield Finding("note", "values marked ~ are read on straight lines between neighbouring points")
+    shared = ""
     if a.runs & b.runs:
-        text = "both come from the same runs and share their scatter and calibration: E_n shows less than there is"
-        yield Finding("note", text)
+        shared = "both come from the same runs and share their scatter and calibration: E_n shows less than there is"
     elif a.calibrations and a.calibrations == b.calibrations:
-        text = "both used the same calibrations: their uncertainty drops out of a difference of one method"
-        yield Finding("note", text)
+        shared = "both used the same calibrations: their uncertainty drops out of a difference of one method"
     elif not b.published and (a.calibrations is None or b.calibrations is None):
-        text = "the runs are not at hand: calibrations that both may have used count in both, and E_n shows less"
-        yield Finding("note", text)
+        shared = "the runs are not at hand: calibrations that both may have used count in both, and E_n shows less"
+    if shared:
+        yield Finding("note", shared)
     if a.simulated != b.simulated and not b.published:
         yield Finding("note", f"{(a if a.simulated else b).name} is SIMULATED, the other is not")
 
@@ -463,28 +448,24 @@ def _cautions(a: Side, b: Side, differences: Sequence[Difference]) -> Iterator[F
 def _sentence(group: Sequence[Difference]) -> Finding:
     """One line for all points of one coefficient: how many agree, and where they are furthest apart."""
     worst = max(group, key=lambda d: abs(d.score) if d.score is not None else abs(d.relative or 0.0))
-    symbol = _name((worst.a.symbol, worst.a.coordinate))
+    symbol, at = _name((worst.a.symbol, worst.a.coordinate)), _where(worst.a.at)
     judged = [d for d in group if d.agrees is not None]
-    beyond = [d for d in judged if not d.agrees]
+    beyond = sum(not d.agrees for d in judged)
     relative = "" if worst.relative is None else f" ({percent(worst.relative)} %)"
-    at = _where(worst.a.at)
-    sign = "+" if worst.value > 0 else ""
-    size = f"{sign}{_shown(worst.value, worst)}{relative}"
+    value = (
+        show(worst.value, worst.a.quantity, 3)
+        if worst.a.quantity in QUANTITIES
+        else f"{worst.value:.3g} {worst.a.unit}"
+    )
     score = "" if worst.score is None else f", E_n {worst.score:+.2f}"
+    size = f"{'+' if worst.value > 0 else ''}{value}{relative}{score}"
     place = f"at {at}: " if at else ""
-    furthest = f"furthest apart {place}{size}{score}" if len(group) > 1 else f"{place}difference {size}{score}"
+    furthest = f"furthest apart {place}{size}" if len(group) > 1 else f"{place}difference {size}"
     if not judged:
         return Finding("note", f"{symbol}: {furthest}; without both intervals nobody knows if that is more than chance")
     if not beyond:
         points = "both points" if len(judged) == 2 else f"all {len(judged)} points"
         agree = "agree within their interval" if len(group) == 1 else f"agree at {points}"
         return Finding("note", f"{symbol}: {agree}; {furthest}")
-    if len(group) == 1:
-        return Finding("doubt", f"{symbol}: differ by more than their interval; {furthest}")
-    return Finding(
-        "doubt", f"{symbol}: differ by more than their interval at {len(beyond)} of {len(judged)} points; {furthest}"
-    )
-
-
-def _shown(value: float, d: Difference) -> str:
-    return show(value, d.a.quantity, 3) if d.a.quantity in QUANTITIES else f"{value:.3g} {d.a.unit}"
+    where = "" if len(group) == 1 else f" at {beyond} of {len(judged)} points"
+    return Finding("doubt", f"{symbol}: differ by more than their interval{where}; {furthest}")

@@ -12,11 +12,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import hypot, isfinite
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 
-from pmabench.analysis.shared.trials import stroke_of
+from pmabench.analysis.shared.trials import Point, grouped, stroke_of
 from pmabench.analysis.verdict.comparison import Difference, named, percent
 from pmabench.base.kind import Result
 from pmabench.base.quantities import in_words, show
@@ -49,8 +49,7 @@ class Chart:
     @property
     def first_alarm(self) -> int | None:
         """Place of the first value that says that something changed."""
-        alarms = [*self.beyond[:1], *([self.shifted] if self.shifted is not None else [])]
-        return min(alarms, default=None)
+        return min([*self.beyond[:1], *([] if self.shifted is None else [self.shifted])], default=None)
 
 
 def chart(values: Sequence[float]) -> Chart | None:
@@ -199,7 +198,8 @@ class Series:
 def series_of(analyses: Iterable[Analysis], life: Sequence[Past]) -> list[Series]:
     """The values of `SYMBOLS` over the life, each by the first method that gives it in a kind of test.
 
-    An analysis has the date of its first run; of two analyses of the same runs the last one given counts.
+    An analysis has the date of its first run; of two analyses of the same runs the last one given counts. A test of the
+    closed muscle tells the share of the air that is lost over a trial.
     """
     place = {past.run: past for past in life}
     latest = {(analysis.kind, tuple(sorted(analysis.runs))): analysis for analysis in analyses}
@@ -211,15 +211,14 @@ def series_of(analyses: Iterable[Analysis], life: Sequence[Past]) -> list[Series
         if not runs:
             continue
         past = min(runs, key=lambda run: (run.date, run.run))
+        leak = analysis.facts.get("leak")
+        lost = [Estimate("leak", float(leak), "1", "ratio", analysis.kind)] if _is_number(leak) else []
         methods: dict[str, str] = {}
-        for e in (*analysis.estimates, *_leak(analysis)):
+        for e in (*analysis.estimates, *lost):
             if e.symbol not in SYMBOLS or e.coordinate not in ("", "slope"):
                 continue
-            if methods.setdefault(e.symbol, e.method) != e.method:
-                continue
-            if e.value is not None:
-                at = tuple((name, float(f"{value:.6g}")) for name, value in sorted(e.at.items()) if name != "mass")
-                key = (analysis.kind, e.symbol, e.coordinate, e.method, at)
+            if methods.setdefault(e.symbol, e.method) == e.method and e.value is not None:
+                key = (analysis.kind, e.symbol, e.coordinate, e.method, _place(e.at))
                 found.setdefault(key, []).append(Moment(past.date, past.before, e, past.run))
     made = [
         Series(str(key[0]), tuple(sorted(moments, key=lambda m: (m.date, m.run))), names.get(key[:2], str(key[1])))
@@ -228,11 +227,9 @@ def series_of(analyses: Iterable[Analysis], life: Sequence[Past]) -> list[Series
     return sorted(made, key=lambda s: SYMBOLS.index(s.first.symbol))
 
 
-def _leak(analysis: Analysis) -> Iterator[Estimate]:
-    """Share of the air that is lost over a trial, where a test of the closed muscle measured it."""
-    leak = analysis.facts.get("leak")
-    if isinstance(leak, int | float) and not isinstance(leak, bool):
-        yield Estimate("leak", float(leak), "1", "ratio", analysis.kind)
+def _place(at: Mapping[str, float]) -> Point:
+    """An operating point to six digits, without the moving mass."""
+    return tuple((name, float(f"{value:.6g}")) for name, value in sorted(at.items()) if name != "mass")
 
 
 def leak_of(run: str, events: Sequence[Event], *, simulated: bool) -> Analysis | None:
@@ -244,7 +241,7 @@ def leak_of(run: str, events: Sequence[Event], *, simulated: bool) -> Analysis |
         leak = event.data.get("leak") if event.kind == "self-test" else None
         if not isinstance(leak, Mapping):
             continue
-        known = {name: float(value) for name, value in leak.items() if _is_finite(value)}
+        known = {name: float(value) for name, value in leak.items() if _is_number(value) and isfinite(value)}
         if "pressure" in known and "falls" in known:
             at, parts = {"pressure": known["pressure"]}, Parts(repeats=known.get("half_width"))
             leak = Estimate("leak", known["falls"], "Pa/s", "pressure rate", SELF_TEST, at, parts, 1)
@@ -252,17 +249,14 @@ def leak_of(run: str, events: Sequence[Event], *, simulated: bool) -> Analysis |
     return None
 
 
-def _is_finite(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and isfinite(value)
+def _is_number(value: Any) -> TypeGuard[float]:
+    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def chosen(series: Sequence[Series]) -> list[Series]:
     """One series for each symbol of each kind: the one with most values, of several the one in the middle."""
-    groups: dict[tuple[str, str], list[Series]] = {}
-    for one in series:
-        groups.setdefault((one.kind, one.first.symbol), []).append(one)
     picked = []
-    for group in groups.values():
+    for group in grouped(series, lambda one: (one.kind, one.first.symbol)).values():
         most = max(len(one.moments) for one in group)
         longest = sorted((one for one in group if len(one.moments) == most), key=lambda s: sorted(s.first.at.items()))
         picked.append(longest[(len(longest) - 1) // 2])
@@ -273,7 +267,7 @@ def chosen(series: Sequence[Series]) -> list[Series]:
 class References:
     """Strokes of the reference trial at one operating point, in order of time."""
 
-    point: tuple[tuple[str, float], ...]
+    point: Point
     moments: tuple[tuple[str, int, float, str], ...]
     """Date, cycles before the run, stroke [m], trial."""
 
@@ -295,16 +289,13 @@ def references_of(runs: Iterable[RunData], life: Sequence[Past]) -> list[Referen
     One run is held at a time where `runs` loads them one by one.
     """
     place = {past.run: past for past in life}
-    found: dict[tuple[tuple[str, float], ...], list[tuple[str, int, float, str]]] = {}
+    found: dict[Point, list[tuple[str, int, float, str]]] = {}
     for run in runs:
         past = place[run.id]
         for trial in run.trials:
-            if not trial.reference or trial.status != "finished" or "displacement" not in trial.channels:
-                continue
-            stroke = stroke_of(run, trial)
-            if stroke is not None:
-                point = tuple((n, float(f"{v:.6g}")) for n, v in sorted(trial.point.items()) if n != "mass")
-                found.setdefault(point, []).append((past.date, past.before, stroke, trial.name))
+            used = trial.reference and trial.status == "finished"
+            if used and (stroke := stroke_of(run, trial)) is not None:
+                found.setdefault(_place(trial.point), []).append((past.date, past.before, stroke, trial.name))
     return [References(point, tuple(sorted(moments, key=lambda m: m[0]))) for point, moments in found.items()]
 
 
@@ -317,15 +308,11 @@ def findings(life: Sequence[Past], series: Sequence[Series], references: Sequenc
     elsewhere = total - sum(past.use.cycles for past in life)
     own = f" ({elsewhere:,} of them before these runs or outside of them, by the specimen file)" if elsewhere else ""
     yield Finding("note", f"{text}{in_words(time)} at pressure, at most {show(highest, 'pressure', 4)}{own}")
-    silent = sum(past.use.highest == 0 for past in life)
-    if silent:
+    if silent := sum(past.use.highest == 0 for past in life):
         what = "commands no pressure" if silent == 1 else "command no pressure"
         yield Finding("note", f"{silent} of them {what}: what was done to the muscle there (imports) is not counted")
-    for one in series:
-        if len(one.moments) > 1:
-            yield _change(one)
-    for reference in references:
-        yield _reference(reference)
+    yield from (_change(one) for one in series if len(one.moments) > 1)
+    yield from map(_reference, references)
 
 
 def _change(one: Series) -> Finding:
@@ -341,17 +328,14 @@ def _change(one: Series) -> Finding:
 
 
 def _reference(one: References) -> Finding:
-    limits = one.chart
-    values = [stroke for _, _, stroke, _ in one.moments]
+    limits, values = one.chart, [stroke for _, _, stroke, _ in one.moments]
     ends = f"{show(values[0], 'length', 4)} at first, {show(values[-1], 'length', 4)} at last"
-    if limits is None:
-        return Finding("note", f"{one.title}: {len(values)} times, {ends}; too few for control limits")
-    alarm = limits.first_alarm
-    if alarm is None:
-        return Finding("note", f"{one.title}: {len(values)} times, {ends}; all within the control limits")
+    text = f"{one.title}: {len(values)} times, {ends}"
+    alarm = None if limits is None else limits.first_alarm
+    if limits is None or alarm is None:
+        known = "too few for control limits" if limits is None else "all within the control limits"
+        return Finding("note", f"{text}; {known}")
     date, cycles, _, trial = one.moments[alarm]
     what = f"{len(limits.beyond)} beyond the control limits" if limits.beyond else "a row on one side of the centre"
     when = f"first on {date[:10]} after {cycles:,} cycles ({trial})"
-    return Finding(
-        "doubt", f"{one.title}: {len(values)} times, {ends}; {what}, {when}: the specimen is not what it was"
-    )
+    return Finding("doubt", f"{text}; {what}, {when}: the specimen is not what it was")

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 from pmabench.analysis.model_fit import ModelFit
-from pmabench.analysis.shared.samples import NotUsable
+from pmabench.analysis.shared.samples import NotUsable, settings_of
 from pmabench.analysis.trial import DRIFT, Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
 from pmabench.kinds.arm_angle.stairs import Loaded
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
     from pmabench.kinds.arm_angle.reduction import Fitted
 
+NAMES = ("pressure", "angle", "below", "above", "fit", "model")
 CURVE = 121
 """Points of a drawn curve."""
 PARAMETERS = {p.name: p for p in MODELS["arm-angle"].parameters}
@@ -82,8 +83,7 @@ def _gaps(loads: Sequence[Loaded]) -> list[Finding]:
     if not known:
         return []
     one, place = max(known, key=lambda pair: abs(pair[0].gaps[:, pair[1]].mean()))
-    gap, P = float(one.gaps[:, place].mean()), show(float(one.pressure[place]), "pressure", 3)
-    noise = max(rest.noise for stair in one.stairs for rest in stair.rests)
+    gap, P, noise = float(one.gaps[:, place].mean()), show(float(one.pressure[place]), "pressure", 3), one.noise
     if abs(gap) <= (least := max(6 * noise, SAME)):
         return [Finding("note", f"both ways agree within {show(least, 'angle', 2)}: no hysteresis is seen")]
     text = f"from above the angle is up to {show(abs(gap), 'angle', 2)} {'larger' if gap >= 0 else 'smaller'}"
@@ -133,8 +133,7 @@ def of_matrix(fit: ModelFit | None, why: str, fits: Sequence[Fitted]) -> list[Fi
     found = [Finding("note", f"a to d as powers of the load (paper 2's 20 numbers): within {show(off, 'angle', 2)}")]
     if not fit.converged:
         found = [Finding("doubt", "a to d as powers of the load: the fit does not converge")]
-    omitted = left_out([one for one in fits if one.up is not None])
-    if omitted is not None:
+    if (omitted := left_out([one for one in fits if one.up is not None])) is not None:
         powers, cubics = (show(value, "angle", 2) for value in omitted)
         text = f"each inner load left out: the powers of the load miss its angles by up to {powers}"
         found.append(Finding("note", f"{text}, monotone cubics from load to load by up to {cubics}"))
@@ -152,25 +151,23 @@ def left_out(fits: Sequence[Fitted]) -> tuple[float, float] | None:
         return None
     w = np.array([one.of.mass for one in fits])
     known = np.array([[u.value for u in one.up.unknowns] for one in fits if one.up is not None])
-    by_powers = by_cubics = 0.0
+    by_powers, by_cubics = [0.0], [0.0]
     for i in range(1, len(fits) - 1):
         rest = np.arange(len(fits)) != i
         one, others = fits[i].of, [fits[k].of for k in range(len(fits)) if k != i]
+        polynomial = np.polynomial.polynomial
         a, b, c, d = (
-            float(np.polynomial.polynomial.polyval(w[i], np.polynomial.polynomial.polyfit(w[rest], column, powers)))
-            for column in known[rest].T
+            float(polynomial.polyval(w[i], polynomial.polyfit(w[rest], column, powers))) for column in known[rest].T
         )
         measured = one.up.mean(axis=0)
-        if c > 0 and d > 0:
-            by_powers = max(by_powers, float(np.abs(a + b / (1 + (one.pressure / c) ** d) - measured).max()))
-        else:
-            by_powers = float("inf")
-        common = [P for P in one.sets if all(P in other.sets for other in others)]
-        for P in common:
+        able = c > 0 and d > 0
+        by_powers.append(
+            float(np.abs(a + b / (1 + (one.pressure / c) ** d) - measured).max()) if able else float("inf")
+        )
+        for P in (P for P in one.sets if all(P in other.sets for other in others)):
             there = [float(other.up.mean(axis=0)[other.sets.index(P)]) for other in others]
-            guess = float(PchipInterpolator(w[rest], there)(w[i]))
-            by_cubics = max(by_cubics, abs(guess - float(measured[one.sets.index(P)])))
-    return by_powers, by_cubics
+            by_cubics.append(abs(float(PchipInterpolator(w[rest], there)(w[i])) - float(measured[one.sets.index(P)])))
+    return max(by_powers), max(by_cubics)
 
 
 def paper_angle(P: Array, mass: float) -> Array:
@@ -198,14 +195,11 @@ def of_paper(fits: Sequence[Fitted]) -> list[Finding]:
         where = f"{show(float(one.pressure[place]), 'pressure', 3)}, {one.mass:g} kg"
         text = f"measured less paper 2's formula: up to {show(float(values[place]), 'angle', 2)} ({where})"
         found.append(Finding("note", text))
-    rows = []
-    for fitted in fits:
-        table = printed(fitted.of.mass)
-        if table is not None:
-            less = float(fitted.of.up.mean(axis=0).max()) - table
-            rows.append(f"{np.degrees(less):+.2f} ({fitted.of.mass:g} kg)")
-    if rows:
-        found.append(Finding("note", f"largest angles less Table 1 of paper 2, in deg: {', '.join(rows)}"))
+    tables = [(fitted.of, table) for fitted in fits if (table := printed(fitted.of.mass)) is not None]
+    less = {one.mass: float(one.up.mean(axis=0).max()) - table for one, table in tables}
+    if less:
+        rows = ", ".join(f"{np.degrees(by):+.2f} ({mass:g} kg)" for mass, by in less.items())
+        found.append(Finding("note", f"largest angles less Table 1 of paper 2, in deg: {rows}"))
     return found
 
 
@@ -213,34 +207,23 @@ def trace(fitted: Fitted, *, compare: bool) -> Trace:
     """Points first, then the curves."""
     one = fitted.of
     P = np.linspace(max(float(one.pressure[0]), 0.0), float(one.pressure[-1]), CURVE)
-    blank, none = np.full(CURVE, np.nan), np.full(len(one.pressure), np.nan)
-    fit = blank
+    points = {"pressure": one.pressure, "angle": one.mean, "below": one.up.mean(axis=0), "above": one.down.mean(axis=0)}
+    curves = {"pressure": P}
     if fitted.up is not None and fitted.up.converged:
-        fit = fitted.up.band({"pressure": np.minimum(P, HIGHEST)})[0]
-    down = one.down.mean(axis=0)
-    columns = {
-        "pressure": np.concatenate([one.pressure, P]),
-        "angle": np.concatenate([one.mean, blank]),
-        "below": np.concatenate([one.up.mean(axis=0), blank]),
-        "above": np.concatenate([down, blank]),
-        "fit": np.concatenate([none, fit]),
-        "model": np.concatenate([none, paper_angle(P, one.mass) if compare else blank]),
-    }
+        curves["fit"] = fitted.up.band({"pressure": np.minimum(P, HIGHEST)})[0]
+    if compare:
+        curves["model"] = paper_angle(P, one.mass)
+    none, blank = np.full(len(one.pressure), np.nan), np.full(CURVE, np.nan)
+    columns = {name: np.concatenate([points.get(name, none), curves.get(name, blank)]) for name in NAMES}
     marks = {"tip_mass": one.mass}
     if compare and (table := printed(one.mass)) is not None:
         marks["table"] = table
-    return Trace(
-        name=f"arm-angle-{1000 * one.mass:.0f}-g",
-        figure="arm-angle",
-        title=f"Bending angle over pressure, {one.mass:g} kg",
-        columns=columns,
-        quantities={"pressure": "pressure"} | dict.fromkeys(("angle", "below", "above", "fit", "model"), "angle"),
-        marks=marks,
-    )
+    title = f"Bending angle over pressure, {one.mass:g} kg"
+    quantities = {name: "pressure" if name == "pressure" else "angle" for name in NAMES}
+    return Trace(f"arm-angle-{1000 * one.mass:.0f}-g", "arm-angle", title, columns, quantities, marks)
 
 
 LOADS = 6
-NAMES = ("pressure", "angle", "below", "above", "fit", "model")
 
 
 def angles(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
@@ -249,11 +232,10 @@ def angles(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     chosen = spread(able, LOADS)
     if not chosen:
         return []
-    panels = [
-        panel(t, {name: name for name in NAMES if name in t.columns and has(t, name)}, _in_words(t)) for t in chosen
-    ]
-    first = chosen[0]
-    labels = {"x": label(first, "pressure"), "y": label(first, "angle"), "gap": "above − below [deg]"}
+    titles = [show(t.marks["tip_mass"], "mass", 4) if "tip_mass" in t.marks else t.name for t in chosen]
+    held = [{name: name for name in NAMES if name in t.columns and has(t, name)} for t in chosen]
+    panels = list(map(panel, chosen, held, titles))
+    labels = {"x": label(chosen[0], "pressure"), "y": label(chosen[0], "angle"), "gap": "above − below [deg]"}
     kinds = {name for one in panels for name in one.columns}
     caption = "Angle of the arm's end at rest over the pressure of the bending muscle, at each load."
     if "above" in kinds:
@@ -266,14 +248,10 @@ def angles(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
         caption += " Short lines at the right end: the largest angles of its Table 1."
     y = np.concatenate([column(t, "angle")[np.isfinite(column(t, "angle"))] for t in chosen])
     alt = f"{labels['y']} over {labels['x']} at {len(panels)} loads, {y.min():.4g} to {y.max():.4g}."
-    table = numbers([(one.title, t) for one, t in zip(panels, chosen, strict=True)])
+    table = numbers(list(zip(titles, chosen, strict=True)))
     draw = bound(drawing_of, panels, labels)
     title = "Bending angle of the arm"
     return [picture(draw, title, caption + how_many(chosen, able), alt, table, wide=True, simulated=analysis.simulated)]
-
-
-def _in_words(trace: Trace) -> str:
-    return show(trace.marks["tip_mass"], "mass", 4) if "tip_mass" in trace.marks else trace.name
 
 
 def drawing_of(panels: Sequence[Panel], labels: dict[str, str]) -> Figure:
@@ -286,10 +264,9 @@ def drawing_of(panels: Sequence[Panel], labels: dict[str, str]) -> Figure:
     for i, one in enumerate(panels):
         color = PALETTE[i % len(PALETTE)]
         P = one.columns["pressure"]
-        if "fit" in one.columns:
-            axes.plot(P, one.columns["fit"], color=color, linewidth=0.9, zorder=1)
-        if "model" in one.columns:
-            axes.plot(P, one.columns["model"], color=color, linestyle=(0, (4, 2)), linewidth=0.8, zorder=1)
+        for name, style, wide in (("fit", "-", 0.9), ("model", (0, (4, 2)), 0.8)):
+            if name in one.columns:
+                axes.plot(P, one.columns[name], color=color, linestyle=style, linewidth=wide, zorder=1)
         for name, mark in (("below", "^"), ("above", "v")):
             if name in one.columns:
                 title = one.title if name == "below" else None
@@ -302,22 +279,20 @@ def drawing_of(panels: Sequence[Panel], labels: dict[str, str]) -> Figure:
             gap.plot(P, one.columns["above"] - one.columns["below"], "o-", color=color, markersize=2.5, linewidth=0.7)
         for name, at, y in one.published:
             axes.plot(at, y, "x", color=INK, markersize=4, label=name)
-    axes.set_xlabel(labels["x"])
-    axes.set_ylabel(labels["y"])
     axes.legend(loc="lower right", ncols=3)
-    few_ticks(axes)
     if gap is not None:
         gap.axhline(0.0, color=QUIET, linewidth=0.6)
-        gap.set_xlabel(labels["x"])
-        gap.set_ylabel(labels["gap"])
-        few_ticks(gap)
+    for part, name in ((axes, "y"), (gap, "gap")):
+        if part is not None:
+            part.set(xlabel=labels["x"], ylabel=labels[name])
+            few_ticks(part)
     return figure
 
 
 def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
     """Angle at the preload, the largest one, and by how much both ways are apart at most."""
     try:
-        stair = stair_of(run, trial, run.plan.get("settings") or {})
+        stair = stair_of(run, trial, settings_of(run))
     except NotUsable as reason:
         return [Measured("alpha_0", "angle", None), Measured("alpha_max", "angle", None)], [str(reason)]
     sets = [rest.set for rest in stair.rests if rest.side < 0]

@@ -150,10 +150,8 @@ class ArmAngle(ProtocolHead):
         radius = self.trial.radius
         reached = {"angle": angle} | ({} if radius is None else {"displacement": radius * angle})
         for trip in c.mounted.bench.trips:
-            value = reached.get(trip.channel)
-            if trip.kind != "range" or trip.action == "warn" or trip.high is None or value is None:
-                continue
-            if value >= trip.high:
+            value, ends = reached.get(trip.channel), trip.kind == "range" and trip.action != "warn"
+            if ends and trip.high is not None and value is not None and value >= trip.high:
                 quantity = "angle" if trip.channel == "angle" else "length"
                 message = f"with {mass:g} kg it is predicted to reach {show(value, quantity, 3)} of {trip.channel}"
                 limit = f"the trip limit is {show(trip.high, quantity, 3)} ({trip.source})"

@@ -1,6 +1,6 @@
 """Reduction of an arm's bending angle: both branches over pressure at each load, and paper 2's formula fitted to them.
 
-Knows the rests of each staircase of pressure (`stairs`); words and figure are in `view`.
+Knows the rests of each staircase of pressure (`stairs`); words and figure are in `figures`.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from pmabench.analysis.model_fit import ModelFit, fit_model
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.form import weighed
 from pmabench.analysis.shared.isometric_lines import spread
+from pmabench.analysis.shared.samples import settings_of
 from pmabench.base.quantities import show
 from pmabench.kinds.arm_angle import RESULTS, figures, stairs
 from pmabench.kinds.arm_angle.stairs import Loaded, loads_of
@@ -56,7 +57,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     And both ways apart, their difference, and the same form through their mean. `options`: `angle`, `radius` [m],
     `compare` as the plan's settings.
     """
-    settings = {**(runs[0].plan.get("settings") or {} if runs else {}), **(options or {})}
+    settings = settings_of(runs[0], options) if runs else dict(options or {})
     compare = settings.get("compare") == "paper-2"
     loads, dropped = loads_of(runs, settings)
     scales, channel = Scales.of(runs), "displacement" if settings.get("angle") == "from-displacement" else "angle"
@@ -95,48 +96,40 @@ def _of_load(fitted: Fitted, scales: Scales, channel: str, settings: Mapping[str
     """The values of one load."""
     one = fitted.of
     at, names = {"tip_mass": one.mass}, tuple(stair.trial.name for stair in one.stairs)
-    slope = _slopes(one.pressure, one.mean)
+    slope, largest = _slopes(one.pressure, one.mean), float(np.abs(one.mean).max())
     radius = settings.get("radius")
     per = 1.0 / float(radius) if channel == "displacement" and radius else 1.0
+    exact = "the radius is taken as exact" if channel == "displacement" else ""
 
-    largest = float(np.abs(one.mean).max())
+    def made(symbol: str, values: Array, method: float, note: str, gains: Any, offsets: Any = None) -> Estimate:
+        half = spread(values)
+        parts = Parts(half, method, scales.part(gains, offsets))
+        note = sentences("" if half is not None else ONCE, note)
+        value = float(values.mean())
+        return Estimate(symbol, value, "rad", "angle", REST, at, parts, len(values), note=note, trials=names)
 
     def angle(symbol: str, place: int, method: float) -> Estimate:
         values = one.up[:, place]
-        value, half = float(values.mean()), spread(values)
-        gains = {channel: value, "pressure": float(slope[place] * one.pressure[place])}
-        offsets = {channel: per, "pressure": float(slope[place])}
-        note = sentences(
-            "" if half is not None else ONCE, "the radius is taken as exact" if channel == "displacement" else ""
-        )
-        parts = Parts(half, method, scales.part(gains, offsets))
-        e = Estimate(symbol, value, "rad", "angle", REST, at, parts, len(values), note=note, trials=names)
+        gains = {channel: float(values.mean()), "pressure": float(slope[place] * one.pressure[place])}
+        e = made(symbol, values, method, exact, gains, {channel: per, "pressure": float(slope[place])})
         return weighed(e, stairs.at_rest(one, place), largest)
 
-    top = int(np.argmax(one.up.mean(axis=0)))
-    widest = one.widest
+    top, widest = int(np.argmax(one.up.mean(axis=0))), one.widest
     side = 0.0 if widest is None else 0.5 * float(np.abs(one.gaps[:, widest].mean()))
     found = [angle("alpha_0", 0, 0.0), angle("alpha_max", top, side), _flat(one, top, scales, names)]
     if widest is not None:
-        gaps = one.gaps[:, widest]
-        half, value = spread(gaps), float(gaps.mean())
-        parts = Parts(half, 0.0, scales.part({channel: value}))
-        note = "" if half is not None else ONCE
-        e = Estimate("alpha_H", value, "rad", "angle", REST, at, parts, len(gaps), note=note, trials=names)
-        found.append(weighed(e, stairs.of_gap(one, widest, value)))
+        gap = float(one.gaps[:, widest].mean())
+        e = made("alpha_H", one.gaps[:, widest], 0.0, "", {channel: gap})
+        found.append(weighed(e, stairs.of_gap(one, widest, gap)))
     found += _coefficients(fitted.up, fitted.why, UP, at, [one])
-    if one.both:
-        found += _coefficients(fitted.mean, fitted.why, MEAN, at, [one])
-    return found
+    return found + (_coefficients(fitted.mean, fitted.why, MEAN, at, [one]) if one.both else [])
 
 
 def _slopes(P: Array, angle: Array) -> Array:
     """Angle over pressure at each pressure [rad/Pa]; where two rests read one pressure, that of the whole way."""
-    if len(P) < 2:
-        return np.zeros(len(P))
-    if (np.diff(P) > 0).all():
+    if len(P) > 1 and (np.diff(P) > 0).all():
         return np.asarray(np.gradient(angle, P))
-    return np.full(len(P), np.ptp(angle) / np.ptp(P))
+    return np.full(len(P), np.ptp(angle) / np.ptp(P) if len(P) > 1 else 0.0)
 
 
 def _flat(one: Loaded, top: int, scales: Scales, names: tuple[str, ...]) -> Estimate:
@@ -227,20 +220,18 @@ def _coefficients(
     names = tuple(stair.trial.name for one in loads for stair in one.stairs)
     found = []
     for name in model.fitted:
-        quantity = quantities[name]
+        unit = UNITS[quantities[name]]
         power = name.partition("_")[2]
         per = f"per kg{power if power != '1' else ''}" if power not in {"", "0"} else ""
-        value, half, note = (None, None, why) if fit is None else fit.identified(name, UNITS[quantity])
+        value, half, note = (None, None, why) if fit is None else fit.identified(name, unit)
         if half is not None:
             note = sentences(per, note, RESIDUALS, "no method part" if method == MATRIX else "")
-        e = Estimate(
-            "alpha_b", value, UNITS[quantity], quantity, method, at, Parts(repeats=half), len(names), note=note,
-            trials=names, coordinate=name,
+        found.append(
+            Estimate("alpha_b", value, unit, quantities[name], method, at, Parts(repeats=half), len(names), note=note,
+                     trials=names, coordinate=name)
         )  # fmt: skip
-        found.append(e)
     if fit is None:
         return found
     if method == MATRIX:
         return stairs.of_loads(found, loads)
-    (one,) = loads
-    return stairs.of_fit(found, one, [u.value for u in fit.unknowns], both=method == MEAN)
+    return stairs.of_fit(found, loads[0], [u.value for u in fit.unknowns], both=method == MEAN)

@@ -17,7 +17,8 @@ from scipy.optimize import least_squares
 from pmabench.analysis.shared import student
 from pmabench.analysis.shared.form import Doubt, weighed
 from pmabench.analysis.shared.isometric_lines import spread
-from pmabench.analysis.shared.samples import Held, Left, NotUsable, left, noise_of
+from pmabench.analysis.shared.samples import Held, Left, NotUsable, ends, left, noise_of, refuse_incomplete
+from pmabench.analysis.shared.trials import grouped, measured_trials
 from pmabench.base.quantities import show
 from pmabench.store.analyses.results import Dropped, Estimate, withhold
 from pmabench.store.records import Array, RunData, TrialData
@@ -119,39 +120,31 @@ class Loaded:
     @property
     def widest(self) -> int | None:
         """Where both ways are furthest apart; None where there is one way only."""
-        if not self.both:
-            return None
-        return int(np.argmax(np.abs(self.gaps[:, :-1].mean(axis=0))))
+        return int(np.argmax(np.abs(self.gaps[:, :-1].mean(axis=0)))) if self.both else None
 
     def motion(self, place: int, side: int) -> Left:
         """What the angle would still change by at one pressure, reached from one side [rad]."""
-        wanted = round(self.sets[place]), side
-        return left(
-            [rest.held for stair in self.stairs for rest in stair.rests if (round(rest.set), rest.side) == wanted]
-        )
+        rests = [rest for stair in self.stairs for rest in stair.rests if rest.side == side]
+        return left([rest.held for rest in rests if round(rest.set) == round(self.sets[place])])
+
+    @property
+    def noise(self) -> float:
+        """Of the mean of a rest, the largest [rad]."""
+        return max(rest.noise for stair in self.stairs for rest in stair.rests)
 
     @cached_property
     def slip(self) -> tuple[float, bool]:
         """By how much more than the others a trial does not come back to the preload [rad], and whether it is seen."""
         if not self.both or len(self.stairs) < MANY:
             return 0.0, False
-        off = np.abs(self.gaps[:, 0] - np.median(self.gaps[:, 0]))
-        noise = max(rest.noise for stair in self.stairs for rest in stair.rests)
-        return float(off.max()), float(off.max()) > SURE * noise
+        off = float(np.abs(self.gaps[:, 0] - np.median(self.gaps[:, 0])).max())
+        return off, off > SURE * self.noise
 
 
 def loads_of(runs: Sequence[RunData], settings: Mapping[str, Any]) -> tuple[list[Loaded], list[Dropped]]:
     """The loads, rising, and the trials that cannot be used."""
-    groups: dict[int, list[Stair]] = {}
-    dropped = []
-    for run in runs:
-        for trial in run.trials:
-            try:
-                stair = measure(run, trial, settings)
-            except NotUsable as reason:
-                dropped.append(Dropped(trial.name, trial.point, str(reason)))
-            else:
-                groups.setdefault(round(trial.point["tip_mass"] * 1e6), []).append(stair)
+    every, dropped = measured_trials(runs, lambda run, trial: measure(run, trial, settings))
+    groups = grouped(every, lambda stair: round(stair.trial.point["tip_mass"] * 1e6))
     found = []
     for _, stairs in sorted(groups.items()):
         on_the_way = [{round(rest.set): rest.set for rest in stair.rests if rest.side < 0} for stair in stairs]
@@ -167,13 +160,9 @@ def loads_of(runs: Sequence[RunData], settings: Mapping[str, Any]) -> tuple[list
 
 def measure(run: RunData, trial: TrialData, settings: Mapping[str, Any]) -> Stair:
     """One trial: what it shows at each pressure; raises `NotUsable`."""
-    if trial.status != "finished":
-        raise NotUsable(f"the trial is {trial.status}")
     by_arc, radius = settings.get("angle") == "from-displacement", float(settings.get("radius") or np.nan)
     channel = "displacement" if by_arc else "angle"
-    missing = [name for name in (channel, "pressure") if name not in trial.channels]
-    if missing:
-        raise NotUsable(f"{' and '.join(missing)} not recorded")
+    refuse_incomplete(trial, channel, "pressure")
     if "tip_mass" not in trial.point:
         raise NotUsable("its point names no load at the arm's end")
     if by_arc and not radius > 0:
@@ -189,13 +178,14 @@ def measure(run: RunData, trial: TrialData, settings: Mapping[str, Any]) -> Stai
         side = PHASES.get(ramp.phase)
         if side is None:
             continue
-        end = ramps[n + 1].t if n + 1 < len(ramps) else float(trial.t[-1])
-        begin = ramp.t + abs(ramp.value - ramp.before) / ramp.data["rate"]
-        last = np.flatnonzero(good & (trial.t >= end - LAST * (end - begin)) & (trial.t < end - 1e-9))
+        begin, end = ends(ramp), ramps[n + 1].t if n + 1 < len(ramps) else float(trial.t[-1])
+        last, later = (
+            np.flatnonzero(good & (trial.t >= end - share * (end - begin)) & (trial.t < end - 1e-9))
+            for share in (LAST, LATER)
+        )
         if len(last) < FEWEST:
             continue
         middle = len(last) // 2
-        later = np.flatnonzero(good & (trial.t >= end - LATER * (end - begin)) & (trial.t < end - 1e-9))
         rests.append(
             Rest(
                 set=float(ramp.value),
@@ -273,37 +263,34 @@ def of_fit(estimates: Sequence[Estimate], one: Loaded, start: Sequence[float], *
     """
     turned = np.where(np.isfinite(one.down), one.down, one.up)
     rows = 0.5 * (one.up + turned) if both else one.up
-    mean = rows.mean(axis=0)
-    fitted = _fit(one.pressure, mean, start)
-    each = np.array([_fit(one.pressure, row, fitted) for row in rows])
+    P, mean = one.pressure, rows.mean(axis=0)
+    fitted = _fit(P, mean, start)
+    each = np.array([_fit(P, row, fitted) for row in rows])
     motions = [one.motion(place, -1) for place in range(len(one.sets))]
     further = np.array([motion.most for motion in motions])
     tilts = np.ones(len(mean)), np.linspace(-1.0, 1.0, len(mean))
-    moved = np.hypot(*(_fit(one.pressure, mean + tilt * further, fitted) - fitted for tilt in tilts))
-    miss = float(np.sqrt(np.sum((_curve(one.pressure, fitted) - mean) ** 2) / max(1, len(mean) - len(fitted))))
-    error = _error(one, rows)
-    other = miss > OFF * error and miss > LEAST * float(np.abs(mean).max())
-    text = (
-        f"the angles lie {show(miss, 'angle', 2)} (rms) off this form, {miss / max(error, 1e-12):.0f} of their errors"
-    )
-    slip = _slips(one)
+    moved = np.hypot(*(_fit(P, mean + tilt * further, fitted) - fitted for tilt in tilts))
+    seen = any(motion.seen for motion in motions)
+    miss = float(np.sqrt(np.sum((_curve(P, fitted) - mean) ** 2) / max(1, len(mean) - len(fitted))))
+    error, slip = _error(one, rows), _slips(one)
+    slipped = np.abs(_fit(P, mean + slip.half * np.linspace(0.0, 1.0, len(mean)), fitted) - fitted)
+    why = ""
+    if miss > OFF * error and miss > LEAST * float(np.abs(mean).max()):
+        why = f"the angles lie {show(miss, 'angle', 2)} (rms) off this form, {miss / max(error, 1e-12):.0f} of their "
+        why += "errors: it is another curve. Take the angles at rest"
     found = []
     for index, e in enumerate(estimates):
         if e.value is None or e.parts.repeats is None:
             found.append(e)
-            continue
-        if other:
-            found.append(withhold(e, f"{text}: it is another curve. Take the angles at rest"))
-            continue
-        scatter = spread(each[:, index])
-        slipped = _fit(one.pressure, mean + slip.half * np.linspace(0.0, 1.0, len(mean)), fitted)[index] - fitted[index]
-        doubts = [
-            Doubt("motion after the hold", "method", float(moved[index]),
-                  any(motion.seen for motion in motions)),
-            replace(slip, half=abs(float(slipped)) + (slip.half if e.coordinate == "a" else 0.0)),
-        ]  # fmt: skip
-        wider = replace(e.parts, repeats=max(e.parts.repeats, scatter or 0.0))
-        found.append(weighed(replace(e, parts=wider), doubts))
+        elif why:
+            found.append(withhold(e, why))
+        else:
+            doubts = [
+                Doubt("motion after the hold", "method", float(moved[index]), seen),
+                replace(slip, half=float(slipped[index]) + (slip.half if e.coordinate == "a" else 0.0)),
+            ]
+            wider = replace(e.parts, repeats=max(e.parts.repeats, spread(each[:, index]) or 0.0))
+            found.append(weighed(replace(e, parts=wider), doubts))
     return found
 
 
@@ -329,8 +316,8 @@ def of_loads(estimates: Sequence[Estimate], loads: Sequence[Loaded]) -> list[Est
         text = f"the angles of all loads lie {show(miss, 'angle', 2)} (rms) off the powers of the load"
         reason = f"{text}, {miss / max(error, 1e-12):.0f} of their errors: take the coefficients of each load"
         return [e if e.value is None else withhold(e, reason) for e in estimates]
-    scatter = [np.var(part @ one.up.T, axis=1, ddof=1) / len(one.up) for part, one in zip(parts, loads, strict=True)
-               if len(one.up) > 1]  # fmt: skip
+    several = [(part, one.up) for part, one in zip(parts, loads, strict=True) if len(one.up) > 1]
+    scatter = [np.var(part @ up.T, axis=1, ddof=1) / len(up) for part, up in several]
     few = sum(len(one.up) - 1 for one in loads)
     repeats = student.ppf(0.975, few) * np.sqrt(np.sum(scatter, axis=0)) if scatter else np.zeros(len(solve))
     motions = [[one.motion(place, -1) for place in range(len(one.sets))] for one in loads]
@@ -338,14 +325,10 @@ def of_loads(estimates: Sequence[Estimate], loads: Sequence[Loaded]) -> list[Est
     slipped = [_slips(one).half * part.sum(axis=1) for part, one in zip(parts, loads, strict=True)]
     seen = any(motion.seen for row in motions for motion in row)
     found = []
-    for e, half, moved, slip in zip(
-        estimates, repeats, np.hypot.reduce(further), np.hypot.reduce(slipped), strict=True
-    ):
-        wider = replace(e.parts, repeats=max(e.parts.repeats or 0.0, float(half)))
-        doubts = [
-            Doubt("motion after the hold", "method", float(moved), seen),
-            Doubt("slip", "drift", float(slip), True),
-        ]
+    moved, slip = np.hypot.reduce(further).tolist(), np.hypot.reduce(slipped).tolist()
+    for e, half, by_motion, by_slip in zip(estimates, repeats.tolist(), moved, slip, strict=True):
+        wider = replace(e.parts, repeats=max(e.parts.repeats or 0.0, half))
+        doubts = [Doubt("motion after the hold", "method", by_motion, seen), Doubt("slip", "drift", by_slip, True)]
         found.append(weighed(replace(e, parts=wider), doubts))
     return found
 
@@ -368,8 +351,7 @@ def _slopes(one: Loaded, terms: Array) -> Array:
 def _error(one: Loaded, rows: Array) -> float:
     """Standard error of a mean angle of like rests [rad], without what a trial is off as a whole; shape (trials, n)."""
     within = np.sqrt(np.mean(np.var(rows - rows.mean(axis=1, keepdims=True), axis=0, ddof=min(1, len(rows) - 1))))
-    noise = max(rest.noise for stair in one.stairs for rest in stair.rests)
-    return max(float(within), noise) / float(np.sqrt(len(rows)))
+    return max(float(within), one.noise) / float(np.sqrt(len(rows)))
 
 
 def _curve(P: Array, terms: Array) -> Array:

@@ -10,7 +10,7 @@ from math import degrees
 
 import numpy as np
 
-from pmabench.analysis.shared.samples import NotUsable
+from pmabench.analysis.shared.samples import NotUsable, settings_of
 from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
 from pmabench.kinds.closed_volume.reduction import LEAKS
@@ -57,23 +57,20 @@ def volumes(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
 def _points(trace: Trace, i: int) -> Points:
     x, y = column(trace, "contraction"), column(trace, "volume")
     half = column(trace, "half") if "half" in trace.columns else np.full(len(x), np.nan)
-    curve = None
-    if i == 0 and "curve" in trace.columns:
-        curve = (x, column(trace, "curve"), np.zeros(len(x)))
+    curve = (x, column(trace, "curve"), np.zeros(len(x))) if i == 0 and "curve" in trace.columns else None
     name = show(trace.marks["pressure"], "pressure") if "pressure" in trace.marks else f"{i + 1}"
     return Points(f"from {name}", x, y, half, half, primary=i == 0, group=i, mark=i, curve=curve)
 
 
 def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:
     """The volume at the end of the stroke, and the pressure that leaks away over the trial."""
-    settings = run.plan.get("settings") or {}
+    settings = settings_of(run)
     try:
         stroke = stroke_of(run, trial, settings)
     except NotUsable as reason:
         return [Measured("V", "volume", None)], [str(reason)]
-    gas = Gas(*(float(settings[name]) for name in ("reference_volume", "dead_volume", "atmosphere", "exponent")))
+    gas = Gas.of(settings)
     V = stroke.volumes(gas, leak=True)[:, -1]
     share = stroke.lost / (stroke.before + gas.atmosphere)
-    return [Measured("V", "volume", float(V.mean())), Measured("leak", "pressure", stroke.lost, noise=stroke.noise)], (
-        [f"{share:.1%} of the air is lost over the trial"] if share > LEAKS else []
-    )
+    found = [Measured("V", "volume", float(V.mean())), Measured("leak", "pressure", stroke.lost, noise=stroke.noise)]
+    return found, [f"{share:.1%} of the air is lost over the trial"] if share > LEAKS else []

@@ -34,17 +34,17 @@ class Diameters(Strict):
     uncertainty: Length
     """Of a diameter (95 %), the same for all three."""
 
+    def _inner(self) -> list[tuple[float, float]]:
+        """Inner diameter and height of each cylinder [m]."""
+        return [(d - 2 * self.thickness, h) for d, h in zip(self.diameters, self.heights, strict=True)]
+
     def volume(self) -> float:
         """Sum of (pi/4)(d_j - 2 t)^2 h_j [m3]."""
-        return sum(
-            pi / 4 * (d - 2 * self.thickness) ** 2 * h for d, h in zip(self.diameters, self.heights, strict=True)
-        )
+        return sum(pi / 4 * d**2 * h for d, h in self._inner())
 
     def half(self) -> float:
         """What the uncertainty of the diameters, all off alike, makes of it [m3]."""
-        return self.uncertainty * sum(
-            pi / 2 * (d - 2 * self.thickness) * h for d, h in zip(self.diameters, self.heights, strict=True)
-        )
+        return self.uncertainty * sum(pi / 2 * d * h for d, h in self._inner())
 
 
 class Reference(Strict):
@@ -134,9 +134,8 @@ class ClosedVolume(ProtocolHead):
             if index == 0:
                 c.precondition()
             if at is None or not isclose(at, pressure):
-                c.steps += arrive(
-                    pressure, trial.start, trial.settle, trial.approach, None if at is None else trial.start
-                )
+                came_from = None if at is None else trial.start
+                c.steps += arrive(pressure, trial.start, trial.settle, trial.approach, came_from)
                 at = pressure
             values = {"pressure": pressure, "lower": trial.start, "upper": trial.to, "speed": trial.speed}
             c.trials.append(TrialRecord(index, values, point.repeat))
@@ -152,20 +151,11 @@ class ClosedVolume(ProtocolHead):
                 Record("open again", False, index),
             ]  # fmt: skip
         c.steps += leave(trial.start, trial.approach)
-        settings = {
-            "reference_volume": volume,
-            "reference_half": half,
-            "dead_volume": trial.dead.volume,
-            "dead_half": trial.dead.uncertainty,
-            "atmosphere": room,
-            "atmosphere_half": room_half,
-            "exponent": trial.exponent,
-            "every": trial.every,
-            "rest": trial.rest,
-            "length": c.mounted.specimen_file.nominal_length,
-            "by": "volume" if trial.reference.volume is not None else "three diameters",
-        }
-        return c.plan("closed-volume", settings)
+        given = {"reference_volume": volume, "reference_half": half, "dead_volume": trial.dead.volume}
+        given |= {"dead_half": trial.dead.uncertainty, "atmosphere": room, "atmosphere_half": room_half}
+        given |= {name: getattr(trial, name) for name in ("exponent", "every", "rest")}
+        by = "volume" if trial.reference.volume is not None else "three diameters"
+        return c.plan("closed-volume", {**given, "length": c.mounted.specimen_file.nominal_length, "by": by})
 
     def _sound(self, c: Compilation) -> bool:
         """Check the strokes by themselves."""
@@ -192,22 +182,16 @@ class ClosedVolume(ProtocolHead):
         name = c.mounted.bench_file.air.isolation_valve
         valves = c.mounted.bench.valves
         if not any(valve.name == name and valve.safe == "closed" for valve in valves):
-            c.fault(
-                ("kind",),
-                'needs a bench with an isolation valve that is switched: "air: {isolation_valve: NAME}" and NAME among '
-                'its outputs with "energised: open"',
-            )
+            text = 'needs a bench with an isolation valve that is switched: "air: {isolation_valve: NAME}" and NAME '
+            c.fault(("kind",), f'{text}among its outputs with "energised: open"')
             return ""
         if not any(valve.safe == "open" for valve in valves):
             c.fault(("kind",), f'with "{name}" shut nothing lets the air out: a dump valve at the muscle is needed')
             return ""
         for trip in c.mounted.bench.trips:
             if trip.channel == "pressure" and trip.kind == "following" and trip.action in ENDS:
-                c.fault(
-                    ("kind",),
-                    f"shut in, the pressure leaves what is commanded, and the bench ends the run then ({trip.source}): "
-                    "take a bench without that limit",
-                )
+                text = "shut in, the pressure leaves what is commanded, and the bench ends the run then "
+                c.fault(("kind",), f"{text}({trip.source}): take a bench without that limit")
         return name
 
     def _reference(self, c: Compilation) -> tuple[float, float]:
@@ -233,11 +217,9 @@ class ClosedVolume(ProtocolHead):
         half = self.trial.room_uncertainty if room is None else room.uncertainty
         at = ("trial",) if room is None else ("trial", "room")
         if not ROOM[0] <= pressure <= ROOM[1]:
-            c.fault(
-                at,
-                f"{show(pressure, 'pressure')} is no absolute pressure of a room, {show(ROOM[0], 'pressure')} to "
-                f"{show(ROOM[1], 'pressure')}: P V is constant with absolute pressure only, never with gauge pressure",
-            )
+            text = f"{show(pressure, 'pressure')} is no absolute pressure of a room, {show(ROOM[0], 'pressure')} to "
+            text += f"{show(ROOM[1], 'pressure')}: P V is constant with absolute pressure only"
+            c.fault(at, f"{text}, never with gauge pressure")
         if not 0 <= half < 0.2 * ROOM[0]:
             c.fault(at, "an uncertainty of the room's pressure from 0 to 10 kPa is expected")
         return pressure, half
@@ -252,9 +234,6 @@ class ClosedVolume(ProtocolHead):
         grown = volume + tube.volume(trial.to) - tube.volume(trial.start)
         P = (point.values["pressure"] + room) * ((volume + dead) / (grown + dead)) ** trial.exponent - room
         if P < 0:
-            c.fault(
-                point.places["pressure"],
-                f"shut in at {show(point.values['pressure'], 'pressure')}, the pressure is predicted to fall to "
-                f"{show(P, 'pressure', 3)}, below that of the room: the muscle would be sucked flat (raise the "
-                "pressure, or lower trial.to)",
-            )
+            text = f"shut in at {show(point.values['pressure'], 'pressure')}, the pressure is predicted to fall to "
+            text += f"{show(P, 'pressure', 3)}, below that of the room: the muscle would be sucked flat"
+            c.fault(point.places["pressure"], f"{text} (raise the pressure, or lower trial.to)")

@@ -1,12 +1,12 @@
 """Reduction of closed volumes: V over contraction at each start pressure, whether they agree, and V(eps) through all.
 
-Knows the samples. One trial is measured in `stroke`, the curve is in `fit`, what departures do to it in `form`.
+Knows the samples. One trial, the curve, and what departures do to it are in `stroke`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from math import hypot
 from typing import Any
 
@@ -14,12 +14,13 @@ import numpy as np
 
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.form import weighed
-from pmabench.analysis.shared.lines import mean_half
-from pmabench.analysis.shared.samples import NotUsable
+from pmabench.analysis.shared.lines import mean_of_cycles
+from pmabench.analysis.shared.samples import NotUsable, settings_of
+from pmabench.analysis.shared.trials import grouped, measured_trials
 from pmabench.base.quantities import show
 from pmabench.kinds.closed_volume import RESULTS
 from pmabench.kinds.closed_volume.stroke import Gas, Stroke, fit_volume, form_of, measure, volume_at
-from pmabench.store.analyses.results import Analysis, Dropped, Estimate, Finding, Parts, Trace, withhold
+from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace, withhold
 from pmabench.store.records import Array, RunData, TrialData
 
 KIND = "closed-volume"
@@ -31,65 +32,40 @@ NAMES = (("D_0", "length", "m"), ("theta_0", "angle", "rad"), ("alpha", "count",
 NO_REPEATS = "no repeats part: one stroke"
 
 
-@dataclass(frozen=True, eq=False)
-class _Member:
-    trial: TrialData
-    stroke: Stroke
-
-
-@dataclass(frozen=True)
-class _Given:
-    """What the plan gives: gas, and half widths of what it is made of."""
-
-    gas: Gas
-    reference: float
-    dead: float
-    atmosphere: float
-    length: float
-    by: str
-
-
 def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) -> Analysis:
     """V [m3] at pressures and contractions, with and without the leak, and D0 [m], theta0 [rad], alpha of V(eps).
 
     `options`: `atmosphere` [Pa absolute], `exponent`, `reference_volume`, `dead_volume` [m3] in place of the plan's.
     """
-    members: list[_Member] = []
-    dropped: list[Dropped] = []
-    findings: list[Finding] = []
-    settings = {**(runs[0].plan.get("settings") or {}), **(options or {})} if runs else {}
-    for run in runs:
-        own = {**(run.plan.get("settings") or {}), **(options or {})}
-        for trial in run.trials:
-            try:
-                if own != settings:
-                    raise NotUsable("its volumes, room or contractions are not those of the first run")
-                members.append(_Member(trial, measure(run, trial, own)))
-            except NotUsable as reason:
-                dropped.append(Dropped(trial.name, trial.point, str(reason)))
+    settings = settings_of(runs[0], options) if runs else {}
+
+    def stroke_of(run: RunData, trial: TrialData) -> Stroke:
+        if settings_of(run, options) != settings:
+            raise NotUsable("its volumes, room or contractions are not those of the first run")
+        return measure(run, trial, settings)
+
+    members, dropped = measured_trials(runs, stroke_of)
+    facts: dict[str, Any] = {"options": dict(options or {}), "trials": len(members)}
     if not members:
-        return Analysis.of(
-            KIND, runs, results=RESULTS, dropped=dropped, facts={"options": dict(options or {}), "trials": 0}
-        )
-    given = _given(settings)
-    scales = Scales.of(runs)
-    cells: dict[float, list[_Member]] = {}
-    for member in members:
-        cells.setdefault(round(member.trial.point["pressure"], 6), []).append(member)
+        return Analysis.of(KIND, runs, results=RESULTS, dropped=dropped, facts=facts)
+    scales, gas, length = Scales.of(runs), Gas.of(settings), float(settings["length"])
+    cells = grouped(members, lambda stroke: round(stroke.trial.point["pressure"], 6))
     estimates: list[Estimate] = []
-    form = form_of({P: [m.stroke for m in group] for P, group in cells.items()}, given.gas)
+    findings: list[Finding] = []
+    form = form_of(cells, gas)
     for pressure, group in sorted(cells.items()):
         for leak, method in ((True, TIGHT), (False, PRINTED)):
-            estimates += _volumes(pressure, group, given, scales, method, leak=leak)
-        findings += _findings(pressure, group, given)
+            estimates += _volumes(pressure, group, settings, scales, method, leak=leak)
+        findings += _findings(pressure, group, gas)
     findings += _agree(estimates)
     estimates = [weighed(e, form.of_volume(e, leak=e.method == TIGHT)) for e in estimates]
-    curve = [weighed(e, form.of_curve(index, given.length)) for index, e in enumerate(_curve(members, given, scales))]
+    curve = [weighed(e, form.of_curve(index, length)) for index, e in enumerate(_curve(members, settings, scales))]
     if lacking := next((e.note for e in estimates if e.withheld and e.method == TIGHT), ""):
         curve = [withhold(e, f"a volume that it goes through is withheld: {lacking}") for e in curve]
     if lack := scales.lack(("pressure",), ("pressure",)):
         findings.append(Finding("note", lack))
-    findings.append(_made_of(members, given))
+    findings.append(_made_of(float(members[0].x[0]), settings))
+    share = max((m.lost / (m.before + gas.atmosphere) for m in members), key=abs)
     return Analysis.of(
         KIND,
         runs,
@@ -97,36 +73,23 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         estimates=[*sorted(estimates, key=lambda e: e.method != TIGHT), *curve],
         dropped=dropped,
         findings=findings,
-        traces=_traces(estimates, curve, given),
-        facts={
-            "options": dict(options or {}),
-            "trials": len(members),
-            "cells": len(cells),
-            "leak": max((m.stroke.lost / (m.stroke.before + given.gas.atmosphere) for m in members), key=abs),
-        },
+        traces=list(_traces(estimates, curve, length)),
+        facts={**facts, "cells": len(cells), "leak": share},
     )
 
 
-def _given(settings: Mapping[str, Any]) -> _Given:
-    names = ("reference_volume", "dead_volume", "atmosphere", "exponent")
-    gas = Gas(*(float(settings[name]) for name in names))
-    reference, dead, room = (float(settings[name]) for name in ("reference_half", "dead_half", "atmosphere_half"))
-    return _Given(gas, reference, dead, room, float(settings["length"]), str(settings["by"]))
-
-
-def _systematic(of: Callable[[Gas, float, float], Array], given: _Given, scales: Scales) -> tuple[Array, Array | None]:
+def _systematic(
+    of: Callable[[Gas, float, float], Array], settings: Mapping[str, Any], scales: Scales
+) -> tuple[Array, Array | None]:
     """Half widths of `of`(gas, gain, offset) from what the plan gives, and from the pressure's calibration.
 
     `gain` and `offset` are what is wrong with the measured pressure: share, and [Pa].
     """
-    gas = given.gas
+    gas = Gas.of(settings)
     base = of(gas, 0.0, 0.0)
-    changes = [
-        of(replace(gas, reference=gas.reference + given.reference), 0.0, 0.0),
-        of(replace(gas, dead=gas.dead + given.dead), 0.0, 0.0),
-        of(replace(gas, atmosphere=gas.atmosphere + given.atmosphere), 0.0, 0.0),
-    ]
-    spread = np.sqrt(sum((change - base) ** 2 for change in changes))
+    names = ("reference", "dead", "atmosphere")
+    others = [replace(gas, **{name: getattr(gas, name) + float(settings[f"{name}_half"])}) for name in names]
+    spread = np.sqrt(sum((of(other, 0.0, 0.0) - base) ** 2 for other in others))
     gain, offset = scales.gains.get("pressure"), scales.offsets.get("pressure")
     if gain is None and offset is None:
         return spread, None
@@ -135,91 +98,76 @@ def _systematic(of: Callable[[Gas, float, float], Array], given: _Given, scales:
 
 
 def _wrong(stroke: Stroke, gain: float, offset: float) -> Stroke:
-    return replace(
-        stroke,
-        P=stroke.P * (1 + gain) + offset,
-        before=stroke.before * (1 + gain) + offset,
-        after=stroke.after * (1 + gain) + offset,
-    )
+    before, after = (one * (1 + gain) + offset for one in (stroke.before, stroke.after))
+    return replace(stroke, P=stroke.P * (1 + gain) + offset, before=before, after=after)
 
 
 def _volumes(
-    pressure: float, group: Sequence[_Member], given: _Given, scales: Scales, method: str, *, leak: bool
-) -> list[Estimate]:
+    pressure: float, group: Sequence[Stroke], settings: Mapping[str, Any], scales: Scales, method: str, *, leak: bool
+) -> Iterator[Estimate]:
     """V at each contraction of one start pressure."""
 
     def mean(gas: Gas, gain: float, offset: float) -> Array:
-        return np.asarray(
-            np.mean([_wrong(m.stroke, gain, offset).volumes(gas, leak=leak).mean(axis=0) for m in group], axis=0)
-        )
+        each = [_wrong(m, gain, offset).volumes(gas, leak=leak).mean(axis=0) for m in group]
+        return np.asarray(np.mean(each, axis=0))
 
-    value = mean(given.gas, 0.0, 0.0)
-    method_part, calibration = _systematic(mean, given, scales)
-    each = [m.stroke.volumes(given.gas, leak=leak) for m in group]
+    gas = Gas.of(settings)
+    value = mean(gas, 0.0, 0.0)
+    method_part, calibration = _systematic(mean, settings, scales)
+    each = [m.volumes(gas, leak=leak) for m in group]
     names = tuple(m.trial.name for m in group)
-    found = []
-    for i, x in enumerate(group[0].stroke.x):
-        half = mean_half(np.array([V[:, i].mean() for V in each]), [V[:, i] for V in each])
-        part = None if calibration is None else float(calibration[i])
-        at = {"pressure": pressure, "contraction": float(x)}
-        found.append(
-            Estimate("V", float(value[i]), "m3", "volume", method, at, Parts(half, float(method_part[i]), part),
-                     len(group), note="" if half is not None else NO_REPEATS, trials=names)
-        )  # fmt: skip
-    return found
+    for i, x in enumerate(group[0].x):
+        _, half = mean_of_cycles([V[:, i] for V in each])
+        parts = Parts(half, float(method_part[i]), None if calibration is None else float(calibration[i]))
+        at, note = {"pressure": pressure, "contraction": float(x)}, "" if half is not None else NO_REPEATS
+        yield Estimate("V", float(value[i]), "m3", "volume", method, at, parts, len(group), note=note, trials=names)
 
 
-def _curve(members: Sequence[_Member], given: _Given, scales: Scales) -> list[Estimate]:
+def _curve(members: Sequence[Stroke], settings: Mapping[str, Any], scales: Scales) -> Iterator[Estimate]:
     """D0, theta0 and alpha through the volumes of all pressures; repeats are the strokes, each fitted alone."""
-    eps = members[0].stroke.x / given.length
-    nothing = np.full(3, np.nan)
+    length, gas = float(settings["length"]), Gas.of(settings)
+    eps = members[0].x / length
 
     def fitted(V: Array) -> Array:
-        found = fit_volume(eps, V, given.length)
-        return nothing if found is None else np.array(found)
+        found = fit_volume(eps, V, length)
+        return np.full(3, np.nan) if found is None else np.array(found)
 
     def all_in_one(gas: Gas, gain: float, offset: float) -> Array:
-        V = [_wrong(m.stroke, gain, offset).volumes(gas, leak=True).mean(axis=0) for m in members]
+        V = [_wrong(m, gain, offset).volumes(gas, leak=True).mean(axis=0) for m in members]
         return fitted(np.mean(V, axis=0))
 
-    value = all_in_one(given.gas, 0.0, 0.0)
-    systematic, calibration = _systematic(all_in_one, given, scales)
-    each = [np.array([fitted(V) for V in m.stroke.volumes(given.gas, leak=True)]) for m in members]
-    known = np.isfinite(value).all() and np.isfinite(systematic).all() and all(np.isfinite(one).all() for one in each)
-    found = []
+    value = all_in_one(gas, 0.0, 0.0)
+    systematic, calibration = _systematic(all_in_one, settings, scales)
+    each = [np.array([fitted(V) for V in m.volumes(gas, leak=True)]) for m in members]
+    known = all(np.isfinite(one).all() for one in (value, systematic, *each))
+    names = tuple(m.trial.name for m in members)
     for i, (symbol, quantity, unit) in enumerate(NAMES):
         if not known:
             why = "V(eps) is not of this form within the intervals, or four contractions are not there"
-            found.append(Estimate(symbol, None, unit, quantity, CURVE, n=len(members), note=why))
+            yield Estimate(symbol, None, unit, quantity, CURVE, n=len(members), note=why)
             continue
-        half = mean_half(np.array([one[:, i].mean() for one in each]), [one[:, i] for one in each])
+        _, half = mean_of_cycles([one[:, i] for one in each])
         part = None if calibration is None or not np.isfinite(calibration[i]) else float(calibration[i])
-        note = sentences("" if half is not None else NO_REPEATS, f"l0 {show(given.length, 'length')} as given")
-        found.append(
-            Estimate(symbol, float(value[i]), unit, quantity, CURVE, {}, Parts(half, float(systematic[i]), part),
-                     len(members), note=note, trials=tuple(m.trial.name for m in members))
-        )  # fmt: skip
-    return found
+        note = sentences("" if half is not None else NO_REPEATS, f"l0 {show(length, 'length')} as given")
+        parts = Parts(half, float(systematic[i]), part)
+        yield Estimate(symbol, float(value[i]), unit, quantity, CURVE, {}, parts, len(members), note=note, trials=names)
 
 
-def _findings(pressure: float, group: Sequence[_Member], given: _Given) -> list[Finding]:
+def _findings(pressure: float, group: Sequence[Stroke], gas: Gas) -> list[Finding]:
     """What leaked, and what another exponent would make of the volume."""
-    found = []
-    gas = given.gas
     where = f"from {show(pressure, 'pressure')}"
-    share = max((m.stroke.lost / (m.stroke.before + gas.atmosphere) for m in group), key=abs)
-    lost = max((m.stroke.lost for m in group), key=abs)
-    if share < 0 and -lost > 6 * group[0].stroke.noise:
+    share = max((m.lost / (m.before + gas.atmosphere) for m in group), key=abs)
+    lost = max((m.lost for m in group), key=abs)
+    if share < 0 and -lost > 6 * group[0].noise:
         text = f"{where} the pressure comes back {show(-lost, 'pressure', 3)} higher: air comes in through the valve"
-        found.append(Finding("doubt", text))
+        found = [Finding("doubt", text)]
     elif share > LEAKS:
-        found.append(Finding("doubt", f"{where} {share:.1%} of the air is lost over a trial: look for the leak"))
+        found = [Finding("doubt", f"{where} {share:.1%} of the air is lost over a trial: look for the leak")]
     else:
-        found.append(Finding("note", f"{where} {max(share, 0.0):.2%} of the air is lost over a trial"))
+        found = [Finding("note", f"{where} {max(share, 0.0):.2%} of the air is lost over a trial")]
     if gas.exponent < ADIABATIC:
         heat = replace(gas, exponent=ADIABATIC)
-        apart = np.mean([m.stroke.volumes(heat, leak=True)[:, -1] - m.stroke.volumes(gas, leak=True)[:, -1]
-                         for m in group])  # fmt: skip
+        apart = np.mean([m.volumes(heat, leak=True)[:, -1] - m.volumes(gas, leak=True)[:, -1] for m in group])
         text = (
             f"{where} the volume at the end of the stroke would be {show(float(apart), 'volume', 3)} off if the air "
             f"took no heat from the wall (k = {ADIABATIC}); with k = {gas.exponent:g} it is taken to have time for it"
@@ -230,20 +178,16 @@ def _findings(pressure: float, group: Sequence[_Member], given: _Given) -> list[
 
 def _agree(estimates: Sequence[Estimate]) -> list[Finding]:
     """Whether start pressures give the same volume (paper 3); of the given one, at the start, they say nothing."""
-    by: dict[float, list[Estimate]] = {}
-    for e in estimates:
-        if e.method == TIGHT and e.value is not None:
-            by.setdefault(e.at["contraction"], []).append(e)
-    worst: tuple[float, float, Estimate, Estimate] | None = None
-    for group in by.values():
-        low, high = (pick(group, key=lambda e: e.value or 0.0) for pick in (min, max))
-        apart = (high.value or 0.0) - (low.value or 0.0)
-        room = hypot(*(e.parts.combined or e.parts.method or 0.0 for e in (low, high)))
-        if len(group) > 1 and (worst is None or apart > worst[0]):
-            worst = apart, room, low, high
-    if worst is None:
+    tight = [e for e in estimates if e.method == TIGHT and e.value is not None]
+    pairs = []
+    for group in grouped(tight, lambda e: e.at["contraction"]).values():
+        if len(group) > 1:
+            low, high = (pick(group, key=lambda e: e.value or 0.0) for pick in (min, max))
+            pairs.append(((high.value or 0.0) - (low.value or 0.0), low, high))
+    if not pairs:
         return []
-    apart, room, low, high = worst
+    apart, low, high = max(pairs, key=lambda pair: pair[0])
+    room = hypot(*(e.parts.combined or e.parts.method or 0.0 for e in (low, high)))
     text = (
         f"start pressures give volumes that differ by at most {show(apart, 'volume', 2)} "
         f"({apart / (high.value or 1.0):.2%}), at {show(high.at['contraction'], 'length')} between "
@@ -258,38 +202,33 @@ def _agree(estimates: Sequence[Estimate]) -> list[Finding]:
     return [Finding("doubt", f"{text}: more than their intervals; {causes}")]
 
 
-def _made_of(members: Sequence[_Member], given: _Given) -> Finding:
-    """The numbers that the volumes rest on."""
-    gas = given.gas
-    start = float(members[0].stroke.x[0])
+def _made_of(start: float, settings: Mapping[str, Any]) -> Finding:
+    """The numbers that the volumes rest on; `start` is where the strokes begin [m]."""
+    gas = Gas.of(settings)
+    reference, dead = (show(float(settings[f"{name}_half"]), "volume", 2) for name in ("reference", "dead"))
+    room = show(float(settings["atmosphere_half"]), "pressure", 2)
     text = (
-        f"volume at {show(start, 'length')} {show(gas.reference, 'volume', 5)} +- {show(given.reference, 'volume', 2)} "
-        f"by {given.by}, dead volume {show(gas.dead, 'volume')} +- {show(given.dead, 'volume', 2)}, room "
-        f"{show(gas.atmosphere, 'pressure', 6)} +- {show(given.atmosphere, 'pressure', 2)} absolute, added to gauge "
-        "pressures; they are in the method part of the intervals"
+        f"volume at {show(start, 'length')} {show(gas.reference, 'volume', 5)} +- {reference} by {settings['by']}, "
+        f"dead volume {show(gas.dead, 'volume')} +- {dead}, room {show(gas.atmosphere, 'pressure', 6)} +- {room} "
+        "absolute, added to gauge pressures; they are in the method part of the intervals"
     )
     return Finding("note", text)
 
 
-def _traces(estimates: Sequence[Estimate], curve: Sequence[Estimate], given: _Given) -> list[Trace]:
+def _traces(estimates: Sequence[Estimate], curve: Sequence[Estimate], length: float) -> Iterator[Trace]:
     """Volumes of each start pressure over contraction, with the curve through all."""
-    found = []
-    values = [e.value for e in curve]
+    values = {e.symbol: e.value for e in curve if e.value is not None}
+    tight = [e for e in estimates if e.method == TIGHT]
     for pressure in sorted({e.at["pressure"] for e in estimates}):
-        own = [e for e in estimates if e.method == TIGHT and e.at["pressure"] == pressure]
-        x = np.array([e.at["contraction"] for e in own])
+        own = [e for e in tight if e.at["pressure"] == pressure]
         columns = {
-            "contraction": x / given.length,
+            "contraction": np.array([e.at["contraction"] for e in own]) / length,
             "volume": np.array([e.value for e in own], dtype=np.float64),
             "half": np.array([np.nan if e.parts.combined is None else e.parts.combined for e in own]),
         }
-        quantities = {"contraction": "ratio", "volume": "volume", "half": "volume"}
-        marks = {"pressure": pressure}
-        if len(values) == 3 and None not in values:
-            D_0, theta_0, alpha = (float(value or 0.0) for value in values)
-            columns["curve"] = volume_at(columns["contraction"], given.length, D_0, theta_0, alpha)
-            quantities["curve"] = "volume"
-            marks |= {"D_0": D_0, "theta_0": theta_0, "alpha": alpha}
+        if len(values) == 3:
+            columns["curve"] = volume_at(columns["contraction"], length, **values)
+        quantities = {name: "ratio" if name == "contraction" else "volume" for name in columns}
+        marks = {"pressure": pressure} | (values if len(values) == 3 else {})
         title = f"{show(pressure, 'pressure')}: volume over contraction"
-        found.append(Trace(f"volume-{pressure:g}", "volume", title, columns, quantities, marks))
-    return found
+        yield Trace(f"volume-{pressure:g}", "volume", title, columns, quantities, marks)

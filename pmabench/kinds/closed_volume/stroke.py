@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from pmabench.analysis.shared.form import Doubt
-from pmabench.analysis.shared.samples import UNUSABLE_SHARE, Held, NotUsable, left, noise_of, on_time
+from pmabench.analysis.shared.samples import Held, NotUsable, ends, left, noise_of, on_time, refuse_unusable
 from pmabench.store.analyses.results import Estimate
 from pmabench.store.records import Array, RunData, TrialData
 
@@ -45,11 +45,17 @@ class Gas:
     atmosphere: float
     exponent: float
 
+    @classmethod
+    def of(cls, settings: Mapping[str, Any]) -> Gas:
+        """What the plan gives."""
+        return cls(*(float(settings[name]) for name in ("reference_volume", "dead_volume", "atmosphere", "exponent")))
+
 
 @dataclass(frozen=True, eq=False)
 class Stroke:
     """Gauge pressures [Pa] of one trial at contractions `x` [m], in the order of time: shape (2 cycles, n)."""
 
+    trial: TrialData
     x: Array
     P: Array
     paid: Array
@@ -86,13 +92,7 @@ class Stroke:
 
 def measure(run: RunData, trial: TrialData, settings: Mapping[str, Any]) -> Stroke:
     """One trial from its samples; `NotUsable` where it ended early, lacks a channel or was never shut in."""
-    if trial.status != "finished":
-        raise NotUsable(f"the trial is {trial.status}")
-    missing = [name for name in ("pressure", "displacement") if name not in trial.channels]
-    if missing:
-        raise NotUsable(f"{' and '.join(missing)} not recorded")
-    if float(np.mean(~trial.usable)) > UNUSABLE_SHARE:
-        raise NotUsable(f"{np.mean(~trial.usable):.0%} of the samples are flagged")
+    refuse_unusable(trial, "pressure", "displacement")
     if not trial.found.get("closed", {}).get("found", False):
         raise NotUsable("the strokes with the valve shut were not finished")
     ramps = [c for c in trial.commands if c.output == "displacement" and c.kind == "ramp" and c.phase == "closed"]
@@ -100,7 +100,7 @@ def measure(run: RunData, trial: TrialData, settings: Mapping[str, Any]) -> Stro
         raise NotUsable("it holds no whole stroke there and back")
     rest, t, good = float(settings["rest"]), trial.t, trial.usable
     x, P = (on_time(run, trial, name) for name in ("displacement", "pressure"))
-    arrived = [c.t + abs(c.value - c.before) / c.data["rate"] for c in ramps]
+    arrived = [ends(ramp) for ramp in ramps]
 
     def resting(begin: float, end: float) -> NDArray[np.intp]:
         rows = np.flatnonzero(good & (t >= begin) & (t < end - 1e-9))
@@ -121,14 +121,10 @@ def measure(run: RunData, trial: TrialData, settings: Mapping[str, Any]) -> Stro
     paid = np.concatenate(([0.0], np.cumsum(0.5 * (flow[1:] + flow[:-1]) * np.diff(t))))
     low, high, every = ramps[0].before, ramps[0].value, float(settings["every"])
     grid = np.asarray(low + every * np.arange(int((high - low) / every + 1e-6) + 1), dtype=np.float64)
-    pressures, integrals = [], []
-    for ramp, end in zip(ramps, arrived, strict=True):
-        rows = np.flatnonzero(good & (t >= ramp.t) & (t <= end + 1e-9))
-        values = [_about(x[rows], y[rows], grid, every) for y in (P, paid)]
-        pressures.append(values[0])
-        integrals.append(values[1])
+    ways = [np.flatnonzero(good & (t >= ramp.t) & (t <= ends(ramp) + 1e-9)) for ramp in ramps]
+    both = np.array([[_about(x[rows], y[rows], grid, every) for y in (P, paid)] for rows in ways])
     stroke = Stroke(
-        grid, np.array(pressures), np.array(integrals), float(paid[last].mean()), before, after,
+        trial, grid, both[:, 0], both[:, 1], float(paid[last].mean()), before, after,
         np.array([[P[rows].mean(), paid[rows].mean()] for rows in between]).reshape(-1, 2),
         tuple(Held.of(t[rows], P[rows], float(t[rows[0]])) for rows in at_far), noise_of(P[first]), len(first),
     )  # fmt: skip
@@ -213,7 +209,7 @@ class Form:
     """Of all start pressures [m3]; shape (n,)."""
     shares: Mapping[float, Mapping[str, Array]]
     """Start pressure -> departure -> its effect as a share of the volume at `x`."""
-    seen: Mapping[float, frozenset[str]]
+    seen: Mapping[float, set[str]]
     """Start pressure -> departures that are significant."""
     leaked: Mapping[float, Array]
     """Share that the volume is larger by where no leak is taken out, at `x`."""
@@ -222,11 +218,10 @@ class Form:
         """Of the volume at one start pressure and contraction."""
         P, place = round(e.at["pressure"], 6), int(np.argmin(np.abs(self.x - e.at["contraction"])))
         size = abs(e.value or 0.0)
-        found = [
-            Doubt(name, PARTS[name], size * abs(float(share[place])), name in self.seen[P],
-                  ADVICE[name].format(f"{float(np.abs(share).max()):.2%}"))
-            for name, share in self.shares[P].items()
-        ]  # fmt: skip
+        found = []
+        for name, share in self.shares[P].items():
+            reason = ADVICE[name].format(f"{float(np.abs(share).max()):.2%}")
+            found.append(Doubt(name, PARTS[name], size * abs(float(share[place])), name in self.seen[P], reason))
         if not leak:
             lost = abs(float(self.leaked[P][place]))
             reason = f"no leak is taken out, and what leaked makes the volume {lost:.2%} larger. Look for the leak"
@@ -239,7 +234,9 @@ class Form:
         found = []
         for name in ADVICE:
             share = np.mean([shares[name] for shares in self.shares.values()], axis=0)
-            shapes = [np.ones(len(share))] if name == ROOM else _shapes(len(share))
+            # an effect of known size may go over the contractions with one sign, with two, and so on
+            along = np.pi * np.linspace(0.0, 1.0, len(share))
+            shapes = [np.ones(len(share))] if name == ROOM else [np.cos(order * along) for order in range(5)]
             moved = [fit_volume(self.x / length, self.volumes * (1 + shape * share), length) for shape in shapes]
             if base is None or None in moved:
                 continue
@@ -248,53 +245,42 @@ class Form:
         return found
 
 
-def _shapes(n: int) -> list[Array]:
-    """Ways in which an effect of known size may go over `n` contractions: with one sign, with two, and so on."""
-    along = np.pi * np.linspace(0.0, 1.0, n)
-    return [np.cos(order * along) for order in range(5)]
-
-
 def form_of(cells: Mapping[float, Sequence[Stroke]], gas: Gas) -> Form:
     """Of the strokes by start pressure [Pa]."""
     shares: dict[float, dict[str, Array]] = {}
     seen: dict[float, set[str]] = {}
     leaked, means = {}, {}
-    for P, strokes in cells.items():
-        shares[P], seen[P] = _of_one(strokes, gas)
-        means[P] = np.mean([one.volumes(gas, leak=True).mean(axis=0) for one in strokes], axis=0)
-        leaked[P] = np.mean([one.volumes(gas, leak=False).mean(axis=0) for one in strokes], axis=0) / means[P] - 1
     room, beyond = _room(cells, gas)
-    for P in cells:
+    for P, strokes in cells.items():
+        means[P], whole = (
+            np.mean([one.volumes(gas, leak=leak).mean(axis=0) for one in strokes], axis=0) for leak in (True, False)
+        )
+        leaked[P] = whole / means[P] - 1
+        shares[P], seen[P] = _of_one(strokes, gas)
         shares[P][ROOM] = room[P] / means[P]
-        if beyond:
-            seen[P].add(ROOM)
+        seen[P] |= {ROOM} if beyond else set()
     x = next(iter(cells.values()))[0].x
-    found = {P: frozenset(names) for P, names in seen.items()}
-    return Form(x, np.mean(list(means.values()), axis=0), shares, found, leaked)
+    return Form(x, np.mean(list(means.values()), axis=0), shares, seen, leaked)
 
 
 def _of_one(strokes: Sequence[Stroke], gas: Gas) -> tuple[dict[str, Array], set[str]]:
     """Shares of the volume at one start pressure, and what is seen."""
-    seen = set()
+    noise = _noise(strokes, gas)
     by_way = np.array([one.by(one.P, one.paid, gas) for one in strokes])
     V = by_way.mean(axis=(0, 1))
     gaps = (by_way[:, 0::2] - by_way[:, 1::2]).reshape(-1, len(V)) / V
-    gap = gaps.mean(axis=0)
-    error = _noise(strokes, gas) * sqrt(2 / len(gaps))
-    if float(np.abs(gap).max()) > SURE * error:
-        seen.add(BOTH_WAYS)
-    shares = {BOTH_WAYS: 0.5 * np.abs(gap)}
+    gap = np.abs(gaps.mean(axis=0))
     returns = np.array([one.by(one.returns[:, 0], one.returns[:, 1], gas) for one in strokes]) / gas.reference - 1
     most = float(np.abs(returns.mean(axis=0)).max(initial=0.0))
-    if most > SURE * _noise(strokes, gas) * sqrt(1.5 / len(strokes)):
-        seen.add(BETWEEN)
-    shares[BETWEEN] = np.full(len(V), most)
     further = left([held for one in strokes for held in one.far])
     lowest = float(np.mean([one.P[:, -1].mean() for one in strokes])) + gas.atmosphere
-    if further.seen:
-        seen.add(STILL)
-    shares[STILL] = np.full(len(V), further.most / lowest)
-    return shares, seen
+    shares = {BOTH_WAYS: 0.5 * gap, BETWEEN: np.full(len(V), most), STILL: np.full(len(V), further.most / lowest)}
+    seen = {
+        BOTH_WAYS: float(gap.max()) > SURE * (noise * sqrt(2 / len(gaps))),
+        BETWEEN: most > SURE * noise * sqrt(1.5 / len(strokes)),
+        STILL: further.seen,
+    }
+    return shares, {name for name, is_seen in seen.items() if is_seen}
 
 
 def _noise(strokes: Sequence[Stroke], gas: Gas) -> float:

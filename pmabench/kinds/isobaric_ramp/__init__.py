@@ -1,6 +1,6 @@
 """Slow ramps of displacement at constant pressure: F over contraction, K, loop gap and work; the rubber at 0 kPa.
 
-- `reduction`, made of `cell` and `first_cycle`
+- `reduction`, made of `cell`; with the rubber, and the first loop of a rested muscle
 - protocol files: `protocol`; figures and one trial on the display: `figures`
 """
 
@@ -51,6 +51,9 @@ METHODS = {
         "nominal length."
     ),
 }
+POINT = (("lower", "lowest end"), ("upper", "highest end"), ("speed", "speed"), ("cycles", "pairs"),
+         ("pressure", "held"))  # fmt: skip
+"""How the operating point is read off the commands of an import."""
 KIND = Kind(
     name="isobaric-ramp",
     title="Isobaric ramps",
@@ -70,28 +73,13 @@ KIND = Kind(
     instead="an isobaric ramp (isobaric-ramp) measures the curve itself",
     methods=METHODS,
     figures={
-        "isobaric": "pmabench.kinds.isobaric_ramp.figures:loops",
-        "mean-curve": "pmabench.kinds.isobaric_ramp.figures:loops",
+        **dict.fromkeys(("isobaric", "mean-curve"), "pmabench.kinds.isobaric_ramp.figures:loops"),
         "rubber": "pmabench.kinds.isobaric_ramp.figures:rubber",
     },
-    published={
-        "mean-curve": ("displacement", "force", "pressure"),
-        "isobaric": ("displacement", "force", "pressure"),
-        "rubber": ("displacement", "force", "pressure"),
-    },
+    published=dict.fromkeys(("mean-curve", "isobaric", "rubber"), ("displacement", "force", "pressure")),
     parts={"slow rows": "pmabench.analysis.surface.trials:driven"},
     imported=Imported(
-        Commanded(
-            "displacement",
-            phases=(("rises", "contract"), ("any", "expand")),
-            point=(
-                ("lower", "lowest end"),
-                ("upper", "highest end"),
-                ("speed", "speed"),
-                ("cycles", "pairs"),
-                ("pressure", "held"),
-            ),
-        ),
+        Commanded("displacement", phases=(("rises", "contract"), ("any", "expand")), point=POINT),
         follows="force",
         shown="length ramps",
     ),

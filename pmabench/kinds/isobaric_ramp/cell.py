@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import hypot, inf, isfinite, isnan
@@ -13,7 +13,7 @@ import numpy as np
 from pmabench.analysis.shared import skew
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.form import Doubt, weighed
-from pmabench.analysis.shared.lines import PROPORTIONAL, Line, mean_half, weighted_line
+from pmabench.analysis.shared.lines import PROPORTIONAL, Line, mean_of_cycles, weighted_line
 from pmabench.analysis.shared.ramp_loop import Loop
 from pmabench.analysis.shared.samples import lag_open
 from pmabench.analysis.shared.sine_loop import RECOVERED
@@ -124,17 +124,14 @@ class Cell:
         values = [of(member.loop) for member in self.members]
         speeds = np.array([member.speed for member in self.members])
         if self.one_speed:
-            means = np.array([float(np.mean(v)) for v in values])
-            return Line(float(means.mean()), float("nan"), mean_half(means, values), None)
+            mean, half = mean_of_cycles(values)
+            return Line(mean, float("nan"), half, None)
         by_trial = weighted_line(speeds, speeds, np.array([float(np.mean(v)) for v in values]))
         each = np.repeat(speeds, [len(v) for v in values])
         by_cycle = weighted_line(each, each, np.concatenate(values))
-        return Line(
-            by_trial.start,
-            by_trial.slope,
-            _wider(by_trial.half_start, by_cycle.half_start),
-            _wider(by_trial.half_slope, by_cycle.half_slope),
-        )
+        pairs = ((by_trial.half_start, by_cycle.half_start), (by_trial.half_slope, by_cycle.half_slope))
+        wider = (max((half for half in pair if half is not None), default=None) for pair in pairs)
+        return Line(by_trial.start, by_trial.slope, *wider)
 
     @cached_property
     def gap(self) -> Line:
@@ -161,22 +158,30 @@ class Cell:
         left = self.curve - np.polyval(np.polyfit(self.x, self.curve, 1), self.x)
         return bool(np.sqrt(np.mean(left**2)) > BENT * np.ptp(self.curve))
 
+    @cached_property
+    def straight(self) -> float:
+        """Slope of a straight line through the mean curve [N/m]."""
+        return float(np.polyfit(self.x, self.curve, 1)[0])
+
     @property
     def change(self) -> float:
         """How far the slope anywhere on a bent mean curve is from that of the straight line [N/m]; 0 for no bend."""
         if not self.bent:
             return 0.0
-        straight = float(np.polyfit(self.x, self.curve, 1)[0])
-        places = [float(place) for place in np.linspace(self.x[0], self.x[-1], PLACES)]
-        slopes = [_local(self.x, self.curve, place)[1] for place in places]
-        return max(float(abs(s - straight)) + self._window_error(p)[1] for s, p in zip(slopes, places, strict=True))
+        slopes = {place: _local(self.x, self.curve, place)[1] for place in self.places}
+        return max(float(abs(s - self.straight)) + self._window_error(p)[1] for p, s in slopes.items())
+
+    @property
+    def places(self) -> list[float]:
+        """Places along the stroke at which force and stiffness are given [m]."""
+        return [float(place) for place in np.linspace(self.x[0], self.x[-1], PLACES)]
 
     @cached_property
     def many_slopes(self) -> str:
         """Why no one stiffness describes the stroke: its slopes differ as much as their mean; empty where one does."""
-        if self.change < abs(float(np.polyfit(self.x, self.curve, 1)[0])):
+        if self.change < abs(self.straight):
             return ""
-        local = [-_local(self.x, self.curve, float(place))[1] for place in np.linspace(self.x[0], self.x[-1], PLACES)]
+        local = [-_local(self.x, self.curve, place)[1] for place in self.places]
         ends = " to ".join(show(K, "stiffness", 3) for K in (min(local), max(local)))
         return f"the mean curve is bent, K is {ends} along the stroke: it is given at each contraction instead"
 
@@ -227,7 +232,7 @@ class Cell:
             else:
                 estimate(
                     "K", stiffness, method, lambda loop, of=curve: -np.polyfit(x, of(loop).T, 1)[0],  # type: ignore[misc]
-                    self._over_pressure(near, lambda cell: -float(np.polyfit(cell.x, cell.curve, 1)[0])),
+                    self._over_pressure(near, lambda cell: -cell.straight),
                     extra=hypot(self.change, by_turns, self._slow_turns(0.0)[1]), note=BENT_NOTE if self.bent else "",
                 )  # fmt: skip
             if lower <= 0 <= upper and self.pressure > 0:
@@ -236,7 +241,7 @@ class Cell:
                     self._over_pressure(near, lambda cell: cell.force_at(0.0)), place=0.0,
                     extra=self._window_error(0.0)[0], note="force of the mean curve at x = 0",
                 )  # fmt: skip
-        for place in (float(one) for one in np.linspace(x[0], x[-1], PLACES)):
+        for place in self.places:
             error = self._window_error(place)
             for i, (symbol, kind) in enumerate((("F", newton), ("K", stiffness))):
 
@@ -247,7 +252,7 @@ class Cell:
                 estimate(
                     symbol, kind, LOCAL, lambda loop, of=here: of(x, loop.mean), over_P, place=place, extra=error[i]  # type: ignore[misc]
                 )  # fmt: skip
-        K = abs(-float(np.polyfit(x, self.curve, 1)[0]))
+        K = abs(self.straight)
         found += self._gap_lines(scales, K, uneven, self._rising(dF_dP), near)
         found += self._work(scales, K, uneven, float(upper - lower), near)
         if self.upside_down:
@@ -294,9 +299,8 @@ class Cell:
         """Time by which the force may come late [s], by turns of the slowest loops, or where turns fade over time."""
         slowest = min(m.speed for m in self.members)
         known = [m.loop.late for m in self.members if m.speed == slowest]
-        late = replace(
-            max(known, key=lambda one: (one.seen, one.half)), half=float(np.mean([one.half for one in known]))
-        )
+        worst, half = max(known, key=lambda one: (one.seen, one.half)), float(np.mean([one.half for one in known]))
+        late = replace(worst, half=half)
         faded = [(m.speed, m.loop.turns.w) for m in self.members if m.loop.turns is not None]
         if self.one_speed or len({speed for speed, _ in faded}) < 2:
             return late
@@ -310,63 +314,51 @@ class Cell:
         )
         return replace(late, half=max(late.half, 2 * longer), seen=True, reason=reason)
 
-    def _work(self, scales: Scales, K: float, uneven: float, stroke: float, near: Cell | None) -> list[Estimate]:
+    def _work(self, scales: Scales, K: float, uneven: float, stroke: float, near: Cell | None) -> Iterator[Estimate]:
         """Gap and work at each speed, and the share of the work that comes back; `uneven` as `_uneven` gives it."""
         newton, joule = ("N", "force"), ("J", "work")
-        found: list[Estimate] = []
         for speed in sorted({member.speed for member in self.members}):
             mine = [member for member in self.members if member.speed == speed]
-            here = {**self.at, "speed": speed}
+            here, note = {**self.at, "speed": speed}, CYCLES if len(mine) == 1 else ""
             late = 2 * K * speed * self.skew
             work = ("force", "displacement")
             # between the two samples at a turn the force jumps by the gap, somewhere on the way between them
             corners = max(2 * abs(float(m.loop.middle_gap.mean())) * speed / m.run.rate for m in mine)
             rows: tuple[_Row, ...] = (
-                ("H", newton, GAP, lambda loop: loop.middle_gap, ("force",), uneven, late),
-                ("W", joule, GAP, lambda loop: loop.lost, work, uneven * stroke + corners, late * stroke),
-                ("W_c", joule, GAP, lambda loop: loop.given, work, 0.0, 0.5 * late * stroke),
-            )  # fmt: skip
-            for symbol, kind, method, of, by, extra, skewed in rows:
-                values = [of(member.loop) for member in mine]
-                means = np.array([float(v.mean()) for v in values])
-                value = float(means.mean())
+                ("H", newton, lambda loop: loop.middle_gap, ("force",), uneven, late),
+                ("W", joule, lambda loop: loop.lost, work, uneven * stroke + corners, late * stroke),
+                ("W_c", joule, lambda loop: loop.given, work, 0.0, 0.5 * late * stroke),
+            )
+            for symbol, kind, of, by, extra, skewed in rows:
+                value, half = mean_of_cycles([of(member.loop) for member in mine])
                 over_P = self._over_pressure(near, lambda cell, of=of: cell.over_speed(of).start)  # type: ignore[misc]
-                part = self._part(
-                    scales, dict.fromkeys(by, value), {"force": stroke if symbol == "W_c" else 0.0}, over_P
-                )
-                parts = Parts(mean_half(means, values), extra, part, skewed)
-                note = CYCLES if len(mine) == 1 else ""
-                found.append(self._estimate(symbol, value, kind, method, here, parts, note, len(mine)))
-            taken = float(np.mean([np.mean(m.loop.given + m.loop.lost) for m in mine]))
-            if min(float(np.min(m.loop.given + m.loop.lost)) for m in mine) > 0:  # unpressed, it may take up nothing
-                values = [m.loop.given / (m.loop.given + m.loop.lost) for m in mine]
-                means = np.array([float(v.mean()) for v in values])
-                value, doubt = float(means.mean()), (uneven * stroke + corners) / taken
+                offsets = {"force": stroke if symbol == "W_c" else 0.0}
+                part = self._part(scales, dict.fromkeys(by, value), offsets, over_P)
+                parts = Parts(half, extra, part, skewed)
+                yield self._estimate(symbol, value, kind, GAP, here, parts, note, len(mine))
+            each = [m.loop.given + m.loop.lost for m in mine]
+            taken = float(np.mean([np.mean(one) for one in each]))
+            if min(float(np.min(one)) for one in each) > 0:  # unpressed, it may take up nothing
+                value, half = mean_of_cycles([m.loop.given / one for m, one in zip(mine, each, strict=True)])
                 part = scales.part({}, {"force": stroke * (1 - value) / taken})
-                parts = Parts(mean_half(means, values), doubt, part, late * stroke / taken)
-                note = sentences(CYCLES if len(mine) == 1 else "", RECOVERED)
-                found.append(self._estimate("eta", value, ("1", "ratio"), GAP, here, parts, note, len(mine)))
-        return found
+                parts = Parts(half, (uneven * stroke + corners) / taken, part, late * stroke / taken)
+                said = sentences(note, RECOVERED)
+                yield self._estimate("eta", value, ("1", "ratio"), GAP, here, parts, said, len(mine))
 
     def _gap_lines(self, scales: Scales, K: float, uneven: float, rising: float, near: Cell | None) -> list[Estimate]:
         """Hysteresis at speed 0, and what rises with speed; `rising` [N.s/m] is what unequal pressure makes of that."""
         newton, damping = ("N", "force"), ("N.s/m", "damping")
         still = {**self.at, "speed": 0.0}
         found = []
-        ways: list[tuple[str, Callable[[Loop], Array]]] = [
-            (GAP, lambda loop: loop.middle_gap),
-            (MEAN_GAP, lambda loop: loop.mean_gap),
-        ]
-        if all(member.loop.turns is not None for member in self.members):
-            ways.append((OPEN, _open_gap))
-        for method, of in ways:
+        ways: dict[str, Callable[[Loop], Array]]
+        ways = {GAP: lambda loop: loop.middle_gap, MEAN_GAP: lambda loop: loop.mean_gap}
+        if all(member.loop.turns is not None for member in self.members):  # one open gap for all cycles of a loop
+            ways[OPEN] = lambda loop: np.full(1, 2 * loop.turns.h if loop.turns is not None else np.nan)
+        for method, of in ways.items():
             line = self.over_speed(of)
             if self.one_speed:
-                none = Parts()
-                found += [
-                    self._estimate("H", None, newton, method, still, none, ONE_SPEED),
-                    self._estimate("B", None, damping, method, self.at, none, ONE_SPEED),
-                ]
+                found.append(self._estimate("H", None, newton, method, still, Parts(), ONE_SPEED))
+                found.append(self._estimate("B", None, damping, method, self.at, Parts(), ONE_SPEED))
                 continue
             start, slope = line.start, line.slope
             start_P, slope_P = (
@@ -378,21 +370,16 @@ class Cell:
             H = self._estimate("H", start, newton, method, still, Parts(line.half_start, uneven, force), note)
             gains = {"force": slope / 2, "displacement": -slope / 2}
             both = self._part(scales, gains, {}, None if slope_P is None else slope_P / 2)
-            half = None if line.half_slope is None else line.half_slope / 2
             speeds = [member.speed for member in self.members]
             least = PROPORTIONAL * abs(start) / (max(speeds) - min(speeds)) / 2
-            parts = Parts(half, hypot(least, rising / 2), both, K * self.skew)
+            parts = Parts(_halved(line.half_slope), hypot(least, rising / 2), both, K * self.skew)
             B = self._estimate("B", slope / 2, damping, method, self.at, parts, "(B_c + B_r)/2")
-            half = None if line.half_start is None else line.half_start / 2
-            friction = Parts(half, uneven / 2, None if force is None else force / 2)
+            friction = Parts(_halved(line.half_start), uneven / 2, _halved(force))
             F_c = self._estimate("F_c", start / 2, newton, method, self.at, friction, "half the gap at speed 0")
             found += [H, B, F_c]
         least = min((e.value + (e.parts.combined or inf) for e in found if e.symbol == "B" and e.value), default=0.0)
-        return (
-            found
-            if least >= 0
-            else [withhold(e, f"B would be below {show(least, 'damping', 2)}; {SHRINKS}") for e in found]
-        )
+        why = f"B would be below {show(least, 'damping', 2)}; {SHRINKS}"
+        return found if least >= 0 else [withhold(e, why) for e in found]
 
     def _estimate(
         self, symbol: str, value: float | None, kind: tuple[str, str], method: str, at: Mapping[str, float],
@@ -446,96 +433,68 @@ class Cell:
 
     def _force_per_pressure(self, dF_dP: float | None) -> float:
         """|dF/dP| [N/Pa]; where it is not known, by a force that is proportional to the pressure."""
-        if dF_dP is not None:
-            return abs(dF_dP)
-        return abs(self.force_at(self.middle)) / self.pressure if self.pressure > 0 else 0.0
+        by_force = abs(self.force_at(self.middle)) / self.pressure if self.pressure > 0 else 0.0
+        return by_force if dF_dP is None else abs(dF_dP)
 
     # -- the rest -------------------------------------------------------------------------------------------------
 
     def findings(self) -> list[Finding]:
         """What catches the eye."""
         where, found = show(self.pressure, "pressure"), []
-        fit = np.polyfit(self.x, self.curve, 1)
-        if fit[0] >= 0:
+        if self.straight >= 0:
             text = f"at {where} the force rises with contraction: a sign is wrong in displacement or force"
             found.append(Finding("fault", text))
         if self.one_speed:
             found.append(Finding("note", f"at {where}, {ONE_SPEED}"))
         for member in self.members:
             gap = abs(float(member.loop.middle_gap.mean()))
-            guess = abs(self.force_at(self.middle)) / self.pressure if self.pressure > 0 else 0.0
-            worth = abs(member.loop.apart) * guess
+            worth = abs(member.loop.apart) * self._force_per_pressure(None)
             if worth > UNEVEN * gap and worth > member.loop.noise:
-                apart = show(member.loop.apart, "pressure", 3)
-                found.append(
-                    Finding(
-                        "doubt",
-                        f"trial {member.trial.name}: the pressure is {apart} higher while expanding than while "
-                        f"contracting, worth about {show(worth, 'force', 2)} of the gap: slower, or a larger regulator",
-                    )
+                text = (
+                    f"trial {member.trial.name}: the pressure is {show(member.loop.apart, 'pressure', 3)} higher while "
+                    f"expanding than while contracting, worth about {show(worth, 'force', 2)} of the gap: slower, or a "
+                    "larger regulator"
                 )
+                found.append(Finding("doubt", text))
         return found
 
-    def traces(self) -> list[Trace]:
+    def traces(self) -> Iterator[Trace]:
         """The last cycle of the first trial at each speed; mean curve and gap over contraction."""
         name = "-".join(f"{value:g}" for value in self.at.values())
-        where = show(self.pressure, "pressure")
-        found = []
+        where, quantities = show(self.pressure, "pressure"), {"displacement": "length", "force": "force"}
         for speed in sorted({member.speed for member in self.members}):
-            member = next(m for m in self.members if m.speed == speed)
-            x, F = member.loop.last
-            stride = max(1, -(-len(x) // LONGEST_TRACE))
-            found.append(
-                Trace(
-                    f"isobaric-{name}-{speed:g}",
-                    "isobaric",
-                    f"{where}: isobaric loop at {show(speed, 'speed')}",
-                    {"displacement": x[::stride], "force": F[::stride]},
-                    {"displacement": "length", "force": "force"},
-                    {**self.at, "speed": speed, "H": float(member.loop.middle_gap.mean())},
-                )
-            )
+            loop = next(m.loop for m in self.members if m.speed == speed)
+            stride = max(1, -(-len(loop.last[0]) // LONGEST_TRACE))
+            columns = dict(zip(quantities, (values[::stride] for values in loop.last), strict=True))
+            title = f"{where}: isobaric loop at {show(speed, 'speed')}"
+            marks = {**self.at, "speed": speed, "H": float(loop.middle_gap.mean())}
+            yield Trace(f"isobaric-{name}-{speed:g}", "isobaric", title, columns, quantities, marks)
         slowest = min(self.members, key=lambda m: m.speed).loop
-        found.append(
-            Trace(
-                f"mean-curve-{name}",
-                "mean-curve",
-                f"{where}: mean of the branches",
-                {"displacement": self.x, "force": self.curve, "gap": slowest.gap.mean(axis=0)},
-                {"displacement": "length", "force": "force", "gap": "force"},
-                {**self.at, "H": float(self.gap.start)},
-            )
-        )
-        return found
+        columns = {"displacement": self.x, "force": self.curve, "gap": slowest.gap.mean(axis=0)}
+        marks, title = {**self.at, "H": float(self.gap.start)}, f"{where}: mean of the branches"
+        yield Trace(f"mean-curve-{name}", "mean-curve", title, columns, quantities | {"gap": "force"}, marks)
 
     def facts(self) -> dict[str, Any]:
         """Numbers of the cell, plain data."""
+        loops = [member.loop for member in self.members]
+        turns = [loop.turns for loop in loops]
         return {
             "at": dict(self.at),
             "speeds": sorted({member.speed for member in self.members}),
-            "cycles": [len(member.loop.lost) for member in self.members],
-            "pressure": float(np.mean([member.loop.pressure for member in self.members])),
-            "turns": [
-                None if m.loop.turns is None else {"h": m.loop.turns.h, "w": m.loop.turns.w, "rms": m.loop.turns.rms}
-                for m in self.members
-            ],
-            "pressure_apart": float(np.max([abs(member.loop.apart) for member in self.members])),
+            "cycles": [len(loop.lost) for loop in loops],
+            "pressure": float(np.mean([loop.pressure for loop in loops])),
+            "turns": [None if one is None else {"h": one.h, "w": one.w, "rms": one.rms} for one in turns],
+            "pressure_apart": float(np.max([abs(loop.apart) for loop in loops])),
             "contraction": [float(self.x[0]), float(self.x[-1])],
         }
 
 
-_Row = tuple[str, tuple[str, str], str, Callable[[Loop], Array], tuple[str, ...], float, float]
-"""Symbol; unit and quantity; method; value by cycle; channels to which it is proportional; method and skew part."""
+_Row = tuple[str, tuple[str, str], Callable[[Loop], Array], tuple[str, ...], float, float]
+"""Symbol; unit and quantity; value by cycle; channels to which it is proportional; method and skew part."""
 
 
-def _open_gap(loop: Loop) -> Array:
-    """The gap that the loop would open to on a long stroke [N], one for all its cycles."""
-    return np.full(1, 2 * loop.turns.h if loop.turns is not None else np.nan)
-
-
-def _wider(one: float | None, two: float | None) -> float | None:
-    known = [half for half in (one, two) if half is not None]
-    return max(known) if known else None
+def _halved(half: float | None) -> float | None:
+    return None if half is None else half / 2
 
 
 def _locals(x: Array, curves: Array, place: float, window: float = WINDOW) -> tuple[Array, Array]:

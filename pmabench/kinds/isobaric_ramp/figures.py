@@ -99,22 +99,15 @@ def rubber(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     for trace in (t for t in traces if has(t, "displacement", "force", "model")):
         data = panel(trace, {"x": "displacement", "y": "force", "model": "model"}, "")
         off = float(np.sqrt(np.mean((data.columns["y"] - data.columns["model"]) ** 2)))
-        labels = {"x": label(trace, "displacement"), "y": label(trace, "force")}
         caption = (
             "Marks: mean of the branches without pressure. Red: F_e = A ε (ε − B1)/(ε + B2) (paper 3, eq. 8), rms "
             f"difference {off:.2g} {shown('force').unit}."
         )
         alt = f"Force over contraction without pressure, measured and fitted, apart by {off:.2g} N rms."
-        draw = bound(time_plots.marks_and_line, data, labels)
-        table = numbers([("", trace)])
-        found.append(
-            picture(draw, "Force of the rubber at 0 kPa", caption, alt, table, wide=False, simulated=analysis.simulated)
-        )
+        draw = bound(time_plots.marks_and_line, data, {"x": label(trace, "displacement"), "y": label(trace, "force")})
+        table, title = numbers([("", trace)]), "Force of the rubber at 0 kPa"
+        found.append(picture(draw, title, caption, alt, table, wide=False, simulated=analysis.simulated))
     return found
-
-
-DISTORTED = 0.05
-"""Rms of what a sine leaves of the displacement, over its own rms, that is doubted."""
 
 
 def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:

@@ -109,15 +109,11 @@ class IsobaricRamp(ProtocolHead):
         return c.plan("isobaric-ramp", {"discard": trial.discard, "turn": trial.turn})
 
     def _cycle(self, lower: float, upper: float, speed: float) -> list[Step]:
-        rest: dict[str, list[Step]] = {
-            phase: [Hold(phase, self.trial.dwell)] if self.trial.dwell > 0 else [] for phase in ("contract", "expand")
-        }
-        return [
-            Ramp("contract", "displacement", lower, upper, speed),
-            *rest["contract"],
-            Ramp("expand", "displacement", upper, lower, speed),
-            *rest["expand"],
-        ]
+        steps: list[Step] = []
+        for phase, begin, end in (("contract", lower, upper), ("expand", upper, lower)):
+            steps.append(Ramp(phase, "displacement", begin, end, speed))
+            steps += [Hold(phase, self.trial.dwell)] if self.trial.dwell > 0 else []
+        return steps
 
     def _minor(self, lower: float, speed: float) -> list[Step]:
         minor = self.trial.minor
@@ -141,10 +137,8 @@ class IsobaricRamp(ProtocolHead):
         if len(ends) < 2:
             return None
         if not ends["upper"] - ends["lower"] > 4 * self.trial.turn:
-            c.fault(
-                places["upper"],
-                "the stroke is not longer than four times what is left out at each end (turn): nothing would be left",
-            )
+            text = "the stroke is not longer than four times what is left out at each end (turn): nothing would be left"
+            c.fault(places["upper"], text)
             return None
         minor = self.trial.minor
         if minor is not None and not ends["lower"] < minor.lower < minor.upper < ends["upper"]:

@@ -1,5 +1,8 @@
 """Reduction of isobaric ramps: mean curve, K, F_ce, loop gap and work; at 0 kPa the rubber's force.
 
+The first loop of a rested muscle has more hysteresis than the loops after it: the gap of the first cycle minus that of
+the cycles that count, over the gap at speed 0; damping is in both gaps, and no longer in their difference.
+
 A, B1 and B2 can be separated only where data come close to the pole at -B2; the curve itself is known long before.
 
 Knows the samples and the protocol's settings. One trial is measured in `ramp_loop`, one cell in `cell`.
@@ -8,28 +11,132 @@ Knows the samples and the protocol's settings. One trial is measured in `ramp_lo
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from math import hypot
+from dataclasses import dataclass, replace
+from math import hypot, sqrt
 from typing import Any
 
 import numpy as np
 from scipy.optimize import least_squares
 
-from pmabench.analysis.shared import skew
-from pmabench.analysis.shared.calibration import Scales
-from pmabench.analysis.shared.lines import mean_half
-from pmabench.analysis.shared.ramp_loop import measure_as_planned
-from pmabench.analysis.shared.samples import NotUsable
+from pmabench.analysis.shared import skew, student
+from pmabench.analysis.shared.calibration import Scales, sentences
+from pmabench.analysis.shared.lines import mean_of_cycles
+from pmabench.analysis.shared.ramp_loop import Loop, measure_as_planned
+from pmabench.analysis.shared.samples import NotUsable, settings_of
+from pmabench.analysis.shared.trials import grouped, measured_trials
 from pmabench.analysis.verdict.agreement import Offer, Place, at_pressures, between, everywhere, values_of
 from pmabench.base.quantities import show
 from pmabench.kinds.isobaric_ramp import RESULTS
-from pmabench.kinds.isobaric_ramp.cell import CURVE, GAP, LOCAL, Cell, Member
-from pmabench.kinds.isobaric_ramp.first_cycle import first_cycle
-from pmabench.store.analyses.results import Analysis, Dropped, Estimate, Finding, Parts, Trace
-from pmabench.store.records import Array, RunData
+from pmabench.kinds.isobaric_ramp.cell import CURVE, CYCLES, GAP, LOCAL, ONE_SPEED, Cell, Member
+from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace
+from pmabench.store.records import Array, RunData, TrialData
+
+SYMBOL = "h_1"
+LONG = 600.0
+"""Rest [s] from which a muscle counts as rested; how fast one recovers is not published."""
+FEWEST_LATER = 3
+"""Cycles that count, whose gaps are what the first one is compared with."""
+MIDDLE = 0.05
+"""Half width of the middle of the stroke, as a share of it."""
+FADED = 0.25
+"""Share of what the first gap is wider by, by which later gaps may change; share of H that its half width may be."""
+NO_HYSTERESIS = "the gap at speed 0, which it is a share of, is not known well enough"
+
+
+@dataclass(frozen=True)
+class Wider:
+    """The first loop of one trial; half widths 95 %, all [N]."""
+
+    trial: str
+    rest: float
+    """[s]"""
+    gap: float
+    """What its gap is wider by."""
+    scatter: float
+    open: float
+    """Drift and creep that were another in the first cycle, and what the later cycles still fade by."""
+
+
+def first_cycle(runs: Sequence[RunData], cells: Sequence[Cell], options: Mapping[str, Any]) -> Iterator[Estimate]:
+    """The coefficient of each cell that holds the first loops of a run; none where no rest before them is recorded."""
+
+    def begin(trial: TrialData) -> float:
+        return float(trial.t[0]) if len(trial.t) else np.inf
+
+    firsts = {min(run.trials, key=begin).name for run in runs if run.trials and _rest(run)}
+    for cell in cells:
+        if cell.upside_down or not (members := [m for m in cell.members if m.trial.name in firsts]):
+            continue
+        found = [_wider(member, options) for member in members]
+        known = [one for one in found if isinstance(one, Wider)]
+        # whether the gap at speed 0 is known well enough to be what another one is a share of
+        sure = cell.gap.half_start is not None and cell.gap.half_start < FADED * cell.gap.start
+        lacks = ONE_SPEED if cell.one_speed else "" if sure else NO_HYSTERESIS
+        if len(known) < len(found) or lacks:
+            why = next((one for one in found if isinstance(one, str)), lacks)
+            trials = tuple(m.trial.name for m in members)
+            yield Estimate(SYMBOL, None, "1", "ratio", GAP, dict(cell.at), n=len(found), note=why, trials=trials)
+        else:
+            yield _estimate(cell, known)
+
+
+def _rest(run: RunData) -> float:
+    """How long the vented muscle rested before the first trial [s]."""
+    return float(settings_of(run).get("rest", 0.0))
+
+
+def _wider(member: Member, options: Mapping[str, Any]) -> Wider | str:
+    """What the first gap of a trial is wider by, or why that is not known."""
+    run = member.run
+    rest, first = _rest(run), int(settings_of(run, options).get("discard", 1))
+    if rest < LONG:
+        return f"the muscle rested for {show(rest, 'time')} only: let it rest for {show(LONG, 'time')} or more"
+    try:
+        loop = measure_as_planned(run, member.trial, {**options, "discard": 0})
+    except NotUsable as reason:
+        return f"of all cycles: {reason}"
+    gaps, grown = _at_middle(loop)
+    later = gaps[first:]
+    if first < 1 or len(later) < FEWEST_LATER:
+        return f"it needs `discard` of 1 or more cycles, and {FEWEST_LATER} after them; there are {len(later)}"
+    gap, fades = float(gaps[0] - later.mean()), float(np.ptp(later))
+    scatter = float(student.ppf(0.975, len(later) - 1) * later.std(ddof=1) * sqrt(1 + 1 / len(later)))
+    if fades > FADED * abs(gap) and fades > 2 * loop.noise:
+        change = f"{show(fades, 'force', 2)} of {show(gap, 'force', 2)}"
+        return f"the loops after `discard` still change by {change}: more cycles, and a larger `discard`"
+    return Wider(member.trial.name, rest, gap, scatter, hypot(fades, grown))
+
+
+def _at_middle(loop: Loop) -> tuple[Array, float]:
+    """The gap of each cycle at mid stroke, and what was taken off the first of them as drift or creep [N].
+
+    Half of what the mean of both branches grows by until the next cycle. Of the first cycle a part of that is friction
+    that fades on the way, so that all of it is left open. The ends of a first stroke are no guide: there it is not yet
+    known which way friction acts.
+    """
+    near = np.abs(loop.x - 0.5 * (loop.ends[0] + loop.ends[1])) <= MIDDLE * (loop.ends[1] - loop.ends[0])
+    contracting, expanding = (branch[:, near].mean(axis=1) for branch in (loop.contracting, loop.expanding))
+    grown = 0.5 * np.gradient(0.5 * (contracting + expanding))
+    return expanding - contracting - grown, abs(float(grown[0]))
+
+
+def _estimate(cell: Cell, known: Sequence[Wider]) -> Estimate:
+    gaps = np.array([one.gap for one in known])
+    line, n = cell.gap, len(known)
+    value = float(gaps.mean()) / line.start
+    between = float(student.ppf(0.975, n - 1) * gaps.std(ddof=1) / sqrt(n)) if n > 1 else 0.0
+    within = sqrt(float(np.mean([one.scatter**2 for one in known])) / n)
+    repeats = hypot(max(between, within) / line.start, value * (line.half_start or 0.0) / line.start)
+    parts = Parts(repeats, max(one.open for one in known) / line.start, 0.0)
+    note = sentences(
+        CYCLES if n == 1 else "",
+        f"after a rest of {show(min(one.rest for one in known), 'time')}; H holds the gap that creep makes",
+    )
+    trials = tuple(one.trial for one in known)
+    return Estimate(SYMBOL, value, "1", "ratio", GAP, dict(cell.at), parts, n, note=note, trials=trials)
+
 
 METHOD = "rubber term"
-NAMES = ("A", "B1", "B2")
 KINDS: Mapping[str, tuple[str, str]] = {"A": ("N", "force"), "B1": ("1", "ratio"), "B2": ("1", "ratio")}
 NORMAL = 1.96
 WIDE = 0.25
@@ -43,22 +150,6 @@ SHORT = "needs a stretch that comes close to the pole at -B2, and a longer range
 
 
 @dataclass(frozen=True)
-class Rubber:
-    """What came out."""
-
-    estimates: list[Estimate] = field(default_factory=list)
-    findings: list[Finding] = field(default_factory=list)
-    traces: list[Trace] = field(default_factory=list)
-
-
-def rubber_force(eps: Array, A: float, B1: float, B2: float) -> Array:
-    """F_e [N] at contractions eps [1] (paper 3 eq. 8)."""
-    from pmabench.model.library.daerden import rubber_force as model
-
-    return model(eps, np.float64(A), np.float64(B1), np.float64(B2))  # type: ignore[arg-type]
-
-
-@dataclass(frozen=True)
 class Fit:
     """What least squares say."""
 
@@ -68,6 +159,13 @@ class Fit:
     """Of what is left [N]."""
     misfit: Array
     """Half widths that a misfit of that size makes of the terms, shape (3,)."""
+
+
+def rubber_force(eps: Array, A: float, B1: float, B2: float) -> Array:
+    """F_e [N] at contractions eps [1] (paper 3 eq. 8)."""
+    from pmabench.model.library.daerden import rubber_force as model
+
+    return model(eps, np.float64(A), np.float64(B1), np.float64(B2))  # type: ignore[arg-type]
 
 
 def fit(eps: Array, F: Array) -> Fit:
@@ -103,70 +201,50 @@ def fit(eps: Array, F: Array) -> Fit:
     return Fit(terms, rms, NORMAL * rms * np.sqrt(len(eps) * np.diag(inverse)) * np.abs(terms))
 
 
-def rubber(cell: Cell, scales: Scales) -> Rubber:
+def rubber(cell: Cell, scales: Scales) -> tuple[list[Estimate], list[Finding], list[Trace]]:
     """A, B1, B2 and the force along the stretch from the loops without pressure."""
     length = _length(cell)
     if length is None:
-        return Rubber(findings=[Finding("note", "no rubber term: the record tells no nominal length of the specimen")])
+        return [], [Finding("note", "no rubber term: the record tells no nominal length of the specimen")], []
     eps = cell.x / length
     if len(eps) < FEWEST or float(np.ptp(cell.curve)) <= 6 * max(m.loop.noise for m in cell.members):
-        return Rubber(findings=[Finding("doubt", "no rubber term: the force at 0 kPa does not rise above its noise")])
+        return [], [Finding("doubt", "no rubber term: the force at 0 kPa does not rise above its noise")], []
     whole = fit(eps, cell.curve)
     terms, rms = whole.terms, whole.rms
+    A, B1, B2 = (float(value) for value in terms)
+    # whether the search ended at the end of what it may try
+    at_bound = B1 > 0.999 or B1 < 2e-3 or B2 > 1.99 or B2 < -float(eps.min()) + 2e-5
     each = [[fit(eps, curve).terms for curve in member.loop.mean] for member in cell.members]
     trials = tuple(member.trial.name for member in cell.members)
     found: list[Estimate] = []
-    unknown = []
-    for place, name in enumerate(NAMES):
-        by_trial = [np.array([one[place] for one in cycles]) for cycles in each]
-        half = mean_half(np.array([float(v.mean()) for v in by_trial]), by_trial)
-        value, misfit = float(terms[place]), float(whole.misfit[place])
-        part = scales.part({"force": value}) if name == "A" else scales.part({"displacement": value})
-        parts = Parts(half, misfit, part)
+    for place, (name, (unit, quantity)) in enumerate(KINDS.items()):
+        _, half = mean_of_cycles([np.array([one[place] for one in cycles]) for cycles in each])
+        value = float(terms[place])
+        part = scales.part({"force" if name == "A" else "displacement": value})
+        parts, note = Parts(half, float(whole.misfit[place]), part), "eps as a fraction of the nominal length"
+        e = Estimate(name, value, unit, quantity, METHOD, {}, parts, len(trials), note=note, trials=trials)
         wide = parts.combined
-        if wide is None or wide > WIDE * abs(value) or _at_bound(terms, eps):
-            unknown.append(name)
-            how = "one loop tells no scatter" if wide is None else f"{_text(name, value)} within {_text(name, wide)}"
-            found.append(
-                Estimate(name, None, *KINDS[name], METHOD, n=len(trials), trials=trials,
-                         note=f"not identifiable ({how}): {SHORT}")
-            )  # fmt: skip
-            continue
-        note = "eps as a fraction of the nominal length"
-        found.append(Estimate(name, value, *KINDS[name], METHOD, {}, parts, len(trials), note=note, trials=trials))
-    findings = []
+        if wide is None or wide > WIDE * abs(value) or at_bound:
+            texts = [show(one, quantity, 3) for one in (value, wide or 0.0)]
+            how = "one loop tells no scatter" if wide is None else " within ".join(texts)
+            e = replace(e, value=None, parts=Parts(), note=f"not identifiable ({how}): {SHORT}")
+        found.append(e)
     reach = f"{show(rms, 'force', 2)} rms, from {100 * eps[0]:.3g} to {100 * eps[-1]:.3g} %"
-    if unknown:
-        named = " and ".join(unknown)
-        text = f"rubber term: {named} not identifiable, it {SHORT}; the curve itself fits to {reach}"
-        findings.append(Finding("doubt", text))
+    if unknown := " and ".join(e.symbol for e in found if e.value is None):
+        text = f"rubber term: {unknown} not identifiable, it {SHORT}; the curve itself fits to {reach}"
+        finding = Finding("doubt", text)
     else:
-        findings.append(Finding("note", f"the rubber term fits the mean curve at 0 kPa to {reach}"))
+        finding = Finding("note", f"the rubber term fits the mean curve at 0 kPa to {reach}")
     for where in np.linspace(eps[0], eps[-1], PLACES):
-        curves = [np.array([float(rubber_force(where, *one)) for one in cycles]) for cycles in each]
-        half = mean_half(np.array([float(v.mean()) for v in curves]), curves)
+        _, half = mean_of_cycles([np.array([float(rubber_force(where, *one)) for one in cycles]) for cycles in each])
         value = float(rubber_force(where, *terms))
         parts = Parts(half, rms, scales.part({"force": value}))
         at = {"contraction": round(float(where) * length, 7)}
         found.append(Estimate("F_e", value, "N", "force", METHOD, at, parts, len(trials), trials=trials))
-    trace = Trace(
-        "rubber",
-        "rubber",
-        "Force of the rubber at 0 kPa",
-        {"displacement": cell.x, "force": cell.curve, "model": rubber_force(eps, *(float(v) for v in terms))},
-        {"displacement": "length", "force": "force", "model": "force"},
-        dict(zip(NAMES, (float(v) for v in terms), strict=True)),
-    )
-    return Rubber(found, findings, [trace])
-
-
-def _text(name: str, value: float) -> str:
-    return show(value, KINDS[name][1], 3)
-
-
-def _at_bound(terms: Array, eps: Array) -> bool:
-    """Whether the search ended at the end of what it may try."""
-    return bool(terms[1] > 0.999 or terms[1] < 2e-3 or terms[2] > 1.99 or terms[2] < -float(eps.min()) + 2e-5)
+    columns = {"displacement": cell.x, "force": cell.curve, "model": rubber_force(eps, A, B1, B2)}
+    quantities = {"displacement": "length", "force": "force", "model": "force"}
+    marks = {"A": A, "B1": B1, "B2": B2}
+    return found, [finding], [Trace("rubber", "rubber", "Force of the rubber at 0 kPa", columns, quantities, marks)]
 
 
 def _length(cell: Cell) -> float | None:
@@ -196,7 +274,9 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     the plan's setting, else a twentieth of the stroke).
     """
     options = options or {}
-    members, dropped = _members(runs, options)
+    members, dropped = measured_trials(
+        runs, lambda run, trial: Member(run, trial, measure_as_planned(run, trial, options))
+    )
     scales = Scales.of(runs)
     cells = _cells(members)
     estimates: list[Estimate] = []
@@ -207,22 +287,18 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         findings += cell.findings()
         traces += cell.traces()
     estimates += first_cycle(runs, cells, options)
-    unpressed = [cell for cell in cells if cell.pressure <= UNPRESSED]
-    for cell in unpressed:
-        found = rubber(cell, scales)
-        estimates += found.estimates
-        findings += found.findings
-        traces += found.traces
+    for cell in (one for one in cells if one.pressure <= UNPRESSED):
+        more = rubber(cell, scales)
+        estimates, findings, traces = estimates + more[0], findings + more[1], traces + more[2]
     findings += _sentences(cells)
     findings += skew.findings(runs, CHANNELS, max((cell.skew for cell in cells), default=0.0), estimates)
     if estimates and (lack := scales.lack(("force", "displacement"))):
         findings.append(Finding("note", lack))
-    order = {CURVE: 0}
     return Analysis.of(
         KIND,
         runs,
         results=RESULTS,
-        estimates=sorted(estimates, key=lambda e: order.get(e.method, 1)),
+        estimates=sorted(estimates, key=lambda e: e.method != CURVE),
         dropped=dropped,
         findings=findings,
         traces=traces,
@@ -235,25 +311,10 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     )
 
 
-def _members(runs: Sequence[RunData], options: Mapping[str, Any]) -> tuple[list[Member], list[Dropped]]:
-    members: list[Member] = []
-    dropped: list[Dropped] = []
-    for run in runs:
-        for trial in run.trials:
-            try:
-                members.append(Member(run, trial, measure_as_planned(run, trial, options)))
-            except NotUsable as reason:
-                dropped.append(Dropped(trial.name, trial.point, str(reason)))
-    return members, dropped
-
-
 def _cells(members: Sequence[Member]) -> list[Cell]:
     """The trials of one pressure and stroke together, by rising pressure."""
-    groups: dict[tuple[float, ...], list[Member]] = {}
-    for member in members:
-        point = member.trial.point
-        key = tuple(round(point.get(name, 0.0), 9) for name in ("pressure", "lower", "upper"))
-        groups.setdefault(key, []).append(member)
+    ends = ("pressure", "lower", "upper")
+    groups = grouped(members, lambda one: tuple(round(one.trial.point.get(name, 0.0), 9) for name in ends))
     pressures = [key[0] for key in groups]
     return [
         Cell.of({"pressure": key[0]} | ({"lower": key[1], "upper": key[2]} if pressures.count(key[0]) > 1 else {}), g)
@@ -269,11 +330,9 @@ def _next_to(cell: Cell, cells: Sequence[Cell]) -> Cell | None:
 
 def _sentences(cells: Sequence[Cell]) -> list[Finding]:
     """Which branch is the lower one, and where one K does not say all."""
-    wrong = [cell for cell in cells if cell.upside_down]
-    if wrong:
-        where = ", ".join(show(cell.pressure, "pressure") for cell in wrong)
+    if wrong := ", ".join(show(cell.pressure, "pressure") for cell in cells if cell.upside_down):
         text = (
-            f"at {where} the force is larger while contracting than while expanding: no muscle gives work back like "
+            f"at {wrong} the force is larger while contracting than while expanding: no muscle gives work back like "
             "that; look for a wrong sign, or force and displacement that are apart in time"
         )
         return [Finding("fault", text)]

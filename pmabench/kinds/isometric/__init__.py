@@ -3,6 +3,8 @@
 - `reduction`
 """
 
+from dataclasses import replace
+
 from pmabench.base.imported import Imported
 from pmabench.base.kind import Kind, Result
 
@@ -25,19 +27,13 @@ PULL = Kind(
     parts={"slow rows": "pmabench.analysis.surface.trials:by_hand"},
     imported=Imported(recording=True, follows="force", shown="pauses"),
 )
-KIND = Kind(
+KIND = replace(
+    PULL,
     name="isometric",
     title="Isometric force over pressure",
     order=130,
-    results=RESULTS,
-    reduction="pmabench.kinds.isometric.reduction:reduce",
     papers=("paper 4",),
     word="recorded isometric",
-    offers="pmabench.kinds.isometric.reduction:offers",
     also=(PULL,),
-    figures={"isometric": "pmabench.plotting.loops:isometric"},
-    front={"isometric": "pmabench.plotting.loops:isometric"},
-    published={"isometric": ("pressure", "force", "displacement")},
-    parts={"slow rows": "pmabench.analysis.surface.trials:by_hand"},
     imported=Imported(recording=True, follows="force", point=("contraction",), held=True, shown="held length"),
 )

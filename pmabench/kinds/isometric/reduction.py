@@ -19,7 +19,6 @@ from pmabench.analysis.shared.isometric_lines import (
     Line,
     Pooled,
     Test,
-    Used,
     as_test,
     branches,
     estimates_of,
@@ -36,6 +35,7 @@ from pmabench.store.analyses.results import Analysis, Curve, Estimate, Finding, 
 from pmabench.store.records import RunData
 
 LONGEST_TRACE = 1500
+NO_METHOD = "no method part: it is one of the choices in that of the first method"
 RANGE = (0.025, 0.05, 0.1, 0.5)
 """Shares of the largest force that an analyst may as well have taken as the threshold where no rule names others; the
 last one, the upper half, is tried always: on a straight line it changes nothing."""
@@ -77,14 +77,12 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         lines = [(pooled.line.m, pooled.line.c) for pooled in fits.values()]
         m, c = estimates_of(first, tests, at, others=[*lines, first.mean])
         estimates += [m, c]
-        others += [
-            _of_choice(estimates_of(pooled, tests, at, f"{METHOD} above {show(threshold, 'force')}")[0])
-            for threshold, pooled in sorted(fits.items())
-            if threshold in asked
-        ]
+        for threshold in sorted(set(asked) & set(fits)):
+            m_there, _ = estimates_of(fits[threshold], tests, at, f"{METHOD} above {show(threshold, 'force')}")
+            others.append(replace(m_there, note=sentences(m_there.note, NO_METHOD)))
         line = first.line
         curves.append(Curve("F", "line", (c, m), "pressure", (line.low, line.high), line.r2, line.rms, METHOD))
-        by_phase = branches(tests, _over(above), phases)
+        by_phase = branches(tests, lambda test: test.F > above, phases)
         findings += _sentences(contraction, fits, above, by_phase)
         forces = forces_of(first, tests, [*lines, first.mean])
         cells.append({**_facts(contraction, tests, fits, above), "forces": forces, "slopes_of_phases": by_phase})
@@ -125,8 +123,8 @@ def _fits(tests: Sequence[Test], above: float, asked: Sequence[float]) -> dict[f
     """The line above each threshold of force [N]: the rule's, those asked for, and shares of the largest force."""
     largest = max(float(test.F.max()) for test in tests)
     also = [above + share * (largest - above) for share in (RANGE[-1:] if asked else RANGE)]
-    fits = ((threshold, pool(tests, _over(threshold))) for threshold in (above, *asked, *also))
-    return {threshold: pooled for threshold, pooled in fits if pooled is not None}
+    fits = {least: pool(tests, lambda test, least=least: test.F > least) for least in (above, *asked, *also)}  # type: ignore[misc]
+    return {threshold: pooled for threshold, pooled in fits.items() if pooled is not None}
 
 
 def _facts(contraction: float, tests: Sequence[Test], fits: Mapping[float, Pooled], above: float) -> dict[str, Any]:
@@ -141,15 +139,6 @@ def _facts(contraction: float, tests: Sequence[Test], fits: Mapping[float, Poole
         "slopes_of_tests": {name: one.m for name, one in each},
         "slopes_above": {f"{threshold:g}": pooled.line.m for threshold, pooled in sorted(fits.items())},
     }
-
-
-def _of_choice(m: Estimate) -> Estimate:
-    return replace(m, note=sentences(m.note, "no method part: it is one of the choices in that of the first method"))
-
-
-def _over(above: float) -> Used:
-    """Samples with F > `above` [N]."""
-    return lambda test: test.F > above
 
 
 def _lack(test: Test, above: float) -> str:
@@ -184,27 +173,15 @@ def _sentences(
 
 def _trace(contraction: float, tests: Sequence[Test], line: Line, above: float) -> Trace:
     """Samples of all tests, thinned evenly, with the line where it was fitted."""
-    P = np.concatenate([test.P for test in tests])
-    F = np.concatenate([test.F for test in tests])
     number = np.concatenate([np.full(len(test.P), float(test.trial.repeat)) for test in tests])
-    stride = max(1, -(-len(P) // LONGEST_TRACE))
-    P, F, number = P[::stride], F[::stride], number[::stride]
-    fitted = np.where(above < F, line.m * P + line.c, np.nan)
-    return Trace(
-        name=f"isometric-{contraction * 1e3:g}mm",
-        figure="isometric",
-        title=f"Force over pressure at a contraction of {show(contraction, 'length', 3)}, and the line through it",
-        columns={"pressure": P, "force": F, "fit": fitted, "test": number},
-        quantities={"pressure": "pressure", "force": "force", "fit": "force", "test": "count"},
-        marks={
-            "contraction": contraction,
-            "m": line.m,
-            "c": line.c,
-            "force_above": above,
-            "low": line.low,
-            "high": line.high,
-        },
-    )
+    stride = max(1, -(-len(number) // LONGEST_TRACE))
+    P, F = (np.concatenate([getattr(test, name) for test in tests])[::stride] for name in ("P", "F"))
+    columns = {"pressure": P, "force": F, "fit": np.where(above < F, line(P), np.nan), "test": number[::stride]}
+    quantities = {"pressure": "pressure", "force": "force", "fit": "force", "test": "count"}
+    ends = {"low": line.low, "high": line.high}
+    marks = {"contraction": contraction, "m": line.m, "c": line.c, "force_above": above, **ends}
+    title = f"Force over pressure at a contraction of {show(contraction, 'length', 3)}, and the line through it"
+    return Trace(f"isometric-{contraction * 1e3:g}mm", "isometric", title, columns, quantities, marks)
 
 
 def offers(analysis: Analysis) -> Iterator[Offer]:

@@ -59,6 +59,8 @@ METHODS = {
         "and θ0 of the specimen (paper 2)."
     ),
 }
+PHASES = (("up to the highest", "fill"), ("down from the highest", "empty"), ("any", "rest"))
+"""How the commands of an import are called."""
 KIND = Kind(
     name="isometric-pressurisation",
     title="Isometric pressurisation",
@@ -84,11 +86,7 @@ KIND = Kind(
     published={"isometric": ("pressure", "force", "displacement")},
     parts={"slow rows": "pmabench.analysis.surface.trials:driven"},
     imported=Imported(
-        Commanded(
-            "pressure",
-            phases=(("up to the highest", "fill"), ("down from the highest", "empty"), ("any", "rest")),
-            point=(("contraction", "length"),),
-        ),
+        Commanded("pressure", phases=PHASES, point=(("contraction", "length"),)),
         follows="force",
         shown="held lengths",
     ),

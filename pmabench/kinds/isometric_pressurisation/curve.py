@@ -8,7 +8,7 @@ S = (pi/4) D0^2 [3 (1 - eps)^alpha / tan^2 theta0 - 1 / sin^2 theta0] (paper 3 e
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from math import asin, atan, pi, sqrt
@@ -17,8 +17,8 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from pmabench.analysis.shared import student
-from pmabench.analysis.shared.isometric_lines import Mask, Test, as_test, ends, stairs
-from pmabench.analysis.shared.samples import SEEN, noise_of, onset
+from pmabench.analysis.shared.isometric_lines import Mask, Test, as_test, stairs
+from pmabench.analysis.shared.samples import SEEN, ends, noise_of, onset
 from pmabench.model.library.daerden import section_factor
 from pmabench.store.records import Array, RunData, TrialData
 
@@ -106,13 +106,13 @@ def mean_of(tests: Sequence[Test]) -> Mean:
     held = any(stairs(test.trial, PHASES) is not None for test in tests)
     edges = _edges(np.concatenate([test.P for test in tests]), held=held)
     middle = 0.5 * (edges[1:] + edges[:-1])
-    rows: dict[int, list[Array]] = {0: [], 1: []}
-    for phase, found in rows.items():
-        for test in tests:
-            mine = test.phase == phase
-            place = np.clip(np.searchsorted(edges, test.P[mine], side="right") - 1, 0, len(middle) - 1)
-            found.append(_binned(place, test.P[mine], test.F[mine], middle))
-    return Mean(middle, np.array(rows[0]), np.array(rows[1]), held)
+
+    def branch(test: Test, phase: int) -> Array:
+        P, F = test.P[test.phase == phase], test.F[test.phase == phase]
+        return _binned(np.clip(np.searchsorted(edges, P, side="right") - 1, 0, len(middle) - 1), P, F, middle)
+
+    fill, empty = (np.array([branch(test, phase) for test in tests]) for phase in (0, 1))
+    return Mean(middle, fill, empty, held)
 
 
 def _edges(P: Array, *, held: bool) -> Array:
@@ -173,7 +173,7 @@ def begins(trial: TrialData, times: float = 1.0) -> tuple[float | None, float | 
     t, P, F = trial.t[use], trial.channels["pressure"][use], trial.channels["force"][use]
     if len(ramps) < 2 or len(t) < 2:
         return None, None
-    rest = F[t < ramps["fill"].t - 1e-9] if "fill" in ramps and times > 1 else F[:0]
+    rest = F[t < ramps["fill"].t - 1e-9] if times > 1 else F[:0]
     least = times * max(LEAST, 1e-3 * float(np.max(np.abs(F))), SEEN * noise_of(rest))
     turn, over = ramps["empty"].t, ends(ramps["empty"])
     up = (t >= ramps["fill"].t - REST) & (t < turn)
@@ -269,10 +269,8 @@ class Section:
         columns = []
         for name in self.free:
             step = np.where(np.array(NAMES) == name, STEP * np.abs(self.values), 0.0)
-            width = 2 * float(step.sum())
-            columns.append(
-                (section_factor(eps, *(self.values + step)) - section_factor(eps, *(self.values - step))) / width
-            )
+            up, down = (section_factor(eps, *(self.values + way * step)) for way in (1, -1))
+            columns.append((up - down) / (2 * float(step.sum())))
         return np.column_stack(columns)
 
     @cached_property
@@ -291,9 +289,8 @@ class Section:
     def _spread(self) -> tuple[Array, float]:
         """Covariance of the free parameters and Student's t for 95 %."""
         weighted = self._jacobian(self.slopes.eps) * self.slopes.weight[:, None]
-        return np.asarray(np.linalg.pinv(weighted.T @ weighted) * self._variance), float(
-            student.ppf(0.975, self.freedom)
-        )
+        covariance = np.asarray(np.linalg.pinv(weighted.T @ weighted) * self._variance)
+        return covariance, float(student.ppf(0.975, self.freedom))
 
     def half(self, name: str) -> float | None:
         """Half width of the 95 % interval of a parameter, the wider of linear and profile; None without freedom."""
@@ -359,13 +356,9 @@ def fit(
     if not (powers < NONE).any():
         return None
     best = int(np.argmin(powers))
-    low, high = grid[max(0, best - 1)], grid[min(len(grid) - 1, best + 1)]
-    found = _least(power, float(low), float(high))
+    bounds = float(grid[max(0, best - 1)]), float(grid[min(len(grid) - 1, best + 1)])
+    found = float(minimize_scalar(power, bounds=bounds, method="bounded", options={"xatol": 1e-9}).x)
     return _at_alpha(slopes, found if power(found) <= powers[best] else float(grid[best]), given, free)
-
-
-def _least(power: Callable[[float], float], low: float, high: float) -> float:
-    return float(minimize_scalar(power, bounds=(low, high), method="bounded", options={"xatol": 1e-9}).x)
 
 
 def _at_alpha(slopes: Slopes, alpha: float, given: dict[str, float], free: tuple[str, ...]) -> Section | None:

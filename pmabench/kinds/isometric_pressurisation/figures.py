@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from math import degrees
 from typing import Any
 
 import numpy as np
 
-from pmabench.analysis.shared.isometric_lines import Used, branches
+from pmabench.analysis.shared.isometric_lines import branches
 from pmabench.base.quantities import show
 from pmabench.kinds.isometric_pressurisation.curve import ALPHAS, NAMES, PHASES, REST, WITHIN, Section, pulling
 from pmabench.kinds.isometric_pressurisation.sections import Across, Cell, Corrected
@@ -39,30 +39,26 @@ def of_cells(cells: Sequence[Cell]) -> list[Finding]:
             text = f"F(P) has no straight part: even its upper half leaves a line by {off}; no slope is reported"
             found.append(Finding("doubt", f"{where}: {text}"))
             continue
-        line = cell.pooled.line
-        ends = f"{show(cell.low, 'pressure', 4)} to {show(line.high, 'pressure', 4)}"
-        gap = float(cell.gaps.mean())
-        text = f"straight from {ends} within {show(cell.off, 'force', 2)}"
-        text += f", residual {show(cell.pooled.rms, 'force', 2)} rms"
-        found.append(Finding("note", f"{where}: {text}; emptying minus filling {show(gap, 'force', 2)}"))
+        ends = f"{show(cell.low, 'pressure', 4)} to {show(cell.pooled.line.high, 'pressure', 4)}"
+        off, rms, gap = (show(v, "force", 2) for v in (cell.off, cell.pooled.rms, float(cell.gaps.mean())))
+        text = f"straight from {ends} within {off}, residual {rms} rms"
+        found.append(Finding("note", f"{where}: {text}; emptying minus filling {gap}"))
         found += _moved(cell, where)
     return found
 
 
-def _moved(cell: Cell, where: str) -> list[Finding]:
+def _moved(cell: Cell, where: str) -> Iterator[Finding]:
     """Whether the driven end gave way while the force rose."""
-    moves = [float(np.ptp(x)) for test in cell.tests
-             if len(x := test.x[np.isfinite(test.x) & pulling(test)])]  # fmt: skip
-    span = float(np.nanmax(cell.mean.force) - np.nanmin(cell.mean.force))
+    pulled = [test.x[np.isfinite(test.x) & pulling(test)] for test in cell.tests]
+    most = max((float(np.ptp(x)) for x in pulled if len(x)), default=0.0)
     off = cell.place - cell.contraction
-    said = []
-    if moves and max(moves) > 2e-4 and max(moves) > MOVED * max(abs(cell.contraction), 10e-3):
-        text = f"the driven end moved by up to {show(max(moves), 'length', 2)} while the force changed by"
-        said.append(Finding("doubt", f"{where}: {text} {show(span, 'force', 3)}; it is not isometric"))
+    if most > 2e-4 and most > MOVED * max(abs(cell.contraction), 10e-3):
+        span = show(float(np.nanmax(cell.mean.force) - np.nanmin(cell.mean.force)), "force", 3)
+        text = f"the driven end moved by up to {show(most, 'length', 2)} while the force changed by {span}"
+        yield Finding("doubt", f"{where}: {text}; it is not isometric")
     if np.abs(off).max() > 5e-4:
         text = f"it was measured {show(float(off[np.argmax(np.abs(off))]), 'length', 2)} off; what was measured counts"
-        said.append(Finding("note", f"{where}: {text}"))
-    return said
+        yield Finding("note", f"{where}: {text}")
 
 
 def of_threshold(begun: Sequence[Estimate], given: Mapping[str, Any]) -> list[Finding]:
@@ -72,8 +68,7 @@ def of_threshold(begun: Sequence[Estimate], given: Mapping[str, Any]) -> list[Fi
         return []
     at = min((e.at["contraction"] for e in known), key=abs)
     if abs(at) > NEAR * float(given.get("nominal_length", 0.25)):
-        text = "the dead band of pressure is that at contraction 0, which is not among the tests"
-        return [Finding("note", text)]
+        return [Finding("note", "the dead band of pressure is that at contraction 0, which is not among the tests")]
     found = []
     for e in (e for e in known if e.at["contraction"] == at):
         half = e.parts.combined
@@ -102,9 +97,8 @@ def of_sections(sections: Mapping[str, Section], given: Mapping[str, Any]) -> li
             found.append(Finding("doubt", f"{method}: {_open(one)}"))
         if one.other_form:
             text = "slopes lie further from the curve than they scatter: S(eps) has another form here"
-            found.append(
-                Finding("note" if one.free != NAMES else "doubt", f"{method}: {text}; no parameters are reported")
-            )
+            level = "note" if one.free != NAMES else "doubt"
+            found.append(Finding(level, f"{method}: {text}; no parameters are reported"))
     return found
 
 
@@ -158,7 +152,7 @@ def facts(cells: Sequence[Cell]) -> list[dict[str, Any]]:
     rows = []
     for cell in cells:
         low, pooled = cell.low, cell.pooled
-        slopes = {} if low is None else branches(cell.tests, _from(low), PHASES)
+        slopes = {} if low is None else branches(cell.tests, lambda test, low=low: test.P >= low, PHASES)  # type: ignore[misc]
         rows.append(
             {
                 "contraction": cell.contraction,
@@ -176,20 +170,11 @@ def facts(cells: Sequence[Cell]) -> list[dict[str, Any]]:
     return rows
 
 
-def _from(low: float) -> Used:
-    return lambda test: test.P >= low
-
-
 def section_facts(one: Section) -> dict[str, Any]:
     """All parameters as fitted, determined or not [SI], the residual [N/Pa] and the condition number."""
-    values = {"D_0": one.D_0, "theta_0": one.theta_0, "alpha": one.alpha}
-    return {
-        **values,
-        "free": list(one.free),
-        "residual_rms": one.rms,
-        "condition": one.condition,
-        "open": list(one.open),
-    }
+    values = {name: getattr(one, name) for name in NAMES}
+    found = {"free": list(one.free), "residual_rms": one.rms, "condition": one.condition, "open": list(one.open)}
+    return {**values, **found}
 
 
 def traces(cells: Sequence[Cell], sections: Mapping[str, Section], given: Mapping[str, Any]) -> list[Trace]:
@@ -212,50 +197,27 @@ def _isometric(cell: Cell) -> Trace:
         line = cell.pooled.line
         fitted = np.where(cell.low <= P, line(P), np.nan)
         marks |= {"m": line.m, "c": line.c, "low": cell.low, "high": line.high}
-    return Trace(
-        name=f"isometric-{cell.contraction * 1e3:g}mm",
-        figure="isometric",
-        title=f"Force over pressure at a contraction of {show(cell.contraction, 'length', 3)}, and its straight part",
-        columns={"pressure": P, "force": F, "fit": fitted, "branch": phase},
-        quantities={"pressure": "pressure", "force": "force", "fit": "force", "branch": "count"},
-        marks=marks,
-    )
+    title = f"Force over pressure at a contraction of {show(cell.contraction, 'length', 3)}, and its straight part"
+    columns = {"pressure": P, "force": F, "fit": fitted, "branch": phase}
+    quantities = {"pressure": "pressure", "force": "force", "fit": "force", "branch": "count"}
+    return Trace(f"isometric-{cell.contraction * 1e3:g}mm", "isometric", title, columns, quantities, marks)
 
 
 def _section_trace(one: Section, cells: Sequence[Cell], length: float) -> Trace:
     """Measured slopes first, with their half widths; then the curve with its band."""
-    pooled = [cell.pooled for cell in cells if cell.pooled is not None]
+    half = np.array([cell.pooled.half("m") or np.nan for cell in cells if cell.pooled is not None])
     eps = np.linspace(one.slopes.eps.min(), one.slopes.eps.max(), CURVE)
-    n, blank = len(one.slopes.S), np.full(CURVE, np.nan)
+    none, blank = np.full(len(one.slopes.S), np.nan), np.full(CURVE, np.nan)
     curve, band = one.at(eps), one.band(eps)
-    half = np.array([line.half("m") or np.nan for line in pooled])
-
-    def with_curve(points: Any, values: Any) -> Any:
-        return np.concatenate([points, values])
-
-    none = np.full(n, np.nan)
-    return Trace(
-        name="section",
-        figure="section",
-        title="S over contraction: slopes of force over pressure, and the curve of the modified Daerden model",
-        columns={
-            "contraction": with_curve(one.slopes.eps, eps),
-            "slope": with_curve(one.slopes.S, blank),
-            "half": with_curve(half, blank),
-            "curve": with_curve(none, curve),
-            "low": with_curve(none, curve - band),
-            "high": with_curve(none, curve + band),
-        },
-        quantities={"contraction": "ratio"}
-        | dict.fromkeys(("slope", "half", "curve", "low", "high"), "force per pressure"),
-        marks={
-            "D_0": one.D_0,
-            "theta_0": one.theta_0,
-            "alpha": one.alpha,
-            "condition": one.condition,
-            "length": length,
-        },
-    )
+    both = {
+        "contraction": (one.slopes.eps, eps), "slope": (one.slopes.S, blank), "half": (half, blank),
+        "curve": (none, curve), "low": (none, curve - band), "high": (none, curve + band),
+    }  # fmt: skip
+    columns = {name: np.concatenate(pair) for name, pair in both.items()}
+    quantities = dict.fromkeys(columns, "force per pressure") | {"contraction": "ratio"}
+    marks = {name: getattr(one, name) for name in (*NAMES, "condition")} | {"length": length}
+    title = "S over contraction: slopes of force over pressure, and the curve of the modified Daerden model"
+    return Trace("section", "section", title, columns, quantities, marks)
 
 
 def _over_time(cell: Cell) -> Trace:
@@ -264,19 +226,11 @@ def _over_time(cell: Cell) -> Trace:
     trial = test.trial
     during = np.flatnonzero((trial.t >= test.t[0] - REST) & (trial.t <= test.t[-1] + REST))
     during = during[:: max(1, -(-len(during) // LONGEST_TRACE))]
-    where = show(cell.contraction, "length", 3)
-    return Trace(
-        name=f"over-time-{cell.contraction * 1e3:g}mm",
-        figure="pressurisation",
-        title=f"Pressure and force over time at a contraction of {where}",
-        columns={
-            "t": trial.t[during] - trial.t[during[0]],
-            "pressure": trial.channels["pressure"][during],
-            "force": trial.channels["force"][during],
-        },
-        quantities={"t": "time", "pressure": "pressure", "force": "force"},
-        marks={"contraction": cell.contraction},
-    )
+    columns = {"t": trial.t[during] - trial.t[during[0]]}
+    columns |= {name: trial.channels[name][during] for name in ("pressure", "force")}
+    title = f"Pressure and force over time at a contraction of {show(cell.contraction, 'length', 3)}"
+    quantities, marks = {"t": "time", "pressure": "pressure", "force": "force"}, {"contraction": cell.contraction}
+    return Trace(f"over-time-{cell.contraction * 1e3:g}mm", "pressurisation", title, columns, quantities, marks)
 
 
 COLUMNS = ("contraction", "slope", "half", "curve", "low", "high")
@@ -291,26 +245,14 @@ def _section(trace: Trace, simulated: bool) -> Picture:
     eps, slope, half, curve, low, high = (column(trace, name) for name in COLUMNS)
     point, line = np.isfinite(slope), np.isfinite(curve)
     band = np.where(np.isfinite(high - low), 0.5 * (high - low), 0.0)
-    half = np.where(np.isfinite(half), half, np.nan)
-    points = Points(
-        label="slopes of F(P)",
-        x=eps[point],
-        y=slope[point],
-        below=half[point],
-        above=half[point],
-        primary=True,
-        group=0,
-        mark=0,
-        curve=(eps[line], curve[line], band[line]),
-    )
+    half = np.where(np.isfinite(half), half, np.nan)[point]
+    drawn = (eps[line], curve[line], band[line])
+    points = Points("slopes of F(P)", eps[point], slope[point], half, half, primary=True, group=0, mark=0, curve=drawn)
     labels = (unit_of(trace, "contraction").label("contraction ε"), unit_of(trace, "slope").label("S"))
-    length = shown("length")
-    fitted = (
-        f"D0 {trace.marks['D_0'] / length.scale:.4g} {length.unit}, θ0 {degrees(trace.marks['theta_0']):.4g}°, "
-        f"α {trace.marks['alpha']:.4g}"
-        if {"D_0", "theta_0", "alpha"} <= set(trace.marks)
-        else "its parameters are in the table"
-    )
+    length, fitted = shown("length"), "its parameters are in the table"
+    if {*NAMES} <= set(trace.marks):
+        D_0, theta_0, alpha = (trace.marks[name] for name in NAMES)
+        fitted = f"D0 {D_0 / length.scale:.4g} {length.unit}, θ0 {degrees(theta_0):.4g}°, α {alpha:.4g}"
     caption = (
         "Marks: slopes of force over pressure with their 95 % intervals; line: S(ε) = (π/4) D0² [3 (1 − ε)^α / tan² θ0 "
         f"− 1 / sin² θ0] of paper 3 through them, with its 95 % band ({fitted}). The curve may be known well where its "

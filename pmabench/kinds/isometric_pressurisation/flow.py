@@ -17,8 +17,16 @@ import numpy as np
 
 from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.form import Doubt, weighed
-from pmabench.analysis.shared.isometric_lines import SAME, ends, spread
-from pmabench.analysis.shared.samples import UNUSABLE_SHARE, NotUsable, noise_of
+from pmabench.analysis.shared.isometric_lines import SAME, spread
+from pmabench.analysis.shared.samples import (
+    UNUSABLE_SHARE,
+    NotUsable,
+    ends,
+    noise_of,
+    refuse_incomplete,
+    settings_of,
+)
+from pmabench.analysis.shared.trials import grouped, measured_trials
 from pmabench.base.quantities import show
 from pmabench.store.analyses.results import Dropped, Estimate, Finding, Parts, Trace, withhold
 from pmabench.store.records import Array, RunData, TrialData
@@ -75,11 +83,9 @@ class Filling:
         return self.emptied > 0.5 * self.volume
 
 
-def measured(run: RunData, trial: TrialData, rT: float) -> Filling:
+def measured(trial: TrialData, rT: float) -> Filling:
     """One trial; `NotUsable` where it has no flow, no whole ramps or no rests, with r T [J/kg]."""
-    missing = [name for name in (FLOW, "pressure") if name not in trial.channels]
-    if missing or trial.status != "finished":
-        raise NotUsable(f"{' and '.join(missing)} not recorded" if missing else f"the trial is {trial.status}")
+    refuse_incomplete(trial, FLOW, "pressure")
     commands = [c for c in trial.commands if c.output == "pressure" and c.kind == "ramp"]
     ramps = {c.phase: c for c in commands if c.phase in ("fill", "empty")}
     moved = [ends(c) for c in trial.commands if "fill" in ramps and c.kind == "ramp" and c.t < ramps["fill"].t - 1e-9]
@@ -129,36 +135,32 @@ def _piled(q: Array, end: float) -> bool:
     return float(np.mean(q == end)) > PILED
 
 
-def _halves(P: Array, mass: Array, bottom: float, top: float) -> tuple[float, float]:
+def _halves(P: Array, mass: Array, bottom: float, top: float) -> list[float]:
     """Slopes of mass over pressure along the lower and the upper half of a ramp [kg/Pa]."""
     share = (P - bottom) / (top - bottom)
-    found = []
-    for begin, end in pairwise(PARTS):
-        rows = (share >= begin) & (share < end)
-        if rows.sum() < FEWEST:
-            raise NotUsable("too few samples along the ramp")
-        found.append(float(np.polyfit(P[rows] - P[rows].mean(), mass[rows], 1)[0]))
-    return found[0], found[1]
+    parts = [(share >= begin) & (share < end) for begin, end in pairwise(PARTS)]
+    if min(rows.sum() for rows in parts) < FEWEST:
+        raise NotUsable("too few samples along the ramp")
+    return [float(np.polyfit(P[rows] - P[rows].mean(), mass[rows], 1)[0]) for rows in parts]
 
 
 def by_flow(
     runs: Sequence[RunData], scales: Scales
 ) -> tuple[list[Estimate], list[Finding], list[Trace], list[Dropped]]:
     """V [m3] and the mean flow [kg/s] at each contraction, where the plan says that a meter is there."""
-    cells: dict[float, list[Filling]] = {}
+    found: list[Filling] = []
     dropped: list[Dropped] = []
     given: Mapping[str, Any] = {}
     for run in runs:
-        settings = (run.plan.get("settings") or {}).get(FLOW)
+        settings = settings_of(run).get(FLOW)
         if not settings or (given and settings != given):
             continue
         given = settings
-        for trial in run.trials:
-            try:
-                filling = measured(run, trial, R_AIR * float(settings["temperature"]))
-                cells.setdefault(round(trial.point["contraction"], SAME), []).append(filling)
-            except NotUsable as reason:
-                dropped.append(Dropped(trial.name, trial.point, f"no volume by mass flow: {reason}"))
+        rT = R_AIR * float(settings["temperature"])
+        some, lacking = measured_trials([run], lambda _, trial, rT=rT: measured(trial, rT))  # type: ignore[misc]
+        found += some
+        dropped += [replace(one, reason=f"no volume by mass flow: {one.reason}") for one in lacking]
+    cells = grouped(found, lambda filling: round(filling.trial.point["contraction"], SAME))
     estimates: list[Estimate] = []
     findings: list[Finding] = []
     for x, group in sorted(cells.items()):
@@ -184,29 +186,21 @@ def _estimates(x: float, group: Sequence[Filling], given: Mapping[str, Any], sca
     method = hypot(float(given["dead_half"]), air, whole * float(given["gain_half"]))
     # a known vessel has shown the gains of meter and pressure at once
     calibration = 0.0 if given["gain_half"] else scales.part({FLOW: whole, "pressure": -whole})
-    names = tuple(one.trial.name for one in group)
-    note = ONE if len(group) == 1 else ""
-    V = Estimate(
-        "V", whole - float(given["dead"]), "m3", "volume", METHOD, {"contraction": x},
-        Parts(max(noise, scatter), method, calibration), len(group), note=note, trials=names,
-    )  # fmt: skip
+    how: dict[str, Any] = {"at": {"contraction": x}, "n": len(group), "trials": tuple(one.trial.name for one in group)}
+    how["note"] = ONE if len(group) == 1 else ""
+    parts = Parts(max(noise, scatter), method, calibration)
+    V = Estimate("V", whole - float(given["dead"]), "m3", "volume", METHOD, parts=parts, **how)
     flows = [float(one.q[_middle(one)].mean()) * gain for one in group]
-    flow_noise = 2.0 * abs(flows[0]) * noise / whole if whole > 0 else 0.0
-    q = Estimate(
-        "q", float(np.mean(flows)), "kg/s", "mass flow", MEAN, {"contraction": x},
-        Parts(max(flow_noise, spread(flows) or 0.0), calibration=scales.part({FLOW: float(np.mean(flows))})),
-        len(group), note=note, trials=names,
-    )  # fmt: skip
+    flow, flow_noise = float(np.mean(flows)), 2.0 * abs(flows[0]) * noise / whole if whole > 0 else 0.0
+    parts = Parts(max(flow_noise, spread(flows) or 0.0), calibration=scales.part({FLOW: flow}))
+    q = Estimate("q", flow, "kg/s", "mass flow", MEAN, parts=parts, **how)
     doubts, unseen = _doubts(group), max(one.unseen for one in group)
     if unseen and FLOW not in scales.offsets:
         return [withhold(one, ONE_WAY) for one in (V, q)]
     doubts.append(Doubt("zero of the meter, not seen", "calibration", unseen * scales.offsets.get(FLOW, 0.0), False))
-    return [weighed(V, doubts), weighed(q, _of_flow(doubts, q, whole))]
-
-
-def _of_flow(doubts: Sequence[Doubt], q: Estimate, whole: float) -> list[Doubt]:
-    """The same shares of the mean flow: air that the meter does not show, or shows and is not there, is in both."""
-    return [replace(one, half=abs((q.value or 0.0) / whole) * one.half) for one in doubts]
+    # the same shares of the mean flow: air that the meter does not show, or shows and is not there, is in both
+    of_flow = [replace(one, half=abs((q.value or 0.0) / whole) * one.half) for one in doubts]
+    return [weighed(V, doubts), weighed(q, of_flow)]
 
 
 def _middle(one: Filling) -> Array:
@@ -219,20 +213,22 @@ def _doubts(group: Sequence[Filling]) -> list[Doubt]:
     """What departs from a tight muscle whose volume does not depend on the pressure, and from a steady zero."""
     noise = sqrt(float(np.mean([one.noise**2 for one in group])) / len(group))
     apart = float(np.mean([one.high - one.low for one in group]))
+    more = (
+        f"the upper half of the ramp gives {show(apart, 'volume', 3)} more than the lower: the volume depends on the "
+        "pressure, air leaks, or the zero of the meter is wrong. Look for the leak, and take a longer zero"
+    )
     # the flow of half of the ramp has the same error of the zero, over half of the mass
     found = [
-        Doubt("dependence on pressure", "method", abs(apart) / 2, abs(apart) > 3 * SEEN * noise,
-              f"the upper half of the ramp gives {show(apart, 'volume', 3)} more than the lower: the volume depends on "
-              "the pressure, air leaks, or the zero of the meter is wrong. Look for the leak, and take a longer zero"),
+        Doubt("dependence on pressure", "method", abs(apart) / 2, abs(apart) > 3 * SEEN * noise, more),
         Doubt("zero of the meter", "drift", max(one.drift for one in group), seen=False),
-    ]  # fmt: skip
+    ]
     if all(one.both_ways for one in group):
         back = float(np.mean([one.volume - one.emptied for one in group]))
-        text = (
+        less = (
             f"emptying gives {show(back, 'volume', 3)} less than filling: air leaks between meter and muscle, or the "
+            "meter is not alike in both directions. Look for the leak, and try a known vessel"
         )
-        reason = f"{text}meter is not alike in both directions. Look for the leak, and try a known vessel"
-        found.append(Doubt("filling and emptying", "method", abs(back) / 2, abs(back) > 2 * SEEN * noise, reason))
+        found.append(Doubt("filling and emptying", "method", abs(back) / 2, abs(back) > 2 * SEEN * noise, less))
     return found
 
 
@@ -255,10 +251,8 @@ def _traces(estimates: Sequence[Estimate], cells: Mapping[float, Sequence[Fillin
     volumes = [e for e in estimates if e.symbol == "V" and e.value is not None]
     if not volumes:
         return []
-    columns = {
-        "contraction": np.array([e.at["contraction"] for e in volumes]),
-        "volume": np.array([e.value for e in volumes], dtype=np.float64),
-        "half": np.array([np.nan if e.parts.combined is None else e.parts.combined for e in volumes]),
-    }
+    halves = [np.nan if e.parts.combined is None else e.parts.combined for e in volumes]
+    columns = {"contraction": np.array([e.at["contraction"] for e in volumes])}
+    columns |= {"volume": np.array([e.value for e in volumes], dtype=np.float64), "half": np.array(halves)}
     quantities = {"contraction": "length", "volume": "volume", "half": "volume"}
     return [Trace("flow-volume", "flow-volume", "volume by mass flow over contraction", columns, quantities)]

@@ -14,8 +14,8 @@ import numpy as np
 
 from pmabench.analysis.imported import in_time
 from pmabench.analysis.shared import student
-from pmabench.analysis.shared.isometric_lines import Test, ends
-from pmabench.analysis.shared.samples import noise_of
+from pmabench.analysis.shared.isometric_lines import Test
+from pmabench.analysis.shared.samples import ends, noise_of
 from pmabench.base.quantities import show
 from pmabench.kinds.isometric_pressurisation.curve import REST, pulling
 from pmabench.kinds.isometric_pressurisation.sections import Cell
@@ -107,13 +107,11 @@ def _stiffness(cells: Sequence[Cell]) -> dict[float, tuple[Array, Array]]:
 
 def _rows(cells: Sequence[Cell]) -> list[tuple[Test, tuple[object, ...], Cell]]:
     """The tests in the order in which they were done, with what makes two of them repeats of each other."""
-    rows = [
-        (test, (test.run.id, cell.contraction, test.trial.point.get("side", 0.0)), cell)
-        for cell in cells
-        for test in cell.tests
-    ]
-    place = {run.id: number for number, run in enumerate(in_time({row[0].run.id: row[0].run for row in rows}.values()))}
-    return sorted(rows, key=lambda row: (place[row[0].run.id], row[0].t[0]))
+    every = [(test, cell) for cell in cells for test in cell.tests]
+    runs = in_time({test.run.id: test.run for test, _ in every}.values())
+    place = {run.id: number for number, run in enumerate(runs)}
+    every.sort(key=lambda row: (place[row[0].run.id], row[0].t[0]))
+    return [(t, (t.run.id, cell.contraction, t.trial.point.get("side", 0.0)), cell) for t, cell in every]
 
 
 def _off(values: Array, groups: Sequence[object]) -> Array:
@@ -161,8 +159,8 @@ def _zeros(ordered: Sequence[tuple[Test, object, Cell]]) -> Departure | None:
     """Of tests that are a file each: the zero of the cell in each, as a muscle that is not stretched pulls nothing
     without pressure.
     """
-    zeros = {test: float(np.mean([read for _, _, read in rests]))
-             for test, _, cell in ordered if cell.contraction > -STRETCHED and (rests := _at_rest(test))}  # fmt: skip
+    able = [(test, _at_rest(test)) for test, _, cell in ordered if cell.contraction > -STRETCHED]
+    zeros = {test: float(np.mean([read for _, _, read in rests])) for test, rests in able if rests}
     if len(zeros) < 2:
         return None
     low, high = min(zeros.values()), max(zeros.values())
@@ -171,11 +169,10 @@ def _zeros(ordered: Sequence[tuple[Test, object, Cell]]) -> Departure | None:
         f"at rest without pressure the force cell reads from {show(low, 'force', 2)} to {show(high, 'force', 2)}: its "
         "zero drifts from file to file. Let the cell warm up, and measure again"
     )
-    nearest = dict(zeros)
+    known = [i for i, (test, _, _) in enumerate(ordered) if test in zeros]
+    nearest = {}
     for number, (test, _, _) in enumerate(ordered):
-        if test not in nearest:
-            known = [i for i, (other, _, _) in enumerate(ordered) if other in zeros]
-            nearest[test] = zeros[ordered[min(known, key=lambda i: abs(i - number))][0]]
+        nearest[test] = zeros[ordered[min(known, key=lambda i: abs(i - number))][0]]
 
     def force(test: Test) -> Array:
         return np.full(len(test.t), nearest[test])
@@ -228,19 +225,15 @@ def _slip(cells: Sequence[Cell], K: dict[float, tuple[Array, Array]], slope: flo
         pulls.append(float(each[there].mean() - slope * test.t.mean()) if there.any() else np.nan)
         stiff.append(float(np.interp(cell.mean.P[there], *K[cell.contraction]).mean()) if there.any() else np.nan)
     known = np.isfinite(pulls)
-    rows, F, k = (
-        [row for row, one in zip(rows, known, strict=True) if one],
-        np.array(pulls)[known],
-        np.array(stiff)[known],
-    )
+    rows = [row for row, one in zip(rows, known, strict=True) if one]
+    F, k = np.array(pulls)[known], np.array(stiff)[known]
     if len(rows) < 4:
         return None
     groups = [group for _, group, _ in rows]
     runs = np.array([hash(test.run.id) for test, _, _ in rows])
     order = np.arange(len(rows))
-    steps = np.array(
-        [(order >= at) & (runs == runs[at]) for at in order[1:] if runs[at] == runs[at - 1]], dtype=float
-    ).T
+    later = [(order >= at) & (runs == runs[at]) for at in order[1:] if runs[at] == runs[at - 1]]
+    steps = np.array(later, dtype=float).T
     y, freedom = _off(F, groups), len(F) - len(set(groups))
     if freedom < 4 or not steps.size:
         return None

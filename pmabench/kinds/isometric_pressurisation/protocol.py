@@ -180,9 +180,8 @@ class IsometricPressurisation(ProtocolHead):
             c.fault(where, 'needs the channel "flow" among those recorded')
         c.positive(flow.zero, (*where, "zero"))
         if self.trial.pressurise.hold < SHORTEST_TOP:
-            c.fault(
-                ("trial", "pressurise", "hold"), f"the air settles at the top: {show(SHORTEST_TOP, 'time')} or more"
-            )
+            shortest = show(SHORTEST_TOP, "time")
+            c.fault(("trial", "pressurise", "hold"), f"the air settles at the top: {shortest} or more")
         if min(flow.dead.volume, flow.dead.uncertainty) < 0:
             c.fault((*where, "dead"), "a volume is not below zero")
         if not ROOM[0] <= flow.temperature <= ROOM[1] or not 0 <= flow.temperature_uncertainty < 50:
@@ -194,39 +193,30 @@ class IsometricPressurisation(ProtocolHead):
                 return {}
             gain = (vessel.volume + flow.dead.volume) / (vessel.found + flow.dead.volume)
             half = vessel.uncertainty / (vessel.volume + flow.dead.volume)
-        return {
-            "flow": {
-                "dead": flow.dead.volume,
-                "dead_half": flow.dead.uncertainty,
-                "temperature": flow.temperature,
-                "temperature_half": flow.temperature_uncertainty,
-                "gain": gain,
-                "gain_half": half,
-            }
-        }
+        dead = {"dead": flow.dead.volume, "dead_half": flow.dead.uncertainty}
+        air = {"temperature": flow.temperature, "temperature_half": flow.temperature_uncertainty}
+        return {"flow": {**dead, **air, "gain": gain, "gain_half": half}}
 
     def _checked(self, c: Compilation) -> None:
         """Check what holds for every trial."""
         move, ramp = self.trial.move, self.trial.pressurise
+        of_ramp = ("trial", "pressurise")
         c.positive(move.speed, ("trial", "move", "speed"))
         c.positive(self.trial.settle, ("trial", "settle"))
-        c.positive(ramp.rate, ("trial", "pressurise", "rate"))
+        c.positive(ramp.rate, (*of_ramp, "rate"))
         c.within("pressure", move.pressure, ("trial", "move", "pressure"))
-        c.within("pressure", ramp.start, ("trial", "pressurise", "start"))
-        c.within("pressure", ramp.stop, ("trial", "pressurise", "stop"))
+        for name in ("start", "stop"):
+            c.within("pressure", getattr(ramp, name), (*of_ramp, name))
         if ramp.stop <= ramp.start:
-            c.fault(("trial", "pressurise", "stop"), f"must lie above the start, {show(ramp.start, 'pressure')}")
+            c.fault((*of_ramp, "stop"), f"must lie above the start, {show(ramp.start, 'pressure')}")
         elif ramp.rate > 0 and (ramp.stop - ramp.start) / ramp.rate * self.sample_rate < FEWEST_SAMPLES:
-            slowest = (ramp.stop - ramp.start) * self.sample_rate / FEWEST_SAMPLES
-            c.fault(
-                ("trial", "pressurise", "rate"),
-                f"too fast: the ramp has fewer than {FEWEST_SAMPLES} samples; at most "
-                f"{show(slowest, 'pressure rate', 3)} at this sample_rate",
-            )
+            slowest = show((ramp.stop - ramp.start) * self.sample_rate / FEWEST_SAMPLES, "pressure rate", 3)
+            text = f"too fast: the ramp has fewer than {FEWEST_SAMPLES} samples; at most {slowest} at this sample_rate"
+            c.fault((*of_ramp, "rate"), text)
         minor = ramp.minor
         if minor is not None and not ramp.start < minor.lower < minor.upper < ramp.stop:
-            where = ("trial", "pressurise", "minor")
-            c.fault(where, "its lower and upper end must rise, and lie between start and stop of the ramp")
+            text = "its lower and upper end must rise, and lie between start and stop of the ramp"
+            c.fault((*of_ramp, "minor"), text)
         if move.approach == "from-both-sides":
             c.positive(move.beyond, ("trial", "move", "beyond"))
         elif move.beyond:
@@ -255,11 +245,8 @@ class IsometricPressurisation(ProtocolHead):
             limits.append((actuator.force, f"the actuator bears {show(actuator.force, 'force')}"))
         most, reason = min(limits, default=(inf, ""))
         if force >= most:
-            c.fault(
-                where,
-                f"at {show(top, 'pressure')} the force is predicted to reach {force:.0f} N; {reason} "
-                "(take a larger contraction, or a lower pressurise.stop)",
-            )
+            text = f"at {show(top, 'pressure')} the force is predicted to reach {force:.0f} N; {reason} "
+            c.fault(where, f"{text}(take a larger contraction, or a lower pressurise.stop)")
 
 
 def _minor(ramp: Pressurise) -> list[Step]:

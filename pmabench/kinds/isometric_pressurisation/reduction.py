@@ -1,6 +1,6 @@
 """Isometric pressurisation: F(P) at each contraction, S(eps), dead band, hysteresis; F_ce and K as a cross-check.
 
-Lines at one contraction come from `isometric_lines` and `curve`, S(eps) from `daerden`, what several
+Lines at one contraction and S(eps) come from `isometric_lines` and `curve`, what several
 contractions say at one pressure from `sections`; words and figures in `figures`.
 
 What one trial says by itself, for the display.
@@ -30,7 +30,7 @@ from pmabench.analysis.shared.isometric_lines import (
     tests_of,
 )
 from pmabench.analysis.trial import Expected, Found, Measured, Quick
-from pmabench.analysis.verdict.agreement import Offer, at_pressures, everywhere, exactly, straight, values_of
+from pmabench.analysis.verdict.agreement import Offer, Place, at_pressures, everywhere, exactly, straight, values_of
 from pmabench.base.quantities import show
 from pmabench.kinds.isometric_pressurisation import RESULTS, curve, figures
 from pmabench.kinds.isometric_pressurisation.curve import LEAST, PHASES, begins, mean_of, straight_from
@@ -50,7 +50,7 @@ from pmabench.kinds.isometric_pressurisation.sections import (
     given_of,
 )
 from pmabench.store.analyses.results import Analysis, Curve, Estimate, Finding, Parts
-from pmabench.store.records import Array, RunData, TrialData
+from pmabench.store.records import RunData, TrialData
 
 KIND = "isometric-pressurisation"
 THRESHOLD, SECTIONS, SIDES, CORRECTED = "force-threshold", "isometric-sections", "isometric-sides", "corrected-force"
@@ -58,12 +58,17 @@ SECTION, TURN = "daerden-section", "turn of the loop"
 TIMES = 3.0
 """Another threshold of the force, as a multiple: noise hides how it begins, and that it begins late grows with it."""
 CHANNELS = ("pressure", "force")
+ONE_TEST, ONE_REPEAT = "no repeats part: one test only", "no repeats part: one repeat only"
 PULLED = 5 * LEAST
 """A muscle whose force changes less is slack [N]."""
 LATE = 0.25
 """A delay of the force that is worth more than this share of the loop is not left to an interval."""
 SEEN = 4.0
 """Standard errors from which on a delay is seen."""
+OF_ONSET = (
+    "method: half the difference of filling and emptying, with half a sample, or of the two sides; and what a "
+    "threshold three times as large makes of it"
+)
 SENSELESS = 1e9
 """Pressures [Pa] and forces [N] beyond this are none."""
 QUANTITY = {"D_0": ("length", "m"), "theta_0": ("angle", "rad"), "alpha": ("count", "1")}
@@ -144,21 +149,23 @@ def _found(groups: Groups, given: Mapping[str, Any], scales: Scales) -> _Found:
         estimates += [m, c, _width(cell, scales)]
     estimates = _placed(estimates, cells, scales)
     over = across(cells)
-    sections, force = _sections(cells, given), _corrected(cells, given)
-    estimates += begun + _sides(cells) + blocked_estimates(cells, given, scales) + _three_elements(over, scales)
+    lengths: list[Any] = [given.get(name) for name in ("nominal_length", "inner_diameter", "braid_angle")]
+    sections = _sections(cells, given)
+    force = None if None in lengths else corrected(cells, *lengths)
+    estimates += [*begun, *_sides(cells), *blocked_estimates(cells, given, scales), *_three_elements(over, scales)]
     estimates += _section_estimates(sections, scales, given) + _corrected_estimate(force, scales)
     return _Found(cells, over, sections, force, estimates)
 
 
 def _placed(estimates: Sequence[Estimate], cells: Sequence[Cell], scales: Scales) -> list[Estimate]:
     """The lines F = m P + c with what the place at which the muscle is held may be off, by their neighbours' slopes."""
-    lines = [(float(cell.place.mean()), cell.pooled.line) for cell in cells if cell.pooled is not None]
-    x = np.array([place for place, _ in lines])
+    lines = {c.contraction: (float(c.place.mean()), c.pooled.line) for c in cells if c.pooled is not None}
+    x = np.array([place for place, _ in lines.values()])
     if len(x) < 2 or np.diff(x).min() < APART:
         return list(estimates)
-    over = {coordinate: np.gradient([getattr(line, name) for _, line in lines], x)
+    over = {coordinate: np.gradient([getattr(line, name) for _, line in lines.values()], x)
             for coordinate, name in (("slope", "m"), ("intercept", "c"))}  # fmt: skip
-    number = {cell.contraction: i for i, cell in enumerate(one for one in cells if one.pooled is not None)}
+    number = {contraction: i for i, contraction in enumerate(lines)}
     found = []
     for e in estimates:
         if e.coordinate in over:
@@ -184,52 +191,44 @@ def _curves(cells: Sequence[Cell], estimates: Sequence[Estimate]) -> list[Curve]
 def _weighed(found: _Found, groups: Groups, given: Mapping[str, Any], scales: Scales) -> list[Estimate]:
     """The values with what departures from the form of the tests may do to them, or withheld."""
     doubts: dict[Key, list[Doubt]] = {_key(e): [] for e in found.estimates}
+    values = {_key(e): e.value for e in found.estimates}
     for one in departures(found.cells):
         without = {x: [replace(test, F=test.F - one.force(test)) for test in tests] for x, tests in groups.items()}
         changed = {_key(e): e.value for e in _found(without, given, scales).estimates}
-        values = {_key(e): e.value for e in found.estimates}
         for e in found.estimates:
             # the onset is read off the samples themselves: what moves the muscle moves it like the line's
             key = (e.symbol, METHOD, "", _key(e)[3]) if e.method == THRESHOLD and one.moves else _key(e)
             value, other = values.get(key), changed.get(key)
             if e.value is not None and value is not None and other is not None:
                 doubts[_key(e)].append(Doubt(one.name, one.part, abs(other - value), one.seen, one.reason))
-    delay, error = late(found.cells)
     for line in found.across:
         for symbol in ("F_ce", "K"):
             doubts[symbol, SECTIONS, "", line.pressure].append(line.bend.doubt(symbol))
-    turned, scatter = _turned(found.cells), scatter_of(found.cells)
-    largest = {cell.contraction: float(np.nanmax(np.abs(cell.mean.force))) for cell in found.cells}
+    cells = {cell.contraction: cell for cell in found.cells}
+    nearest, scatter = min(cells, key=abs, default=None), scatter_of(found.cells)
+    # the turns of each contraction that has a straight part, and of the one nearest to 0, whose force is F_b
+    turns = {x: c.mean.turned for x, c in cells.items() if c.pooled is not None or x == nearest}
+    turned = [one for one in turns.values() if len(one[0])]
+    delay, error = late(found.cells)
     judged = []
     for e in found.estimates:
-        if e.symbol == "H" and np.isfinite(delay):
-            doubts[_key(e)].append(_late(e, found.cells, delay, error))
+        mine, cell = doubts[_key(e)], cells.get(e.at.get("contraction", float("nan")))
+        if e.symbol == "H" and np.isfinite(delay) and cell is not None:
+            mine.append(_late(e, cell, delay, error))
         if e.symbol in ("F_b", "F_ce") and turned:
             lacks = max(abs(float(np.interp(e.at["pressure"], *one))) for one in turned)
-            doubts[_key(e)].append(Doubt(TURN, "method", BEYOND * lacks, seen=True))
-        if e.method == METHOD and e.coordinate:
-            doubts[_key(e)].append(_of_turns(e, found.cells))
+            mine.append(Doubt(TURN, "method", BEYOND * lacks, seen=True))
+        if e.method == METHOD and e.coordinate and cell is not None:
+            P, off = cell.mean.turned
+            rows = P >= (cell.low or 0.0)
+            terms = np.polyfit(P[rows], off[rows], 1) if rows.sum() > 1 else np.zeros(2)
+            mine.append(Doubt(TURN, "method", abs(float(terms[0 if e.coordinate == "slope" else 1])), seen=True))
         if e.symbol == "F_b" and scatter is not None:
             more = max(0.0, (scatter * (e.value or 0.0)) ** 2 / e.n - (e.parts.repeats or 0.0) ** 2)
-            doubts[_key(e)].append(Doubt("scatter at the other contractions", "repeats", sqrt(more), seen=False))
-        judged.append(weighed(e, doubts[_key(e)], largest[e.at["contraction"]] if e.symbol == "c" else None))
+            mine.append(Doubt("scatter at the other contractions", "repeats", sqrt(more), seen=False))
+        scale = float(np.nanmax(np.abs(cell.mean.force))) if e.symbol == "c" and cell is not None else None
+        judged.append(weighed(e, mine, scale))
     return judged
-
-
-def _turned(cells: Sequence[Cell]) -> list[tuple[Array, Array]]:
-    """`Mean.turned` of each contraction that has a straight part, and of the one nearest to 0, whose force is F_b."""
-    nearest = min(cells, key=lambda cell: abs(cell.contraction), default=None)
-    turned = [cell.mean.turned for cell in cells if cell.pooled is not None or cell is nearest]
-    return [one for one in turned if len(one[0])]
-
-
-def _of_turns(e: Estimate, cells: Sequence[Cell]) -> Doubt:
-    """What the turns of the loop make of slope or intercept of a line."""
-    cell = next(cell for cell in cells if cell.contraction == e.at["contraction"])
-    P, off = cell.mean.turned
-    rows = P >= (cell.low or 0.0)
-    terms = np.polyfit(P[rows], off[rows], 1) if rows.sum() > 1 else np.zeros(2)
-    return Doubt(TURN, "method", abs(float(terms[0 if e.coordinate == "slope" else 1])), seen=True)
 
 
 Key = tuple[str, str, str, float | None]
@@ -240,18 +239,17 @@ def _key(e: Estimate) -> Key:
     return e.symbol, e.method, e.coordinate, next(iter(e.at.values()), None)
 
 
-def _late(H: Estimate, cells: Sequence[Cell], delay: float, error: float) -> Doubt:
+def _late(H: Estimate, cell: Cell, delay: float, error: float) -> Doubt:
     """What a force that comes after the pressure is worth of the loop width [N]: it opens the loop by itself."""
-    cell = next(cell for cell in cells if cell.contraction == H.at["contraction"])
     per_second = 2 * _rate(cell) * abs(cell.pooled.line.m if cell.pooled is not None else 0.0)
-    seen = abs(delay) > SEEN * error
     worth = show(per_second * abs(delay), "force", 2)
     reason = (
         f"as the ramps end the force comes {show(delay, 'time', 2)} after the pressure, which is worth {worth} of the "
         "loop: a filter of the cell, or creep. Ramp more slowly"
     )
     half = per_second * (BEYOND * abs(delay) + 2 * error)
-    return Doubt("delay of the force", "method", half, seen, reason if half > LATE * abs(H.value or 0.0) else "")
+    unsure = reason if half > LATE * abs(H.value or 0.0) else ""
+    return Doubt("delay of the force", "method", half, abs(delay) > SEEN * error, unsure)
 
 
 def lack(test: Test) -> str:
@@ -288,33 +286,25 @@ def _rate(cell: Cell) -> float:
     return max((c.data.get("rate", 0.0) for test in cell.tests for c in test.trial.commands), default=0.0)
 
 
-def _steps(trial: TrialData) -> bool:
-    """Whether the pressure goes up or down in a step."""
-    return any(c.phase in PHASES and not c.data.get("rate") for c in trial.commands if c.output == "pressure")
-
-
 def _width(cell: Cell, scales: Scales) -> Estimate:
     """Force while emptying minus while filling at the same pressure, mean over the straight part [N]."""
     gaps = by_repeat(cell.tests, cell.gaps)
     at, names = {"contraction": cell.contraction}, tuple(test.name for test in cell.tests)
-    if not cell.mean.held and any(_steps(test.trial) for test in cell.tests):
+    commands = [c for test in cell.tests for c in test.trial.commands if c.output == "pressure" and c.phase in PHASES]
+    if not cell.mean.held and any(not c.data.get("rate") for c in commands):  # it goes up or down in a step
         why = "a loop on the way from one pressure to the next is as wide as the force is late: ramp, or hold at five"
         return Estimate("H", None, "N", "force", METHOD, at, n=len(gaps), note=why, trials=names)
     apart = 2 * _rate(cell) * skew.apart([test.run for test in cell.tests], CHANNELS)
     slope = cell.pooled.line.m if cell.pooled else 0.0
     value = float(gaps.mean())
-    return Estimate(
-        "H", value, "N", "force", METHOD, at,
-        Parts(repeats=spread(gaps), calibration=scales.part({"force": value}), skew=abs(slope) * apart),
-        len(gaps),
-        note=sentences("" if len(gaps) > 1 else "no repeats part: one test only", "emptying minus filling"),
-        trials=names,
-    )  # fmt: skip
+    parts = Parts(repeats=spread(gaps), calibration=scales.part({"force": value}), skew=abs(slope) * apart)
+    note = sentences("" if len(gaps) > 1 else ONE_TEST, "emptying minus filling")
+    return Estimate("H", value, "N", "force", METHOD, at, parts, len(gaps), note=note, trials=names)
 
 
 def _begins(cell: Cell, scales: Scales) -> list[Estimate]:
     """The pressure at which the force begins, by its onset and by the line at force 0 [Pa]."""
-    at = {"contraction": cell.contraction}
+    at, names = {"contraction": cell.contraction}, tuple(test.name for test in cell.tests)
     late = _rate(cell) * skew.apart([test.run for test in cell.tests], CHANNELS)
     pairs = {test: pair for test in cell.tests if None not in (pair := begins(test.trial))}
     found = []
@@ -329,19 +319,10 @@ def _begins(cell: Cell, scales: Scales) -> list[Estimate]:
         known = [0.5 * (one[0] + one[1]) - mean for one, mean in zip(later, both.mean(axis=1), strict=True)
                  if one[0] is not None and one[1] is not None]  # fmt: skip
         half = sqrt(half**2 + (float(np.mean(known)) if known else 0.0) ** 2)
-        scale = scales.part({"pressure": value}, {"pressure": 1.0})
-        found.append(
-            Estimate(
-                "p_0", value, "Pa", "pressure", THRESHOLD, at,
-                Parts(repeats=spread(values), method=half, calibration=scale, skew=late), len(values),
-                note=sentences(
-                    "" if len(values) > 1 else "no repeats part: one test only",
-                    "method: half the difference of filling and emptying, with half a sample, or of the two sides; and "
-                    "what a threshold three times as large makes of it",
-                ),
-                trials=tuple(test.name for test in cell.tests),
-            )
-        )  # fmt: skip
+        parts = Parts(spread(values), half, scales.part({"pressure": value}, {"pressure": 1.0}), late)
+        note = sentences("" if len(values) > 1 else ONE_TEST, OF_ONSET)
+        n = len(values)
+        found.append(Estimate("p_0", value, "Pa", "pressure", THRESHOLD, at, parts, n, note=note, trials=names))
     if cell.pooled is None or cell.pooled.line.m <= 0 or cell.low is None:
         return found
     line = cell.pooled.line
@@ -350,11 +331,8 @@ def _begins(cell: Cell, scales: Scales) -> list[Estimate]:
         return found
     each = [-c / m for m, c in cell.pooled.repeats if m > 0]
     scale = scales.part({"pressure": value}, {"pressure": 1.0, "force": 1 / line.m})
-    parts = Parts(
-        repeats=spread(each), method=BEYOND * abs(value - _bent_zero(cell, value)), calibration=scale, skew=late
-    )
-    note = sentences("" if len(each) > 1 else "no repeats part: one test only", "the line at force 0")
-    names = tuple(test.name for test in cell.tests)
+    parts = Parts(spread(each), BEYOND * abs(value - _bent_zero(cell, value)), scale, late)
+    note = sentences("" if len(each) > 1 else ONE_TEST, "the line at force 0")
     return [*found, Estimate("p_0", value, "Pa", "pressure", METHOD, at, parts, len(each), note=note, trials=names)]
 
 
@@ -368,9 +346,8 @@ def _bent_zero(cell: Cell, value: float) -> float:
     return value - float(off)
 
 
-def _sides(cells: Sequence[Cell]) -> list[Estimate]:
+def _sides(cells: Sequence[Cell]) -> Iterator[Estimate]:
     """Half the force after an approach from above minus after one from below [N]: friction in the muscle."""
-    found = []
     for cell in cells:
         each = cell.mean.each[:, cell.mean.P >= (cell.low or 0.0)]
         by: dict[object, dict[float, float]] = {}
@@ -380,15 +357,10 @@ def _sides(cells: Sequence[Cell]) -> list[Estimate]:
                 by.setdefault((test.run.id, test.trial.repeat), {})[side] = float(F.mean())
         halves = [0.5 * (sides[1.0] - sides[-1.0]) for sides in by.values() if {1.0, -1.0} <= set(sides)]
         if halves:
-            found.append(
-                Estimate(
-                    "F_f", float(np.mean(halves)), "N", "force", SIDES, {"contraction": cell.contraction},
-                    Parts(repeats=spread(halves), calibration=0.0), len(halves),
-                    note="" if len(halves) > 1 else "no repeats part: one repeat only",
-                    trials=tuple(test.name for test in cell.tests),
-                )
-            )  # fmt: skip
-    return found
+            parts, note = Parts(spread(halves), calibration=0.0), "" if len(halves) > 1 else ONE_REPEAT
+            at, names, n = {"contraction": cell.contraction}, tuple(test.name for test in cell.tests), len(halves)
+            mean = float(np.mean(halves))
+            yield Estimate("F_f", mean, "N", "force", SIDES, at, parts, n, note=note, trials=names)
 
 
 def _three_elements(found: Sequence[Across], scales: Scales) -> list[Estimate]:
@@ -397,25 +369,17 @@ def _three_elements(found: Sequence[Across], scales: Scales) -> list[Estimate]:
     P = np.array([one.pressure for one in found])
     columns = [np.array([one.line.start for one in found]), np.array([-one.line.slope for one in found])]
     over = [np.gradient(values, P) if len(P) > 1 else np.zeros(len(P)) for values in columns]
-    for i, one in enumerate(found):
-        F_ce, K = one.line.start, -one.line.slope
-        dF, dK = float(over[0][i]), float(over[1][i])
+    for one, dF, dK in zip(found, over[0].tolist(), over[1].tolist(), strict=True):
+        F_ce, K, at = one.line.start, -one.line.slope, {"pressure": one.pressure}
         scale_F = scales.part(
             {"force": F_ce, "pressure": dF * one.pressure}, {"force": 1.0, "pressure": dF, "displacement": K}
         )
         scale_K = scales.part({"force": K, "displacement": K, "pressure": dK * one.pressure}, {"pressure": dK})
-        note = "" if one.line.half_slope is not None else "no repeats part: too few contractions"
-        for symbol, value, unit, quantity, half, scale in (
-            ("F_ce", F_ce, "N", "force", one.line.half_start, scale_F),
-            ("K", K, "N/m", "stiffness", one.line.half_slope, scale_K),
-        ):
-            parts = Parts(repeats=half, calibration=scale)
-            at = {"pressure": one.pressure}
-            estimates.append(
-                Estimate(
-                    symbol, value, unit, quantity, SECTIONS, at, parts, len(one.names), note=note, trials=one.names
-                )
-            )
+        how: dict[str, Any] = {"n": len(one.names), "trials": one.names}
+        how["note"] = "" if one.line.half_slope is not None else "no repeats part: too few contractions"
+        of_F, of_K = Parts(one.line.half_start, calibration=scale_F), Parts(one.line.half_slope, calibration=scale_K)
+        estimates.append(Estimate("F_ce", F_ce, "N", "force", SECTIONS, at, of_F, **how))
+        estimates.append(Estimate("K", K, "N/m", "stiffness", SECTIONS, at, of_K, **how))
     return estimates
 
 
@@ -478,23 +442,15 @@ def _sections_again(one: curve.Section, scales: Scales, length: float) -> list[c
     return [other for other in fits if other is not None]
 
 
-def _corrected(cells: Sequence[Cell], given: Mapping[str, Any]) -> Corrected | None:
-    if not {"nominal_length", "inner_diameter", "braid_angle"} <= set(given):
-        return None
-    return corrected(cells, given["nominal_length"], given["inner_diameter"], given["braid_angle"])
-
-
 def _corrected_estimate(force: Corrected | None, scales: Scales) -> list[Estimate]:
     if force is None:
         return []
+    value, parts, note = None, Parts(), f"the corrected force does not fit: residual {show(force.rms, 'force', 2)} rms"
+    if force.holds:
+        value, note = force.p_0, "" if len(force.repeats) > 1 else ONE_REPEAT
+        parts = Parts(spread(force.repeats), calibration=scales.part({"pressure": value}, {"pressure": 1.0}))
     n = max(1, len(force.repeats))
-    if not force.holds:
-        note = f"the corrected force does not fit: residual {show(force.rms, 'force', 2)} rms"
-        return [Estimate("p_0", None, "Pa", "pressure", CORRECTED, {}, Parts(), n, note=note)]
-    scale = scales.part({"pressure": force.p_0}, {"pressure": 1.0})
-    parts = Parts(repeats=spread(force.repeats), calibration=scale)
-    note = "" if len(force.repeats) > 1 else "no repeats part: one repeat only"
-    return [Estimate("p_0", force.p_0, "Pa", "pressure", CORRECTED, {}, parts, n, note=note)]
+    return [Estimate("p_0", value, "Pa", "pressure", CORRECTED, {}, parts, n, note=note)]
 
 
 def offers(analysis: Analysis) -> Iterator[Offer]:
@@ -507,14 +463,13 @@ def offers(analysis: Analysis) -> Iterator[Offer]:
     begun = [(e, e.value) for e in analysis.estimates if (e.symbol, e.method) == ("p_0", THRESHOLD) and e.value]
     pressures = [P for _, P in begun]
     if len(begun) > 1 and (np.diff(pressures) > 0).all():
-        over = np.gradient([e.at["contraction"] for e, _ in begun], pressures)
-        yield exactly("x", {(P, None): _without_load(e, slope) for (e, P), slope in zip(begun, over, strict=True)})
-
-
-def _without_load(p_0: Estimate, slope: float) -> Estimate:
-    """The contraction at which a muscle at the pressure p_0 has no force: that of the test [m]; `slope` in m/Pa."""
-    halves = {name: half and abs(slope) * half for name, half in vars(p_0.parts).items()}
-    return replace(p_0, symbol="x", value=p_0.at["contraction"], unit="m", quantity="length", parts=Parts(**halves))
+        places = [e.at["contraction"] for e, _ in begun]
+        points: dict[Place, Estimate] = {}
+        for (e, P), x, slope in zip(begun, places, np.gradient(places, pressures), strict=True):
+            # a muscle at the pressure p_0 has no force at the contraction of the test
+            parts = Parts(**{name: half and abs(slope) * half for name, half in vars(e.parts).items()})
+            points[P, None] = replace(e, symbol="x", value=x, unit="m", quantity="length", parts=parts)
+        yield exactly("x", points)
 
 
 def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:

@@ -1,8 +1,6 @@
 """Isometric tests of several contractions together: F_ce and K at a pressure, blocked force, corrected threshold.
 
-Knows the mean curves of each contraction; not how they came about.
-
-Knows the mean curves of isometric tests (`isometric_sections.Cell`); the mean of filling and emptying counts.
+Knows the mean curves of each contraction, not how they came about; the mean of filling and emptying counts.
 """
 
 from __future__ import annotations
@@ -160,9 +158,7 @@ def across(cells: Sequence[Cell]) -> list[Across]:
     if not cells:
         return found
     strongest = max(float(np.nanmax(cell.mean.force)) for cell in cells)
-    top = max(float(1.5 * cell.mean.P[-1] - 0.5 * cell.mean.P[-2]) for cell in cells)
-    for k in range(1, int(np.floor(top / GRID + 0.05)) + 1):
-        P = k * GRID
+    for P in pressures(cells).tolist():
         rows = [
             (cell.contraction, x, F, test.name, session_of(test.run))
             for cell in cells
@@ -186,12 +182,10 @@ def across(cells: Sequence[Cell]) -> list[Across]:
 
 def _wider(line: Line, x: Array, F: Array, sessions: Sequence[str]) -> Line:
     """The line with half widths by Student's t over the lines of the sessions, where those are wider."""
-    each = []
-    for name in dict.fromkeys(sessions):
-        mine = np.array([session == name for session in sessions])
-        if np.ptp(x[mine]) > APART:
-            each.append(np.polyfit(x[mine], F[mine], 1))
-    if len(each) < 2 or len(each) < len(set(sessions)):
+    names = dict.fromkeys(sessions)
+    mine = [np.array([session == name for session in sessions]) for name in names]
+    each = [np.polyfit(x[rows], F[rows], 1) for rows in mine if np.ptp(x[rows]) > APART]
+    if len(each) < 2 or len(each) < len(names):
         return line
     slope, start = (mean_with_half([float(one[i]) for one in each])[1] or 0.0 for i in (0, 1))
     return replace(line, half_start=max(line.half_start or 0.0, start), half_slope=max(line.half_slope or 0.0, slope))
@@ -263,10 +257,8 @@ def given_of(specimen: object) -> Mapping[str, float]:
     The diameter of muscles side by side is that of one muscle with the force of all.
     """
     entries = specimen if isinstance(specimen, Mapping) else {}
-    names = ("nominal_length", "inner_diameter", "braid_angle")
-    given = {
-        name: float(entries[name]) for name in names if isinstance(entries.get(name), int | float) and entries[name] > 0
-    }
+    values = {name: entries.get(name) for name in ("nominal_length", "inner_diameter", "braid_angle")}
+    given = {name: float(value) for name, value in values.items() if isinstance(value, int | float) and value > 0}
     if "inner_diameter" in given:
         given["inner_diameter"] *= sqrt(side_by_side(specimen))
     return given
@@ -328,25 +320,15 @@ def blocked_estimates(cells: Sequence[Cell], given: Mapping[str, float], scales:
         slope = _slope(blocked, float(P))
         gains = {"force": F, "pressure": slope * float(P)}
         offsets = {"force": 1.0, "pressure": slope} | ({"displacement": K} if K else {})
-        half = spread(values)
-        found.append(
-            Estimate(
-                "F_b",
-                F,
-                "N",
-                "force",
-                BLOCKED,
-                {"pressure": float(P)},
-                Parts(half, hypot(doubt, _bend(blocked, float(P))), scales.part(gains, offsets), abs(slope) * late),
-                len(values),
-                note=sentences(
-                    "no repeats part: one test only" if half is None else "",
-                    "" if between is None else "between the contractions on both sides of 0",
-                    scales.lack(gains, offsets),
-                ),
-                trials=tuple(test.name for test in tests),
-            )
+        half, method = spread(values), hypot(doubt, _bend(blocked, float(P)))
+        parts = Parts(half, method, scales.part(gains, offsets), abs(slope) * late)
+        note = sentences(
+            "no repeats part: one test only" if half is None else "",
+            "" if between is None else "between the contractions on both sides of 0",
+            scales.lack(gains, offsets),
         )
+        at, n, names = {"pressure": float(P)}, len(values), tuple(test.name for test in tests)
+        found.append(Estimate("F_b", F, "N", "force", BLOCKED, at, parts, n, note=note, trials=names))
     return found
 
 
@@ -394,23 +376,15 @@ def _bend(cell: Cell, P: float) -> float:
 
 def blocked_trace(cells: Sequence[Cell]) -> list[Trace]:
     """Force at each pressure of the grid and each contraction; none with a single contraction."""
-    if len(cells) < 2:
-        return []
     rows = [
         (float(P), float(cell.place.mean()), float(np.mean(F[np.isfinite(F)])))
-        for P in pressures(cells)
+        for P in (pressures(cells) if len(cells) > 1 else ())
         for cell in cells
         if np.isfinite(F := cell.force_at(float(P))).any()
     ]
     if len(rows) < 2:
         return []
-    P, x, force = np.array(rows).T
-    return [
-        Trace(
-            name=FIGURE,
-            figure=FIGURE,
-            title="Force over contraction at set pressures, held at one length",
-            columns={"pressure": P, "displacement": x, "force": force},
-            quantities={"pressure": "pressure", "displacement": "length", "force": "force"},
-        )
-    ]
+    quantities = {"pressure": "pressure", "displacement": "length", "force": "force"}
+    columns = dict(zip(quantities, np.array(rows).T, strict=True))
+    title = "Force over contraction at set pressures, held at one length"
+    return [Trace(FIGURE, FIGURE, title, columns, quantities)]

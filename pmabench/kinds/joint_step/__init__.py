@@ -1,7 +1,7 @@
 """Steps and sines of a joint's angle in closed loop, with both muscles pulling.
 
-- `reduction`, made of `course`: one trial
-- protocol files: `protocol`, with `inverse`: pressures by a model or a measured map
+- `reduction`: one trial, then all of a point
+- protocol files: `protocol`: pressures by a model or a measured map
 - figures and one trial on the display: `figures`
 """
 

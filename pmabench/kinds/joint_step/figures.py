@@ -12,7 +12,7 @@ import numpy as np
 
 from pmabench.analysis.shared.samples import NotUsable
 from pmabench.analysis.trial import Expected, Found, Measured, Quick
-from pmabench.kinds.joint_step.course import Swung, course_of
+from pmabench.kinds.joint_step.reduction import Swung, course_of
 from pmabench.plotting import time_plots
 from pmabench.plotting.pictures import Picture, bound, has, how_many, label, numbers, panel, picture, spread
 from pmabench.store.analyses.results import Analysis, Trace
@@ -52,12 +52,7 @@ def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Qu
         return [Measured("e_th", "angle", None), Measured("t_s", "time", None)], [str(reason)]
     if isinstance(one, Swung):
         answer = complex(one.answers.mean())
-        return [
-            Measured("g_th", "ratio", abs(answer)),
-            Measured("phi_th", "angle", float(np.angle(answer))),
-        ], []
-    doubts = [] if one.response.settling is not None else ["the angle does not come into the band about its goal"]
-    return [
-        Measured("e_th", "angle", -one.sign * one.response.error),
-        Measured("t_s", "time", one.response.settling),
-    ], doubts
+        return [Measured("g_th", "ratio", abs(answer)), Measured("phi_th", "angle", float(np.angle(answer)))], []
+    end, settling = -one.sign * one.response.error, one.response.settling
+    doubts = [] if settling is not None else ["the angle does not come into the band about its goal"]
+    return [Measured("e_th", "angle", end), Measured("t_s", "time", settling)], doubts

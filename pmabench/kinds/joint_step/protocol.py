@@ -1,13 +1,18 @@
-"""Steps and sines of a joint's angle in closed loop: both muscles pull, as stiff as the protocol wants it."""
+"""Steps and sines of a joint's angle in closed loop: both muscles pull, as stiff as the protocol wants it.
+
+Both pressures over the angle, for the feed-forward, are by the model of its muscles, or by a measured map.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
 
+from pmabench.base.errors import PmaError
 from pmabench.base.quantities import show
 from pmabench.files.document import Strict
 from pmabench.files.quantity import (
@@ -21,11 +26,94 @@ from pmabench.files.quantity import (
     Time,
     TorsionalStiffness,
 )
-from pmabench.kinds.joint_step.inverse import by_map, by_model
 from pmabench.protocol.common import Compilation, ProtocolHead
 from pmabench.protocol.driven import MUSCLES, vented
 from pmabench.protocol.plan import Control, Hold, Plan, Record, Set, TrialRecord
 from pmabench.protocol.sweep import AngleAxis, Point, Sweep, expand
+from pmabench.store.records import Array
+
+ROWS = 91
+"""Angles in the table."""
+SMALL = 1e-3
+"""Torque by which the change of the pressures with the torque is found [N m]; they are linear in it."""
+FEWEST = 7
+"""Angles that a map needs."""
+ORDER = 5
+"""Of the polynomials through the map over the angle."""
+Table = dict[str, list[float]]
+
+
+def by_model(
+    model: Mapping[str, float], ends: tuple[float, float], stiffness: float, limits: tuple[float, float]
+) -> Table:
+    """Pressures without a torque and their change by one, by `joint-inverse` of the library with these inputs.
+
+    `ends` of the angle [rad], `stiffness` [N m/rad], `limits` of the pressures [Pa]. Raises ValueError in words.
+    """
+    from pmabench.model.library import MODELS
+
+    angles, inverse = np.linspace(*ends, ROWS), MODELS["joint-inverse"]
+    known: dict[str, Any] = {**model, "angle": angles, "stiffness": stiffness}
+    held = inverse.evaluate(known | {"pressure_min": limits[0], "pressure_max": limits[1]})
+    wide = known | {"pressure_min": 0.0, "pressure_max": 1e6}
+    more, less = (inverse.evaluate(wide | {"torque": sign * SMALL}) for sign in (1.0, -1.0))
+    gains = [(more[name] - less[name]) / (2 * SMALL) for name in MUSCLES]
+    return _table(angles, [held[name] for name in MUSCLES], gains)
+
+
+def by_map(folder: Path, ends: tuple[float, float], stiffness: float, limits: tuple[float, float]) -> Table:
+    """The same by an analysis of kind joint-torque: tau = tau_0 + s_1 P_1 - s_2 P_2 with polynomials over the angle.
+
+    Stiffness is minus the slope of that at constant pressures. Raises ValueError in words where the map does not reach.
+    """
+    from pmabench.store.analyses.folder import read_analysis
+
+    try:
+        analysis = read_analysis(folder)
+    except PmaError as error:
+        raise ValueError(str(error)) from error
+    terms = {}
+    for symbol in ("tau_0", "s_1", "s_2"):
+        points = sorted(
+            (e.at["angle"], e.value) for e in analysis.estimates if e.symbol == symbol and e.value is not None
+        )
+        if len(points) < FEWEST:
+            raise ValueError(
+                f"{folder} gives {symbol} at {len(points)} angles, and {FEWEST} are needed: an analysis of "
+                "joint-torque with three levels of each pressure or more has them"
+            )
+        first, last = points[0][0], points[-1][0]
+        if ends[0] < first - 1e-9 or ends[1] > last + 1e-9:
+            reach = " to ".join(show(angle, "angle", 3) for angle in (first, last))
+            raise ValueError(f"the map of {folder} reaches from {reach}, and the joint is to go beyond")
+        table = np.array(points, dtype=np.float64)
+        terms[symbol] = np.polyfit(table[:, 0], table[:, 1], ORDER)
+    angles = np.linspace(*ends, ROWS)
+    (t, s_1, s_2), (dt, ds_1, ds_2) = (
+        [np.polyval(change(terms[symbol]), angles) for symbol in ("tau_0", "s_1", "s_2")]
+        for change in (np.asarray, np.polyder)
+    )
+    # s_1 P_1 - s_2 P_2 = torque - tau_0 and -s_1' P_1 + s_2' P_2 = stiffness + tau_0'
+    determinant = s_1 * ds_2 - s_2 * ds_1
+    wanted = stiffness + dt
+    held = [(-t * ds_2 + s_2 * wanted) / determinant, (s_1 * wanted - t * ds_1) / determinant]
+    for name, values in zip(MUSCLES, held, strict=True):
+        if not (limits[0] <= values.min() and values.max() <= limits[1]):
+            needed, allowed = (
+                " to ".join(show(end, "pressure", 4) for end in pair) for pair in ((values.min(), values.max()), limits)
+            )
+            raise ValueError(f"it takes {name} of {needed}, outside {allowed}; ask for another stiffness")
+    return _table(angles, held, [ds_2 / determinant, ds_1 / determinant])
+
+
+def _table(angles: Array, held: list[Array], gains: list[Array]) -> Table:
+    """Plain numbers for the plan."""
+    columns = dict(zip(("angle", *MUSCLES, "gain_1", "gain_2"), (angles, *held, *gains), strict=True))
+    return {
+        name: [float(f"{value:.9g}") for value in np.broadcast_to(values, angles.shape)]
+        for name, values in columns.items()
+    }
+
 
 SLACK = 5.0
 """Time beyond the trial after which a loop counts as hung [s]."""
@@ -102,7 +190,7 @@ class JointStep(ProtocolHead):
         trial, controller = self.trial, self.controller
         low, high = controller.output
         for index, point in enumerate(expand(self.sweep, c.document)):
-            values = self._values(point)
+            values = {name: float(value) for name, value in point.values.items() if value is not None}
             table = self._table(c, point)
             if table is None or c.problems or c.too_long():
                 continue
@@ -119,8 +207,8 @@ class JointStep(ProtocolHead):
                 "reference_lag": controller.reference_lag, "low": low, "high": high,
             }  # fmt: skip
             if "frequency" in values:
-                swing = {"begin": begin, "amplitude": values["goal"], "frequency": values["frequency"]}
-                parameters["sine"] = swing
+                sine = {"begin": begin, "amplitude": values["goal"], "frequency": values["frequency"]}
+                parameters["sine"] = sine
             c.trials.append(TrialRecord(index, values, point.repeat))
             c.steps += [
                 *(Set("pressurise", name, value) for name, value in middle.items()),
@@ -132,16 +220,9 @@ class JointStep(ProtocolHead):
                 Hold("vent", trial.rest),
             ]
         c.steps += vented()
-        settings = {
-            "window": list(trial.window),
-            "band": trial.band,
-            "begin": trial.dwell * len(trial.approach) + trial.baseline,
-        }
+        begin = trial.dwell * len(trial.approach) + trial.baseline
+        settings = {"window": list(trial.window), "band": trial.band, "begin": begin}
         return c.plan("joint-step", {**settings, "stiffness": controller.stiffness})
-
-    @staticmethod
-    def _values(point: Point) -> dict[str, float]:
-        return {name: float(value) for name, value in point.values.items() if value is not None}
 
     def _sound(self, c: Compilation) -> None:
         """Check everything that does not depend on the point."""

@@ -3,23 +3,159 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from math import pi
 from typing import Any
 
 import numpy as np
 
 from pmabench.analysis.shared.calibration import Scales
-from pmabench.analysis.shared.joint import settings_of
-from pmabench.analysis.shared.lines import mean_half
-from pmabench.analysis.shared.samples import NotUsable, lag_open, lags_of
+from pmabench.analysis.shared.lines import mean_of_cycles
+from pmabench.analysis.shared.ramp_loop import MUSCLES
+from pmabench.analysis.shared.response import Response, respond
+from pmabench.analysis.shared.samples import (
+    NotUsable,
+    count_of,
+    lag_open,
+    lags_of,
+    noise_of,
+    on_time,
+    refuse_flagged,
+    refuse_incomplete,
+    settings_of,
+    three_parameter,
+)
 from pmabench.analysis.shared.skew import off
 from pmabench.analysis.shared.student import mean_with_half
+from pmabench.analysis.shared.trials import grouped, measured_trials, point_of
 from pmabench.base.quantities import show
 from pmabench.kinds.joint_step import RESULTS
-from pmabench.kinds.joint_step.course import Course, Stepped, Swung, course_of
-from pmabench.store.analyses.results import Analysis, Dropped, Estimate, Finding, Parts, Trace
-from pmabench.store.records import Array, RunData
+from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace
+from pmabench.store.records import Array, RunData, TrialData
+
+BEFORE = 0.3
+"""So long before the step its origin is taken [s]."""
+FEWEST_CYCLES = 3
+LEAP = 10.0
+"""So many standard deviations of the noise are no noise."""
+
+
+@dataclass(frozen=True, eq=False)
+class Course:
+    """What both have in common; `t` counts from the step, or from the begin of the sine [s]."""
+
+    run: RunData
+    trial: TrialData
+    t: Array
+    angle: Array
+    """[rad]."""
+    reference: Array
+    """[rad]."""
+    saturated: float
+    """Share of the samples with a pressure at a limit [1]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Stepped(Course):
+    """A step."""
+
+    sign: float
+    """Of the step."""
+    size: float
+    """Of the step [rad]."""
+    response: Response
+    """Of `sign` times the angle."""
+
+
+@dataclass(frozen=True, eq=False)
+class Swung(Course):
+    """A sine."""
+
+    answers: Array
+    """Complex ratio of angle and reference in each cycle, shape (cycles,)."""
+    errors: Array
+    """Rms of angle minus reference in each cycle [rad], shape (cycles,)."""
+
+
+def course_of(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> Stepped | Swung:
+    """One trial measured; raises `NotUsable`."""
+    refuse_incomplete(trial)
+    law = trial.found.get("hold")
+    if "angle" not in trial.channels or law is None or law.get("t0") is None:
+        raise NotUsable("the angle or what the loop did is not recorded")
+    refuse_flagged(trial.usable)
+    settings = settings_of(run, options)
+    t = trial.t - (float(law["t0"]) + float(settings["begin"]))
+    angle, ok = on_time(run, trial, "angle"), trial.usable
+    refuse_leaps(t[ok], angle[ok], count_of(run, "angle"))
+    window = (float(settings["window"][0]), float(settings["window"][1]))
+    saturated = float(law.get("saturated", 0.0))
+    if "frequency" in trial.point:
+        return _swung(run, trial, t[ok], trial.channels["angle"][ok], window, saturated)
+    goal, lag = trial.point["goal"], float(law["reference_lag"])
+    before, after = ok & (t >= -BEFORE) & (t < 0), ok & (t >= 0)
+    if before.sum() < 8:
+        raise NotUsable(f"fewer than 8 samples in the {BEFORE:g} s before the step")
+    origin = float(angle[before].mean())
+    sign = 1.0 if goal > 0 else -1.0
+    step = sign * (goal - origin)
+    if step <= float(settings["band"]):
+        raise NotUsable(
+            f"before the step it was at {show(origin, 'angle', 3)}, which leaves no step to {show(goal, 'angle', 3)}"
+        )
+    late = np.maximum(t, 0.0) / lag if lag > 0 else np.where(t > 0, np.inf, 0.0)
+    reference = goal * (1 - (1 + np.minimum(late, 700.0)) * np.exp(-np.minimum(late, 700.0)))
+    try:
+        response = respond(
+            t[after], sign * angle[after], sign * goal, window, float(settings["band"]) / step, origin=sign * origin,
+            resolution=count_of(run, "angle"),
+        )  # fmt: skip
+    except ValueError as error:
+        raise NotUsable(str(error)) from error
+    return Stepped(run, trial, t[ok], angle[ok], reference[ok], saturated, sign, step, response)
+
+
+def refuse_leaps(t: Array, angle: Array, count: float) -> None:
+    """Raise `NotUsable` where the angle leaps from one sample to the next, as no joint with a mass turns.
+
+    A leap is what is left of a sample's change after those around it, above noise and what the motion bends elsewhere.
+    """
+    change = np.diff(angle)
+    around = 0.25 * (change[:-4] + change[1:-3] + change[3:-1] + change[4:])
+    leaps = np.abs(change[2:-2] - around)
+    if not len(leaps):
+        return
+    worst = int(np.argmax(leaps))
+    motion = np.abs(change[max(0, worst - 8) : worst + 13] - np.median(change[max(0, worst - 8) : worst + 13]))
+    usual = float(np.sort(motion)[-2])  # the largest change but one
+    if leaps[worst] > max(LEAP * noise_of(angle), 3 * count, 2 * usual):
+        raise NotUsable(
+            f"{show(float(t[worst + 3]), 'time', 3)} after its begin the angle leaps by "
+            f"{show(float(leaps[worst]), 'angle', 2)} in one sample: the encoder or its coupling slips"
+        )
+
+
+def _swung(
+    run: RunData, trial: TrialData, t: Array, angle: Array, window: tuple[float, float], saturated: float
+) -> Swung:
+    frequency, amplitude = trial.point["frequency"], trial.point["goal"]
+    filtered = 1 + 2j * pi * frequency * lags_of(run, trial)["angle"]
+    reference = amplitude * np.sin(2 * pi * frequency * np.maximum(t, 0.0))
+    whole = int((window[1] - window[0]) * frequency * (1 + 1e-9))
+    if whole < FEWEST_CYCLES:
+        raise NotUsable(f"{whole} whole cycles in the window; an interval needs {FEWEST_CYCLES}")
+    answers, errors = [], []
+    for cycle in range(whole):
+        begin = window[0] + cycle / frequency
+        rows = (t >= begin) & (t < begin + 1 / frequency)
+        if rows.sum() < 20:
+            raise NotUsable("fewer than 20 samples in a cycle of the sine")
+        _, signals = three_parameter(t[rows], np.column_stack([angle[rows], reference[rows]]), frequency)
+        answers.append(complex(filtered * signals[0] / signals[1]))
+        left = np.interp(t[rows] + lags_of(run, trial)["angle"], t, angle) - reference[rows]
+        errors.append(float(np.sqrt(np.mean(left**2))))
+    return Swung(run, trial, t, angle, reference, saturated, np.array(answers), np.array(errors))
+
 
 STEP, SINE = "step in closed loop", "sine in closed loop"
 SATURATED = 0.05
@@ -33,16 +169,8 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
 
     `options`: `window` [s], `band` [rad] and `begin` [s], else the plan's.
     """
-    courses, dropped = list[Stepped | Swung](), list[Dropped]()
-    for run in runs:
-        for trial in run.trials:
-            try:
-                courses.append(course_of(run, trial, options or {}))
-            except NotUsable as reason:
-                dropped.append(Dropped(trial.name, trial.point, str(reason)))
-    cells: dict[tuple[tuple[str, float], ...], list[Stepped | Swung]] = {}
-    for one in courses:
-        cells.setdefault(tuple(sorted((n, round(v, 9)) for n, v in one.trial.point.items())), []).append(one)
+    courses, dropped = measured_trials(runs, lambda run, trial: course_of(run, trial, options or {}))
+    cells = grouped(courses, lambda one: point_of(one.trial))
     scales = Scales.of(runs)
     estimates, traces, findings = list[Estimate](), list[Trace](), list[Finding]()
     for key, members in sorted(cells.items()):
@@ -66,34 +194,30 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
 
 def _of_steps(at: Mapping[str, float], steps: Sequence[Stepped], scales: Scales, band: float) -> Iterator[Estimate]:
     trials = tuple(one.trial.name for one in steps)
-    found = [one.response for one in steps]
-    errors = np.array([-one.sign * r.error for one, r in zip(steps, found, strict=True)])
-    overshoots = np.array([r.overshoot * one.size for one, r in zip(steps, found, strict=True)])
-    late = _late(steps)
-    unsure = {
-        "e_th": max(r.unsure.error for r in found),
-        "OS_th": max(r.unsure.overshoot * one.size for one, r in zip(steps, found, strict=True)),
-        "t_s": float(np.hypot(max(r.unsure.settling for r in found), late)),
-        "t_r": float(np.hypot(max(r.unsure.rise for r in found), late + _slowed(steps))),
-    }
-    angle = ("rad", "angle")
-    rows: list[tuple[str, tuple[str, str], list[float | None]]] = [
-        ("e_th", angle, list(errors)),
-        ("t_s", ("s", "time"), [r.settling for r in found]),
-        ("t_r", ("s", "time"), [r.rise for r in found]),
-        ("OS_th", angle, list(overshoots)),
-    ]
-    for symbol, kind, values in rows:
+    found, late = [one.response for one in steps], _late(steps)
+    # the filter of the angle makes a rise longer, which a shift in time does not take off
+    rises = [(one.response.rise, 2.2 * lags_of(one.run, one.trial)["angle"]) for one in steps]
+    slowed = max((r - max(r**2 - slow**2, 0.0) ** 0.5 for r, slow in rises if r is not None), default=0.0)
+    errors = [-one.sign * one.response.error for one in steps]
+    angle, second = ("rad", "angle"), ("s", "time")
+    rows: list[tuple[str, tuple[str, str], list[Any], float]] = [
+        ("e_th", angle, errors, max(r.unsure.error for r in found)),
+        ("t_s", second, [r.settling for r in found], float(np.hypot(max(r.unsure.settling for r in found), late))),
+        ("t_r", second, [r.rise for r in found], float(np.hypot(max(r.unsure.rise for r in found), late + slowed))),
+        ("OS_th", angle, [one.response.overshoot * one.size for one in steps],
+         max(one.response.unsure.overshoot * one.size for one in steps)),
+    ]  # fmt: skip
+    for symbol, kind, values, unsure in rows:
         known = [value for value in values if value is not None]
         mean, half = mean_with_half(known) if known else (0.0, None)
         part = scales.part({"angle": at["goal"]}, {"angle": 1.0}) if symbol == "e_th" else None
         note = "one trial: no interval" if len(steps) == 1 else ""
-        parts = Parts(half, unsure[symbol], part)
+        parts = Parts(half, unsure, part)
         one = Estimate(symbol, mean, *kind, STEP, at, parts, len(known), note=note, trials=trials)
         if len(known) < len(values):
-            ends, count = show(float(errors.mean()), "angle", 3), len(values) - len(known)
+            end, count = show(float(np.mean(errors)), "angle", 3), len(values) - len(known)
             place = f"within {show(band, 'angle')} of the goal" if symbol == "t_s" else "from 10 to 90 % of the step"
-            why = f"{count} of {len(values)} trials do not come {place}: they end {ends} off it"
+            why = f"{count} of {len(values)} trials do not come {place}: they end {end} off it"
             one = replace(one, value=None, parts=Parts(), note=why)
         yield one
 
@@ -101,12 +225,6 @@ def _of_steps(at: Mapping[str, float], steps: Sequence[Stepped], scales: Scales,
 def _late(courses: Sequence[Course]) -> float:
     """What is open of the time between the angle and the commands [s]: the sensor's filter and its clock."""
     return max(lag_open(one.run, "angle") + off([one.run], "angle") for one in courses)
-
-
-def _slowed(steps: Sequence[Stepped]) -> float:
-    """By how much the filter of the angle makes a rise longer, which a shift in time does not take off [s]."""
-    rises = [(one.response.rise, 2.2 * lags_of(one.run, one.trial)["angle"]) for one in steps]
-    return max((r - max(r**2 - slow**2, 0.0) ** 0.5 for r, slow in rises if r is not None), default=0.0)
 
 
 def _of_sines(at: Mapping[str, float], sines: Sequence[Swung], scales: Scales) -> Iterator[Estimate]:
@@ -123,27 +241,16 @@ def _of_sines(at: Mapping[str, float], sines: Sequence[Swung], scales: Scales) -
         ("e_s", ("rad", "angle"), [one.errors for one in sines], {"angle": at["goal"]}),
     )
     for symbol, kind, values, gains in rows:
-        means = np.array([float(one.mean()) for one in values])
-        part = scales.part(gains) if gains else None
-        parts = Parts(mean_half(means, values), late[symbol], part)
-        yield Estimate(symbol, float(means.mean()), *kind, SINE, at, parts, len(sines), trials=trials)
+        mean, half = mean_of_cycles(values)
+        parts = Parts(half, late[symbol], scales.part(gains) if gains else None)
+        yield Estimate(symbol, mean, *kind, SINE, at, parts, len(sines), trials=trials)
 
 
 def _trace(at: Mapping[str, float], one: Course) -> Trace:
     """Angle, reference and pressures of the last trial of an operating point."""
-    ok, shown = (
-        one.trial.usable,
-        f"{show(at['goal'], 'angle', 3)}, integral {show(at['integral'], 'angular integral gain', 3)}",
-    )
-    columns = {"t": one.t, "angle": one.angle, "reference": one.reference}
-    columns |= {n: one.trial.channels[n][ok] for n in ("pressure_1", "pressure_2") if n in one.trial.channels}
-    quantities = {"t": "time", "angle": "angle", "reference": "angle"}
     kind = "sine" if isinstance(one, Swung) else "step"
-    return Trace(
-        f"joint-{kind}-{one.trial.number}",
-        "joint-step",
-        f"{kind} of {shown}",
-        columns,
-        quantities | {name: "pressure" for name in columns if name not in quantities},
-        dict(at),
-    )
+    columns = {"t": one.t, "angle": one.angle, "reference": one.reference}
+    columns |= {n: one.trial.channels[n][one.trial.usable] for n in MUSCLES if n in one.trial.channels}
+    quantities = dict.fromkeys(columns, "pressure") | {"t": "time", "angle": "angle", "reference": "angle"}
+    title = f"{kind} of {show(at['goal'], 'angle', 3)}, integral {show(at['integral'], 'angular integral gain', 3)}"
+    return Trace(f"joint-{kind}-{one.trial.number}", "joint-step", title, columns, quantities, dict(at))

@@ -37,14 +37,10 @@ def loops(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     if not able:
         return []
     chosen = spread(able, PANELS)
-    panels = [
-        (
-            head(trace),
-            [("loop", panel(trace, {"x": "angle", "y": "torque"}, ""))],
-            panel(trace, {"x": "angle", "y": "mean"}, "") if has(trace, "mean") else None,
-        )
-        for trace in chosen
-    ]
+    panels = []
+    for trace in chosen:
+        mean = panel(trace, {"x": "angle", "y": "mean"}, "") if has(trace, "mean") else None
+        panels.append((head(trace), [("loop", panel(trace, {"x": "angle", "y": "torque"}, ""))], mean))
     labels = {"x": label(chosen[0], "angle"), "y": label(chosen[0], "torque")}
     gaps, slopes = (reach([trace.marks[name] for trace in chosen]) for name in ("H_tau", "K_th"))
     caption = (
@@ -65,11 +61,7 @@ def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Qu
         one = sweep_of(run, trial, {})
     except NotUsable as reason:
         return [Measured("K_th", "torsional stiffness", None), Measured("H_tau", "torque", None)], [str(reason)]
-    gap = float(one.loop.middle_gap.mean())
-    doubts = []
-    if gap < -max(one.loop.noise, 1e-3):
-        doubts.append("the torque is larger while the angle rises: a wrong sign, or angle and torque apart in time")
-    return [
-        Measured("K_th", "torsional stiffness", float(one.stiffness.mean())),
-        Measured("H_tau", "torque", gap, noise=one.loop.noise),
-    ], doubts
+    gap, noise = float(one.loop.middle_gap.mean()), one.loop.noise
+    wrong = "the torque is larger while the angle rises: a wrong sign, or angle and torque apart in time"
+    K = Measured("K_th", "torsional stiffness", float(one.stiffness.mean()))
+    return [K, Measured("H_tau", "torque", gap, noise=noise)], [wrong] if gap < -max(noise, 1e-3) else []

@@ -67,16 +67,12 @@ class JointSweep(ProtocolHead):
                 continue
             if index == 0:
                 c.precondition()
-            c.trials.append(TrialRecord(index, self._values(point), point.repeat))
+            held = {name: point.values[name] for name in MUSCLES} | {"angular_speed": speed}
+            ends = {"lowest_angle": trial.lower, "highest_angle": trial.upper, "cycles": float(trial.cycles)}
+            c.trials.append(TrialRecord(index, held | ends, point.repeat))
             c.steps += self._steps(index, point)
         c.steps += vented()
         return c.plan("joint-sweep", {"discard": trial.discard})
-
-    def _values(self, point: Point) -> dict[str, float]:
-        trial = self.trial
-        ends = {"lowest_angle": trial.lower, "highest_angle": trial.upper}
-        held = {name: point.values[name] for name in MUSCLES}
-        return {**held, "angular_speed": point.values["speed"], **ends, "cycles": float(trial.cycles)}
 
     def _steps(self, index: int, point: Point) -> Sequence[Step]:
         trial, speed = self.trial, point.values["speed"]

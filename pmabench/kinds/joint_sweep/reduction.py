@@ -11,10 +11,10 @@ import numpy as np
 from pmabench.analysis.shared import skew
 from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.form import Doubt, weighed
-from pmabench.analysis.shared.joint import AXES, BY_PRESSURE, CUT, MUSCLES, refuse_turns, settings_of
-from pmabench.analysis.shared.lines import mean_half
-from pmabench.analysis.shared.ramp_loop import Loop, Turns, measure
-from pmabench.analysis.shared.samples import NotUsable
+from pmabench.analysis.shared.lines import mean_of_cycles
+from pmabench.analysis.shared.ramp_loop import AXES, BY_PRESSURE, CUT, MUSCLES, Loop, Turns, measure, refuse_turns
+from pmabench.analysis.shared.samples import NotUsable, settings_of
+from pmabench.analysis.shared.trials import grouped
 from pmabench.base.quantities import show
 from pmabench.kinds.joint_sweep import RESULTS
 from pmabench.store.analyses.results import Analysis, Dropped, Estimate, Finding, Parts, Trace
@@ -59,7 +59,10 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         estimates += _estimates(dict(at), members, scales)
         traces.append(_trace(dict(at), members[-1]))
     findings += [Finding("doubt", f"{one.trial}: {one.reason}") for one in dropped]
-    findings += [_words(one) for one in sweeps if one.loop.turns is not None]
+    for one, turns in ((one, one.loop.turns) for one in sweeps):
+        if turns is not None:
+            text = f"{one.trial.name}: a turn fades on w = {show(turns.w, 'angle', 3)}; 3 w are cut after each"
+            findings.append(Finding("note", text))
     if estimates and (lack := scales.lack(("torque", "angle", *MUSCLES))):
         findings.append(Finding("note", lack))
     apart = skew.apart(runs, ("angle", "torque")) if runs else 0.0
@@ -86,8 +89,9 @@ def sweep_of(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> Swee
         raise NotUsable("its plan names no lowest and highest angle, so its turns are not known")
     loop = measure(run, trial, int(settings_of(run, options).get("discard", 1)), TURN * (high - low), AXES)
     half, gap = 0.5 * (high - low), float(loop.middle_gap.mean())
+    noise = float(np.sqrt(0.5 * np.mean(np.diff(loop.gap, axis=1) ** 2)))  # of a point, as neighbours differ
     try:
-        refuse_turns(loop.turns, half, gap, _noise(loop))
+        refuse_turns(loop.turns, half, gap, noise)
     except NotUsable as reason:
         raise OffForm(str(reason)) from None
     if loop.turns is not None and half < HALF_SWEEP * loop.turns.w:
@@ -96,15 +100,8 @@ def sweep_of(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> Swee
             f"the sweep of +-{show(half, 'angle', 3)} is too small for the hysteresis: a turn fades on {w}, 3 of which "
             f"are cut after each turn, and mid sweep must lie one more beyond them; sweep at least +-{least}"
         )
-    stiffness = _slopes(loop, loop.turns)
-    plain = _slopes(loop, loop.turns, keep=True)
+    stiffness, plain = _slopes(loop, loop.turns), _slopes(loop, loop.turns, keep=True)
     return Sweep(run, trial, loop, stiffness, abs(float(stiffness.mean() - plain.mean())))
-
-
-def _noise(loop: Loop) -> float:
-    """Of a point of the gap [N m], as neighbouring points differ."""
-    steps = np.diff(loop.gap, axis=1)
-    return float(np.sqrt(0.5 * np.mean(steps**2)))
 
 
 def _slopes(loop: Loop, turns: Turns | None, *, keep: bool = False) -> Array:
@@ -145,21 +142,19 @@ def _sweeps(runs: Sequence[RunData], options: Mapping[str, Any]) -> tuple[list[S
     return [one for one, place in zip(sweeps, alike, strict=True) if place not in spoiled], dropped
 
 
+COORDINATES = (*MUSCLES, "angular_speed", "lowest_angle", "highest_angle")
+
+
 def _place(point: Mapping[str, float]) -> tuple[float, ...]:
     """Pressures, speed and ends of a sweep."""
-    return tuple(
-        round(point.get(name, 0.0), 9) for name in (*MUSCLES, "angular_speed", "lowest_angle", "highest_angle")
-    )
+    return tuple(round(point.get(name, 0.0), 9) for name in COORDINATES)
 
 
 def _cells(sweeps: Sequence[Sweep]) -> dict[tuple[tuple[str, float], ...], list[Sweep]]:
     """The trials of one operating point together."""
-    cells: dict[tuple[tuple[str, float], ...], list[Sweep]] = {}
-    names = (*MUSCLES, "angular_speed", "lowest_angle", "highest_angle")
-    varied = [name for name in names[3:] if len({one.trial.point[name] for one in sweeps}) > 1]
-    for one in sweeps:
-        at = tuple((name, round(one.trial.point[name], 9)) for name in (*names[:3], *varied))
-        cells.setdefault(at, []).append(one)
+    varied = [name for name in COORDINATES[3:] if len({one.trial.point[name] for one in sweeps}) > 1]
+    names = (*COORDINATES[:3], *varied)
+    cells = grouped(sweeps, lambda one: tuple((name, round(one.trial.point[name], 9)) for name in names))
     return dict(sorted(cells.items()))
 
 
@@ -172,8 +167,7 @@ def _estimates(at: Mapping[str, float], members: Sequence[Sweep], scales: Scales
         symbol: str, kind: tuple[str, str], method: str, values: Sequence[Array], extra: float,
         angles: int, by_pressure: float = 0.0, where: Mapping[str, float] | None = None, by_angle: float = 0.0,
     ) -> Estimate:  # fmt: skip
-        means = np.array([float(v.mean()) for v in values])
-        value = float(means.mean())
+        value, half = mean_of_cycles(values)
         gains = {"torque": value} | ({"angle": angles * value} if angles else {})
         gains |= {name: by_pressure * at[name] for name in MUSCLES if by_pressure}
         offsets = dict.fromkeys(MUSCLES, by_pressure) if by_pressure else {}
@@ -182,7 +176,7 @@ def _estimates(at: Mapping[str, float], members: Sequence[Sweep], scales: Scales
             offsets |= {"torque": 1.0, "angle": by_angle}
         part = scales.part({name: change for name, change in gains.items() if change}, offsets)
         note = "one trial: the repeats part is the scatter of its cycles" if len(members) == 1 else ""
-        parts = Parts(mean_half(means, values), extra, part)
+        parts = Parts(half, extra, part)
         return Estimate(symbol, value, *kind, method, where or at, parts, len(members), note=note, trials=trials)
 
     late = max((one.loop.late for one in members), key=lambda doubt: (doubt.seen, doubt.half))
@@ -201,7 +195,10 @@ def _estimates(at: Mapping[str, float], members: Sequence[Sweep], scales: Scales
     slope = BY_PRESSURE * K / total if total > 0 else 0.0
     taken_off = max(one.taken_off for one in members)
     yield made("K_th", ("N.m/rad", "torsional stiffness"), BRANCHES, stiffness, taken_off, -1, slope)
-    unclosed = max(_unclosed(one.loop) for one in members)
+    # what the turns still leave of the fitted open gap at mid sweep, and in the mean curve
+    fits = [(one.loop, one.loop.turns) for one in members]
+    unclosed = max(abs(2 * t.h - float(loop.middle_gap.mean())) if t else 0.0 for loop, t in fits)
+    of_turns = [np.abs(t.of_mean(loop.x)) if t else np.zeros_like(loop.x) for loop, t in fits]
     yield doubted(made("H_tau", torque, LOOP, [one.loop.middle_gap for one in members], unclosed, 0), 1.0)
     corners = max(2 * abs(float(m.loop.middle_gap.mean())) * m.loop.speed / m.run.rate for m in members)
     yield doubted(made("W", ("J", "work"), LOOP, [one.loop.lost for one in members], corners, 1), sweep)
@@ -211,41 +208,19 @@ def _estimates(at: Mapping[str, float], members: Sequence[Sweep], scales: Scales
     for place in np.linspace(x[0], x[-1], PLACES):
         curves = [np.array([np.interp(place, one.loop.x, cycle) for cycle in one.loop.mean]) for one in members]
         where = {**at, "angle": round(float(place), 7)}
-        off = max(float(np.interp(place, one.loop.x, _of_turns(one.loop))) for one in members)
+        off = max(float(np.interp(place, m.loop.x, left)) for m, left in zip(members, of_turns, strict=True))
         # torque is no more than what both muscles pull: a share of it for each pressure that is off
         whole = max(abs(float(np.mean(curve))) for curve in curves) + slope * total / BY_PRESSURE * float(np.ptp(x))
         yield made("tau", torque, MEAN, curves, 0.1 * off, 0, whole / total if total > 0 else 0.0, where,
                    float(steep[np.abs(x - place) <= NEAR * np.ptp(x)].max()) + off / fades)  # fmt: skip
 
 
-def _unclosed(loop: Loop) -> float:
-    """How far the fitted open gap is from that at mid sweep [N m]: what the turns still leave there."""
-    return 0.0 if loop.turns is None else abs(2 * loop.turns.h - float(loop.middle_gap.mean()))
-
-
-def _of_turns(loop: Loop) -> Array:
-    return np.zeros_like(loop.x) if loop.turns is None else np.abs(loop.turns.of_mean(loop.x))
-
-
-def _words(one: Sweep) -> Finding:
-    turns = one.loop.turns
-    assert turns is not None  # noqa: S101  (asked before)
-    text = f"{one.trial.name}: a turn fades on w = {show(turns.w, 'angle', 3)}; 3 w are cut after each"
-    return Finding("note", text)
-
-
 def _trace(at: Mapping[str, float], one: Sweep) -> Trace:
     """The last loop of an operating point, and its mean curve on the loop's own samples."""
     angle, torque = one.loop.last
     mean = np.interp(angle, one.loop.x, one.loop.mean.mean(axis=0), left=np.nan, right=np.nan)
-    shown = " and ".join(show(at[name], "pressure") for name in MUSCLES)
-    name = "joint-loop-" + "-".join(f"{at[name] / 1e3:g}" for name in MUSCLES)
+    title = f"Torque over angle at {' and '.join(show(at[name], 'pressure') for name in MUSCLES)}"
+    name = "joint-loop-" + "-".join(f"{at[name] / 1e3:g}" for name in MUSCLES) + f"-{one.trial.number}"
     marks = {**at, "K_th": float(one.stiffness.mean()), "H_tau": float(one.loop.middle_gap.mean())}
-    return Trace(
-        f"{name}-{one.trial.number}",
-        "joint-loop",
-        f"Torque over angle at {shown}",
-        {"angle": angle, "torque": torque, "mean": mean},
-        {"angle": "angle", "torque": "torque", "mean": "torque"},
-        marks,
-    )
+    columns = {"angle": angle, "torque": torque, "mean": mean}
+    return Trace(name, "joint-loop", title, columns, {"angle": "angle", "torque": "torque", "mean": "torque"}, marks)

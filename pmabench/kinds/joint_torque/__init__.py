@@ -1,6 +1,6 @@
 """Isometric torque of a joint over its angle for pairs of pressures: maps of torque and stiffness.
 
-- `staircase`: one trial; `plane`: torque by pressure at one angle; `reduction`
+- `reduction`: one trial, then all of a pair of pressures, with a plane of torque over the pressures at each angle
 - protocol files: `protocol`; figures and one trial on the display: `figures`
 """
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from pmabench.analysis.shared.samples import NotUsable
 from pmabench.analysis.trial import Expected, Found, Measured, Quick
-from pmabench.kinds.joint_torque.staircase import staircase_of
+from pmabench.kinds.joint_torque.reduction import staircase_of
 from pmabench.plotting import time_plots
 from pmabench.plotting.pictures import Picture, bound, has, label, numbers, panel, picture, unit_of
 from pmabench.store.analyses.results import Analysis, Trace
@@ -30,14 +30,10 @@ def maps(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
         if not able:
             continue
         chosen = [able[i] for i in np.unique(np.linspace(0, len(able) - 1, min(len(able), MOST)).astype(int))]
-        panels = [
-            panel(
-                trace,
-                {"x": "angle", "y": f"torque at {name}", "gap": f"stiffness at {name}"},
-                name.replace(" kPa and ", ", "),
-            )
-            for name in chosen
-        ]
+        panels = []
+        for name in chosen:
+            columns = {"x": "angle", "y": f"torque at {name}", "gap": f"stiffness at {name}"}
+            panels.append(panel(trace, columns, name.replace(" kPa and ", ", ")))
         units = (unit_of(trace, f"{what} at {chosen[0]}").label(what) for what in ("torque", "stiffness"))
         labels = dict(zip(("x", "y", "gap"), (label(trace, "angle"), *units), strict=True))
         some = f" {len(chosen)} of {len(able)} are shown." if len(chosen) < len(able) else ""
@@ -60,8 +56,5 @@ def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Qu
         return [Measured("K_th", "torsional stiffness", None), Measured("H_tau", "torque", None)], [str(reason)]
     why = one.why_no_stiffness
     stiffness = None if why else float(one.stiffness().mean(axis=0)[one.open.sum() // 2])
-    gap = float(one.gap[:, one.open].mean())
-    return [
-        Measured("K_th", "torsional stiffness", stiffness),
-        Measured("H_tau", "torque", gap, noise=one.noise),
-    ], [why] if why else []
+    K, gap = Measured("K_th", "torsional stiffness", stiffness), float(one.gap[:, one.open].mean())
+    return [K, Measured("H_tau", "torque", gap, noise=one.noise)], [why] if why else []

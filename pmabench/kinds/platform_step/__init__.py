@@ -1,6 +1,6 @@
 """Steps of attitude of a platform that three muscles tilt: how fast, how far beyond, how exactly, how much it switches.
 
-- `reduction`, made of `course` (one step) and `accelerometer` (what the sensor says about itself)
+- `reduction`: one step, what the accelerometer says about itself; then all of an attitude
 - protocol files: `protocol`; figures and one trial on the display: `figures`
 """
 

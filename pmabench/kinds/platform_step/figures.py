@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from pmabench.analysis.shared.samples import NotUsable
 from pmabench.analysis.trial import Expected, Found, Measured, Quick
-from pmabench.kinds.platform_step.course import course_of
+from pmabench.kinds.platform_step.reduction import course_of
 from pmabench.plotting.pictures import Picture, bound, has, head, how_many, label, numbers, panel, picture, spread
 from pmabench.plotting.plots import (
     BLUE,

@@ -79,10 +79,8 @@ class PlatformSteps(ProtocolHead):
                 c.fault(point.places["phi"], "phi and psi are both 0 deg: that is no step")
             c.trials.append(TrialRecord(index, attitude, point.repeat))
             c.steps += [Record("step", True, index), self._control(c, attitude), Record("step", False, index)]
-        height = bench.platform.get("accelerometer", 0.0)
-        return c.plan(
-            "platform-step", {"level": trial.level, "hold": trial.hold, "chain": trial.chain, "height": height}
-        )
+        settings = {name: getattr(trial, name) for name in ("level", "hold", "chain")}
+        return c.plan("platform-step", {**settings, "height": bench.platform.get("accelerometer", 0.0)})
 
     @staticmethod
     def _tilt(c: Compilation, point: Point) -> None:

@@ -1,6 +1,6 @@
 """A step to a pressure at a set contraction, held for minutes: how the rubber relaxes.
 
-- `reduction`, made of `course`: one trial, with a straight line over log t, exponentials, their noise
+- `reduction`: one trial, with a straight line over log t, exponentials and their noise; then all of a point
 - protocol files: `protocol`; figure and one trial on the display: `figures`
 """
 
@@ -23,6 +23,8 @@ METHODS = {
         "same means. Time constants that the hold does not show are withheld."
     ),
 }
+PHASES, POINT = (("to the highest", "step"), ("any", "vent")), (("contraction", "length"), ("pressure", "highest"))
+"""How the commands of an import are called, and how the operating point is read off them."""
 KIND = Kind(
     name="relaxation",
     title="Relaxation",
@@ -39,12 +41,5 @@ KIND = Kind(
     word="relaxation",
     methods=METHODS,
     figures={"relaxation": "pmabench.kinds.relaxation.figures:courses"},
-    imported=Imported(
-        Commanded(
-            "pressure",
-            phases=(("to the highest", "step"), ("any", "vent")),
-            point=(("contraction", "length"), ("pressure", "highest")),
-        ),
-        follows="force",
-    ),
+    imported=Imported(Commanded("pressure", phases=PHASES, point=POINT), follows="force"),
 )

@@ -11,7 +11,7 @@ import numpy as np
 
 from pmabench.analysis.shared.samples import NotUsable
 from pmabench.analysis.trial import Expected, Found, Measured, Quick
-from pmabench.kinds.relaxation.course import measure as course_of
+from pmabench.kinds.relaxation.reduction import measure as course_of
 from pmabench.plotting import plots
 from pmabench.plotting.pictures import Picture, bound, column, has, head, how_many, numbers, picture, spread, unit_of
 from pmabench.plotting.plots import Points
@@ -57,7 +57,5 @@ def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Qu
     except NotUsable as reason:
         return [Measured("s", "ratio", None)], [str(reason)]
     doubts = [one.reason for one in course.doubts() if one.seen and one.half > course.half]
-    return [
-        Measured("s", "ratio", course.per_decade, noise=course.half),
-        Measured("F_1", "force", course.start),
-    ], doubts
+    s = Measured("s", "ratio", course.per_decade, noise=course.half)
+    return [s, Measured("F_1", "force", course.start)], doubts

@@ -1,26 +1,342 @@
 """Reduction of relaxation: s per decade, force at 1 s, exponentials, at each contraction and pressure.
 
-Knows the samples. One trial is measured in `course`, the lines and their noise are in `fit`.
+One trial is the force after the step with the measured pressure divided out. Both fits, a straight line over log t and
+exponentials, go through means over equal parts of log t, so that each decade counts alike.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from math import sqrt
+from functools import cached_property
+from math import log10, sqrt
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import nnls
 
+from pmabench.analysis.shared import student
 from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.form import Doubt, weighed
 from pmabench.analysis.shared.isometric_lines import spread
-from pmabench.analysis.shared.samples import NotUsable
+from pmabench.analysis.shared.samples import NotUsable, noise_of, refuse_unusable, settings_of
+from pmabench.analysis.shared.trials import grouped, measured_trials
 from pmabench.base.quantities import show
 from pmabench.kinds.relaxation import RESULTS
-from pmabench.kinds.relaxation.course import BEFORE, TIMES, Course, measure
-from pmabench.store.analyses.results import Analysis, Dropped, Estimate, Finding, Parts, Trace
-from pmabench.store.records import RunData, TrialData
+from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace
+from pmabench.store.records import Array, Command, RunData, TrialData
+
+PER_DECADE = 20
+"""Means in each decade of time."""
+TIMES = (1.0, 10.0, 100.0, 1000.0)
+"""Time constants of the exponentials [s]."""
+LONGEST_LAG = 0.1
+"""Share of the samples up to which their noise is looked at for correlation."""
+
+
+@dataclass(frozen=True, eq=False)
+class Relaxing:
+    """Samples y at equally spaced times t [s] after a step, shape (n,)."""
+
+    t: Array
+    y: Array
+
+    @cached_property
+    def _parts(self) -> NDArray[np.intp]:
+        """Number of the part of log t that each sample is in; only parts that hold samples are counted."""
+        place = np.log10(self.t / self.t[0]) * PER_DECADE
+        return np.asarray(np.unique(place.astype(int), return_inverse=True)[1])
+
+    @cached_property
+    def _count(self) -> NDArray[np.intp]:
+        return np.bincount(self._parts)
+
+    def means(self, values: Array) -> Array:
+        """Means of values (n,) over the parts, shape (parts,)."""
+        return np.asarray(np.bincount(self._parts, values) / self._count)
+
+    @cached_property
+    def decades(self) -> Array:
+        """Mean of log10 t in each part."""
+        return self.means(np.log10(self.t))
+
+    def slope_weights(self, low: float = 0.0, high: float = 1.0) -> Array:
+        """Weights of samples whose sum with y is the slope over log10 t, from shares `low` to `high` of the decades."""
+        u = (self.decades - self.decades[0]) / (self.decades[-1] - self.decades[0])
+        rows = (u >= low - 1e-9) & (u <= high + 1e-9)
+        off = np.where(rows, self.decades - self.decades[rows].mean(), 0.0)
+        return self._of_parts(off / np.sum(off**2))
+
+    @cached_property
+    def bent(self) -> float:
+        """Value at t = 1 s of a parabola over log10 t less that of the straight line [as y]."""
+        return float(np.polyfit(self.decades, self.means(self.y), 2)[2]) - self.line[0]
+
+    def _of_parts(self, weights: Array) -> Array:
+        """Weights of samples from those of the parts' means."""
+        return np.asarray((weights / self._count)[self._parts])
+
+    @cached_property
+    def line(self) -> tuple[float, float]:
+        """Value at t = 1 s and slope of the straight line over log10 t [as y]."""
+        slope = float(self.slope_weights() @ self.y)
+        return float(self.means(self.y).mean() - slope * self.decades.mean()), slope
+
+    def _correlation(self, order: int) -> tuple[Array, float]:
+        """Covariances of the noise by lag, and how many independent samples there are.
+
+        From what a polynomial of `order` over log t leaves. Lags are tapered (Bartlett).
+        """
+        left = self.y - np.polyval(np.polyfit(self.decades, self.means(self.y), order), np.log10(self.t))
+        n, most = len(left), max(1, int(LONGEST_LAG * len(self.t)))
+        size = 2 ** int(np.ceil(np.log2(2 * n)))
+        power = np.abs(np.fft.rfft(left, size)) ** 2
+        covariance = np.fft.irfft(power, size)[: most + 1] / n
+        tapered = covariance * (1 - np.arange(most + 1) / (most + 1))
+        total = tapered[0] + 2 * float(np.sum(tapered[1:]))
+        alike = max(1.0, total / tapered[0]) if tapered[0] > 0 else 1.0
+        return tapered, n / alike
+
+    def half(self, weights: Array, order: int = 1) -> float:
+        """Half width of the 95 % interval of the sum of `weights` (n,) and y, from its correlated noise.
+
+        Noise is what the straight line leaves, and so holds a bend; with `order` 3 it does not.
+        """
+        covariance, independent = self._correlation(order)
+        n = len(weights)
+        size = 2 ** int(np.ceil(np.log2(2 * n)))
+        own = np.fft.irfft(np.abs(np.fft.rfft(weights, size)) ** 2, size)[: len(covariance)]
+        variance = own[0] * covariance[0] + 2 * float(own[1:] @ covariance[1:])
+        white = own[0] * covariance[0]
+        return float(student.ppf(0.975, max(independent - 2, 2))) * sqrt(max(variance, white, 0.0))
+
+    @cached_property
+    def prony(self) -> tuple[Array, Array, float]:
+        """Constant and sizes of exponentials of `TIMES` (5,), their half widths (5,), and the rms of what is left [y].
+
+        The half widths are those without the bound at 0; infinite for a term that the samples do not show.
+        """
+        design = np.column_stack([np.ones(len(self._count)), *(self.means(np.exp(-self.t / T)) for T in TIMES)])
+        sizes, left = nnls(design, self.means(self.y))
+        shown = [0, *(1 + i for i, T in enumerate(TIMES) if self.shows(T))]
+        inverse = np.linalg.pinv(design[:, shown])
+        halves = np.full(len(TIMES) + 1, np.inf)
+        for row, term in zip(inverse, shown, strict=True):
+            halves[term] = self.half(self._of_parts(row))
+        return np.asarray(sizes), halves, float(left) / sqrt(len(self._count))
+
+    def shows(self, T: float) -> bool:
+        """Whether the samples show an exponential of time constant T [s]: neither over before nor still to come."""
+        return bool(self.t[0] <= T <= self.t[-1])
+
+
+FEWEST_DECADES = 1.0
+"""Decades of time that a slope needs."""
+MOST_POINTS = 8000
+"""Equal steps of time that a hold is averaged in."""
+SEEN = 2.0
+"""Half widths from which on a bend over log t is seen."""
+CALM = 2.0
+"""Time before the step and at the end of the trial whose mean is the zero of the force [s]."""
+UNLIKE = 1.5
+"""So many times what this hold shows may an earlier one have relaxed."""
+ZERO_SEEN = 6.0
+"""So many times its noise is a change of the force without pressure one of the cell."""
+BEND, BEFORE, ZERO = "bend over log t", "holds before", "zero of the force"
+
+
+@dataclass(frozen=True)
+class Bend:
+    """Difference between slopes of parts of a hold, per decade [1], and whether it is more than noise."""
+
+    size: float
+    seen: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Course:
+    """The force of one trial relative to its line at 1 s, from `begin` on."""
+
+    trial: TrialData
+    relaxing: Relaxing
+    raw: Relaxing
+    """Without the pressure divided out."""
+    zero: float
+    """Change of the force without pressure over the trial [N]."""
+    noise: float
+    """Of its mean before the step [N]."""
+    rise: float
+    """Time that the pressure takes to get there [s]."""
+    off: float
+    """How far the mean pressure is from that of the step, as a share of it [1]."""
+    before: tuple[tuple[float, float, float], ...]
+    """Holds before this one in the run: pressure over that of this one [1], begin and end before this step [s]."""
+    drifted: float = 0.0
+    """Change of the force without pressure since the run began [N], if it goes on between trials as within this one."""
+
+    @property
+    def start(self) -> float:
+        """F_1 [N]."""
+        return self.relaxing.line[0]
+
+    @cached_property
+    def per_decade(self) -> float:
+        """Share s of F_1 that is lost in each decade [1]."""
+        start, slope = self.relaxing.line
+        return -slope / start
+
+    @cached_property
+    def half(self) -> float:
+        """Half width of s from the noise [1]."""
+        return self.relaxing.half(self.relaxing.slope_weights()) / abs(self.start)
+
+    @cached_property
+    def bend(self) -> Bend:
+        """How far the slopes of parts of the decades differ: late and early half, middle third and the outer two."""
+        one = self.relaxing
+        outer = 0.5 * (one.slope_weights(0.0, 1 / 3) + one.slope_weights(2 / 3, 1.0))
+        early, late, middle = (one.slope_weights(a, b) for a, b in ((0.0, 0.5), (0.5, 1.0), (1 / 3, 2 / 3)))
+        found = []
+        for weights in (late - early, middle - outer):
+            size = abs(float(weights @ one.y))
+            found.append(Bend(size / abs(self.start), size > SEEN * one.half(weights, order=3)))
+        return max(found, key=lambda bend: (bend.seen, bend.size))
+
+    @property
+    def left_behind(self) -> float:
+        """What the holds before this one make of the force at 1 s [N], if they relaxed alike or half as much again."""
+        return UNLIKE * abs(self.start * self.per_decade * sum(P * log10((1 + a) / (1 + b)) for P, a, b in self.before))
+
+    def doubts_of_start(self) -> list[Doubt]:
+        """The same of F_1 [N]: the line is read at 1 s, away from the middle of the decades that give its slope."""
+        one, away = self.relaxing, abs(self.start * float(self.relaxing.decades.mean()))
+        bend = self.bend
+        # where parts differ, the slope before the first of them may be that of any
+        off = max(abs(one.bent), away * bend.size if bend.seen else 0.0)
+        reason = (
+            f"parts of the hold relax by {bend.size:.2%} per decade unlike each other: the line may be "
+            f"{show(off, 'force', 2)} off at 1 s. Begin earlier"
+        )
+        # what the holds before left behind is known better at 1 s itself: `left_behind`
+        others = [d for d in self.doubts() if d.name not in {BEND, BEFORE, ZERO}]
+        seen = abs(self.zero) > ZERO_SEEN * self.noise
+        text = f"without pressure the cell may read {self.drifted:+.3g} N more than at first: zero it, and look "
+        return [
+            Doubt(BEND, "method", off, bend.seen, reason),
+            Doubt(ZERO, "drift", abs(self.drifted), seen, f"{text}for what warms it"),
+            *(Doubt(d.name, d.part, away * d.half, d.seen) for d in others),
+        ]
+
+    def doubts(self) -> list[Doubt]:
+        """What else than the rubber may make of s [1]."""
+        one, F, s = self.relaxing, self.start, abs(self.per_decade)
+        weights = one.slope_weights()
+        bend, (start, slope) = self.bend, self.raw.line
+        ends = float(weights @ (self.zero * one.t / one.t[-1])) / F
+        left = UNLIKE * sum(
+            P * float(weights @ np.log10((one.t + begin) / (one.t + end))) for P, begin, end in self.before
+        )
+        other = -slope / start - self.per_decade
+        moment = float(weights @ np.log10((one.t + self.rise / 2) / one.t))
+        bent = (
+            f"parts of the hold relax by {bend.size:.2%} per decade unlike each other: this is no straight line over "
+            "log t. Hold longer, or take the exponentials"
+        )
+        zero = (
+            f"without pressure the cell reads {self.zero:+.3g} N after the trial, against before: zero the cell, and "
+            "look for what warms it"
+        )
+        before = f"what the holds before left behind changes s by about {abs(s * left):.2%} per decade: rest longer"
+        pressure = f"the pressure changes along the hold: without it s would be {other:+.2%} per decade other"
+        return [
+            Doubt(BEND, "method", abs(bend.size / 2), bend.seen, bent),
+            Doubt(ZERO, "drift", abs(ends), abs(self.zero) > ZERO_SEEN * self.noise, zero),
+            Doubt(BEFORE, "drift", abs(s * left), bool(self.before), before),
+            Doubt("pressure", "method", abs(other / 2), False, f"{pressure}. Look at the regulator"),
+            Doubt("moment of the step", "method", abs(s * moment), False),
+        ]
+
+
+def measure(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> Course:
+    """One trial from its samples; `NotUsable` where it ended early, lacks a channel, or holds too few decades."""
+    refuse_unusable(trial, "pressure", "force")
+    step, end = _step(trial)
+    if end >= trial.t[-1]:
+        raise NotUsable(
+            f"it ends under pressure: without {CALM:g} s after the vent a drift of the cell looks like relaxation"
+        )
+    begin = float(settings_of(run, options).get("begin", 5.0))
+    t, F, P = (values[trial.usable] for values in (trial.t, trial.channels["force"], trial.channels["pressure"]))
+    calm, last = (t >= step.t - CALM) & (t < step.t), t > t[-1] - CALM
+    held = (t > step.t) & (t < end)
+    if min(calm.sum(), last.sum(), held.sum()) < 8:
+        raise NotUsable("fewer than 8 samples before the step, in the hold or after it")
+    final, base = float(np.median(P[held])), float(P[calm].mean())
+    risen = (P[held] - base) / (final - base) if abs(final - base) > 0 else np.zeros(held.sum())
+    if not (risen > 0.95).any() or final <= 0:
+        raise NotUsable("the pressure does not follow the step")
+    half_way, there = (float(t[held][np.argmax(risen > share)]) for share in (0.5, 0.95))
+    since = t - half_way
+    rows = held & (since >= begin)
+    decades = log10((end - half_way) / begin) if 0 < begin < end - half_way else 0.0
+    if decades < FEWEST_DECADES:
+        raise NotUsable(
+            f"the hold has {decades:.1f} decades of time from {begin:g} s on, {FEWEST_DECADES:g} are needed: hold for "
+            f"{begin * 10**FEWEST_DECADES:.0f} s or more"
+        )
+    even, divided, plain = _even(since[rows], F[rows] * step.value / P[rows], F[rows])
+    if np.mean(divided) <= 6 * noise_of(F[calm]):
+        raise NotUsable("the force is not above its noise: the muscle is slack at this contraction and pressure")
+    # pressure that is still there after the vent pulls: what it explains is no change of the cell
+    change = float(F[last].mean() - F[calm].mean())
+    pulls = float((P[last].mean() - base) / (final - base) * np.mean(divided))
+    zero = change - float(np.clip(pulls, min(change, 0.0), max(change, 0.0)))
+    return Course(
+        trial=trial,
+        relaxing=Relaxing(even, divided),
+        raw=Relaxing(even, plain),
+        zero=zero,
+        noise=noise_of(F[calm]) / float(np.sqrt(calm.sum())),
+        rise=there - step.t,
+        off=abs(float(P[rows].mean()) / step.value - 1),
+        before=_earlier(run, trial, step),
+        drifted=zero * max(1.0, float((t[-1] - run.trials[0].t[0]) / (t[-1] - t[0]))),
+    )
+
+
+def _step(trial: TrialData) -> tuple[Command, float]:
+    """The command of the step, and when the next one to the pressure ends its hold [s]."""
+    commands = [c for c in trial.commands if c.output == "pressure"]
+    for i, command in enumerate(commands):
+        if command.phase == "step":
+            return command, commands[i + 1].t if i + 1 < len(commands) else float(trial.t[-1])
+    raise NotUsable("it holds no step of pressure")
+
+
+def _earlier(run: RunData, trial: TrialData, step: Command) -> tuple[tuple[float, float, float], ...]:
+    """Holds of the run before this one, by their commands."""
+    found = []
+    for other in run.trials:
+        if other.t.size and other.t[0] < trial.t[0]:
+            try:
+                begin, end = _step(other)
+            except NotUsable:
+                continue
+            found.append((begin.value / step.value, step.t - begin.t, step.t - end))
+    return tuple(found)
+
+
+def _even(t: Array, *values: Array) -> list[Array]:
+    """Times and values as means over equal steps of time, none of them empty."""
+    gap = 1.5 * float(np.max(np.diff(t)))
+    count = max(8, min(MOST_POINTS, int((t[-1] - t[0]) / gap)))
+    place = np.minimum(((t - t[0]) / (t[-1] - t[0]) * count).astype(int), count - 1)
+    number = np.bincount(place, minlength=count)
+    if (number == 0).any():
+        raise NotUsable("there are gaps in the hold")
+    return [np.bincount(place, column, count) / number for column in (t, *values)]
+
 
 KIND = "relaxation"
 LINE, PRONY = "relaxation, log t", "relaxation, Prony"
@@ -29,29 +345,14 @@ LEAST = 0.05
 ONE = "one trial: the repeats part is its noise, and repeated tests may scatter more"
 
 
-@dataclass(frozen=True, eq=False)
-class _Member:
-    trial: TrialData
-    course: Course
-
-
 def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) -> Analysis:
     """Relaxation s [1 per decade], F_1 [N] and shares g [1] of exponentials at each contraction [m] and pressure [Pa].
 
     F = F_1 (1 - s log10(t/1 s)), t from half of the pressure's step on, from `begin` on. `options`: `begin` [s], in
     place of the plan's.
     """
-    cells: dict[tuple[float, float], list[_Member]] = {}
-    dropped: list[Dropped] = []
-    for run in runs:
-        for trial in run.trials:
-            try:
-                course = measure(run, trial, options or {})
-            except NotUsable as reason:
-                dropped.append(Dropped(trial.name, trial.point, str(reason)))
-                continue
-            cell = round(trial.point.get("contraction", 0.0), 6), round(trial.point.get("pressure", 0.0), 3)
-            cells.setdefault(cell, []).append(_Member(trial, course))
+    courses, dropped = measured_trials(runs, lambda run, trial: measure(run, trial, options or {}))
+    cells = grouped(courses, _place)
     scales = Scales.of(runs)
     estimates: list[Estimate] = []
     findings: list[Finding] = []
@@ -69,8 +370,14 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         dropped=dropped,
         findings=findings,
         traces=[_trace(x, P, group[0]) for (x, P), group in sorted(cells.items())],
-        facts={"options": dict(options or {}), "trials": sum(map(len, cells.values())), "cells": len(cells)},
+        facts={"options": dict(options or {}), "trials": len(courses), "cells": len(cells)},
     )
+
+
+def _place(one: Course) -> tuple[float, float]:
+    """Contraction [m] and pressure [Pa] of a trial."""
+    point = one.trial.point
+    return round(point.get("contraction", 0.0), 6), round(point.get("pressure", 0.0), 3)
 
 
 def _repeats(values: Sequence[float], noise: Sequence[float]) -> float:
@@ -79,34 +386,28 @@ def _repeats(values: Sequence[float], noise: Sequence[float]) -> float:
     return max(own, spread(values) or 0.0)
 
 
-def _line(at: Mapping[str, float], group: Sequence[_Member], scales: Scales) -> list[Estimate]:
+def _line(at: Mapping[str, float], group: Sequence[Course], scales: Scales) -> list[Estimate]:
     """Relaxation s and F_1 of one cell; the doubts are those of the trial that has the largest."""
-    courses = [member.course for member in group]
-    names = tuple(member.trial.name for member in group)
+    names = tuple(one.trial.name for one in group)
     note = ONE if len(group) == 1 else ""
-    s, F = [one.per_decade for one in courses], [one.start for one in courses]
-    half = _repeats(s, [one.half for one in courses])
+    s, F = [one.per_decade for one in group], [one.start for one in group]
+    half = _repeats(s, [one.half for one in group])
     level, P = float(np.mean(F)), at.get("pressure", 0.0)
     # the force is brought to the pressure of the step, and relaxation is a share of the force
     zeros = {"force": 1.0} | ({"pressure": level / P} if P > 0 else {})
     by_zero = scales.part({}, {"force": float(np.mean(s)) / level}) if level else None
-    slope = Estimate(
-        "s", float(np.mean(s)), "1", "ratio", LINE, dict(at), Parts(half, calibration=by_zero), len(group), note=note,
-        trials=names,
-    )  # fmt: skip
-    whole = [one.relaxing.half(np.full(len(one.relaxing.t), 1 / len(one.relaxing.t))) for one in courses]
-    start = Estimate(
-        "F_1", level, "N", "force", LINE, dict(at),
-        Parts(_repeats(F, [one.half * one.start * float(one.relaxing.decades.mean()) + w
-                           for one, w in zip(courses, whole, strict=True)]),
-              calibration=scales.part(dict.fromkeys(("force", "pressure"), level), zeros)),
-        len(group), note=note, trials=names,
-    )  # fmt: skip
-    left = Doubt(BEFORE, "drift", max(one.left_behind for one in courses), seen=False)
+    n, parts = len(group), Parts(half, calibration=by_zero)
+    slope = Estimate("s", float(np.mean(s)), "1", "ratio", LINE, dict(at), parts, n, note=note, trials=names)
+    whole = [one.relaxing.half(np.full(len(one.relaxing.t), 1 / len(one.relaxing.t))) for one in group]
+    noise = [one.half * one.start * float(one.relaxing.decades.mean()) + w for one, w in zip(group, whole, strict=True)]
+    by_scales = scales.part(dict.fromkeys(("force", "pressure"), level), zeros)
+    parts = Parts(_repeats(F, noise), calibration=by_scales)
+    start = Estimate("F_1", level, "N", "force", LINE, dict(at), parts, n, note=note, trials=names)
+    left = Doubt(BEFORE, "drift", max(one.left_behind for one in group), seen=False)
     # the force need not grow in proportion to the pressure by which it is brought to that of the step
-    share = Doubt("mean pressure", "method", 0.5 * max(one.off * abs(one.start) for one in courses), seen=False)
-    doubts = _largest([one.doubts() for one in courses])
-    of_start = [left, share, *_largest([one.doubts_of_start() for one in courses])]
+    share = Doubt("mean pressure", "method", 0.5 * max(one.off * abs(one.start) for one in group), seen=False)
+    doubts = _largest([one.doubts() for one in group])
+    of_start = [left, share, *_largest([one.doubts_of_start() for one in group])]
     return [weighed(slope, doubts, max(LEAST, abs(slope.value or 0.0))), weighed(start, of_start)]
 
 
@@ -115,58 +416,50 @@ def _largest(of_trials: Sequence[Sequence[Doubt]]) -> list[Doubt]:
     return [max(same, key=lambda d: (d.seen, d.half)) for same in zip(*of_trials, strict=True)]
 
 
-def _prony(at: Mapping[str, float], group: Sequence[_Member], scales: Scales) -> list[Estimate]:
+def _prony(at: Mapping[str, float], group: Sequence[Course], scales: Scales) -> list[Estimate]:
     """Shares of the exponentials of one cell."""
     found = []
+    names = tuple(one.trial.name for one in group)
+    fits, level = [one.relaxing.prony for one in group], float(np.mean([one.start for one in group]))
+    begin, end = (group[0].relaxing.t[i] for i in (0, -1))
     for i, T in enumerate(TIMES, 1):
-        courses = [member.course for member in group]
-        names = tuple(member.trial.name for member in group)
-        fits = [one.relaxing.prony for one in courses]
-        where = show(T, "time")
-        if not all(one.relaxing.shows(T) for one in courses):
-            begin, end = (courses[0].relaxing.t[i] for i in (0, -1))
-            why = f"the samples are from {begin:.3g} to {end:.3g} s after the step and do not show {where}"
-            found.append(Estimate("g", None, "1", "ratio", PRONY, dict(at), n=len(group), note=why, trials=names,
-                                  coordinate=where))  # fmt: skip
-            continue
-        values = [sizes[i] / one.start for (sizes, _, _), one in zip(fits, courses, strict=True)]
-        noise = [halves[i] / one.start for (_, halves, _), one in zip(fits, courses, strict=True)]
-        note = ONE if len(group) == 1 else ""
-        size, level = float(np.mean(values)), float(np.mean([one.start for one in courses]))
-        parts = Parts(_repeats(values, noise), calibration=scales.part({}, {"force": size / level}))
-        found.append(Estimate("g", size, "1", "ratio", PRONY, dict(at), parts, len(group), note=note,
-                              trials=names, coordinate=where))  # fmt: skip
+        size, parts = None, Parts()
+        note = f"the samples are from {begin:.3g} to {end:.3g} s after the step and do not show {show(T, 'time')}"
+        if all(one.relaxing.shows(T) for one in group):
+            values = [sizes[i] / one.start for (sizes, _, _), one in zip(fits, group, strict=True)]
+            noise = [halves[i] / one.start for (_, halves, _), one in zip(fits, group, strict=True)]
+            size, note = float(np.mean(values)), ONE if len(group) == 1 else ""
+            parts = Parts(_repeats(values, noise), calibration=scales.part({}, {"force": size / level}))
+        found.append(
+            Estimate("g", size, "1", "ratio", PRONY, dict(at), parts, len(group), note=note, trials=names,
+                     coordinate=show(T, "time"))
+        )  # fmt: skip
     return found
 
 
-def _words(at: Mapping[str, float], group: Sequence[_Member]) -> Finding:
+def _words(at: Mapping[str, float], group: Sequence[Course]) -> Finding:
     """How well line and exponentials follow the course."""
-    one = group[0].course.relaxing
+    one = group[0].relaxing
     start, slope = one.line
     off = float(np.sqrt(np.mean((one.means(one.y) - start - slope * one.decades) ** 2)))
     text = (
         f"{show(at['contraction'], 'length')}, {show(at['pressure'], 'pressure')}: over {np.ptp(one.decades):.1f} "
         f"decades the line over log t leaves {show(off, 'force', 2)}, the exponentials "
-        f"{show(one.prony[2], 'force', 2)}; parts of them differ by {group[0].course.bend.size:.2%} per decade"
+        f"{show(one.prony[2], 'force', 2)}; parts of them differ by {group[0].bend.size:.2%} per decade"
     )
     return Finding("note", text)
 
 
-def _trace(x: float, P: float, member: _Member) -> Trace:
+def _trace(x: float, P: float, course: Course) -> Trace:
     """Means over equal parts of log t, with line and exponentials."""
-    one = member.course.relaxing
+    one = course.relaxing
     start, slope = one.line
     sizes = one.prony[0]
     curve = sizes[0] + sum(size * one.means(np.exp(-one.t / T)) for size, T in zip(sizes[1:], TIMES, strict=True))
     columns = {"t": 10**one.decades, "force": one.means(one.y), "line": start + slope * one.decades, "curve": curve}
-    return Trace(
-        f"relaxation-{x:g}-{P:g}",
-        "relaxation",
-        f"{show(x, 'length')}, {show(P, 'pressure')}: force over time after the step",
-        columns,
-        {"t": "time", "force": "force", "line": "force", "curve": "force"},
-        {"s": member.course.per_decade},
-    )
+    quantities = {name: "time" if name == "t" else "force" for name in columns}
+    title = f"{show(x, 'length')}, {show(P, 'pressure')}: force over time after the step"
+    return Trace(f"relaxation-{x:g}-{P:g}", "relaxation", title, columns, quantities, {"s": course.per_decade})
 
 
 def per_decade(run: RunData, trial: TrialData) -> float:

@@ -1,6 +1,6 @@
 """Steps of displacement at constant pressure: stiffness at the peak and relaxed.
 
-- `reduction`, made of `relaxation`
+- `reduction`: one step, there or back; then all of a cell
 - protocol files: `protocol`; figures and one trial on the display: `figures`
 """
 
@@ -25,6 +25,8 @@ METHODS = {
     ),
     "step, recovery": "One exponential through force and pressure from the end of the motion on.",
 }
+POINT = (("start", "first"), ("step", "size"), ("speed", "speed"), ("pressure", "held"))
+"""How the operating point is read off the commands of an import."""
 KIND = Kind(
     name="step-displacement",
     title="Steps of displacement",
@@ -36,19 +38,12 @@ KIND = Kind(
     live="pmabench.kinds.step_displacement.figures:measure",
     moves="displacement",
     compares="force",
-    repeated="pmabench.kinds.step_displacement.relaxation:stiffness_of",
+    repeated="pmabench.kinds.step_displacement.reduction:stiffness_of",
     repeated_is="stiffness",
     word="step of displacement",
     offers="pmabench.kinds.step_displacement.reduction:offers",
     methods=METHODS,
     figures={"displacement-step": "pmabench.kinds.step_displacement.figures:steps"},
     parts={"slow rows": "pmabench.analysis.surface.trials:driven"},
-    imported=Imported(
-        Commanded(
-            "displacement",
-            phases=(("away", "step"), ("any", "back")),
-            point=(("start", "first"), ("step", "size"), ("speed", "speed"), ("pressure", "held")),
-            ramps=True,
-        )
-    ),
+    imported=Imported(Commanded("displacement", phases=(("away", "step"), ("any", "back")), point=POINT, ramps=True)),
 )

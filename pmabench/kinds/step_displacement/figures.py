@@ -12,7 +12,7 @@ import numpy as np
 from pmabench.analysis.shared.samples import NotUsable, left
 from pmabench.analysis.trial import DRIFT, Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
-from pmabench.kinds.step_displacement.relaxation import measure as steps_of
+from pmabench.kinds.step_displacement.reduction import measure as steps_of
 from pmabench.plotting import time_plots
 from pmabench.plotting.pictures import (
     Picture,
@@ -41,19 +41,12 @@ def steps(traces: Sequence[Trace], analysis: Analysis) -> list[Picture]:
     chosen = spread(able, STEPS)
     if not chosen:
         return []
-    panels = []
+    panels, names, scale = [], {"t": "t", "x": "displacement", "y": "force"}, shown("force").scale
     for trace in chosen:
-        names = {"t": "t", "x": "displacement", "y": "force"} | ({"P": "pressure"} if has(trace, "pressure") else {})
-        base = _around(trace, names)
-        scale = shown("force").scale
+        columns = _around(trace, names | ({"P": "pressure"} if has(trace, "pressure") else {}))
         marks = {name: value / scale for name, value in trace.marks.items() if name in ("before", "peak", "relaxed")}
-        panels.append(Panel(head(trace), base, marks))
-    labels = {
-        "t": label(chosen[0], "t"),
-        "x": label(chosen[0], "displacement"),
-        "y": label(chosen[0], "force"),
-        "P": shown("pressure").label("pressure"),
-    }
+        panels.append(Panel(head(trace), columns, marks))
+    labels = {new: label(chosen[0], old) for new, old in names.items()} | {"P": shown("pressure").label("pressure")}
     caption = (
         "Around the last step of a trial. Dashed: force before the step, at its peak and relaxed; the rest after the "
         f"step is longer than what is drawn.{how_many(chosen, able)}"
@@ -75,10 +68,6 @@ def _around(trace: Trace, names: dict[str, str]) -> dict[str, Array]:
     end = float(t[moving[-1]]) if len(moving) else float(t[-1])
     rows = (t >= -end) & (t <= max(6 * end, end + 0.1))
     return {new: column(trace, old)[rows] for new, old in names.items()}
-
-
-DISTORTED = 0.05
-"""Rms of what a sine leaves of the displacement, over its own rms, that is doubted."""
 
 
 def measure(run: RunData, trial: TrialData, expected: Expected | None, quick: Quick) -> Found:

@@ -1,6 +1,6 @@
 """Reduction of steps of displacement at constant pressure: static and instantaneous stiffness, the way back to rest.
 
-Knows the samples. One trial is measured in `relaxation`.
+Of one step: force before, at its peak and relaxed, and how force and pressure come back.
 """
 
 from __future__ import annotations
@@ -12,17 +12,222 @@ from math import hypot
 from typing import Any
 
 import numpy as np
+from scipy.optimize import minimize_scalar
+from scipy.signal import lfilter
 
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.form import MOST_HIDDEN, Doubt, force_from_cycle_to_cycle, weighed
-from pmabench.analysis.shared.lines import mean_half
-from pmabench.analysis.shared.samples import Held, NotUsable, left
+from pmabench.analysis.shared.lines import left_by, mean_of_cycles
+from pmabench.analysis.shared.samples import (
+    UNDECLARED,
+    Held,
+    NotUsable,
+    ends,
+    left,
+    noise_of,
+    on_time,
+    refuse_unusable,
+    settings_of,
+)
+from pmabench.analysis.shared.trials import grouped, measured_trials
 from pmabench.analysis.verdict.agreement import Offer, exactly, values_of, weighted
 from pmabench.base.quantities import show
 from pmabench.kinds.step_displacement import RESULTS
-from pmabench.kinds.step_displacement.relaxation import Relaxation, Steps, filter_of, measure
-from pmabench.store.analyses.results import Analysis, Dropped, Estimate, Finding, Parts, Trace, withhold
-from pmabench.store.records import RunData, TrialData
+from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace, withhold
+from pmabench.store.records import Array, Command, RunData, TrialData
+
+LAST = 0.2
+"""Share of each rest at its end whose mean counts as relaxed."""
+SEEN = 6.0
+"""A recovery counts where it is larger than so many standard deviations of the noise."""
+THERE = 0.01
+"""Share of the step by which the displacement may still be off when its motion counts as over."""
+FEWEST = 8
+"""Samples that a recovery needs within three time constants."""
+
+
+@dataclass(frozen=True, eq=False)
+class Recovery:
+    """y = end + size exp(-t/tau) after the motion; size as y, tau [s]."""
+
+    size: float
+    tau: float
+    apart: float
+    """How far tau is from that of the later part of the way back, from half a time constant on, or from that of a
+    fit with a drift [s]: a course that is no single exponential shows in it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Relaxation:
+    """One step, there or back. Forces [N], pressures [Pa]; above 0 it contracts."""
+
+    moved: float
+    """Measured displacement of the step [m]."""
+    before: float
+    peak: float
+    relaxed: float
+    earlier: Held
+    """The force along the second half of the rest before [N]."""
+    later: Held
+    """The same of the rest after [N]."""
+    blunted: float
+    """What a filter of the force cell of `filter_of` would change the peak by [N]."""
+    sampled: float
+    """Change of the force over the sample before its peak [N]: so far the peak may lie beyond it."""
+    pressure_peak: float
+    """Largest difference of the pressure from that before; nan where it is not recorded."""
+    pressure_noise: float
+    """Of the pressure [Pa]: the largest difference is that of the noise where the pressure stays."""
+    force_back: Recovery | None
+    pressure_back: Recovery | None
+    noise: float
+    """Of the force [N]."""
+
+    @property
+    def static(self) -> float:
+        """Stiffness from relaxed forces [N/m]."""
+        return -(self.relaxed - self.before) / self.moved
+
+    @property
+    def instant(self) -> float:
+        """Stiffness from the peak [N/m]: damping and pressure are in it."""
+        return -(self.peak - self.before) / self.moved
+
+
+@dataclass(frozen=True, eq=False)
+class Steps:
+    """The steps of one trial, and the samples around the last step away from the start."""
+
+    run: RunData
+    trial: TrialData
+    there: tuple[Relaxation, ...]
+    back: tuple[Relaxation, ...]
+    last: dict[str, Array]
+    """`t` from the command on [s], `force`, `displacement`, `pressure` where it is recorded."""
+
+
+def measure(run: RunData, trial: TrialData, options: Mapping[str, Any]) -> Steps:
+    """One trial from its samples, without the cycles at its start that `options`, else the plan, `discard`.
+
+    Raises `NotUsable` where it ended early, lacks a channel or a whole step.
+    """
+    refuse_unusable(trial, "displacement", "force")
+    found: dict[str, list[Relaxation]] = {"step": [], "back": []}
+    ramps = [c for c in trial.commands if c.output == "displacement" and c.kind == "ramp" and c.phase in found]
+    if not ramps:
+        raise NotUsable("it holds no step")
+    ends = [*(c.t for c in ramps[1:]), float(trial.t[-1]) + 1e-9]
+    begins = [float(trial.t[0]), *(c.t for c in ramps[:-1])]
+    values = {name: on_time(run, trial, name) for name in ("displacement", "force", "pressure")}
+    for ramp, begin, end in zip(ramps, begins, ends, strict=True):
+        found[ramp.phase].append(_one(run, trial, values, ramp, begin, end))
+    discard = int(settings_of(run, options).get("discard", 1))
+    found = {phase: steps[discard:] for phase, steps in found.items()}
+    if not found["step"] or not found["back"]:
+        raise NotUsable("it holds no step there and back beyond those left out")
+    place = max(i for i, ramp in enumerate(ramps) if ramp.phase == "step")
+    rows = (trial.t >= ramps[place].t - 0.1 * (ends[place] - ramps[place].t)) & (trial.t < ends[place]) & trial.usable
+    last = {name: column[rows] for name, column in values.items() if np.isfinite(column).all()}
+    return Steps(run, trial, tuple(found["step"]), tuple(found["back"]), {"t": trial.t[rows] - ramps[place].t, **last})
+
+
+def _one(
+    run: RunData, trial: TrialData, values: dict[str, Array], ramp: Command, begin: float, end: float
+) -> Relaxation:
+    """The step of one command; `begin` and `end` [s] are those of the rests before and after it."""
+    arrived = ends(ramp) if ramp.data.get("rate", 0.0) > 0 else ramp.t
+    t, good = trial.t, trial.usable
+    before = good & (t >= ramp.t - LAST * (ramp.t - begin)) & (t < ramp.t - 1e-9)
+    after = good & (t >= end - LAST * (end - arrived)) & (t < end)
+    moving = good & (t >= ramp.t) & (t < end)
+    rest = good & (t > arrived + 1e-9) & (t < end)
+    if min(before.sum(), after.sum()) < 3 or rest.sum() < 2 * FEWEST:
+        raise NotUsable("fewer than 3 samples at the end of a rest")
+    x, F, P = values["displacement"], values["force"], values["pressure"]
+    level, relaxed = float(F[before].mean()), float(F[after].mean())
+    moved = float(x[after].mean() - x[before].mean())
+    if abs(moved) <= 6 * noise_of(x[rest]) or moved == 0:
+        raise NotUsable("the displacement does not move above its noise")
+    away = F[moving] - level
+    place = int(np.argmax(-np.sign(moved) * away))
+    early = good & (t >= 0.5 * (begin + ramp.t)) & (t < ramp.t - 1e-9)
+    late = good & (t >= 0.5 * (arrived + end)) & (t < end)
+    known = bool(np.isfinite(P).all())
+    # the measured motion is over when it stays within `THERE` of its end; not before the command
+    beyond = t[moving][np.abs(x[moving] - float(x[after].mean())) > THERE * abs(moved)]
+    still = rest & (t > (max(float(beyond[-1]), arrived) if len(beyond) else arrived))
+    if still.sum() < 2 * FEWEST:
+        raise NotUsable("the displacement comes to rest too late")
+    since = t[still] - t[still][0]
+    off = P[moving] - float(P[before].mean())
+    return Relaxation(
+        moved=moved,
+        before=level,
+        peak=level + float(away[place]),
+        relaxed=relaxed,
+        earlier=Held.of(t[early], F[early], ramp.t - LAST * (ramp.t - begin)),
+        later=Held.of(t[late], F[late], end - LAST * (end - arrived)),
+        blunted=_blunted(t[moving], away, moved, filter_of(run)),
+        sampled=abs(float(away[place] - away[max(0, place - 1)])),
+        pressure_peak=float(off[np.argmax(np.abs(off))]) if known else float("nan"),
+        pressure_noise=noise_of(P[moving]) if known else 0.0,
+        force_back=recovery(since, F[still]),
+        pressure_back=recovery(since, P[still]) if known else None,
+        noise=noise_of(F[rest]),
+    )
+
+
+def filter_of(run: RunData) -> float:
+    """Time constant of the force cell's filter [s], as declared, or what one may have where none is."""
+    return (run.channels["force"].sensor_lag if "force" in run.channels else 0.0) or UNDECLARED
+
+
+def _blunted(t: Array, away: Array, moved: float, constant: float) -> float:
+    """How much lower the peak is once more behind a filter of first order, shape (n,) both."""
+    keep = float(np.exp(-np.median(np.diff(t)) / constant))
+    slower = np.asarray(lfilter([1 - keep], [1, -keep], away - away[0]) + away[0])
+    way = -np.sign(moved)
+    return abs(float(np.max(way * away) - np.max(way * slower)))
+
+
+def recovery(t: Array, y: Array) -> Recovery | None:
+    """The exponential by which `y` comes to rest, from `t` = 0 [s] on; None where none shows above the noise."""
+    tau, inside = _time_constant(t, y)
+    design = np.column_stack([np.ones_like(t), np.exp(-t / tau)])
+    terms, *_ = np.linalg.lstsq(design, y, rcond=None)
+    size, left = float(terms[1]), float(np.mean((y - design @ terms) ** 2))
+    if not inside or np.count_nonzero(t < 3 * tau) < FEWEST:
+        return None
+    if abs(size) < max(SEEN * noise_of(y), 3 * left**0.5, 1e-6 * float(np.max(np.abs(y)))):
+        return None
+    late = t >= 0.5 * tau
+    others = [_time_constant(t, y, 1)[0]]
+    if late.sum() > FEWEST:
+        others.append(_time_constant(t[late] - t[late][0], y[late])[0])
+    return Recovery(size, tau, max(abs(other - tau) for other in others))
+
+
+def _time_constant(t: Array, y: Array, order: int = 0) -> tuple[float, bool]:
+    """The time constant that leaves least [s], and whether it is within the range that is looked at."""
+    step = float(np.median(np.diff(t)))
+    grid = np.log(np.geomspace(step, 0.5 * float(t[-1]), 30))
+    fixed = np.stack([np.ones_like(t), *[t] * order])
+
+    def left(logarithms: Array) -> Array:
+        return left_by(fixed, np.exp(-t / np.exp(logarithms)[:, None])[:, None], y) / len(t)
+
+    best = int(np.argmin(left(grid)))
+    low, high = grid[max(0, best - 1)], grid[min(len(grid) - 1, best + 1)]
+    found = minimize_scalar(
+        lambda s: left(np.array([s]))[0], bounds=(low, high), method="bounded", options={"xatol": 1e-5}
+    )
+    return float(np.exp(found.x)), best not in (0, len(grid) - 1)
+
+
+def stiffness_of(run: RunData, trial: TrialData) -> float:
+    """Stiffness of one trial's steps away from the start, by relaxed forces [N/m]; raises `NotUsable`."""
+    return float(np.mean([step.static for step in measure(run, trial, {}).there]))
+
 
 KIND = "step-displacement"
 RELAXED, PEAK, BACK = "step, relaxed", "step, peak", "step, recovery"
@@ -45,13 +250,6 @@ UNTURNED = 0.05
 RUBS = "friction between the two rests is in it"
 
 
-@dataclass(frozen=True, eq=False)
-class _Member:
-    run: RunData
-    trial: TrialData
-    steps: Steps
-
-
 def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) -> Analysis:
     """K [N/m] from relaxed forces and from the peak, forces [N] around each step, time constants [s] of the recovery.
 
@@ -61,19 +259,11 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     from the end of the motion on. `options`: `discard`
     (cycles at the start; else the plan's setting, else 1).
     """
-    members: list[_Member] = []
-    dropped: list[Dropped] = []
-    for run in runs:
-        for trial in run.trials:
-            try:
-                members.append(_Member(run, trial, measure(run, trial, options or {})))
-            except NotUsable as reason:
-                dropped.append(Dropped(trial.name, trial.point, str(reason)))
+    members, dropped = measured_trials(runs, lambda run, trial: measure(run, trial, options or {}))
     scales = Scales.of(runs)
-    cells: dict[tuple[tuple[str, float], ...], list[_Member]] = {}
-    for member in members:
-        point = member.trial.point
-        cells.setdefault(tuple((name, round(point[name], 9)) for name in CELL if name in point), []).append(member)
+    cells = grouped(
+        members, lambda one: tuple((name, round(one.trial.point[name], 9)) for name in CELL if name in one.trial.point)
+    )
     estimates: list[Estimate] = []
     findings: list[Finding] = []
     traces: list[Trace] = []
@@ -82,16 +272,15 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         for sign, of in ((1.0, lambda steps: steps.there), (-1.0, lambda steps: steps.back)):
             here = {**at, "step": sign * at.get("step", 0.0)}
             estimates += _estimates(here, group, of, scales)
-        findings += _findings(at, group)
+        findings += _findings(group)
         traces.append(_trace(at, group[0]))
     if estimates and (lack := scales.lack(("force", "displacement"))):
         findings.append(Finding("note", lack))
-    order = {RELAXED: 0, PEAK: 1}
     return Analysis.of(
         KIND,
         runs,
         results=RESULTS,
-        estimates=sorted(estimates, key=lambda e: order.get(e.method, 2)),
+        estimates=sorted(estimates, key=lambda e: (RELAXED, PEAK, BACK).index(e.method)),
         dropped=dropped,
         findings=findings,
         traces=traces,
@@ -100,10 +289,10 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
 
 
 def _estimates(
-    at: Mapping[str, float], group: Sequence[_Member], of: Callable[[Steps], tuple[Relaxation, ...]], scales: Scales
+    at: Mapping[str, float], group: Sequence[Steps], of: Callable[[Steps], tuple[Relaxation, ...]], scales: Scales
 ) -> list[Estimate]:
     """All of one direction of one cell."""
-    each = [of(member.steps) for member in group]
+    each = [of(member) for member in group]
     names = tuple(member.trial.name for member in group)
     every = [one for steps in each for one in steps]
     noise = max(one.noise for one in every)
@@ -120,8 +309,7 @@ def _estimates(
         powers: Mapping[str, int], extra: float, coordinate: str = "", doubts: Sequence[Doubt] = (),
     ) -> None:  # fmt: skip
         values = [np.array([value(one) for one in steps]) for steps in each]
-        means = np.array([float(one.mean()) for one in values])
-        half, mean = mean_half(means, values), float(means.mean())
+        mean, half = mean_of_cycles(values)
         gains = {name: mean * power for name, power in powers.items()}
         # a sensor with backlash is off one way at one end of the step and the other way at the other end
         offsets = {"displacement": 2 * mean / moved} if symbol == "K" else {}
@@ -171,7 +359,7 @@ def _one_time(tau: Estimate, apart: float) -> Estimate:
     return replace(tau, parts=Parts(tau.parts.repeats, hypot(TAIL * value, apart)), note=note)
 
 
-def _blunt(group: Sequence[_Member], every: Sequence[Relaxation]) -> Doubt:
+def _blunt(group: Sequence[Steps], every: Sequence[Relaxation]) -> Doubt:
     """What a filter of the force cell may have taken off the peaks [N]: no channel shows it."""
     constant = max(filter_of(member.run) for member in group)
     half = max(one.blunted for one in every)
@@ -188,35 +376,30 @@ def _still_moving(rests: Sequence[Held]) -> Doubt:
     return Doubt("motion of the force after the rest", "method", further.most, further.seen, f"{text}. Hold longer")
 
 
-def _findings(at: Mapping[str, float], group: Sequence[_Member]) -> list[Finding]:
+def _findings(group: Sequence[Steps]) -> Iterator[Finding]:
     """What catches the eye."""
-    lines = []
     for member in group:
-        every = (*member.steps.there, *member.steps.back)
-        for steps in (member.steps.there, member.steps.back):
+        where = f"trial {member.trial.name}"
+        for steps in (member.there, member.back):
             further, size = left([one.later for one in steps]), abs(steps[0].relaxed - steps[0].before)
             if further.seen and abs(further.size) > DRIFTS * size:
-                change = show(further.size, "force", 2)
-                text = f"trial {member.trial.name}: after a rest the force would still change by {change}"
-                lines.append(Finding("doubt", f"{text}; K is not static yet, hold longer"))
-        if any(one.static <= 0 for one in every):
-            text = f"trial {member.trial.name}: the force rises with contraction: a sign is wrong, or the step is lost"
-            lines.append(Finding("fault", text))
-    return lines
+                text = f"{where}: after a rest the force would still change by {show(further.size, 'force', 2)}"
+                yield Finding("doubt", f"{text}; K is not static yet, hold longer")
+        if any(one.static <= 0 for one in (*member.there, *member.back)):
+            text = f"{where}: the force rises with contraction: a sign is wrong, or the step is lost"
+            yield Finding("fault", text)
 
 
-def _trace(at: Mapping[str, float], member: _Member) -> Trace:
+def _trace(at: Mapping[str, float], member: Steps) -> Trace:
     """Around the last step away from the start."""
-    columns = member.steps.last
-    stride = max(1, -(-len(columns["t"]) // LONGEST_TRACE))
-    step = member.steps.there[-1]
-    places = [show(at[name], quantity) for name, quantity in
-            (("pressure", "pressure"), ("step", "length"), ("speed", "speed")) if name in at]  # fmt: skip
+    stride, step = max(1, -(-len(member.last["t"]) // LONGEST_TRACE)), member.there[-1]
+    kinds = {"pressure": "pressure", "step": "length", "speed": "speed"}
+    places = ", ".join(show(at[name], quantity) for name, quantity in kinds.items() if name in at)
     return Trace(
         "step-" + "-".join(f"{value:g}" for value in at.values()),
         "displacement-step",
-        f"{', '.join(places)}: step of displacement",
-        {name: values[::stride] for name, values in columns.items()},
+        f"{places}: step of displacement",
+        {name: values[::stride] for name, values in member.last.items()},
         {"t": "time", "force": "force", "displacement": "length", "pressure": "pressure"},
         {"before": step.before, "peak": step.peak, "relaxed": step.relaxed},
     )

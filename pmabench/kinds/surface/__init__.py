@@ -1,6 +1,6 @@
 """All slow tests of a muscle together: its force as a surface over contraction and pressure, hysteresis, creep.
 
-- `reduction`, made of `values`; the fit itself is `pmabench.analysis.surface`
+- `reduction`; the fit itself is `pmabench.analysis.surface`
 """
 
 from pmabench.base.kind import Kind, Result

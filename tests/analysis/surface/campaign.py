@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from pmabench.analysis.surface.record import Record, rows_of
+from pmabench.analysis.surface.trials import Record, rows_of
 
 HZ = 50.0
 

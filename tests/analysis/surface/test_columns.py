@@ -5,9 +5,20 @@ import itertools
 import numpy as np
 import pytest
 
-from pmabench.analysis.surface.columns import TIMES, Axis, Frame, lags, stops
-from pmabench.analysis.surface.muscle import SLIDING, STOPS_P, STOPS_X, SURFACE, VISCOUS, Muscle
-from pmabench.analysis.surface.record import rows_of
+from pmabench.analysis.surface.muscle import (
+    SLIDING,
+    STOPS_P,
+    STOPS_X,
+    SURFACE,
+    TIMES,
+    VISCOUS,
+    Axis,
+    Frame,
+    Muscle,
+    lags,
+    stops,
+)
+from pmabench.analysis.surface.trials import rows_of
 
 
 @pytest.mark.parametrize("amplitude", [1.0, 2.5, 7.0])

@@ -8,8 +8,8 @@ import pytest
 from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.surface.choice import choose
 from pmabench.analysis.surface.fit import Data
-from pmabench.analysis.surface.record import Record, rows_of
-from pmabench.kinds.surface.values import estimates
+from pmabench.analysis.surface.trials import Record, rows_of
+from pmabench.kinds.surface.reduction import estimates
 from tests.analysis.surface.straight import straight_form
 from tests.judge.second.campaign import REAL
 from tests.judge.second.driven import session
