@@ -272,13 +272,3 @@ def no_pipes(*paths: Path | None) -> None:
 def fields(thing: object, *names: str) -> dict[str, Any]:
     """These attributes by name, for JSON."""
     return {name: getattr(thing, name) for name in names}
-
-
-def login_name() -> str:
-    """Who is logged in; `unknown` where the machine does not say."""
-    import getpass
-
-    try:
-        return getpass.getuser()
-    except (OSError, KeyError):
-        return "unknown"

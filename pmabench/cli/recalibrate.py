@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pmabench.base.errors import UsageError
-from pmabench.cli.common import Ui, common, fields, login_name, read_quantity
+from pmabench.base.system import user_name
+from pmabench.cli.common import Ui, common, fields, read_quantity
 from pmabench.cli.names import PATH, RunFolder
 
 if TYPE_CHECKING:
@@ -77,7 +78,7 @@ def command(
     channels = _described(recorded, changed, anew)
     before = analyse(recorded)
     now = datetime.now(UTC).isoformat(timespec="seconds")
-    who = {"at": now, "operator": operator or login_name(), "because": because.strip()}
+    who = {"at": now, "operator": operator or user_name(), "because": because.strip()}
     after = [_marked(analysis, channels) for analysis in analyse(changed)]
     found = changes(before, after)
     after = [_with_changes(analysis, found, who) for analysis in after]

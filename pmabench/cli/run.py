@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pmabench.base.errors import RecordError, UsageError, invalid
-from pmabench.base.system import ENGINE, ordinary, real_time
-from pmabench.cli.common import Ui, common, login_name, plan_options, rewrite, say, session_options
+from pmabench.base.system import ENGINE, ordinary, real_time, user_name
+from pmabench.cli.common import Ui, common, plan_options, rewrite, say, session_options
 from pmabench.cli.names import PATH, RunFolder, short, typed
 from pmabench.cli.operator import AtDisplay, Confirmed, InLines
 from pmabench.cli.outcome import WIDTH, print_checks, progress_line, show_end, show_next
@@ -353,7 +353,7 @@ def _reset(bench: str, operator: str, because: str, *, yes: bool) -> int:
         return 5
     if not (operator and because) and not sys.stdin.isatty():
         raise UsageError(f"a reset is recorded: say who and why, with --operator NAME --because TEXT, or {by_hand}")
-    operator = operator or click.prompt("Who resets it", default=login_name(), err=True)
+    operator = operator or click.prompt("Who resets it", default=user_name(), err=True)
     because = because or click.prompt("Why may it be used again", err=True)
     asked = ["vent", bench, "--reset", "--operator", operator, "--because", because]
     done = subprocess.run([sys.executable, "-m", "pmabench", *asked], stdout=sys.stderr.fileno(), check=False)

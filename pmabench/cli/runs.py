@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pmabench.base.errors import InvalidFile, invalid
+from pmabench.base.system import user_name
 from pmabench.base.text import printable
-from pmabench.cli.common import Ui, common, fields, login_name
+from pmabench.cli.common import Ui, common, fields
 from pmabench.cli.names import PATH, RunFolder
 from pmabench.report.terminal import print_grid
 
@@ -271,7 +272,7 @@ def note(
     from pmabench.store.notes import add_note
 
     index = None if exclude is None else exclude - 1
-    note = add_note(run, text, attach=attach, exclude=index, because=because, operator=operator or login_name())
+    note = add_note(run, text, attach=attach, exclude=index, because=because, operator=operator or user_name())
     data = {"schema": "pmabench.note-added/1", "run": str(run), "note": note.as_data()}
 
     def human() -> None:

@@ -15,7 +15,8 @@ from typing import Any
 import click
 
 from pmabench.base.errors import LimitRefused, PmaError, UsageError, did_you_mean
-from pmabench.cli.common import Ui, common, login_name
+from pmabench.base.system import user_name
+from pmabench.cli.common import Ui, common
 from pmabench.cli.names import BENCH
 from pmabench.files.shipped import find_file
 from pmabench.guard.station import Station, stations
@@ -198,9 +199,9 @@ def _reset(station: Station, saved: dict[str, Any], operator: str, because: str)
 
 def _who() -> str:
     try:
-        return f"{login_name()} at {os.ttyname(0)}"
+        return f"{user_name()} at {os.ttyname(0)}"
     except (OSError, AttributeError):
-        return login_name()
+        return user_name()
 
 
 def _print(vented: list[Vented], *, reset: bool) -> None:

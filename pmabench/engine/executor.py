@@ -103,6 +103,17 @@ class Executor:
         self._pressures = self._pressures or ["pressure"]
         self._load = LoadCheck(self.bench)
         self._commander = Commander(self.guard, self.acquisition.commanded, self.clock, self._wait_while_held)
+        self._act: dict[type[Step], Callable[[Any], None]] = {
+            Set: self._set,
+            Ramp: self._ramp,
+            Follow: self._follow,
+            Hold: self._hold,
+            Record: self._record,
+            WaitUntil: self._wait_until,
+            Ask: self._ask,
+            Seek: self._seek,
+            Control: self._control,
+        }
 
     def run(self) -> None:
         """All steps in order; raises whatever ends the run before its time."""
@@ -142,8 +153,8 @@ class Executor:
                 after = number
 
     def do(self, step: Step) -> None:
-        """One step, now: by the method of its kind's name."""
-        getattr(self, f"_{step.kind.replace('-', '_')}")(step)
+        """One step, now."""
+        self._act[type(step)](step)
 
     def handle_keys(self) -> None:
         """Take what the operator has typed: a note or a vent at once, a pause at the end of the trial.

@@ -199,7 +199,10 @@ class GainSteps:
             "levels": [dict(level) for level in self._levels],
             "ended": self._ended,
             "found": found,
-            **{"setpoint": self.setpoint, "bias": self.bias, "low": self.low, "high": self.high},
+            "setpoint": self.setpoint,
+            "bias": self.bias,
+            "low": self.low,
+            "high": self.high,
             "command": self._command,
         }
         if self.done and not found:

@@ -33,6 +33,8 @@ class PositionLoop(Timed):
         setpoint: float,
         duration: float,
         K_p: float,
+        low: float,
+        high: float,
         T_i: float | None = None,
         channel: str = "displacement",
         path: Mapping[str, Any] | None = None,
@@ -43,14 +45,21 @@ class PositionLoop(Timed):
             raise ValueError("the set-point is no number")
         if not duration > 0:
             raise ValueError(f"duration must be above 0 s, not {duration:g}")
-        pid = self.controller = PID(K_p, inf if T_i is None else T_i, **controller)
+        pid = self.controller = PID(K_p, inf if T_i is None else T_i, low=low, high=high, **controller)
         self.setpoint, self.duration, self.channel = setpoint, duration, channel
         self.path = None if path is None else ReferencePath(**path)
         self._ahead = [] if feedforward is None else [float(value) for value in feedforward["values"]]
         self._every = 1.0 if feedforward is None else float(feedforward["every"])
         self._settings: dict[str, Any] = {
-            **{"K_p": K_p, "T_i": T_i, "T_d": pid.T_d, "N": pid.N, "low": pid.low, "high": pid.high},
-            **{"start": pid.output, "anti_windup": pid.anti_windup, "tracking": controller.get("tracking")},
+            "K_p": K_p,
+            "T_i": T_i,
+            "T_d": pid.T_d,
+            "N": pid.N,
+            "low": low,
+            "high": high,
+            "start": pid.output,
+            "anti_windup": pid.anti_windup,
+            "tracking": controller.get("tracking"),
             "channel": channel,
             **({} if path is None else {"path": dict(path), "feedforward": feedforward is not None}),
         }
