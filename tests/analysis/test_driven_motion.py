@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from pmabench.kinds.recorded_step.motion import respond
+from pmabench.kinds.recorded_step.motion import Answer
 
 RNG = np.random.default_rng(7)
 T = np.sort(RNG.uniform(-0.5, 0.8, 400))
@@ -29,7 +29,7 @@ def step_response(t, w, D):
 @pytest.mark.parametrize(("D", "close"), [(0.01, 1e-11), (0.3, 1e-11), (1.0, 1e-5), (1.5, 1e-11), (3.0, 1e-11)])
 def test_it_is_the_sum_of_the_step_responses(w, D, close):
     one_by_one = step_response(T[:, None] - AT[None, :], w, D) @ JUMPS
-    assert respond(T, AT, JUMPS, w, D) == pytest.approx(one_by_one, abs=close)
+    assert Answer(T, AT, w, D).to(JUMPS) == pytest.approx(one_by_one, abs=close)
 
 
 def test_it_solves_the_equation():
@@ -41,9 +41,9 @@ def test_it_solves_the_equation():
         return [state[1], w * w * (u - state[0]) - 2 * D * w * state[1]]
 
     solved = solve_ivp(slope, (0, 0.8), [0.0, 0.0], t_eval=t, rtol=1e-9, atol=1e-10, max_step=1e-3)
-    assert respond(t, at, jumps, w, D) == pytest.approx(solved.y[0], abs=2e-3)  # the solver steps over each change
+    assert Answer(t, at, w, D).to(jumps) == pytest.approx(solved.y[0], abs=2e-3)  # the solver steps over each change
 
 
 def test_nothing_before_the_first_change_and_without_any():
-    assert not respond(np.linspace(-1, 0, 5), np.array([0.5]), np.array([1.0]), 20.0, 0.5).any()
-    assert not respond(np.linspace(-1, 0, 5), np.empty(0), np.empty(0), 20.0, 0.5).any()
+    assert not Answer(np.linspace(-1, 0, 5), np.array([0.5]), 20.0, 0.5).to(np.array([1.0])).any()
+    assert not Answer(np.linspace(-1, 0, 5), np.empty(0), 20.0, 0.5).to(np.empty(0)).any()
