@@ -4,6 +4,7 @@ import contextlib
 import time
 
 import pytest
+from pmabench_drivers.shared.link import Unanswered
 
 from pmabench.base.errors import DeviceError
 from pmabench.bench.interface import Segment, Supervised, Watchdog
@@ -31,10 +32,17 @@ class Rig:
         self.device, self.do, self.output, self.valve, self.limit = device, do, output, valve, limit
 
     def held(self):
-        begin = time.monotonic()
-        found = dict(self.device.held())
-        assert time.monotonic() - begin < LONGEST
-        return found
+        """What the device says, in time; on a loaded machine it may miss the 0.2 s of one call."""
+        for last in (False, True):
+            begin = time.monotonic()
+            try:
+                return dict(self.device.held())
+            except Unanswered:
+                if last:
+                    raise
+            finally:
+                assert time.monotonic() - begin < LONGEST
+        return None
 
 
 @contextlib.contextmanager

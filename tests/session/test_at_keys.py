@@ -13,7 +13,7 @@ def asked(*pressed):
 
     def wait():
         seen.append(tuple(page.notices))
-        keys.add([left.pop(0)])
+        keys.append(left.pop(0))
 
     return _AtKeys(page, keys).ask("The driver was never tried on a device. " * 4, {}, wait), page, seen
 

@@ -206,3 +206,18 @@ def test_slow_ramps_of_pressure_at_lengths_that_are_held_are_no_sine(tmp_path, l
     assert set(slopes) == {round(x) for x in lengths}
     for x, one in slopes.items():
         assert one["value"] == pytest.approx((2.4 - 0.06 * x) * 1e-3, rel=2e-3)
+
+
+def test_a_map_that_takes_noise_for_ramps_gives_no_number_and_no_error_of_the_program(tmp_path):
+    random = np.random.default_rng(2)
+    t, x, way = ramps()
+    P, F = 300 + random.normal(0, 0.2, len(t)), 275 - 6 * x - 6 * way + random.normal(0, 0.3, len(t))
+    write(tmp_path / "log.csv", "t [s],p [kPa],x [mm],F [N]", t, P, x, F)
+    called("import", tmp_path / "log.csv", "--guess", "-o", tmp_path / "map.yaml", "-q")
+    text = (tmp_path / "map.yaml").read_text().replace("kind: isobaric-ramp", "kind: isometric-pressurisation")
+    (tmp_path / "map.yaml").write_text(text.replace("trials: {by: file}", "trials: {by: ramp, smallest: 0.5 kPa}"))
+    called("import", tmp_path / "log.csv", "--map", tmp_path / "map.yaml", "--out", tmp_path / "runs", "-q")
+    (run,) = (tmp_path / "runs").iterdir()
+    analysis = json.loads(called("process", run, "--out", tmp_path / "analysis", "--json"))["analyses"][0]
+    assert not [e for e in analysis["estimates"] if e["value"] is not None]
+    assert any("straight part" in found["text"] for found in analysis["findings"])

@@ -147,6 +147,8 @@ def straight_from(mean: Mean) -> tuple[float | None, float]:
     """
     known = np.isfinite(mean.force)
     P, F = mean.P[known], mean.force[known]
+    if not len(F):
+        return None, 0.0
     span = float(np.ptp(F))
     slack = np.flatnonzero(F - (min(0.0, F.min()) if mean.held else F.min()) <= WITHIN * span)
     first = len(F) if span <= 0 else int(slack[-1]) + 1 if len(slack) else 0

@@ -157,7 +157,8 @@ def across(cells: Sequence[Cell]) -> list[Across]:
     found: list[Across] = []
     if not cells:
         return found
-    strongest = max(float(np.nanmax(cell.mean.force)) for cell in cells)
+    known = [cell.mean.force[np.isfinite(cell.mean.force)] for cell in cells]
+    strongest = max((float(F.max()) for F in known if len(F)), default=0.0)
     for P in pressures(cells).tolist():
         rows = [
             (cell.contraction, x, F, test.name, session_of(test.run))

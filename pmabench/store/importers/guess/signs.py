@@ -99,6 +99,8 @@ def _held_lengths(guess: Guess) -> Sign | None:
     x, pressure, t = guess.role("displacement"), guess.role("pressure"), guess.seconds
     if x is None or pressure is None or t is None or guess.role("force") is None or guess.role("pressure_command"):
         return None
+    if _steady(pressure.good):
+        return None
     good = np.isfinite(x.values) & np.isfinite(pressure.values) & motion.later(t)
     t, values, P = t[good], x.values[good], pressure.values[good]
     smallest = 5 * share(guess, "pressure")
