@@ -36,6 +36,11 @@ def levels(analyses):
     return found
 
 
+@pytest.fixture(scope="module")
+def exported(analyses):
+    return control_model(analyses[0])
+
+
 def test_the_line_is_the_force_of_the_muscle(levels):
     """Where it was tested, that of the simulated muscle; straight, 20 N are missed."""
     for level in levels:
@@ -58,22 +63,22 @@ def test_the_free_run_is_that_of_the_bent_muscle(analyses):
     assert check["value"] < 0.003
 
 
-def test_exported_laws_are_the_force_of_the_muscle(analyses, levels):
+def test_exported_laws_are_the_force_of_the_muscle(analyses, levels, exported):
     """The load at which nothing moves, at all contractions tested."""
-    law = control_model(analyses[0]).params
+    law = exported.params
     for level in levels:
         for x in np.linspace(level.rest[:, 0].min(), level.rest[:, 0].max(), 7):
             off = law["M"] * rates(0.0, (x, 0.0), (level.P, true_force(level.P, x)), law)[1]
             assert abs(off) < 1.0
-    text = control_text(control_model(analyses[0]), analyses[0])
+    text = control_text(exported, analyses[0])
     namespace = {"np": np}
     exec(text[text.index("PARAMETERS = {") : text.index("\n\n\ndef rates")], namespace)
     assert namespace["PARAMETERS"]["bend"] == pytest.approx(law["bend"], rel=1e-9)
 
 
-def test_for_mujoco_it_is_the_tangent(analyses, levels):
+def test_for_mujoco_it_is_the_tangent(analyses, levels, exported):
     """Its coefficients are one line over pressure each; there it is nearer than with the force without contraction."""
-    model, law = mujoco_model(analyses[0]), control_model(analyses[0]).params
+    model, law = mujoco_model(analyses[0]), exported.params
     assert any("its tangent at 15.7 to 46.8 mm" in note for note in model.notes)
     ends = np.polyval(np.polyfit(law["P"], law["F_ce"], 1), model.params["P"])
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import inspect
 import re
+from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -35,7 +36,7 @@ def rates(t: float, state: Any, inputs: Any, params: dict[str, Any]) -> Any:
     x, v = float(state[0]), float(state[1])
     pressure, load = float(inputs[0]), float(inputs[1])
     knots = params["P"]
-    left = min(max(int(np.searchsorted(knots, pressure)) - 1, 0), max(len(knots) - 2, 0))
+    left = min(max(bisect_left(knots, pressure) - 1, 0), max(len(knots) - 2, 0))
     share = (pressure - knots[left]) / (knots[left + 1] - knots[left]) if len(knots) > 1 else 0.0
 
     def at(name: str) -> float:
@@ -177,8 +178,11 @@ def simulated(t: Array, P: Array, load: float, params: dict[str, Any], x: float 
     """Contraction [m], shape (n,), of the exported law from rest at `x` under pressures P [Pa] at times t [s]."""
     from scipy.integrate import odeint
 
+    times, pressures, slopes = t.tolist(), P.tolist(), [*(np.diff(P) / np.diff(t)).tolist(), 0.0]
+
     def law(state: Any, now: float) -> Any:
-        return rates(now, state, (np.interp(now, t, P), load), params)
+        before = max(bisect_left(times, now) - 1, 0)  # several times as fast as np.interp for one number
+        return rates(now, state, (pressures[before] + slopes[before] * (now - times[before]), load), params)
 
     step = float(np.min(np.diff(t))) if len(t) > 1 else 0.0
     return np.asarray(odeint(law, [x, 0.0], t, rtol=1e-7, atol=1e-9, hmax=step, mxstep=20_000)[:, 0])
@@ -193,7 +197,8 @@ def control_text(model: ControlModel, analysis: Analysis) -> str:
     lines += ["", *remarks_of(model)]
     lines += ['Friction makes it stiff: control.input_output_response(..., solve_ivp_method="LSODA").']
     lines += ["The coefficients hold inside the pressures of `P`; M is the moving mass: put yours.", '"""', ""]
-    lines += ["from typing import Any", "", "import control", "import numpy as np", ""]
+    lines += ["from bisect import bisect_left", "from typing import Any", ""]
+    lines += ["import control", "import numpy as np", ""]
     lines += ["# SI: P [Pa gauge], F_ce [N], K [N/m], B_c and B_r [N.s/m], F_c [N], M [kg], v_0 [m/s], x [m], bend [N]"]
     lines += ["PARAMETERS = {"]
     lines += [f'    "{name}": {_literal(value)},' for name, value in model.params.items()]

@@ -97,7 +97,7 @@ def by_hand(line):
 GOOD = b"ST,+00058.86 N"
 
 
-@settings(max_examples=2000)
+@settings(max_examples=500)
 @given(st.one_of(
     st.binary(max_size=250),
     st.builds(lambda i, b: GOOD[:i] + b + GOOD[i + 1 :], st.integers(0, 13), st.binary(max_size=2)),
@@ -121,7 +121,7 @@ def test_any_line_is_read_as_by_hand_or_not_at_all(line):
 reader_once = reader()
 
 
-@settings(max_examples=500)
+@settings(max_examples=200)
 @given(st.binary(max_size=2000), st.lists(st.integers(1, 40), min_size=1, max_size=30))
 def test_lines_do_not_depend_on_how_bytes_arrive(data, sizes):
     whole, pieces = Splitter(b"\r\n"), Splitter(b"\r\n")

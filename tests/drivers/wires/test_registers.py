@@ -61,7 +61,7 @@ def by_hand(kind, words, low_word, low_byte):
     return bits - (1 << size) if kind.startswith("int") and bits >> size - 1 else bits
 
 
-@settings(max_examples=2000)
+@settings(max_examples=500)
 @given(
     st.sampled_from(["int16", "uint16", "int32", "uint32", "float32"]),
     st.lists(st.integers(0, 65535), min_size=2, max_size=2),
@@ -79,7 +79,7 @@ def test_any_words_decode_as_by_hand_and_go_back(kind, words, low_word, low_byte
         assert encode(register, value) == words
 
 
-@settings(max_examples=1000)
+@settings(max_examples=500)
 @given(st.floats(), st.sampled_from(["int16", "uint16", "int32", "uint32", "float32"]))
 @example(math.nan, "float32")
 @example(70000.0, "uint16")
