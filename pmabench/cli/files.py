@@ -49,8 +49,8 @@ def list_(ui: Ui, what: str | None) -> None:
 
 
 def _row(kind: str, path: Path, name: str, origin: str) -> dict[str, Any]:
-    told = dict(KEY.findall(head_of(path)))
-    title = told.get("name") or ", ".join(told[key] for key in ("make", "type", "nominal_length") if key in told)
+    known = dict(KEY.findall(head_of(path)))
+    title = known.get("name") or ", ".join(known[key] for key in ("make", "type", "nominal_length") if key in known)
     return {"kind": kind, "name": name, "title": title.strip("\"'"), "from": origin, "path": str(path)}
 
 

@@ -1,7 +1,7 @@
 """The mock bench: the simulated plant behind the driver interface, in process.
 
 `options`: what a bench file says; `simulation`: one muscle, a joint, a platform, on what `sampled` has for all of them;
-here: the device interface, which knows no physics. `client`, `server`, `served`: the same in a process of its own, in
+here: the device interface, which knows no physics. `client`, `server`, `served`: the same in a separate process, in
 real time.
 """
 

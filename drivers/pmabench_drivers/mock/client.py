@@ -265,7 +265,7 @@ class MockClient:
         return self._aside("control", do, **fields)
 
     def _aside(self, role: str, do: str, **fields: Any) -> dict[str, Any]:
-        """The answer to one question over a connection of its own."""
+        """The answer to one question over a separate connection."""
         by = time.monotonic() + PATIENCE
 
         def act() -> dict[str, Any]:

@@ -5,6 +5,7 @@ The channels have noise, counts, and what may be wrong with a sensor.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -149,7 +150,7 @@ class _Moment:
     stuck: dict[str, float]
 
 
-class Sampled:
+class Sampled(ABC):
     """What all simulated benches share: time, memory, channels, faults of sensors.
 
     A bench on top of it has a `_plant`, says what each input is exposed to (`_at`, `_along`), and brings valves and
@@ -197,17 +198,17 @@ class Sampled:
         """Open a valve for so long; ValueError where none opens in pulses."""
         raise ValueError("no valve of this plant opens in pulses")
 
+    @abstractmethod
     def _settle(self) -> None:
         """Bring the air in line with valves and faults as they are at this moment."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _at(self, time: float) -> dict[str, float]:
         """What each input is exposed to at `time` [s], to which the plant is brought."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _along(self, until: float, times: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
         """The same at rising `times` [s] on the way to `until` [s]."""
-        raise NotImplementedError
 
     # -- faults ---------------------------------------------------------------------------------------------------
 

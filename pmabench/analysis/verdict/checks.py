@@ -64,9 +64,9 @@ def unresolved_of(run: RunData) -> Iterator[Mapping[str, object]]:
 
 def _counted(sentences: Sequence[tuple[str, str]]) -> Iterator[str]:
     """Each text once, with the run that says it, or how many do."""
-    for text, told in grouped(sentences, lambda one: one[1]).items():
-        names = dict.fromkeys(run for run, _ in told)
-        yield f"{told[0][0] if len(names) == 1 else f'{len(names)} runs'}: {printable(text, LONGEST)}"
+    for text, reported in grouped(sentences, lambda one: one[1]).items():
+        names = dict.fromkeys(run for run, _ in reported)
+        yield f"{reported[0][0] if len(names) == 1 else f'{len(names)} runs'}: {printable(text, LONGEST)}"
 
 
 SPREAD = 0.03

@@ -1,6 +1,6 @@
 """Steps of pressure that other programs recorded: dead time, rise, stroke, what its ringing says of K and B.
 
-- `reduction` of what `motion` measures of a step: `ringing` (K and B of a known mass, B/K, dead time), `loads` (K of
+- `reduction` of what `step` measures, with `motion`: `ringing` (K and B of a known mass, B/K, dead time), `loads` (K of
   two loads, or of a column of force)
 """
 

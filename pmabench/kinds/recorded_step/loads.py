@@ -21,7 +21,7 @@ from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.samples import lags_of, noise_of
 from pmabench.analysis.shared.student import mean_with_half
 from pmabench.base.quantities import show
-from pmabench.kinds.recorded_step.motion import AFTER, SEEN, Step
+from pmabench.kinds.recorded_step.step import AFTER, SEEN, Step
 from pmabench.store.analyses.results import Estimate, Finding, Parts
 from pmabench.store.records import Array, RunData
 

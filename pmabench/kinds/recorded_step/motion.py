@@ -1,12 +1,10 @@
-"""One recorded step of pressure, measured: when the pressure begins to rise, how fast, and the motion that it drives.
+"""A second-order motion under a pressure that is constant between its changes: its answer, exactly, and its fit.
 
-That is of second order, under a pressure that is constant between its changes: its answer, exactly, and its fit. The
-answer to a change is the unit step response of w^2 / (s^2 + 2 D w s + w^2), so the answer at a time is the sum over all
-changes before it. Of each pole p that sum is one decaying number, Z(t) = sum of dP_j exp(p (t - t_j)), which goes on
-from sample to sample; it is found for all samples by cumulative sums over stretches short enough for exp(p t).
+The answer to a change is the unit step response of w^2 / (s^2 + 2 D w s + w^2), so the answer at a time is the sum
+over all changes before it. Of each pole p that sum is one decaying number, Z(t) = sum of dP_j exp(p (t - t_j)), which
+goes on from sample to sample; it is found for all samples by cumulative sums over stretches short enough for exp(p t).
+
 `Delayed` is such a motion fitted with its delay behind the measured pressure, where K and B change along the step.
-
-Knows one trial with one command and its samples; no coefficient.
 """
 
 from __future__ import annotations
@@ -19,10 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from pmabench.analysis.imported import unusable_because
-from pmabench.analysis.shared.samples import LAG_KNOWN, LEAST, lags_of, noise_of, nothing_moved, onset
-from pmabench.base.quantities import show
-from pmabench.store.records import Array, Flag, RunData, TrialData
+from pmabench.store.records import Array
 
 REACH = 200.0
 """exp(REACH) is far below the largest number, and its inverse far above the smallest."""
@@ -32,7 +27,7 @@ EQUAL = 1e-6
 FREQUENCY = (3.0, 400.0)
 DAMPING = (0.01, 20.0)
 """Bounds of natural frequency [rad/s] and damping ratio [1] of the motion; a fit at a bound found nothing."""
-FEWEST_SWUNG = 12
+FEWEST = 12
 """Samples of a stretch of free swinging."""
 LAGS = (0.005, 0.01, 0.02, 0.04)
 """Lags [s] between the pressure that was measured and the one that drives."""
@@ -168,7 +163,7 @@ def free_swings(t: Array, P: Array, x: Array, known: Motion, noise: float) -> li
     found: list[Swing] = []
     while begin + length < t[-1]:
         rows = (t > begin) & (t <= begin + length)
-        if np.count_nonzero(rows) < FEWEST_SWUNG or (found and found[-1].size < CLEAR * noise):
+        if np.count_nonzero(rows) < FEWEST or (found and found[-1].size < CLEAR * noise):
             break
         swing, expected = _free(t[rows], x[rows], known), _free(t[rows], model[rows], known)
         found.append(replace(swing, expected=expected.size))
@@ -450,180 +445,3 @@ def _together(rest: Array) -> float:
     correlation = correlation / max(float(correlation[0]), 1e-30)
     below = np.flatnonzero(correlation < 0)
     return max(1.0, float(1 + 2 * correlation[1 : below[0] if len(below) else None].sum()))
-
-
-BEFORE, AFTER = 0.5, 0.8
-"""Samples so long before and after the command [s] enter the fit of the motion."""
-FEWEST = 30
-"""Samples on each side that are needed."""
-SEEN = 5.0
-"""An onset counts where it exceeds this many standard deviations of the baseline, and a twentieth of the step."""
-FINE = 2
-"""A log with at least so many samples between the level and a clear rise shows how the rise begins."""
-SHIFTS = 4
-SPRUNG = 0.02
-"""Share by which the force at rest may differ before and after a step under a weight: drift, a pulley."""
-
-
-@dataclass(frozen=True, eq=False)
-class Step:
-    """One measured step; times in seconds from the command."""
-
-    trial: TrialData
-    t: Array
-    P: Array
-    x: Array
-    """Pressure and contraction, each behind the lag of the other's sensor, too: so neither lags behind the other."""
-    size: float
-    """Change of measured pressure [Pa]."""
-    stroke: float
-    """Change of contraction at the end of the trial [m]."""
-    dead: float
-    """Command to pressure [s]: both in the middle of the samples that they lie between, the lateness taken off."""
-    dead_half: float
-    """Half of those intervals together [s]."""
-    stamped: float
-    """Command to pressure by their stamps [s]."""
-    onset_half: float
-    """Half of the interval that the onset lies in [s]."""
-    rise: float
-    """From onset to 63 % of the change of pressure [s]."""
-    rise_half: float
-    """Half the times between the samples that the onset, and the 63 %, lie between [s]."""
-    motions: tuple[Motion, ...]
-    others: tuple[tuple[Array, Array], ...]
-    """Pressure and contraction of the fit were the lags of the sensors as small and as large as they may be."""
-    noise: float
-    """Of the displacement at rest before the step, as recorded [m]."""
-
-    @property
-    def near(self) -> NDArray[np.bool_]:
-        """Samples that the fit of the motion uses."""
-        return np.asarray((self.t >= -BEFORE) & (self.t <= AFTER))
-
-    @property
-    def driven(self) -> tuple[Array, Array, Array]:
-        """Time [s], pressure [Pa] and contraction [m] that the fit of the motion uses."""
-        near, rest = self.near, float(np.median(self.P[(self.t >= -BEFORE) & (self.t < 0)]))
-        return self.t[near], from_rest(self.P[near], rest), self.x[near]
-
-    @property
-    def best(self) -> Motion:
-        """The motion with the least misfit."""
-        return min(self.motions, key=lambda motion: motion.rms)
-
-    @property
-    def sprung(self) -> bool:
-        """Whether a force cell reads another force after the step than before it: a spring, and no weight alone."""
-        if "force" not in self.trial.channels:
-            return False
-        F = self.trial.channels["force"][self.trial.usable]
-        before, after = float(np.mean(F[self.t < 0])), float(np.mean(F[self.t > max(AFTER, self.t[-1] - 1.0)]))
-        return abs(after - before) > SPRUNG * abs(before)
-
-    @property
-    def name(self) -> str:
-        """`run/index`."""
-        return self.trial.name
-
-    @property
-    def found(self) -> bool:
-        """Found in the measured pressure, since no command was recorded."""
-        return not all(command.recorded for command in self.trial.commands)
-
-
-def measure(run: RunData, trial: TrialData, late: tuple[float, float]) -> Step | str:
-    """One step from its samples, or the reason why it cannot be measured."""
-    missing = [name for name in ("pressure", "displacement") if name not in trial.channels]
-    command = next((c for c in trial.commands if c.kind == "set" and c.output == "pressure"), None)
-    if missing:
-        return f"{' and '.join(missing)} not recorded"
-    if command is None or not {"from", "pressure"} <= set(trial.point):
-        if nothing_moved(trial, "displacement"):
-            return "its length is held: with a column of force the map says `kind: isometric` for such a test"
-        return "it has no step of pressure: the map cuts a file into steps with `trials: {by: step, smallest: 10 kPa}`"
-    if trial.status != "finished":
-        return f"the trial is {trial.status}"
-    if np.any(trial.flags & np.uint16(Flag.TIME_JUMP)):
-        return "its clock jumps"
-    good = trial.usable
-    if not good.any():
-        return f"no usable samples (flagged: {unusable_because(trial)})"
-    t = trial.t[good] - command.t
-    read, x = trial.channels["pressure"][good], trial.channels["displacement"][good]
-    lags = lags_of(run, trial)
-    over = _blurred(t, read, lags["pressure"])
-    P = before_sensor(t, read, lags["pressure"], over) if over else read
-    within = command.data.get("within", 0.0)
-    before, after = (t >= -BEFORE) & (t < -within), t > 0
-    if min(np.count_nonzero(before), np.count_nonzero(after)) < FEWEST or t[-1] < AFTER:
-        seen = (
-            f"{np.count_nonzero(before)} in {BEFORE:g} s before it, {np.count_nonzero(after)} in {t[-1]:.2g} s after it"
-        )
-        needed = f"{FEWEST} each and {AFTER:g} s are needed, so {FEWEST / BEFORE:g} Hz or more"
-        return f"too few usable samples around the step: {seen}; {needed} (flagged: {unusable_because(trial)})"
-    settled = t > max(AFTER, t[-1] - 1.0)
-    size = float(np.median(P[settled]) - np.median(P[before])) if settled.any() else 0.0
-    stroke = float(np.median(x[settled]) - np.median(x[before])) if settled.any() else 0.0
-    noise = float(P[before].std())
-    if abs(size) < 2 * SEEN * max(noise, 1.0):
-        return f"the pressure follows by {show(size, 'pressure', 3)} only, no more than its noise"
-    rise = (P - np.median(P[before])) * np.sign(size)
-    begun = np.flatnonzero((rise > max(SEEN * noise, 0.05 * abs(size))) & (t > -within))
-    most = np.flatnonzero((rise > (1 - np.exp(-1)) * abs(size)) & (t > -within))
-    if not len(begun) or not len(most) or begun[0] == 0:
-        return "no onset of the pressure is seen"
-    begins, doubt = _onset(t, rise, int(begun[0]), within)
-    unsure = over / 2 + LAG_KNOWN * lags["pressure"]
-    dead = begins + within / 2 - (late[0] + late[1]) / 2
-    dead_half = doubt + within / 2 + (late[1] - late[0]) / 2 + unsure
-    crossed = t[max(0, most[0] - 1) : most[0] + 1]
-    rise_half = doubt + float(np.ptp(crossed)) / 2 + unsure
-    slow, lagging = lags["displacement"], lags["pressure"]
-    driving, near = _driving(t, read, x, (slow, lagging)), t[(t >= -BEFORE) & (t <= AFTER)]
-    shifts = np.linspace(*late, SHIFTS if late[1] > late[0] else 1)
-    motions = tuple(fit_motion(near, *driving, float(shift)) for shift in shifts)
-    lagged = [(slow * (1 + by), lagging) for by in (-LAG_KNOWN, LAG_KNOWN) if slow]
-    lagged += [(slow, lagging * (1 + by)) for by in (-LAG_KNOWN, LAG_KNOWN) if lagging]
-    others = tuple(_driving(t, read, x, one) for one in lagged)
-    alike = behind(t, read, lags["displacement"]), behind(t, x, lags["pressure"])
-    return Step(
-        trial, t, *alike, size, stroke, dead, dead_half, begins + within / 2, doubt + within / 2 + unsure,
-        float(crossed.mean()) - begins, rise_half, motions, others, noise_of(x[t < 0]),
-    )  # fmt: skip
-
-
-def _driving(t: Array, P: Array, x: Array, lags: tuple[float, float]) -> tuple[Array, Array]:
-    """Pressure and contraction of the samples that the fit uses, each behind the lag of the other's sensor.
-
-    `lags` [s] are those of displacement and pressure.
-    """
-    near = (t >= -BEFORE) & (t <= AFTER)
-    pressure = from_rest(behind(t, P, lags[0])[near], float(np.median(P[near & (t < 0)])))
-    return pressure, behind(t, x, lags[1])[near]
-
-
-def _blurred(t: Array, P: Array, lag: float) -> float:
-    """Time over which the pressure is averaged where the lag of its sensor is taken off [s]; 0 without one.
-
-    Half the lag, so that noise grows little, and never less than a channel that is polled keeps its value for.
-    """
-    changes = np.diff(t[:-1][np.diff(P) != 0])
-    return max(lag / 2, 2 * float(np.median(changes)) if len(changes) else 0.0) if lag else 0.0
-
-
-def _onset(t: Array, rise: Array, first: int, within: float) -> tuple[float, float]:
-    """When the pressure begins to rise [s], and how far that may be off; `first` is the first sample clearly above.
-
-    A threshold is crossed late, so the first part of the rise is followed back to the level along a straight line
-    (behind a lag pressure rises like t). Where a log has too few samples for that the rise begins between the last one
-    that is still at its level and `first`.
-    """
-    rest = rise[t < -within]
-    still = np.flatnonzero(rise[:first] <= np.median(rest) + float(np.std(rest)))
-    early, late = float(t[still[-1]]) if len(still) else float(t[first - 1]), float(t[first])
-    period = float(np.median(np.diff(t)))
-    begun = onset(t, rise, -within, LEAST["pressure"]) if late - early > FINE * period - 1e-9 else None
-    if begun is None or not early - period <= begun <= late:
-        return (early + late) / 2, (late - early) / 2
-    return begun, period / 2 + max(0.0, min(begun - early, late - begun)) / 2

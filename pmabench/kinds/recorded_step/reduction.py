@@ -20,8 +20,8 @@ from pmabench.analysis.verdict.agreement import Offer, everywhere, values_of
 from pmabench.base.quantities import show
 from pmabench.kinds.recorded_step import RESULTS
 from pmabench.kinds.recorded_step.loads import SECANT, Pair, by_cell, of_loads, rests_of, secant
-from pmabench.kinds.recorded_step.motion import AFTER, SEEN, Step, measure
 from pmabench.kinds.recorded_step.ringing import ONCE, RINGING, TO_MOTION, check, ringing, times
+from pmabench.kinds.recorded_step.step import AFTER, SEEN, Step, measure
 from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace
 from pmabench.store.records import RunData
 

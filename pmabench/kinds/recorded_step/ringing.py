@@ -17,7 +17,7 @@ from pmabench.analysis.shared.form import Doubt, weighed
 from pmabench.analysis.shared.student import mean_with_half
 from pmabench.base.quantities import show
 from pmabench.kinds.recorded_step import motion
-from pmabench.kinds.recorded_step.motion import SEEN, Step
+from pmabench.kinds.recorded_step.step import SEEN, Step
 from pmabench.store.analyses.results import Estimate, Finding, Parts, withhold
 from pmabench.store.records import Array
 

@@ -2,10 +2,6 @@
 
 First the force cell against the weights (`cell`), then competing explanations of what the fit leaves (`search`), then
 what is too small to be seen (`hiding`). docs/uncertainty.md has the rules in words.
-
-How far a corrected fit can be trusted: loads and trials left out, the correction itself, other explanations. The spread
-over loads that are left out does not see what biases all of them alike. So a part of the correction counts, as large as
-what it leaves of the misfit, within bounds that campaigns with known faults gave. Decision 0019.
 """
 
 from __future__ import annotations
@@ -16,17 +12,14 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pmabench.analysis.shared import student
 from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.samples import Samples
 from pmabench.base.quantities import show
 from pmabench.kinds.contraction_relaxation.diagnosis.cell import Weighed, readings, weighed
-from pmabench.kinds.contraction_relaxation.diagnosis.columns import FINER, Span, bent, zero_known
+from pmabench.kinds.contraction_relaxation.diagnosis.columns import Span, bent, zero_known
 from pmabench.kinds.contraction_relaxation.diagnosis.corrections import (
     TITLES,
-    Explanation,
     Named,
     forces_of,
     in_samples,
@@ -37,13 +30,12 @@ from pmabench.kinds.contraction_relaxation.diagnosis.hiding import HARDLY, MOST_
 from pmabench.kinds.contraction_relaxation.diagnosis.search import (
     EXPLAINS,
     STILL_TOLD,
-    TIMES,
     Rounds,
     Search,
     State,
     explained,
 )
-from pmabench.kinds.contraction_relaxation.intervals import Correction
+from pmabench.kinds.contraction_relaxation.diagnosis.spread import Spread
 from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, Solved
 from pmabench.kinds.contraction_relaxation.segments import Campaign, Segments
 from pmabench.store.analyses.results import Estimate
@@ -345,182 +337,6 @@ def _why_hidden(one: Size, share: float) -> str:
             f" {effect} ({limit}). Test at more loads, which differ more"
         )
     return f"it fits that {one.text}, which {effect} ({limit}). {REMEDY}"
-
-
-STEP = 1.5e-3
-"""By which times of streams are moved to see what they change [s]."""
-PART_OF_MUSCLE, PART_OF_BENCH = (0.05, 0.17), (0.002, 0.01)
-"""Least and greatest share of a correction by the fit that may be wrong: of what a muscle does no form is exact, of a
-delay, a drift or a slip nearly so. Chosen and confirmed on campaigns with known faults."""
-CHANCE = 0.1
-"""Excess that a right form leaves by chance."""
-NORMAL = 1.96
-"""Half width of a 95 % interval by its standard deviation."""
-UNSHOWN = 25.0
-"""A size whose variance grows by so much without a group is shown by that group alone."""
-FEWEST = 3
-"""Fewest loads, or trials, of which one is left out at a time."""
-
-
-@dataclass(frozen=True, eq=False)
-class Spread:
-    """A corrected state and the segments as they were recorded: what a fit to both says of its own interval."""
-
-    search: Search
-    before: State
-    """Without a correction by the fit."""
-    state: State
-    recorded: Segments
-    others: tuple[State, ...]
-    """With other explanations, which nobody can tell from the ones that were corrected."""
-    unsure: float
-    """Share of the correction by the weights that may be wrong [1]."""
-    factor: float
-    """By which all widths grow, for what the form still misses."""
-
-    def of(self, fit: Solved, rows: NDArray[np.bool_], noise: float) -> Correction:
-        """What a fit to some `rows` of the corrected segments, whose residual should be `noise` [N], owes to it."""
-        others = [fit.again(state.test.segments, noise).theta - fit.theta for state in self.others]
-        # loads left out show where a form is not exact; without an explanation by the fit nothing is sized anew
-        loads = np.array([round(samples.load, 2) for samples in self.state.test.campaign.samples])
-        groups = [self._trials[rows]] if self.state.explanations else []
-        groups += [loads[self.state.test.segments.trial][rows]] if self._of_muscle else []
-        spreads = [self._spread(fit, rows, group, noise) for group in groups if len(np.unique(group)) >= FEWEST]
-        others_of = np.array(others).reshape(-1, len(fit.theta))
-        return Correction(self._unsure(fit, rows, noise), tuple(spreads), others_of, self.factor)
-
-    def _unsure(self, fit: Solved, rows: NDArray[np.bool_], noise: float) -> Array:
-        """The part of each step of the correction that may be wrong, as changes of theta, shape (2, p): by the weights,
-        and by the fit.
-        """
-        weighed = fit.again(self.search.uncorrected, noise).theta
-        by_weights = weighed - fit.again(self.recorded, noise).theta
-        found = [max(PART_OF_BENCH[0], self.unsure) * by_weights, self._part * (fit.theta - weighed)]
-        return np.array(found)
-
-    @property
-    def _part(self) -> float:
-        """Share of the correction by the fit that may be wrong: as much as it leaves of the misfit.
-
-        The most where a coarser form of a muscle's property failed: nobody knows which one it has.
-        """
-        if any(one.which == FINER.get(one.kind) for one in self.state.explanations):
-            return PART_OF_MUSCLE[1]
-        left = max(self.state.excess, CHANCE) / max(self.before.excess, CHANCE)
-        return float(np.clip(np.sqrt(left), *(PART_OF_MUSCLE if self._of_muscle else PART_OF_BENCH)))
-
-    @property
-    def _of_muscle(self) -> bool:
-        return any(one.of_muscle for one in self.state.explanations)
-
-    @property
-    def _trials(self) -> Array:
-        return self.state.test.segments.trial.astype(np.float64)
-
-    def sizes(self) -> tuple[Array, ...]:
-        """What the sizes of each explanation are off by without each trial, shape (trials, sizes) [SI].
-
-        Not without each load: a slip is seen from one load on, and has no size without it.
-        """
-        fit, segments, group = self.state.test.fit, self.state.test.segments, self._trials
-        if not self.state.explanations:
-            return ()
-        if len(np.unique(group)) < FEWEST:
-            return tuple(np.zeros((1, len(one.sizes))) for one in self.state.explanations)
-        left, begin, found = self._left_out(fit, np.ones(len(segments), bool), group)[1], 0, []
-        for place, one in enumerate(self.state.explanations):
-            mine = self._time(place, group)[:, None] if one.kind in TIMES else left[:, begin : begin + len(one.sizes)]
-            begin += 0 if one.kind in TIMES else len(one.sizes)
-            mine = mine[np.isfinite(mine).all(axis=1)]
-            found.append(mine - mine.mean(axis=0) if len(mine) else np.zeros((1, len(one.sizes))))
-        return tuple(found)
-
-    def _spread(self, fit: Solved, rows: NDArray[np.bool_], group: Array, noise: float) -> Array:
-        """Covariance of theta by the jackknife over groups of rows, widened for few, shape (p, p)."""
-        theta, _ = self._left_out(fit, rows, group)
-        for place, one in enumerate(self.state.explanations):
-            if one.kind in TIMES:
-                later, earlier = (fit.again(self._moved(place, by)[0], noise).theta for by in (STEP, -STEP))
-                every = self._time(place, self._group_of_all(group, rows))
-                theta = theta + (every - one.sizes[0])[:, None] * (later - earlier) / (2 * STEP)
-        theta = theta[np.isfinite(theta).all(axis=1)]
-        count = len(theta)
-        if count < FEWEST:
-            return np.zeros((len(fit.theta), len(fit.theta)))
-        off = theta - theta.mean(axis=0)
-        wide = float(student.ppf(0.975, count - 1)) / NORMAL
-        return np.asarray(wide**2 * (count - 1) / count * off.T @ off)
-
-    def _group_of_all(self, group: Array, rows: NDArray[np.bool_]) -> Array:
-        """Groups of all segments, of which `group` has some rows."""
-        by_trial = dict(zip(self.state.test.segments.trial[rows].tolist(), group.tolist(), strict=True))
-        return np.array([by_trial.get(trial, -1.0) for trial in self.state.test.segments.trial.tolist()])
-
-    def _left_out(self, fit: Solved, rows: NDArray[np.bool_], group: Array) -> tuple[Array, Array]:
-        """Theta and sizes off those of the state, without each group in turn; shapes (groups, p), (groups, sizes).
-
-        nan where a group alone shows a size: without the loads after a slip nobody knows how large it is.
-        """
-        forces = self._forces[rows]
-        scale = np.maximum(np.sqrt(np.mean(forces**2, axis=0)), 1e-300)
-        whole, p = np.hstack([fit.design, forces / scale]), fit.design.shape[1]
-        normal = whole.T @ whole
-        normal[:p, :p] = np.linalg.inv(fit.inverse)
-        right = whole.T @ (fit.residual + fit.design @ fit.theta)
-        target = fit.residual + fit.design @ fit.theta
-        sure = np.diag(_inverse(normal))[p:]
-        found = []
-        for one in np.unique(group):
-            mine = group == one
-            inverse = _inverse(normal - whole[mine].T @ whole[mine])
-            shown = bool((np.abs(np.diag(inverse)[p:]) < UNSHOWN * sure).all())
-            solved = inverse @ (right - whole[mine].T @ target[mine])
-            found.append(solved if shown else np.full(len(solved), np.nan))
-        both = np.array(found)
-        return both[:, :p], both[:, p:] / scale
-
-    @property
-    def _forces(self) -> Array:
-        """Columns of all explanations but of times, shape (n, sizes)."""
-        test = self.state.test
-        found = [
-            self.search.columns(one, test.campaign, test.segments, self.state.straight, self.state.explanations)
-            for one in self.state.explanations
-            if one.kind not in TIMES
-        ]
-        return np.hstack([np.empty((len(test.segments), 0)), *found])
-
-    def _moved(self, place: int, by: float) -> tuple[Segments, Array]:
-        """Segments with a time moved by so much [s], and the residual of the fit to them."""
-        one = self.state.explanations[place]
-        explanations = list(self.state.explanations)
-        explanations[place] = Explanation(one.kind, one.which, (one.sizes[0] + by,))
-        test = self.state.test
-        return self.search.left(tuple(explanations), test.fit, test.expected)
-
-    def _time(self, place: int, group: Array) -> Array:
-        """The time of an explanation [s] without each group: where the parabola of the squares of the rest ends."""
-        names = np.unique(group[group >= 0])
-        squares = []
-        for by in (-STEP, 0.0, STEP):
-            segments, residual = self._moved(place, by)
-            trials = dict(zip(self.state.test.segments.trial.tolist(), group.tolist(), strict=True))
-            mine = np.array([trials.get(trial, -1.0) for trial in segments.trial.tolist()])
-            squares.append(
-                [float(np.sum(residual[mine != name] ** 2)) / max(1, int(np.sum(mine != name))) for name in names]
-            )
-        before, now, after = np.array(squares)
-        curved = np.maximum(before + after - 2 * now, 1e-300)
-        vertex = np.clip(0.5 * STEP * (before - after) / curved, -4 * STEP, 4 * STEP)
-        return np.asarray(self.state.explanations[place].sizes[0] + vertex)
-
-
-def _inverse(normal: Array) -> Array:
-    """Inverse of a normal matrix, scaled to its diagonal first; the least one where that does not exist."""
-    scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
-    return np.asarray(
-        np.linalg.pinv(normal / np.outer(scale, scale), rcond=1e-13, hermitian=True) / np.outer(scale, scale)
-    )
 
 
 @dataclass(frozen=True, eq=False)
