@@ -215,6 +215,7 @@ def _paced(found: Recording, rate: float) -> None:
     if not 0.85 * period <= usual <= 1.15 * period:
         raise Late(f"start() said {rate:g} Hz, and samples are {1e3 * usual:.3g} ms apart, not {1e3 * period:.3g} ms")
     first_of_block = {border - 1 for border in found.borders}
+    wrong = []  # both: what a loaded computer delays hides nothing that the driver does
     for word, weights in (
         ("missing", [max(0, round(step / period) - 1) if step > 1.6 * period else 0 for step in steps]),
         ("there twice", [int(step < 0.4 * period) for step in steps]),
@@ -222,7 +223,9 @@ def _paced(found: Recording, rate: float) -> None:
         at_borders = sum(weight > 0 for place, weight in enumerate(weights) if place in first_of_block)
         if sum(weights) > max(2, 0.07 * len(steps)) or at_borders > max(2, len(found.borders) / 2):
             where = " where one block ends and the next begins" if at_borders > len(found.borders) / 3 else ""
-            raise Late(f"{sum(weights)} of {len(steps)} samples are {word}{where}, by their times")
+            wrong.append(f"{sum(weights)} of {len(steps)} samples are {word}{where}, by their times")
+    if wrong:
+        raise Late(", and ".join(wrong))
 
 
 def _ends(rig: Rig, found: Recording) -> None:
