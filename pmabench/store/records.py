@@ -251,7 +251,7 @@ def cut_trials(
             TrialData(
                 run=run,
                 index=int(cut.data["trial"]),
-                point={str(key): float(value) for key, value in (cut.data.get("point") or {}).items()},
+                point={str(key): _rounded(value) for key, value in (cut.data.get("point") or {}).items()},
                 repeat=int(cut.data.get("repeat") or 0),
                 reference=bool(cut.data.get("reference")),
                 status="interrupted" if lost else cut.status,
@@ -333,6 +333,13 @@ def command_of(event: Event) -> Command:
 def is_number(value: Any) -> bool:
     """Whether a value of JSON is a number, which true and false are not."""
     return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _rounded(value: Any) -> float:
+    """A coordinate of an operating point to twelve digits: 2.3 bar and 230 kPa are one pressure, of which one is a last
+    digit off.
+    """
+    return float(f"{float(value):.12g}")
 
 
 def _number(value: Any) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import replace
 from functools import cache
 from math import exp, pi, sqrt
 from typing import Any
@@ -249,6 +250,18 @@ def test_repeats_give_an_interval_and_one_run_says_why_it_has_none() -> None:
     assert one.value is not None
     assert two.value - one.value == pytest.approx(5e-6 / 0.03, rel=1e-3)
     assert two.parts.repeats == pytest.approx(12.706 * 5e-6 / 0.03, rel=1e-3)  # t(0.975, 1) s / sqrt(2)
+
+
+def test_trials_of_two_runs_that_have_the_same_name_are_both_used() -> None:
+    """A name is the run's id and a number, and nothing keeps two folders from the same id."""
+    trial = held(28.8, 0.29, 0.03, False)
+    channels = {**trial.channels, "displacement": trial.channels["displacement"] - 10e-6}
+    runs = [as_run("positioning", (one,), {"window": [20.0, 60.0], "band": 0.02})
+            for one in (trial, replace(trial, channels=channels))]  # fmt: skip
+    both = reduce(runs)
+    assert both.facts["trials"] == 2
+    found = number(value(both, "e_ss")) - number(value(reduced(trial), "e_ss"))
+    assert found == pytest.approx(5e-6 / 0.03, rel=1e-3)
 
 
 def test_the_scale_of_the_displacement_counts() -> None:

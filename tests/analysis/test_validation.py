@@ -81,6 +81,16 @@ def test_a_stiffer_model_contracts_less_by_just_that(trials: tuple[TrialData, ..
         assert value(analysis, "e_fs", P).value == pytest.approx((1 / 1.05 - 1) * x / largest, abs=1e-4)
 
 
+def test_trials_of_two_runs_that_have_the_same_name_are_both_used(trials: tuple[TrialData, ...]) -> None:
+    """A name is the run's id and a number, and nothing keeps two folders from the same id."""
+    off = 0.2e-3
+    channels = {**trials[0].channels, "displacement": trials[0].channels["displacement"] + off}
+    runs = [run(one, model=model()) for one in (trials[0], replace(trials[0], channels=channels))]
+    e_ss = value(reduce(runs), "e_ss", PRESSURES[0])
+    x = float(np.mean(trials[0].channels["displacement"][(T >= 8.2) & (T <= 10.2)]))
+    assert e_ss.parts.repeats == pytest.approx(12.706 * 0.5 * off / x, rel=0.02)  # t(0.975, 1) s / sqrt(2)
+
+
 def test_what_the_regulator_does_wrong_is_seen_with_the_commanded_pressure_alone() -> None:
     """The pressure ends 3 kPa low: the model that is told so is right, the other has 3 kPa dx/dP too much."""
     analysis = reduce([run(trial(300e3, short=3e3), model=model())])

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from pmabench.base.errors import InvalidFile
+from pmabench.files.quantity import parse_quantity
 from pmabench.store.reader import open_run, read_stream
 from pmabench.store.verify import verify
 from pmabench.store.writer import RunWriter
@@ -82,6 +83,15 @@ def test_a_command_before_its_trial_begins_belongs_to_it_and_a_repeated_trial_st
     trials = open_run(writer.close("failed")).trials
     assert [[command.value for command in trial.commands] for trial in trials] == [[1.0, 0.1], [0.5]]
     assert [(trial.t[0], trial.t[-1]) for trial in trials] == [(0.1, 0.3), (0.5, 0.7)]
+
+
+def test_pressures_that_were_written_in_bar_and_in_kPa_are_one_operating_point(tmp_path):
+    writer = begin(tmp_path)
+    for trial, pressure in enumerate((parse_quantity("2.3 bar", "pressure"), 230e3)):
+        writer.event("trial-begin", trial * 0.2, trial=trial, point={"pressure": pressure}, repeat=0, reference=False)
+        writer.event("trial-end", trial * 0.2 + 0.2, trial=trial, status="finished")
+    writer.append("daq", *block(0, 301))
+    assert [trial.point for trial in open_run(writer.close("finished")).trials] == 2 * [{"pressure": 230e3}]
 
 
 def test_a_sample_where_one_trial_ends_and_the_next_begins_is_not_counted_twice(tmp_path):

@@ -241,7 +241,8 @@ class Chooser:
         half = float(known.aim.halves(known.outlook.design.variances(counts))[number])
         size, wanted, by_rest = (_size(one, float(known.outlook.values[number])) for one in (half, goal, rest))
         fixed = f", {by_rest} of it by calibration or skew" if rest > goal else ""
-        return f"{name_of(*known.outlook.names[number])} has {size} where {wanted} is wanted{fixed}"
+        symbol, P = known.outlook.names[number]
+        return f"{name_of(symbol, P or None)} has {size} where {wanted} is wanted{fixed}"
 
     def _far(self, known: Known, counts: Array) -> str:
         """The value that is farthest from its goal, in words."""
@@ -395,7 +396,7 @@ def described(known: Known, choice: Choice) -> tuple[str, Mapping[str, Any]]:
     """Why a trial is done, in words and as data."""
     name, value = known.outlook.names[choice.worst], float(known.outlook.values[choice.worst])
     cell = known.outlook.cells[choice.cell]
-    change = f"{name_of(*name)}, {_size(choice.before, value)} to {_size(choice.after, value)}"
+    change = f"{name_of(name[0], name[1] or None)}, {_size(choice.before, value)} to {_size(choice.after, value)}"
     where = f"{show(cell.load, 'force', 3)}, {show(cell.pressure, 'pressure', 4)}"
     data = {"symbol": name[0], "pressure": name[1], "before": choice.before, "after": choice.after, "value": value}
     return f"{where}: {ROLES.get(choice.role, change)}", data

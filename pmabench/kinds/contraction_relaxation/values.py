@@ -91,8 +91,8 @@ def _open(estimate: Estimate, note: str) -> Estimate:
 
 
 def name_of(symbol: str, P: float | None) -> str:
-    """`K at 300 kPa`."""
-    return f"{symbol} at {show(P, 'pressure', 4)}" if P else symbol
+    """`K at 300 kPa`; the symbol alone where it has no pressure."""
+    return symbol if P is None else f"{symbol} at {show(P, 'pressure', 4)}"
 
 
 def with_bias(e: Estimate, known: float) -> Estimate:

@@ -80,7 +80,7 @@ def _attitude(courses: Sequence[Course]) -> Doubt:
         more = abs(float(norm[held].mean() - norm[level].mean()) / math.sin(one.size))
         error = noise_of(norm) * math.sqrt(1 / level.sum() + 1 / held.sum()) / math.sin(one.size)
         rows.append((more, error, float(norm[level].mean()) / G - 1))
-    more, error, _ = max(rows, key=lambda row: row[0])
+    more, error, _ = rows[int(np.argmax([row[0] for row in rows]))]  # one that is not known counts as the largest
     off_level = float(np.mean([row[2] for row in rows]))
     scale = max(abs(off_level) - GRAVITY, 0.0)
     half = (more + 2 * error) / G + scale * max(one.size for one in courses)

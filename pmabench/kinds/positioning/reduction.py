@@ -20,7 +20,7 @@ from pmabench.analysis.shared.isometric_lines import spread
 from pmabench.analysis.shared.response import SMALLEST, Response, respond
 from pmabench.analysis.shared.samples import count_of
 from pmabench.analysis.shared.simulated import closed_loop, model_of
-from pmabench.analysis.shared.trials import by_point
+from pmabench.analysis.shared.trials import grouped, point_of
 from pmabench.base.quantities import show
 from pmabench.kinds.positioning import RESULTS
 from pmabench.model.presets import Described
@@ -213,7 +213,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     the rms difference of the two contractions [m]. Trials along a path are reduced by `along_paths`.
     """
     dropped: list[Dropped] = []
-    found: dict[str, Hold] = {}
+    found: list[Hold] = []
     paths: list[tuple[RunData, TrialData]] = []
     for run in runs:
         model = model_of(run)
@@ -225,11 +225,11 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
             if isinstance(hold, str):
                 dropped.append(Dropped(trial.name, trial.point, hold))
                 continue
-            found[trial.name] = hold
-    cells = by_point([(hold.run, hold.trial) for hold in found.values()])
-    holds = [[found[trial.name] for _, trial in members] for _, members in cells]
+            found.append(hold)
+    cells = sorted(grouped(found, lambda hold: point_of(hold.trial)).items())
+    holds = [members for _, members in cells]
     along, notes, ways, unused = along_paths(paths)
-    estimates = [e for (at, _), members in zip(cells, holds, strict=True) for e in _estimates(at, members)]
+    estimates = [e for at, members in cells for e in _estimates(dict(at), members)]
     return Analysis.of(
         KIND,
         runs,
@@ -304,8 +304,8 @@ def _value(symbol: str, response: Response, setpoint: float) -> float | None:
     """One measure of a response; None for those of a cycle where there is none."""
     if symbol == "e_ss":
         return response.error / setpoint
-    value: float | None = getattr(response.cycle if symbol in CYCLE else response, MEASURES[symbol][2], None)
-    return value
+    of = response.cycle if symbol in CYCLE else response
+    return None if of is None else getattr(of, MEASURES[symbol][2])
 
 
 def _moves(members: Sequence[Hold], setpoint: float) -> Doubt:

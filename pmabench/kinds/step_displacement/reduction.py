@@ -179,7 +179,8 @@ def _one(
 
 def filter_of(run: RunData) -> float:
     """Time constant of the force cell's filter [s], as declared, or what one may have where none is."""
-    return (run.channels["force"].sensor_lag if "force" in run.channels else 0.0) or UNDECLARED
+    declared = run.channels["force"].sensor_lag if "force" in run.channels else 0.0
+    return declared if declared > 0 else UNDECLARED
 
 
 def _blunted(t: Array, away: Array, moved: float, constant: float) -> float:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pmabench.analysis.shared.calibration import Scales, sentences
 from pmabench.analysis.shared.isometric_lines import spread
 from pmabench.analysis.shared.simulated import from_commanded_pressure, from_measured_pressure, model_of
-from pmabench.analysis.shared.trials import by_point
+from pmabench.analysis.shared.trials import grouped, point_of
 from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.base.quantities import show
 from pmabench.kinds.validation import RESULTS
@@ -75,10 +75,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
         dropped += [Dropped(t.name, t.point, why) for t, why in zip(run.trials, reasons, strict=True) if why]
         usable = [trial for trial, why in zip(run.trials, reasons, strict=True) if not why]
         found += _steps(run, usable, model) if model is not None else []
-    of = {step.trial.name: step for step in found}
-    cells = [
-        (at, [of[trial.name] for _, trial in members]) for at, members in by_point([(s.run, s.trial) for s in found])
-    ]
+    cells = [(dict(at), steps) for at, steps in sorted(grouped(found, lambda step: point_of(step.trial)).items())]
     steps = [step for _, members in cells for step in members]
     full = max((step.measured for step in steps), default=0.0)
     return Analysis.of(
