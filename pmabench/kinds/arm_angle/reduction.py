@@ -102,6 +102,7 @@ def _of_load(fitted: Fitted, scales: Scales, channel: str, settings: Mapping[str
     exact = "the radius is taken as exact" if channel == "displacement" else ""
 
     def made(symbol: str, values: Array, method: float, note: str, gains: Any, offsets: Any = None) -> Estimate:
+        """Mean of the trials' `values` [rad]; `method` is its part; gains and offsets as `Scales.part` takes them."""
         half = spread(values)
         parts = Parts(half, method, scales.part(gains, offsets))
         note = sentences("" if half is not None else ONCE, note)

@@ -83,6 +83,8 @@ def _systematic(
 ) -> tuple[Array, Array | None]:
     """Half widths of `of`(gas, gain, offset) from what the plan gives, and from the pressure's calibration.
 
+    The plan gives the half width of each quantity that `Gas` is made of as `<name>_half`, in its unit.
+
     `gain` and `offset` are what is wrong with the measured pressure: share, and [Pa].
     """
     gas = Gas.of(settings)

@@ -195,7 +195,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
 def _of_steps(at: Mapping[str, float], steps: Sequence[Stepped], scales: Scales, band: float) -> Iterator[Estimate]:
     trials = tuple(one.trial.name for one in steps)
     found, late = [one.response for one in steps], _late(steps)
-    # the filter of the angle makes a rise longer, which a shift in time does not take off
+    # the filter of the angle makes a rise longer, which a shift in time does not take off [s]
     rises = [(one.response.rise, 2.2 * lags_of(one.run, one.trial)["angle"]) for one in steps]
     slowed = max((r - max(r**2 - slow**2, 0.0) ** 0.5 for r, slow in rises if r is not None), default=0.0)
     errors = [-one.sign * one.response.error for one in steps]

@@ -195,7 +195,7 @@ def _estimates(at: Mapping[str, float], members: Sequence[Sweep], scales: Scales
     slope = BY_PRESSURE * K / total if total > 0 else 0.0
     taken_off = max(one.taken_off for one in members)
     yield made("K_th", ("N.m/rad", "torsional stiffness"), BRANCHES, stiffness, taken_off, -1, slope)
-    # what the turns still leave of the fitted open gap at mid sweep, and in the mean curve
+    # how far the fitted open gap is from that at mid sweep, and what the turns leave in the mean curve [N.m]
     fits = [(one.loop, one.loop.turns) for one in members]
     unclosed = max(abs(2 * t.h - float(loop.middle_gap.mean())) if t else 0.0 for loop, t in fits)
     of_turns = [np.abs(t.of_mean(loop.x)) if t else np.zeros_like(loop.x) for loop, t in fits]

@@ -313,7 +313,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     scales = Scales.of(runs)
     cells: Cells = grouped(staircases, lambda one: tuple(round(one.trial.point[name], 3) for name in MUSCLES))
     estimates = list[Estimate]()
-    # change of the torque after the mean of a rest, rising and falling: the mean of all rests of all trials
+    # change of the torque after the mean of a rest [N.m], rising and falling: the mean of all rests of all trials
     rests = [[held for one in staircases for held in one.rests.holds[side]] for side in (0, 1)]
     rising, falling = (left(holds) if rests[0] else Left(0.0, 0.0, False) for holds in rests)
     for pressures, members in sorted(cells.items()):
@@ -378,6 +378,7 @@ def _estimates(
     torque = ("N.m", "torque")
     opened = np.all([one.open for one in members], axis=0)
     of_gap, of_torque, of_slope = _doubts(members, likely, whole / total, moving)
+    # half the change of the gap over the angles [N.m]
     uneven = max(0.5 * float(np.ptp(one.gap.mean(axis=0)[opened])) for one in members)
     H = made("H_tau", torque, GAP, [_gap(one) for one in members], uneven, 0.0)
     yield weighed(H, of_gap)
@@ -400,7 +401,7 @@ def _estimates(
             place = int(opened[:n].sum())
             other = max(abs(float(K[:, place].mean() - K3[place])) for K, K3 in slopes)
             values = [K[:, place] for K, _ in slopes]
-            # largest change of the stiffness with the angle
+            # largest change of the stiffness with the angle [N.m/rad2]
             steps = np.diff(slopes[0][0].mean(axis=0)) / np.diff(members[0].nominal[opened])
             bend = float(np.max(np.abs(steps), initial=0.0))
             K = made("K_th", ("N.m/rad", "torsional stiffness"), SLOPE, values, other,
