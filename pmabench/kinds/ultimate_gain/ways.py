@@ -160,7 +160,7 @@ class GainCell(ABC, Generic[Found]):
 
 
 def lags_of(tau: float, beta: float) -> tuple[complex, ...]:
-    """Lags [s] of beta s^2 + tau s + 1: two, which are a complex pair where tau^2 < 4 beta; one where beta is not > 0."""
+    """Lags [s] of beta s^2 + tau s + 1: a complex pair where tau^2 < 4 beta, else two real ones; one for beta <= 0."""
     root = complex(tau * tau - 4 * beta) ** 0.5
     pair = [(tau + root) / 2, (tau - root) / 2] if beta > 0 else [complex(tau)]
     return tuple(lag if lag.imag else lag.real for lag in pair)
