@@ -1,7 +1,7 @@
 """Reduction of positioning runs: each set-point's response, steady-state error and limit cycle; the same simulated.
 
-Measures of one hold are in `analysis.shared.response`, the simulated loop in `analysis.shared.simulated`. And how well a
-controller followed a path: the error over the whole path, and what it goes beyond each place.
+Measures of one hold are in `analysis.shared.response`, the simulated loop in `analysis.shared.simulated`. And how well
+a controller followed a path: the error over the whole path, and what it goes beyond each place.
 """
 
 from __future__ import annotations
