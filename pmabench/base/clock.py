@@ -18,7 +18,7 @@ class Clock(Protocol):
     def back_to(self, moment: float) -> bool:
         """Take bench time back to `moment` [s] where that can be done; returns whether it was."""
 
-    def foresee(self, moment: float) -> None:
+    def set_quiet_until(self, moment: float) -> None:
         """Nothing is going to be commanded before `moment` [s], as far as is known now: a simulation may compute it."""
 
 
@@ -45,7 +45,7 @@ class RealClock:
         """Real time cannot be taken back."""
         return False
 
-    def foresee(self, moment: float) -> None:
+    def set_quiet_until(self, moment: float) -> None:
         """Nothing can be computed before it happens."""
 
 
@@ -54,7 +54,7 @@ class VirtualClock:
 
     def __init__(self) -> None:
         self._now = 0.0
-        self.foreseen = 0.0
+        self.quiet_until = 0.0
         """Up to when nothing is going to be commanded, as far as is known [s]."""
 
     def now(self) -> float:
@@ -70,6 +70,6 @@ class VirtualClock:
         self._now = min(self._now, moment)
         return True
 
-    def foresee(self, moment: float) -> None:
+    def set_quiet_until(self, moment: float) -> None:
         """Keep it for the simulation."""
-        self.foreseen = moment
+        self.quiet_until = moment

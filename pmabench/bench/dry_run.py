@@ -59,7 +59,7 @@ class PredictedMuscle:
 
     numbers: dict[str, Any]
     expected: ExpectedFile | None
-    """Its coefficients, to foresee what it can lift; None where they are not known."""
+    """Its coefficients, to predict what it can lift; None where they are not known."""
     source: str
     """Where it is from, and how far off it may be, in words."""
     factors: tuple[float, ...] = (1.0,)

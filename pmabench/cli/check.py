@@ -20,7 +20,7 @@ from pmabench.cli.names import FILE, PATH, short, typed
 from pmabench.cli.outcome import next_lines, progress_line
 from pmabench.cli.prepare import Prepared, needed, size, too_little
 from pmabench.kinds.compile import read_protocol
-from pmabench.protocol.idle import Idle, foreseen, without
+from pmabench.protocol.idle import Idle, idle_trials, without
 from pmabench.protocol.plan import Plan
 from pmabench.report.terminal import print_grid
 
@@ -65,7 +65,7 @@ def command(
     simulate |= muscle is not None
     one = not mounted.bench_file.muscles
     known = _muscle(mounted, muscle, output) if one or (simulate and _replaced(mounted, muscle)) else None
-    idle = foreseen(plan, known.expected) if known is not None and known.expected is not None else None
+    idle = idle_trials(plan, known.expected) if known is not None and known.expected is not None else None
     summary["idle"] = None if idle is None else {"trials": idle.idle, "doubtful": idle.doubtful, "first": idle.first}
     if output is not None:
         _write_without(prepared, idle, output)
@@ -229,7 +229,7 @@ def _then(prepared: Prepared, idle: Idle | None, written: Path | None, *, refuse
 
 def _write_without(prepared: Prepared, idle: Idle | None, path: Path) -> None:
     if idle is None:
-        raise UsageError("--drop-idle: a plant file says nothing that could be foreseen; give an analysis")
+        raise UsageError("--drop-idle: a plant file predicts no idle trials; give an analysis")
     if path.exists():
         raise UsageError(f"{path} is there already; give the name of a new file")
     document, model = read_protocol(Path(prepared.sources["protocol"]), prepared.sources["set"])

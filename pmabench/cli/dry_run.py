@@ -37,7 +37,7 @@ from pmabench.engine.recorder import TrialPeaks
 from pmabench.engine.run import Outcome, run_plan
 from pmabench.kinds import registry
 from pmabench.model.real.muscle import Surface
-from pmabench.protocol.idle import foreseen
+from pmabench.protocol.idle import idle_trials
 from pmabench.protocol.plan import Plan
 from pmabench.report.bends import slopes_of
 from pmabench.store.analyses.folder import analyses_below, read_analysis
@@ -111,7 +111,7 @@ def _at_rest(plan: Plan, muscle: PredictedMuscle, factor: float) -> dict[str, An
     """Without simulation: what a muscle of another force cannot lift, and how far it contracts at most [m]."""
     points = [trial.point for trial in plan.trials if {"load", "pressure"} <= set(trial.point)]
     far = [muscle.contraction(point["pressure"], point["load"]) for point in points]
-    idle = foreseen(plan, muscle.expected) if muscle.expected is not None else None
+    idle = idle_trials(plan, muscle.expected) if muscle.expected is not None else None
     return {
         "force": factor,
         "idle": None if idle is None else len(idle.idle),

@@ -171,7 +171,7 @@ class Acquisition:
         with self._lock:
             self._stop, self._stopped = stop, None
         if stop is None:
-            self.clock.foresee(deadline)
+            self.clock.set_quiet_until(deadline)
         try:
             while True:
                 self.check()
@@ -183,7 +183,7 @@ class Acquisition:
                 if self.clock.now() >= deadline - 1e-9:
                     return None
         finally:
-            self.clock.foresee(self.clock.now())
+            self.clock.set_quiet_until(self.clock.now())
             with self._lock:
                 self._stop = None
 

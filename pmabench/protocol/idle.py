@@ -1,4 +1,4 @@
-"""Trials in which nothing can move, foreseen from what is expected of the specimen; and the protocol without them."""
+"""Trials in which nothing can move, predicted from what is expected of the specimen; and the protocol without them."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Idle:
         return frozenset((*self.idle, *self.doubtful))
 
 
-def foreseen(plan: Plan, expected: ExpectedFile) -> Idle:
+def idle_trials(plan: Plan, expected: ExpectedFile) -> Idle:
     """Trials at a load and a pressure that cannot lift it: F_ce(P) - F_s at most F_L (static friction).
 
     F_ce beyond the expected points is that of the last one's line (`force_at`).

@@ -91,7 +91,7 @@ def test_without_expected_coefficients_the_type_is_simulated_and_says_so(tmp_pat
     assert weak < trial["highest"]["displacement"] < strong
 
 
-def test_intervals_of_the_plan_are_foreseen_and_more_trials_make_them_narrower():
+def test_intervals_of_the_plan_are_predicted_and_more_trials_make_them_narrower():
     """Where trials scatter alike, four repeats halve what one repeat leaves open."""
     halves = []
     for count in (1, 4):

@@ -58,8 +58,8 @@ class AfterSomeTime:
     def back_to(self, moment):
         return self.inner.back_to(moment)
 
-    def foresee(self, moment):
-        self.inner.foresee(moment)
+    def set_quiet_until(self, moment):
+        self.inner.set_quiet_until(moment)
 
     def wait_until(self, deadline):
         if self.act is not None and deadline >= self.moment:

@@ -89,7 +89,7 @@ class MockBench:
     def collect(self) -> Block:
         """All samples due by now that were not collected yet."""
         opened, now = self._linked()
-        return opened.collect(now, _moment(self._clock.foreseen) if isinstance(self._clock, VirtualClock) else now)
+        return opened.collect(now, _moment(self._clock.quiet_until) if isinstance(self._clock, VirtualClock) else now)
 
     def stop(self) -> None:
         """End sampling."""

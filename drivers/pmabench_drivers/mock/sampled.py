@@ -243,14 +243,14 @@ class Sampled(ABC):
         """Take no more samples."""
         self._rate = 0.0
 
-    def collect(self, now: float, foreseen: float) -> Block:
-        """The samples up to `now` [s] that were not collected yet; nothing is commanded before `foreseen` [s].
+    def collect(self, now: float, quiet_until: float) -> Block:
+        """The samples up to `now` [s] that were not collected yet; nothing is commanded before `quiet_until` [s].
 
         Many seconds at once cost much less than the same in pieces.
         """
         now_ns = round(now * 1e9)
         if now_ns < self._given or now > self._plant.time:
-            self.catch_up(now, foreseen)
+            self.catch_up(now, quiet_until)
         self._sample(self._plant.time)
         self._given = now_ns
         blocks = []
@@ -270,17 +270,17 @@ class Sampled(ABC):
 
     # -- time -----------------------------------------------------------------------------------------------------
 
-    def catch_up(self, now: float, foreseen: float = 0.0) -> None:
-        """Bring plant and samples to bench time `now` [s], or beyond where nothing is commanded before `foreseen` [s].
+    def catch_up(self, now: float, quiet_until: float = 0.0) -> None:
+        """Bring plant and samples to bench time `now` [s], or further: nothing is commanded before `quiet_until` [s].
 
-        Back when the clock was taken back, or where something comes that was not foreseen.
+        Back when the clock was taken back, or where something comes before that time.
         """
         if now < self._plant.time:
             self._go_back(now)
         if now > self._plant.time:
             if self._keep_for:
                 self._remember()
-                now = max(now, min(foreseen, now + self.AHEAD))
+                now = max(now, min(quiet_until, now + self.AHEAD))
             self._run(now)
 
     def skip(self, until: float) -> None:

@@ -308,7 +308,7 @@ LOADS, PRESSURES = 9, 7
 LIFTED = (0.1, 0.7)
 """Lightest and heaviest load, as shares of the force at the highest pressure."""
 STRONGER = 1.25
-"""How much more a muscle may pull than foreseen, and still stays short of its highest contraction."""
+"""How much more a muscle may pull than predicted, and still stays short of its highest contraction."""
 SHORT_OF = 0.85
 """Share of the highest contraction that a sweep may reach."""
 NO_LIMIT = """\
