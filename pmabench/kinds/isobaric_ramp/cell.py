@@ -324,10 +324,12 @@ class Cell:
             work = ("force", "displacement")
             # between the two samples at a turn the force jumps by the gap, somewhere on the way between them
             corners = max(2 * abs(float(m.loop.middle_gap.mean())) * speed / m.run.rate for m in mine)
+            # and what is gone on the way to a turn and back between two samples is not seen: half of it at either end
+            unseen = max(abs(float(m.loop.given.mean())) / stroke * speed / m.run.rate for m in mine)
             rows: tuple[_Row, ...] = (
                 ("H", newton, lambda loop: loop.middle_gap, ("force",), uneven, late),
                 ("W", joule, lambda loop: loop.lost, work, uneven * stroke + corners, late * stroke),
-                ("W_c", joule, lambda loop: loop.given, work, 0.0, 0.5 * late * stroke),
+                ("W_c", joule, lambda loop: loop.given, work, unseen, 0.5 * late * stroke),
             )
             for symbol, kind, of, by, extra, skewed in rows:
                 value, half = mean_of_cycles([of(member.loop) for member in mine])
