@@ -14,7 +14,8 @@ import pytest
 from pmabench.kinds.isobaric_ramp.reduction import reduce
 from pmabench.store.records import RunData, TrialData
 from tests.analysis.driven_runs import recorded
-from tests.analysis.judged_forms import as_run, as_trials
+from tests.analysis.judged_forms import as_run, as_trials, swept_of
+from tests.judge import swept
 from tests.judge.record import Ramp, Trial
 
 LENGTH, DIAMETER, ANGLE, CORRECTION, RUBBER = 0.25, 20e-3, np.radians(25.0), 0.75, 1500.0
@@ -114,6 +115,51 @@ def test_what_creeps_in_the_time_of_a_ramp_is_no_true_hysteresis(speeds, stiff, 
     else:
         (B,) = [e for e in still if (e.symbol, e.method) == ("B", "loop-gap")]
         assert abs(B.value - 150.0) < B.parts.combined
+
+
+@pytest.mark.parametrize(("stiff", "time", "falls", "known"), [
+    (0.0, 1.0, 0.0, True), (0.0, 1.0, 12.0, True), (1500.0, 10.0, 0.0, False), (1500.0, 30.0, 0.0, False),
+])  # fmt: skip
+def test_stiffness_is_withheld_with_friction_where_creep_makes_part_of_both_and_not_where_friction_falls(
+    speeds, stiff, time, falls, known
+):
+    """K of a muscle that creeps was up to 5 half widths above that of the braid; friction leaves it as it is."""
+    for seed in range(3):
+        chance = np.random.default_rng(seed)
+
+        def of_another_muscle(trial: TrialData, chance=chance) -> TrialData:
+            x, v, P = trial.channels["displacement"], trial.point["speed"], trial.point["pressure"]
+            rubbed = (10.0 + falls * np.exp(-v / 2e-3)) * hysteresis(x)
+            F = force(x, P) - rubbed - maxwell(trial.t, x, stiff, time) + chance.normal(0, 0.1, len(x))
+            return replace(trial, channels={**trial.channels, "pressure": np.full(len(x), P), "force": F})
+
+        found = reduce([replace(speeds, trials=tuple(of_another_muscle(trial) for trial in speeds.trials))])
+        (F_c,) = [e for e in found.estimates if (e.symbol, e.method) == ("F_c", "loop-gap")]
+        curve = [e for e in found.estimates if e.method.startswith("mean-curve")]
+        assert F_c.withheld == bool(falls or stiff)
+        assert all(e.withheld != known for e in curve)
+        if known:
+            (K,) = [e for e in curve if (e.symbol, e.method) == ("K", "mean-curve")]
+            trial = speeds.trials[0]
+            truth = stiffness(0.5 * (trial.point["lower"] + trial.point["upper"]), trial.point["pressure"])
+            assert abs(K.value - truth) <= min(K.parts.combined, 0.01 * truth)
+        else:
+            assert all("what creeps in about the time of a ramp" in e.note for e in curve)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_play_of_the_displacement_moves_the_mean_curve_within_its_interval_and_leaves_its_slope(seed):
+    """0.2 mm of play are 0.1 mm in the mean of both directions; F was 35 half widths off."""
+    found = swept_of(swept.MUSCLE)("backlash", 1.0, seed).estimates
+    assert all(e.withheld for e in found if e.symbol in ("F_c", "B"))
+    local = [e for e in found if e.method == "mean-curve, local" and e.symbol == "F"]
+    (K,) = [e for e in found if (e.symbol, e.method) == ("K", "mean-curve")]
+    assert len(local) == 5
+    for e in local:
+        truth = float(swept.MUSCLE.without(np.array([e.at["contraction"]]))[0])
+        assert abs(e.value - truth) <= e.parts.combined
+        assert e.parts.combined <= 0.02 * swept.MUSCLE.at_middle
+    assert abs(K.value - swept.MUSCLE.stiff) <= min(K.parts.combined, 0.002 * K.value)
 
 
 @pytest.mark.parametrize("curve", [0.0, 20e-3, 0.1])

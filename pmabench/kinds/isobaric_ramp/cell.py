@@ -53,9 +53,14 @@ LONGEST_TRACE = 1500
 BETWEEN = "displacement and force"
 CYCLES = "one trial a speed: the repeats part is the scatter of its cycles, and repeated tests may scatter more"
 NO_REPEATS = "no repeats part: too few loops"
+SHRUNK = "B would be below "
 SHRINKS = (
     "a gap that shrinks as the speed rises is no damping: what creeps in about the time of a ramp, or a friction that "
     "falls with the speed, makes part of it. Ramp more slowly, and more quickly, until the gap changes no more"
+)
+CREEPS = (
+    "the gap shrinks and the slope of the mean curve grows as the speed rises: what creeps in about the time of a ramp "
+    "makes part of both. Ramp more slowly, and more quickly, until neither changes"
 )
 ONE_SPEED = "one speed only: hysteresis and damping cannot be separated"
 AT_SPEED = "one speed only: the two dampings may differ, so that the force at rest may be anywhere in the gap"
@@ -185,6 +190,17 @@ class Cell:
         ends = " to ".join(show(K, "stiffness", 3) for K in (min(local), max(local)))
         return f"the mean curve is bent, K is {ends} along the stroke: it is given at each contraction instead"
 
+    @cached_property
+    def _creeps(self) -> bool:
+        """Whether the mean curve is steeper the faster the ramp.
+
+        What creeps makes it so. Friction and damping, whatever they change with, are alike in both directions and not
+        in the mean, and a displacement that lags or has play moves the mean curve as a whole: they leave K as it is.
+        """
+        line = self.over_speed(lambda loop: -np.polyfit(self.x, loop.mean.T, 1)[0])
+        faster = float(np.ptp([member.speed for member in self.members]))
+        return (line.slope - (line.half_slope or 0.0)) * faster > PROPORTIONAL * abs(self.straight)
+
     @property
     def upside_down(self) -> bool:
         """Whether the contracting branch is the upper one, by more than scatter."""
@@ -255,6 +271,9 @@ class Cell:
         K = abs(self.straight)
         found += self._gap_lines(scales, K, uneven, self._rising(dF_dP), near)
         found += self._work(scales, K, uneven, float(upper - lower), near)
+        if self._creeps and any(e.symbol == "F_c" and e.note.startswith(SHRUNK) for e in found):
+            curve = [e for e in found if e.method in (CURVE, RAW, LOCAL) and e.value is not None]
+            found = [withhold(e, CREEPS) if e in curve else e for e in found]
         if self.upside_down:
             return [withhold(e, UPSIDE_DOWN) if e.value is not None else e for e in found]
         return [weighed(e, self._doubts(e, K, float(upper - lower))) for e in found]
@@ -283,13 +302,15 @@ class Cell:
         """What a late force, backlash and a drift do to an estimate; `K` [N/m] turns times into forces."""
         late, slowest = self._late, min(m.speed for m in self.members)
         gap = 2 * K * (e.at.get("speed", 0.0) or slowest) * late.half
+        # the zero of a displacement with play is anywhere within it: half of it either way, and turns show a part of it
+        play = gap / 3 if late.seen else 0.0
         uneven = 0.5 * max(m.loop.uneven_drift for m in self.members)
         whole = max(m.loop.whole_drift for m in self.members)
         taken = max(float(np.mean([np.mean(m.loop.given + m.loop.lost) for m in self.members])), 1e-9)
         effects = {
             "H": (gap, uneven), "F_c": (gap / 2, uneven / 2), "B": (K * late.half, 0.0), "K": (0.0, uneven / stroke),
             "W": (gap * stroke, uneven * stroke), "W_c": (gap * stroke / 2, whole * stroke),
-            "eta": (gap * stroke / taken, uneven * stroke / taken), "F": (0.0, whole), "F_ce": (0.0, whole),
+            "eta": (gap * stroke / taken, uneven * stroke / taken), "F": (play, whole), "F_ce": (play, whole),
         }  # fmt: skip
         by_time, by_drift = effects.get(e.symbol, (0.0, 0.0))
         return [replace(late, half=by_time), Doubt("drift", "drift", by_drift, False)]
@@ -380,7 +401,7 @@ class Cell:
             F_c = self._estimate("F_c", start / 2, newton, method, self.at, friction, "half the gap at speed 0")
             found += [H, B, F_c]
         least = min((e.value + (e.parts.combined or inf) for e in found if e.symbol == "B" and e.value), default=0.0)
-        why = f"B would be below {show(least, 'damping', 2)}; {SHRINKS}"
+        why = f"{SHRUNK}{show(least, 'damping', 2)}; {SHRINKS}"
         return found if least >= 0 else [withhold(e, why) for e in found]
 
     def _estimate(
