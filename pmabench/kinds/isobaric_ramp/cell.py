@@ -272,8 +272,8 @@ class Cell:
         found += self._gap_lines(scales, K, uneven, self._rising(dF_dP), near)
         found += self._work(scales, K, uneven, float(upper - lower), near)
         if self._creeps and any(e.symbol == "F_c" and e.note.startswith(SHRUNK) for e in found):
-            curve = [e for e in found if e.method in (CURVE, RAW, LOCAL) and e.value is not None]
-            found = [withhold(e, CREEPS) if e in curve else e for e in found]
+            mean = (CURVE, RAW, LOCAL)
+            found = [withhold(e, CREEPS) if e.method in mean and e.value is not None else e for e in found]
         if self.upside_down:
             return [withhold(e, UPSIDE_DOWN) if e.value is not None else e for e in found]
         return [weighed(e, self._doubts(e, K, float(upper - lower))) for e in found]
