@@ -244,8 +244,7 @@ def measure(run: RunData, trial: TrialData, discard: int, turn: float, axes: Axe
     P = np.mean([on_time(run, trial, name) for name in axes.pressures], axis=0)
     branches: tuple[list[Array], list[Array]] = ([], [])
     pressures: tuple[list[float], list[float]] = ([], [])
-    lines: list[Array] = []
-    lost = []
+    lines, lost = [], []
     last: tuple[Array, Array] = (np.empty(0), np.empty(0))
     for contract, expand, end in cycles:
         for phase, (begin, until) in enumerate(((contract.t, expand.t), (expand.t, end))):
@@ -274,7 +273,7 @@ def measure(run: RunData, trial: TrialData, discard: int, turn: float, axes: Axe
         x, contracting, expanding, turns, turns or _found(x, gap, lower, upper, 0)[0], speed,
         pressure=float(np.mean(pressures[0] + pressures[1])),
         apart=float(np.mean(pressures[1]) - np.mean(pressures[0])),
-        given=_given(trial.t[good], X[good], Y[good], cycles, _behind_command(lines)),
+        given=_given(trial.t[good], X[good], Y[good], cycles, lines),
         lost=np.array(lost) - 0.5 * drift * (upper - lower),
         last=last,
         noise=noise_of(Y[whole]),
@@ -284,18 +283,17 @@ def measure(run: RunData, trial: TrialData, discard: int, turn: float, axes: Axe
     )  # fmt: skip
 
 
-def _behind_command(lines: Sequence[Array]) -> float:
-    """How long after its command the motion turns [s], by where the lines through both branches of a cycle cross.
+def _given(
+    t: Array, x: Array, F: Array, cycles: Sequence[tuple[Command, Command, float]], lines: Sequence[Array]
+) -> Array:
+    """Work given while contracting [J], shape (cycles,), from turn to turn of the motion.
 
-    `lines` are slope and start of each branch, in turn, over the time since the turn was commanded. A drive turns late
-    and on a curve, and which of its samples is the last one of a branch is lost in their noise.
+    `lines` are slope and start of each branch over the time since its cycle was told to turn: where those of a cycle
+    cross the motion turns. A drive does so late and on a curve, and which of its samples is the last one of a branch is
+    lost in their noise.
     """
     pairs = zip(lines[::2], lines[1::2], strict=True)
-    return float(np.median([(two[1] - one[1]) / (one[0] - two[0]) for one, two in pairs]))
-
-
-def _given(t: Array, x: Array, F: Array, cycles: Sequence[tuple[Command, Command, float]], late: float) -> Array:
-    """Work given while contracting [J], shape (cycles,), where the motion turns `late` [s] after its commands."""
+    late = float(np.median([(two[1] - one[1]) / (one[0] - two[0]) for one, two in pairs]))
     done = np.append(0.0, np.cumsum(0.5 * (F[1:] + F[:-1]) * np.diff(x)))
     turned = np.array([(contract.t, expand.t) for contract, expand, _ in cycles]) + late
     return np.asarray(np.diff(np.interp(turned, t, done), axis=1)[:, 0])

@@ -69,18 +69,13 @@ class Mean:
         return Mean(self.P, self.fill[rows], self.empty[rows], self.held)
 
     @property
-    def _gap(self) -> tuple[Array, Array, float]:
+    def opened(self) -> tuple[Array, Array, float]:
         """Pressures [Pa], the gap there over all tests [N], and its median in the middle half of the pressures [N]."""
         known = np.isfinite(self.empty - self.fill)
         seen = known.any(axis=0)
         gap = np.where(known, self.empty - self.fill, 0.0).sum(axis=0)[seen] / known.sum(axis=0)[seen]
         middle = np.abs((self.P[seen] - self.P[0]) / (self.P[-1] - self.P[0]) - 0.5) < 0.25
         return self.P[seen], gap, float(np.median(gap[middle] if middle.any() else gap)) if seen.any() else 0.0
-
-    @property
-    def width(self) -> float:
-        """Of the loop where it has opened [N]: the median gap of the middle half of the pressures."""
-        return self._gap[2]
 
     @property
     def turned(self) -> tuple[Array, Array]:
@@ -90,7 +85,7 @@ class Mean:
         middle half of the pressures. The mean is that of the branch just left: too high at the lower end, too low at
         the upper one.
         """
-        P, gap, usual = self._gap
+        P, gap, usual = self.opened
         return P, np.copysign(0.5 * np.abs(gap - usual), 0.5 * (self.P[0] + self.P[-1]) - P)
 
     def gaps(self, low: float) -> Array:

@@ -221,9 +221,8 @@ def _weighed(found: _Found, groups: Groups, given: Mapping[str, Any], scales: Sc
         if e.symbol == "H" and np.isfinite(delay) and cell is not None:
             mine.append(_late(e, cell, delay, error))
         if e.symbol == "H" and cell is not None:
-            closed = abs(cell.mean.width - float(cell.gaps.mean()))
-            drifted = _drifted(e, cell, scales.offsets.get("force", inf))
-            mine += [drifted, Doubt(TURN, "method", closed, seen=True)]
+            mine.append(_drifted(e, cell, scales.offsets.get("force", inf)))
+            mine.append(Doubt(TURN, "method", abs(cell.mean.opened[2] - float(cell.gaps.mean())), seen=True))
         if e.symbol in ("F_b", "F_ce") and turned:
             lacks = max(abs(float(np.interp(e.at["pressure"], *one))) for one in turned)
             mine.append(Doubt(TURN, "method", BEYOND * lacks, seen=True))
