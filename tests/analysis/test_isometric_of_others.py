@@ -4,12 +4,16 @@ F = (2.6 - 0.026 x) (P - 23) - 9 x [N, kPa, mm], and a hysteresis over the press
 dz/dP = (1 - z) / w while it rises, (1 + z) / w while it falls, F + h z. The middle of the loop is the truth.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from pmabench.kinds.isometric_pressurisation.reduction import reduce
 from pmabench.store.reader import open_run
+from tests.analysis.judged_forms import as_run, as_trials
 from tests.importing import import_files
+from tests.judge import held
 
 MAP = """
 schema: pmabench.map/1
@@ -165,3 +169,47 @@ def test_a_slip_is_in_the_onset_too(tmp_path):
         x = 1e3 * e.at["contraction"]
         assert holds(e, 1e3 * (23.0 + 9.0 * x / (2.6 - 0.026 * x)))
     assert any(e.value is None for e in of(found, "p_0", "force-threshold"))
+
+
+def of_a_drifting_cell(course, seed, known=None):
+    """Tests of a muscle that is slack without pressure, in closed form; `course` is what the cell gains, by test.
+
+    It is given the number of the test and its time [s] over how long it lasts.
+    """
+    trials = held.campaign("clean", 1.0, seed)
+    lasts = float(np.ptp(trials[0].t))
+    drifting = [
+        replace(one, channels={**one.channels, "force": one.channels["force"] + course(n, (one.t - one.t[0]) / lasts)})
+        for n, one in enumerate(trials)
+    ]
+    known = None if known is None else {"force": {"offset_uncertainty": known}}
+    return of(reduce([as_run("isometric-pressurisation", as_trials(drifting), held.RATE, {}, known)]), "H")
+
+
+@pytest.mark.parametrize("drift", [0.0, 0.5, 1.0])
+@pytest.mark.parametrize("course", [
+    lambda n, share: share, lambda n, share: (share > 0.5) * 1.0, lambda n, share: -1.0 * (share > 0.1 * (n % 10)),
+    lambda n, share: 0.5 * (n + share),
+])  # fmt: skip
+@pytest.mark.parametrize(("gap", "known"), [(20.0, 1.0), (6.0, None)])
+def test_a_loop_is_known_to_the_drift_of_the_cell(monkeypatch, drift, course, gap, known):
+    """Steps of 1 N in each test put H 5 half widths off, an even drift of 0.5 N a test withheld every one of 6 N."""
+    monkeypatch.setattr(held, "GAP", gap)
+    for seed in range(2):
+        widths = of_a_drifting_cell(lambda n, share: drift * course(n, share), seed, known)
+        assert len(widths) == len(held.CONTRACTIONS)
+        for e in widths:
+            assert e.value is not None
+            assert abs(e.value - gap) <= e.parts.combined < 1.2 + 1.7 * drift
+
+
+def test_a_drift_of_more_than_half_a_loop_withholds_it():
+    widths = of_a_drifting_cell(lambda n, share: 5.0 * share, 1)
+    assert len(widths) == len(held.CONTRACTIONS)
+    assert all(e.withheld and "N more after the ramps than before" in e.note for e in widths)
+
+
+def test_what_a_muscle_pulls_after_the_ramps_is_no_more_drift_than_its_cell_is_known_to(tmp_path):
+    """It keeps half of the loop, 3 N, without pressure; the zero of the cell is known within 0.5 N."""
+    for e in of(campaign(tmp_path, ramps(), 3.0, w=5.0), "H"):
+        assert abs(e.value - 6.0) <= e.parts.combined < 0.8

@@ -240,11 +240,11 @@ def measure(run: RunData, trial: TrialData, discard: int, turn: float, axes: Axe
     grid = np.linspace(lower + turn, upper - turn, POINTS)
     if not grid[-1] > grid[0]:
         raise NotUsable("nothing is left of the stroke between its ends")
-    X, Y = on_time(run, trial, axes.moved), on_time(run, trial, axes.pulls)
+    X, Y, good = on_time(run, trial, axes.moved), on_time(run, trial, axes.pulls), trial.usable
     P = np.mean([on_time(run, trial, name) for name in axes.pressures], axis=0)
     branches: tuple[list[Array], list[Array]] = ([], [])
     pressures: tuple[list[float], list[float]] = ([], [])
-    speeds, given, lost = [], [], []
+    lines, lost = [], []
     last: tuple[Array, Array] = (np.empty(0), np.empty(0))
     for contract, expand, end in cycles:
         for phase, (begin, until) in enumerate(((contract.t, expand.t), (expand.t, end))):
@@ -253,29 +253,27 @@ def measure(run: RunData, trial: TrialData, discard: int, turn: float, axes: Axe
             moved = (x >= grid[0]) & (x <= grid[-1])
             if int(moved.sum()) < FEWEST:
                 raise NotUsable(f"fewer than {FEWEST} samples between the ends of a ramp")
-            speeds.append(abs(float(np.polyfit(trial.t[rows][moved], x[moved], 1)[0])))
+            lines.append(np.polyfit(trial.t[rows][moved] - expand.t, x[moved], 1))
             pressures[phase].append(float(np.mean(P[rows][moved])))
             slack = (trial.flags[rows] & np.uint16(Flag.SLACK)) != 0
             branches[phase].append(on_grid(grid, x, np.where(slack, np.nan, F)))
         rows = _between(trial, contract.t, end)
         last = X[rows], Y[rows]
         lost.append(lost_work(*last))
-        rows = _between(trial, contract.t, expand.t)
-        given.append(float(np.trapezoid(Y[rows], X[rows])))
     contracting, expanding = (np.array(branch) for branch in branches)
     known = _reached(contracting + expanding, trial, Y[whole], axes)
     contracting, expanding, x = contracting[:, known], expanding[:, known], grid[known]
     level = 0.5 * (contracting + expanding).mean(axis=1)
     drift = np.gradient(level) if len(level) > 1 else np.zeros(1)
     gap = (expanding - contracting - _between_branches(x, drift, lower, upper)).mean(axis=0)
-    turns, speed = turns_of(x, gap, lower, upper), float(np.mean(speeds))
+    turns, speed = turns_of(x, gap, lower, upper), float(np.mean([abs(slope) for slope, _ in lines]))
     fades = 0.02 * (upper - lower) if turns is None else turns.w
     moments = sorted([expand.t for _, expand, _ in cycles] + [contract.t for contract, _, _ in cycles[1:]])
     return Loop(
         x, contracting, expanding, turns, turns or _found(x, gap, lower, upper, 0)[0], speed,
         pressure=float(np.mean(pressures[0] + pressures[1])),
         apart=float(np.mean(pressures[1]) - np.mean(pressures[0])),
-        given=np.array(given),
+        given=_given(trial.t[good], X[good], Y[good], cycles, lines),
         lost=np.array(lost) - 0.5 * drift * (upper - lower),
         last=last,
         noise=noise_of(Y[whole]),
@@ -283,6 +281,22 @@ def measure(run: RunData, trial: TrialData, discard: int, turn: float, axes: Axe
         late=_late(run, trial, (X, Y), moments, fades / speed, axes),
         ends=(lower, upper),
     )  # fmt: skip
+
+
+def _given(
+    t: Array, x: Array, F: Array, cycles: Sequence[tuple[Command, Command, float]], lines: Sequence[Array]
+) -> Array:
+    """Work given while contracting [J], shape (cycles,), from turn to turn of the motion.
+
+    `lines` are slope and start of each branch over the time since its cycle was told to turn: where those of a cycle
+    cross the motion turns. A drive does so late and on a curve, and which of its samples is the last one of a branch is
+    lost in their noise.
+    """
+    pairs = zip(lines[::2], lines[1::2], strict=True)
+    late = float(np.median([(two[1] - one[1]) / (one[0] - two[0]) for one, two in pairs]))
+    done = np.append(0.0, np.cumsum(0.5 * (F[1:] + F[:-1]) * np.diff(x)))
+    turned = np.array([(contract.t, expand.t) for contract, expand, _ in cycles]) + late
+    return np.asarray(np.diff(np.interp(turned, t, done), axis=1)[:, 0])
 
 
 def _reached(forces: Array, trial: TrialData, seen: Array, axes: Axes) -> NDArray[np.bool_]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from math import hypot, inf, isfinite, isnan
+from math import hypot, inf, isfinite, isnan, log
 from typing import Any
 
 import numpy as np
@@ -57,6 +57,20 @@ SHRINKS = (
     "a gap that shrinks as the speed rises is no damping: what creeps in about the time of a ramp, or a friction that "
     "falls with the speed, makes part of it. Ramp more slowly, and more quickly, until the gap changes no more"
 )
+CREEPS = (
+    "as the speed rises the gap shrinks at mid stroke more than near its ends: what creeps in about the time of a ramp "
+    "makes part of it, and of the slope of the mean curve. Ramp more slowly, and more quickly, until neither changes"
+)
+UNIFORM = 0.5
+"""Share of what the gap shrinks by at mid stroke that it shrinks less by near the ends: three quarters or all by creep,
+none by friction."""
+OPENED = 0.7
+"""Share of the stroke, about its middle, in which turns have faded."""
+STEEPER = 5e-4
+"""Share by which a mean curve is steeper at the highest speed than at the lowest at least, where a muscle creeps."""
+CREPT = 3.0
+"""What creeps makes a gap of pi/2 times the stroke times what the slope grows by with the logarithm of the speed, where
+many time constants do (local Kramers-Kronig relation, Booij and Thoone 1982); one alone makes up to twice that."""
 ONE_SPEED = "one speed only: hysteresis and damping cannot be separated"
 AT_SPEED = "one speed only: the two dampings may differ, so that the force at rest may be anywhere in the gap"
 
@@ -185,6 +199,33 @@ class Cell:
         ends = " to ".join(show(K, "stiffness", 3) for K in (min(local), max(local)))
         return f"the mean curve is bent, K is {ends} along the stroke: it is given at each contraction instead"
 
+    @cached_property
+    def _shrinks_by_creep(self) -> bool:
+        """Whether a gap that shrinks as the speed rises does so at mid stroke, and less near the ends.
+
+        What creeps makes a gap that is 0 at both turns, and a mean curve that is too steep. Friction that falls with
+        the speed takes as much of the gap everywhere. It is alike in both directions, whatever it changes with, and
+        a displacement that lags or has play moves the mean curve as a whole: they leave K as it is.
+        """
+        place = (self.x - self.middle) / (0.5 * np.ptp(self.x))
+        inner = np.abs(place) < OPENED
+        dome = self.over_speed(lambda loop: np.polyfit(place[inner], loop.gap[:, inner].T, 2)[0])
+        return dome.slope > max(dome.half_slope or 0.0, -UNIFORM * self.gap.slope)
+
+    @cached_property
+    def _creep(self) -> float:
+        """What the slope of the mean curve grows by with the logarithm of the speed [N/m]; 0 where that is not seen."""
+        line = self.over_speed(lambda loop: -np.polyfit(self.x, loop.mean.T, 1)[0])
+        low, high = self._speeds
+        seen = (line.slope - (line.half_slope or 0.0)) * (high - low) > STEEPER * abs(self.straight)
+        return line.slope * (high - low) / log(high / low) if seen else 0.0
+
+    @property
+    def _speeds(self) -> tuple[float, float]:
+        """The lowest and the highest [m/s]."""
+        speeds = [member.speed for member in self.members]
+        return min(speeds), max(speeds)
+
     @property
     def upside_down(self) -> bool:
         """Whether the contracting branch is the upper one, by more than scatter."""
@@ -255,6 +296,9 @@ class Cell:
         K = abs(self.straight)
         found += self._gap_lines(scales, K, uneven, self._rising(dF_dP), near)
         found += self._work(scales, K, uneven, float(upper - lower), near)
+        if any(e.symbol == "F_c" and SHRINKS in e.note for e in found) and self._shrinks_by_creep:
+            mean = (CURVE, RAW, LOCAL)
+            found = [withhold(e, CREEPS) if e.method in mean and e.value is not None else e for e in found]
         if self.upside_down:
             return [withhold(e, UPSIDE_DOWN) if e.value is not None else e for e in found]
         return [weighed(e, self._doubts(e, K, float(upper - lower))) for e in found]
@@ -281,23 +325,29 @@ class Cell:
 
     def _doubts(self, e: Estimate, K: float, stroke: float) -> list[Doubt]:
         """What a late force, backlash and a drift do to an estimate; `K` [N/m] turns times into forces."""
-        late, slowest = self._late, min(m.speed for m in self.members)
+        late, (slowest, fastest) = self._late, self._speeds
         gap = 2 * K * (e.at.get("speed", 0.0) or slowest) * late.half
+        # the zero of a displacement with play is anywhere within it: half of it either way, and turns show a part of it
+        play = gap / 3 if late.seen else 0.0
         uneven = 0.5 * max(m.loop.uneven_drift for m in self.members)
         whole = max(m.loop.whole_drift for m in self.members)
         taken = max(float(np.mean([np.mean(m.loop.given + m.loop.lost) for m in self.members])), 1e-9)
         effects = {
             "H": (gap, uneven), "F_c": (gap / 2, uneven / 2), "B": (K * late.half, 0.0), "K": (0.0, uneven / stroke),
             "W": (gap * stroke, uneven * stroke), "W_c": (gap * stroke / 2, whole * stroke),
-            "eta": (gap * stroke / taken, uneven * stroke / taken), "F": (0.0, whole), "F_ce": (0.0, whole),
+            "eta": (gap * stroke / taken, uneven * stroke / taken), "F": (play, whole), "F_ce": (play, whole),
         }  # fmt: skip
         by_time, by_drift = effects.get(e.symbol, (0.0, 0.0))
-        return [replace(late, half=by_time), Doubt("drift", "drift", by_drift, False)]
+        found = [replace(late, half=by_time), Doubt("drift", "drift", by_drift, False)]
+        if self._creep and (e.symbol in ("F_c", "B") or e.at.get("speed") == 0):
+            share = {"F_c": 0.5, "B": 0.5 / (fastest - slowest)}.get(e.symbol, 1.0)
+            found.append(Doubt("creep", "method", share * CREPT * self._creep * stroke, seen=True))
+        return found
 
     @cached_property
     def _late(self) -> Doubt:
         """Time by which the force may come late [s], by turns of the slowest loops, or where turns fade over time."""
-        slowest = min(m.speed for m in self.members)
+        slowest, _ = self._speeds
         known = [m.loop.late for m in self.members if m.speed == slowest]
         worst, half = max(known, key=lambda one: (one.seen, one.half)), float(np.mean([one.half for one in known]))
         late = replace(worst, half=half)
@@ -324,10 +374,12 @@ class Cell:
             work = ("force", "displacement")
             # between the two samples at a turn the force jumps by the gap, somewhere on the way between them
             corners = max(2 * abs(float(m.loop.middle_gap.mean())) * speed / m.run.rate for m in mine)
+            # and what is gone on the way to a turn and back between two samples is not seen: half of it at either end
+            unseen = max(abs(float(m.loop.given.mean())) / stroke * speed / m.run.rate for m in mine)
             rows: tuple[_Row, ...] = (
                 ("H", newton, lambda loop: loop.middle_gap, ("force",), uneven, late),
                 ("W", joule, lambda loop: loop.lost, work, uneven * stroke + corners, late * stroke),
-                ("W_c", joule, lambda loop: loop.given, work, 0.0, 0.5 * late * stroke),
+                ("W_c", joule, lambda loop: loop.given, work, unseen, 0.5 * late * stroke),
             )
             for symbol, kind, of, by, extra, skewed in rows:
                 value, half = mean_of_cycles([of(member.loop) for member in mine])
@@ -370,8 +422,8 @@ class Cell:
             H = self._estimate("H", start, newton, method, still, Parts(line.half_start, uneven, force), note)
             gains = {"force": slope / 2, "displacement": -slope / 2}
             both = self._part(scales, gains, {}, None if slope_P is None else slope_P / 2)
-            speeds = [member.speed for member in self.members]
-            least = PROPORTIONAL * abs(start) / (max(speeds) - min(speeds)) / 2
+            low, high = self._speeds
+            least = PROPORTIONAL * abs(start) / (high - low) / 2
             parts = Parts(_halved(line.half_slope), hypot(least, rising / 2), both, K * self.skew)
             B = self._estimate("B", slope / 2, damping, method, self.at, parts, "(B_c + B_r)/2")
             friction = Parts(_halved(line.half_start), uneven / 2, _halved(force))

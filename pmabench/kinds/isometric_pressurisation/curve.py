@@ -69,6 +69,15 @@ class Mean:
         return Mean(self.P, self.fill[rows], self.empty[rows], self.held)
 
     @property
+    def opened(self) -> tuple[Array, Array, float]:
+        """Pressures [Pa], the gap there over all tests [N], and its median in the middle half of the pressures [N]."""
+        known = np.isfinite(self.empty - self.fill)
+        seen = known.any(axis=0)
+        gap = np.where(known, self.empty - self.fill, 0.0).sum(axis=0)[seen] / known.sum(axis=0)[seen]
+        middle = np.abs((self.P[seen] - self.P[0]) / (self.P[-1] - self.P[0]) - 0.5) < 0.25
+        return self.P[seen], gap, float(np.median(gap[middle] if middle.any() else gap)) if seen.any() else 0.0
+
+    @property
     def turned(self) -> tuple[Array, Array]:
         """Pressures [Pa], and what of the middle of the loop the mean of both branches has too much there [N].
 
@@ -76,13 +85,8 @@ class Mean:
         middle half of the pressures. The mean is that of the branch just left: too high at the lower end, too low at
         the upper one.
         """
-        known = np.isfinite(self.empty - self.fill)
-        seen = known.any(axis=0)
-        gap = np.where(known, self.empty - self.fill, 0.0).sum(axis=0)[seen] / known.sum(axis=0)[seen]
-        place = (self.P[seen] - self.P[0]) / (self.P[-1] - self.P[0]) - 0.5
-        middle = np.abs(place) < 0.25
-        usual = float(np.median(gap[middle] if middle.any() else gap)) if seen.any() else 0.0
-        return self.P[seen], np.copysign(0.5 * np.abs(gap - usual), -place)
+        P, gap, usual = self.opened
+        return P, np.copysign(0.5 * np.abs(gap - usual), 0.5 * (self.P[0] + self.P[-1]) - P)
 
     def gaps(self, low: float) -> Array:
         """Force while emptying minus while filling of each test, mean over the pressures from `low` [Pa] on [N].

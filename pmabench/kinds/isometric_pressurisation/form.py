@@ -35,6 +35,7 @@ STRETCHED = 1e-4
 """A muscle that is longer than its nominal length by this is stretched [m]."""
 DRIFTS = 6.0
 """The zero of the cell differs from file to file where it does by so many times the noise of one sample."""
+DRIFT = "drift of the force cell"
 YIELDS = 1e-5
 """Change of the displacement below which nothing gives way [m]."""
 
@@ -155,6 +156,12 @@ def _at_rest(test: Test) -> list[tuple[int, float, float]]:
     return found
 
 
+def gone_since(test: Test) -> float | None:
+    """What the cell reads more after the ramps than before [N]; None of a muscle that may pull without pressure."""
+    reads = {which: read for which, _, read in _at_rest(test)}
+    return reads[1] - reads[0] if len(reads) == 2 and test.trial.point["contraction"] > -STRETCHED else None
+
+
 def _zeros(ordered: Sequence[tuple[Test, object, Cell]]) -> Departure | None:
     """Of tests that are a file each: the zero of the cell in each, as a muscle that is not stretched pulls nothing
     without pressure.
@@ -177,7 +184,7 @@ def _zeros(ordered: Sequence[tuple[Test, object, Cell]]) -> Departure | None:
     def force(test: Test) -> Array:
         return np.full(len(test.t), nearest[test])
 
-    return Departure("drift of the force cell", "drift", force, high - low > DRIFTS * noise, reason)
+    return Departure(DRIFT, "drift", force, high - low > DRIFTS * noise, reason)
 
 
 def _drift(cells: Sequence[Cell]) -> tuple[Departure | None, float]:
@@ -211,7 +218,7 @@ def _drift(cells: Sequence[Cell]) -> tuple[Departure | None, float]:
     def force(test: Test) -> Array:
         return np.asarray(np.copysign(most, slope) * (test.t - first))
 
-    return Departure("drift of the force cell", "drift", force, seen, reason), slope
+    return Departure(DRIFT, "drift", force, seen, reason), slope
 
 
 def _slip(cells: Sequence[Cell], K: dict[float, tuple[Array, Array]], slope: float) -> Departure | None:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import hypot, sqrt
+from math import hypot, inf, sqrt
 from typing import Any
 
 import numpy as np
@@ -29,13 +29,14 @@ from pmabench.analysis.shared.isometric_lines import (
     spread,
     tests_of,
 )
+from pmabench.analysis.shared.samples import noise_of
 from pmabench.analysis.trial import Expected, Found, Measured, Quick
 from pmabench.analysis.verdict.agreement import Offer, Place, at_pressures, everywhere, exactly, straight, values_of
 from pmabench.base.quantities import show
 from pmabench.kinds.isometric_pressurisation import RESULTS, curve, figures
 from pmabench.kinds.isometric_pressurisation.curve import LEAST, PHASES, begins, mean_of, straight_from
 from pmabench.kinds.isometric_pressurisation.flow import by_flow
-from pmabench.kinds.isometric_pressurisation.form import departures, late, scatter_of
+from pmabench.kinds.isometric_pressurisation.form import DRIFT, departures, gone_since, late, scatter_of
 from pmabench.kinds.isometric_pressurisation.sections import (
     APART,
     BEYOND,
@@ -63,6 +64,8 @@ PULLED = 5 * LEAST
 """A muscle whose force changes less is slack [N]."""
 LATE = 0.25
 """A delay of the force that is worth more than this share of the loop is not left to an interval."""
+MOST_DRIFT = 0.5
+"""A drift of the cell that makes more than this share of the loop is not left to an interval."""
 SEEN = 4.0
 """Standard errors from which on a delay is seen."""
 OF_ONSET = (
@@ -200,7 +203,9 @@ def _weighed(found: _Found, groups: Groups, given: Mapping[str, Any], scales: Sc
             key = (e.symbol, METHOD, "", _key(e)[3]) if e.method == THRESHOLD and one.moves else _key(e)
             value, other = values.get(key), changed.get(key)
             if e.value is not None and value is not None and other is not None:
-                doubts[_key(e)].append(Doubt(one.name, one.part, abs(other - value), one.seen, one.reason))
+                half = abs(other - value)
+                left = e.symbol == "H" and one.name == DRIFT and half <= MOST_DRIFT * abs(value)
+                doubts[_key(e)].append(Doubt(one.name, one.part, half, one.seen, "" if left else one.reason))
     for line in found.across:
         for symbol in ("F_ce", "K"):
             doubts[symbol, SECTIONS, "", line.pressure].append(line.bend.doubt(symbol))
@@ -215,6 +220,9 @@ def _weighed(found: _Found, groups: Groups, given: Mapping[str, Any], scales: Sc
         mine, cell = doubts[_key(e)], cells.get(e.at.get("contraction", float("nan")))
         if e.symbol == "H" and np.isfinite(delay) and cell is not None:
             mine.append(_late(e, cell, delay, error))
+        if e.symbol == "H" and cell is not None:
+            mine.append(_drifted(e, cell, scales.offsets.get("force", inf)))
+            mine.append(Doubt(TURN, "method", abs(cell.mean.opened[2] - float(cell.gaps.mean())), seen=True))
         if e.symbol in ("F_b", "F_ce") and turned:
             lacks = max(abs(float(np.interp(e.at["pressure"], *one))) for one in turned)
             mine.append(Doubt(TURN, "method", BEYOND * lacks, seen=True))
@@ -250,6 +258,20 @@ def _late(H: Estimate, cell: Cell, delay: float, error: float) -> Doubt:
     half = per_second * (BEYOND * abs(delay) + 2 * error)
     unsure = reason if half > LATE * abs(H.value or 0.0) else ""
     return Doubt("delay of the force", "method", half, abs(delay) > SEEN * error, unsure)
+
+
+def _drifted(H: Estimate, cell: Cell, most: float) -> Doubt:
+    """What a drift of the zero of the cell within the tests may open or close of the loop [N]: a step all of it.
+
+    `most` is what the zero may be off as the record says [N]: what remains beyond it at rest is the muscle's.
+    """
+    gone = float(np.mean([np.clip(gone_since(test) or 0.0, -most, most) for test in cell.tests]))
+    reason = (
+        f"the force cell drifts: at rest it reads {show(abs(gone), 'force', 2)} {'more' if gone > 0 else 'less'} after "
+        "the ramps than before. Let it warm up, and measure again, or declare the `expanded_uncertainty` of the force"
+    )
+    seen = abs(gone) > max(noise_of(test.F) for test in cell.tests)  # of one sample; at rest it is a mean of many
+    return Doubt(DRIFT, "drift", abs(gone), seen, reason if abs(gone) > MOST_DRIFT * abs(H.value or 0.0) else "")
 
 
 def lack(test: Test) -> str:
