@@ -288,9 +288,9 @@ def _given(
 ) -> Array:
     """Work given while contracting [J], shape (cycles,), from turn to turn of the motion.
 
-    `lines` are slope and start of each branch over the time since its cycle was told to turn: where those of a cycle
-    cross the motion turns. A drive does so late and on a curve, and which of its samples is the last one of a branch is
-    lost in their noise.
+    `lines` are slope and start of each branch over the time since the turn of its cycle was commanded: where those of a
+    cycle cross, the motion turns. A drive does so late and on a curve, and noise hides which sample is the last one of
+    a branch.
     """
     pairs = zip(lines[::2], lines[1::2], strict=True)
     late = float(np.median([(two[1] - one[1]) / (one[0] - two[0]) for one, two in pairs]))

@@ -60,7 +60,7 @@ METHODS = {
     ),
 }
 PHASES = (("up to the highest", "fill"), ("down from the highest", "empty"), ("any", "rest"))
-"""How the commands of an import are called."""
+"""Which command of an import, and what its phase is called; `any` is each other one."""
 KIND = Kind(
     name="isometric-pressurisation",
     title="Isometric pressurisation",

@@ -35,9 +35,9 @@ def of_cells(cells: Sequence[Cell]) -> list[Finding]:
     for cell in cells:
         where = f"contraction {show(cell.contraction, 'length', 4)}"
         if cell.pooled is None or cell.low is None:
-            off = show(cell.off, "force", 3)
-            text = f"F(P) has no straight part: even its upper half leaves a line by {off}; no slope is reported"
-            found.append(Finding("doubt", f"{where}: {text}"))
+            why = f"even its upper half leaves a line by {show(cell.off, 'force', 3)}"
+            why = why if cell.off > 0 else "filling and emptying have too few pressures in common for a line"
+            found.append(Finding("doubt", f"{where}: F(P) has no straight part: {why}; no slope is reported"))
             continue
         ends = f"{show(cell.low, 'pressure', 4)} to {show(cell.pooled.line.high, 'pressure', 4)}"
         off, rms, gap = (show(v, "force", 2) for v in (cell.off, cell.pooled.rms, float(cell.gaps.mean())))
