@@ -25,6 +25,7 @@ from pmabench.base.imported import Imported
 from pmabench.base.quantities import CHANNEL_QUANTITY, show
 from pmabench.store.folder import PLAN, Copy, run_name
 from pmabench.store.importers import plausible
+from pmabench.store.importers.commands import alike
 from pmabench.store.importers.found import Found, Summary
 from pmabench.store.importers.map_file import Question
 from pmabench.store.importers.map_rules import ImportMap, read_map
@@ -126,6 +127,8 @@ def _hint(ratio: float, quantity: str) -> str:
     return next((f" (is it {text}?)" for text in likely), "")
 
 
+Levels = Mapping[str, Mapping[float, float]]
+"""Coordinate that was measured -> value in one trial -> level of all trials of the call [SI]."""
 MOST_FILES = 10_000
 UNKNOWN = ("unknown", "not told")
 """The type of a specimen that no file names, as proposed maps have it; the second one as earlier versions wrote it."""
@@ -172,6 +175,8 @@ def import_files(
     prepared, summaries, hashes = _read_all(files, rules)
     found = compare(summaries, {str(channel): share for channel, share in rules.file.siblings.items()})
     among = iter([plausible.answered(each, rules.file.confirmed) for each in found])
+    measured = [pair for summary in summaries for pair in summary.measured]
+    levels = {name: alike(name, [value for of, value in measured if of == name]) for name, _ in measured}
     made: list[ImportedRun] = []
     existed = out.exists()
     try:
@@ -181,7 +186,7 @@ def import_files(
             for each in prepared:
                 if each.table.sha256 != digest:
                     raise invalid(path, "was changed while it was read")
-                made.append(_write(each, rules, next(among), out))
+                made.append(_write(each, rules, next(among), levels, out))
     except BaseException:
         for run in made:
             shutil.rmtree(run.path, ignore_errors=True)
@@ -213,7 +218,7 @@ def _read_all(files: Sequence[Path], rules: ImportMap) -> tuple[list[Prepared], 
     return prepared, summaries, hashes
 
 
-def _write(prepared: Prepared, rules: ImportMap, apart: Sequence[Found], out: Path) -> ImportedRun:
+def _write(prepared: Prepared, rules: ImportMap, apart: Sequence[Found], levels: Levels, out: Path) -> ImportedRun:
     """One run from one prepared file; removes what it began where it fails."""
     flags = prepared.flags
     if any(found.level == "fault" and not found.withholds for found in apart):
@@ -237,7 +242,7 @@ def _write(prepared: Prepared, rules: ImportMap, apart: Sequence[Found], out: Pa
             raw = {c.rule.role: c.raw.astype(np.int32) if c.rule.role in prepared.whole else c.raw for c in checked}
             writer.append_now("file", np.round(t * 1e9).astype(np.int64), raw, flags[begin : begin + len(t)])
             begin += len(t)
-        _events(writer, prepared)
+        _events(writer, prepared, levels)
         writer.close("finished")
     except BaseException:
         with suppress(Exception):
@@ -266,13 +271,13 @@ def _specimen(prepared: Prepared, rules: ImportMap) -> Mapping[str, Any]:
     return found if same or rules.specimen["type"] in UNKNOWN else rules.specimen
 
 
-def _events(writer: RunWriter, prepared: Prepared) -> None:
+def _events(writer: RunWriter, prepared: Prepared, levels: Levels) -> None:
     if prepared.record is not None:
         for event in prepared.record.events:
             writer.event(event.kind, event.t, **event.data)
         return
     for index, part in enumerate(prepared.parts):
-        known = {"point": dict(part.point), "repeat": prepared.named.test, "reference": False}
+        known = {"point": part.at_levels(levels), "repeat": prepared.named.test, "reference": False}
         writer.event("trial-begin", part.begin, trial=index, **known)
         lines = [(command["t"], "command", {k: v for k, v in command.items() if k != "t"}) for command in part.commands]
         lines += [(at, "phase", {"name": name}) for at, name in part.phases]
