@@ -40,7 +40,7 @@ CHANGES = 0.02
 """A threshold that moves the slope by more than this share is asked for."""
 LENGTH = re.compile(r"(?<![\d.,])\d+(?:[.,]\d+)?(?=[ _]?mm)")
 """A length in the name of a file or of a test [mm]."""
-CONTRACTIONS = {"contraction", "disp", "displacement", "stroke", "shortening"}
+CONTRACTIONS = words("contraction disp displacement stroke shortening weg hub verkurzung kontraktion")
 """Words of a column that is a contraction by its name."""
 
 
@@ -210,7 +210,7 @@ def contraction_of(guess: Guess) -> Asked | str:
     middle = f"{float(np.median(column.good)):.4g} {column.unit}"
     if words(column.name) & CONTRACTIONS and not column.bare:
         return middle
-    if "length" in words(column.name) or "len" in words(column.name):
+    if words(column.name) & {"length", "len", "lange"}:
         return Asked("", f'{head}; "{column.name}" is {middle} throughout: the length at no load less that is it')
     return Asked(middle, f'{head}; "{column.name}" is {middle} throughout: is that it?')
 

@@ -25,21 +25,30 @@ from pmabench.store.records import Array
 WORDS = {
     role: set(text.split())
     for role, text in {
-        "time": "t time zeit elapsed timestamp seconds sec tijd temps x_value datetime date clock uhrzeit 時間 时间 "
-        "時刻 시간",
+        "time": "t time zeit elapsed timestamp zeitstempel seconds sec tijd temps x_value datetime date clock uhrzeit "
+        "時間 时间 時刻 시간",
         "pressure": "p press pressure druck pressao presion pression pma pneu 圧力 压力 壓力 압력",
         "force": "f force load kraft lc loadcell tension weight cell fuerza forca 荷重 張力 拉力 载荷 하중",
-        "displacement": "x pos position disp displacement dist distance length len stroke weg lvdt pot z contraction "
-        "extension elongation encoder laser 変位 位移 변위",
-        "command": "cmd command set setpoint sp ref reference desired target soll out output demand commanded des "
-        "vpr u",
+        "displacement": "x pos position disp displacement dist distance length len stroke weg hub lage lange "
+        "verkurzung kontraktion lvdt pot z contraction extension elongation encoder laser 変位 位移 변위",
+        "command": "cmd command set setpoint sp ref reference desired target soll sollwert vorgabe out output "
+        "demand commanded des vpr u",
         "not measured": "calc calculated theory theoretical model predicted simulated",
-        "supply": "supply comp compressor tank reservoir source inlet line",
+        "supply": "supply comp compressor tank reservoir source inlet line versorgung speise vor netz",
         "phase": "phase state step stage branch",
+        "trial": "trial test run versuch lauf",
+        "ambient": "ambient umgebung atmospheric barometer",
         "other": "volt volts temp temperature temperatura flow volume humidity sys index count",
     }.items()
 }
 """Role of a column -> words in its name that speak for it, in lower case."""
+MEASURED = set().union(*(WORDS[role] for role in ("time", "pressure", "force", "displacement")))
+NEUTRAL = {"ist", "istwert", "wert", "sensor", "aufnehmer", "geber", "messdose", "nr", "nummer"}
+PART = "|".join(sorted({word for words in WORDS.values() for word in words if len(word) > 2} | NEUTRAL))
+JOINED = re.compile(rf"({PART})s?({PART})(?:s?({PART}))?|\w{{3,}}(druck|kraft|weg|zeit|pressure|force)")
+"""A word of two or three known ones (`Sollweg`, `Drucksollwert`, `targetpos`), or of any and a known one at its end."""
+FEW = 0.1
+"""A column that numbers trials changes in less than this share of its rows."""
 SAMPLES = {"sample", "samples", "index", "idx", "n", "no", "nr", "number", "scan", "row", "record", "count", "x"}
 """Words of a column that counts the samples."""
 HELD, STILL = 0.02, 3e-4
@@ -97,8 +106,8 @@ class Proposal:
         return self.values[np.isfinite(self.values)]
 
 
-_JOINED = re.compile(r"([pxf])_?(set|setpoint|sp|cmd|command|ref|des|desired|soll|demand|target)")
-"""A quantity and what makes a command of it in one word: `Pset`."""
+_SHORT = re.compile(r"([pxfs])(set|setpoint|sp|cmd|command|ref|des|desired|soll|demand|target|ist)")
+"""A quantity and what makes a command of it in one word: `Pset`; s is a length (German: Strecke)."""
 
 
 def unit_in(name: str) -> str:
@@ -115,12 +124,17 @@ def words(name: str) -> set[str]:
     """The words of a name in lower case, without brackets and digits."""
     plain = re.sub(r"[\[({][^\])}]*[\])}]", " ", name.rsplit("/", 1)[-1])
     plain = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", plain)
-    plain = plain.translate(str.maketrans("ãáàâéêíóõúçÃÁÉÍÓÚÇ", "aaaaeeiooucaaeiouc"))
+    plain = plain.translate(str.maketrans("ãáàâäéêíóõöúüçÃÁÄÉÍÓÖÚÜÇ", "aaaaaeeiooouucaaaeioouuc"))
     found = {word.lower() for word in re.split(r"[^A-Za-z]+", plain) if word}
-    for word in tuple(found):
-        if joined := _JOINED.fullmatch(word):
-            found |= {joined[1], joined[2]}
-    return found | {"_".join(re.split(r"[\s_]+", plain.strip().lower()))}
+    whole = "_".join(re.split(r"[\s_]+", plain.strip().lower()))
+    for word in (*found, re.sub("[^a-z]", "", whole)):
+        if joined := _SHORT.fullmatch(word):
+            found |= {joined[1].replace("s", "weg"), joined[2]}
+        elif joined := JOINED.fullmatch(word):
+            parts = [part for part in joined.groups() if part]
+            measured = [part for part in parts if part in MEASURED]
+            found |= {part for part in parts if part not in measured[:-1]}  # Druckkraft is a force
+    return found | {whole}
 
 
 def choose(proposals: Sequence[Proposal]) -> None:
@@ -174,9 +188,15 @@ def _by_name(proposal: Proposal) -> None:
     hits = {role for role, known in WORDS.items() if own & known}
     text = f'called "{proposal.name[:40]}"' + (f", in {proposal.unit}" if proposal.unit else "")
     role = "ignore"
-    if quantity == "time" or (hits == {"time"} and quantity == ""):
+    if quantity == "time" or (hits - {"trial"} == {"time"} and quantity == ""):
         role = "time"
-    elif "other" in hits and "pressure" not in hits and quantity not in {"pressure", "force", "length"}:
+    elif hits - {"other"} == {"trial"} and quantity == "" and _numbers_trials(proposal.good):
+        role = "trial"
+        if proposal.good.min() == 0:
+            proposal.doubts.append("0 means no trial; where it is the first one, number the trials from 1")
+    elif "ambient" in hits or (
+        "other" in hits and "pressure" not in hits and quantity not in {"pressure", "force", "length"}
+    ):
         proposal.reasons.append(f"{text}: none of the channels of a muscle's test")
         return
     elif quantity == "pressure" or (quantity in {"", "reading"} and "pressure" in hits):
@@ -187,13 +207,19 @@ def _by_name(proposal: Proposal) -> None:
         role = "ignore" if hits & {"command", "not measured"} else "force"
         if role == "ignore":
             proposal.reasons.append(f"{text}: a force that nobody measured")
-    elif "command" in hits and quantity in {"", "reading"}:
+    elif hits & {"command", "time"} == {"command"} and quantity in {"", "reading"}:
         role = "pressure_command"
     elif "phase" in hits and quantity == "":
         role = "phase"
     proposal.role = role
     if role != "ignore":
         proposal.reasons.append(text)
+
+
+def _numbers_trials(values: Array) -> bool:
+    """Whether a column holds whole numbers that rarely change."""
+    changes = int(np.count_nonzero(np.diff(values)))
+    return len(values) > 1 and bool(np.all(values == np.round(values))) and changes < FEW * len(values)
 
 
 def usual_step(values: Array) -> float:
@@ -317,7 +343,16 @@ def _which_time(time: Proposal) -> None:
 
 def _one_each(proposals: Sequence[Proposal]) -> None:
     """Where several columns have one role, the one that moves most keeps it, with a doubt."""
-    for role in ("pressure", "force", "displacement", "pressure_command", "displacement_command", "supply", "phase"):
+    for role in (
+        "pressure",
+        "force",
+        "displacement",
+        "pressure_command",
+        "displacement_command",
+        "supply",
+        "phase",
+        "trial",
+    ):
         same = [p for p in proposals if p.role == role]
         if len(same) < 2:
             continue
