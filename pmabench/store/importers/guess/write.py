@@ -239,6 +239,8 @@ def _measured(column: Proposal, guess: Guess, spans: Mapping[str, Span]) -> tupl
     body, why = _scale(column, guess, spans.get(column.role))
     if column.role == "displacement":
         lines, reasons = _contraction(column, guess)
+        if any(line.startswith(f'unit: "{OPEN}') for line in body):  # the answer is the unit of its zero, too
+            lines = [re.sub(r'zero: ([^"}]+)}', rf'zero: "{OPEN} \1"}}', line) for line in lines]
         body, why = body + lines, why + reasons
     zeros = int(np.count_nonzero(column.good == 0))
     if column.unit == "mA" and zeros:
@@ -299,7 +301,9 @@ def _from_reading(column: Proposal, quantity: str, span: Span | None) -> tuple[l
 
 def _contraction(column: Proposal, guess: Guess) -> tuple[list[str], list[str]]:
     """How the reading shows contraction, and why: a free muscle shortens with pressure; a held one pulls less then."""
-    pressure, force, unit = guess.role("pressure"), guess.role("force"), column.unit or "count"
+    which = asked.unit_of(column, guess)
+    unit = (which.value if which else column.unit) or "count"
+    pressure, force = guess.role("pressure"), guess.role("force")
     unsure = f'does "{column.name}" fall or rise while the muscle shortens? Strokes have the other sign otherwise'
     open_sign = [
         question(Asked("rises", unsure)),
