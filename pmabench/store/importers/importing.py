@@ -296,7 +296,7 @@ def _snapshots(prepared: Prepared, rules: ImportMap) -> dict[str, bytes | Copy]:
     for number, (path, text) in enumerate(rules.texts.items()):
         kept["map.yaml" if path == rules.path else f"map-included-{number}.yaml"] = text.encode()
     plan = {**(prepared.record.plan if prepared.record is not None else {})}
-    if settings := {**(plan.get("settings") or {}), **rules.file.settings}:
+    if settings := {**(plan.get("settings") or {}), **rules.file.model_dump(include={"settings"})["settings"]}:
         plan["settings"] = settings
     if plan:
         kept[PLAN] = (json.dumps(plan, indent=1, sort_keys=True) + "\n").encode()

@@ -287,20 +287,21 @@ def _by_gap(rows: _Rows) -> list[Segment]:
     parts = []
     for part in np.split(np.arange(len(rows.t)), cuts):
         begin, end = float(rows.t[part].min()), float(rows.t[part].max())
+        length = _length(rows, part)
         inside = tuple(command for command in commands if begin < command["t"] <= end)
-        parts.append(Segment(begin, end, {**rows.point, **_length(rows, part)}, inside))
+        parts.append(Segment(begin, end, {**rows.point, **length}, inside, measured=tuple(length)))
     return parts
 
 
 def _by_file(rows: _Rows) -> list[Segment]:
-    point = dict(rows.point)
-    if "contraction" in rows.rules.test.point:
-        point = {**_length(rows, np.arange(len(rows.t))), **point}
+    wanted = "contraction" in rows.rules.test.point and "contraction" not in rows.point
+    length = _length(rows, np.arange(len(rows.t))) if wanted else {}
+    point = {**rows.point, **length}
     open_frequency = "frequency" in rows.rules.test.point and "frequency" not in point
     if open_frequency and (frequency := _only_sine(rows)):
         point["frequency"] = frequency
     steps = [] if open_frequency else rows.commanded_steps()
-    return [Segment(*rows.whole, point, tuple(steps or rows.sine(point.get("frequency", 0.0))))]
+    return [Segment(*rows.whole, point, tuple(steps or rows.sine(point.get("frequency", 0.0))), measured=tuple(length))]
 
 
 def _by_column(rows: _Rows) -> list[Segment]:

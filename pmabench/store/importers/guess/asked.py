@@ -15,7 +15,17 @@ import numpy as np
 from pmabench.base.quantities import show
 from pmabench.files.quantity import unit_factor
 from pmabench.store.importers.found import slope
-from pmabench.store.importers.guess.columns import OF_ROLE, Guess, Proposal, is_whole, lattice, lone, words
+from pmabench.store.importers.guess.columns import (
+    METRES,
+    OF_ROLE,
+    STILL,
+    Guess,
+    Proposal,
+    is_whole,
+    lattice,
+    lone,
+    words,
+)
 from pmabench.store.importers.map_file import OPEN, QUANTITY
 from pmabench.store.records import Array
 
@@ -66,7 +76,7 @@ def quantity_of(column: Proposal) -> str:
 
 def unit_of(column: Proposal, guess: Guess) -> Asked | None:
     """Which unit a column has, where the file does not say it or says one in which its numbers cannot be."""
-    quantity, top = quantity_of(column), _top(column.good)
+    quantity, top = quantity_of(column), max(_top(column.good), column.elsewhere)
     if quantity not in HIGHEST or top == 0:
         return None
     said = QUANTITY.get(column.unit) == quantity
@@ -76,7 +86,7 @@ def unit_of(column: Proposal, guess: Guess) -> Asked | None:
     if said and not column.bare:
         if column.role == "supply":
             return None
-        if _possible(_top(column.good, 0.95), column.unit, quantity):
+        if _possible(max(_top(column.good, 0.95), column.elsewhere), column.unit, quantity):
             return _steep(column, guess) if column.role == "pressure" else _counted(column, guess)
         head = (
             f'"{column.name}" is in {column.unit} by its name, {_reach(top, column.unit, quantity)}, which no test has'
@@ -207,12 +217,25 @@ def contraction_of(guess: Guess) -> Asked | str:
         return Asked(f"{number} mm", f"{text}: is that it?")
     if column is None or QUANTITY.get(column.unit) != "length":
         return Asked("", f"{head}; each slope is that of one contraction. For instance 8 mm")
+    if apart(column):
+        return ""  # each file is at its own
     middle = f"{float(np.median(column.good)):.4g} {column.unit}"
-    if words(column.name) & CONTRACTIONS and not column.bare:
+    if is_contraction(column):
         return middle
     if words(column.name) & {"length", "len", "lange"}:
         return Asked("", f'{head}; "{column.name}" is {middle} throughout: the length at no load less that is it')
     return Asked(middle, f'{head}; "{column.name}" is {middle} throughout: is that it?')
+
+
+def is_contraction(column: Proposal) -> bool:
+    """Whether a displacement is a contraction by its name."""
+    return bool(words(column.name) & CONTRACTIONS) and not column.bare
+
+
+def apart(column: Proposal) -> bool:
+    """Whether files that are imported together are held at several lengths, as a column shows them."""
+    still = STILL / METRES.get(column.unit, 1e-3)
+    return len(column.good) > 0 and float(np.ptp([np.median(column.good), *column.middles])) > still
 
 
 def threshold_of(guess: Guess) -> tuple[Asked, list[str]] | None:

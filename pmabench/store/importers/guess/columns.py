@@ -38,7 +38,8 @@ WORDS = {
         "phase": "phase state step stage branch",
         "trial": "trial test run versuch lauf",
         "ambient": "ambient umgebung atmospheric barometer",
-        "other": "volt volts temp temperature temperatura flow volume humidity sys index count",
+        "flow": "flow mdot massflow durchfluss massenstrom volumenstrom",
+        "other": "volt volts temp temperature temperatura volume humidity sys index count",
     }.items()
 }
 """Role of a column -> words in its name that speak for it, in lower case."""
@@ -87,6 +88,10 @@ class Proposal:
     doubts: list[str] = field(default_factory=list)
     mixed: str = ""
     """Name of a file in which it holds whole numbers while it does not in others; empty where all are alike."""
+    elsewhere: float = 0.0
+    """The highest value in other files of the same layout."""
+    middles: list[float] = field(default_factory=list)
+    """The median in each of these."""
     question: str = ""
     """What is asked about its role, where the choice is open."""
     written: str = "number"
@@ -110,19 +115,26 @@ _SHORT = re.compile(r"([pxfs])(set|setpoint|sp|cmd|command|ref|des|desired|soll|
 """A quantity and what makes a command of it in one word: `Pset`; s is a length (German: Strecke)."""
 
 
+BRACKETS = re.compile(r"[\[({][^\])}]*[\])}]")
+
+
 def unit_in(name: str) -> str:
     """The unit that a name carries: in brackets, else behind `_`, `/`, `,`, a blank or `in`; empty where none."""
     if found := [unit for text in re.findall(r"[\[({]([^\])}]{1,12})[\])}]", name) if (unit := spelled(text))]:
         return found[-1]
-    last = re.split(r"[_/,.\s]+", name.strip())
+    bare = BRACKETS.sub("", name).strip()
+    if (rate := re.search(r"([A-Za-z0-9³]+)/(s|min|h)$", bare)) and (spelled(rate[1]) or spelled(rate[0])):
+        return spelled(rate[0])
+    last = re.split(r"[_/,.\s]+", bare)
     if len(last) > 1 and (len(last[-1]) > 1 or last[-1] in QUANTITY):
         return spelled(last[-1])
     return ""
 
 
 def words(name: str) -> set[str]:
-    """The words of a name in lower case, without brackets and digits."""
-    plain = re.sub(r"[\[({][^\])}]*[\])}]", " ", name.rsplit("/", 1)[-1])
+    """The words of a name in lower case, without brackets, digits, the group before `/` and the unit behind it."""
+    parts = BRACKETS.sub(" ", name).split("/")
+    plain = parts[-2] if len(parts) > 1 and spelled(parts[-1]) else parts[-1]
     plain = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", plain)
     plain = plain.translate(str.maketrans("ãáàâäéêíóõöúüçÃÁÄÉÍÓÖÚÜÇ", "aaaaaeeiooouucaaaeioouuc"))
     found = {word.lower() for word in re.split(r"[^A-Za-z]+", plain) if word}
@@ -190,6 +202,8 @@ def _by_name(proposal: Proposal) -> None:
     role = "ignore"
     if quantity == "time" or (hits - {"trial"} == {"time"} and quantity == ""):
         role = "time"
+    elif quantity == "flow" or ("flow" in hits and quantity in {"", "reading"}):
+        role = "flow"
     elif hits - {"other"} == {"trial"} and quantity == "" and _numbers_trials(proposal.good):
         role = "trial"
         if proposal.good.min() == 0:
@@ -343,16 +357,7 @@ def _which_time(time: Proposal) -> None:
 
 def _one_each(proposals: Sequence[Proposal]) -> None:
     """Where several columns have one role, the one that moves most keeps it, with a doubt."""
-    for role in (
-        "pressure",
-        "force",
-        "displacement",
-        "pressure_command",
-        "displacement_command",
-        "supply",
-        "phase",
-        "trial",
-    ):
+    for role in dict.fromkeys(p.role for p in proposals if p.role not in {"ignore", "time"}):
         same = [p for p in proposals if p.role == role]
         if len(same) < 2:
             continue

@@ -111,6 +111,13 @@ EDGE = {"pressure": ("bar", "10 bar"), "length": ("mm", "100 mm"), "force": ("N"
 LOOPS = (("mA", 4.0, 20.0, 22.0), ("mV", 4000.0, 20000.0, 21000.0), ("V", 0.0, 5.0, 5.1), ("V", 0.0, 10.0, 10.6))
 """Usual ranges of sensors: unit, ends, and beyond which it is another."""
 LEAST_STEP = "10 kPa"
+UNASKED = {
+    "supply": "the supply enters no result; --span supply=LOW..HIGH keeps it",
+    "flow": "a flow enters the volume of isometric-pressurisation alone, as a mass: a litre has 1.185 g where it is "
+    "ANR (ISO 8778), 1.293 g at 0 degC and 1.01325 bar (DIN 1343); {is: flow, unit: l/min, line: {slope: 0.01975 "
+    "g/s/l/min, offset: 0 g/s}} keeps it",
+}
+"""Role of a column that most tests do not need -> what to do about one whose scale the file does not say."""
 WEIGHT = {"g": 0.00980665, "kg": 9.80665}
 """Newtons in one unit of a weight."""
 
@@ -208,8 +215,8 @@ def _column(column: Proposal, guess: Guess, spans: Mapping[str, Span]) -> list[s
     role = which.scalar if column.question else column.role
     if column.role == "date":
         return [*head, *date_lines(column)]
-    if column.role == "supply" and column.role not in spans and QUANTITY.get(column.unit) != "pressure":
-        head.append(f"  {comment('the supply enters no result; --span supply=LOW..HIGH keeps it')}")
+    if column.role in UNASKED and column.role not in spans and QUANTITY.get(column.unit) != quantity_of(column):
+        head.append(f"  {comment(UNASKED[column.role])}")
         return [*head, f"  {scalar(column.name)}: ignore"]
     if column.role == "time":
         return [*head, *(f"  {line}" for line in asking), *time_lines(column, guess)]
@@ -309,6 +316,8 @@ def _contraction(column: Proposal, guess: Guess) -> tuple[list[str], list[str]]:
         question(Asked("rises", unsure)),
         f"contraction: {{reading: {Asked('rises', '').scalar}, zero: 0 {unit}}}",
     ]
+    if guess.test.held and asked.apart(column) and not asked.is_contraction(column):
+        return [line.replace(f"zero: 0 {unit}", f'zero: "{OPEN} 0 {unit}"') for line in open_sign], []
     if guess.test.held:
         return [], []
     others = [c for c in (pressure, force) if c is not None and len(c.good)]
