@@ -275,7 +275,7 @@ def test_the_flow_into_a_muscle_that_is_held_gives_its_volume(tmp_path, name, g_
         P = np.interp(t, [0, 6, 26, 34, 54, 62], [50, 50, 450, 450, 50, 50])
         flow = 60e3 * (V + 12e-6) * 1e3 * np.gradient(P, t) / (287.05 * 293.15) + 0.012 + rng.normal(0, 2e-3, len(t))
         F = np.maximum((1 - x / 60) * P - 4 * x, 0) + rng.normal(0, 0.3, len(t))
-        write(tmp_path / f"x{x:02.0f}.csv", f"Zeit [s],Druck [kPa],Weg [mm],Kraft [N],{name}", t,
+        write(tmp_path / f"x{x:02.0f}.csv", f"Zeit [s],Druck [kPa],Kontraktion [mm],Kraft [N],{name}", t,
               P + rng.normal(0, 0.1, len(t)), x + rng.normal(0, 0.003, len(t)), F, flow / g_in_one)  # fmt: skip
     settings = "settings: {flow: {dead: 12e-6, dead_half: 0.1e-6}}\n"
     kind = ("kind: isometric ", f"{settings}kind: isometric-pressurisation ")

@@ -15,17 +15,7 @@ import numpy as np
 from pmabench.base.quantities import show
 from pmabench.files.quantity import unit_factor
 from pmabench.store.importers.found import slope
-from pmabench.store.importers.guess.columns import (
-    METRES,
-    OF_ROLE,
-    STILL,
-    Guess,
-    Proposal,
-    is_whole,
-    lattice,
-    lone,
-    words,
-)
+from pmabench.store.importers.guess.columns import OF_ROLE, Guess, Proposal, is_whole, lattice, lone, words
 from pmabench.store.importers.map_file import OPEN, QUANTITY
 from pmabench.store.records import Array
 
@@ -50,7 +40,7 @@ CHANGES = 0.02
 """A threshold that moves the slope by more than this share is asked for."""
 LENGTH = re.compile(r"(?<![\d.,])\d+(?:[.,]\d+)?(?=[ _]?mm)")
 """A length in the name of a file or of a test [mm]."""
-CONTRACTIONS = words("contraction disp displacement stroke shortening weg hub verkurzung kontraktion")
+CONTRACTIONS = words("contraction disp displacement stroke shortening hub verkurzung kontraktion")
 """Words of a column that is a contraction by its name."""
 
 
@@ -217,7 +207,7 @@ def contraction_of(guess: Guess) -> Asked | str:
         return Asked(f"{number} mm", f"{text}: is that it?")
     if column is None or QUANTITY.get(column.unit) != "length":
         return Asked("", f"{head}; each slope is that of one contraction. For instance 8 mm")
-    if apart(column):
+    if column.apart:
         return ""  # each file is at its own
     middle = f"{float(np.median(column.good)):.4g} {column.unit}"
     if is_contraction(column):
@@ -230,12 +220,6 @@ def contraction_of(guess: Guess) -> Asked | str:
 def is_contraction(column: Proposal) -> bool:
     """Whether a displacement is a contraction by its name."""
     return bool(words(column.name) & CONTRACTIONS) and not column.bare
-
-
-def apart(column: Proposal) -> bool:
-    """Whether files that are imported together are held at several lengths, as a column shows them."""
-    still = STILL / METRES.get(column.unit, 1e-3)
-    return len(column.good) > 0 and float(np.ptp([np.median(column.good), *column.middles])) > still
 
 
 def threshold_of(guess: Guess) -> tuple[Asked, list[str]] | None:

@@ -43,11 +43,12 @@ WORDS = {
     }.items()
 }
 """Role of a column -> words in its name that speak for it, in lower case."""
-MEASURED = set().union(*(WORDS[role] for role in ("time", "pressure", "force", "displacement")))
-NEUTRAL = {"ist", "istwert", "wert", "sensor", "aufnehmer", "geber", "messdose", "nr", "nummer"}
-PART = "|".join(sorted({word for words in WORDS.values() for word in words if len(word) > 2} | NEUTRAL))
+MEASURED = WORDS["time"] | WORDS["pressure"] | WORDS["force"] | WORDS["displacement"]
+PART = "|".join(word for words in WORDS.values() for word in sorted(words) if len(word) > 2)
+PART += "|ist|istwert|wert|sensor|aufnehmer|geber|messdose|nr|nummer"
 JOINED = re.compile(rf"({PART})s?({PART})(?:s?({PART}))?|\w{{3,}}(druck|kraft|weg|zeit|pressure|force)")
 """A word of two or three known ones (`Sollweg`, `Drucksollwert`, `targetpos`), or of any and a known one at its end."""
+OF_MUSCLE = {"pressure", "force", "length"}
 FEW = 0.1
 """A column that numbers trials changes in less than this share of its rows."""
 SAMPLES = {"sample", "samples", "index", "idx", "n", "no", "nr", "number", "scan", "row", "record", "count", "x"}
@@ -110,6 +111,12 @@ class Proposal:
         """Values without those that are none."""
         return self.values[np.isfinite(self.values)]
 
+    @property
+    def apart(self) -> bool:
+        """Whether it is a length that is another one in another file of the layout."""
+        middles = [*self.middles, *([float(np.median(self.good))] if len(self.good) else [])]
+        return len(middles) > 1 and float(np.ptp(middles)) > STILL / METRES.get(self.unit, 1e-3)
+
 
 _SHORT = re.compile(r"([pxfs])(set|setpoint|sp|cmd|command|ref|des|desired|soll|demand|target|ist)")
 """A quantity and what makes a command of it in one word: `Pset`; s is a length (German: Strecke)."""
@@ -123,7 +130,7 @@ def unit_in(name: str) -> str:
     if found := [unit for text in re.findall(r"[\[({]([^\])}]{1,12})[\])}]", name) if (unit := spelled(text))]:
         return found[-1]
     bare = BRACKETS.sub("", name).strip()
-    if (rate := re.search(r"([A-Za-z0-9³]+)/(s|min|h)$", bare)) and (spelled(rate[1]) or spelled(rate[0])):
+    if rate := re.search(r"(kg|g|m|mm|N|N?l)/(s|min|h)$", bare):
         return spelled(rate[0])
     last = re.split(r"[_/,.\s]+", bare)
     if len(last) > 1 and (len(last[-1]) > 1 or last[-1] in QUANTITY):
@@ -208,9 +215,7 @@ def _by_name(proposal: Proposal) -> None:
         role = "trial"
         if proposal.good.min() == 0:
             proposal.doubts.append("0 means no trial; where it is the first one, number the trials from 1")
-    elif "ambient" in hits or (
-        "other" in hits and "pressure" not in hits and quantity not in {"pressure", "force", "length"}
-    ):
+    elif "ambient" in hits or ("other" in hits and not ("pressure" in hits or quantity in OF_MUSCLE)):
         proposal.reasons.append(f"{text}: none of the channels of a muscle's test")
         return
     elif quantity == "pressure" or (quantity in {"", "reading"} and "pressure" in hits):

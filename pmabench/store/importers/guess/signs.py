@@ -117,7 +117,6 @@ def _held_lengths(guess: Guess) -> Sign | None:
 
 def _at_lengths(parts: Sequence[Array]) -> bool:
     """Whether the length is held in each of two parts and more, against the way between them."""
-    parts = [part[np.isfinite(part)] for part in parts]
     if len(parts) < 2 or min(map(len, parts)) < 3:
         return False
     apart = float(np.ptp([np.median(part) for part in parts]))
@@ -132,7 +131,8 @@ def _between_pauses(guess: Guess, column: Proposal | None) -> tuple[list[Array],
     at = np.flatnonzero(steps > LONG_PAUSE)
     shortest = steps[at].min(initial=np.inf)
     reason = f"the log pauses {len(at)} times for {shortest:.2g} s and longer"
-    return np.split(column.values, at + 1), {"by": "gap", "longer_than": f"{0.6 * shortest:.2g} s"}, reason
+    parts = [part[np.isfinite(part)] for part in np.split(column.values, at + 1)]
+    return parts, {"by": "gap", "longer_than": f"{0.6 * shortest:.2g} s"}, reason
 
 
 def _driven(guess: Guess) -> Sign | None:
@@ -146,7 +146,7 @@ def _driven(guess: Guess) -> Sign | None:
     steps = count(guess, "step") if pressure is not None and not _steady(pressure.good) else 0
     trials = {"by": "level", "smallest": f"{share(guess, 'pressure'):.3g}"} if steps else {"by": "file"}
     parts, gaps, _ = _between_pauses(guess, pressure)
-    if not steps and len(parts) > 1 and all(_steady(part[np.isfinite(part)]) for part in parts):
+    if not steps and len(parts) > 1 and all(len(part) and _steady(part) for part in parts):
         steps, trials = len(parts) - 1, gaps
     smallest = 5 * share(guess, "displacement") / (2 if steps else 1)
     good = np.isfinite(x.values) & np.isfinite(force.values) & motion.later(t)
@@ -171,8 +171,6 @@ def _driven(guess: Guess) -> Sign | None:
 
 def _steady(P: Array) -> bool:
     """Whether a pressure, shape (n,), is held throughout."""
-    if not len(P):
-        return False
     low, middle, high = np.quantile(P, [0.02, 0.5, 0.98])
     return bool(high - low <= STEADY * abs(middle))
 

@@ -113,9 +113,7 @@ LOOPS = (("mA", 4.0, 20.0, 22.0), ("mV", 4000.0, 20000.0, 21000.0), ("V", 0.0, 5
 LEAST_STEP = "10 kPa"
 UNASKED = {
     "supply": "the supply enters no result; --span supply=LOW..HIGH keeps it",
-    "flow": "a flow enters the volume of isometric-pressurisation alone, as a mass: a litre has 1.185 g where it is "
-    "ANR (ISO 8778), 1.293 g at 0 degC and 1.01325 bar (DIN 1343); {is: flow, unit: l/min, line: {slope: 0.01975 "
-    "g/s/l/min, offset: 0 g/s}} keeps it",
+    "flow": "a flow enters the volume of isometric-pressurisation alone, as a mass; docs/maps.md makes one of litres",
 }
 """Role of a column that most tests do not need -> what to do about one whose scale the file does not say."""
 WEIGHT = {"g": 0.00980665, "kg": 9.80665}
@@ -316,7 +314,7 @@ def _contraction(column: Proposal, guess: Guess) -> tuple[list[str], list[str]]:
         question(Asked("rises", unsure)),
         f"contraction: {{reading: {Asked('rises', '').scalar}, zero: 0 {unit}}}",
     ]
-    if guess.test.held and asked.apart(column) and not asked.is_contraction(column):
+    if guess.test.held and column.apart and not asked.is_contraction(column):
         return [line.replace(f"zero: 0 {unit}", f'zero: "{OPEN} 0 {unit}"') for line in open_sign], []
     if guess.test.held:
         return [], []
