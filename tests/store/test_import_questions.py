@@ -210,7 +210,7 @@ def test_the_frequency_of_a_sine_is_fitted_where_no_name_tells_it(tmp_path):
 @pytest.mark.parametrize(
     ("role", "names"),
     [
-        ("displacement_command", "Sollweg, Sollweg [mm], Soll-Weg, SOLLWEG, s_soll, x_soll, Wegsollwert, Weg Sollwert (mm), targetpos"),
+        ("displacement_command", "Sollweg, Sollweg [mm], Sollweg/mm, Soll-Weg, SOLLWEG, s_soll, x_soll, Wegsollwert, Weg Sollwert (mm), targetpos"),
         ("pressure_command", "Solldruck, Solldruck [bar], Soll-Druck, p_soll, pSoll, Drucksollwert, Druckvorgabe, pressureset"),
         ("displacement", "Istweg, Istweg [mm], Ist-Weg, s_ist, Wegistwert, Kolbenweg, Länge [mm], Verkürzung [mm]"),
         ("pressure", "Istdruck, p_ist, Druckistwert, Muskeldruck, Drucksensor, Betriebsdruck [bar]"),
