@@ -110,6 +110,18 @@ def test_ramps_that_a_german_log_makes_at_three_pressures_with_pauses_between(tm
         holds(here, "F_ce", 108 * P - 49)
 
 
+def test_the_zero_of_a_length_without_a_unit_is_answered_with_its_unit(tmp_path):
+    rng = np.random.default_rng(6)
+    t, x, way = ramps()
+    F = 275 - 6 * x - 6 * way + rng.normal(0, 0.3, len(t))
+    write(tmp_path / "log.csv", "Zeit [s],Istdruck [bar],Istweg,Kraft [N]", t, 3 + rng.normal(0, 0.002, len(t)),
+          2.0 + (x + rng.normal(0, 0.003, len(t))) / 10, F)  # fmt: skip
+    kind, found = processed(tmp_path, "columns.Istweg.unit=cm", "columns.Istweg.contraction.zero=2 cm")
+    assert kind == "isobaric-ramp"
+    holds(found, "F_ce", 275.0)
+    holds(found, "K", 6000.0)
+
+
 def test_a_length_is_asked_for_its_zero_and_its_sign_follows_from_the_force(tmp_path):
     rng = np.random.default_rng(2)
     t, x, way = ramps()

@@ -228,6 +228,14 @@ def test_words_in_one_say_what_each_of_them_does(role, names):
         assert column.role == role, name
 
 
+def test_a_trial_of_number_0_is_doubted_since_0_means_none():
+    t = np.arange(0, 10, 0.01)
+    column = Proposal("Versuch", np.floor(t / 3))
+    choose([Proposal("t [s]", t, unit="s"), column])
+    assert column.role == "trial"
+    assert "number the trials from 1" in column.doubts[0]
+
+
 @pytest.mark.parametrize("name", ["Pset [kPa]", "Psoll [bar]", "p_cmd", "SetPressure", "P des", "pRef"])
 def test_a_commanded_pressure_is_known_by_its_name(name):
     assert {"set", "soll", "cmd", "des", "ref"} & words(name)

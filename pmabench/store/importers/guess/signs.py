@@ -51,8 +51,7 @@ def choose_kind(guess: Guess) -> None:
             guess.kind, guess.trials = kind, sign.trials
             guess.smallest_of, guess.frequency = sign.smallest_of, sign.frequency
             guess.reasons.setdefault("trials", []).extend(sign.reason.split("\n"))
-            trial = guess.role("trial")
-            if trial is not None and not guess.test.recording and np.ptp(trial.good) > 0:
+            if (trial := guess.role("trial")) is not None and not guess.test.recording and np.ptp(trial.good) > 0:
                 guess.trials = {"by": "column"}
                 guess.reasons["trials"].append(f'"{trial.name}" numbers the trials')
             return
