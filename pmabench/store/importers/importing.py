@@ -12,7 +12,7 @@ import re
 import shutil
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from itertools import combinations
 from pathlib import Path
@@ -127,8 +127,6 @@ def _hint(ratio: float, quantity: str) -> str:
     return next((f" (is it {text}?)" for text in likely), "")
 
 
-Levels = Mapping[str, Mapping[float, float]]
-"""Coordinate that was measured -> value in one trial -> level of all trials of the call [SI]."""
 MOST_FILES = 10_000
 UNKNOWN = ("unknown", "not told")
 """The type of a specimen that no file names, as proposed maps have it; the second one as earlier versions wrote it."""
@@ -186,7 +184,8 @@ def import_files(
             for each in prepared:
                 if each.table.sha256 != digest:
                     raise invalid(path, "was changed while it was read")
-                made.append(_write(each, rules, next(among), levels, out))
+                parts = tuple(part.at_levels(levels) for part in each.parts)
+                made.append(_write(replace(each, parts=parts), rules, next(among), out))
     except BaseException:
         for run in made:
             shutil.rmtree(run.path, ignore_errors=True)
@@ -218,7 +217,7 @@ def _read_all(files: Sequence[Path], rules: ImportMap) -> tuple[list[Prepared], 
     return prepared, summaries, hashes
 
 
-def _write(prepared: Prepared, rules: ImportMap, apart: Sequence[Found], levels: Levels, out: Path) -> ImportedRun:
+def _write(prepared: Prepared, rules: ImportMap, apart: Sequence[Found], out: Path) -> ImportedRun:
     """One run from one prepared file; removes what it began where it fails."""
     flags = prepared.flags
     if any(found.level == "fault" and not found.withholds for found in apart):
@@ -242,7 +241,7 @@ def _write(prepared: Prepared, rules: ImportMap, apart: Sequence[Found], levels:
             raw = {c.rule.role: c.raw.astype(np.int32) if c.rule.role in prepared.whole else c.raw for c in checked}
             writer.append_now("file", np.round(t * 1e9).astype(np.int64), raw, flags[begin : begin + len(t)])
             begin += len(t)
-        _events(writer, prepared, levels)
+        _events(writer, prepared)
         writer.close("finished")
     except BaseException:
         with suppress(Exception):
@@ -271,13 +270,13 @@ def _specimen(prepared: Prepared, rules: ImportMap) -> Mapping[str, Any]:
     return found if same or rules.specimen["type"] in UNKNOWN else rules.specimen
 
 
-def _events(writer: RunWriter, prepared: Prepared, levels: Levels) -> None:
+def _events(writer: RunWriter, prepared: Prepared) -> None:
     if prepared.record is not None:
         for event in prepared.record.events:
             writer.event(event.kind, event.t, **event.data)
         return
     for index, part in enumerate(prepared.parts):
-        known = {"point": part.at_levels(levels), "repeat": prepared.named.test, "reference": False}
+        known = {"point": dict(part.point), "repeat": prepared.named.test, "reference": False}
         writer.event("trial-begin", part.begin, trial=index, **known)
         lines = [(command["t"], "command", {k: v for k, v in command.items() if k != "t"}) for command in part.commands]
         lines += [(at, "phase", {"name": name}) for at, name in part.phases]

@@ -45,10 +45,11 @@ class Segment:
     measured: tuple[str, ...] = ()
     """Coordinates of its point that were measured, and that other trials have nearly the same."""
 
-    def at_levels(self, levels: Mapping[str, Mapping[float, float]]) -> dict[str, float]:
-        """The point [SI] with the levels of what was measured; the mass of a measured load is its own."""
-        point = {**self.point, **{name: levels[name][self.point[name]] for name in self.measured}}
-        return {"mass": point["load"] / G, **point} if "load" in self.measured else point
+    def at_levels(self, levels: Mapping[str, Mapping[float, float]]) -> Segment:
+        """With the levels of what was measured, by name and value [SI]; the mass of a measured load is its own."""
+        at = {name: levels[name].get(self.point[name], self.point[name]) for name in self.measured}
+        point = {**self.point, **at}
+        return replace(self, point={"mass": point["load"] / G, **point} if "load" in self.measured else point)
 
 
 @dataclass(frozen=True)
