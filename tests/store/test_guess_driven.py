@@ -91,6 +91,37 @@ def test_ramps_at_several_pressures_in_one_file_are_a_trial_each(tmp_path):
             assert abs(e["value"] - truth) < 1.0
 
 
+@pytest.mark.parametrize("head", ["Zeit;Versuch;s_soll;s_ist;p_ist;F_ist", "Zeit;Nr.;Sollweg;Istweg;Istdruck;Zugkraft"])
+def test_ramps_that_a_german_log_makes_at_three_pressures_with_pauses_between(tmp_path, head):
+    rng, parts = np.random.default_rng(3), []
+    for number, P in enumerate((1.5, 2.5, 3.5), 1):
+        t, x, way = ramps(cycles=3)
+        F = 108 * P - 49 - 6 * x - 6 * way + rng.normal(0, 0.3, len(t))
+        p = P + rng.normal(0, 0.002, len(t))
+        parts.append((125 * number + t, 0 * t + number, x, x + rng.normal(0, 0.003, len(t)), p, F))
+    units = ("s", "", "mm", "mm", "bar", "N")
+    names = [f"{name} [{unit}]" if unit else name for name, unit in zip(head.split(";"), units, strict=True)]
+    write(tmp_path / "log.csv", ",".join(names), *np.concatenate(parts, axis=1))
+    kind, found = processed(tmp_path)
+    assert kind == "isobaric-ramp"
+    for P in (1.5, 2.5, 3.5):
+        here = [e for e in found if round(e["at"]["pressure"], -4) == P * 1e5 and "contraction" not in e["at"]]
+        holds(here, "K", 6000.0)
+        holds(here, "F_ce", 108 * P - 49)
+
+
+def test_the_zero_of_a_length_without_a_unit_is_answered_with_its_unit(tmp_path):
+    rng = np.random.default_rng(6)
+    t, x, way = ramps()
+    F = 275 - 6 * x - 6 * way + rng.normal(0, 0.3, len(t))
+    write(tmp_path / "log.csv", "Zeit [s],Istdruck [bar],Istweg,Kraft [N]", t, 3 + rng.normal(0, 0.002, len(t)),
+          2.0 + (x + rng.normal(0, 0.003, len(t))) / 10, F)  # fmt: skip
+    kind, found = processed(tmp_path, "columns.Istweg.unit=cm", "columns.Istweg.contraction.zero=2 cm")
+    assert kind == "isobaric-ramp"
+    holds(found, "F_ce", 275.0)
+    holds(found, "K", 6000.0)
+
+
 def test_a_length_is_asked_for_its_zero_and_its_sign_follows_from_the_force(tmp_path):
     rng = np.random.default_rng(2)
     t, x, way = ramps()

@@ -11,7 +11,7 @@ from pmabench.base.errors import InvalidFile
 from pmabench.cli.main import main
 from pmabench.files.document import Document
 from pmabench.store.importers import apart
-from pmabench.store.importers.guess.columns import words
+from pmabench.store.importers.guess.columns import Proposal, choose, unit_in, words
 from pmabench.store.importers.guess.write import map_text
 from pmabench.store.importers.map_file import questions_of
 from tests.importing import guess_files, read_map
@@ -205,6 +205,35 @@ def test_the_frequency_of_a_sine_is_fitted_where_no_name_tells_it(tmp_path):
     (run,) = (tmp_path / "runs").iterdir()
     told = json.loads(call("runs", "show", run, "--json"))
     assert [trial["point"]["frequency"] for trial in told["trials"]] == [pytest.approx(0.73, rel=2e-3)]
+
+
+@pytest.mark.parametrize(
+    ("role", "names"),
+    [
+        ("displacement_command", "Sollweg, Sollweg [mm], Sollweg/mm, Soll-Weg, SOLLWEG, s_soll, x_soll, Wegsollwert, Weg Sollwert (mm), targetpos"),
+        ("pressure_command", "Solldruck, Solldruck [bar], Soll-Druck, p_soll, pSoll, Drucksollwert, Druckvorgabe, pressureset"),
+        ("displacement", "Istweg, Istweg [mm], Ist-Weg, s_ist, Wegistwert, Kolbenweg, Länge [mm], Verkürzung [mm]"),
+        ("pressure", "Istdruck, p_ist, Druckistwert, Muskeldruck, Drucksensor, Betriebsdruck [bar]"),
+        ("force", "Kraft, Istkraft, Zugkraft [N], Kraftmessdose, Druckkraft"),
+        ("supply", "Versorgungsdruck [bar], Speisedruck, Vordruck [bar]"),
+        ("trial", "Versuch, Versuch Nr., Versuchsnummer, Versuchs-Nr, Trial, test no"),
+        ("ignore", "Sollkraft [N], Umgebungsdruck [mbar], Raumtemperatur, Temperatursensor, timeout"),
+    ],
+)  # fmt: skip
+def test_words_in_one_say_what_each_of_them_does(role, names):
+    t = np.arange(0, 10, 0.01)
+    for name in names.split(", "):
+        column = Proposal(name, 1 + np.floor(t / 3), unit=unit_in(name))
+        choose([Proposal("t [s]", t, unit="s"), column])
+        assert column.role == role, name
+
+
+def test_a_trial_of_number_0_is_doubted_since_0_means_none():
+    t = np.arange(0, 10, 0.01)
+    column = Proposal("Versuch", np.floor(t / 3))
+    choose([Proposal("t [s]", t, unit="s"), column])
+    assert column.role == "trial"
+    assert "number the trials from 1" in column.doubts[0]
 
 
 @pytest.mark.parametrize("name", ["Pset [kPa]", "Psoll [bar]", "p_cmd", "SetPressure", "P des", "pRef"])

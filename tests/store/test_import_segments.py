@@ -5,11 +5,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from pmabench.kinds.free_contraction.reduction import reduce as free_contraction
 from pmabench.kinds.isometric.reduction import reduce as isometric
 from pmabench.kinds.isometric_pressurisation.reduction import reduce as isometric_pressurisation
 from pmabench.kinds.recorded_sine.reduction import reduce as sines
 from pmabench.kinds.recorded_step.reduction import reduce as steps
 from pmabench.store.importers import apart, motion
+from pmabench.store.importers.commands import alike
 from pmabench.store.importers.guess.write import map_text
 from pmabench.store.reader import open_run
 from tests.importing import guess_files, import_files
@@ -42,12 +44,18 @@ def noise(n, size, seed=1):
 
 
 def imported(tmp_path, columns, kind, trials, other=DISPLACEMENT):
-    names = list(columns)
-    rows = "\n".join(",".join(f"{value:.6g}" for value in row) for row in zip(*columns.values(), strict=True))
-    (tmp_path / "old.csv").write_text(",".join(names) + "\n" + rows + "\n", encoding="utf-8")
+    (run,) = all_imported(tmp_path, [columns], kind, trials, other)
+    return run
+
+
+def all_imported(tmp_path, files, kind, trials, other=DISPLACEMENT):
+    """The runs of files of one layout that are imported in one call, in their order."""
+    paths = [tmp_path / f"old{number:02d}.csv" for number in range(len(files))]
+    for path, columns in zip(paths, files, strict=True):
+        rows = "\n".join(",".join(f"{value:.6g}" for value in row) for row in zip(*columns.values(), strict=True))
+        path.write_text(",".join(columns) + "\n" + rows + "\n", encoding="utf-8")
     (tmp_path / "map.yaml").write_text(MAP.format(kind=kind, trials=trials, other=other), encoding="utf-8")
-    (run,) = import_files([tmp_path / "old.csv"], tmp_path / "map.yaml", tmp_path / "runs")
-    return open_run(run.path)
+    return [open_run(run.path) for run in import_files(paths, tmp_path / "map.yaml", tmp_path / "runs")]
 
 
 def lagged(t, command, tau):
@@ -227,3 +235,44 @@ def test_ramps_of_a_test_with_phases_of_its_own_keep_their_rests(tmp_path):
     assert [len(trial.t) for trial in data.trials] == pytest.approx([3750, 3250], abs=60)
     (slope,) = [e.value for e in isometric_pressurisation([data]).estimates if e.symbol == "m" and "line" in e.method]
     assert slope == pytest.approx(0.9e-3, rel=2e-3)
+
+
+def filled(P, seed):
+    """Nothing, then P [kPa], then nothing: the contraction is a 20th of the pressure [mm]."""
+    t = np.arange(0, 14, 0.02)
+    pressure = np.interp(t, [0, 2, 2 + P / 100, 11, 11 + P / 100, 14], [0, 0, P, P, 0, 0])
+    return {"t": t, "p": pressure + noise(len(t), 0.05, seed), "x": pressure / 20 + noise(len(t), 5e-3, 99 + seed)}
+
+
+def test_a_pressure_that_several_files_reached_but_for_the_scatter_of_a_regulator_is_one(tmp_path):
+    """Files without a command: what each came to is the truth, and the level is the mean of what is meant to be one."""
+    came = (49.8, 50.1, 50.3, 148.9, 151.2, 150.2, 0.0)
+    files = [filled(P, seed) for seed, P in enumerate(came)]
+    trials = "{by: file}\nsettings: {nominal_length: 0.25}\nconfirmed: [magnitude, pressure-unit]"
+    runs = all_imported(tmp_path, files, "free-contraction", trials)
+    levels = [trial.point["pressure"] / 1e3 for run in runs for trial in run.trials]
+    assert levels == pytest.approx([50.07] * 3 + [150.1] * 3 + [0.0], abs=0.25)
+    found = {e.at["pressure"]: e for e in free_contraction(runs).estimates if e.symbol == "L" and not e.coordinate}
+    assert [found[P].n for P in sorted(found)] == [1, 3, 3]
+    for e in found.values():  # the length at the level itself
+        assert e.value == pytest.approx(0.25 - e.at["pressure"] / 20e6, abs=15e-6)
+
+
+@pytest.mark.parametrize("step", [2e3, 5e3])
+def test_levels_of_a_staircase_are_no_scatter(step):
+    scatter = np.random.default_rng(4).uniform(-0.04, 0.04, (3, 12)) * step
+    levels = alike("pressure", (np.arange(4, 16) * step + scatter).ravel())
+    assert sorted(set(levels.values())) == pytest.approx(np.arange(4, 16) * step + scatter.mean(0), abs=60)
+
+
+def test_a_weight_that_a_cell_read_in_several_files_is_one(tmp_path):
+    weights = (50.2, 49.7, 80.3, 79.9)
+    files = [filled(200.0, seed) | {"f": np.full(700, W) + noise(700, 0.05, seed)} for seed, W in enumerate(weights)]
+    other = f"{DISPLACEMENT}\n  f: {{is: force, unit: N}}"
+    runs = all_imported(tmp_path, files, "contraction-relaxation", "{by: file}", other)
+    points = [trial.point for run in runs for trial in run.trials]
+    assert [point["load"] for point in points] == pytest.approx([49.95, 49.95, 80.1, 80.1], abs=0.02)
+    assert [point["mass"] for point in points] == pytest.approx(
+        [W / 9.80665 for W in (49.95, 49.95, 80.1, 80.1)], abs=2e-3
+    )
+    assert len({(point["pressure"], point["load"]) for point in points}) == 2

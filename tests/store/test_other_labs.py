@@ -241,3 +241,46 @@ def test_a_pull_that_is_negative_throughout_withholds_what_rests_on_it(tmp_path)
     found, said = processed(tmp_path, ('"?? -1 N/N"', "1 N/N"), ('"?? 812.1 mm"', "812.3 mm"))
     assert all(e["value"] is None for e in found if e["symbol"] in ("F_ce", "K", "F"))
     assert "pulling is positive" in said
+
+
+def test_files_that_are_held_at_different_contractions_are_each_at_their_own(tmp_path):
+    """m = 0.65 N/kPa - 0.012 N/(kPa mm) x, where the first file alone would say x = 4 mm of all."""
+    rng = np.random.default_rng(5)
+    for x in (4.0, 8.0, 12.0):
+        t, P, F = held(rng, x)
+        F = np.maximum((0.65 - 0.012 * x) * P - 2 * x, 0) + 0 * F + rng.normal(0, 0.3, len(t))
+        write(
+            tmp_path / f"{'abc'[int(x / 4) - 1]}.csv",
+            "t [s],P [kPa],contraction [mm],F [N]",
+            t,
+            P,
+            x + rng.normal(0, 0.003, len(t)),
+            F,
+        )
+    found, _ = processed(tmp_path)
+    lines = {e["at"]["contraction"]: e["value"] for e in found if e["symbol"] == "m"}
+    assert lines == pytest.approx({x / 1e3: (0.65 - 0.012 * x) / 1e3 for x in (4.0, 8.0, 12.0)}, rel=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("name", "g_in_one", "kept"),
+    [("Massenstrom [g/min]", 1.0, ()), ("Durchfluss [Nl/min]", 1.29287, (": ignore", ": {is: flow, unit: Nl/min, line: "
+      "{slope: 0.0215478 g/s/Nl/min, offset: 0 g/s}}"))],
+)  # fmt: skip
+def test_the_flow_into_a_muscle_that_is_held_gives_its_volume(tmp_path, name, g_in_one, kept):
+    """m' = (V + hose) P'/(r T) of air that keeps the temperature of the room; the zero of the meter is off."""
+    rng, volumes = np.random.default_rng(7), {0.0: 60e-6, 10.0: 100e-6}
+    for x, V in volumes.items():
+        t = np.arange(0, 62, 0.04)
+        P = np.interp(t, [0, 6, 26, 34, 54, 62], [50, 50, 450, 450, 50, 50])
+        flow = 60e3 * (V + 12e-6) * 1e3 * np.gradient(P, t) / (287.05 * 293.15) + 0.012 + rng.normal(0, 2e-3, len(t))
+        F = np.maximum((1 - x / 60) * P - 4 * x, 0) + rng.normal(0, 0.3, len(t))
+        write(tmp_path / f"x{x:02.0f}.csv", f"Zeit [s],Druck [kPa],Kontraktion [mm],Kraft [N],{name}", t,
+              P + rng.normal(0, 0.1, len(t)), x + rng.normal(0, 0.003, len(t)), F, flow / g_in_one)  # fmt: skip
+    settings = "settings: {flow: {dead: 12e-6, dead_half: 0.1e-6}}\n"
+    kind = ("kind: isometric ", f"{settings}kind: isometric-pressurisation ")
+    found, _ = processed(tmp_path, kind, *([kept] if kept else []))
+    V = {1e3 * e["at"]["contraction"]: e["ci95"] for e in found if e["symbol"] == "V"}
+    assert V.keys() == volumes.keys()
+    for x, (low, high) in V.items():
+        assert low < volumes[x] < high < 1.05 * low

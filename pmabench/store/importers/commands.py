@@ -7,8 +7,8 @@ is not made up. Channels have shape (n,), times `t` [s] rise.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
 from itertools import pairwise, takewhile
 from math import sqrt
 from typing import Any
@@ -45,8 +45,9 @@ TOGETHER = 5
 AROUND = 0.05
 """Samples so far from that moment [s] are averaged, and two on either side at least."""
 FEWEST = 20
-LIKE = 0.02
-"""Loads measured by the cell that differ by less than this share are one."""
+LIKE = {"pressure": (2.5e3, 0.01, -2), "load": (1.0, 0.02, 2), "contraction": (0.2e-3, 0.01, 5)}
+"""Measured coordinate -> by which amount [SI], or share where that is more, values differ that are one level: what a
+regulator (0.5 % of 500 kPa), a cell or a stop does not repeat; and decimals of a level."""
 
 
 @dataclass(frozen=True)
@@ -97,11 +98,14 @@ def commands_of(how: Commanded, t: Array, channels: Mapping[str, Array], smalles
     found = [] if how.sine else changes(t, channels[channel], least, measured=measured)
     if not found and not sines and not how.still:
         return [], {}
+    seen = Seen(tuple(found), t, channels, max(sines, key=lambda wave: wave.end - wave.begin, default=None))
     if measured and found:  # ends that were measured lie within noise of each other from cycle to cycle
         grid = 10.0 ** np.floor(np.log10(float(np.ptp(channels[channel])))) / 40.0
         found = [Change(c.t, c.end, grid * round(c.before / grid), grid * round(c.value / grid)) for c in found]
-    seen = Seen(tuple(found), t, channels, max(sines, key=lambda wave: wave.end - wave.begin, default=None))
-    point = {name: value for name, way in how.point if (value := COORDINATES[way](seen)) is not None}
+    # levels of pressure become one over all trials by `alike`, ends of strokes here
+    exact, seen = seen, replace(seen, changes=tuple(found))
+    of = exact if how.output == "pressure" else seen
+    point = {name: value for name, way in how.point if (value := COORDINATES[way](of)) is not None}
     if seen.wave is not None:
         return [sine_command(seen.wave, how.output)], point
     commands = []
@@ -377,17 +381,20 @@ def cell_load(t: Array, channels: Mapping[str, Array], commands: list[dict[str, 
     return None
 
 
-def alike(loads: list[float]) -> list[float]:
-    """Loads that differ by less than `LIKE` (1 N at least) as their mean, in the same order."""
-    order = np.argsort(loads)
-    values = np.array(loads, dtype=np.float64)
-    groups: list[list[int]] = []
-    for place in order:
-        last = values[groups[-1][-1]] if groups else -np.inf
-        if groups and values[place] - last <= max(1.0, LIKE * abs(last)):
-            groups[-1].append(int(place))
-        else:
-            groups.append([int(place)])
-    for group in groups:
-        values[group] = _rounded(float(values[group].mean()))
-    return [float(value) for value in values]
+def alike(name: str, values: Iterable[float]) -> dict[float, float]:
+    """Measured values of a coordinate -> their levels: the mean of those that differ by less than `LIKE`.
+
+    Where neighbours do and the ends are more than twice as far apart, it is a staircase: it is parted more finely.
+    """
+    least, share, decimals = LIKE[name]
+    levels: dict[float, float] = {}
+    parts = [(np.sort(np.array(list(values), dtype=np.float64)), 1.0)]
+    while parts:
+        every, fine = parts.pop()
+        most = fine * np.maximum(least, share * np.abs(every))
+        for group in np.split(every, np.flatnonzero(np.diff(every) > most[:-1]) + 1):
+            if group[-1] - group[0] > 2.0 * fine * max(least, share * abs(float(group[0]))):
+                parts.append((group, fine / 2))
+            else:
+                levels |= dict.fromkeys(group.tolist(), round(_rounded(float(group.mean())), decimals) + 0.0)
+    return levels

@@ -50,6 +50,8 @@ class Summary:
     """False where the file was found wrong already."""
     slope: float | None = None
     """Force over pressure where there is force [N/Pa], of a muscle that is held."""
+    measured: tuple[tuple[str, float], ...] = ()
+    """Coordinates of the points of its trials that were measured [SI]."""
 
 
 @dataclass(frozen=True)

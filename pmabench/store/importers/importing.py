@@ -12,7 +12,7 @@ import re
 import shutil
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from itertools import combinations
 from pathlib import Path
@@ -25,6 +25,7 @@ from pmabench.base.imported import Imported
 from pmabench.base.quantities import CHANNEL_QUANTITY, show
 from pmabench.store.folder import PLAN, Copy, run_name
 from pmabench.store.importers import plausible
+from pmabench.store.importers.commands import alike
 from pmabench.store.importers.found import Found, Summary
 from pmabench.store.importers.map_file import Question
 from pmabench.store.importers.map_rules import ImportMap, read_map
@@ -172,6 +173,8 @@ def import_files(
     prepared, summaries, hashes = _read_all(files, rules)
     found = compare(summaries, {str(channel): share for channel, share in rules.file.siblings.items()})
     among = iter([plausible.answered(each, rules.file.confirmed) for each in found])
+    measured = [pair for summary in summaries for pair in summary.measured]
+    levels = {name: alike(name, [value for of, value in measured if of == name]) for name, _ in measured}
     made: list[ImportedRun] = []
     existed = out.exists()
     try:
@@ -181,7 +184,8 @@ def import_files(
             for each in prepared:
                 if each.table.sha256 != digest:
                     raise invalid(path, "was changed while it was read")
-                made.append(_write(each, rules, next(among), out))
+                parts = tuple(part.at_levels(levels) for part in each.parts)
+                made.append(_write(replace(each, parts=parts), rules, next(among), out))
     except BaseException:
         for run in made:
             shutil.rmtree(run.path, ignore_errors=True)
@@ -291,7 +295,7 @@ def _snapshots(prepared: Prepared, rules: ImportMap) -> dict[str, bytes | Copy]:
     for number, (path, text) in enumerate(rules.texts.items()):
         kept["map.yaml" if path == rules.path else f"map-included-{number}.yaml"] = text.encode()
     plan = {**(prepared.record.plan if prepared.record is not None else {})}
-    if settings := {**(plan.get("settings") or {}), **rules.file.settings}:
+    if settings := {**(plan.get("settings") or {}), **rules.file.model_dump(include={"settings"})["settings"]}:
         plan["settings"] = settings
     if plan:
         kept[PLAN] = (json.dumps(plan, indent=1, sort_keys=True) + "\n").encode()

@@ -55,6 +55,10 @@ _UNITS = {
     "um": ("length", "micrometer micron microns µm μm"),
     "in": ("length", "inch inches"),
     "ft": ("length", "foot feet"),
+    "kg/s": ("flow", ""),
+    "g/s": ("flow", ""),
+    "g/min": ("flow", ""),
+    "kg/h": ("flow", ""),
     "V": ("reading", "volt volts"),
     "mV": ("reading", "millivolt millivolts mvolt mvolts"),
     "A": ("reading", "amp amps ampere amperes"),
@@ -172,8 +176,8 @@ PLACE = "{test}"
 """In the name of a column: the name of the test."""
 Text = Annotated[str, Field(max_length=600)]
 Role = Literal[
-    "time", "date", "pressure", "displacement", "force", "pressure_command", "displacement_command", "supply", "angle",
-    "phase", "trial", "point", "flags", "simulated", "ignore",
+    "time", "date", "pressure", "displacement", "force", "pressure_command", "displacement_command", "supply", "flow",
+    "angle", "phase", "trial", "point", "flags", "simulated", "ignore",
 ]  # fmt: skip
 Written = Literal[
     "number", "index", "header step", "clock", "date and time", "epoch", "serial days", "matlab days", "labview"
@@ -356,6 +360,19 @@ class Trials(Strict):
         return self
 
 
+class Meter(Strict):
+    """What makes a volume of the mass that a flow meter let in; SI, halves with 95 %."""
+
+    dead: float
+    """Volume between meter and muscle."""
+    dead_half: float
+    temperature: float = 293.15
+    temperature_half: float = 3.0
+    gain: float = 1.0
+    """By which a known vessel in place of the muscle was found too small."""
+    gain_half: float = 0.0
+
+
 class TestFile(Strict):
     """One of several tests in a file; each becomes a run with its own clock."""
 
@@ -396,7 +413,7 @@ class MapFile(Strict):
     """Kind of test: then the file is reduced as a run of this program is; or a kind of recording."""
     simulated: bool = False
     """The file holds no measurement but what a simulation made."""
-    settings: Annotated[dict[Short, float | Text], Field(max_length=40)] = {}
+    settings: Annotated[dict[Short, float | Text | Meter], Field(max_length=40)] = {}
     """Settings of the reduction in SI, as the protocol of the kind has them: `discard`, `turn`, `nominal_length` ..."""
     bench: Text = ""
     recorded: datetime.date | None = None

@@ -340,11 +340,11 @@ class _Rules:
 
     def per(self, slope: tuple[float, str], unit: str, at: Location) -> tuple[float, str]:
         """Number and upper unit of `0.683 N/count`."""
-        upper, _, lower = slope[1].rpartition("/")
-        if lower.strip() != unit or not upper:
+        upper = slope[1].removesuffix(unit).rstrip()
+        if upper == slope[1] or not upper.removesuffix("/") or not upper.endswith("/"):
             self.fault(at, f'is so much per {unit}, for instance "0.683 N/{unit}"')
             return slope[0], ""
-        return slope[0], upper.strip()
+        return slope[0], upper[:-1].strip()
 
     def back(self, file: ColumnFile, at: Location) -> tuple[float, float]:
         if file.recorded_with is None:

@@ -147,6 +147,7 @@ def _prepared(path: Path, rules: ImportMap, table: Table, name: str, number: int
             {role: pair[1] for role, pair in looked.peaks.items()},
             not any(each.level == "fault" for each in known),
             slope_of_held(seen.values, seen.flags) if muscle.held else None,
+            tuple((name, part.point[name]) for part in parts for name in part.measured),
         ),
         questions=(*rules.unresolved, *questions),
         record=record,

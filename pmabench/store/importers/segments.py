@@ -15,7 +15,7 @@ from pmabench.base.imported import Commanded
 from pmabench.base.quantities import CHANNEL_QUANTITY
 from pmabench.store.importers import motion
 from pmabench.store.importers.commands import (
-    alike,
+    LIKE,
     cell_load,
     commands_of,
     driven_waves,
@@ -42,6 +42,14 @@ class Segment:
     phases: tuple[tuple[float, str], ...] = ()
     found: tuple[Mapping[str, Any], ...] = ()
     """As data of `found` events, with `t`."""
+    measured: tuple[str, ...] = ()
+    """Coordinates of its point that were measured, and that other trials have nearly the same."""
+
+    def at_levels(self, levels: Mapping[str, Mapping[float, float]]) -> Segment:
+        """With the levels of what was measured, by name and value [SI]; the mass of a measured load is its own."""
+        at = {name: levels[name].get(self.point[name], self.point[name]) for name in self.measured}
+        point = {**self.point, **at}
+        return replace(self, point={"mass": point["load"] / G, **point} if "load" in self.measured else point)
 
 
 @dataclass(frozen=True)
@@ -153,8 +161,8 @@ def _as_own(found: Sequence[Segment], all_rows: _Rows) -> tuple[list[Segment], l
     """
     rules = all_rows.rules
     parts, doubts = list[Segment](), list[str]()
-    loads: dict[int, float] = {}
     hanging = 0
+    commanded = "pressure_command" in all_rows.values
     how = rules.test.commanded
     if how and how.sine:
         found = [each for part in found for each in _sine_by_sine(part, how, all_rows)]
@@ -181,17 +189,18 @@ def _as_own(found: Sequence[Segment], all_rows: _Rows) -> tuple[list[Segment], l
             hanging += "force" not in mine
         if rules.test.loaded and "load" not in point and "force" in mine:
             load = cell_load(t, mine, commands)
-            if load is not None:
-                loads[number] = load
+            known |= {} if load is None else {"load": load}
+            point = {**known, **point}
         searched = lift_and_set_down(t, mine) if rules.test.lifted else []
-        parts.append(replace(part, point=point, commands=tuple(commands) or part.commands, found=tuple(searched)))
+        told = {*columns, *part.point, *(["pressure"] if commanded else [])}
+        own = tuple(name for name in known if name in LIKE and name not in told and np.isfinite(known[name]))
+        made = tuple(commands) or part.commands
+        parts.append(replace(part, point=point, commands=made, found=tuple(searched), measured=own))
     if hanging:
         doubts.append(
             f"the moving mass of {hanging} trials is not given, so that of the load is taken; what moves with it "
             "(hanger, carriage) belongs to it: a column or `point: {mass: ...}` gives it"
         )
-    for number, load in zip(loads, alike(list(loads.values())), strict=True):
-        parts[number] = replace(parts[number], point={"mass": load / G, **parts[number].point, "load": load})
     return parts, doubts
 
 
@@ -279,20 +288,21 @@ def _by_gap(rows: _Rows) -> list[Segment]:
     parts = []
     for part in np.split(np.arange(len(rows.t)), cuts):
         begin, end = float(rows.t[part].min()), float(rows.t[part].max())
+        length = _length(rows, part)
         inside = tuple(command for command in commands if begin < command["t"] <= end)
-        parts.append(Segment(begin, end, {**rows.point, **_length(rows, part)}, inside))
+        parts.append(Segment(begin, end, {**rows.point, **length}, inside, measured=tuple(length)))
     return parts
 
 
 def _by_file(rows: _Rows) -> list[Segment]:
-    point = dict(rows.point)
-    if "contraction" in rows.rules.test.point:
-        point = {**_length(rows, np.arange(len(rows.t))), **point}
+    wanted = "contraction" in rows.rules.test.point and "contraction" not in rows.point
+    length = _length(rows, np.arange(len(rows.t))) if wanted else {}
+    point = {**rows.point, **length}
     open_frequency = "frequency" in rows.rules.test.point and "frequency" not in point
     if open_frequency and (frequency := _only_sine(rows)):
         point["frequency"] = frequency
     steps = [] if open_frequency else rows.commanded_steps()
-    return [Segment(*rows.whole, point, tuple(steps or rows.sine(point.get("frequency", 0.0))))]
+    return [Segment(*rows.whole, point, tuple(steps or rows.sine(point.get("frequency", 0.0))), measured=tuple(length))]
 
 
 def _by_column(rows: _Rows) -> list[Segment]:

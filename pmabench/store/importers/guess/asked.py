@@ -40,7 +40,7 @@ CHANGES = 0.02
 """A threshold that moves the slope by more than this share is asked for."""
 LENGTH = re.compile(r"(?<![\d.,])\d+(?:[.,]\d+)?(?=[ _]?mm)")
 """A length in the name of a file or of a test [mm]."""
-CONTRACTIONS = {"contraction", "disp", "displacement", "stroke", "shortening"}
+CONTRACTIONS = words("contraction disp displacement stroke shortening hub verkurzung kontraktion")
 """Words of a column that is a contraction by its name."""
 
 
@@ -66,7 +66,7 @@ def quantity_of(column: Proposal) -> str:
 
 def unit_of(column: Proposal, guess: Guess) -> Asked | None:
     """Which unit a column has, where the file does not say it or says one in which its numbers cannot be."""
-    quantity, top = quantity_of(column), _top(column.good)
+    quantity, top = quantity_of(column), max(_top(column.good), column.elsewhere)
     if quantity not in HIGHEST or top == 0:
         return None
     said = QUANTITY.get(column.unit) == quantity
@@ -76,7 +76,7 @@ def unit_of(column: Proposal, guess: Guess) -> Asked | None:
     if said and not column.bare:
         if column.role == "supply":
             return None
-        if _possible(_top(column.good, 0.95), column.unit, quantity):
+        if _possible(max(_top(column.good, 0.95), column.elsewhere), column.unit, quantity):
             return _steep(column, guess) if column.role == "pressure" else _counted(column, guess)
         head = (
             f'"{column.name}" is in {column.unit} by its name, {_reach(top, column.unit, quantity)}, which no test has'
@@ -207,12 +207,19 @@ def contraction_of(guess: Guess) -> Asked | str:
         return Asked(f"{number} mm", f"{text}: is that it?")
     if column is None or QUANTITY.get(column.unit) != "length":
         return Asked("", f"{head}; each slope is that of one contraction. For instance 8 mm")
+    if column.apart:
+        return ""  # each file is at its own
     middle = f"{float(np.median(column.good)):.4g} {column.unit}"
-    if words(column.name) & CONTRACTIONS and not column.bare:
+    if is_contraction(column):
         return middle
-    if "length" in words(column.name) or "len" in words(column.name):
+    if words(column.name) & {"length", "len", "lange"}:
         return Asked("", f'{head}; "{column.name}" is {middle} throughout: the length at no load less that is it')
     return Asked(middle, f'{head}; "{column.name}" is {middle} throughout: is that it?')
+
+
+def is_contraction(column: Proposal) -> bool:
+    """Whether a displacement is a contraction by its name."""
+    return bool(words(column.name) & CONTRACTIONS) and not column.bare
 
 
 def threshold_of(guess: Guess) -> tuple[Asked, list[str]] | None:

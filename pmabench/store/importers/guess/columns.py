@@ -25,21 +25,32 @@ from pmabench.store.records import Array
 WORDS = {
     role: set(text.split())
     for role, text in {
-        "time": "t time zeit elapsed timestamp seconds sec tijd temps x_value datetime date clock uhrzeit 時間 时间 "
-        "時刻 시간",
+        "time": "t time zeit elapsed timestamp zeitstempel seconds sec tijd temps x_value datetime date clock uhrzeit "
+        "時間 时间 時刻 시간",
         "pressure": "p press pressure druck pressao presion pression pma pneu 圧力 压力 壓力 압력",
         "force": "f force load kraft lc loadcell tension weight cell fuerza forca 荷重 張力 拉力 载荷 하중",
-        "displacement": "x pos position disp displacement dist distance length len stroke weg lvdt pot z contraction "
-        "extension elongation encoder laser 変位 位移 변위",
-        "command": "cmd command set setpoint sp ref reference desired target soll out output demand commanded des "
-        "vpr u",
+        "displacement": "x pos position disp displacement dist distance length len stroke weg hub lage lange "
+        "verkurzung kontraktion lvdt pot z contraction extension elongation encoder laser 変位 位移 변위",
+        "command": "cmd command set setpoint sp ref reference desired target soll sollwert vorgabe out output "
+        "demand commanded des vpr u",
         "not measured": "calc calculated theory theoretical model predicted simulated",
-        "supply": "supply comp compressor tank reservoir source inlet line",
+        "supply": "supply comp compressor tank reservoir source inlet line versorgung speise vor netz",
         "phase": "phase state step stage branch",
-        "other": "volt volts temp temperature temperatura flow volume humidity sys index count",
+        "trial": "trial test run versuch lauf",
+        "ambient": "ambient umgebung atmospheric barometer",
+        "flow": "flow mdot massflow durchfluss massenstrom volumenstrom",
+        "other": "volt volts temp temperature temperatura volume humidity sys index count",
     }.items()
 }
 """Role of a column -> words in its name that speak for it, in lower case."""
+MEASURED = WORDS["time"] | WORDS["pressure"] | WORDS["force"] | WORDS["displacement"]
+PART = "|".join(word for words in WORDS.values() for word in sorted(words) if len(word) > 2)
+PART += "|ist|istwert|wert|sensor|aufnehmer|geber|messdose|nr|nummer"
+JOINED = re.compile(rf"({PART})s?({PART})(?:s?({PART}))?|\w{{3,}}(druck|kraft|weg|zeit|pressure|force)")
+"""A word of two or three known ones (`Sollweg`, `Drucksollwert`, `targetpos`), or of any and a known one at its end."""
+OF_MUSCLE = {"pressure", "force", "length"}
+FEW = 0.1
+"""A column that numbers trials changes in less than this share of its rows."""
 SAMPLES = {"sample", "samples", "index", "idx", "n", "no", "nr", "number", "scan", "row", "record", "count", "x"}
 """Words of a column that counts the samples."""
 HELD, STILL = 0.02, 3e-4
@@ -78,6 +89,10 @@ class Proposal:
     doubts: list[str] = field(default_factory=list)
     mixed: str = ""
     """Name of a file in which it holds whole numbers while it does not in others; empty where all are alike."""
+    elsewhere: float = 0.0
+    """The highest value in other files of the same layout."""
+    middles: list[float] = field(default_factory=list)
+    """The median in each of these."""
     question: str = ""
     """What is asked about its role, where the choice is open."""
     written: str = "number"
@@ -96,31 +111,49 @@ class Proposal:
         """Values without those that are none."""
         return self.values[np.isfinite(self.values)]
 
+    @property
+    def apart(self) -> bool:
+        """Whether it is a length that is another one in another file of the layout."""
+        middles = [*self.middles, *([float(np.median(self.good))] if len(self.good) else [])]
+        return len(middles) > 1 and float(np.ptp(middles)) > STILL / METRES.get(self.unit, 1e-3)
 
-_JOINED = re.compile(r"([pxf])_?(set|setpoint|sp|cmd|command|ref|des|desired|soll|demand|target)")
-"""A quantity and what makes a command of it in one word: `Pset`."""
+
+_SHORT = re.compile(r"([pxfs])(set|setpoint|sp|cmd|command|ref|des|desired|soll|demand|target|ist)")
+"""A quantity and what makes a command of it in one word: `Pset`; s is a length (German: Strecke)."""
+
+
+BRACKETS = re.compile(r"[\[({][^\])}]*[\])}]")
 
 
 def unit_in(name: str) -> str:
     """The unit that a name carries: in brackets, else behind `_`, `/`, `,`, a blank or `in`; empty where none."""
     if found := [unit for text in re.findall(r"[\[({]([^\])}]{1,12})[\])}]", name) if (unit := spelled(text))]:
         return found[-1]
-    last = re.split(r"[_/,.\s]+", name.strip())
+    bare = BRACKETS.sub("", name).strip()
+    if rate := re.search(r"(kg|g|m|mm|N|N?l)/(s|min|h)$", bare):
+        return spelled(rate[0])
+    last = re.split(r"[_/,.\s]+", bare)
     if len(last) > 1 and (len(last[-1]) > 1 or last[-1] in QUANTITY):
         return spelled(last[-1])
     return ""
 
 
 def words(name: str) -> set[str]:
-    """The words of a name in lower case, without brackets and digits."""
-    plain = re.sub(r"[\[({][^\])}]*[\])}]", " ", name.rsplit("/", 1)[-1])
+    """The words of a name in lower case, without brackets, digits, the group before `/` and the unit behind it."""
+    parts = BRACKETS.sub(" ", name).split("/")
+    plain = parts[-2] if len(parts) > 1 and spelled(parts[-1]) else parts[-1]
     plain = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", plain)
-    plain = plain.translate(str.maketrans("ãáàâéêíóõúçÃÁÉÍÓÚÇ", "aaaaeeiooucaaeiouc"))
+    plain = plain.translate(str.maketrans("ãáàâäéêíóõöúüçÃÁÄÉÍÓÖÚÜÇ", "aaaaaeeiooouucaaaeioouuc"))
     found = {word.lower() for word in re.split(r"[^A-Za-z]+", plain) if word}
-    for word in tuple(found):
-        if joined := _JOINED.fullmatch(word):
-            found |= {joined[1], joined[2]}
-    return found | {"_".join(re.split(r"[\s_]+", plain.strip().lower()))}
+    whole = "_".join(re.split(r"[\s_]+", plain.strip().lower()))
+    for word in (*found, re.sub("[^a-z]", "", whole)):
+        if joined := _SHORT.fullmatch(word):
+            found |= {joined[1].replace("s", "weg"), joined[2]}
+        elif joined := JOINED.fullmatch(word):
+            parts = [part for part in joined.groups() if part]
+            measured = [part for part in parts if part in MEASURED]
+            found |= {part for part in parts if part not in measured[:-1]}  # Druckkraft is a force
+    return found | {whole}
 
 
 def choose(proposals: Sequence[Proposal]) -> None:
@@ -174,9 +207,15 @@ def _by_name(proposal: Proposal) -> None:
     hits = {role for role, known in WORDS.items() if own & known}
     text = f'called "{proposal.name[:40]}"' + (f", in {proposal.unit}" if proposal.unit else "")
     role = "ignore"
-    if quantity == "time" or (hits == {"time"} and quantity == ""):
+    if quantity == "time" or (hits - {"trial"} == {"time"} and quantity == ""):
         role = "time"
-    elif "other" in hits and "pressure" not in hits and quantity not in {"pressure", "force", "length"}:
+    elif quantity == "flow" or ("flow" in hits and quantity in {"", "reading"}):
+        role = "flow"
+    elif hits - {"other"} == {"trial"} and quantity == "" and _numbers_trials(proposal.good):
+        role = "trial"
+        if proposal.good.min() == 0:
+            proposal.doubts.append("0 means no trial; where it is the first one, number the trials from 1")
+    elif "ambient" in hits or ("other" in hits and not ("pressure" in hits or quantity in OF_MUSCLE)):
         proposal.reasons.append(f"{text}: none of the channels of a muscle's test")
         return
     elif quantity == "pressure" or (quantity in {"", "reading"} and "pressure" in hits):
@@ -187,13 +226,19 @@ def _by_name(proposal: Proposal) -> None:
         role = "ignore" if hits & {"command", "not measured"} else "force"
         if role == "ignore":
             proposal.reasons.append(f"{text}: a force that nobody measured")
-    elif "command" in hits and quantity in {"", "reading"}:
+    elif hits & {"command", "time"} == {"command"} and quantity in {"", "reading"}:
         role = "pressure_command"
     elif "phase" in hits and quantity == "":
         role = "phase"
     proposal.role = role
     if role != "ignore":
         proposal.reasons.append(text)
+
+
+def _numbers_trials(values: Array) -> bool:
+    """Whether a column holds whole numbers that rarely change."""
+    changes = int(np.count_nonzero(np.diff(values)))
+    return len(values) > 1 and bool(np.all(values == np.round(values))) and changes < FEW * len(values)
 
 
 def usual_step(values: Array) -> float:
@@ -317,7 +362,7 @@ def _which_time(time: Proposal) -> None:
 
 def _one_each(proposals: Sequence[Proposal]) -> None:
     """Where several columns have one role, the one that moves most keeps it, with a doubt."""
-    for role in ("pressure", "force", "displacement", "pressure_command", "displacement_command", "supply", "phase"):
+    for role in dict.fromkeys(p.role for p in proposals if p.role not in {"ignore", "time"}):
         same = [p for p in proposals if p.role == role]
         if len(same) < 2:
             continue

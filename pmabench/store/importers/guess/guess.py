@@ -343,9 +343,12 @@ def _alike(guess: Guess, path: Path) -> None:
 
 
 def _mixed(guess: Guess, other: Guess) -> None:
-    """Columns that hold whole numbers in one of two files only."""
+    """Columns that hold whole numbers in one of two files only; how far the others reach in the second one."""
     there = {column.name: column for column in other.columns}
     for column in guess.columns:
+        if column.name in there and len(values := there[column.name].good):
+            column.elsewhere = max(column.elsewhere, float(np.quantile(np.abs(values), 0.995)))
+            column.middles.append(float(np.median(values)))
         if column.name in there and (here := is_whole(column.good)) != is_whole(there[column.name].good):
             column.mixed = (guess if here else other).files[0].name
 

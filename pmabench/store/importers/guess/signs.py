@@ -5,14 +5,14 @@ Knows no kind of test: each says by the name of a sign for what it is proposed.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from pmabench.store.importers import motion
 from pmabench.store.importers.found import correlation
-from pmabench.store.importers.guess.columns import Guess, held, lone
+from pmabench.store.importers.guess.columns import Guess, Proposal, held, lone
 from pmabench.store.records import Array
 
 LONG_PAUSE = 2.0
@@ -51,6 +51,9 @@ def choose_kind(guess: Guess) -> None:
             guess.kind, guess.trials = kind, sign.trials
             guess.smallest_of, guess.frequency = sign.smallest_of, sign.frequency
             guess.reasons.setdefault("trials", []).extend(sign.reason.split("\n"))
+            if (trial := guess.role("trial")) is not None and not guess.test.recording and np.ptp(trial.good) > 0:
+                guess.trials = {"by": "column"}
+                guess.reasons["trials"].append(f'"{trial.name}" numbers the trials')
             return
 
 
@@ -60,12 +63,11 @@ def signs(guess: Guess) -> Iterator[Sign]:
     if guess.role("trial") is not None and command is not None and edge(command.values) > 0:
         reason = "the command goes in steps, and a column numbers the trials"
         yield Sign("numbered trials", {"by": "column"}, reason)
-    pauses = np.diff(t)[np.diff(t) > LONG_PAUSE] if t is not None else np.empty(0)
-    if displacement is not None and len(pauses) >= 2 and guess.role("force") is not None:
-        shortest = pauses.min()
-        reason = f"the log pauses {len(pauses)} times for {shortest:.2g} s and longer: parts at set contractions"
-        yield Sign("pauses", {"by": "gap", "longer_than": f"{0.6 * shortest:.2g} s"}, reason)
-    still = displacement is not None and guess.role("force") is not None and held(displacement, guess.role("pressure"))
+    pulls = displacement is not None and guess.role("force") is not None
+    still = displacement is not None and pulls and held(displacement, guess.role("pressure"))
+    parts, trials, reason = _between_pauses(guess, displacement)
+    if pulls and len(parts) > 2 and (still or _at_lengths(parts)):
+        yield Sign("pauses", trials, f"{reason}: parts at set contractions")
     if displacement is None or still:
         reason = "the length is held" if still else "no displacement"
         reason += ": force over pressure at one contraction in each file"
@@ -106,13 +108,30 @@ def _held_lengths(guess: Guess) -> Sign | None:
     smallest = 5 * share(guess, "pressure")
     cycles = motion.cycles(t, P, smallest) if smallest > 0 and len(t) >= FEWEST else []
     held_at = [values[(t >= cycle.begin) & (t <= cycle.end)] for cycle in cycles]
-    if len(held_at) < 2 or min(map(len, held_at)) < 3:
-        return None
-    apart = float(np.ptp([np.median(one) for one in held_at]))
-    if max(float(np.ptp(np.quantile(one, [0.05, 0.95]))) for one in held_at) > MOVES * apart:
+    if not _at_lengths(held_at):
         return None
     reason = f"the pressure rises and falls {len(cycles)} times, at lengths that are held: each is a trial"
     return Sign("held lengths", {"by": "ramp", "smallest": f"{smallest:.3g}"}, reason, "pressure")
+
+
+def _at_lengths(parts: Sequence[Array]) -> bool:
+    """Whether the length is held in each of two parts and more, against the way between them."""
+    if len(parts) < 2 or min(map(len, parts)) < 3:
+        return False
+    apart = float(np.ptp([np.median(part) for part in parts]))
+    return max(float(np.ptp(np.quantile(part, [0.05, 0.95]))) for part in parts) <= MOVES * apart
+
+
+def _between_pauses(guess: Guess, column: Proposal | None) -> tuple[list[Array], dict[str, str], str]:
+    """The values of a column between long pauses of the log, the trials that these make, and why."""
+    if column is None or guess.seconds is None:
+        return [], {}, ""
+    steps = np.diff(guess.seconds)
+    at = np.flatnonzero(steps > LONG_PAUSE)
+    shortest = steps[at].min(initial=np.inf)
+    reason = f"the log pauses {len(at)} times for {shortest:.2g} s and longer"
+    parts = [part[np.isfinite(part)] for part in np.split(column.values, at + 1)]
+    return parts, {"by": "gap", "longer_than": f"{0.6 * shortest:.2g} s"}, reason
 
 
 def _driven(guess: Guess) -> Sign | None:
@@ -124,6 +143,10 @@ def _driven(guess: Guess) -> Sign | None:
     if x is None or force is None or t is None or guess.role("pressure_command") is not None:
         return None
     steps = count(guess, "step") if pressure is not None and not _steady(pressure.good) else 0
+    trials = {"by": "level", "smallest": f"{share(guess, 'pressure'):.3g}"} if steps else {"by": "file"}
+    parts, gaps, _ = _between_pauses(guess, pressure)
+    if not steps and len(parts) > 1 and all(len(part) and _steady(part) for part in parts):
+        steps, trials = len(parts) - 1, gaps
     smallest = 5 * share(guess, "displacement") / (2 if steps else 1)
     good = np.isfinite(x.values) & np.isfinite(force.values) & motion.later(t)
     by = np.ones((len(t), 1))
@@ -142,7 +165,6 @@ def _driven(guess: Guess) -> Sign | None:
     reason = f"the length goes through {'sines' if pure else 'cycles'} at "
     reason += f"{steps + 1} pressures" if steps else "one pressure"
     reason += " while the force falls and rises: it is driven"
-    trials = {"by": "level", "smallest": f"{share(guess, 'pressure'):.3g}"} if steps else {"by": "file"}
     return Sign("length sine" if pure else "length ramps", trials, reason, "pressure")
 
 

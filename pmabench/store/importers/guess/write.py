@@ -111,6 +111,11 @@ EDGE = {"pressure": ("bar", "10 bar"), "length": ("mm", "100 mm"), "force": ("N"
 LOOPS = (("mA", 4.0, 20.0, 22.0), ("mV", 4000.0, 20000.0, 21000.0), ("V", 0.0, 5.0, 5.1), ("V", 0.0, 10.0, 10.6))
 """Usual ranges of sensors: unit, ends, and beyond which it is another."""
 LEAST_STEP = "10 kPa"
+UNASKED = {
+    "supply": "the supply enters no result; --span supply=LOW..HIGH keeps it",
+    "flow": "a flow enters the volume of isometric-pressurisation alone, as a mass; docs/maps.md makes one of litres",
+}
+"""Role of a column that most tests do not need -> what to do about one whose scale the file does not say."""
 WEIGHT = {"g": 0.00980665, "kg": 9.80665}
 """Newtons in one unit of a weight."""
 
@@ -208,8 +213,8 @@ def _column(column: Proposal, guess: Guess, spans: Mapping[str, Span]) -> list[s
     role = which.scalar if column.question else column.role
     if column.role == "date":
         return [*head, *date_lines(column)]
-    if column.role == "supply" and column.role not in spans and QUANTITY.get(column.unit) != "pressure":
-        head.append(f"  {comment('the supply enters no result; --span supply=LOW..HIGH keeps it')}")
+    if column.role in UNASKED and column.role not in spans and QUANTITY.get(column.unit) != quantity_of(column):
+        head.append(f"  {comment(UNASKED[column.role])}")
         return [*head, f"  {scalar(column.name)}: ignore"]
     if column.role == "time":
         return [*head, *(f"  {line}" for line in asking), *time_lines(column, guess)]
@@ -239,6 +244,8 @@ def _measured(column: Proposal, guess: Guess, spans: Mapping[str, Span]) -> tupl
     body, why = _scale(column, guess, spans.get(column.role))
     if column.role == "displacement":
         lines, reasons = _contraction(column, guess)
+        if any(line.startswith(f'unit: "{OPEN}') for line in body):  # the answer is the unit of its zero, too
+            lines = [re.sub(r'zero: ([^"}]+)}', rf'zero: "{OPEN} \1"}}', line) for line in lines]
         body, why = body + lines, why + reasons
     zeros = int(np.count_nonzero(column.good == 0))
     if column.unit == "mA" and zeros:
@@ -299,12 +306,16 @@ def _from_reading(column: Proposal, quantity: str, span: Span | None) -> tuple[l
 
 def _contraction(column: Proposal, guess: Guess) -> tuple[list[str], list[str]]:
     """How the reading shows contraction, and why: a free muscle shortens with pressure; a held one pulls less then."""
-    pressure, force, unit = guess.role("pressure"), guess.role("force"), column.unit or "count"
+    which = asked.unit_of(column, guess)
+    unit = (which.value if which else column.unit) or "count"
+    pressure, force = guess.role("pressure"), guess.role("force")
     unsure = f'does "{column.name}" fall or rise while the muscle shortens? Strokes have the other sign otherwise'
     open_sign = [
         question(Asked("rises", unsure)),
         f"contraction: {{reading: {Asked('rises', '').scalar}, zero: 0 {unit}}}",
     ]
+    if guess.test.held and column.apart and not asked.is_contraction(column):
+        return [line.replace(f"zero: 0 {unit}", f'zero: "{OPEN} 0 {unit}"') for line in open_sign], []
     if guess.test.held:
         return [], []
     others = [c for c in (pressure, force) if c is not None and len(c.good)]
