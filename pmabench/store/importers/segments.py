@@ -192,8 +192,8 @@ def _as_own(found: Sequence[Segment], all_rows: _Rows) -> tuple[list[Segment], l
             known |= {} if load is None else {"load": load}
             point = {**known, **point}
         searched = lift_and_set_down(t, mine) if rules.test.lifted else []
-        told = {*columns, *part.point, *(["pressure"] if commanded else [])}
-        own = tuple(name for name in known if name in LIKE and name not in told and np.isfinite(known[name]))
+        given = {*columns, *part.point, *(["pressure"] if commanded else [])}
+        own = tuple(name for name in known if name in LIKE and name not in given and np.isfinite(known[name]))
         made = tuple(commands) or part.commands
         parts.append(replace(part, point=point, commands=made, found=tuple(searched), measured=own))
     if hanging:
