@@ -58,6 +58,41 @@ def test_a_drift_of_the_cell_is_in_the_force_and_in_the_work():
             assert e.parts.drift > 0 or e.withheld
 
 
+def of_two_frictions(trial, contracting, expanding, turns):
+    """275 N - K x - B x' - friction of each direction [N], which changes by `turns` [N] below 1 mm/s of contraction."""
+    omega, A = (2 * np.pi * trial.point["frequency"], trial.point["amplitude"])
+    theta = omega * (trial.t - trial.t[0])
+    x, v = trial.point["mean"] + A * np.sin(theta), A * omega * np.cos(theta)
+    near = turns * np.clip(1 - v / 1e-3, 0, 1)
+    F = 275.0 - 6773.0 * x - 400.0 * v - np.where(v > 0, contracting + near, -expanding)
+    noise = np.random.default_rng(trial.index).standard_normal((2, len(x)))
+    channels = {**trial.channels, "displacement": x + 2e-6 * noise[0], "force": F + 0.3 * noise[1]}
+    return replace(trial, channels=channels)
+
+
+@pytest.mark.parametrize("turns", [0.0, 4.0, -4.0])
+@pytest.mark.parametrize(("contracting", "expanding"), [(6.0, 3.0), (3.0, 6.0)])
+@pytest.mark.parametrize("plan", [((0.1, 4), (0.5, 6)), ((0.1, 4), (0.5, 6), (1.0, 11), (3.0, 31))])
+def test_a_friction_of_each_direction_leaves_the_force_halfway_between_the_branches(
+    plan, contracting, expanding, turns
+):
+    """At mid stroke all speeds are above 3 mm/s: halfway between is 275 N - K x + (expanding - contracting)/2.
+
+    The friction of slow motion in one direction moved the mean force, and made a second harmonic that was taken for a
+    bent curve: F_ce was 8 half widths off.
+    """
+    trials = [
+        of_two_frictions(Muscle51().trial(n, f, cycles, mean=0.004), contracting, expanding, turns)
+        for n, (f, cycles) in enumerate(plan * 3)
+    ]
+    found, truth = driven(trials), 275.0 + (expanding - contracting) / 2
+    for symbol, true in (("F_ce", truth), ("F", truth - 6773.0 * 0.004)):
+        e = value(found, symbol, "sine-mean")
+        assert abs(e.value - true) < e.parts.combined < (0.1 if turns == 0 else 1.0)
+    F_c = value(found, "F_c", "sine-harmonic")
+    assert abs(F_c.value - (contracting + expanding) / 2) < 1.2 * F_c.parts.combined < 0.4
+
+
 def recorded(late, shifted=0.0):
     trials = [
         replace(t, channels={**t.channels, "displacement": np.interp(t.t - shifted, t.t, t.channels["displacement"])})

@@ -167,7 +167,7 @@ def evaluate(
     for first, last in pairwise(edges):
         one = slice(int(first), int(last))
         _, a = three_parameter(t[one], both[one], frequency)
-        width = _width(t[one], x[one], F[one], float(means[0]), X, omega)
+        width = float(np.subtract(*at_middle(t[one], x[one], F[one], float(means[0]), X, omega)))
         rows.append((complex(a[1] / a[0]), abs(complex(a[0])), lost_work(x[one], F[one]), width))
     return Sine(
         t, x, F, frequency,
@@ -179,7 +179,7 @@ def evaluate(
         ripple=ripple,
         distortion=float(np.sqrt(2.0 * np.mean(left**2))) / abs(X),
         area=lost_work(x, F) / whole,
-        width=_width(t, x, F, float(means[0]), X, omega),
+        width=float(np.subtract(*at_middle(t, x, F, float(means[0]), X, omega))),
         cycles=Cycles(*(np.array(column) for column in zip(*rows, strict=True))),
     )  # fmt: skip
 
@@ -190,8 +190,8 @@ def lost_work(x: Array, F: Array) -> float:
     return -float(np.sum(0.5 * (F + pull) * (ahead - x)))
 
 
-def _width(t: Array, x: Array, F: Array, mean: float, X: complex, omega: float) -> float:
-    """Returning minus contracting force [N] at `mean`, each from a parabola through the branch's middle samples."""
+def at_middle(t: Array, x: Array, F: Array, mean: float, X: complex, omega: float) -> tuple[float, float]:
+    """Returning and contracting force [N] at `mean`, each from a parabola through the branch's middle samples."""
     position = (x - mean) / abs(X)
     contracting = np.real(1j * X * np.exp(1j * omega * t)) > 0
     middle = np.abs(position) < MIDDLE
@@ -199,9 +199,9 @@ def _width(t: Array, x: Array, F: Array, mean: float, X: complex, omega: float) 
     for branch in (middle & ~contracting, middle & contracting):
         order = min(2, int(branch.sum()) - 1)
         if order < 0:
-            return float("nan")
+            return float("nan"), float("nan")
         at.append(float(np.polyfit(position[branch], F[branch], order)[-1]))
-    return at[0] - at[1]
+    return at[0], at[1]
 
 
 def _harmonics(t: Array, y: Array, frequency: float) -> tuple[Array, Array]:

@@ -1,8 +1,9 @@
 """F_ce from the mean force of driven sines, and the work along them.
 
 Over a whole cycle friction and a damping that is the same both ways cancel, so that the mean force is F_ce - K x at the
-mean contraction x. Where B_c and B_r differ it rises by (B_r - B_c)/pi for each unit of the speed amplitude omega A, so
-that F_ce is where a line over that speed begins.
+mean contraction x; half of what friction differs by direction stays in it, as in the middle of both branches. Where B_c
+and B_r differ it rises by (B_r - B_c)/pi for each unit of the speed amplitude omega A, so that F_ce is where a line
+over that speed begins.
 
     W_c = integral of F dx while x rises,  W_c + W = -integral of F dx while x falls,  eta = W_c / (W_c + W)
 
@@ -28,13 +29,13 @@ from pmabench.analysis.shared.sine_loop import RECOVERED, Sine, moving
 from pmabench.analysis.shared.skew import settled
 from pmabench.base.quantities import show
 from pmabench.kinds.sinusoidal_displacement.fit import BETWEEN, CYCLES, CYCLES_OF_EACH, NO_REPEATS, Fitted, Member
-from pmabench.kinds.sinusoidal_displacement.form import BETTER, REMAINS, Form, cycle_of
+from pmabench.kinds.sinusoidal_displacement.form import BETTER, REMAINS, TURNS, Form, cycle_of
 from pmabench.store.analyses.results import Estimate, Parts, withhold
 from pmabench.store.records import Array
 
 SINE_MEAN = "sine-mean"
 ALONE = "one frequency only: that B_c and B_r may differ is in the method part"
-AT_MEAN = "at the mean contraction, at speed 0"
+AT_MEAN = "at the mean contraction, at speed 0, halfway between both branches"
 NO_SLOPE = "as at the measured pressure: with one pressure nothing tells what F_ce there is at the set one"
 
 
@@ -91,7 +92,7 @@ def mean_force_estimates(
     F = line.start - (fitted.K.start - K_bias) * mean - form.h2
     there = Parts(
         scatter,
-        hypot(doubt, form.half[0] if isfinite(form.half[0]) else abs(F), REMAINS * form.h2),
+        hypot(doubt, form.half[0] if isfinite(form.half[0]) else abs(F), REMAINS * form.h2, form.apart),
         scales.part(gains | {"force": F}, offsets),
     )
     mean_force = replace(F_ce, symbol="F", value=F, parts=there, note=sentences(AT_MEAN, note))
@@ -246,6 +247,7 @@ class Centre:
     def harmonics(self) -> float:
         """What the half widths of the harmonics make of `at_0` [N]."""
         h2, h3, _ = self.form.half
+        h2 = hypot(h2, TURNS * self.form.apart)
         return hypot(2 * h2 * self.form.reach**2, 4 * h3 * self.form.reach**3)
 
 
