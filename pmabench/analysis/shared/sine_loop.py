@@ -5,7 +5,7 @@ Also the force that a fitted muscle would have given along the same motion. Know
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import floor, pi
 
@@ -19,6 +19,7 @@ from pmabench.analysis.shared.samples import (
     refuse_flagged,
     refuse_incomplete,
     settings_of,
+    step_of,
     three_parameter,
 )
 from pmabench.base.quantities import show
@@ -30,6 +31,8 @@ MIDDLE = 0.25
 """The width at mid stroke is read from samples within this share of the amplitude."""
 STILL = 1e-9
 """An amplitude below this [m] is rounding and no motion."""
+COARSE = 0.15
+"""Steps of a channel up to this share of its swing are evaluated."""
 HARMONICS = 5
 """Harmonics that the replay keeps of the displacement, and that count where the lag of a sensor is taken off."""
 
@@ -74,6 +77,8 @@ class Sine:
     area: float
     width: float
     cycles: Cycles
+    steps: tuple[float, float] = (0.0, 0.0)
+    """In which displacement [m] and force [N] are read."""
 
     @property
     def omega(self) -> float:
@@ -120,6 +125,11 @@ def measure(run: RunData, trial: TrialData, discard: float, force_per_pressure: 
     good = trial.usable[window]
     refuse_flagged(good)
     t, x, F = t[good], x[good], F[good]
+    steps = step_of(x), step_of(F)
+    for name, y, step in zip(("displacement", "force"), (x, F), steps, strict=True):
+        if step > COARSE * np.ptp(y):
+            text = f"{name} is read in steps of more than {COARSE:.0%} of its swing"
+            raise NotUsable(f"{text}: swing more, or take a sensor or converter with finer steps")
     lag = lags_of(run, trial)
     x, F = without_lag(t, x, frequency, lag["displacement"]), without_lag(t, F, frequency, lag["force"])
     pressure, ripple = float("nan"), 0j
@@ -129,7 +139,7 @@ def measure(run: RunData, trial: TrialData, discard: float, force_per_pressure: 
         pressure, ripple = float(mean[0]), P * complex(np.exp(-1j * np.angle(amplitude[1])))
         if force_per_pressure:
             F = F - force_per_pressure * np.real(P * np.exp(2j * pi * frequency * t))
-    return evaluate(t, x, F, frequency, pressure, ripple)
+    return replace(evaluate(t, x, F, frequency, pressure, ripple), steps=steps)
 
 
 def _window(trial: TrialData, frequency: float, discard: float) -> slice:
@@ -197,7 +207,7 @@ def at_middle(t: Array, x: Array, F: Array, mean: float, X: complex, omega: floa
     middle = np.abs(position) < MIDDLE
     at: list[float] = []
     for branch in (middle & ~contracting, middle & contracting):
-        order = min(2, int(branch.sum()) - 1)
+        order = min(2, len(np.unique(position[branch])) - 1)
         if order < 0:
             return float("nan"), float("nan")
         at.append(float(np.polyfit(position[branch], F[branch], order)[-1]))
