@@ -71,7 +71,7 @@ def mean_force_estimates(
     members = fitted.group
     mean = float(np.mean([member.sine.mean for member in members]))
     speed = float(np.mean([member.sine.speed for member in members]))
-    K_half, K_bias = fitted.half_stiffness, fitted.bias["K"]
+    K_half, K_bias = fitted.halves()["K"], fitted.bias["K"]
     doubt = abs(fitted.muscle.B or members[0].sine.loss / speed) * speed / pi if fitted.alone else 0.0
     scatter = line.half_start if line.half_start is not None else _half_by_cycles(fitted)
     half = None if scatter is None or K_half is None else hypot(scatter, K_half * mean)
@@ -84,7 +84,7 @@ def mean_force_estimates(
     off, off_half = form.carried
     open_half = hypot(min(off_half, abs(line.start)), REMAINS * off)
     parts = Parts(
-        half, hypot(K_bias * mean, doubt, open_half), scales.part(gains, offsets), fitted.skewed_stiffness * abs(mean)
+        half, hypot(K_bias * mean, doubt, open_half), scales.part(gains, offsets), fitted.skewed()["K"] * abs(mean)
     )
     names = tuple(member.name for member in members)
     n = len(members)
@@ -126,7 +126,8 @@ def _line(fitted: Fitted, slope: float, wanted: float) -> Line:
     """F_ce [N] over the speed amplitude [m/s]; with one frequency its mean."""
     members = fitted.group
     K = fitted.K.start - fitted.bias["K"]
-    rest = np.array([_at_rest(member, K, slope, wanted) for member in members])
+    off = [slope * (wanted - member.sine.pressure) if slope else 0.0 for member in members]
+    rest = np.array([member.sine.force + K * member.sine.mean for member in members]) + off
     frequency = np.array([member.sine.frequency for member in members])
     speed = None if fitted.alone else np.array([member.sine.speed for member in members])
     # an error of the mean force is a share of it
@@ -145,11 +146,6 @@ def _half_by_cycles(fitted: Fitted) -> float | None:
     of_each = [(one.frequency, one.speed, abs(one.force)) for one in (member.sine for member in fitted.group)]
     frequency, speed, size = np.repeat(of_each, [len(each) for each in cycles], axis=0).T
     return weighted_line(frequency, speed, np.concatenate(cycles), size).half_start
-
-
-def _at_rest(member: Member, K: float, slope: float, wanted: float) -> float:
-    off = slope * (wanted - member.sine.pressure) if slope else 0.0
-    return member.sine.force + K * member.sine.mean + off
 
 
 LOOP_WORK = "loop-work"

@@ -36,24 +36,24 @@ from pmabench.store.records import Array, RunData
 def with_late_force(estimates: Sequence[Estimate], fitted: Fitted) -> list[Estimate]:
     """The estimates with what the undeclared part of the force cell's lag may do to them, as a line of the budget.
 
-    K + j omega B becomes (K + j omega B)(1 - j omega tau): B falls by K tau, K rises by omega^2 B tau, B
-    being the one before it fell. From one frequency alone K at rest is the one there.
+    Without a lag tau of the cell, K + j L at a frequency, L with the friction, is (K + j L)(1 + j omega tau): L was
+    larger by omega tau K, and K smaller by omega tau L, L being taken as it was before it fell. B fell by K tau. The K
+    of several frequencies counts as at the slowest, for its interval holds how K changes over the others.
     """
     tau = max(lag_open(member.run, "force") for member in fitted.group)
-    K = abs(fitted.replayed.K)
-    B = abs(fitted.replayed.B) + K * tau
-    amplitudes = {round(sine.frequency, 9): sine.amplitude for sine in (member.sine for member in fitted.group)}
-    alone = 2 * pi * fitted.group[0].sine.frequency if fitted.alone else 0.0
+    sines = {frequency: of[0] for frequency, of in fitted.by_frequency.items()}
     given = {e.at.get("frequency"): e.value for e in estimates if e.symbol == "W_c"}
 
     def effect(e: Estimate) -> float:
-        frequency = e.at.get("frequency", 0.0)
-        omega, A = 2 * pi * frequency, amplitudes.get(round(frequency, 9), 0.0)
-        lost = pi * A**2 * omega * K * tau
-        taken = (given.get(frequency) or 0.0) / (e.value or 1.0)
+        sine = sines.get(e.at.get("frequency", 0.0), sines[min(sines)] if e.symbol == "K" else None)
+        if sine is None:
+            return tau * abs(fitted.replayed.K) if e.symbol == "B" else 0.0
+        turn, A = sine.omega * tau, sine.amplitude
+        late = turn * abs(sine.stiffness)
+        taken = (given.get(sine.frequency) or 0.0) / (e.value or 1.0)
         return {
-            "B": K * tau, "K": (omega or alone) ** 2 * B * tau, "phi": omega * tau, "H": 2 * A * omega * K * tau,
-            "W": lost, "W_c": lost / 2, "eta": lost / taken if e.symbol == "eta" and taken else 0.0,
+            "K": turn * (abs(sine.loss) / A + late), "phi": turn, "H": 2 * A * late, "W": pi * A**2 * late,
+            "W_c": pi * A**2 * late / 2, "eta": pi * A**2 * late / taken if e.symbol == "eta" and taken else 0.0,
         }.get(e.symbol, 0.0)  # fmt: skip
 
     return [weighed(e, [Doubt(LATE, "method", effect(e), False)]) for e in estimates]
