@@ -133,9 +133,11 @@ def rounded(y: Array, step: float, channel: int = 0) -> Array:
     Shape (1 + places, n). Steps do not average away as noise does, for all cycles meet the same ones.
     """
     swing = float(np.ptp(y))
+    if not FINE * swing < step < np.inf:
+        return np.tile(y, (1 + PLACES, 1))
     by, longer = np.random.default_rng(channel).random((2, PLACES, 1))
     steps = step * (1 + 2 * longer * step / swing)
-    return np.vstack([y, steps * (np.round(y / steps + by) - by) if step > FINE * swing else np.tile(y, (PLACES, 1))])
+    return np.vstack([y, steps * (np.round(y / steps + by) - by)])
 
 
 def on_time(run: RunData, trial: TrialData, name: str) -> Array:

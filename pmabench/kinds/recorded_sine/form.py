@@ -92,6 +92,8 @@ def slower(sine: Sine, name: str) -> complex:
 
 def stepped(sine: Sine, name: str) -> complex:
     """Half widths of the relative change of a complex amplitude, real and imaginary, by the steps of its channel."""
+    if not sine.amplitudes[name]:
+        return 0j
     wave = np.real(sine.amplitudes[name] * np.exp(1j * sine.omega * sine.t))
     first, *others = three_parameter(sine.t, rounded(wave, step_of(sine.raw[name])).T, sine.omega / (2 * np.pi))[1]
     changes = np.array(others) / first - 1

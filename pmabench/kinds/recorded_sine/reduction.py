@@ -208,7 +208,7 @@ def measure(run: RunData, trial: TrialData, late: tuple[float, float]) -> Sine |
     means, amplitudes = three_parameter(t, signals, real)
     model = means + np.real(np.exp(2j * pi * real * t)[:, None] * amplitudes[None, :])
     left = np.std(signals - model, axis=0) / np.maximum(np.std(signals, axis=0), 1e-30)
-    if abs(amplitudes[0]) == 0 or abs(amplitudes[1]) == 0:
+    if not all(np.ptp(trial.channels[name][good]) for name in names[:2]):
         return "pressure or displacement does not move"
     return Sine(
         trial=trial,
