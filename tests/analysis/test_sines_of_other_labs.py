@@ -161,7 +161,7 @@ def test_a_sine_of_a_few_steps_is_not_used():
     trials = [in_steps(t, displacement=4e-4) for t in Muscle51(noise=NOISE).trials(amplitude=1e-3)]
     reasons = {dropped.reason for dropped in driven(trials).dropped}
     assert len(reasons) == 1
-    assert min(reasons).startswith("displacement is read in steps of more than 15% of its swing")
+    assert min(reasons).startswith("displacement has steps above 15% of its swing")
     still = [replace(t, channels={**t.channels, "force": np.full(len(t.t), 200.0)}) for t in Muscle51().trials()]
     assert len(driven(still).dropped) == 4
 

@@ -128,8 +128,7 @@ def measure(run: RunData, trial: TrialData, discard: float, force_per_pressure: 
     steps = step_of(x), step_of(F)
     for name, y, step in zip(("displacement", "force"), (x, F), steps, strict=True):
         if step > COARSE * np.ptp(y):
-            text = f"{name} is read in steps of more than {COARSE:.0%} of its swing"
-            raise NotUsable(f"{text}: swing more, or take a sensor or converter with finer steps")
+            raise NotUsable(f"{name} has steps above {COARSE:.0%} of its swing: swing more, or read it in finer ones")
     lag = lags_of(run, trial)
     x, F = without_lag(t, x, frequency, lag["displacement"]), without_lag(t, F, frequency, lag["force"])
     pressure, ripple = float("nan"), 0j

@@ -166,8 +166,7 @@ def _told(
     form = Form.of([member.sine for member in fitted.group], fitted.replayed.B)
     found = judged(fitted.estimates(at, scales, slopes), form)
     found += mean_force.mean_force_estimates(at, fitted, form, scales, slope)
-    found += mean_force.work_estimates(at, fitted.group, scales, fitted.skew)
-    return found, form
+    return [*found, *mean_force.work_estimates(at, fitted.group, scales, fitted.skew)], form
 
 
 def _fits(members: Sequence[Member], options: Mapping[str, Any]) -> tuple[dict[Key, Fitted], dict[Key, float]]:
