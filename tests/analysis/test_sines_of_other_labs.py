@@ -32,6 +32,40 @@ def test_K_of_one_frequency_holds_a_filter_of_the_cell_that_nobody_declared(filt
     assert abs(K.value - 6773.0) < K.parts.combined < 0.3 * 6773.0
 
 
+def behind_a_filter(trial, B, F_c, tau):
+    """-K x - B x' - F_c sign x' as a series of harmonics, each divided by 1 + j n omega tau [s], about 200 N."""
+    omega, A = 2 * np.pi * trial.point["frequency"], trial.point["amplitude"]
+    turns = omega * (trial.t - trial.t[0])
+    n = np.arange(1, 200, 2)
+    waves = -4 * F_c / np.pi * np.sin(n * np.pi / 2) / n + 0j  # of sign(cos), over exp(j n theta)
+    waves[0] -= (B * omega - 6773.0j) * A
+    F = 200.0 + np.real(np.exp(1j * np.outer(turns, n)) @ (waves / (1 + 1j * n * omega * tau)))
+    noise = np.random.default_rng(trial.index).standard_normal((2, len(F)))
+    x = trial.point["mean"] + A * np.sin(turns)
+    return replace(trial, channels={**trial.channels, "displacement": x + 2e-6 * noise[0], "force": F + 0.3 * noise[1]})
+
+
+@pytest.mark.parametrize("tau", [0.0, 0.003, 0.005])
+@pytest.mark.parametrize(("B", "F_c"), [(400.0, 6.0), (100.0, 15.0)])
+@pytest.mark.parametrize(
+    "plan", [((0.1, 4), (0.3, 5), (1.0, 11), (2.0, 15), (4.0, 30)), ((3.0, 20), (3.4, 20), (3.7, 20))]
+)
+def test_all_hold_a_filter_of_the_cell_that_nobody_declared(plan, B, F_c, tau):
+    """Friction turns into stiffness, too: K at 2 Hz was 2.6 half widths off, the K of 3 to 3.7 Hz 2.2."""
+    trials = [behind_a_filter(Muscle51().trial(i, f, n), B, F_c, tau) for i, (f, n) in enumerate(plan * 2)]
+    A, seen = 0.005, 0
+    for e in driven(trials).estimates:
+        omega = 2 * np.pi * e.at.get("frequency", 0.0)
+        L = B * omega + 4 * F_c / np.pi / A
+        truth = {"K": 6773.0, "F_c": F_c, "W": np.pi * L * A**2, "H": 2 * (B * omega * A + F_c)}
+        truth |= {"phi": np.arctan2(L, 6773.0), "W_c": 400.0 * A - np.pi / 2 * L * A**2, "B": B}
+        if e.symbol in truth and e.value is not None:
+            seen += 1
+            room = 1.0 if tau < 0.005 else 1.2 if e.symbol == "B" else 1.03  # 5 ms are the very end of the interval
+            assert abs(e.value - truth[e.symbol]) < room * e.parts.combined
+    assert seen > 18
+
+
 def test_amplitudes_of_a_drive_that_lags_are_one():
     """Nobody recorded the command: at 3 Hz the drive makes 4.99 mm of 5 mm, as the file was measured."""
     trials = [
@@ -56,6 +90,101 @@ def test_a_drift_of_the_cell_is_in_the_force_and_in_the_work():
         for true, e in zip(*pairs, strict=True):
             assert e.value is None or abs(e.value - true.value) < e.parts.combined
             assert e.parts.drift > 0 or e.withheld
+
+
+def of_two_frictions(trial, contracting, expanding, turns):
+    """275 N - K x - B x' - friction of each direction [N], which changes by `turns` [N] below 1 mm/s of contraction."""
+    omega, A = (2 * np.pi * trial.point["frequency"], trial.point["amplitude"])
+    theta = omega * (trial.t - trial.t[0])
+    x, v = trial.point["mean"] + A * np.sin(theta), A * omega * np.cos(theta)
+    near = turns * np.clip(1 - v / 1e-3, 0, 1)
+    F = 275.0 - 6773.0 * x - 400.0 * v - np.where(v > 0, contracting + near, -expanding)
+    noise = np.random.default_rng(trial.index).standard_normal((2, len(x)))
+    channels = {**trial.channels, "displacement": x + 2e-6 * noise[0], "force": F + 0.3 * noise[1]}
+    return replace(trial, channels=channels)
+
+
+@pytest.mark.parametrize("turns", [0.0, 4.0, -4.0])
+@pytest.mark.parametrize(("contracting", "expanding"), [(6.0, 3.0), (3.0, 6.0)])
+@pytest.mark.parametrize("plan", [((0.1, 4), (0.5, 6)), ((0.1, 4), (0.5, 6), (1.0, 11), (3.0, 31))])
+def test_a_friction_of_each_direction_leaves_the_force_halfway_between_the_branches(
+    plan, contracting, expanding, turns
+):
+    """At mid stroke all speeds are above 3 mm/s: halfway between is 275 N - K x + (expanding - contracting)/2.
+
+    The friction of slow motion in one direction moved the mean force, and made a second harmonic that was taken for a
+    bent curve: F_ce was 8 half widths off.
+    """
+    trials = [
+        of_two_frictions(Muscle51().trial(n, f, cycles, mean=0.004), contracting, expanding, turns)
+        for n, (f, cycles) in enumerate(plan * 3)
+    ]
+    found, truth = driven(trials), 275.0 + (expanding - contracting) / 2
+    for symbol, true in (("F_ce", truth), ("F", truth - 6773.0 * 0.004)):
+        e = value(found, symbol, "sine-mean")
+        assert abs(e.value - true) < e.parts.combined < (0.1 if turns == 0 else 1.0)
+    F_c = value(found, "F_c", "sine-harmonic")
+    assert abs(F_c.value - (contracting + expanding) / 2) < 1.2 * F_c.parts.combined < 0.4
+
+
+def in_steps(trial, begin=0.0, **steps):
+    """The trial with channels that are read in steps [SI], which begin at a share of one."""
+    read = {name: step * (np.round(trial.channels[name] / step + begin) - begin) for name, step in steps.items()}
+    return replace(trial, channels={**trial.channels, **read})
+
+
+@pytest.mark.parametrize("begin", [0.05, 0.4, 0.7])
+@pytest.mark.parametrize("steps", [{"displacement": 1e-4}, {"force": 5.0}, {"displacement": 1e-4, "force": 2.0}])
+def test_the_steps_of_the_channels_are_in_the_intervals(steps, begin):
+    """A displacement in steps of 0.1 mm along 1 mm: the work while contracting was 1.3 % off, with +- 0.1 %.
+
+    The work is the integral of 275 N - K x - B x' - F_c along the way from -A to A.
+    """
+    A, K, B, F_c = 1e-3, 6773.0, 1900.0, 6.0
+    muscle = Muscle51(B_c=B, B_r=B, F_s=F_c, F_c=F_c, noise=NOISE)
+    found = driven([in_steps(t, begin, **steps) for t in muscle.trials(repeats=2, mean=0.0, amplitude=A)])
+    for symbol, true in (("K", K), ("B", B), ("F_c", F_c)):
+        e = value(found, symbol, "sine-harmonic")
+        assert e.withheld or abs(e.value - true) < e.parts.combined
+    for e in found.estimates:
+        omega = 2 * np.pi * e.at.get("frequency", 0.0)
+        loss = B * omega + 4 * F_c / np.pi / A
+        given = 2 * A * (275.0 - F_c) - np.pi / 2 * B * omega * A**2
+        truth = {"W_c": given, "W": np.pi * loss * A**2, "H": 2 * (B * omega * A + F_c)}
+        if e.symbol in truth and omega:
+            assert abs(e.value - truth[e.symbol]) < 1.1 * e.parts.combined < 0.2 * truth[e.symbol]  # of 108 of 95 %
+    names = {source.name for e in found.estimates for source in e.budget if e.symbol in ("W_c", "H", "phi")}
+    assert "steps of the channels" in names
+
+
+def test_a_sine_of_a_few_steps_is_not_used():
+    trials = [in_steps(t, displacement=4e-4) for t in Muscle51(noise=NOISE).trials(amplitude=1e-3)]
+    reasons = {dropped.reason for dropped in driven(trials).dropped}
+    assert len(reasons) == 1
+    assert min(reasons).startswith("displacement has steps above 15% of its swing")
+    still = [replace(t, channels={**t.channels, "force": np.full(len(t.t), 200.0)}) for t in Muscle51().trials()]
+    assert len(driven(still).dropped) == 4
+
+
+@pytest.mark.parametrize("begin", [0.05, 0.4, 0.7])
+def test_the_steps_of_a_recorded_sine_are_in_the_intervals(begin):
+    """90 kPa and 1 mm behind a lag of 0.11 s, in steps of 0.1 mm and 10 kPa: 8 and 18 half widths off."""
+    trials = []
+    for number, f in enumerate((0.5, 1.0, 2.0)):
+        t = np.arange(4000) / 200.0
+        P = 90e3 * np.exp(2j * np.pi * f * t)
+        x = 1e-3 / 90e3 * P / (1 + 2j * np.pi * f * 0.11)
+        noise = np.random.default_rng(number).standard_normal((2, len(t)))
+        channels = {"pressure": 260e3 + P.imag + 100.0 * noise[0], "displacement": 5e-3 + x.imag + 3e-6 * noise[1]}
+        flags = np.zeros(len(t), dtype=np.uint16)
+        trial = TrialData("a", number, {"frequency": f}, 0, False, "finished", t, channels, flags, (), {})
+        trials.append(in_steps(trial, begin, displacement=1e-4, pressure=1e4))
+    found = reduce_recorded([judged_forms.as_run("recorded-sine", trials, 200.0, {})])
+    for e in found.estimates:
+        share = 1 / np.hypot(1, 2 * np.pi * e.at.get("frequency", 0.0) * 0.11)
+        truth = {"P": 90e3, "x": 1e-3 * share, "P/x": 90e6 / share}
+        if e.symbol in truth:
+            assert abs(e.value - truth[e.symbol]) < 1.3 * e.parts.combined < 0.05 * truth[e.symbol]  # of 27 of 95 %
 
 
 def recorded(late, shifted=0.0):

@@ -96,6 +96,11 @@ LAG_KNOWN = 0.2
 UNDECLARED = 5e-3
 """Time constant [s] that the filter of a force cell may have where its channel declares no `sensor_lag`."""
 
+STEPS = "steps of the channels"
+PLACES = 8
+FINE = 1e-3
+"""Steps up to this share of a swing change nothing."""
+
 
 def lags_of(run: RunData, trial: TrialData) -> dict[str, float]:
     """Channel of the trial -> declared time constant of its sensor [s], 0 where none is declared."""
@@ -112,6 +117,27 @@ def count_of(run: RunData, channel: str) -> float:
     """One count of a channel whose device gives counts [SI]; 0 for others."""
     info = run.channels.get(channel)
     return abs(info.slope) if info is not None and info.unit in ("count", "counts") else 0.0
+
+
+def step_of(y: Array) -> float:
+    """Step in which samples (n,) were rounded [as y]; 0 where they lie at no even distances, inf where all are one."""
+    apart = np.diff(np.unique(y))
+    apart = apart[apart > 1e-9 * float(apart.sum())]
+    least = float(apart.min(initial=np.inf))
+    return least if np.all(np.abs(apart / least - np.round(apart / least)) < 0.05) else 0.0
+
+
+def rounded(y: Array, step: float, channel: int = 0) -> Array:
+    """`y` (n,), and as it is read in steps, at `PLACES` where these may lie and where its swing may end in one.
+
+    Shape (1 + places, n). Steps do not average away as noise does, for all cycles meet the same ones.
+    """
+    swing = float(np.ptp(y))
+    if not FINE * swing < step < np.inf:
+        return np.tile(y, (1 + PLACES, 1))
+    by, longer = np.random.default_rng(channel).random((2, PLACES, 1))
+    steps = step * (1 + 2 * longer * step / swing)
+    return np.vstack([y, steps * (np.round(y / steps + by) - by)])
 
 
 def on_time(run: RunData, trial: TrialData, name: str) -> Array:

@@ -5,7 +5,7 @@ Also the force that a fitted muscle would have given along the same motion. Know
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import floor, pi
 
@@ -19,6 +19,7 @@ from pmabench.analysis.shared.samples import (
     refuse_flagged,
     refuse_incomplete,
     settings_of,
+    step_of,
     three_parameter,
 )
 from pmabench.base.quantities import show
@@ -30,6 +31,8 @@ MIDDLE = 0.25
 """The width at mid stroke is read from samples within this share of the amplitude."""
 STILL = 1e-9
 """An amplitude below this [m] is rounding and no motion."""
+COARSE = 0.15
+"""Steps of a channel up to this share of its swing are evaluated."""
 HARMONICS = 5
 """Harmonics that the replay keeps of the displacement, and that count where the lag of a sensor is taken off."""
 
@@ -74,6 +77,8 @@ class Sine:
     area: float
     width: float
     cycles: Cycles
+    steps: tuple[float, float] = (0.0, 0.0)
+    """In which displacement [m] and force [N] are read."""
 
     @property
     def omega(self) -> float:
@@ -120,6 +125,10 @@ def measure(run: RunData, trial: TrialData, discard: float, force_per_pressure: 
     good = trial.usable[window]
     refuse_flagged(good)
     t, x, F = t[good], x[good], F[good]
+    steps = step_of(x), step_of(F)
+    for name, y, step in zip(("displacement", "force"), (x, F), steps, strict=True):
+        if step > COARSE * np.ptp(y):
+            raise NotUsable(f"{name} has steps above {COARSE:.0%} of its swing: swing more, or read it in finer ones")
     lag = lags_of(run, trial)
     x, F = without_lag(t, x, frequency, lag["displacement"]), without_lag(t, F, frequency, lag["force"])
     pressure, ripple = float("nan"), 0j
@@ -129,7 +138,7 @@ def measure(run: RunData, trial: TrialData, discard: float, force_per_pressure: 
         pressure, ripple = float(mean[0]), P * complex(np.exp(-1j * np.angle(amplitude[1])))
         if force_per_pressure:
             F = F - force_per_pressure * np.real(P * np.exp(2j * pi * frequency * t))
-    return evaluate(t, x, F, frequency, pressure, ripple)
+    return replace(evaluate(t, x, F, frequency, pressure, ripple), steps=steps)
 
 
 def _window(trial: TrialData, frequency: float, discard: float) -> slice:
@@ -167,7 +176,7 @@ def evaluate(
     for first, last in pairwise(edges):
         one = slice(int(first), int(last))
         _, a = three_parameter(t[one], both[one], frequency)
-        width = _width(t[one], x[one], F[one], float(means[0]), X, omega)
+        width = float(np.subtract(*at_middle(t[one], x[one], F[one], float(means[0]), X, omega)))
         rows.append((complex(a[1] / a[0]), abs(complex(a[0])), lost_work(x[one], F[one]), width))
     return Sine(
         t, x, F, frequency,
@@ -179,7 +188,7 @@ def evaluate(
         ripple=ripple,
         distortion=float(np.sqrt(2.0 * np.mean(left**2))) / abs(X),
         area=lost_work(x, F) / whole,
-        width=_width(t, x, F, float(means[0]), X, omega),
+        width=float(np.subtract(*at_middle(t, x, F, float(means[0]), X, omega))),
         cycles=Cycles(*(np.array(column) for column in zip(*rows, strict=True))),
     )  # fmt: skip
 
@@ -190,18 +199,18 @@ def lost_work(x: Array, F: Array) -> float:
     return -float(np.sum(0.5 * (F + pull) * (ahead - x)))
 
 
-def _width(t: Array, x: Array, F: Array, mean: float, X: complex, omega: float) -> float:
-    """Returning minus contracting force [N] at `mean`, each from a parabola through the branch's middle samples."""
+def at_middle(t: Array, x: Array, F: Array, mean: float, X: complex, omega: float) -> tuple[float, float]:
+    """Returning and contracting force [N] at `mean`, each from a parabola through the branch's middle samples."""
     position = (x - mean) / abs(X)
     contracting = np.real(1j * X * np.exp(1j * omega * t)) > 0
     middle = np.abs(position) < MIDDLE
     at: list[float] = []
     for branch in (middle & ~contracting, middle & contracting):
-        order = min(2, int(branch.sum()) - 1)
+        order = min(2, len(np.unique(position[branch])) - 1)
         if order < 0:
-            return float("nan")
+            return float("nan"), float("nan")
         at.append(float(np.polyfit(position[branch], F[branch], order)[-1]))
-    return at[0] - at[1]
+    return at[0], at[1]
 
 
 def _harmonics(t: Array, y: Array, frequency: float) -> tuple[Array, Array]:

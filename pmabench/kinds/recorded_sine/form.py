@@ -18,7 +18,7 @@ import numpy as np
 from pmabench.analysis.shared.calibration import sentences
 from pmabench.analysis.shared.form import Doubt, change_over
 from pmabench.analysis.shared.lines import mean_half
-from pmabench.analysis.shared.samples import LAG_KNOWN, noise_of
+from pmabench.analysis.shared.samples import LAG_KNOWN, STEPS, noise_of, rounded, step_of, three_parameter
 from pmabench.base.quantities import show
 from pmabench.store.analyses.results import Estimate, Parts
 from pmabench.store.records import Array
@@ -90,11 +90,24 @@ def slower(sine: Sine, name: str) -> complex:
     return LAG_KNOWN * turn / (1 + turn)
 
 
-def slow_sensors(sine: Sine, names: Sequence[str], *, phase: bool = False) -> list[Doubt]:
-    """What the time constants of sensors leave open of the ratio of their amplitudes [1], or of its `phase` [rad]."""
-    changes = [slower(sine, name) for name in names]
-    half = float(np.hypot.reduce([change.imag if phase else change.real for change in changes] or [0.0]))
-    return [Doubt("time constants of the sensors", "method", half, seen=False)] if half else []
+def stepped(sine: Sine, name: str) -> complex:
+    """Half widths of the relative change of a complex amplitude, real and imaginary, by the steps of its channel."""
+    if not sine.amplitudes[name]:
+        return 0j
+    wave = np.real(sine.amplitudes[name] * np.exp(1j * sine.omega * sine.t))
+    first, *others = three_parameter(sine.t, rounded(wave, step_of(sine.raw[name])).T, sine.omega / (2 * np.pi))[1]
+    changes = np.array(others) / first - 1
+    return 2 * complex(np.sqrt(np.mean(changes.real**2)), np.sqrt(np.mean(changes.imag**2)))
+
+
+def sensors(sine: Sine, names: Sequence[str], *, phase: bool = False) -> list[Doubt]:
+    """What time constants and steps of sensors leave open of a ratio of amplitudes [1], or of its `phase` [rad]."""
+    found = []
+    for what, change in (("time constants of the sensors", slower), (STEPS, stepped)):
+        changes = [change(sine, name) for name in names]
+        half = float(np.hypot.reduce([one.imag if phase else one.real for one in changes] or [0.0]))
+        found += [Doubt(what, "method", half, seen=False)] if half else []
+    return found
 
 
 def other_shape(sines: Sequence[Sine]) -> list[Doubt]:
@@ -171,7 +184,8 @@ def bandwidth(groups: Mapping[float, Sequence[Sine]]) -> list[Estimate]:
         return [Estimate("f_b", None, "Hz", "frequency", method, {}, n=len(names), note=note, trials=names)]
     value, apart = found
     half = None
-    shares = [one / g for one, g in zip(halves, gain, strict=True) if one is not None]
+    steps = [hypot(*(stepped(groups[f][0], name).real for name in ("displacement", driven))) for f in frequencies]
+    shares = [hypot(one / g, step) for one, g, step in zip(halves, gain, steps, strict=True) if one is not None]
     if len(shares) == len(halves):
         off = np.array([hypot(share, shares[0]) for share in shares])
         ends = [gain * np.maximum(LEAST, 1 + way * off) for way in (-1, 1)]

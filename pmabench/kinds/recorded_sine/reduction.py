@@ -21,7 +21,7 @@ from pmabench.analysis.shared.samples import lags_of, three_parameter
 from pmabench.analysis.shared.sine_loop import without_lag
 from pmabench.base.quantities import show
 from pmabench.kinds.recorded_sine import RESULTS
-from pmabench.kinds.recorded_sine.form import bandwidth, changing, cut_off, other_shape, slow_sensors
+from pmabench.kinds.recorded_sine.form import bandwidth, changing, cut_off, other_shape, sensors
 from pmabench.store.analyses.results import Analysis, Estimate, Finding, Parts, Trace
 from pmabench.store.records import Array, Flag, RunData, TrialData
 
@@ -208,7 +208,7 @@ def measure(run: RunData, trial: TrialData, late: tuple[float, float]) -> Sine |
     means, amplitudes = three_parameter(t, signals, real)
     model = means + np.real(np.exp(2j * pi * real * t)[:, None] * amplitudes[None, :])
     left = np.std(signals - model, axis=0) / np.maximum(np.std(signals, axis=0), 1e-30)
-    if abs(amplitudes[0]) == 0 or abs(amplitudes[1]) == 0:
+    if not all(np.ptp(trial.channels[name][good]) for name in names[:2]):
         return "pressure or displacement does not move"
     return Sine(
         trial=trial,
@@ -304,7 +304,7 @@ def _at(group: Sequence[tuple[RunData, Sine]], *, alone: bool, read_off: bool) -
         few = CYCLES if len(whole) == 1 else ""
         note_text = sentences(note, few, scales.lack(scaled))
         e = Estimate(symbol, value, *kind, METHOD, at, parts, len(whole), note=note_text, trials=parents)
-        sizes = [replace(d, half=d.half * abs(value)) for d in (*cut_off(sines, of), *slow_sensors(first, of))]
+        sizes = [replace(d, half=d.half * abs(value)) for d in (*cut_off(sines, of), *sensors(first, of))]
         return weighed(e, [*doubts, *sizes, *changing(by_cycle, symbol)], 1.0 if symbol.startswith("phi") else None)
 
     def size(name: str) -> tuple[list[float], list[Array]]:
@@ -320,7 +320,7 @@ def _at(group: Sequence[tuple[RunData, Sine]], *, alone: bool, read_off: bool) -
     both = ("pressure", "displacement")
     late = "lateness taken as the middle of its range" if read_off else UNTOLD_TIME
     by_phase = 2 * abs(first.amplitudes["displacement"]) * abs(float(np.cos(phase[0])))
-    slow = slow_sensors(first, both, phase=True)
+    slow = sensors(first, both, phase=True)
     shape = [*other_shape(sines), *(replace(one, half=one.half * by_phase) for one in slow)]
     found = [
         estimate("P", ("Pa", "pressure"), *size("pressure"), ("pressure",), of=("pressure",)),
@@ -336,7 +336,7 @@ def _at(group: Sequence[tuple[RunData, Sine]], *, alone: bool, read_off: bool) -
             estimate("P/P_set", ("1", "ratio"), *ratio("pressure", "pressure_command"), ("pressure",),
                      of=("pressure",)),
             estimate("phi_P", ("rad", "angle"), *back, method=doubt_P or None, note=late,
-                     doubts=slow_sensors(first, ("pressure", "pressure_command"), phase=True)),
+                     doubts=sensors(first, ("pressure", "pressure_command"), phase=True)),
         ]  # fmt: skip
     return found
 

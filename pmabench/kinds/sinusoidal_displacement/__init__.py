@@ -27,16 +27,17 @@ METHODS = {
     "sine-harmonic": (
         "Three-parameter sine fits (IEEE 1057) of measured displacement and force at the known frequency: K_A is −Re(F/"
         "x), K that at the mean, corrected by the third harmonic; −Im(F/x) A = B ω A + 4 F_c/π, a straight line over "
-        "the speed ω A."
+        "the speed ω A: B and F_c are means of both directions."
     ),
     "loop-width": (
         "Width of the force–displacement loop at mid stroke, 2 B ω A + 2 F_c, a straight line over the speed ω A. What "
         "is left at 0 Hz is true hysteresis; the rest is phase lag."
     ),
     "sine-mean": (
-        "Mean force over whole cycles less its second harmonic, a straight line over the speed ω A, at 0 Hz: friction "
-        "cancels over a cycle, and where B_c and B_r differ the line rises by (B_r − B_c)/π. F_ce only where the "
-        "stroke holds x = 0."
+        "Mean force over whole cycles less its second harmonic, a straight line over the speed ω A, at 0 Hz: halfway "
+        "between both branches, so that half of what friction differs by direction is in it. Where B_c and B_r differ "
+        "the line rises by (B_r − B_c)/π. How far it is from the middle of the branches at mid stroke is in the method "
+        "part. F_ce only where the stroke holds x = 0."
     ),
     "sine-centres": (
         "Sines about three means or more, x = 0 in the stroke of one: its cubic at x = 0, with the distance of a cubic "

@@ -135,16 +135,6 @@ class Fitted:
         """What the lines say; 0 for what one frequency cannot tell."""
         return Muscle(self.K.start, 0.0, 0.0) if self.alone else self.replayed
 
-    @property
-    def half_stiffness(self) -> float | None:
-        """Half width of K by its scatter [N/m]."""
-        return self._halves()["K"]
-
-    @property
-    def skewed_stiffness(self) -> float:
-        """What the time between displacement and force may do to K [N/m]."""
-        return self._skewed()["K"]
-
     def estimates(self, at: Mapping[str, float], scales: Scales, slopes: Muscle | None) -> list[Estimate]:
         """K, B, F_c over all frequencies, then all of each frequency; `slopes` over pressure, None where not known.
 
@@ -155,7 +145,7 @@ class Fitted:
 
     def _pooled(self, at: Mapping[str, float], scales: Scales, slopes: Muscle | None) -> list[Estimate]:
         parents = tuple(member.name for member in self.group)
-        skewed, crept, halves, w = self._skewed(), self._crept(), self._halves(), self.width
+        skewed, crept, halves, w = self.skewed(), self._crept(), self.halves(), self.width
         values = {
             "K": self.K.start,
             "B": self.loss.slope,
@@ -217,7 +207,7 @@ class Fitted:
             "F_c width": (width.start - self.width.start) / 2,
         }
 
-    def _skewed(self) -> dict[str, float]:
+    def skewed(self) -> dict[str, float]:
         """What the time between displacement and force may do to K, B and F_c (both ways): the lines once more."""
         most = dict.fromkeys(self.bias, 0.0)
         both = self.skew * courses([member.trial for member in self.group])
@@ -227,7 +217,7 @@ class Fitted:
             most = {name: max(most[name], abs(change)) for name, change in changes.items()}
         return most
 
-    def _halves(self) -> dict[str, float | None]:
+    def halves(self) -> dict[str, float | None]:
         """Of K, B and F_c (both ways): by the scatter of trials or by that of cycles, if wider.
 
         Cycles of one trial are no independent tests; `mean_half` widens for that where there is a single trial.

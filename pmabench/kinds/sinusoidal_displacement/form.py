@@ -3,8 +3,9 @@
 With x = x_m + A sin(theta), h1 the coefficient of sin(theta) in F, h2 minus that of cos(2 theta), h3 minus that of
 sin(3 theta) and q3 that of cos(3 theta), a curve F_m - K u + c u^2 + d u^3 about x_m gives h2 = c A^2/2 and h3 = d
 A^3/4, a friction F_c gives q3 = 4 F_c/(3 pi) and nothing of h3, and dampings that differ by direction give an h2 that
-rises with the speed: the line over the speed ends that. Knows measured trials of one pressure, mean and amplitude;
-computes no coefficient.
+rises with the speed: the line over the speed ends that. A friction that changes with the speed in one direction only
+makes an h2, too, and moves the mean force; mean force less h2 is then not halfway between the branches at mid stroke.
+Knows measured trials of one pressure, mean and amplitude; computes no coefficient.
 
 Creep of the muscle is sized by its loss, from the stiffness over frequency. A contraction that creeps after x in parts
 c/(1 + i omega tau), as many to each decade of tau, makes K smaller at low frequency and adds loss: F/x = -K (1 - c sum
@@ -24,7 +25,7 @@ from numpy.typing import NDArray
 
 from pmabench.analysis.shared.calibration import sentences
 from pmabench.analysis.shared.lines import weighted_line
-from pmabench.analysis.shared.sine_loop import Sine
+from pmabench.analysis.shared.sine_loop import Sine, at_middle
 from pmabench.base.quantities import show
 from pmabench.store.analyses.results import Estimate, Finding, withhold
 from pmabench.store.records import Array
@@ -47,6 +48,8 @@ COULOMB = 0.2
 """Share by which the third harmonic in quadrature may be off that of a constant friction."""
 DIRECTIONS = 2 / (3 * pi)
 """h2 over B omega A where one direction has no damping and the other has 2 B: the most that damping can make."""
+TURNS = 2.0
+"""h2 of a friction that differs near the turns in one direction, over what mean force less h2 is off by it."""
 BETTER = "an isobaric ramp (isobaric-ramp) measures the curve itself"
 CENTRES = "sines at three means or more, one of them with x = 0 in its stroke, or static load, give F_ce"
 
@@ -65,6 +68,8 @@ class Form:
     """Contraction about which the sines go [m]."""
     reach: float
     """Mean contraction over amplitude [1]: how far x = 0 lies outside of the stroke."""
+    apart: float
+    """Mean force less h2, less the middle of both branches at mid stroke [N]: what friction of one direction moves."""
 
     @classmethod
     def of(cls, sines: Sequence[Sine], damping: float) -> Form:
@@ -72,14 +77,14 @@ class Form:
         rows = [row for sine in sines for row in _harmonics(sine)]
         frequency, speed, h1, *higher = (np.array(column) for column in zip(*rows, strict=True))
         alone = len(np.unique(frequency)) < 2
-        lines = [weighted_line(frequency, None if alone else speed, y, np.abs(h1)) for y in higher]
+        *lines, apart = [weighted_line(frequency, None if alone else speed, y, np.abs(h1)) for y in higher]
         half = [inf if line.half_start is None else line.half_start for line in lines]
         if alone:
             half[0] = hypot(half[0], DIRECTIONS * abs(damping) * float(speed.mean()))
         mean = float(np.mean([sine.mean for sine in sines]))
         reach = mean / float(np.mean([sine.amplitude for sine in sines]))
         h2, h3, q3 = (line.start for line in lines)
-        return cls(float(np.mean(h1)), h2, h3, q3, (half[0], half[1], half[2]), mean, reach)
+        return cls(float(np.mean(h1)), h2, h3, q3, (half[0], half[1], half[2]), mean, reach, apart.start)
 
     @property
     def holds_0(self) -> bool:
@@ -105,7 +110,9 @@ class Form:
         """What a cubic through the stroke adds to the straight line's F at x = 0 [N], and its half width."""
         if not np.isfinite(self.half[:2]).all():
             return self._carried(self.h2, self.h3), inf
-        return self._carried(self.h2, self.h3), hypot(self._carried(self.half[0], 0), self._carried(0, self.half[1]))
+        friction = hypot(self.apart, 2 * TURNS * self.apart * self.reach**2)
+        half = hypot(self._carried(self.half[0], 0), self._carried(0, self.half[1]), friction)
+        return self._carried(self.h2, self.h3), half
 
     def findings(self, at: Mapping[str, float]) -> list[Finding]:
         """That the curve is bent, with how much."""
@@ -209,7 +216,7 @@ def cycle_of(sine: Sine) -> NDArray[np.intp]:
 
 
 def _harmonics(sine: Sine) -> list[tuple[float, ...]]:
-    """Frequency [Hz], speed [m/s], |h1|, h2, h3, q3 [N] of each cycle.
+    """Frequency [Hz], speed [m/s], |h1|, h2, h3, q3 [N] of each cycle, and what `Form.apart` is the line of [N].
 
     A displacement that is no pure sine has harmonics, too: K times them is taken off.
     """
@@ -230,7 +237,10 @@ def _harmonics(sine: Sine) -> list[tuple[float, ...]]:
         K = -(F[0] / X[0]).real
         left = F + K * X
         size = abs(K * X[0])
-        rows.append((sine.frequency, sine.omega * abs(X[0]), size, -left[1].real, left[2].imag, left[2].real))
+        h2, (x, mean) = -left[1].real, fitted[0]
+        middle = at_middle(sine.t[one], sine.x[one], sine.F[one], x, waves[0, 0], sine.omega)
+        apart = mean - h2 - 0.5 * sum(middle)
+        rows.append((sine.frequency, sine.omega * abs(X[0]), size, h2, left[2].imag, left[2].real, apart))
     return rows
 
 

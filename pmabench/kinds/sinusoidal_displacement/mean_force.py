@@ -1,8 +1,9 @@
 """F_ce from the mean force of driven sines, and the work along them.
 
 Over a whole cycle friction and a damping that is the same both ways cancel, so that the mean force is F_ce - K x at the
-mean contraction x. Where B_c and B_r differ it rises by (B_r - B_c)/pi for each unit of the speed amplitude omega A, so
-that F_ce is where a line over that speed begins.
+mean contraction x; half of what friction differs by direction stays in it, as in the middle of both branches. Where B_c
+and B_r differ it rises by (B_r - B_c)/pi for each unit of the speed amplitude omega A, so that F_ce is where a line
+over that speed begins.
 
     W_c = integral of F dx while x rises,  W_c + W = -integral of F dx while x falls,  eta = W_c / (W_c + W)
 
@@ -28,13 +29,13 @@ from pmabench.analysis.shared.sine_loop import RECOVERED, Sine, moving
 from pmabench.analysis.shared.skew import settled
 from pmabench.base.quantities import show
 from pmabench.kinds.sinusoidal_displacement.fit import BETWEEN, CYCLES, CYCLES_OF_EACH, NO_REPEATS, Fitted, Member
-from pmabench.kinds.sinusoidal_displacement.form import BETTER, REMAINS, Form, cycle_of
+from pmabench.kinds.sinusoidal_displacement.form import BETTER, REMAINS, TURNS, Form, cycle_of
 from pmabench.store.analyses.results import Estimate, Parts, withhold
 from pmabench.store.records import Array
 
 SINE_MEAN = "sine-mean"
 ALONE = "one frequency only: that B_c and B_r may differ is in the method part"
-AT_MEAN = "at the mean contraction, at speed 0"
+AT_MEAN = "at the mean contraction, at speed 0, halfway between both branches"
 NO_SLOPE = "as at the measured pressure: with one pressure nothing tells what F_ce there is at the set one"
 
 
@@ -70,7 +71,7 @@ def mean_force_estimates(
     members = fitted.group
     mean = float(np.mean([member.sine.mean for member in members]))
     speed = float(np.mean([member.sine.speed for member in members]))
-    K_half, K_bias = fitted.half_stiffness, fitted.bias["K"]
+    K_half, K_bias = fitted.halves()["K"], fitted.bias["K"]
     doubt = abs(fitted.muscle.B or members[0].sine.loss / speed) * speed / pi if fitted.alone else 0.0
     scatter = line.half_start if line.half_start is not None else _half_by_cycles(fitted)
     half = None if scatter is None or K_half is None else hypot(scatter, K_half * mean)
@@ -83,7 +84,7 @@ def mean_force_estimates(
     off, off_half = form.carried
     open_half = hypot(min(off_half, abs(line.start)), REMAINS * off)
     parts = Parts(
-        half, hypot(K_bias * mean, doubt, open_half), scales.part(gains, offsets), fitted.skewed_stiffness * abs(mean)
+        half, hypot(K_bias * mean, doubt, open_half), scales.part(gains, offsets), fitted.skewed()["K"] * abs(mean)
     )
     names = tuple(member.name for member in members)
     n = len(members)
@@ -91,7 +92,7 @@ def mean_force_estimates(
     F = line.start - (fitted.K.start - K_bias) * mean - form.h2
     there = Parts(
         scatter,
-        hypot(doubt, form.half[0] if isfinite(form.half[0]) else abs(F), REMAINS * form.h2),
+        hypot(doubt, form.half[0] if isfinite(form.half[0]) else abs(F), REMAINS * form.h2, form.apart),
         scales.part(gains | {"force": F}, offsets),
     )
     mean_force = replace(F_ce, symbol="F", value=F, parts=there, note=sentences(AT_MEAN, note))
@@ -125,7 +126,8 @@ def _line(fitted: Fitted, slope: float, wanted: float) -> Line:
     """F_ce [N] over the speed amplitude [m/s]; with one frequency its mean."""
     members = fitted.group
     K = fitted.K.start - fitted.bias["K"]
-    rest = np.array([_at_rest(member, K, slope, wanted) for member in members])
+    off = [slope * (wanted - member.sine.pressure) if slope else 0.0 for member in members]
+    rest = np.array([member.sine.force + K * member.sine.mean for member in members]) + off
     frequency = np.array([member.sine.frequency for member in members])
     speed = None if fitted.alone else np.array([member.sine.speed for member in members])
     # an error of the mean force is a share of it
@@ -144,11 +146,6 @@ def _half_by_cycles(fitted: Fitted) -> float | None:
     of_each = [(one.frequency, one.speed, abs(one.force)) for one in (member.sine for member in fitted.group)]
     frequency, speed, size = np.repeat(of_each, [len(each) for each in cycles], axis=0).T
     return weighted_line(frequency, speed, np.concatenate(cycles), size).half_start
-
-
-def _at_rest(member: Member, K: float, slope: float, wanted: float) -> float:
-    off = slope * (wanted - member.sine.pressure) if slope else 0.0
-    return member.sine.force + K * member.sine.mean + off
 
 
 LOOP_WORK = "loop-work"
@@ -246,6 +243,7 @@ class Centre:
     def harmonics(self) -> float:
         """What the half widths of the harmonics make of `at_0` [N]."""
         h2, h3, _ = self.form.half
+        h2 = hypot(h2, TURNS * self.form.apart)
         return hypot(2 * h2 * self.form.reach**2, 4 * h3 * self.form.reach**3)
 
 

@@ -7,8 +7,9 @@ lines through those of one cell are in `fit`. A force that comes late
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from math import nan, pi
 from typing import Any
 
@@ -19,8 +20,8 @@ from pmabench.analysis.shared import skew
 from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.form import Doubt, weighed
 from pmabench.analysis.shared.ramp_loop import LATE
-from pmabench.analysis.shared.samples import NotUsable, lag_open
-from pmabench.analysis.shared.sine_loop import measure
+from pmabench.analysis.shared.samples import PLACES, STEPS, NotUsable, lag_open, rounded
+from pmabench.analysis.shared.sine_loop import along, evaluate, measure
 from pmabench.analysis.verdict.agreement import Offer, exactly, values_of
 from pmabench.base.quantities import show
 from pmabench.kinds.sinusoidal_displacement import RESULTS, mean_force
@@ -29,33 +30,58 @@ from pmabench.kinds.sinusoidal_displacement.fit import HARMONIC, Fitted, Member,
 from pmabench.kinds.sinusoidal_displacement.form import Form, judged
 from pmabench.kinds.sinusoidal_displacement.pressure import pressure_and_force
 from pmabench.store.analyses.results import Analysis, Dropped, Estimate, Finding, Trace
-from pmabench.store.records import RunData
+from pmabench.store.records import Array, RunData
 
 
 def with_late_force(estimates: Sequence[Estimate], fitted: Fitted) -> list[Estimate]:
     """The estimates with what the undeclared part of the force cell's lag may do to them, as a line of the budget.
 
-    K + j omega B becomes (K + j omega B)(1 - j omega tau): B falls by K tau, K rises by omega^2 B tau, B
-    being the one before it fell. From one frequency alone K at rest is the one there.
+    Without a lag tau of the cell, K + j L at a frequency, L with the friction, is (K + j L)(1 + j omega tau): L was
+    larger by omega tau K, and K smaller by omega tau L, L being taken as it was before it fell. B fell by K tau. The K
+    of several frequencies counts as at the slowest, for its interval holds how K changes over the others.
     """
     tau = max(lag_open(member.run, "force") for member in fitted.group)
-    K = abs(fitted.replayed.K)
-    B = abs(fitted.replayed.B) + K * tau
-    amplitudes = {round(sine.frequency, 9): sine.amplitude for sine in (member.sine for member in fitted.group)}
-    alone = 2 * pi * fitted.group[0].sine.frequency if fitted.alone else 0.0
+    sines = {frequency: of[0] for frequency, of in fitted.by_frequency.items()}
     given = {e.at.get("frequency"): e.value for e in estimates if e.symbol == "W_c"}
 
     def effect(e: Estimate) -> float:
-        frequency = e.at.get("frequency", 0.0)
-        omega, A = 2 * pi * frequency, amplitudes.get(round(frequency, 9), 0.0)
-        lost = pi * A**2 * omega * K * tau
-        taken = (given.get(frequency) or 0.0) / (e.value or 1.0)
+        sine = sines.get(e.at.get("frequency", 0.0), sines[min(sines)] if e.symbol == "K" else None)
+        if sine is None:
+            return tau * abs(fitted.replayed.K) if e.symbol == "B" else 0.0
+        turn, A = sine.omega * tau, sine.amplitude
+        late = turn * abs(sine.stiffness)
+        taken = (given.get(sine.frequency) or 0.0) / (e.value or 1.0)
         return {
-            "B": K * tau, "K": (omega or alone) ** 2 * B * tau, "phi": omega * tau, "H": 2 * A * omega * K * tau,
-            "W": lost, "W_c": lost / 2, "eta": lost / taken if e.symbol == "eta" and taken else 0.0,
+            "K": turn * (abs(sine.loss) / A + late), "phi": turn, "H": 2 * A * late, "W": pi * A**2 * late,
+            "W_c": pi * A**2 * late / 2, "eta": pi * A**2 * late / taken if e.symbol == "eta" and taken else 0.0,
         }.get(e.symbol, 0.0)  # fmt: skip
 
     return [weighed(e, [Doubt(LATE, "method", effect(e), False)]) for e in estimates]
+
+
+def with_steps(
+    estimates: Sequence[Estimate], fitted: Fitted, told: Callable[[Fitted], tuple[list[Estimate], Form]]
+) -> list[Estimate]:
+    """The estimates with what the steps of the channels may do to them: the fitted muscle, rounded, told again."""
+    muscle, rows = fitted.replayed, list[tuple[Member, Array, Array]]()
+    for member in {member.sine.frequency: member for member in fitted.group}.values():
+        x, F = along(member.sine, muscle.K, muscle.B, muscle.F_c)
+        rows.append((member, rounded(x, member.sine.steps[0]), rounded(F, member.sine.steps[1], 1)))
+    if not any(np.ptp(signals, axis=0).any() for _, *channels in rows for signals in channels):
+        return list(estimates)
+    values = []
+    for i in range(1 + PLACES):
+        group = [replace(m, sine=evaluate(m.sine.t, x[i], F[i], m.sine.frequency, m.sine.pressure)) for m, x, F in rows]
+        values.append({_name(e): e.value for e in told(Fitted.of(group, 0.0))[0] if e.value is not None})
+    halves = {
+        name: 2 * float(np.sqrt(np.mean([(one.get(name, plain) - plain) ** 2 for one in values[1:]])))
+        for name, plain in values[0].items()
+    }
+    return [weighed(e, [Doubt(STEPS, "method", halves.get(_name(e), 0.0), False)]) for e in estimates]
+
+
+def _name(e: Estimate) -> tuple[object, ...]:
+    return e.symbol, e.method, *e.at.items()
 
 
 KIND = "sinusoidal-displacement"
@@ -95,10 +121,9 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     centres: dict[float, list[mean_force.Centre]] = {}
     for key, fitted in fits.items():
         slopes = _over_pressure(key, fits)
-        form = Form.of([member.sine for member in fitted.group], fitted.replayed.B)
-        found = judged(fitted.estimates(dict(key), scales, slopes), form)
-        found += mean_force.mean_force_estimates(dict(key), fitted, form, scales, rising.get(key))
-        found += mean_force.work_estimates(dict(key), fitted.group, scales, fitted.skew)
+        told = partial(_told, at=dict(key), scales=scales, slopes=slopes, slope=rising.get(key))
+        found, form = told(fitted)
+        found = with_steps(found, fitted, told)
         estimates += with_late_force(found, fitted) if stated[key] == 0 else found
         if (centre := mean_force.centre_of(found, form)) is not None and "pressure" in dict(key):
             centres.setdefault(dict(key)["pressure"], []).append(centre)
@@ -132,6 +157,16 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
             "lines": lines,
         },
     )
+
+
+def _told(
+    fitted: Fitted, at: Mapping[str, float], scales: Scales, slopes: Muscle | None, slope: float | None
+) -> tuple[list[Estimate], Form]:
+    """All estimates of a cell, and what its harmonics say."""
+    form = Form.of([member.sine for member in fitted.group], fitted.replayed.B)
+    found = judged(fitted.estimates(at, scales, slopes), form)
+    found += mean_force.mean_force_estimates(at, fitted, form, scales, slope)
+    return [*found, *mean_force.work_estimates(at, fitted.group, scales, fitted.skew)], form
 
 
 def _fits(members: Sequence[Member], options: Mapping[str, Any]) -> tuple[dict[Key, Fitted], dict[Key, float]]:
