@@ -60,9 +60,9 @@ def with_late_force(estimates: Sequence[Estimate], fitted: Fitted) -> list[Estim
 
 
 def with_steps(
-    estimates: Sequence[Estimate], fitted: Fitted, told: Callable[[Fitted], tuple[list[Estimate], Form]]
+    estimates: Sequence[Estimate], fitted: Fitted, evaluated: Callable[[Fitted], tuple[list[Estimate], Form]]
 ) -> list[Estimate]:
-    """The estimates with what the steps of the channels may do to them: the fitted muscle, rounded, told again."""
+    """The estimates with what the steps of the channels may do to them: the fitted muscle, rounded, evaluated again."""
     muscle, rows = fitted.replayed, list[tuple[Member, Array, Array]]()
     for member in {member.sine.frequency: member for member in fitted.group}.values():
         x, F = along(member.sine, muscle.K, muscle.B, muscle.F_c)
@@ -72,7 +72,7 @@ def with_steps(
     values = []
     for i in range(1 + PLACES):
         group = [replace(m, sine=evaluate(m.sine.t, x[i], F[i], m.sine.frequency, m.sine.pressure)) for m, x, F in rows]
-        values.append({_name(e): e.value for e in told(Fitted.of(group, 0.0))[0] if e.value is not None})
+        values.append({_name(e): e.value for e in evaluated(Fitted.of(group, 0.0))[0] if e.value is not None})
     halves = {
         name: 2 * float(np.sqrt(np.mean([(one.get(name, plain) - plain) ** 2 for one in values[1:]])))
         for name, plain in values[0].items()
@@ -121,9 +121,9 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     centres: dict[float, list[mean_force.Centre]] = {}
     for key, fitted in fits.items():
         slopes = _over_pressure(key, fits)
-        told = partial(_told, at=dict(key), scales=scales, slopes=slopes, slope=rising.get(key))
-        found, form = told(fitted)
-        found = with_steps(found, fitted, told)
+        evaluated = partial(_evaluated, at=dict(key), scales=scales, slopes=slopes, slope=rising.get(key))
+        found, form = evaluated(fitted)
+        found = with_steps(found, fitted, evaluated)
         estimates += with_late_force(found, fitted) if stated[key] == 0 else found
         if (centre := mean_force.centre_of(found, form)) is not None and "pressure" in dict(key):
             centres.setdefault(dict(key)["pressure"], []).append(centre)
@@ -159,7 +159,7 @@ def reduce(runs: Sequence[RunData], options: Mapping[str, Any] | None = None) ->
     )
 
 
-def _told(
+def _evaluated(
     fitted: Fitted, at: Mapping[str, float], scales: Scales, slopes: Muscle | None, slope: float | None
 ) -> tuple[list[Estimate], Form]:
     """All estimates of a cell, and what its harmonics say."""
