@@ -26,6 +26,8 @@ SOFTEST = 1.0
 MOST_LATE = 0.06
 """Longest time that a stream is moved or filtered by [s]."""
 CHANNELS = ("pressure", "displacement", "force")
+GUIDE = "gain or guide"
+"""Variant of a gain that friction between cell and weight may be as well."""
 AGAINST = 0.3
 """Share of the largest part of a creep that another may go against it, by noise and by time constants between ours."""
 
@@ -163,9 +165,14 @@ LASTING = 100.0
 """Creep is stated for the decades of time below this one [s]: what is slower hardly shows in one trial."""
 KIND_IS_A_GUESS = 8e-3
 """Below so long a time [s] nobody can tell a delay from a filter."""
+TO_TELL = (
+    "let loads come down a little and rest before the vent (`relax: {by: ...}`). Friction of a guide or pulley makes "
+    "the cell read as much too little after the way down as too much after the way up, a gain does not"
+)
 TITLES: Mapping[str, str] = {
     "drift": "drift of the force cell",
     "gain": "gain of the force cell",
+    GUIDE: "gain of the force cell, or friction of a guide",
     "slip": "slip of a mount",
     "bend": "bend of the force over contraction",
     "sensor": "bend of the force over contraction, or of the displacement sensor",
@@ -179,6 +186,7 @@ TITLES: Mapping[str, str] = {
 ADVICE: Mapping[str, str] = {
     "drift": "let the force cell warm up, zero it before and after, and keep side loads and cable pull off it",
     "gain": "calibrate the force cell, or weigh the weights",
+    GUIDE: f"calibrate the force cell, or weigh the weights; {TO_TELL}",
     "slip": "look at the clamps of the muscle and at the mount of the displacement sensor: mark them before a test, "
     "and see whether the marks have moved",
     "late pressure": "look at the filter and the wire of the pressure gauge, and at the clock of its device",
@@ -236,7 +244,8 @@ def named(one: Explanation, off: Array, fit: Solved, highest: float, trial: str 
     count = max(1, len(off))
     error = sqrt(float(np.sum((off @ weights) ** 2)) * (count - 1) / count)
     text = _text(one, size, error, highest, trial)
-    return Named(one, "tube" if one.cause == "late pressure" and size < 0 else one.cause, size, error, text)
+    key = "tube" if one.cause == "late pressure" and size < 0 else GUIDE if one.which == GUIDE else one.cause
+    return Named(one, key, size, error, text)
 
 
 def _weights(one: Explanation, fit: Solved, highest: float) -> Array:
@@ -262,7 +271,8 @@ def _text(one: Explanation, size: float, error: float, highest: float, trial: st
         course = "in the campaign, not evenly" if len(one.sizes) > 1 else "over the campaign"
         return f"the zero of the force cell drifted by {'-' if size < 0 else ''}{much} {course}"
     if one.kind == "gain":
-        return f"the force cell reads {much} too {'much' if size > 0 else 'little'}"
+        rubs = ", or a guide between it and the weights rubs" if one.which == GUIDE else ""
+        return f"the force cell reads {much} too {'much' if size > 0 else 'little'}{rubs}"
     if one.kind == "slip":
         return f"the mount or the displacement sensor slipped by {much} before trial {trial}"
     if one.kind == "bend":
