@@ -92,6 +92,11 @@ def drift(campaign: Campaign, segments: Segments) -> Array:
     return found
 
 
+def clock(campaign: Campaign) -> Array:
+    """Course of a clock that runs fast, of 1 s in a run, at each trial: from -0.5 s to 0.5 s; shape (trials,)."""
+    return np.asarray(0.5 * skew.courses(campaign.trials)[1])
+
+
 def slip(campaign: Campaign, segments: Segments, fit: Solved, first: int) -> Array:
     """From trial number `first` on contractions read less by 1 m: a mount or the sensor slipped; shape (n,)."""
     place = order(campaign)

@@ -16,7 +16,7 @@ import numpy as np
 from pmabench.analysis.shared.samples import Samples
 from pmabench.base.quantities import show
 from pmabench.kinds.contraction_relaxation.diagnosis import columns
-from pmabench.kinds.contraction_relaxation.diagnosis.columns import BY_LOAD, BY_WAY, LOADED, TIMES, TYPICAL
+from pmabench.kinds.contraction_relaxation.diagnosis.columns import BY_LOAD, BY_WAY, LOADED, TYPICAL
 from pmabench.kinds.contraction_relaxation.pooled import Solved
 from pmabench.kinds.contraction_relaxation.segments import Campaign, Segments, moved
 from pmabench.store.records import Array
@@ -26,6 +26,8 @@ SOFTEST = 1.0
 MOST_LATE = 0.06
 """Longest time that a stream is moved or filtered by [s]."""
 CHANNELS = ("pressure", "displacement", "force")
+TIMES = ("late", "lag", "clock")
+"""Explanations whose size is a time of a stream."""
 GUIDE = "gain or guide"
 """Variant of a gain that friction between cell and weight may be as well."""
 AGAINST = 0.3
@@ -37,12 +39,12 @@ class Explanation:
     """One cause with its sizes."""
 
     kind: str
-    """`drift`, `gain`, `slip`, `late`, `lag`, `bend`, `sensor`, `hysteresis` or `creep`."""
+    """`drift`, `gain`, `slip`, `late`, `lag`, `clock`, `bend`, `sensor`, `hysteresis` or `creep`."""
     which: str = ""
-    """Channel that is late or lagged, number of the first trial after a slip, or variant."""
+    """Channel that is late or lagged or whose clock runs fast, number of the first trial after a slip, or variant."""
     sizes: tuple[float, ...] = ()
-    """[SI]: N, share, m, s; of a drift at the ends of so many even pieces of the campaign; of the muscle one for each
-    column of `columns`.
+    """[SI]: N, share, m, s; of a drift at the ends of so many even pieces of the campaign; of a clock the delay in the
+    middle of a run and how much it grows from begin to end; of the muscle one for each column of `columns`.
     """
 
     @property
@@ -52,8 +54,8 @@ class Explanation:
 
     @property
     def cause(self) -> str:
-        """What counts as one cause: a delay and a filter of one channel do, and slips at any trial."""
-        return f"late {self.which}" if self.kind in ("late", "lag") else self.kind
+        """What counts as one cause: a delay, a filter and a clock of one channel do, and slips at any trial."""
+        return f"late {self.which}" if self.kind in TIMES else self.kind
 
     @property
     def creeps(self) -> Array:
@@ -88,8 +90,10 @@ def columns_of(
         return columns.drift(campaign, segments)[:, None]
     if one.kind == "slip":
         return columns.slip(campaign, segments, fit, int(one.which))[:, None]
-    if one.kind in ("late", "lag"):
-        return columns.late(segments, fit, campaign.cell)[one.which][0][:, None]
+    if one.kind in TIMES:
+        late = columns.late(segments, fit, campaign.cell)[one.which][0][:, None]
+        courses = (np.ones(len(late)), columns.clock(campaign)[segments.trial])
+        return late * np.column_stack(courses if one.kind == "clock" else courses[:1])
     return _of_muscle(one, followed, segments, fit, others)
 
 
@@ -110,7 +114,7 @@ def in_samples(campaign: Campaign, explanations: Sequence[Explanation]) -> Campa
     faults = [one for one in explanations if not one.of_muscle]
     if not faults:
         return campaign
-    place = columns.order(campaign)
+    place, clock = columns.order(campaign), columns.clock(campaign)
     course = columns.course(campaign) if any(one.kind == "drift" for one in faults) else ()
     samples = []
     for i, each in enumerate(campaign.samples):
@@ -125,6 +129,8 @@ def in_samples(campaign: Campaign, explanations: Sequence[Explanation]) -> Campa
                 each = replace(each, x=each.x + size)
             elif one.kind == "late":
                 each = moved(each, (one.which,), size)
+            elif one.kind == "clock":
+                each = moved(each, (one.which,), size + one.sizes[1] * float(clock[i]))
             elif one.kind == "lag":
                 each = _filtered(each, one.which, size, campaign.rate)
         samples.append(each)
@@ -181,6 +187,7 @@ TITLES: Mapping[str, str] = {
     "late pressure": "time of the pressure",
     "late displacement": "time of the displacement",
     "late force": "time of the force",
+    "clock": "clock of a device",
     "tube": "pressure that reaches the muscle late",
 }
 ADVICE: Mapping[str, str] = {
@@ -192,6 +199,7 @@ ADVICE: Mapping[str, str] = {
     "late pressure": "look at the filter and the wire of the pressure gauge, and at the clock of its device",
     "late displacement": "look at the filter of the displacement sensor, and at the clock of its device",
     "late force": "look at the filter of the force cell's amplifier, and at the clock of its device",
+    "clock": "record all channels with one device, or with clocks that are kept equal",
     "tube": "put the gauge at the muscle, or shorten and widen the tube between them; see that the gauge's clock is "
     "not ahead",
     "bend": "report K with the contraction at which it is the slope (printed with it)",
@@ -244,14 +252,16 @@ def named(one: Explanation, off: Array, fit: Solved, highest: float, trial: str 
     count = max(1, len(off))
     error = sqrt(float(np.sum((off @ weights) ** 2)) * (count - 1) / count)
     text = _text(one, size, error, highest, trial)
-    key = "tube" if one.cause == "late pressure" and size < 0 else GUIDE if one.which == GUIDE else one.cause
-    return Named(one, key, size, error, text)
+    key = GUIDE if one.which == GUIDE else "clock" if one.kind == "clock" else one.cause
+    return Named(one, "tube" if key == "late pressure" and size < 0 else key, size, error, text)
 
 
 def _weights(one: Explanation, fit: Solved, highest: float) -> Array:
     """What makes one size of all, shape (sizes,)."""
     if one.kind == "drift":  # the farthest that it went
         return np.where(np.arange(len(one.sizes)) == np.argmax(np.abs(one.sizes)), 1.0, 0.0)
+    if one.kind == "clock":
+        return np.array([0.0, 1.0])
     if one.kind == "hysteresis":
         share = 0.5 if one.which == BY_WAY else 1.0
         return np.tile([share, share * highest / TYPICAL], len(one.sizes) // 2)
@@ -259,7 +269,7 @@ def _weights(one: Explanation, fit: Solved, highest: float) -> Array:
         by_pressure = np.array([1.0, highest / TYPICAL]) / float(fit.values("K", np.array([highest]))[0])
         return np.tile(by_pressure, len(one.sizes) // 2)
     if one.kind == "creep" and len(one.sizes) > 1:
-        felt = np.array(TIMES)[:: len(TIMES) // len(one.creeps)] < LASTING
+        felt = np.array(columns.TIMES)[:: len(columns.TIMES) // len(one.creeps)] < LASTING
         return np.tile(felt / felt.sum(), len(one.sizes) // len(one.creeps))
     return np.full(len(one.sizes), 1 / len(one.sizes))
 
@@ -286,6 +296,10 @@ def _text(one: Explanation, size: float, error: float, highest: float, trial: st
     if one.kind == "creep":
         load = f" under a load of {show(LOADED, 'force', 3)}" if one.which == BY_LOAD else ""
         return f"the muscle creeps by {much} of its contraction in a decade of time{load}"
+    if one.kind == "clock":
+        pace, way = "slow" if size < 0 else "fast", "behind" if one.sizes[0] < 0 else "ahead"
+        middle = f"{shown(one.sizes[0], quantity)} {way}"
+        return f"the clock of the {one.which} runs {pace}, by {much} in a run, and is {middle} in the middle of it"
     if one.which == "pressure" and size < 0:
         return f"the pressure in the muscle is {much} behind the gauge, or the gauge's clock is ahead"
     how = "behind" if size > 0 else "ahead of"

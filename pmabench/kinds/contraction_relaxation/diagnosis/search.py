@@ -20,6 +20,7 @@ from pmabench.analysis.shared.samples import Samples
 from pmabench.kinds.contraction_relaxation.diagnosis import columns
 from pmabench.kinds.contraction_relaxation.diagnosis.corrections import (
     MOST_LATE,
+    TIMES,
     Explanation,
     columns_of,
     forces_of,
@@ -43,8 +44,10 @@ PLACES = 2
 """Places of a slip that are tried in whole, the best by first order."""
 MOST_COMPARED = 3
 """Most explanations of a round that are compared with knots of their own."""
-TIMES = ("late", "lag")
-"""Explanations whose size is a time of a stream."""
+MOST_CLOCK = 0.3
+"""The same of one whose clock runs fast, over a run [s]: 100 ppm for most of an hour."""
+FROM_BEGIN = (0.5, 1.0)
+"""Sizes of a clock that is right when a run begins, over how much it grows: most are, and the search begins with it."""
 STEPS = (5e-3, 1.5e-3)
 """Steps of the search for a time [s]; from a size that is known on, the last alone."""
 WORTH = 0.9
@@ -176,18 +179,25 @@ class Search:
         self, explanations: tuple[Explanation, ...], place: int, fit: Fit, noise: float
     ) -> tuple[Explanation, ...]:
         """The explanations with the size of one of them, a time, where the squares of the residual are least."""
+        one = explanations[place]
+        if one.kind == "clock" and any(one.sizes):
+            return self._clocked(explanations, place, fit, noise)
+        shares, most = (FROM_BEGIN, MOST_CLOCK) if one.kind == "clock" else ((1.0,), MOST_LATE)
         known: dict[float, float] = {}
 
+        def with_size(size: float) -> tuple[Explanation, ...]:
+            return _with(explanations, place, tuple(size * share for share in shares))
+
         def squares(size: float) -> float:
-            size = min(max(size, -MOST_LATE), MOST_LATE)
+            size = min(max(size, -most), most)
             if size not in known:
-                known[size] = float(np.mean(self.left(_with(explanations, place, (size,)), fit, noise)[1] ** 2))
+                known[size] = self._squares(with_size(size), fit, noise)
             return known[size]
 
-        best = explanations[place].sizes[0]
+        best = one.sizes[0]
         for step in STEPS if best == 0 else STEPS[-1:]:
             way = step if squares(best + step) < squares(best - step) else -step
-            while squares(best + way) < squares(best) and abs(best + way) < MOST_LATE:
+            while squares(best + way) < squares(best) and abs(best + way) < most:
                 best += way
             before, now, after = (squares(best + by) for by in (-step, 0.0, step))
             curved = before + after - 2 * now
@@ -195,7 +205,29 @@ class Search:
             best = min(known, key=squares)
             if squares(best) > WORTH * squares(0.0):
                 break
-        return _with(explanations, place, (best,))
+        found = with_size(best)
+        return self._clocked(found, place, fit, noise) if one.kind == "clock" else found
+
+    def _clocked(
+        self, explanations: tuple[Explanation, ...], place: int, fit: Fit, noise: float
+    ) -> tuple[Explanation, ...]:
+        """The same of both sizes of a clock together, from those that it has on (Gauss-Newton)."""
+        now = self._squares(explanations, fit, noise)
+        for _ in range(PASSES):
+            campaign, segments = self._corrected(explanations)
+            raw = self._solved(segments, fit, noise)
+            of = [explanations[place], *(one for one in explanations if one.of_muscle)]
+            forces = np.hstack([self.columns(one, campaign, segments, raw, explanations) for one in of])
+            sizes = sizes_of(raw, forces)[:2] + explanations[place].sizes
+            moved = _with(explanations, place, tuple(sizes.tolist()))
+            then = self._squares(moved, fit, noise)
+            if then >= now:
+                break
+            explanations, now = moved, then
+        return explanations
+
+    def _squares(self, explanations: tuple[Explanation, ...], fit: Fit, noise: float) -> float:
+        return float(np.mean(self.left(explanations, fit, noise)[1] ** 2))
 
     def left(self, explanations: tuple[Explanation, ...], fit: Fit, noise: float) -> tuple[Segments, Array]:
         """Corrected segments and the residual of the fit to them; sizes of properties of the muscle are found anew."""
@@ -226,7 +258,8 @@ class Search:
             state = self._added(now, one)
             if not plausible(state.last):
                 continue
-            if one.cause not in best or state.excess < best[one.cause].excess:
+            more = ALONE if one.kind == "clock" else 1.0  # it has a size more
+            if one.cause not in best or more * state.excess < best[one.cause].excess:
                 best[one.cause] = state
         return sorted(best.values(), key=lambda state: state.test.ratio)
 
@@ -254,15 +287,15 @@ class Search:
         for place in columns.slip_places(now.test.campaign, now.test.segments):
             yield Explanation("slip", str(place))
         for channel in ("pressure", "displacement", *(("force",) if cell else ())):
-            yield from (Explanation(kind, channel) for kind in ("late", "lag"))
+            yield from (Explanation(kind, channel) for kind in TIMES)
         for kind, variants in columns.OF_MUSCLE.items():
             yield from (Explanation(kind, one) for one in variants if one != columns.FINER.get(kind))
 
     def other_kinds(self, now: State) -> Iterator[State]:
         """`now` with a filter in place of a delay, or a delay in place of a filter, of each stream that has one."""
         for one in now.explanations:
-            if one.kind in TIMES:
-                kind = TIMES[1 - TIMES.index(one.kind)]
+            if one.kind in ("late", "lag"):
+                kind = "lag" if one.kind == "late" else "late"
                 rest = tuple(other for other in now.explanations if other is not one)
                 yield self._added(replace(now, explanations=rest), replace(one, kind=kind))
 
