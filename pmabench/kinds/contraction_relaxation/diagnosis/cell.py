@@ -92,7 +92,7 @@ def readings(campaign: Campaign) -> Readings:
     a guide makes them heavier after the way up, and as much lighter after the way down.
     """
     if not campaign.cell:
-        return Readings(*(np.empty(0) for _ in range(3)))
+        return Readings(np.empty(0), np.empty(0), np.empty(0))
     loads = np.array([samples.load for samples in campaign.samples])
     shares, rest, held, lower = course(campaign), *(_means(campaign, where) for where in ("rest", "plateau", "lower"))
     friction = _of_guide(held, lower, loads)
