@@ -195,7 +195,7 @@ def test_where_no_load_rests_after_the_way_down_a_gain_may_be_a_guide(share: flo
     found = reduce_contraction([run], {"replays": 2})
     (one,) = found.facts["form"]["explanations"]
     assert one["cause"] == cause
-    assert ("Friction of a guide or pulley makes the cell read" in one["advice"]) is (cause == "gain or guide")
+    assert ("after the way down a guide makes the cell read too little" in one["advice"]) is (cause == "gain or guide")
 
 
 def test_a_cell_whose_zero_drifts_from_file_to_file_is_in_the_values_or_withheld():

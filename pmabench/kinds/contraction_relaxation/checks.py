@@ -458,9 +458,8 @@ def _of_the_weights(pooled: Pooled) -> list[Finding]:
     seen, weighed = {one.name for one in pooled.trust.hides if one.seen}, pooled.diagnosis.weighed
     lines = []
     if weighed.guide:
-        size, twice = (show(value, "force", 2) for value in (weighed.guide, 2 * weighed.guide))
-        text = f"a guide or pulley between force cell and weights rubs by about {size}: the cell reads {twice} less"
-        lines.append(Finding("note", f"{text} after the way down than after the way up. F_c has nothing of that"))
+        text = f"a guide between cell and weights rubs by about {show(weighed.guide, 'force', 2)}: after the way down"
+        lines.append(Finding("note", f"{text} the cell reads twice that less than after the way up. F_c is without it"))
     for name, found, quantity in ((GAIN, weighed.gain, "ratio"), (ZERO, weighed.offset, "force")):
         if name in seen and found is not None:
             size, unsure = (show(abs(value), quantity, 2) for value in (found[0], 2 * found[1]))

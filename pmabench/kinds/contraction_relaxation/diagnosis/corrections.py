@@ -92,8 +92,8 @@ def columns_of(
         return columns.slip(campaign, segments, fit, int(one.which))[:, None]
     if one.kind in TIMES:
         late = columns.late(segments, fit, campaign.cell)[one.which][0][:, None]
-        courses = (np.ones(len(late)), columns.clock(campaign)[segments.trial])
-        return late * np.column_stack(courses if one.kind == "clock" else courses[:1])
+        growing = late * columns.clock(campaign)[segments.trial, None]
+        return np.hstack((late, growing)) if one.kind == "clock" else late
     return _of_muscle(one, followed, segments, fit, others)
 
 
@@ -127,10 +127,8 @@ def in_samples(campaign: Campaign, explanations: Sequence[Explanation]) -> Campa
                 each = replace(each, force=each.force / (1 + size))
             elif one.kind == "slip" and place[i] >= place[int(one.which)]:
                 each = replace(each, x=each.x + size)
-            elif one.kind == "late":
-                each = moved(each, (one.which,), size)
-            elif one.kind == "clock":
-                each = moved(each, (one.which,), size + one.sizes[1] * float(clock[i]))
+            elif one.kind in ("late", "clock"):
+                each = moved(each, (one.which,), size + sum(one.sizes[1:]) * float(clock[i]))
             elif one.kind == "lag":
                 each = _filtered(each, one.which, size, campaign.rate)
         samples.append(each)
@@ -171,10 +169,7 @@ LASTING = 100.0
 """Creep is stated for the decades of time below this one [s]: what is slower hardly shows in one trial."""
 KIND_IS_A_GUESS = 8e-3
 """Below so long a time [s] nobody can tell a delay from a filter."""
-TO_TELL = (
-    "let loads come down a little and rest before the vent (`relax: {by: ...}`). Friction of a guide or pulley makes "
-    "the cell read as much too little after the way down as too much after the way up, a gain does not"
-)
+TO_TELL = "relax in steps (`relax.by`): after the way down a guide makes the cell read too little, a gain does not"
 TITLES: Mapping[str, str] = {
     "drift": "drift of the force cell",
     "gain": "gain of the force cell",
@@ -297,9 +292,8 @@ def _text(one: Explanation, size: float, error: float, highest: float, trial: st
         load = f" under a load of {show(LOADED, 'force', 3)}" if one.which == BY_LOAD else ""
         return f"the muscle creeps by {much} of its contraction in a decade of time{load}"
     if one.kind == "clock":
-        pace, way = "slow" if size < 0 else "fast", "behind" if one.sizes[0] < 0 else "ahead"
-        middle = f"{shown(one.sizes[0], quantity)} {way}"
-        return f"the clock of the {one.which} runs {pace}, by {much} in a run, and is {middle} in the middle of it"
+        pace, middle = "slow" if size < 0 else "fast", f"{1e3 * one.sizes[0]:+.2g} ms"
+        return f"the clock of the {one.which} runs {pace}, by {much} in a run, and is {middle} off in the middle"
     if one.which == "pressure" and size < 0:
         return f"the pressure in the muscle is {much} behind the gauge, or the gauge's clock is ahead"
     how = "behind" if size > 0 else "ahead of"

@@ -44,10 +44,8 @@ PLACES = 2
 """Places of a slip that are tried in whole, the best by first order."""
 MOST_COMPARED = 3
 """Most explanations of a round that are compared with knots of their own."""
-MOST_CLOCK = 0.3
-"""The same of one whose clock runs fast, over a run [s]: 100 ppm for most of an hour."""
 FROM_BEGIN = (0.5, 1.0)
-"""Sizes of a clock that is right when a run begins, over how much it grows: most are, and the search begins with it."""
+"""Sizes of a clock that is right when a run begins, over the last one: the search begins with such, as most are."""
 STEPS = (5e-3, 1.5e-3)
 """Steps of the search for a time [s]; from a size that is known on, the last alone."""
 WORTH = 0.9
@@ -180,24 +178,23 @@ class Search:
     ) -> tuple[Explanation, ...]:
         """The explanations with the size of one of them, a time, where the squares of the residual are least."""
         one = explanations[place]
-        if one.kind == "clock" and any(one.sizes):
-            return self._clocked(explanations, place, fit, noise)
-        shares, most = (FROM_BEGIN, MOST_CLOCK) if one.kind == "clock" else ((1.0,), MOST_LATE)
         known: dict[float, float] = {}
 
         def with_size(size: float) -> tuple[Explanation, ...]:
-            return _with(explanations, place, tuple(size * share for share in shares))
+            return _with(explanations, place, tuple(size * share for share in FROM_BEGIN[-len(one.sizes) :]))
 
         def squares(size: float) -> float:
-            size = min(max(size, -most), most)
+            size = min(max(size, -MOST_LATE), MOST_LATE)
             if size not in known:
-                known[size] = self._squares(with_size(size), fit, noise)
+                known[size] = float(np.mean(self.left(with_size(size), fit, noise)[1] ** 2))
             return known[size]
 
-        best = one.sizes[0]
+        if one.kind == "clock" and any(one.sizes):
+            return self._clocked(explanations, place, fit, noise)
+        best = one.sizes[-1]
         for step in STEPS if best == 0 else STEPS[-1:]:
             way = step if squares(best + step) < squares(best - step) else -step
-            while squares(best + way) < squares(best) and abs(best + way) < most:
+            while squares(best + way) < squares(best) and abs(best + way) < MOST_LATE:
                 best += way
             before, now, after = (squares(best + by) for by in (-step, 0.0, step))
             curved = before + after - 2 * now
@@ -212,22 +209,12 @@ class Search:
         self, explanations: tuple[Explanation, ...], place: int, fit: Fit, noise: float
     ) -> tuple[Explanation, ...]:
         """The same of both sizes of a clock together, from those that it has on (Gauss-Newton)."""
-        now = self._squares(explanations, fit, noise)
         for _ in range(PASSES):
             campaign, segments = self._corrected(explanations)
-            raw = self._solved(segments, fit, noise)
-            of = [explanations[place], *(one for one in explanations if one.of_muscle)]
-            forces = np.hstack([self.columns(one, campaign, segments, raw, explanations) for one in of])
-            sizes = sizes_of(raw, forces)[:2] + explanations[place].sizes
-            moved = _with(explanations, place, tuple(sizes.tolist()))
-            then = self._squares(moved, fit, noise)
-            if then >= now:
-                break
-            explanations, now = moved, then
+            raw, one = self._solved(segments, fit, noise), explanations[place]
+            sizes = one.sizes + sizes_of(raw, self.columns(one, campaign, segments, raw))
+            explanations = _with(explanations, place, tuple(sizes.tolist()))
         return explanations
-
-    def _squares(self, explanations: tuple[Explanation, ...], fit: Fit, noise: float) -> float:
-        return float(np.mean(self.left(explanations, fit, noise)[1] ** 2))
 
     def left(self, explanations: tuple[Explanation, ...], fit: Fit, noise: float) -> tuple[Segments, Array]:
         """Corrected segments and the residual of the fit to them; sizes of properties of the muscle are found anew."""
@@ -258,8 +245,8 @@ class Search:
             state = self._added(now, one)
             if not plausible(state.last):
                 continue
-            more = ALONE if one.kind == "clock" else 1.0  # it has a size more
-            if one.cause not in best or more * state.excess < best[one.cause].excess:
+            excess = (ALONE if one.kind == "clock" else 1.0) * state.excess  # a clock has a size more than a delay
+            if one.cause not in best or excess < best[one.cause].excess:
                 best[one.cause] = state
         return sorted(best.values(), key=lambda state: state.test.ratio)
 

@@ -102,11 +102,9 @@ class Spread:
             return tuple(np.zeros((1, len(one.sizes))) for one in self.state.explanations)
         left, begin, found = self._left_out(fit, np.ones(len(segments), bool), group)[1], 0, []
         for place, one in enumerate(self.state.explanations):
-            if one.kind in TIMES:
-                mine = np.column_stack([self._time(place, number, group) for number in range(len(one.sizes))])
-            else:
-                mine = left[:, begin : begin + len(one.sizes)]
-                begin += len(one.sizes)
+            times = [self._time(place, number, group) for number in range(len(one.sizes)) if one.kind in TIMES]
+            mine = np.column_stack(times) if times else left[:, begin : begin + len(one.sizes)]
+            begin += 0 if times else len(one.sizes)
             mine = mine[np.isfinite(mine).all(axis=1)]
             found.append(mine - mine.mean(axis=0) if len(mine) else np.zeros((1, len(one.sizes))))
         return tuple(found)
@@ -169,9 +167,8 @@ class Spread:
     def _moved(self, place: int, number: int, by: float) -> tuple[Segments, Array]:
         """Segments with a time moved by so much [s], and the residual of the fit to them."""
         explanations = list(self.state.explanations)
-        sizes = list(explanations[place].sizes)
-        sizes[number] += by
-        explanations[place] = replace(explanations[place], sizes=tuple(sizes))
+        sizes = np.array(explanations[place].sizes) + by * (np.arange(len(explanations[place].sizes)) == number)
+        explanations[place] = replace(explanations[place], sizes=tuple(sizes.tolist()))
         test = self.state.test
         return self.search.left(tuple(explanations), test.fit, test.expected)
 
