@@ -51,12 +51,6 @@ def eccentric(trial: Trial, amount: float) -> Trial:
     return replace(trial, displacement=x + amount * (np.sin(x / PULLEY + 1.0) - np.sin(1.0)))
 
 
-def fast_clock(trial: Trial, amount: float) -> Trial:
-    """The clock of the force cell is fast by this share from the begin of the campaign on."""
-    late = amount * trial.t
-    return replace(trial, force=np.interp(trial.t - late, trial.t, trial.force))
-
-
 def pressure_drift(trial: Trial, amount: float) -> Trial:
     """The zero of the pressure gauge drifts by `amount` [Pa] over the campaign."""
     return replace(trial, pressure=trial.pressure + amount * trial.t / LASTS)
@@ -68,7 +62,6 @@ FAULTS: dict[str, tuple[Callable[[Trial, float], Trial], tuple[float, ...]]] = {
     "dead-band": (dead_band, (2.0, 5.0, 10.0)),
     "pulley-friction": (pulley_friction, (0.01, 0.03, 0.06)),
     "eccentric": (eccentric, (0.1e-3, 0.3e-3, 1e-3)),
-    "fast-clock": (fast_clock, (10e-6, 30e-6, 100e-6)),
     "pressure-drift": (pressure_drift, (1e3, 3e3, 10e3)),
 }
 """Fault -> what it does to a trial, and the amounts that are tried."""

@@ -97,6 +97,25 @@ def test_a_fault_is_named_with_its_size_and_corrected(cause: str, size: float) -
     holds_the_truth(analysis, cause, size)
 
 
+@pytest.mark.parametrize(("channel", "fast"), [
+    ("pressure", 10e-6), ("displacement", 10e-6), ("displacement", -30e-6), ("force", -30e-6),
+])  # fmt: skip
+def test_a_clock_that_runs_fast_is_named_with_its_pace_and_taken_off(channel: str, fast: float) -> None:
+    """10 ppm are 8 ms at the end of the campaign, and withheld all values; stamps are t (1 + fast)."""
+    run = changed(clean(), lambda t: {channel: np.interp(t.t / (1 + fast), t.t, t.channels[channel])})
+    analysis = reduce([run], {"replays": 2})
+    (found,) = analysis.facts["form"]["explanations"]
+    assert (found["cause"], found["which"]) == ("clock", channel)
+    assert analysis.facts["form"]["state"] == "corrected"
+    middle, grown = found["sizes"]
+    assert grown == pytest.approx(fast * STARTS[-1], rel=0.05)
+    assert middle == pytest.approx(fast * 0.5 * (STARTS[-1] + DURATION), abs=0.4e-3)
+    assert not withheld(analysis)
+    holds_the_truth(analysis, "clean", 1.0)
+    assert all(e.parts.combined < 0.02 * e.value for e in analysis.estimates
+               if e.method == "measured-pressure" and e.symbol in ("F_ce", "K", "B_c"))  # fmt: skip
+
+
 def holds_the_truth(analysis: Analysis, cause: str, size: float) -> None:
     """Values of the primary method are within twice their half widths of the truth, and each has a line for what was
     corrected.

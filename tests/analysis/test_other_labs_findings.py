@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -162,6 +163,39 @@ def test_friction_of_a_guide_below_the_cell_is_no_gain_of_the_cell(share: float)
     # the muscle is the same: what the guide takes, it pulls; so only the weights' check may not act on it
     found = reduce_contraction([replace(clean, trials=tuple(trials))], {"replays": 2})
     assert not any(one["cause"] == "gain" for one in found.facts["form"]["explanations"])
+
+
+@pytest.mark.parametrize("friction", [2.0, 8.0])
+def test_coulomb_friction_of_a_guide_is_no_gain_of_the_cell(friction: float):
+    """It is the same at all loads, so a larger share of the light ones: 8 N were "a gain of 5 %", taken off K."""
+    found = reduce_contraction([judged.as_run(campaign.campaign("guide", friction / 8.0, 3))], {"replays": 2})
+    assert found.facts["form"]["state"] == "sound"
+    assert any(f"rubs by about {friction:g} N" in f.text for f in found.findings)
+    assert score(of(found, "F_c"), 15.0) < 1.0, "that of the muscle alone"
+    for symbol, P in product(("F_ce", "K", "B_c"), campaign.PRESSURES):
+        right, _ = campaign.truth("guide", 1.0, 3)[symbol](np.array([P]))
+        e = of(found, symbol, method="measured-pressure", pressure=P)
+        assert score(e, float(right[0])) < 1.5
+        assert e.parts.combined < 0.01 * e.value
+
+
+@pytest.mark.parametrize(("share", "rests", "cause"), [
+    (0.01, False, "gain or guide"), (0.01, True, "gain"), (-0.01, False, "gain"),
+])  # fmt: skip
+def test_where_no_load_rests_after_the_way_down_a_gain_may_be_a_guide(share: float, rests: bool, cause: str):
+    """On the way up a guide makes the cell read too much; what it reads after the way down tells them apart."""
+    trials = []
+    for trial in judged.as_run(campaign.campaign("clean", 1.0, 3)).trials:
+        vent = trial.commands[1].t if not rests else np.inf
+        rows, force = trial.t < vent, trial.channels["force"]
+        read = {name: values[rows] for name, values in (trial.channels | {"force": (1 + share) * force}).items()}
+        kept = tuple(c for c in trial.commands if c.t < vent)
+        trials.append(replace(trial, t=trial.t[rows], flags=trial.flags[rows], channels=read, commands=kept))
+    run = replace(judged.as_run(campaign.campaign("clean", 1.0, 3)), trials=tuple(trials))
+    found = reduce_contraction([run], {"replays": 2})
+    (one,) = found.facts["form"]["explanations"]
+    assert one["cause"] == cause
+    assert ("after the way down a guide makes the cell read too little" in one["advice"]) is (cause == "gain or guide")
 
 
 def test_a_cell_whose_zero_drifts_from_file_to_file_is_in_the_values_or_withheld():

@@ -46,6 +46,7 @@ FULL = {
     "several": 1.0,
     "gain": 0.03,
     "mass": 0.05,
+    "guide": 8.0,
 }
 """Cause -> its full size [SI], in the order of `campaign`; shares have no unit."""
 CAUSES = ("cell-drift", "slip-0.8", "slip-3", "creep", "force-lag", "pressure-late", "bend")
@@ -130,9 +131,9 @@ def slope(cause: str, size: float, seed: int) -> Callable[[Array, Array | None, 
 
 
 @lru_cache(maxsize=32)
-def _motion(muscle: Muscle, slack: float, tube: float) -> Motion:
+def _motion(muscle: Muscle, slack: float, tube: float, guide: float) -> Motion:
     masses = np.array([mass for mass, _ in PLAN])
-    return hang(muscle, masses, [commands(P) for _, P in PLAN], DURATION, PAUSES, slack=slack, tube=tube)
+    return hang(muscle, masses, [commands(P) for _, P in PLAN], DURATION, PAUSES, slack=slack, tube=tube, guide=guide)
 
 
 def campaign(cause: str, size: float, seed: int) -> list[Trial]:
@@ -165,6 +166,8 @@ def campaign(cause: str, size: float, seed: int) -> list[Trial]:
         The cell reads too much or too little by this share, up with even seeds and down with odd ones.
     mass
         One weight, drawn, is heavier or lighter by this share than what is written on it and recorded.
+    guide
+        A linear guide rubs on the load, between cell and support (Coulomb).
     """
     amount = size * FULL[cause]
     chance = np.random.default_rng([seed, *cause.encode(), round(1000 * size)])
@@ -172,8 +175,9 @@ def campaign(cause: str, size: float, seed: int) -> list[Trial]:
     muscle, tube = muscle_of(cause, size, seed), amount if cause == "tube" else 0.0
     slips = int(chance.integers(3, 22)) if cause.startswith("slip") else len(PLAN)
     away = amount * (1 - 2 * (seed // 2 % 2)) if cause == "slip" else amount
-    sound = _motion(muscle, 0.0, tube)
-    slipped = _motion(muscle, away, tube) if slips < len(PLAN) and sign > 0 else sound
+    guide = amount if cause == "guide" else 0.0
+    sound = _motion(muscle, 0.0, tube, guide)
+    slipped = _motion(muscle, away, tube, guide) if slips < len(PLAN) and sign > 0 else sound
     mislabelled = chance.choice(MASSES) if cause == "mass" else None
     t = np.arange(round(DURATION * RATE) + 1) / RATE
     trials = []

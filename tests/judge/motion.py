@@ -63,12 +63,13 @@ def pressure(steps: Steps, t: Array) -> Array:
 
 def hang(
     muscle: Muscle, masses: Array, commands: Sequence[Steps], duration: float, pauses: Array, *,
-    slack: float = 0.0, tube: float = 0.0, fine: int = FINE,
+    slack: float = 0.0, tube: float = 0.0, guide: float = 0.0, fine: int = FINE,
 ) -> Motion:  # fmt: skip
     """The motion of trials with `masses` [kg] one after the other, with `pauses` [s] after each at no pressure.
 
     `slack` [m] is how far the fixed end of the muscle is nearer to the load's support than it should be; `tube` [s] is
-    the time constant by which the muscle's pressure follows that of the regulator.
+    the time constant by which the muscle's pressure follows that of the regulator; `guide` [N] rubs on the load, below
+    the cell.
     """
     t = np.arange(round(duration * RATE) * fine + 1) / (RATE * fine)
     P = np.array([lagged(pressure(steps, t), tube, RATE * fine) for steps in commands]).T
@@ -76,7 +77,7 @@ def hang(
     crept, strained = (np.zeros((len(of), len(masses))) for of in (muscle.times, muscle.slides))
     # what a trial begins with changes little of how it creeps, so that few passes find what each leaves to the next
     for _ in range(3 if muscle.creep else 2 if muscle.hysteresis else 1):
-        motion, end, strained = _advance(muscle, masses, P, crept, strained, slack, fine)
+        motion, end, strained = _advance(muscle, masses, P, crept, strained, slack, fine, guide)
         added = end - crept * np.exp(-duration / times)
         for number in range(1, len(masses)):
             left = crept[:, number - 1] * np.exp(-duration / times[:, 0]) + added[:, number - 1]
@@ -87,11 +88,11 @@ def hang(
 
 
 def _advance(
-    muscle: Muscle, masses: Array, P: Array, crept: Array, strained: Array, slack: float, fine: int
+    muscle: Muscle, masses: Array, P: Array, crept: Array, strained: Array, slack: float, fine: int, guide: float = 0.0
 ) -> tuple[Motion, Array, Array]:
     """Motion from rest on the support, and the creep and the strain of the braid at the end."""
     h = 1.0 / (RATE * fine)
-    weight = masses * GRAVITY
+    weight, friction = masses * GRAVITY, FRICTION + guide
     slides = np.array(muscle.slides)[:, None]
     gap = muscle.gap(P)
     rubbed = np.zeros_like(masses)
@@ -109,7 +110,7 @@ def _advance(
             rubbed = gap[n] * (np.add.reduce(strained / slides) / len(slides))
         elastic = force[n] - K[n] * u * (1 + muscle.bend * (1 - u / STROKE)) - rubbed
         excess = elastic - weight
-        start = np.where(excess > FRICTION, 1.0, np.where((excess < -FRICTION) & (x > 0), -1.0, 0.0))
+        start = np.where(excess > friction, 1.0, np.where((excess < -friction) & (x > 0), -1.0, 0.0))
         way = np.where(v != 0, np.sign(v), start)
         if n % fine == 0:
             places[n // fine], speeds[n // fine], pulls[n // fine], ways[n // fine] = x, v, elastic, way
@@ -124,7 +125,7 @@ def _advance(
             if muscle.hysteresis:
                 half = np.minimum(np.maximum(strained + 0.5 * h * v, -slides), slides)
                 rubbed = gap[n] * (np.add.reduce(half / slides) / len(slides))
-            push = 0.5 * (force[n] + force[n + 1] - (k0 + k1) * u - k1 * 0.5 * h * v - b0 * v) - weight - FRICTION * way
+            push = 0.5 * (force[n] + force[n + 1] - (k0 + k1) * u - k1 * 0.5 * h * v - b0 * v) - weight - friction * way
             push = push - rubbed
             after = (masses * v / h + push) / (masses / h + 0.5 * b1 + 0.25 * h * k1)
             after = np.where(after * way > 0, after, 0.0)
@@ -138,6 +139,7 @@ def _advance(
             offset = slack - np.add.reduce(crept)
         x = there
     moving = pulls - np.where(ways > 0, up[::fine], down[::fine]) * speeds - FRICTION * ways
-    resting = np.where(places > 0, weight, np.clip(pulls, 0.0, weight))
+    rubbing = guide / friction * np.clip(pulls - weight, -friction, friction)  # its share of what holds the load
+    resting = np.where(places > 0, weight + rubbing, np.clip(pulls, 0.0, weight))
     forces = np.where(ways != 0, moving, resting)
     return Motion(places.T.copy(), forces.T.copy()), crept, strained

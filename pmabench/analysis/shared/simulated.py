@@ -93,8 +93,9 @@ def run(
             rate = damping / mass
             fade = np.expm1(-rate * h)
             speed = way * v
-            gone = np.maximum(0.0, final * h - (speed - final) * fade / rate)
-            v = way * np.maximum(0.0, speed + (speed - final) * fade)
+            lost = (speed - final) * fade
+            gone = np.maximum(0.0, final * h - lost / rate)
+            v = way * np.maximum(0.0, speed + lost)
             x = x + way * gone
             landed = x <= 0
             x, v = np.where(landed, 0.0, x), np.where(landed & (v < 0), 0.0, v)
@@ -147,7 +148,7 @@ def measured(work: Stretches, replayed: Replayed, noise: Noise, cell: bool, seed
         shake = generator.standard_normal((3, size))
         force = replayed.force[:size, column] + noise.force * shake[2] if cell else None
         P, x = samples.P + noise.pressure * shake[0], replayed.x[:size, column] + noise.displacement * shake[1]
-        result.append(replace(samples, P=P, x=x, force=force))
+        result.append(Samples(samples.trial, samples.t, P, x, force, samples.ok, samples.load, samples.mass))
     return result
 
 

@@ -24,6 +24,7 @@ from pmabench.analysis.shared.calibration import Scales
 from pmabench.analysis.shared.samples import Samples
 from pmabench.analysis.verdict.checks import Check
 from pmabench.base.quantities import show
+from pmabench.kinds.contraction_relaxation.diagnosis.corrections import TO_TELL
 from pmabench.kinds.contraction_relaxation.diagnosis.hiding import GAIN, ZERO
 from pmabench.kinds.contraction_relaxation.intervals import NORMAL, Pooled, bootstrap
 from pmabench.kinds.contraction_relaxation.pooled import SYMBOLS, inverse_of, place, prior_of, rms_of, spread
@@ -456,12 +457,18 @@ def _of_the_weights(pooled: Pooled) -> list[Finding]:
     """Where the force cell and the weights that hang on it contradict each other."""
     seen, weighed = {one.name for one in pooled.trust.hides if one.seen}, pooled.diagnosis.weighed
     lines = []
+    if weighed.guide:
+        text = f"a guide between cell and weights rubs by about {show(weighed.guide, 'force', 2)}: after the way down"
+        lines.append(Finding("note", f"{text} the cell reads twice that less than after the way up. F_c is without it"))
     for name, found, quantity in ((GAIN, weighed.gain, "ratio"), (ZERO, weighed.offset, "force")):
         if name in seen and found is not None:
             size, unsure = (show(abs(value), quantity, 2) for value in (found[0], 2 * found[1]))
             way = "more" if found[0] > 0 else "less"
             text = f"{name}: it reads {size} {way} than they weigh, +- {unsure}, which its calibration does not allow"
-            lines.append(Finding("doubt", f"{text}: one of them is wrong, and the intervals hold both"))
+            text += ": one of them is wrong, and the intervals hold both"
+            if weighed.guide is None and found[0] > 0:
+                text += f"; or a guide between them rubs. To know, {TO_TELL}"
+            lines.append(Finding("doubt", text))
     if weighed.wrong is not None:
         load, off, error = weighed.wrong
         size, unsure = (show(value, "force", 2) for value in (abs(off), 2 * error))

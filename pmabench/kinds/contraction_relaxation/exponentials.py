@@ -78,28 +78,27 @@ def exponential(t: Array, x: Array, start: float) -> Exponential | None:
     tau = max(1.5 * (t63 - t28), 2 * float(t[1] - t[0]))
     theta = np.array([end, max(0.0, t63 - tau), tau])
 
-    def residual(at: Array) -> tuple[Array, Array]:
-        since = t - at[1]
-        fade = np.where(since > 0, np.exp(-np.maximum(since, 0.0) / at[2]), 1.0)
-        return x - start - (at[0] - start) * (1 - fade), fade
+    def residual(at: Array) -> tuple[Array, Array, Array]:
+        since = np.maximum(t - at[1], 0.0)
+        fade = np.exp(-since / at[2])
+        return x - start - (at[0] - start) * (1 - fade), fade, since
 
-    r, fade = residual(theta)
+    r, fade, since = residual(theta)
     damping = 1e-3
     for _ in range(ITERATIONS):
-        since = np.maximum(t - theta[1], 0.0)
         grown = (theta[0] - start) * fade / theta[2]
-        moving = t > theta[1]
-        jacobian = np.column_stack([1 - fade, -grown * moving, -grown * since / theta[2]])
+        jacobian = np.column_stack([1 - fade, -grown * (since > 0), -grown * since / theta[2]])
         normal = jacobian.T @ jacobian
-        move = np.linalg.solve(normal + damping * np.diag(np.diag(normal)) + 1e-30 * np.eye(3), jacobian.T @ r)
+        normal.flat[::4] = normal.diagonal() + damping * normal.diagonal() + 1e-30
+        move = np.linalg.solve(normal, jacobian.T @ r)
         tried = theta + move
         if tried[2] <= 0 or tried[2] > 10 * (t[-1] - t[0]):
             damping *= 10
             continue
-        new, new_fade = residual(tried)
+        new, *after = residual(tried)
         if new @ new <= r @ r:
             small = bool(np.all(np.abs(move) < 1e-7 * np.abs(tried) + 1e-9))
-            theta, r, fade, damping = tried, new, new_fade, max(1e-9, damping / 5)
+            theta, r, (fade, since), damping = tried, new, after, max(1e-9, damping / 5)
             if small:
                 break
         else:

@@ -175,8 +175,8 @@ class Fit(Solved):
 
 def place(P: Array, knots: Array) -> tuple[NDArray[np.intp], Array]:
     """Left neighbour among the knots, and the way to the right one as a share; lines go on beyond the ends."""
-    left = np.clip(np.searchsorted(knots, P, side="right") - 1, 0, len(knots) - 2)
-    return left, (P - knots[left]) / (knots[left + 1] - knots[left])
+    left = np.searchsorted(knots[1:-1], P, side="right")
+    return left, (P - knots[left]) / np.diff(knots)[left]
 
 
 def spread(at: tuple[NDArray[np.intp], Array], by: Array, k: int) -> Array:
@@ -191,11 +191,13 @@ def spread(at: tuple[NDArray[np.intp], Array], by: Array, k: int) -> Array:
 def sums_of(segments: Segments, knots: Array) -> tuple[Array, Array, Array]:
     """What F_ce, K and B at the knots are multiplied by, by their size, each of shape (n, k)."""
     weights, k = np.broadcast_to(segments.weights, segments.P.shape), len(knots)
-    at = place(segments.P, knots)
+    left, share = at = place(segments.P, knots)
+    s = segments.v.shape[1]
+    first = (left.shape[1] - s) // 2  # of the pressures in the middle, `P_mid`
     return (
         spread(at, weights, k),
         spread(at, weights * segments.x, k),
-        spread(place(segments.P_mid, knots), segments.v / segments.v.shape[1], k),
+        spread((left[:, first : first + s], share[:, first : first + s]), segments.v / s, k),
     )
 
 

@@ -26,6 +26,8 @@ ASSUMED_MASS = 0.5
 """Moving mass [kg] of a trial that names none; it counts only where no cell measures."""
 FEWEST_STILL = 8
 """Fewest samples at rest that tell of noise."""
+FEW, COUNTS = 256, 65536
+"""So many samples show the step of a converter, most often; and so many of these it has at most, of 16 bits."""
 LEVELS = 20
 """A channel takes at least so many values before the least distance between two is the step of its converter."""
 
@@ -222,10 +224,10 @@ def _places(samples: Samples, n: int, m: int, gate: Gate) -> _Places:
     v = velocity(samples.t, samples.x, m)
     usable = samples.ok & (samples.x > gate.lift)
     starts, ways = [np.empty(0, np.intp)], [np.empty(0)]
-    for way in (1.0, -1.0):
-        inside = np.concatenate(([False], usable & (way * v > gate.speed), [False]))
-        edges = np.flatnonzero(inside[1:] != inside[:-1]).reshape(-1, 2)
-        for first, last in edges:
+    inside = np.zeros(len(v) + 2, bool)
+    for way, moving in ((1.0, v > gate.speed), (-1.0, v < -gate.speed)):
+        np.logical_and(usable, moving, out=inside[1:-1])
+        for first, last in (inside[1:] != inside[:-1]).nonzero()[0].reshape(-1, 2).tolist():
             begin = first + 2 * m + 1
             count = (last - m - begin) // n
             if count > 0:
@@ -243,7 +245,8 @@ def _taken(samples: Samples, places: _Places, n: int, m: int, weights: Array) ->
     around = start[:, None] + np.arange(-m, n + m)
     mass = np.zeros(len(start))
     if samples.force is not None:
-        force, F_mid = samples.force[around] @ weights, samples.force[middle]
+        pulls = samples.force[around]
+        force, F_mid = pulls @ weights, pulls[:, m : m + n]
     else:
         F_mid = np.full(middle.shape, samples.load)
         mass += samples.mass
@@ -251,7 +254,7 @@ def _taken(samples: Samples, places: _Places, n: int, m: int, weights: Array) ->
         force = samples.load + samples.mass * gained / (samples.t[start + n] - samples.t[start - 1])
     number = np.full(len(start), samples.trial)
     P, x = samples.P[around], samples.x[around]
-    return number, samples.t[start], way_of, P, x, samples.P[middle], v[middle], F_mid, force, mass
+    return number, samples.t[start], way_of, P, x, P[:, m : m + n], v[middle], F_mid, force, mass
 
 
 def noise_seen(
@@ -264,14 +267,15 @@ def noise_seen(
     `every` tells of channels whose own samples come at every k-th row only and are interpolated between: a mean of n
     rows is then one of n / k samples, so their noise counts as white noise of root k times the size.
     """
+    runs = [_unbroken(samples.ok, rows) for samples, rows in zip(stretches, still, strict=True)]
 
     def typical(name: str) -> tuple[float, ...]:
         values, widths, k = [], [], (every or {}).get(name, 1)
-        for samples, rows in zip(stretches, still, strict=True):
-            column, rows = getattr(samples, name), _unbroken(samples.ok, rows)
+        for samples, rows in zip(stretches, runs, strict=True):
+            column = getattr(samples, name)
             if column is None or not samples.ok.any():
                 continue
-            widths.append(np.sqrt(k / 12.0) * _step(column[samples.ok]))
+            widths.append(np.sqrt(k / 12.0) * _step(column if samples.ok.all() else column[samples.ok]))
             if rows.stop - rows.start >= FEWEST_STILL * k:
                 seen = max(noise_of(column[rows][first::k]) for first in range(k))
                 values.append(max(np.sqrt(k) * seen, widths[-1]))
@@ -287,13 +291,14 @@ def noise_of_means(stretches: Sequence[Samples], still: Sequence[slice], over: i
     More than `noise_seen` where noise is smooth from sample to sample, as that of a filter or between interpolated
     samples.
     """
+    runs = [_unbroken(samples.ok, rows) for samples, rows in zip(stretches, still, strict=True)]
 
     def typical(name: str) -> float:
         values = []
-        for samples, rows in zip(stretches, still, strict=True):
+        for samples, rows in zip(stretches, runs, strict=True):
             column = getattr(samples, name)
             if column is not None:
-                whole = column[_unbroken(samples.ok, rows)]
+                whole = column[rows]
                 means = whole[: len(whole) // over * over].reshape(-1, over).mean(axis=1)
                 values.append(np.sqrt(over) * noise_of(means))
         return float(np.median(values)) if values else 0.0
@@ -316,11 +321,26 @@ def _step(column: Array) -> float:
 
     0 for fewer than `LEVELS` values: a quantity that jumps says nothing of its converter.
     """
-    values = np.sort(column)
+    values = _levels(column)
     steps = np.diff(values)
     if np.count_nonzero(steps) + 1 < LEVELS:
         return 0.0
     return float(steps[steps > 1e-9 * (values[-1] - values[0])].min())
+
+
+def _levels(column: Array) -> Array:
+    """The values of a channel, rising, some perhaps more than once: counts of a converter by their numbers, which takes
+    less time than to sort them.
+    """
+    few, low = np.diff(np.sort(column[:FEW])), column.min()
+    step = few[few > 0].min(initial=np.inf)
+    if (column.max() - low) / step < COUNTS:
+        counts = np.rint((column - low) / step).astype(np.intp)
+        levels = np.full(int(counts.max()) + 1, np.nan)
+        levels[counts] = column
+        if np.array_equal(levels[counts], column):
+            return np.asarray(levels[np.isfinite(levels)])
+    return np.sort(column)
 
 
 ON_TIME = Noise()
@@ -471,8 +491,8 @@ def _unusable(run: RunData, trial: TrialData, rate: float) -> str:
 
 def strokes(trial: TrialData) -> list[slice]:
     """Rows between one pressure command and the next; the whole trial where commands are not recorded."""
-    times = [c.t for c in trial.commands if c.output == "pressure" and c.t >= trial.t[0] - 1e-9]
-    edges = [int(np.searchsorted(trial.t, t - 1e-9)) for t in times] or [0]
+    times = [c.t - 1e-9 for c in trial.commands if c.output == "pressure" and c.t >= trial.t[0] - 1e-9]
+    edges = np.searchsorted(trial.t, times).tolist() or [0]
     return [slice(first, last) for first, last in zip(edges, [*edges[1:], len(trial.t)], strict=True) if last > first]
 
 

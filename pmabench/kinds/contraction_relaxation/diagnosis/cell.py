@@ -15,7 +15,7 @@ import numpy as np
 
 from pmabench.analysis.shared import student
 from pmabench.kinds.contraction_relaxation.diagnosis.columns import course
-from pmabench.kinds.contraction_relaxation.diagnosis.corrections import Explanation
+from pmabench.kinds.contraction_relaxation.diagnosis.corrections import GUIDE, Explanation
 from pmabench.kinds.contraction_relaxation.segments import Campaign, Gate, settled, strokes
 from pmabench.store.records import Array
 
@@ -38,8 +38,10 @@ correction or a name: lines of the budget hold it.
 """
 SAME = 1e-3
 """Weights this near are one [N]."""
-PART_OF_GAIN = 1.1
-"""Share of a gain by the weights that may be wrong: the marks may be, or what hangs may swing."""
+PART_OF_GAIN, OR_OF_GUIDE = 1.1, 1.5
+"""Share of a gain by the weights that may be wrong: the marks may be, or what hangs may swing; and of one that a guide
+may make as well: then all of it is wrong, and what else is unsure comes on top.
+"""
 PIECES, EACH = 8, 4
 """Most straight pieces of a drift that is no straight line itself, and fewest readings for each."""
 FEWEST_LOADS = 3
@@ -57,6 +59,8 @@ class Readings:
     """What hung on it [N]; 0 where that lay on its support."""
     read: Array
     """[N]"""
+    guide: float | None = None
+    """Friction between cell and weight [N], in the middle, taken off; None where nothing shows whether there is any."""
 
 
 @dataclass(frozen=True)
@@ -75,6 +79,8 @@ class Weighed:
     """Drift and gain, where the readings ask for them: to be taken off."""
     errors: tuple[Array, ...] = ()
     """Standard deviation of each size of these."""
+    guide: float | None = None
+    """As in `Readings`."""
     unsure: float = 0.0
     """Share of the correction that may be wrong [1]: by the course of a drift, or as the cell may not be straight."""
 
@@ -86,26 +92,33 @@ def readings(campaign: Campaign) -> Readings:
     a guide makes them heavier after the way up, and as much lighter after the way down.
     """
     if not campaign.cell:
-        return Readings(*(np.empty(0) for _ in range(3)))
+        return Readings(np.empty(0), np.empty(0), np.empty(0))
     loads = np.array([samples.load for samples in campaign.samples])
     shares, rest, held, lower = course(campaign), *(_means(campaign, where) for where in ("rest", "plateau", "lower"))
-    held = held - _of_guide(held, lower, loads) * loads
+    friction = _of_guide(held, lower, loads)
+    held = held if friction is None else held - friction
     if not np.nanmedian(np.abs([*rest, inf])) < LYING * np.median(loads):
         rest[:] = np.nan  # the load hangs before the trial, too: a second reading of the same
     read = np.concatenate((rest, held))
     ends = np.concatenate([[share[0] for share in shares], [share[len(share) // 2] for share in shares]])
     known = np.isfinite(read)
-    return Readings(ends[known], np.concatenate((0 * loads, loads))[known], read[known])
+    typical = None if friction is None else float(np.median(friction))
+    return Readings(ends[known], np.concatenate((0 * loads, loads))[known], read[known], typical)
 
 
-def _of_guide(held: Array, lower: Array, loads: Array) -> float:
-    """Friction below the cell as a share of the load, by what it reads less after the way down; 0 where none shows."""
+def _of_guide(held: Array, lower: Array, loads: Array) -> Array | None:
+    """Friction below the cell [N] at each of the loads (n,), by what it reads less after the way down: a constant and a
+    share of the load. 0 where none shows, None where too few loads come down.
+    """
     both = np.isfinite(held - lower)
-    share = 0.5 * (held - lower)[both] / loads[both]
-    if len(share) < FEWEST:
-        return 0.0
-    mean, error = float(share.mean()), float(share.std(ddof=1)) / sqrt(len(share))
-    return mean if mean > max(SMALL, float(student.ppf(BEYOND, len(share) - 1)) * error) else 0.0
+    if both.sum() < FEWEST:
+        return None
+    half, line = 0.5 * (held - lower)[both], np.column_stack((np.ones(len(loads)), loads / loads.mean()))
+    left, free = _left(half, line[both])
+    least = max(SMALL * float(np.median(loads)), float(student.ppf(BEYOND, free)) * sqrt(left / free / len(half)))
+    if half.mean() <= least:
+        return np.zeros(len(loads))
+    return np.asarray(line @ np.linalg.lstsq(line[both], half, rcond=None)[0])
 
 
 def weighed(readings: Readings, known: Mapping[str, float] = NOTHING) -> Weighed:
@@ -158,12 +171,14 @@ def weighed(readings: Readings, known: Mapping[str, float] = NOTHING) -> Weighed
         size, own = np.array([sizes.get(name, (0.0, 0.0)) for name in names]).reshape(-1, 2).T
         least = np.maximum(known.get(kind, 0.0) + 3 * own, small[kind])
         if lying and set(names) & set(chosen) and (np.abs(size) > least).any():
-            explanations.append(Explanation(kind, "", tuple(size.tolist())))
+            rubs = kind == "gain" and readings.guide is None and size[0] > 0
+            explanations.append(Explanation(kind, GUIDE if rubs else "", tuple(size.tolist())))
             errors.append(own)
     return Weighed(
         sizes.get(drift[-1]), sizes.get("gain"), sizes.get("offset"),
         (load, *sizes["wrong"]) if load is not None else None,
-        tuple(explanations), tuple(errors), _unsure(explanations, errors, sized((*every, "bow"), load)[1]),
+        tuple(explanations), tuple(errors), readings.guide,
+        _unsure(explanations, errors, sized((*every, "bow"), load)[1]),
     )  # fmt: skip
 
 
@@ -171,8 +186,9 @@ def _unsure(
     explanations: Sequence[Explanation], errors: Sequence[Array], bent: Mapping[str, tuple[float, float]]
 ) -> float:
     """See `Weighed`; `bent` has the size of a parabola next to a line and its standard deviation [N]."""
-    if any(one.kind == "gain" for one in explanations):
-        return PART_OF_GAIN
+    gains = [one.which for one in explanations if one.kind == "gain"]
+    if gains:
+        return OR_OF_GUIDE if GUIDE in gains else PART_OF_GAIN
     for one, error in zip(explanations, errors, strict=True):
         size, own = (0.0, 2 * float(np.mean(error))) if len(one.sizes) > 1 else bent.get("bow", (0.0, 0.0))
         return 0.5 * (abs(size) + 2 * own) / max(map(abs, one.sizes))

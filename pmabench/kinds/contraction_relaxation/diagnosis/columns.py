@@ -92,6 +92,11 @@ def drift(campaign: Campaign, segments: Segments) -> Array:
     return found
 
 
+def clock(campaign: Campaign) -> Array:
+    """Course of a clock that runs fast, of 1 s in a run, at each trial: from -0.5 s to 0.5 s; shape (trials,)."""
+    return np.asarray(0.5 * skew.courses(campaign.trials)[1])
+
+
 def slip(campaign: Campaign, segments: Segments, fit: Solved, first: int) -> Array:
     """From trial number `first` on contractions read less by 1 m: a mount or the sensor slipped; shape (n,)."""
     place = order(campaign)
@@ -320,7 +325,8 @@ class Followed:
         sums = np.empty((len(grid), parts + len(TIMES), x.shape[1]))
         np.divide(np.diff(x, axis=0, prepend=x[:1])[:, None, :], np.array(RADII)[:, None], out=sums[:, :parts])
         np.multiply(x[:, None, :], now, out=sums[:, parts:])
-        sums[1:, parts:] += (1 - keep - now) * x[:-1, None, :]
+        for place, before in enumerate((1 - keep - now)[:, 0].tolist(), parts):
+            sums[1:, place] += before * x[:-1]  # one by one: all at once would be two thirds of `sums` once more
         state = _left(campaign, column, sums, keep)
         total = np.zeros_like(state)
         stops, slow = state[:parts], state[parts:]

@@ -16,7 +16,7 @@ import numpy as np
 from pmabench.analysis.shared.samples import Samples
 from pmabench.base.quantities import show
 from pmabench.kinds.contraction_relaxation.diagnosis import columns
-from pmabench.kinds.contraction_relaxation.diagnosis.columns import BY_LOAD, BY_WAY, LOADED, TIMES, TYPICAL
+from pmabench.kinds.contraction_relaxation.diagnosis.columns import BY_LOAD, BY_WAY, LOADED, TYPICAL
 from pmabench.kinds.contraction_relaxation.pooled import Solved
 from pmabench.kinds.contraction_relaxation.segments import Campaign, Segments, moved
 from pmabench.store.records import Array
@@ -26,6 +26,10 @@ SOFTEST = 1.0
 MOST_LATE = 0.06
 """Longest time that a stream is moved or filtered by [s]."""
 CHANNELS = ("pressure", "displacement", "force")
+TIMES = ("late", "lag", "clock")
+"""Explanations whose size is a time of a stream."""
+GUIDE = "gain or guide"
+"""Variant of a gain that friction between cell and weight may be as well."""
 AGAINST = 0.3
 """Share of the largest part of a creep that another may go against it, by noise and by time constants between ours."""
 
@@ -35,12 +39,12 @@ class Explanation:
     """One cause with its sizes."""
 
     kind: str
-    """`drift`, `gain`, `slip`, `late`, `lag`, `bend`, `sensor`, `hysteresis` or `creep`."""
+    """`drift`, `gain`, `slip`, `late`, `lag`, `clock`, `bend`, `sensor`, `hysteresis` or `creep`."""
     which: str = ""
-    """Channel that is late or lagged, number of the first trial after a slip, or variant."""
+    """Channel that is late or lagged or whose clock runs fast, number of the first trial after a slip, or variant."""
     sizes: tuple[float, ...] = ()
-    """[SI]: N, share, m, s; of a drift at the ends of so many even pieces of the campaign; of the muscle one for each
-    column of `columns`.
+    """[SI]: N, share, m, s; of a drift at the ends of so many even pieces of the campaign; of a clock the delay in the
+    middle of a run and how much it grows from begin to end; of the muscle one for each column of `columns`.
     """
 
     @property
@@ -50,8 +54,8 @@ class Explanation:
 
     @property
     def cause(self) -> str:
-        """What counts as one cause: a delay and a filter of one channel do, and slips at any trial."""
-        return f"late {self.which}" if self.kind in ("late", "lag") else self.kind
+        """What counts as one cause: a delay, a filter and a clock of one channel do, and slips at any trial."""
+        return f"late {self.which}" if self.kind in TIMES else self.kind
 
     @property
     def creeps(self) -> Array:
@@ -86,8 +90,10 @@ def columns_of(
         return columns.drift(campaign, segments)[:, None]
     if one.kind == "slip":
         return columns.slip(campaign, segments, fit, int(one.which))[:, None]
-    if one.kind in ("late", "lag"):
-        return columns.late(segments, fit, campaign.cell)[one.which][0][:, None]
+    if one.kind in TIMES:
+        late = columns.late(segments, fit, campaign.cell)[one.which][0][:, None]
+        growing = late * columns.clock(campaign)[segments.trial, None]
+        return np.hstack((late, growing)) if one.kind == "clock" else late
     return _of_muscle(one, followed, segments, fit, others)
 
 
@@ -108,7 +114,7 @@ def in_samples(campaign: Campaign, explanations: Sequence[Explanation]) -> Campa
     faults = [one for one in explanations if not one.of_muscle]
     if not faults:
         return campaign
-    place = columns.order(campaign)
+    place, clock = columns.order(campaign), columns.clock(campaign)
     course = columns.course(campaign) if any(one.kind == "drift" for one in faults) else ()
     samples = []
     for i, each in enumerate(campaign.samples):
@@ -121,8 +127,8 @@ def in_samples(campaign: Campaign, explanations: Sequence[Explanation]) -> Campa
                 each = replace(each, force=each.force / (1 + size))
             elif one.kind == "slip" and place[i] >= place[int(one.which)]:
                 each = replace(each, x=each.x + size)
-            elif one.kind == "late":
-                each = moved(each, (one.which,), size)
+            elif one.kind in ("late", "clock"):
+                each = moved(each, (one.which,), size + sum(one.sizes[1:]) * float(clock[i]))
             elif one.kind == "lag":
                 each = _filtered(each, one.which, size, campaign.rate)
         samples.append(each)
@@ -163,9 +169,11 @@ LASTING = 100.0
 """Creep is stated for the decades of time below this one [s]: what is slower hardly shows in one trial."""
 KIND_IS_A_GUESS = 8e-3
 """Below so long a time [s] nobody can tell a delay from a filter."""
+TO_TELL = "relax in steps (`relax.by`): after the way down a guide makes the cell read too little, a gain does not"
 TITLES: Mapping[str, str] = {
     "drift": "drift of the force cell",
     "gain": "gain of the force cell",
+    GUIDE: "gain of the force cell, or friction of a guide",
     "slip": "slip of a mount",
     "bend": "bend of the force over contraction",
     "sensor": "bend of the force over contraction, or of the displacement sensor",
@@ -174,16 +182,19 @@ TITLES: Mapping[str, str] = {
     "late pressure": "time of the pressure",
     "late displacement": "time of the displacement",
     "late force": "time of the force",
+    "clock": "clock of a device",
     "tube": "pressure that reaches the muscle late",
 }
 ADVICE: Mapping[str, str] = {
     "drift": "let the force cell warm up, zero it before and after, and keep side loads and cable pull off it",
     "gain": "calibrate the force cell, or weigh the weights",
+    GUIDE: f"calibrate the force cell, or weigh the weights; {TO_TELL}",
     "slip": "look at the clamps of the muscle and at the mount of the displacement sensor: mark them before a test, "
     "and see whether the marks have moved",
     "late pressure": "look at the filter and the wire of the pressure gauge, and at the clock of its device",
     "late displacement": "look at the filter of the displacement sensor, and at the clock of its device",
     "late force": "look at the filter of the force cell's amplifier, and at the clock of its device",
+    "clock": "record all channels with one device, or with clocks that are kept equal",
     "tube": "put the gauge at the muscle, or shorten and widen the tube between them; see that the gauge's clock is "
     "not ahead",
     "bend": "report K with the contraction at which it is the slope (printed with it)",
@@ -236,13 +247,16 @@ def named(one: Explanation, off: Array, fit: Solved, highest: float, trial: str 
     count = max(1, len(off))
     error = sqrt(float(np.sum((off @ weights) ** 2)) * (count - 1) / count)
     text = _text(one, size, error, highest, trial)
-    return Named(one, "tube" if one.cause == "late pressure" and size < 0 else one.cause, size, error, text)
+    key = GUIDE if one.which == GUIDE else "clock" if one.kind == "clock" else one.cause
+    return Named(one, "tube" if key == "late pressure" and size < 0 else key, size, error, text)
 
 
 def _weights(one: Explanation, fit: Solved, highest: float) -> Array:
     """What makes one size of all, shape (sizes,)."""
     if one.kind == "drift":  # the farthest that it went
         return np.where(np.arange(len(one.sizes)) == np.argmax(np.abs(one.sizes)), 1.0, 0.0)
+    if one.kind == "clock":
+        return np.array([0.0, 1.0])
     if one.kind == "hysteresis":
         share = 0.5 if one.which == BY_WAY else 1.0
         return np.tile([share, share * highest / TYPICAL], len(one.sizes) // 2)
@@ -250,7 +264,7 @@ def _weights(one: Explanation, fit: Solved, highest: float) -> Array:
         by_pressure = np.array([1.0, highest / TYPICAL]) / float(fit.values("K", np.array([highest]))[0])
         return np.tile(by_pressure, len(one.sizes) // 2)
     if one.kind == "creep" and len(one.sizes) > 1:
-        felt = np.array(TIMES)[:: len(TIMES) // len(one.creeps)] < LASTING
+        felt = np.array(columns.TIMES)[:: len(columns.TIMES) // len(one.creeps)] < LASTING
         return np.tile(felt / felt.sum(), len(one.sizes) // len(one.creeps))
     return np.full(len(one.sizes), 1 / len(one.sizes))
 
@@ -262,7 +276,8 @@ def _text(one: Explanation, size: float, error: float, highest: float, trial: st
         course = "in the campaign, not evenly" if len(one.sizes) > 1 else "over the campaign"
         return f"the zero of the force cell drifted by {'-' if size < 0 else ''}{much} {course}"
     if one.kind == "gain":
-        return f"the force cell reads {much} too {'much' if size > 0 else 'little'}"
+        rubs = ", or a guide between it and the weights rubs" if one.which == GUIDE else ""
+        return f"the force cell reads {much} too {'much' if size > 0 else 'little'}{rubs}"
     if one.kind == "slip":
         return f"the mount or the displacement sensor slipped by {much} before trial {trial}"
     if one.kind == "bend":
@@ -276,6 +291,9 @@ def _text(one: Explanation, size: float, error: float, highest: float, trial: st
     if one.kind == "creep":
         load = f" under a load of {show(LOADED, 'force', 3)}" if one.which == BY_LOAD else ""
         return f"the muscle creeps by {much} of its contraction in a decade of time{load}"
+    if one.kind == "clock":
+        pace, middle = "slow" if size < 0 else "fast", f"{1e3 * one.sizes[0]:+.2g} ms"
+        return f"the clock of the {one.which} runs {pace}, by {much} in a run, and is {middle} off in the middle"
     if one.which == "pressure" and size < 0:
         return f"the pressure in the muscle is {much} behind the gauge, or the gauge's clock is ahead"
     how = "behind" if size > 0 else "ahead of"

@@ -20,6 +20,7 @@ from pmabench.analysis.shared.samples import Samples
 from pmabench.kinds.contraction_relaxation.diagnosis import columns
 from pmabench.kinds.contraction_relaxation.diagnosis.corrections import (
     MOST_LATE,
+    TIMES,
     Explanation,
     columns_of,
     forces_of,
@@ -43,8 +44,8 @@ PLACES = 2
 """Places of a slip that are tried in whole, the best by first order."""
 MOST_COMPARED = 3
 """Most explanations of a round that are compared with knots of their own."""
-TIMES = ("late", "lag")
-"""Explanations whose size is a time of a stream."""
+FROM_BEGIN = (0.5, 1.0)
+"""Sizes of a clock that is right when a run begins, over the last one: the search begins with such, as most are."""
 STEPS = (5e-3, 1.5e-3)
 """Steps of the search for a time [s]; from a size that is known on, the last alone."""
 WORTH = 0.9
@@ -176,15 +177,21 @@ class Search:
         self, explanations: tuple[Explanation, ...], place: int, fit: Fit, noise: float
     ) -> tuple[Explanation, ...]:
         """The explanations with the size of one of them, a time, where the squares of the residual are least."""
+        one = explanations[place]
         known: dict[float, float] = {}
+
+        def with_size(size: float) -> tuple[Explanation, ...]:
+            return _with(explanations, place, tuple(size * share for share in FROM_BEGIN[-len(one.sizes) :]))
 
         def squares(size: float) -> float:
             size = min(max(size, -MOST_LATE), MOST_LATE)
             if size not in known:
-                known[size] = float(np.mean(self.left(_with(explanations, place, (size,)), fit, noise)[1] ** 2))
+                known[size] = float(np.mean(self.left(with_size(size), fit, noise)[1] ** 2))
             return known[size]
 
-        best = explanations[place].sizes[0]
+        if one.kind == "clock" and any(one.sizes):
+            return self._clocked(explanations, place, fit, noise)
+        best = one.sizes[-1]
         for step in STEPS if best == 0 else STEPS[-1:]:
             way = step if squares(best + step) < squares(best - step) else -step
             while squares(best + way) < squares(best) and abs(best + way) < MOST_LATE:
@@ -195,7 +202,19 @@ class Search:
             best = min(known, key=squares)
             if squares(best) > WORTH * squares(0.0):
                 break
-        return _with(explanations, place, (best,))
+        found = with_size(best)
+        return self._clocked(found, place, fit, noise) if one.kind == "clock" else found
+
+    def _clocked(
+        self, explanations: tuple[Explanation, ...], place: int, fit: Fit, noise: float
+    ) -> tuple[Explanation, ...]:
+        """The same of both sizes of a clock together, from those that it has on (Gauss-Newton)."""
+        for _ in range(PASSES):
+            campaign, segments = self._corrected(explanations)
+            raw, one = self._solved(segments, fit, noise), explanations[place]
+            sizes = one.sizes + sizes_of(raw, self.columns(one, campaign, segments, raw))
+            explanations = _with(explanations, place, tuple(sizes.tolist()))
+        return explanations
 
     def left(self, explanations: tuple[Explanation, ...], fit: Fit, noise: float) -> tuple[Segments, Array]:
         """Corrected segments and the residual of the fit to them; sizes of properties of the muscle are found anew."""
@@ -226,7 +245,8 @@ class Search:
             state = self._added(now, one)
             if not plausible(state.last):
                 continue
-            if one.cause not in best or state.excess < best[one.cause].excess:
+            excess = (ALONE if one.kind == "clock" else 1.0) * state.excess  # a clock has a size more than a delay
+            if one.cause not in best or excess < best[one.cause].excess:
                 best[one.cause] = state
         return sorted(best.values(), key=lambda state: state.test.ratio)
 
@@ -254,15 +274,15 @@ class Search:
         for place in columns.slip_places(now.test.campaign, now.test.segments):
             yield Explanation("slip", str(place))
         for channel in ("pressure", "displacement", *(("force",) if cell else ())):
-            yield from (Explanation(kind, channel) for kind in ("late", "lag"))
+            yield from (Explanation(kind, channel) for kind in TIMES)
         for kind, variants in columns.OF_MUSCLE.items():
             yield from (Explanation(kind, one) for one in variants if one != columns.FINER.get(kind))
 
     def other_kinds(self, now: State) -> Iterator[State]:
         """`now` with a filter in place of a delay, or a delay in place of a filter, of each stream that has one."""
         for one in now.explanations:
-            if one.kind in TIMES:
-                kind = TIMES[1 - TIMES.index(one.kind)]
+            if one.kind in ("late", "lag"):
+                kind = "lag" if one.kind == "late" else "late"
                 rest = tuple(other for other in now.explanations if other is not one)
                 yield self._added(replace(now, explanations=rest), replace(one, kind=kind))
 

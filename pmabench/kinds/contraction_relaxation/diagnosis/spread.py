@@ -6,15 +6,15 @@ as large as what it leaves of the misfit, within bounds that campaigns with know
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pmabench.analysis.shared import student
 from pmabench.kinds.contraction_relaxation.diagnosis.columns import FINER
-from pmabench.kinds.contraction_relaxation.diagnosis.corrections import Explanation
-from pmabench.kinds.contraction_relaxation.diagnosis.search import TIMES, Search, State
+from pmabench.kinds.contraction_relaxation.diagnosis.corrections import TIMES
+from pmabench.kinds.contraction_relaxation.diagnosis.search import Search, State
 from pmabench.kinds.contraction_relaxation.intervals import Correction
 from pmabench.kinds.contraction_relaxation.pooled import Solved
 from pmabench.kinds.contraction_relaxation.segments import Segments
@@ -102,8 +102,9 @@ class Spread:
             return tuple(np.zeros((1, len(one.sizes))) for one in self.state.explanations)
         left, begin, found = self._left_out(fit, np.ones(len(segments), bool), group)[1], 0, []
         for place, one in enumerate(self.state.explanations):
-            mine = self._time(place, group)[:, None] if one.kind in TIMES else left[:, begin : begin + len(one.sizes)]
-            begin += 0 if one.kind in TIMES else len(one.sizes)
+            times = [self._time(place, number, group) for number in range(len(one.sizes)) if one.kind in TIMES]
+            mine = np.column_stack(times) if times else left[:, begin : begin + len(one.sizes)]
+            begin += 0 if times else len(one.sizes)
             mine = mine[np.isfinite(mine).all(axis=1)]
             found.append(mine - mine.mean(axis=0) if len(mine) else np.zeros((1, len(one.sizes))))
         return tuple(found)
@@ -111,11 +112,11 @@ class Spread:
     def _spread(self, fit: Solved, rows: NDArray[np.bool_], group: Array, noise: float) -> Array:
         """Covariance of theta by the jackknife over groups of rows, widened for few, shape (p, p)."""
         theta, _ = self._left_out(fit, rows, group)
-        for place, one in enumerate(self.state.explanations):
-            if one.kind in TIMES:
-                later, earlier = (fit.again(self._moved(place, by)[0], noise).theta for by in (STEP, -STEP))
-                every = self._time(place, self._group_of_all(group, rows))
-                theta = theta + (every - one.sizes[0])[:, None] * (later - earlier) / (2 * STEP)
+        times = [(place, one) for place, one in enumerate(self.state.explanations) if one.kind in TIMES]
+        for place, number, size in ((place, *each) for place, one in times for each in enumerate(one.sizes)):
+            later, earlier = (fit.again(self._moved(place, number, by)[0], noise).theta for by in (STEP, -STEP))
+            every = self._time(place, number, self._group_of_all(group, rows))
+            theta = theta + (every - size)[:, None] * (later - earlier) / (2 * STEP)
         theta = theta[np.isfinite(theta).all(axis=1)]
         count = len(theta)
         if count < FEWEST:
@@ -163,20 +164,20 @@ class Spread:
         ]
         return np.hstack([np.empty((len(test.segments), 0)), *found])
 
-    def _moved(self, place: int, by: float) -> tuple[Segments, Array]:
+    def _moved(self, place: int, number: int, by: float) -> tuple[Segments, Array]:
         """Segments with a time moved by so much [s], and the residual of the fit to them."""
-        one = self.state.explanations[place]
         explanations = list(self.state.explanations)
-        explanations[place] = Explanation(one.kind, one.which, (one.sizes[0] + by,))
+        sizes = np.array(explanations[place].sizes) + by * (np.arange(len(explanations[place].sizes)) == number)
+        explanations[place] = replace(explanations[place], sizes=tuple(sizes.tolist()))
         test = self.state.test
         return self.search.left(tuple(explanations), test.fit, test.expected)
 
-    def _time(self, place: int, group: Array) -> Array:
-        """The time of an explanation [s] without each group: where the parabola of the squares of the rest ends."""
+    def _time(self, place: int, number: int, group: Array) -> Array:
+        """A time of an explanation [s] without each group: where the parabola of the squares of the rest ends."""
         names = np.unique(group[group >= 0])
         squares = []
         for by in (-STEP, 0.0, STEP):
-            segments, residual = self._moved(place, by)
+            segments, residual = self._moved(place, number, by)
             trials = dict(zip(self.state.test.segments.trial.tolist(), group.tolist(), strict=True))
             mine = np.array([trials.get(trial, -1.0) for trial in segments.trial.tolist()])
             squares.append(
@@ -185,7 +186,7 @@ class Spread:
         before, now, after = np.array(squares)
         curved = np.maximum(before + after - 2 * now, 1e-300)
         vertex = np.clip(0.5 * STEP * (before - after) / curved, -4 * STEP, 4 * STEP)
-        return np.asarray(self.state.explanations[place].sizes[0] + vertex)
+        return np.asarray(self.state.explanations[place].sizes[number] + vertex)
 
 
 def _inverse(normal: Array) -> Array:
